@@ -1,0 +1,127 @@
+"""The bench configuration: everything that `piezod run` needs to know, cross-checked before anything is energised."""
+
+from pathlib import Path
+from typing import Annotated, Literal, Self
+
+from pydantic import Field, model_validator
+
+from piezod.config.checked import Section, check
+from piezod.config.limits import LimitsConfig
+from piezod.config.link import LinkConfig, ModbusRtuLink, ModbusTcpLink, Registers, SerialLineLink
+from piezod.config.reference import ReferenceConfig, RegisterReference
+from piezod.config.yaml_reader import read_document
+from piezod.errors import ConfigurationError
+
+SCHEMA = "piezod.bench/1"
+
+
+class RealTimeConfig(Section):
+    """What the control process asks of the kernel; each is optional and warned about when the right is missing."""
+
+    fifo_priority: Annotated[int, Field(ge=0, le=99)] = 80
+    lock_memory: bool = True
+    cpu: Annotated[int, Field(ge=0)] | None = None
+    hold_cpu_latency: bool = True
+
+
+class DaemonConfig(Section):
+    """Where the daemon keeps what it shows to others."""
+
+    ring_log: str = "/dev/shm/piezod-{name}.ring"
+    ring_seconds: Annotated[float, Field(gt=0, le=3600)] = 60.0
+
+
+class BenchConfig(Section):
+    """One bench."""
+
+    schema_: Annotated[Literal["piezod.bench/1"], Field(alias="schema")]
+    name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]{0,63}$")]
+    rate_Hz: Annotated[float, Field(gt=0, le=20_000)]
+    model: Annotated[str, Field(min_length=1)]
+    compensation: Literal["inverse", "gain"] = "inverse"
+    link: LinkConfig
+    load_cell_link: LinkConfig | None = None
+    limits: LimitsConfig
+    reference: ReferenceConfig
+    real_time: RealTimeConfig = RealTimeConfig()
+    daemon: DaemonConfig = DaemonConfig()
+
+    @property
+    def dt_s(self) -> float:
+        """The tick's period [s]."""
+        return 1.0 / self.rate_Hz
+
+    @property
+    def ring_log_path(self) -> Path:
+        """Where the ring log lies."""
+        return Path(self.daemon.ring_log.replace("{name}", self.name))
+
+    @model_validator(mode="after")
+    def _link_has_what_the_loop_needs(self) -> Self:
+        _require_voltage(self.link)
+        _require_force(self.load_cell_link or self.link, "load_cell_link" if self.load_cell_link else "link")
+        if isinstance(self.reference, RegisterReference):
+            source = self.load_cell_link or self.link
+            registers = None if isinstance(source, SerialLineLink) else source.registers
+            if registers is None or registers.reference is None:
+                raise ValueError("reference.kind is register, but the link's registers name no 'reference'")
+        return self
+
+    @model_validator(mode="after")
+    def _watchdog_outlives_a_tick(self) -> Self:
+        watchdog_ms = self.limits.device_watchdog_ms
+        tick_ms = 1000.0 / self.rate_Hz
+        if watchdog_ms and watchdog_ms <= 2 * tick_ms:
+            raise ValueError(
+                f"limits.device_watchdog_ms is {watchdog_ms}, must be above two ticks, {2 * tick_ms:g} ms at "
+                f"rate_Hz {self.rate_Hz:g}"
+            )
+        if self.limits.comm_loss_ms < tick_ms:
+            raise ValueError(
+                f"limits.comm_loss_ms is {self.limits.comm_loss_ms:g}, must be at least one tick, {tick_ms:g} ms"
+            )
+        return self
+
+
+def _require_voltage(link: ModbusTcpLink | ModbusRtuLink | SerialLineLink) -> None:
+    if isinstance(link, SerialLineLink):
+        if link.set_voltage is None:
+            raise ValueError("link.set_voltage is missing: nothing could be driven")
+    elif link.registers.voltage_setpoint is None:
+        raise ValueError("link.registers.voltage_setpoint is missing: nothing could be driven")
+
+
+def _require_force(link: ModbusTcpLink | ModbusRtuLink | SerialLineLink, name: str) -> None:
+    if isinstance(link, SerialLineLink):
+        if link.measure is None or link.measure.reply is None or "(?P<force_N>" not in link.measure.reply:
+            raise ValueError(
+                f"{name}.measure.reply needs a group (?P<force_N>...): without it no force is read; "
+                "name a load_cell_link if another device measures it"
+            )
+    elif link.registers.force is None:
+        raise ValueError(
+            f"{name}.registers.force is missing: no force is read; name a load_cell_link if another device measures it"
+        )
+
+
+def load_bench(path: Path) -> BenchConfig:
+    """Read and check a bench configuration.
+
+    Raises
+    ------
+    ConfigurationError
+        One line with file, line, key, value and limit.
+    """
+    document = read_document(path)
+    schema = document.content.get("schema")
+    if schema != SCHEMA:
+        raise ConfigurationError(f"{path}: schema is {schema!r}, must be '{SCHEMA}'")
+    return check(document, BenchConfig)
+
+
+def model_path(bench: BenchConfig, bench_path: Path) -> Path:
+    """Where the model lies: beside the bench configuration unless absolute."""
+    return bench_path.parent / bench.model
+
+
+__all__ = ["BenchConfig", "RealTimeConfig", "Registers", "load_bench", "model_path"]

@@ -1,0 +1,117 @@
+"""From a YAML document to a frozen pydantic model, with one clear line where it does not fit."""
+
+import difflib
+from collections.abc import Iterable
+from typing import Any, TypeVar
+
+from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic_core import ErrorDetails
+
+from piezod.config.yaml_reader import Document
+from piezod.errors import ConfigurationError
+
+
+class Section(BaseModel):
+    """One mapping of a configuration file: frozen, strict, every key known, every number finite."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
+
+
+SectionT = TypeVar("SectionT", bound=BaseModel)
+
+_LIMIT_WORDS = {
+    "greater_than": ("gt", "above"),
+    "greater_than_equal": ("ge", "at least"),
+    "less_than": ("lt", "below"),
+    "less_than_equal": ("le", "at most"),
+}
+_TYPE_WORDS = {
+    "finite_number": "a finite number",
+    "float_type": "a number",
+    "int_type": "a whole number",
+    "bool_type": "true or false",
+    "string_type": "text",
+    "tuple_type": "a list",
+    "model_type": "a mapping",
+    "dict_type": "a mapping",
+}
+
+
+def check(document: Document, section: type[SectionT]) -> SectionT:
+    """Turn `document` into `section`.
+
+    Raises
+    ------
+    ConfigurationError
+        One line: file, line, key, value, limit; and how many more errors there are.
+    """
+    try:
+        return section.model_validate(document.content)
+    except ValidationError as error:
+        details = sorted(error.errors(), key=lambda detail: detail["type"] != "extra_forbidden")
+        more = f" (and {len(details) - 1} more)" if len(details) > 1 else ""
+        raise ConfigurationError(_explain(details[0], document, section) + more) from error
+
+
+def _explain(detail: ErrorDetails, document: Document, section: type[BaseModel]) -> str:
+    keys = [key for key in detail["loc"] if not _is_union_tag(key, document, detail["loc"])]
+    where = f"{document.path}:{document.line_of(keys)}"
+    name = ".".join(str(key) for key in keys) or "the file"
+    value = _shorten(detail["input"])
+    kind, context = detail["type"], detail.get("ctx", {})
+    if kind == "missing":
+        return f"{where}: {name} is missing"
+    if kind == "extra_forbidden":
+        return f"{where}: unknown key {name}{_suggestion(str(keys[-1]), _known_keys(section))}"
+    if kind in _LIMIT_WORDS:
+        bound, words = _LIMIT_WORDS[kind]
+        return f"{where}: {name} is {value}, must be {words} {context[bound]:g}"
+    if kind in _TYPE_WORDS:
+        return f"{where}: {name} is {value}, must be {_TYPE_WORDS[kind]}"
+    if kind in ("literal_error", "enum"):
+        return f"{where}: {name} is {value}, must be {context['expected']}"
+    if kind == "value_error":
+        return f"{where}: {name}: {context['error']}" if keys else f"{where}: {context['error']}"
+    if kind == "union_tag_invalid":
+        return f"{where}: {name}.kind is '{context['tag']}', must be one of {context['expected_tags']}"
+    if kind == "union_tag_not_found":
+        return f"{where}: {name}.kind is missing"
+    return f"{where}: {name} is {value}: {detail['msg']}"
+
+
+def _is_union_tag(key: str | int, document: Document, loc: tuple[str | int, ...]) -> bool:
+    """Pydantic puts the chosen kind of a union into the path; it is a value in the file, not a key."""
+    node: Any = document.content
+    for step in loc:
+        if step == key and isinstance(node, dict) and step not in node and node.get("kind") == step:
+            return True
+        try:
+            node = node[step]
+        except (KeyError, IndexError, TypeError):
+            continue
+    return False
+
+
+def _suggestion(key: str, known: Iterable[str]) -> str:
+    close = difflib.get_close_matches(key, known, n=1)
+    return f", did you mean '{close[0]}'?" if close else ""
+
+
+def _known_keys(section: type[BaseModel]) -> set[str]:
+    """Every key that may stand anywhere in the file: a typo is near one of them."""
+    known: set[str] = set()
+    definitions = section.model_json_schema()
+    pending: list[Any] = [definitions]
+    while pending:
+        node = pending.pop()
+        if isinstance(node, dict):
+            known.update(node.get("properties", {}))
+            pending.extend(node.values())
+        elif isinstance(node, list):
+            pending.extend(node)
+    return known
+
+
+def _shorten(value: object) -> str:
+    text = repr(value).replace("True", "true").replace("False", "false") if not isinstance(value, dict) else "a mapping"
+    return text if len(text) <= 60 else text[:57] + "..."

@@ -1,0 +1,222 @@
+"""The `link` section: how the amplifier and the load cell are reached, and what stands where in their memory."""
+
+from typing import Annotated, Literal, Self
+
+from pydantic import Field, model_validator
+
+from piezod.config.checked import Section
+
+Positive = Annotated[float, Field(gt=0)]
+WordOrder = Literal["AB", "BA", "ABCD", "CDAB", "BADC", "DCBA"]
+RegisterType = Literal["int16", "uint16", "int32", "float32"]
+
+READ_WRITE = 23  # FC 0x17 writes the set point and reads the answer in one exchange
+READ_FUNCTIONS = (READ_WRITE, 3, 4)
+WRITE_FUNCTIONS = (READ_WRITE, 16, 6)
+
+
+class Register(Section):
+    """One quantity in the device's map: `value = raw * scale + offset`, in `unit`."""
+
+    address: Annotated[int, Field(ge=0, le=65535)]
+    function: Literal[23, 3, 4, 6, 16] = 23
+    type: RegisterType = "float32"
+    order: WordOrder | None = None
+    scale: float = 1.0
+    offset: float = 0.0
+    unit: str = "1"
+    low: float | None = None
+    high: float | None = None
+
+    @property
+    def words(self) -> int:
+        """How many 16-bit registers the value takes."""
+        return 1 if self.type in ("int16", "uint16") else 2
+
+    @property
+    def byte_order(self) -> str:
+        """The order of the bytes on the wire; big-endian (AB, ABCD) unless named."""
+        return self.order or ("AB" if self.words == 1 else "ABCD")
+
+    @model_validator(mode="after")
+    def _order_fits_type(self) -> Self:
+        if self.scale == 0.0:
+            raise ValueError("scale is 0, must be another number")
+        if len(self.byte_order) != 2 * self.words:
+            expected = "AB or BA" if self.words == 1 else "ABCD, CDAB, BADC or DCBA"
+            raise ValueError(f"order is {self.order}, must be {expected} for {self.type}")
+        if self.function == 6 and self.words != 1:
+            raise ValueError(f"function 6 writes one register, {self.type} takes two: use 16")
+        if self.low is not None and self.high is not None and self.low >= self.high:
+            raise ValueError(f"low is {self.low:g}, must be below high, {self.high:g}")
+        return self
+
+
+class ExpectedRegister(Register):
+    """A register whose value is known; another value means another device, map or byte order."""
+
+    expect: float
+
+
+class Registers(Section):
+    """The device's map, by what each register is for.
+
+    The tick writes `voltage_setpoint` (and `command_sequence`) and reads the others down to `reference_counter` as one
+    block; the rest is read or written once, before arming.
+    """
+
+    voltage_setpoint: Register | None = None
+    command_sequence: Register | None = None
+
+    force: Register | None = None
+    voltage_readback: Register | None = None
+    heartbeat: Register | None = None
+    command_echo: Register | None = None
+    status: Register | None = None
+    temperature: Register | None = None
+    reference: Register | None = None
+    reference_counter: Register | None = None
+
+    identity: ExpectedRegister | None = None
+    map_version: ExpectedRegister | None = None
+    order_check: ExpectedRegister | None = None
+    watchdog_ms: Register | None = None
+    virtual_time: Register | None = None
+    virtual_tick_us: Register | None = None
+
+    _UNITS = {
+        "voltage_setpoint": "V",
+        "voltage_readback": "V",
+        "force": "N",
+        "reference": "N",
+        "temperature": "degC",
+        "watchdog_ms": "ms",
+        "virtual_tick_us": "us",
+    }
+    _TICK_WRITES = ("voltage_setpoint", "command_sequence")
+    _TICK_READS = (
+        "force",
+        "voltage_readback",
+        "heartbeat",
+        "command_echo",
+        "status",
+        "temperature",
+        "reference",
+        "reference_counter",
+    )
+
+    def tick_writes(self) -> dict[str, Register]:
+        """Registers written every tick, by role, in the order of their addresses."""
+        return self._present(self._TICK_WRITES)
+
+    def tick_reads(self) -> dict[str, Register]:
+        """Registers read every tick, by role, in the order of their addresses."""
+        return self._present(self._TICK_READS)
+
+    def _present(self, names: tuple[str, ...]) -> dict[str, Register]:
+        found = {name: register for name in names if (register := getattr(self, name)) is not None}
+        return dict(sorted(found.items(), key=lambda item: item[1].address))
+
+    @model_validator(mode="after")
+    def _units_are_those_of_the_role(self) -> Self:
+        for name, unit in self._UNITS.items():
+            register = getattr(self, name)
+            if register is not None and register.unit != unit:
+                raise ValueError(f"{name}.unit is '{register.unit}', must be '{unit}'; convert with scale and offset")
+        return self
+
+    @model_validator(mode="after")
+    def _blocks_fit_one_request(self) -> Self:
+        _check_block("tick reads", self.tick_reads(), READ_FUNCTIONS, 125, contiguous=False)
+        _check_block("tick writes", self.tick_writes(), WRITE_FUNCTIONS, 121, contiguous=True)
+        writes, reads = self.tick_writes(), self.tick_reads()
+        both = {register.function for register in (*writes.values(), *reads.values())}
+        if READ_WRITE in both and both != {READ_WRITE}:
+            raise ValueError("function 23 writes and reads in one exchange: give it to all tick registers or to none")
+        return self
+
+
+def _check_block(
+    what: str, registers: dict[str, Register], functions: tuple[int, ...], most: int, *, contiguous: bool
+) -> None:
+    """Refuse registers that one Modbus request cannot carry."""
+    if not registers:
+        return
+    end: int | None = None
+    for name, register in registers.items():
+        if register.function not in functions:
+            allowed = ", ".join(str(function) for function in functions)
+            raise ValueError(f"{name}.function is {register.function}, must be one of {allowed}")
+        if end is not None and (register.address < end or (contiguous and register.address > end)):
+            raise ValueError(f"{name}.address is {register.address}, must be {'' if contiguous else 'at least '}{end}")
+        end = register.address + register.words
+    if len({register.function for register in registers.values()}) > 1:
+        raise ValueError(f"the {what} name different functions; one request needs one")
+    first = next(iter(registers.values()))
+    if end is not None and end - first.address > most:
+        raise ValueError(f"the {what} span {end - first.address} registers, one request carries {most}")
+
+
+class _ModbusLink(Section):
+    """What both Modbus transports have."""
+
+    unit_id: Annotated[int, Field(ge=0, le=255)] = 1
+    timeout_s: Annotated[float, Field(gt=0, le=10)] = 0.02
+    registers: Registers
+
+
+class ModbusTcpLink(_ModbusLink):
+    """Modbus over TCP."""
+
+    kind: Literal["modbus_tcp"]
+    host: Annotated[str, Field(min_length=1)]
+    port: Annotated[int, Field(ge=1, le=65535)] = 502
+    connect_timeout_s: Annotated[float, Field(gt=0, le=10)] = 1.0
+
+
+class _SerialPort(Section):
+    """A serial port as pyserial opens it."""
+
+    port: Annotated[str, Field(min_length=1)]
+    baudrate: Annotated[int, Field(ge=300, le=12_000_000)] = 115200
+    bytesize: Literal[7, 8] = 8
+    parity: Literal["N", "E", "O"] = "N"
+    stopbits: Literal[1, 2] = 1
+
+    @property
+    def bits_per_character(self) -> int:
+        """Start bit, data, parity and stop bits."""
+        return 1 + self.bytesize + (self.parity != "N") + self.stopbits
+
+
+class ModbusRtuLink(_ModbusLink, _SerialPort):
+    """Modbus RTU over a serial port."""
+
+    kind: Literal["modbus_rtu"]
+    unit_id: Annotated[int, Field(ge=1, le=247)] = 1
+    silent_interval: Literal["characters", "fixed"] = "characters"
+
+
+class LineCommand(Section):
+    """One line sent, and the pattern that its reply must match as a whole (a regular expression, named groups)."""
+
+    send: Annotated[str, Field(min_length=1, max_length=200)]
+    reply: str | None = None
+
+
+class SerialLineLink(_SerialPort):
+    """A device that speaks lines of ASCII, such as `SVA A 10.0` or `XV10.0`."""
+
+    kind: Literal["serial_line"]
+    timeout_s: Annotated[float, Field(gt=0, le=10)] = 0.05
+    terminator: Annotated[str, Field(min_length=1, max_length=4)] = "\n"
+    set_voltage: LineCommand | None = None
+    measure: LineCommand | None = None
+    identity: LineCommand | None = None
+    setup: Annotated[tuple[LineCommand, ...], Field(strict=False)] = ()
+    watchdog: LineCommand | None = None
+
+    _FIELDS = ("force_N", "voltage_readback_V", "heartbeat", "command_echo", "status", "temperature_C", "reference_N")
+
+
+LinkConfig = Annotated[ModbusTcpLink | ModbusRtuLink | SerialLineLink, Field(discriminator="kind")]

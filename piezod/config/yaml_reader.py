@@ -1,0 +1,153 @@
+"""Read YAML so strictly that what was written is what is meant.
+
+PyYAML's defaults let a duplicate key win silently, read `12:30` as 750, `0400` as 256 and `no` as false. Here a number is
+decimal, a truth value is `true` or `false`, a key stands once, aliases do not exist, and every error names file and line.
+"""
+
+import re
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from piezod.errors import ConfigurationError
+
+MAX_BYTES = 1 << 20  # a configuration or a model is some kilobytes; more is a mistake or an attack
+MAX_DEPTH = 32
+
+
+class _StrictLoader(yaml.SafeLoader):
+    """Safe loader with the scalars of YAML 1.2 and nothing that surprises."""
+
+
+_StrictLoader.yaml_implicit_resolvers = {}
+_RESOLVERS: tuple[tuple[str, str, str], ...] = (
+    ("null", r"^(?:~|null|)$", "~n\0"),
+    ("bool", r"^(?:true|false)$", "tf"),
+    ("int", r"^(?:[-+]?(?:0|[1-9][0-9]*)|0x[0-9a-fA-F]+)$", "-+0123456789"),
+    (
+        "float",
+        r"^(?:[-+]?(?:0|[1-9][0-9]*)(?:\.[0-9]*)?(?:[eE][-+]?[0-9]+)?|[-+]?\.[0-9]+(?:[eE][-+]?[0-9]+)?|[-+]?\.inf|\.nan)$",
+        "-+.0123456789",
+    ),
+)
+for _tag, _pattern, _first in _RESOLVERS:
+    _StrictLoader.add_implicit_resolver(
+        f"tag:yaml.org,2002:{_tag}", re.compile(_pattern), [c if c != "\0" else "" for c in _first]
+    )
+
+
+class Document:
+    """A YAML mapping together with the line each of its keys stands on.
+
+    Parameters
+    ----------
+    path
+        The file, as the user named it; used in messages.
+    text
+        Its contents.
+    """
+
+    def __init__(self, path: Path, text: str) -> None:
+        self.path = path
+        loader = _StrictLoader(text)
+        try:
+            self._root = loader.get_single_node()
+            _refuse_surprises(self._root, path)
+            self.content: Any = loader.construct_document(self._root) if self._root is not None else None
+        except yaml.YAMLError as error:
+            raise ConfigurationError(_syntax_message(path, error)) from error
+        except (ValueError, RecursionError) as error:
+            raise ConfigurationError(f"{path}: not readable as YAML: {error}") from error
+        finally:
+            loader.dispose()
+        if not isinstance(self.content, Mapping):
+            raise ConfigurationError(f"{path}: holds {_kind(self.content)}, must be a mapping of keys to values")
+
+    def line_of(self, keys: Sequence[str | int]) -> int:
+        """Line (from 1) of the value found by following `keys`; of the nearest parent where there is none."""
+        node, line = self._root, 1
+        for key in keys:
+            child = _child(node, key)
+            if child is None:
+                break
+            line, node = child
+        return line
+
+
+def read_document(path: Path) -> Document:
+    """Read one YAML file.
+
+    Raises
+    ------
+    ConfigurationError
+        The file is missing, unreadable, larger than 1 MiB, not UTF-8, not YAML, or uses aliases or duplicate keys.
+    """
+    try:
+        with path.open("rb") as file:
+            raw = file.read(MAX_BYTES + 1)
+    except OSError as error:
+        raise ConfigurationError(f"{path}: cannot be read: {error.strerror}") from error
+    if len(raw) > MAX_BYTES:
+        raise ConfigurationError(f"{path}: larger than {MAX_BYTES} bytes, not a configuration")
+    try:
+        text = raw.decode("utf-8")
+    except UnicodeDecodeError as error:
+        raise ConfigurationError(f"{path}: byte {error.start} is not UTF-8 text") from error
+    return Document(path, text)
+
+
+def _refuse_surprises(root: yaml.Node | None, path: Path) -> None:
+    """Refuse aliases, duplicate keys, keys that are no words, and bottomless nesting."""
+    seen: set[int] = set()
+    pending = [(root, 0)]
+    while pending:
+        node, depth = pending.pop()
+        if node is None or isinstance(node, yaml.ScalarNode):
+            continue
+        line = node.start_mark.line + 1
+        if id(node) in seen:
+            raise ConfigurationError(f"{path}:{line}: uses an alias (*name); write the value out")
+        if depth > MAX_DEPTH:
+            raise ConfigurationError(f"{path}:{line}: nested deeper than {MAX_DEPTH} levels")
+        seen.add(id(node))
+        if isinstance(node, yaml.MappingNode):
+            _refuse_duplicate_keys(node, path)
+            pending.extend((value, depth + 1) for _, value in node.value)
+        elif isinstance(node, yaml.SequenceNode):
+            pending.extend((value, depth + 1) for value in node.value)
+
+
+def _refuse_duplicate_keys(node: yaml.MappingNode, path: Path) -> None:
+    lines: dict[str, int] = {}
+    for key, _ in node.value:
+        line = key.start_mark.line + 1
+        if not isinstance(key, yaml.ScalarNode):
+            raise ConfigurationError(f"{path}:{line}: a key must be a word")
+        if key.value in lines:
+            raise ConfigurationError(
+                f"{path}:{line}: key '{key.value}' stands twice, first on line {lines[key.value]}; remove one"
+            )
+        lines[key.value] = line
+
+
+def _child(node: yaml.Node | None, key: str | int) -> tuple[int, yaml.Node] | None:
+    if isinstance(node, yaml.MappingNode):
+        for name, value in node.value:
+            if name.value == key:
+                return name.start_mark.line + 1, value
+    elif isinstance(node, yaml.SequenceNode) and isinstance(key, int) and key < len(node.value):
+        return node.value[key].start_mark.line + 1, node.value[key]
+    return None
+
+
+def _syntax_message(path: Path, error: yaml.YAMLError) -> str:
+    if isinstance(error, yaml.MarkedYAMLError) and error.problem_mark is not None:
+        mark = error.problem_mark
+        return f"{path}:{mark.line + 1}:{mark.column + 1}: not valid YAML: {error.problem}"
+    return f"{path}: not valid YAML: {' '.join(str(error).split())}"
+
+
+def _kind(value: object) -> str:
+    return "nothing" if value is None else f"a {type(value).__name__}"
