@@ -1,0 +1,17 @@
+"""The model of a bench: its file, its forward chain and its inverse chain."""
+
+from piezod.model.compensator import Compensator, DirectDrive, make_compensator
+from piezod.model.parameters import Model, dump_model, file_sha256, load_model, save_model
+from piezod.model.plant import Plant
+
+__all__ = [
+    "Compensator",
+    "DirectDrive",
+    "Model",
+    "Plant",
+    "dump_model",
+    "file_sha256",
+    "load_model",
+    "make_compensator",
+    "save_model",
+]

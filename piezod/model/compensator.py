@@ -1,0 +1,103 @@
+"""The inverse chain: from the force that is wanted to the voltage, planned first and committed with what was applied."""
+
+from typing import Protocol
+
+from piezod.model.parameters import Model
+from piezod.model.plant import Plant
+from piezod.operators import ImplicitInverse
+from piezod.operators.prandtl_ishlinskii import commit_step, plan_step
+
+
+class Compensator(Protocol):
+    """What the tick asks of every compensation."""
+
+    def reset(self) -> None:
+        """Back to the start state."""
+        ...
+
+    def plan(self, reference: float) -> float:
+        """Voltage [V] for a reference [N]; moves no state."""
+        ...
+
+    def commit(self, voltage_V: float) -> None:
+        """Move every state with the voltage that was really written."""
+        ...
+
+
+class InverseCompensator:
+    """The model's inverse.
+
+    Parameters
+    ----------
+    model
+        What was identified; the states start in its start state.
+
+    Raises
+    ------
+    ModelError
+        The model has no inverse.
+    """
+
+    def __init__(self, model: Model) -> None:
+        self._model = model
+        self._packed = ImplicitInverse(model.operator()).packed
+
+    def reset(self) -> None:
+        """Back to the model's start state."""
+        self._packed[:] = ImplicitInverse(self._model.operator()).packed
+
+    def plan(self, reference: float) -> float:
+        """Voltage [V] for a reference [N]; moves no state."""
+        return plan_step(self._packed, reference)  # type: ignore[no-any-return]  # compiled
+
+    def commit(self, voltage_V: float) -> None:
+        """Move the plays with the voltage that was really written."""
+        commit_step(self._packed, voltage_V)
+
+
+class GainCompensator:
+    """One factor between force and voltage, the chord of the steady major loop: what is had without a hysteresis model."""
+
+    def __init__(self, model: Model) -> None:
+        bottom, top = Plant(model).steady_range()
+        self._slope = (model.input.high - model.input.low) / (top - bottom)
+        self._offset = model.input.low - self._slope * bottom
+
+    def reset(self) -> None:
+        """Nothing is kept."""
+
+    def plan(self, reference: float) -> float:
+        """Voltage [V] for a reference [N]."""
+        return self._offset + self._slope * reference
+
+    def commit(self, voltage_V: float) -> None:
+        """Nothing is kept."""
+
+
+class DirectDrive:
+    """The reference is the voltage: how an excitation is driven through the bench to be recorded."""
+
+    def reset(self) -> None:
+        """Nothing is kept."""
+
+    def plan(self, reference: float) -> float:
+        """The reference itself [V]."""
+        return reference
+
+    def commit(self, voltage_V: float) -> None:
+        """Nothing is kept."""
+
+
+def make_compensator(kind: str, model: Model) -> Compensator:
+    """Build the compensation that the bench configuration names: `inverse` or `gain`.
+
+    Raises
+    ------
+    ModelError
+        The model has no inverse.
+    """
+    if kind == "gain":
+        return GainCompensator(model)
+    if kind == "inverse":
+        return InverseCompensator(model)
+    raise ValueError(f"no compensation is called {kind!r}")
