@@ -44,7 +44,7 @@ def steps(phase: Array, levels: int, seed: int) -> Array:
 
 
 def multisine(phase: Array, seed: int) -> Array:
-    """Sum of harmonics with amplitudes falling as 1/h and phases drawn from `seed`, scaled to -1..1 over a period."""
+    """Sum of harmonics with amplitudes falling as 1/h and phases drawn from `seed`, scaled to -1..1, from its lowest point."""
     shifts = np.random.default_rng(seed).uniform(0, 2 * np.pi, len(MULTISINE_HARMONICS))
 
     def raw(at: Array) -> Array:
@@ -52,9 +52,10 @@ def multisine(phase: Array, seed: int) -> Array:
             [np.cos(2 * np.pi * h * at + s) / h for h, s in zip(MULTISINE_HARMONICS, shifts, strict=True)], axis=0
         )
 
-    dense = raw(np.linspace(0.0, 1.0, 4096))
+    dense = raw(np.arange(4096) / 4096)
+    start = np.argmin(dense) / 4096
     middle, reach = 0.5 * (dense.max() + dense.min()), 0.5 * (dense.max() - dense.min())
-    result: Array = ((raw(phase) - middle) / reach).clip(-1.0, 1.0)
+    result: Array = ((raw(phase + start) - middle) / reach).clip(-1.0, 1.0)
     return result
 
 
@@ -70,7 +71,7 @@ def shape(kind: str, phase: Array, *, levels: int = 8, seed: int = 1) -> Array:
     return shapes[kind]()
 
 
-def whole_periods(frequency_Hz: float, rate_Hz: float) -> tuple[int, int]:
+def whole_periods(frequency_Hz: float, rate_Hz: float) -> tuple[float, int]:
     """Fewest periods that fill a whole number of ticks to one part in a million: (periods, ticks).
 
     Where a thousand periods are not enough the nearest number of ticks is taken.

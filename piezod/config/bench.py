@@ -24,6 +24,14 @@ class RealTimeConfig(Section):
     hold_cpu_latency: bool = True
 
 
+class ArmingConfig(Section):
+    """How the bench is brought from rest to the first reference."""
+
+    reset_cycle: bool = True
+    voltage_V_per_s: Annotated[float, Field(gt=0)] = 200.0
+    readback_within_V: Annotated[float, Field(gt=0)] = 2.0
+
+
 class DaemonConfig(Section):
     """Where the daemon keeps what it shows to others."""
 
@@ -42,6 +50,7 @@ class BenchConfig(Section):
     link: LinkConfig
     load_cell_link: LinkConfig | None = None
     limits: LimitsConfig
+    arming: ArmingConfig = ArmingConfig()
     reference: ReferenceConfig
     real_time: RealTimeConfig = RealTimeConfig()
     daemon: DaemonConfig = DaemonConfig()
@@ -65,6 +74,40 @@ class BenchConfig(Section):
             registers = None if isinstance(source, SerialLineLink) else source.registers
             if registers is None or registers.reference is None:
                 raise ValueError("reference.kind is register, but the link's registers name no 'reference'")
+        return self
+
+    @model_validator(mode="after")
+    def _arming_is_within_limits(self) -> Self:
+        if self.arming.voltage_V_per_s > self.limits.slew_V_per_s:
+            raise ValueError(
+                f"arming.voltage_V_per_s is {self.arming.voltage_V_per_s:g}, must be at most limits.slew_V_per_s, "
+                f"{self.limits.slew_V_per_s:g}"
+            )
+        return self
+
+    @model_validator(mode="after")
+    def _a_tick_moves_at_least_one_converter_step(self) -> Self:
+        for name, rate in (
+            ("limits.slew_V_per_s", self.limits.slew_V_per_s),
+            ("limits.ramp_down_V_per_s", self.limits.ramp_down_V_per_s),
+            ("arming.voltage_V_per_s", self.arming.voltage_V_per_s),
+        ):
+            if self.limits.voltage_step_V > rate * self.dt_s:
+                raise ValueError(
+                    f"limits.voltage_step_V is {self.limits.voltage_step_V:g}, must be at most one tick of {name}, "
+                    f"{rate * self.dt_s:g} V: the output would never move"
+                )
+        return self
+
+    @model_validator(mode="after")
+    def _a_watchdog_can_be_set(self) -> Self:
+        link = self.link
+        settable = link.watchdog if isinstance(link, SerialLineLink) else link.registers.watchdog_ms
+        if self.limits.device_watchdog_ms and settable is None:
+            raise ValueError(
+                f"limits.device_watchdog_ms is {self.limits.device_watchdog_ms}, but the link names no watchdog to be set; "
+                "name its register, or set 0 and set the device's own by hand"
+            )
         return self
 
     @model_validator(mode="after")

@@ -104,7 +104,7 @@ def _refuse_surprises(root: yaml.Node | None, path: Path) -> None:
     pending = [(root, 0)]
     while pending:
         node, depth = pending.pop()
-        if node is None or isinstance(node, yaml.ScalarNode):
+        if node is None:
             continue
         line = node.start_mark.line + 1
         if id(node) in seen:

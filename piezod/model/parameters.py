@@ -203,8 +203,12 @@ def _represent_list(dumper: yaml.SafeDumper, values: Any) -> yaml.Node:
 
 
 def _represent_float(dumper: yaml.SafeDumper, value: float) -> yaml.Node:
-    return dumper.represent_scalar("tag:yaml.org,2002:float", np.format_float_scientific(value, trim="0", exp_digits=1)
-                                   if value != 0 and not 1e-4 <= abs(value) < 1e16 else repr(value))
+    return dumper.represent_scalar(
+        "tag:yaml.org,2002:float",
+        np.format_float_scientific(value, trim="0", exp_digits=1)
+        if value != 0 and not 1e-4 <= abs(value) < 1e16
+        else repr(value),
+    )
 
 
 _Dumper.add_representer(tuple, _represent_list)

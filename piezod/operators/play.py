@@ -106,7 +106,9 @@ def check_superposition(what: str, thresholds: Array, weights: Array, eps: float
         Names index, threshold and value.
     """
     if thresholds.ndim != 1 or thresholds.size == 0 or thresholds.shape != weights.shape:
-        raise ModelError(f"{what}: {thresholds.size} thresholds and {weights.size} weights, must be as many, at least one")
+        raise ModelError(
+            f"{what}: {thresholds.size} thresholds and {weights.size} weights, must be as many, at least one"
+        )
     if not (np.isfinite(thresholds).all() and np.isfinite(weights).all()):
         raise ModelError(f"{what}: thresholds and weights must be finite")
     if thresholds[0] != 0.0:
@@ -114,7 +116,9 @@ def check_superposition(what: str, thresholds: Array, weights: Array, eps: float
     unordered = np.flatnonzero(np.diff(thresholds) <= 0.0)
     if unordered.size:
         i = int(unordered[0]) + 1
-        raise ModelError(f"{what}: threshold {i} is {thresholds[i]:g}, must be above {thresholds[i - 1]:g}, the one before")
+        raise ModelError(
+            f"{what}: threshold {i} is {thresholds[i]:g}, must be above {thresholds[i - 1]:g}, the one before"
+        )
     slopes = np.cumsum(weights)
     folded = np.flatnonzero(slopes < eps * (1.0 - 1e-9))
     if folded.size:

@@ -1,0 +1,158 @@
+"""The commands: each parses, calls one function and prints what it returns."""
+
+import json
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from piezod import __version__
+from piezod.errors import PiezodError
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+app = typer.Typer(
+    no_args_is_help=True,
+    add_completion=False,
+    rich_markup_mode=None,
+    pretty_exceptions_enable=False,
+    help="Feedforward force control for piezo stacks. Commands that read print JSON with --json.",
+)
+
+ConfigArgument = Annotated[Path, typer.Argument(metavar="CONFIG", help="Bench configuration, e.g. config/bench.yaml.")]
+JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON instead of text.")]
+
+
+def main() -> None:
+    """Run a command; a deliberate error is one line on stderr and its exit code."""
+    try:
+        app()
+    except PiezodError as error:
+        print(f"piezod: {error}", file=sys.stderr)
+        sys.exit(error.exit_code)
+    except KeyboardInterrupt:
+        sys.exit(130)
+
+
+def _version(wanted: bool) -> None:
+    if wanted:
+        print(f"piezod {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def _root(
+    version: Annotated[  # noqa: ARG001  # handled by its callback
+        bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version.")
+    ] = False,
+) -> None:
+    pass
+
+
+@app.command(epilog="Example: piezod demo --report demo.html --json demo.json")
+def demo(
+    json_file: Annotated[Path | None, typer.Option("--json", metavar="FILE", help="Write the figures as JSON.")] = None,
+    report: Annotated[Path, typer.Option(metavar="FILE", help="The page to write.")] = Path("piezod-demo.html"),
+) -> None:
+    """Show the whole path on the emulated bench: no hardware, no root, under a minute."""
+    from piezod.daemon.demo import run_demo
+    from piezod.report.demo import judge, live_line, print_table, write_demo_page
+
+    names: list[str] = []
+    print("emulated bench and control process are starting ...", flush=True)
+    with live_line(names) as show:
+        result = run_demo(show, names)
+    verdict = judge(result.recordings, result.history.timing(), result.outcome)
+    print_table(verdict)
+    write_demo_page(report, verdict, result.recordings)
+    print(f"page: {report.resolve()}")
+    if json_file is not None:
+        json_file.write_text(json.dumps(verdict.as_dict(), indent=2) + "\n", encoding="utf-8")
+    raise typer.Exit(0 if verdict.passed else 1)
+
+
+@app.command(epilog="Example: piezod run config/bench.yaml --arm")
+def run(
+    config: ConfigArgument,
+    arm: Annotated[bool, typer.Option("--arm", help="Arm at once; without it the bench is only read.")] = False,
+) -> None:
+    """Run the bench in the foreground until its reference ends or a signal comes (SIGINT, SIGTERM: ramp down)."""
+    from piezod.daemon.service import run_foreground
+
+    raise typer.Exit(run_foreground(config, arm=arm))
+
+
+@app.command(epilog="Example: piezod check config/bench.yaml")
+def check(config: ConfigArgument, as_json: JsonOption = False) -> None:
+    """Check configuration, model, link, device, clock and rights; never energises."""
+    from piezod.daemon.check import check_bench
+
+    checks = check_bench(config)
+    if as_json:
+        print(json.dumps([one.__dict__ for one in checks], indent=2))
+    else:
+        for one in checks:
+            print(f"{one.level:4}  {one.name}: {one.found}" + (f" -> {one.remedy}" if one.remedy else ""))
+    raise typer.Exit(1 if any(one.level == "FAIL" for one in checks) else 0)
+
+
+@app.command(epilog="Example: piezod record config/bench.yaml --excitation varying-triangles -o varying.csv")
+def record(
+    config: ConfigArgument,
+    excitation: Annotated[str, typer.Option(metavar="NAME", help="constant-triangles or varying-triangles.")],
+    output: Annotated[Path, typer.Option("--output", "-o", metavar="REC", help="The recording to write (CSV).")],
+    peak: Annotated[float | None, typer.Option(metavar="V", help="Highest voltage; the limit's when left out.")] = None,
+    frequency: Annotated[float, typer.Option(metavar="HZ", min=1e-4, help="Of one triangle.")] = 0.1,
+    periods: Annotated[int, typer.Option(min=1, max=1000, help="Triangles.")] = 5,
+    reset_cycle: Annotated[bool, typer.Option(help="Drive 0 -> highest -> 0 first.")] = False,
+) -> None:
+    """Drive an excitation through the bench and record what it answers."""
+    from piezod.daemon.record import record as record_excitation
+    from piezod.recording import write_csv
+    from piezod.report.progress import progress
+
+    with progress(f"recording {excitation}", periods / frequency) as show:
+        recording, outcome = record_excitation(
+            config,
+            excitation,
+            peak_V=peak,
+            frequency_Hz=frequency,
+            periods=periods,
+            reset_cycle=reset_cycle,
+            on_rows=show,
+        )
+    write_csv(recording, output)
+    missing = f", {outcome.missed} ticks missed" if outcome.missed else ""
+    print(f"{output}: {recording.time_s.size} samples, {recording.time_s[-1]:.1f} s{missing}")
+
+
+@app.command(epilog="Example: piezod latency --seconds 5")
+def latency(
+    seconds: Annotated[float, typer.Option(min=0.1, max=600, help="How long each rate is kept.")] = 2.0,
+    rate: Annotated[list[float] | None, typer.Option(metavar="HZ", help="Rates to try; repeatable.")] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Measure how late this machine wakes up, and the highest rate it holds."""
+    from piezod.config import RealTimeConfig
+    from piezod.control.latency import RATES_HZ, measure_lateness, rate_held_Hz
+    from piezod.daemon.history import percentiles
+
+    measured = [measure_lateness(rate_Hz, seconds, RealTimeConfig()) for rate_Hz in rate or RATES_HZ]
+    rows: list[dict[str, Any]] = [
+        {"rate_Hz": one.rate_Hz, "missed": one.missed, "lateness_us": percentiles(one.lateness_us)} for one in measured
+    ]
+    held = rate_held_Hz(measured)
+    if as_json:
+        print(json.dumps({"rates": rows, "rate_held_Hz": held}, indent=2))
+        return
+    print("  rate [Hz]   missed   lateness [us] p50      p99    p99.9      max")
+    for line in rows:
+        late = line["lateness_us"]
+        print(
+            f"{line['rate_Hz']:11g} {line['missed']:8d} {late['p50']:19.1f}"
+            + "".join(f"{late[k]:9.1f}" for k in ("p99", "p99.9", "max"))
+        )
+    print(f"holds {held:g} Hz" if held else "holds none of these rates: see the warnings, or free the machine")

@@ -1,0 +1,28 @@
+"""The control loop and what it is made of; nothing here knows a solver or a plot."""
+
+from piezod.control.loop import ControlLoop, LoopCounts, Segment
+from piezod.control.rate_keeper import RateKeeper, RealRateKeeper, VirtualRateKeeper
+from piezod.control.realtime import RealTimeWarning, real_time
+from piezod.control.references import Reference, TableReference, make_reference
+from piezod.control.ring_log import ROW_DTYPE, RingLog, RingReader
+from piezod.control.safety import CAUSE_TEXT, Cause, State
+
+__all__ = [
+    "CAUSE_TEXT",
+    "ROW_DTYPE",
+    "Cause",
+    "ControlLoop",
+    "LoopCounts",
+    "RateKeeper",
+    "RealRateKeeper",
+    "RealTimeWarning",
+    "Reference",
+    "RingLog",
+    "RingReader",
+    "Segment",
+    "State",
+    "TableReference",
+    "VirtualRateKeeper",
+    "make_reference",
+    "real_time",
+]

@@ -1,0 +1,127 @@
+"""The ring log: every tick in shared memory, written without waiting, read by whoever likes.
+
+    file = header | capacity rows
+    header = magic (8 bytes) | row size | capacity | rows written so far, each uint64
+
+The control loop is the only writer: it packs the row, then advances the count. A reader copies rows and looks at the count
+again; what was overwritten meanwhile is dropped and counted. No lock, no system call, no other process can slow a tick.
+"""
+
+import mmap
+import os
+import struct
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from piezod.errors import ConfigurationError, UnreachableError
+
+MAGIC = b"PIEZRNG1"
+_HEAD = struct.Struct("<8sQQQ")
+_COUNT = struct.Struct("<Q")
+_COUNT_AT = 24
+_ROW = struct.Struct("<qqddddddqqiiii")
+
+ROW_DTYPE = np.dtype(
+    [
+        ("tick", "<i8"),
+        ("time_ns", "<i8"),
+        ("reference_N", "<f8"),
+        ("planned_V", "<f8"),
+        ("voltage_V", "<f8"),
+        ("force_N", "<f8"),
+        ("readback_V", "<f8"),
+        ("temperature_C", "<f8"),
+        ("lateness_ns", "<i8"),
+        ("exchange_ns", "<i8"),
+        ("state", "<i4"),
+        ("result", "<i4"),
+        ("segment", "<i4"),
+        ("cause", "<i4"),
+    ]
+)
+
+
+class RingLog:
+    """The writer's end.
+
+    Parameters
+    ----------
+    path
+        File to create, best on a memory file system.
+    capacity
+        Rows kept.
+
+    Raises
+    ------
+    ConfigurationError
+        The file cannot be created.
+    """
+
+    def __init__(self, path: Path, capacity: int) -> None:
+        self._capacity = capacity
+        self._rows = 0
+        size = _HEAD.size + capacity * _ROW.size
+        try:
+            path.unlink(missing_ok=True)
+            descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_EXCL, 0o640)
+        except OSError as error:
+            raise ConfigurationError(f"daemon.ring_log: {path} cannot be created: {error.strerror}") from error
+        try:
+            os.posix_fallocate(descriptor, 0, size)
+            self._memory = mmap.mmap(descriptor, size)
+        finally:
+            os.close(descriptor)
+        _HEAD.pack_into(self._memory, 0, MAGIC, _ROW.size, capacity, 0)
+
+    def append(self, *row: float) -> None:
+        """Write one row: the fields of `ROW_DTYPE` in their order."""
+        _ROW.pack_into(self._memory, _HEAD.size + self._rows % self._capacity * _ROW.size, *row)
+        self._rows += 1
+        _COUNT.pack_into(self._memory, _COUNT_AT, self._rows)
+
+    def close(self) -> None:
+        """Let go of the memory; the file stays for its readers."""
+        self._memory.close()
+
+
+class RingReader:
+    """A reader's end; several may follow one ring.
+
+    Parameters
+    ----------
+    path
+        The ring's file.
+
+    Raises
+    ------
+    UnreachableError
+        There is no ring of this version there.
+    """
+
+    def __init__(self, path: Path) -> None:
+        try:
+            with path.open("rb") as file:
+                self._memory = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
+        except (OSError, ValueError) as error:
+            raise UnreachableError(f"{path}: no ring log to read: is the daemon running?") from error
+        magic, row_size, self._capacity, _ = _HEAD.unpack_from(self._memory, 0)
+        if magic != MAGIC or row_size != _ROW.size:
+            raise UnreachableError(f"{path}: not a ring log of this version")
+        self._table = np.frombuffer(self._memory, ROW_DTYPE, self._capacity, _HEAD.size)
+        self._next = 0
+        self.dropped = 0
+
+    def read(self) -> NDArray[np.void]:
+        """Rows written since the last call, oldest first; what was overwritten in between is counted in `dropped`."""
+        written = self._written()
+        first = max(self._next, written - self._capacity + 1)
+        rows = self._table[np.arange(first, written) % self._capacity]
+        overwritten = min(max(0, self._written() - self._capacity + 1 - first), rows.size)
+        self.dropped += first - self._next + overwritten
+        self._next = written
+        return rows[overwritten:]
+
+    def _written(self) -> int:
+        return int(_COUNT.unpack_from(self._memory, _COUNT_AT)[0])

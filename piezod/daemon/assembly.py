@@ -1,0 +1,190 @@
+"""Put a bench together from its configuration: model, link, limits, references; nothing is energised here."""
+
+import contextlib
+from collections.abc import Iterator
+from dataclasses import dataclass
+from math import isfinite
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from piezod.config import BenchConfig, load_bench, model_path
+from piezod.config.reference import ReferenceConfig
+from piezod.control import (
+    RateKeeper,
+    RealRateKeeper,
+    Segment,
+    TableReference,
+    VirtualRateKeeper,
+    make_reference,
+)
+from piezod.errors import CheckFailedError, ConfigurationError, PiezodError
+from piezod.excitation import triangle_ramp
+from piezod.model import DirectDrive, Model, load_model, make_compensator
+from piezod.transport import ExchangeResult, Link, make_link, verify_identity, wire_floor_rate_Hz
+
+
+@dataclass(frozen=True)
+class Work:
+    """One stretch of work, as plain values that another process can be given.
+
+    Parameters
+    ----------
+    name
+        For people.
+    compensation
+        `inverse`, `gain`, or `direct`: then `voltages_V` are driven as they are.
+    reference
+        What is followed; None: the bench's own.
+    voltages_V
+        For a direct drive, one a tick [V].
+    reset_cycle
+        Drive 0 -> voltage_max_V -> 0 first.
+    """
+
+    name: str
+    compensation: str
+    reference: ReferenceConfig | None = None
+    voltages_V: NDArray[np.float64] | None = None
+    reset_cycle: bool = True
+
+
+def load(path: Path) -> tuple[BenchConfig, Model]:
+    """Read and cross-check a bench and its model.
+
+    Raises
+    ------
+    ConfigurationError
+        A file says something impossible, or the wire cannot carry the rate.
+    """
+    bench = load_bench(path)
+    check_rate(bench)
+    return bench, load_model(model_path(bench, path))
+
+
+def check_rate(bench: BenchConfig) -> None:
+    """Refuse a rate above what the wire can carry.
+
+    Raises
+    ------
+    ConfigurationError
+        Names the rate and the wire's floor.
+    """
+    for name, link in (("link", bench.link), ("load_cell_link", bench.load_cell_link)):
+        floor_Hz = None if link is None else wire_floor_rate_Hz(link)
+        if floor_Hz is not None and bench.rate_Hz > floor_Hz:
+            raise ConfigurationError(
+                f"rate_Hz is {bench.rate_Hz:g}, must be at most {floor_Hz:.0f}: more exchanges a second do not fit the "
+                f"wire of {name}; lower rate_Hz or raise {name}.baudrate"
+            )
+
+
+@contextlib.contextmanager
+def opened_link(bench: BenchConfig) -> Iterator[Link]:
+    """The link, connected and its device identified; closed at the end.
+
+    Raises
+    ------
+    UnreachableError, BusyError
+        Nobody answers, or somebody else holds the device.
+    IdentityError
+        Another device, map or byte order than configured.
+    """
+    link = make_link(bench.link, bench.load_cell_link)
+    link.open()
+    try:
+        verify_identity(link)
+        yield link
+    finally:
+        link.close()
+
+
+def make_rate_keeper(bench: BenchConfig, link: Link) -> RateKeeper:
+    """The clock of this bench: the machine's, or the emulator's own where its time is virtual."""
+    if link.has("virtual_time") and link.read_register("virtual_time") == 1:
+        link.write_register("virtual_tick_us", round(1e6 * bench.dt_s))
+        return VirtualRateKeeper(bench.dt_s)
+    return RealRateKeeper(bench.dt_s)
+
+
+def make_segment(work: Work, bench: BenchConfig, model: Model, link: Link, folder: Path) -> Segment:
+    """Turn work into what the loop drives.
+
+    Raises
+    ------
+    ConfigurationError
+        The reference cannot be had, or the model has no inverse.
+    """
+    reset_cycle = _reset_cycle(bench) if work.reset_cycle else None
+    if work.voltages_V is not None:
+        return Segment(work.name, TableReference(work.voltages_V), DirectDrive(), reset_cycle)
+    config = work.reference or bench.reference
+    counted = link.has("reference_counter")
+    reference = make_reference(config, bench.rate_Hz, folder, link.reading, counted=counted)
+    return Segment(work.name, reference, make_compensator(work.compensation, model), reset_cycle)
+
+
+def _reset_cycle(bench: BenchConfig) -> TableReference:
+    """Safe voltage -> highest -> safe, at the arming slew."""
+    low, high = bench.limits.voltage_safe_V, bench.limits.voltage_max_V
+    ticks = max(2, round(2 * (high - low) / bench.arming.voltage_V_per_s * bench.rate_Hz))
+    return TableReference(low + (high - low) * triangle_ramp(np.arange(ticks + 1) / ticks))
+
+
+def check_ready(bench: BenchConfig, link: Link) -> None:
+    """What must hold before a voltage is written: two readings that agree, rest, and a device watchdog that is set.
+
+    Raises
+    ------
+    CheckFailedError
+        Names what does not hold.
+    """
+    first_N = _force_at_rest(bench, link)
+    second_N = _force_at_rest(bench, link)
+    span_N = bench.limits.force_trip_N - bench.limits.force_min_N
+    if abs(second_N - first_N) > 0.05 * span_N:
+        raise CheckFailedError(
+            f"arming: two force readings are {first_N:.3g} N and {second_N:.3g} N, must agree within {0.05 * span_N:.3g} N; "
+            "check load cell and cable"
+        )
+    readback_V, safe_V = link.reading.voltage_readback_V, bench.limits.voltage_safe_V
+    if isfinite(readback_V) and abs(readback_V - safe_V) > bench.arming.readback_within_V:
+        raise CheckFailedError(
+            f"arming: the amplifier reads back {readback_V:.3g} V, must be within {bench.arming.readback_within_V:g} V of "
+            f"{safe_V:g} V; bring it down first"
+        )
+    _set_device_watchdog(bench, link)
+
+
+def _force_at_rest(bench: BenchConfig, link: Link) -> float:
+    for _ in range(5):
+        if (result := link.poll()) == ExchangeResult.OK:
+            break
+    else:
+        raise CheckFailedError(
+            f"arming: {link.description} gives no good reading: {result.name.lower().replace('_', ' ')}"
+        )
+    force_N = link.reading.force_N
+    if not bench.limits.force_min_N <= force_N <= bench.limits.force_trip_N:
+        raise CheckFailedError(
+            f"arming: force is {force_N:.3g} N at rest, must be within limits.force_min_N, {bench.limits.force_min_N:g}, and "
+            f"limits.force_trip_N, {bench.limits.force_trip_N:g}; check preload and tare"
+        )
+    return force_N
+
+
+def _set_device_watchdog(bench: BenchConfig, link: Link) -> None:
+    wanted_ms = bench.limits.device_watchdog_ms
+    if wanted_ms == 0 or not link.has("watchdog_ms"):
+        return
+    link.write_register("watchdog_ms", wanted_ms)
+    found_ms = link.read_register("watchdog_ms")
+    if found_ms != wanted_ms:
+        raise CheckFailedError(
+            f"arming: the device's watchdog reads back {found_ms:g} ms after {wanted_ms} ms were written; without it the "
+            "output stays on when this machine dies"
+        )
+
+
+__all__ = ["PiezodError", "Work", "check_ready", "load", "make_rate_keeper", "make_segment", "opened_link"]

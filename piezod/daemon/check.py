@@ -1,0 +1,167 @@
+"""`piezod check`: everything that can be known about a bench without energising it."""
+
+import os
+import resource
+import time
+import warnings
+from collections.abc import Iterator
+from dataclasses import dataclass
+from math import isnan
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+
+from piezod.config import BenchConfig, load_bench, model_path
+from piezod.control import RealTimeWarning, real_time
+from piezod.daemon.assembly import check_rate, opened_link
+from piezod.daemon.history import percentiles
+from piezod.errors import PiezodError
+from piezod.model import Model, Plant, load_model
+from piezod.transport import ExchangeResult, Link
+
+Level = Literal["OK", "WARN", "FAIL"]
+
+
+@dataclass(frozen=True)
+class Check:
+    """One thing looked at."""
+
+    name: str
+    level: Level
+    found: str
+    remedy: str = ""
+
+
+def check_bench(path: Path) -> list[Check]:
+    """Look at configuration, model, link, device, clock and rights; writes nothing to the device.
+
+    Parameters
+    ----------
+    path
+        Bench configuration.
+    """
+    checks: list[Check] = []
+    bench = _try(checks, "configuration", lambda: load_bench(path), lambda bench: f"{path}, bench '{bench.name}'")
+    if bench is None:
+        return checks
+    _try(checks, "rate", lambda: check_rate(bench), lambda _: f"{bench.rate_Hz:g} Hz fits the wire")
+    model = _try(
+        checks, "model", lambda: load_model(model_path(bench, path)), lambda model: f"'{model.name}' has an inverse"
+    )
+    if model is not None:
+        checks.append(_reach(bench, model))
+    checks.extend(_watchdog(bench))
+    checks.extend(_clock())
+    checks.extend(_rights(bench))
+    checks.extend(_device(bench))
+    return checks
+
+
+def _try(checks: list[Check], name: str, look: object, say: object) -> object:
+    """Append what `look` finds; returns it, or None when it raised."""
+    try:
+        found = look()  # type: ignore[operator]
+    except PiezodError as error:
+        checks.append(Check(name, "FAIL", str(error)))
+        return None
+    checks.append(Check(name, "OK", say(found)))  # type: ignore[operator]
+    return found
+
+
+def _reach(bench: BenchConfig, model: Model) -> Check:
+    bottom, top = Plant(model).steady_range()
+    found = f"{bottom:.1f} to {top:.1f} N over {model.input.low:g} to {model.input.high:g} V"
+    if top > bench.limits.force_trip_N:
+        return Check(
+            "reach", "WARN", found, f"the full range trips at {bench.limits.force_trip_N:g} N; keep references below"
+        )
+    if model.input.high < bench.limits.voltage_max_V - 1e-9:
+        return Check("reach", "WARN", found, "limits.voltage_max_V is above what was identified; record up to it")
+    return Check("reach", "OK", found)
+
+
+def _watchdog(bench: BenchConfig) -> Iterator[Check]:
+    if bench.limits.device_watchdog_ms == 0:
+        yield Check(
+            "device watchdog",
+            "WARN",
+            "off",
+            "the output stays on when this machine dies; set limits.device_watchdog_ms if the device has one",
+        )
+
+
+def _clock() -> Iterator[Check]:
+    resolution_s = time.get_clock_info("monotonic").resolution
+    source = Path("/sys/devices/system/clocksource/clocksource0/current_clocksource")
+    name = source.read_text(encoding="ascii").strip() if source.exists() else "unknown"
+    good = resolution_s <= 1e-6
+    yield Check("clock", "OK" if good else "WARN", f"{name}, resolution {resolution_s * 1e9:.0f} ns")
+
+
+def _rights(bench: BenchConfig) -> Iterator[Check]:
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        with real_time(bench.real_time):
+            pass
+    missing = [str(warning.message) for warning in caught if issubclass(warning.category, RealTimeWarning)]
+    for text in missing:
+        found, _, remedy = text.partition("; ")
+        yield Check("real-time rights", "WARN", found, remedy)
+    if not missing:
+        limit = resource.getrlimit(resource.RLIMIT_RTPRIO)[0]
+        yield Check("real-time rights", "OK", f"all that is asked for is granted (uid {os.getuid()}, RTPRIO {limit})")
+
+
+def _device(bench: BenchConfig) -> Iterator[Check]:
+    try:
+        with opened_link(bench) as link:
+            yield Check("link", "OK", f"{link.description}, identity as configured")
+            yield from _exchange(bench, link)
+    except PiezodError as error:
+        yield Check("link", "FAIL", str(error))
+
+
+def _exchange(bench: BenchConfig, link: Link, count: int = 100) -> Iterator[Check]:
+    """Poll at the tick's rate and judge time and values."""
+    durations_us = np.empty(count)
+    bad = 0
+    for k in range(count):
+        begun = time.perf_counter()
+        bad += link.poll() != ExchangeResult.OK
+        durations_us[k] = (time.perf_counter() - begun) * 1e6
+        time.sleep(bench.dt_s)
+    p99 = percentiles(durations_us)["p99"]
+    found = f"{count - bad} of {count} readings good, median {np.median(durations_us):.0f} us, p99 {p99:.0f} us"
+    if bad:
+        causes = ", ".join(f"{r.name.lower()} {link.counts[r]}" for r in ExchangeResult if r and link.counts[r])
+        yield Check("exchange", "FAIL", f"{found} ({causes})", "check cable, timeout_s and the register map")
+    elif p99 > 0.5e6 * bench.dt_s:
+        yield Check("exchange", "WARN", found, f"lower rate_Hz: a tick lasts {1e6 * bench.dt_s:.0f} us")
+    else:
+        yield Check("exchange", "OK", found)
+    yield from _values(bench, link)
+
+
+def _values(bench: BenchConfig, link: Link) -> Iterator[Check]:
+    reading = link.reading
+    limits = bench.limits
+    inside = limits.force_min_N <= reading.force_N <= limits.force_trip_N
+    yield Check(
+        "force",
+        "OK" if inside else "FAIL",
+        f"{reading.force_N:.3g} N, limits {limits.force_min_N:g} to {limits.force_trip_N:g} N",
+        "" if inside else "check preload, tare, scale and byte order",
+    )
+    if isnan(reading.voltage_readback_V):
+        yield Check("voltage read-back", "WARN", "the device has none", "a wrong output cannot be noticed")
+    else:
+        rest = abs(reading.voltage_readback_V - limits.voltage_safe_V) <= bench.arming.readback_within_V
+        yield Check(
+            "voltage read-back",
+            "OK" if rest else "WARN",
+            f"{reading.voltage_readback_V:.3g} V",
+            "" if rest else "arming needs it near the safe voltage; bring the amplifier down",
+        )
+    if not link.has("heartbeat"):
+        yield Check("heartbeat", "WARN", "the device has none", "a frozen device is noticed only by its frozen force")

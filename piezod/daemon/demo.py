@@ -1,0 +1,102 @@
+"""The demo: the whole path on the emulated bench, with plain gain and with the inverse, on two references."""
+
+import contextlib
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from piezod.config import BenchConfig
+from piezod.config.reference import WaveformReference
+from piezod.daemon.assembly import Work, load
+from piezod.daemon.emulator import emulated_bench
+from piezod.daemon.history import History
+from piezod.daemon.session import Outcome, Session
+from piezod.daemon.shipped import shipped
+from piezod.recording import Recording
+
+REFERENCES = {
+    "triangle": WaveformReference(kind="triangle", amplitude_N=110, offset_N=150, frequency_Hz=0.5, duration_s=6.0),
+    "multisine": WaveformReference(kind="multisine", amplitude_N=110, offset_N=150, frequency_Hz=0.25, duration_s=8.0),
+}
+COMPENSATIONS = ("gain", "inverse")
+
+OnRows = Callable[[NDArray[np.void]], None]
+
+
+@dataclass(frozen=True)
+class DemoResult:
+    """What the demo measured."""
+
+    recordings: dict[tuple[str, str], Recording]
+    history: History
+    outcome: Outcome
+
+
+def run_demo(on_rows: OnRows, work_names: list[str]) -> DemoResult:
+    """Start the emulator, follow every reference with every compensation, stop.
+
+    Parameters
+    ----------
+    on_rows
+        Called about ten times a second with what is new; for a live line.
+    work_names
+        Filled with the names of the stretches of work, in their order.
+
+    Raises
+    ------
+    PiezodError
+        The bench did not come up, or the session failed.
+    """
+    works = [
+        Work(f"{reference}, {compensation}", compensation, REFERENCES[reference])
+        for reference in REFERENCES
+        for compensation in COMPENSATIONS
+    ]
+    work_names.extend(work.name for work in works)
+    with _demo_bench() as (bench, path):
+        _, model = load(path)
+        session = Session(bench, model, path.parent, works)
+        history = follow_session(session, on_rows)
+    keys = [(reference, compensation) for reference in REFERENCES for compensation in COMPENSATIONS]
+    recordings = {}
+    for number, key in enumerate(keys):
+        metadata = {"bench": bench.name, "reference": key[0], "compensation": key[1]}
+        recordings[key] = history.recording(number, metadata=metadata)
+    return DemoResult(recordings, history, session.outcome)
+
+
+def follow_session(session: Session, on_rows: OnRows) -> History:
+    """Start a session and keep every row until it ends; Ctrl-C asks for a ramp down and goes on following it."""
+    history = History()
+    try:
+        session.start()
+        follower = session.follow()
+        while True:
+            try:
+                rows = next(follower)
+            except StopIteration:
+                break
+            except KeyboardInterrupt:
+                session.stop()
+                follower = session.follow()
+                continue
+            history.add(rows)
+            on_rows(rows)
+    finally:
+        session.close()
+    return history
+
+
+@contextlib.contextmanager
+def _demo_bench() -> Iterator[tuple[BenchConfig, Path]]:
+    path = shipped("bench.yaml")
+    bench, _ = load(path)
+    with emulated_bench(shipped("emulator.yaml"), "--port", "0") as serves:
+        host, _, port = serves["tcp"].rpartition(":")
+        link = bench.link.model_copy(update={"host": host, "port": int(port)})
+        ring_log = f"/dev/shm/piezod-demo-{port}.ring"  # noqa: S108  # shared memory is meant to be seen
+        daemon = bench.daemon.model_copy(update={"ring_log": ring_log})
+        yield bench.model_copy(update={"link": link, "daemon": daemon}), path

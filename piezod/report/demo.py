@@ -1,0 +1,155 @@
+"""What the demo says: a live line, one table, one page, one verdict."""
+
+import contextlib
+import sys
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from piezod.recording import Recording
+from piezod.report.page import table_html
+from piezod.report.tracking import LABELS, TrackingFigures, tracking_figures, write_tracking_page
+
+QUARTER = 0.25  # compensated hysteresis may be at most this part of the uncompensated
+STATES = ("DISARMED", "ARMING", "RUNNING", "HOLD", "RAMP_DOWN", "FAULT")
+HEADER = ["reference", "compensation", "rms error [N]", "[%]", "max error [N]", "[%]", "max hysteresis [%]"]
+
+
+@dataclass(frozen=True)
+class DemoVerdict:
+    """The figures of the demo and whether it passed."""
+
+    figures: dict[tuple[str, str], TrackingFigures]
+    timing: Any
+    outcome: Any
+
+    @property
+    def hysteresis_ratio(self) -> float:
+        """Compensated over uncompensated max hysteresis on the triangle; nan when one is missing."""
+        with_inverse = self.figures.get(("triangle", "inverse"))
+        with_gain = self.figures.get(("triangle", "gain"))
+        if with_inverse is None or with_gain is None or not with_gain.max_hysteresis_percent:
+            return float("nan")
+        return (with_inverse.max_hysteresis_percent or 0.0) / with_gain.max_hysteresis_percent
+
+    @property
+    def passed(self) -> bool:
+        """At most a quarter of the hysteresis is left, and no exchange failed."""
+        clean = not self.outcome.failed_exchanges and not self.outcome.fault and not self.outcome.stopped
+        return clean and self.hysteresis_ratio <= QUARTER
+
+    @property
+    def words(self) -> str:
+        """The verdict in a sentence."""
+        if self.outcome.stopped:
+            return "stopped: ramped down before the end"
+        if self.outcome.fault:
+            return f"FAULT: {self.outcome.fault}"
+        if self.outcome.failed_exchanges:
+            return f"{self.outcome.failed_exchanges} exchanges failed: {self.outcome.results}"
+        gain = self.figures["triangle", "gain"].max_hysteresis_percent
+        inverse = self.figures["triangle", "inverse"].max_hysteresis_percent
+        return (
+            f"hysteresis {gain:.2f} % -> {inverse:.2f} % of range, {self.hysteresis_ratio:.0%} of it left "
+            f"({'at most' if self.passed else 'NOT below'} {QUARTER:.0%})"
+        )
+
+    def as_dict(self) -> dict[str, Any]:
+        """For JSON."""
+        return {
+            "schema": "piezod.demo/1",
+            "passed": self.passed,
+            "words": self.words,
+            "figures": [
+                {"reference": key[0], "compensation": key[1], **one.as_dict()} for key, one in self.figures.items()
+            ],
+            "ticks": self.outcome.ticks,
+            "missed": self.outcome.missed,
+            "failed_exchanges": self.outcome.failed_exchanges,
+            "lateness_us": self.timing.lateness_us,
+            "completion_us": self.timing.completion_us,
+            "resident_kib": self.outcome.resident_kib,
+            "warnings": self.outcome.warnings,
+        }
+
+
+def judge(recordings: dict[tuple[str, str], Recording], timing: Any, outcome: Any) -> DemoVerdict:
+    """Figures of every reference that was followed."""
+    figures = {
+        key: tracking_figures(recording, loop=key[0] == "triangle")
+        for key, recording in recordings.items()
+        if recording.time_s.size > 1
+    }
+    return DemoVerdict(figures, timing, outcome)
+
+
+@contextlib.contextmanager
+def live_line(names: list[str]) -> Iterator[Callable[[Any], None]]:
+    """Yield a function that shows the newest row: one line that is overwritten on a terminal, one a second elsewhere."""
+    terminal = sys.stdout.isatty()
+    last_ns = 0
+
+    def show(rows: Any) -> None:
+        nonlocal last_ns
+        if not len(rows) or (not terminal and int(rows["time_ns"][-1]) - last_ns < 1_000_000_000):
+            return
+        row = rows[-1]
+        last_ns = int(row["time_ns"])
+        error = row["force_N"] - row["reference_N"] if row["state"] == 2 else float("nan")
+        number = int(row["segment"])
+        text = (
+            f"{STATES[row['state']]:9} {names[number] if 0 <= number < len(names) else '':20} "
+            f"reference {row['reference_N']:7.2f} N  force {row['force_N']:7.2f} N  error {error:+6.2f} N  "
+            f"late {rows['lateness_ns'].max() / 1000:5.0f} us"
+        )
+        print(f"\r{text}\x1b[K" if terminal else text, end="" if terminal else "\n", flush=True)
+
+    yield show
+    if terminal:
+        print("\r\x1b[K", end="", flush=True)
+
+
+def _rows(verdict: DemoVerdict) -> list[list[str]]:
+    return [
+        [
+            key[0],
+            LABELS[key[1]],
+            f"{one.rms_error_N:.2f}",
+            f"{one.rms_error_percent:.2f}",
+            f"{one.max_error_N:.2f}",
+            f"{one.max_error_percent:.2f}",
+            "-" if one.max_hysteresis_percent is None else f"{one.max_hysteresis_percent:.2f}",
+        ]
+        for key, one in verdict.figures.items()
+    ]
+
+
+def _timing_words(verdict: DemoVerdict) -> str:
+    late = verdict.timing.lateness_us
+    return (
+        f"{verdict.outcome.ticks} ticks, {verdict.outcome.missed} missed, {verdict.outcome.failed_exchanges} failed exchanges; "
+        f"lateness p50 {late['p50']:.0f} us, p99 {late['p99']:.0f} us, p99.9 {late['p99.9']:.0f} us"
+    )
+
+
+def print_table(verdict: DemoVerdict) -> None:
+    """The table, the timing and the verdict, as text."""
+    rows = _rows(verdict)
+    widths = [max(len(line[k]) for line in [HEADER, *rows]) for k in range(len(HEADER))]
+    for line in [HEADER, *rows]:
+        cells = [
+            cell.ljust(w) if k < 2 else cell.rjust(w) for k, (cell, w) in enumerate(zip(line, widths, strict=True))
+        ]
+        print("  ".join(cells))
+    print(_timing_words(verdict))
+    for warning in verdict.outcome.warnings:
+        print(f"warning: {warning}")
+    print(verdict.words)
+
+
+def write_demo_page(path: Path, verdict: DemoVerdict, recordings: dict[tuple[str, str], Recording]) -> None:
+    """The page of the demo."""
+    shown = {key: recording for key, recording in recordings.items() if recording.time_s.size > 1}
+    table = table_html(HEADER, _rows(verdict)) + f"<p>{_timing_words(verdict)}</p>"
+    write_tracking_page(path, "A force follows its reference", verdict.words, shown, table)

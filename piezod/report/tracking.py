@@ -1,0 +1,132 @@
+"""How well a force reference was followed: the figures, and the page that shows them."""
+
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+from bokeh.layouts import column, row
+from bokeh.models import Div, HoverTool
+from bokeh.plotting import figure
+from numpy.typing import NDArray
+
+from piezod.identify.scores import largest, max_hysteresis_percent, rms
+from piezod.recording import Recording
+from piezod.report.page import BLUE, GREY, ORANGE, write_page
+
+SHOWN_SAMPLES = 4000  # a curve needs no more on a screen; figures use all samples
+
+
+@dataclass(frozen=True)
+class TrackingFigures:
+    """Errors of one followed reference; percentages refer to the reference's range."""
+
+    samples: int
+    range_N: float
+    rms_error_N: float
+    rms_error_percent: float
+    max_error_N: float
+    max_error_percent: float
+    max_hysteresis_percent: float | None
+
+    def as_dict(self) -> dict[str, float | int | None]:
+        """For JSON."""
+        return asdict(self)
+
+
+def tracking_figures(recording: Recording, *, loop: bool) -> TrackingFigures:
+    """Judge a recording with `reference_N` and `force_N`.
+
+    Parameters
+    ----------
+    recording
+        What was followed and measured.
+    loop
+        Whether the reference runs up and down the same way, so that a hysteresis loop is defined.
+    """
+    reference, force = recording.channel("reference_N"), recording.channel("force_N")
+    error = force - reference
+    range_N = float(np.ptp(reference))
+    return TrackingFigures(
+        samples=int(force.size),
+        range_N=range_N,
+        rms_error_N=rms(error),
+        rms_error_percent=100 * rms(error) / range_N,
+        max_error_N=largest(error),
+        max_error_percent=100 * largest(error) / range_N,
+        max_hysteresis_percent=max_hysteresis_percent(reference, force) if loop else None,
+    )
+
+
+def write_tracking_page(
+    path: Path, title: str, verdict: str, recordings: dict[tuple[str, str], Recording], table_html: str
+) -> None:
+    """One page: the verdict in words, the table, and a row of figures for every reference.
+
+    Parameters
+    ----------
+    path
+        The page.
+    title, verdict
+        Its head line and the sentence below.
+    recordings
+        By (reference, compensation); compensations of one reference share its figures.
+    table_html
+        Shown below the verdict.
+    """
+    rows: list[object] = [Div(text=f"<h1>{title}</h1><p class='verdict'>{verdict}</p>{table_html}")]
+    for reference in dict.fromkeys(key[0] for key in recordings):
+        chosen = {key[1]: value for key, value in recordings.items() if key[0] == reference}
+        rows.append(Div(text=f"<h2>{reference}</h2>"))
+        rows.append(row(_over_time(chosen), _loop(chosen), sizing_mode="stretch_width"))
+        rows.append(_errors(chosen))
+    write_page(path, title, column(*rows, sizing_mode="stretch_width"))
+
+
+COLOURS = {"gain": ORANGE, "inverse": BLUE}
+LABELS = {"gain": "plain gain", "inverse": "hysteresis inverse"}
+
+
+def _thin(values: NDArray[np.float64]) -> NDArray[np.float64]:
+    return values[:: max(1, values.size // SHOWN_SAMPLES)]
+
+
+def _over_time(recordings: dict[str, Recording]) -> figure:
+    plot = figure(title="Force over time", x_axis_label="time [s]", y_axis_label="force [N]", height=320)
+    first = next(iter(recordings.values()))
+    plot.line(
+        _thin(first.time_s), _thin(first.channel("reference_N")), color=GREY, line_width=3, legend_label="reference"
+    )
+    for name, recording in recordings.items():
+        plot.line(
+            _thin(recording.time_s), _thin(recording.channel("force_N")), color=COLOURS[name], legend_label=LABELS[name]
+        )
+    return _finish(plot)
+
+
+def _loop(recordings: dict[str, Recording]) -> figure:
+    plot = figure(title="Force over reference", x_axis_label="reference [N]", y_axis_label="force [N]", height=320)
+    for name, recording in recordings.items():
+        plot.line(
+            _thin(recording.channel("reference_N")),
+            _thin(recording.channel("force_N")),
+            color=COLOURS[name],
+            legend_label=LABELS[name],
+        )
+    return _finish(plot)
+
+
+def _errors(recordings: dict[str, Recording]) -> figure:
+    plot = figure(title="Error: force minus reference", x_axis_label="time [s]", y_axis_label="error [N]", height=220)
+    for name, recording in recordings.items():
+        error = recording.channel("force_N") - recording.channel("reference_N")
+        plot.line(_thin(recording.time_s), _thin(error), color=COLOURS[name], legend_label=LABELS[name])
+    return _finish(plot)
+
+
+def _finish(plot: figure) -> figure:
+    plot.sizing_mode = "stretch_width"
+    plot.legend.location = "top_left"
+    plot.legend.background_fill_alpha = 0.7
+    plot.legend.click_policy = "hide"
+    plot.add_tools(HoverTool(tooltips=[("x", "$x{0.000}"), ("y", "$y{0.00}")]))
+    return plot

@@ -1,0 +1,118 @@
+"""What a configuration file may not say, and the one line that answers."""
+
+from pathlib import Path
+
+import pytest
+
+from piezod.config import load_bench, read_document
+from piezod.errors import ConfigurationError
+
+BENCH = Path(__file__).parents[3] / "config" / "bench.yaml"
+
+
+def refused(tmp_path, old, new):
+    """The message that answers `old` replaced by `new` in the shipped configuration."""
+    text = BENCH.read_text(encoding="utf-8")
+    assert text.count(old) >= 1
+    path = tmp_path / "bench.yaml"
+    path.write_text(text.replace(old, new, 1), encoding="utf-8")
+    with pytest.raises(ConfigurationError) as caught:
+        load_bench(path)
+    assert "\n" not in str(caught.value)
+    assert caught.value.exit_code == 78
+    return str(caught.value).replace(str(path), "bench.yaml")
+
+
+def line_of(text):
+    return BENCH.read_text(encoding="utf-8").splitlines().index(text) + 1
+
+
+def test_the_shipped_configuration_is_accepted():
+    assert load_bench(BENCH).rate_Hz == 1000
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("slew_V_per_s: 4000.0", "slew_V_per_s: -3.0", "limits.slew_V_per_s is -3.0, must be above 0"),
+        (
+            "slew_V_per_s: 4000.0",
+            "slow_V_per_s: 4000.0",
+            "unknown key limits.slow_V_per_s, did you mean 'slew_V_per_s'?",
+        ),
+        ("slew_V_per_s: 4000.0", "slew_V_per_s: 40000.0", "must be at most current_max_A / capacitance_F = 6000"),
+        ("rate_Hz: 1000", "rate_Hz: .nan", "rate_Hz is nan, must be a finite number"),
+        ("rate_Hz: 1000", "rate_Hz: .inf", "rate_Hz is inf, must be a finite number"),
+        ("rate_Hz: 1000", "rate_Hz: true", "rate_Hz is true, must be a number"),
+        ("rate_Hz: 1000", "rate_Hz: 12:30", "rate_Hz is '12:30', must be a number"),
+        ("rate_Hz: 1000", "rate_Hz: '1000'", "rate_Hz is '1000', must be a number"),
+        ("port: 15020", "port: 0400", "link.port is '0400', must be a whole number"),
+        ("rate_Hz: 1000", "rate_Hz: 1000\nrate_Hz: 2000", "key 'rate_Hz' stands twice, first on line"),
+        ("kind: triangle", "kind: triangel", "reference.kind is 'triangel', must be one of 'triangle'"),
+        ("kind: modbus_tcp", "kind: modbus", "link.kind is 'modbus', must be one of 'modbus_tcp'"),
+        ("unit: N, low", "unit: kN, low", "force.unit is 'kN', must be 'N'; convert with scale and offset"),
+        ("  voltage_max_V: 140.0\n", "", "limits.voltage_max_V is missing"),
+        ("voltage_min_V: 0.0 ", "voltage_min_V: 150.0 ", "voltage_min_V is 150, must be below voltage_max_V, 140"),
+        (
+            "device_watchdog_ms: 100",
+            "device_watchdog_ms: 200",
+            "device_watchdog_ms is 200, must be below comm_loss_ms, 200",
+        ),
+        ("device_watchdog_ms: 100", "device_watchdog_ms: 2", "device_watchdog_ms is 2, must be above two ticks, 2 ms"),
+        ("stale_after_ms: 5", "stale_after_ms: 500", "stale_after_ms is 500, must be at most comm_loss_ms, 200"),
+        ("force_min_N: -20.0", "force_min_N: 400.0", "force_min_N is 400, must be below force_trip_N, 360"),
+        (
+            "voltage_V_per_s: 200",
+            "voltage_V_per_s: 9000",
+            "arming.voltage_V_per_s is 9000, must be at most limits.slew",
+        ),
+        ("schema: piezod.bench/1", "schema: piezod.bench/9", "schema is 'piezod.bench/9', must be 'piezod.bench/1'"),
+        ("host: 127.0.0.1", "host: [1", "not valid YAML"),
+        ("host: 127.0.0.1", "host: &a x\n  port2: *a", "uses an alias"),
+        (
+            "voltage_step_V: 0.0 ",
+            "voltage_step_V: 0.3 ",
+            "voltage_step_V is 0.3, must be at most one tick of arming.voltage",
+        ),
+        ("    watchdog_ms: {", "    voltage_x: {", "unknown key link.registers.voltage_x"),
+        ("    watchdog_ms: {address: 110, function: 16, type: uint16, unit: ms}\n", "", "no watchdog to be set"),
+        ("name: emulator ", "name: ../../etc ", "name is '../../etc'"),
+    ],
+)
+def test_an_impossible_value_is_refused_in_one_line(tmp_path, old, new, message):
+    assert message in refused(tmp_path, old, new)
+
+
+def test_the_message_names_the_line(tmp_path):
+    text = "  slew_V_per_s: 4000.0          # at most current_max_A / capacitance_F"
+    assert refused(tmp_path, "slew_V_per_s: 4000.0", "slew_V_per_s: 0.0").startswith(f"bench.yaml:{line_of(text)}: ")
+
+
+def test_registers_of_one_block_may_not_overlap(tmp_path):
+    assert "heartbeat.address is 203, must be at least 204" in refused(tmp_path, "{address: 204", "{address: 203")
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (b"", "holds nothing, must be a mapping"),
+        (b"- 1\n", "holds a list, must be a mapping"),
+        (b"\xff\xfe\x00", "byte 0 is not UTF-8"),
+        (b"a: !!python/object/apply:os.system ['true']\n", "could not determine a constructor"),
+        (b"a: " + b"[" * 5000, "not"),
+        (b"x: " + b"y" * (1 << 20), "larger than 1048576 bytes"),
+        (b"? {a: 1}\n: 2\n", "a key must be a word"),
+    ],
+)
+def test_a_file_that_is_no_configuration_is_refused_in_one_line(tmp_path, content, message):
+    path = tmp_path / "bench.yaml"
+    path.write_bytes(content)
+    with pytest.raises(ConfigurationError, match=message) as caught:
+        read_document(path)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_missing_file_and_a_folder_are_refused(tmp_path):
+    for path in (tmp_path / "none.yaml", tmp_path):
+        with pytest.raises(ConfigurationError, match="cannot be read"):
+            load_bench(path)
