@@ -1,6 +1,7 @@
 """Recordings as CSV: `#` lines of metadata, one header row, `time_s` first, every column `name_unit`."""
 
 import os
+import warnings
 from pathlib import Path
 from typing import TextIO
 
@@ -21,12 +22,15 @@ def read_csv(path: Path) -> Recording:
     try:
         with path.open(encoding="utf-8") as file:
             metadata, names = _read_head(file, path)
-            table = np.loadtxt(file, delimiter=",", comments="#", ndmin=2)
+            with warnings.catch_warnings(action="ignore", category=UserWarning):  # no data: said below
+                table = np.loadtxt(file, delimiter=",", comments="#", ndmin=2)
     except (OSError, UnicodeDecodeError) as error:
         raise RecordingError(f"{path}: cannot be read: {error}") from error
     except ValueError as error:
         raise RecordingError(f"{path}: {error}") from error
-    if table.size == 0 or table.shape[1] != len(names):
+    if table.size == 0:
+        raise RecordingError(f"{path}: has a header but no samples")
+    if table.shape[1] != len(names):
         raise RecordingError(f"{path}: header names {len(names)} columns, the rows have {table.shape[1]}")
     columns = np.ascontiguousarray(table.T)
     return Recording(columns[0], dict(zip(names[1:], columns[1:], strict=True)), metadata, str(path))

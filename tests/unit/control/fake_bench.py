@@ -1,0 +1,52 @@
+"""A link to a bench that lives in a variable, with a clock that a test turns."""
+
+from piezod.transport import ExchangeResult, Reading
+
+
+class FakeClock:
+    """Time that moves when told to."""
+
+    def __init__(self, period_ns=1_000_000):
+        self.period_ns = period_ns
+        self.tick = self.missed = self.missed_in_a_row = self.lateness_ns = 0
+
+    def start(self):
+        pass
+
+    def now_ns(self):
+        return self.tick * self.period_ns
+
+    def wait(self):
+        self.tick += 1
+
+
+class FakeLink:
+    """Force = 2 N/V x voltage, one exchange later; keeps every voltage it was given."""
+
+    description = "fake"
+    last_exception = stale_bytes = 0
+    hint = ""
+
+    def __init__(self, plant=None):
+        self.plant = plant or (lambda voltage_V: 2.0 * voltage_V)
+        self.reading = Reading()
+        self.reading.force_N = 0.0
+        self.reading.voltage_readback_V = 0.0
+        self.written_V = 0.0
+        self.counts = [0] * len(ExchangeResult)
+        self.voltages = []
+        self.fails = lambda number: False
+        self.exchanges = 0
+
+    def exchange(self, voltage_V):
+        self.exchanges += 1
+        if self.fails(self.exchanges):
+            return ExchangeResult.TIMEOUT
+        self.reading.force_N = self.plant(self.written_V)
+        self.reading.voltage_readback_V = self.written_V
+        self.written_V = voltage_V
+        self.voltages.append(voltage_V)
+        return ExchangeResult.OK
+
+    def poll(self):
+        return ExchangeResult.OK

@@ -1,0 +1,181 @@
+"""The loop on a bench in a variable: what is written, when, and what never is."""
+
+import numpy as np
+import pytest
+from unit.control.fake_bench import FakeClock, FakeLink
+from unit.control.test_limits import limits
+
+from piezod.control import Cause, ControlLoop, RingLog, RingReader, Segment, State, TableReference
+from piezod.model import DirectDrive
+from piezod.operators import ImplicitInverse, PrandtlIshlinskii
+
+DT_S = 0.001
+
+
+class Halving:
+    """Reference [N] -> volts by 2 N/V, and a note of every commit."""
+
+    def __init__(self):
+        self.committed = []
+
+    def reset(self):
+        self.committed.clear()
+
+    def plan(self, reference):
+        return reference / 2.0
+
+    def commit(self, voltage_V):
+        self.committed.append(voltage_V)
+
+
+@pytest.fixture
+def ring(tmp_path):
+    ring = RingLog(tmp_path / "ring", 10_000)
+    yield ring
+    ring.close()
+
+
+def make_loop(link, ring, **changes):
+    return ControlLoop(link, limits(**changes), FakeClock(), ring, DT_S, approach_V_per_s=200.0)
+
+
+def rows_of(tmp_path):
+    return RingReader(tmp_path / "ring").read()
+
+
+def test_a_table_is_followed_from_approach_to_ramp_down(tmp_path, ring):
+    link, compensator = FakeLink(), Halving()
+    loop = make_loop(link, ring)
+    values = np.linspace(20.0, 30.0, 500)
+    assert loop.drive(Segment("ramp", TableReference(values), compensator)) is Cause.NONE
+    rows = rows_of(tmp_path)
+    running = rows[rows["state"] == State.RUNNING]
+    np.testing.assert_array_equal(running["reference_N"], values)
+    np.testing.assert_allclose(running["voltage_V"], values / 2.0)
+    assert loop.supervisor.state is State.DISARMED
+    assert link.voltages[-1] == 0.0
+    assert compensator.committed == link.voltages
+
+
+def test_the_first_reference_is_approached_no_faster_than_asked(ring):
+    link = FakeLink()
+    make_loop(link, ring).drive(Segment("jump", TableReference(np.full(10, 200.0)), Halving()))
+    rise = np.diff([0.0, *link.voltages])
+    assert rise.max() == pytest.approx(0.2)
+    assert rise.min() == pytest.approx(-0.4)
+
+
+def test_a_reset_cycle_reaches_the_top_and_comes_back_before_the_reference_starts(tmp_path, ring):
+    link = FakeLink(lambda voltage_V: 0.1 * voltage_V)
+    loop = make_loop(link, ring)
+    cycle = TableReference(140.0 * (1 - np.abs(np.linspace(-1, 1, 1401))))
+    loop.drive(Segment("work", TableReference(np.full(10, 10.0)), Halving(), cycle))
+    rows = rows_of(tmp_path)
+    arming = rows[rows["state"] == State.ARMING]
+    assert arming["voltage_V"].max() == pytest.approx(140.0)
+    assert (rows[rows["state"] == State.RUNNING]["tick"] > arming["tick"].max()).all()
+
+
+def test_a_skipped_tick_skips_its_reference_value(tmp_path, ring):
+    link = FakeLink()
+    loop = make_loop(link, ring)
+    clock = loop._clock
+    wait = clock.wait
+    clock.wait = lambda: (wait(), wait()) if clock.tick % 7 == 0 else wait()
+    values = np.arange(100.0) * 0.1
+    loop.drive(Segment("table", TableReference(values), Halving()))
+    rows = rows_of(tmp_path)
+    running = rows[rows["state"] == State.RUNNING]
+    first = running["tick"][0]
+    np.testing.assert_array_equal(running["reference_N"], values[running["tick"] - first])
+    assert running.size < 100
+
+
+def test_a_failed_exchange_commits_nothing(ring):
+    link, compensator = FakeLink(), Halving()
+    link.fails = lambda number: number % 3 == 0
+    loop = make_loop(link, ring)
+    loop.drive(Segment("table", TableReference(np.full(60, 10.0)), compensator))
+    assert compensator.committed == link.voltages
+    assert loop.counts.failed_exchanges > 0
+
+
+def test_an_over_force_starts_the_ramp_down_in_the_next_tick_and_latches(tmp_path, ring):
+    link = FakeLink(lambda voltage_V: 400.0 if voltage_V > 20.0 else 2.0 * voltage_V)
+    loop = make_loop(link, ring)
+    fault = loop.drive(Segment("too much", TableReference(np.full(1000, 60.0)), Halving()))
+    assert fault is Cause.OVER_FORCE
+    assert loop.supervisor.state is State.FAULT
+    rows = rows_of(tmp_path)
+    over = int(np.flatnonzero(rows["force_N"] > 360.0)[0])
+    voltages = rows["voltage_V"]
+    assert rows["state"][over] == State.RAMP_DOWN
+    assert voltages[over + 1] < voltages[over]
+    assert link.voltages[-1] == 0.0
+
+
+def test_a_device_that_falls_silent_is_ramped_down_by_the_loop_and_then_left_to_its_watchdog(ring):
+    link = FakeLink()
+    loop = make_loop(link, ring)
+    link.fails = lambda number: number > 100
+    fault = loop.drive(Segment("silence", TableReference(np.full(5000, 10.0)), Halving()))
+    assert fault is Cause.COMM_LOSS
+    assert loop._clock.tick < 100 + 200 + 350 + 10
+
+
+def test_a_stop_request_ramps_down_and_a_second_one_does_it_in_haste(ring):
+    for requests, fall in ((1, 0.4), (2, 4.0)):
+        link = FakeLink()
+        loop = make_loop(link, ring)
+        loop.begin(Segment("long", TableReference(np.full(10**5, 100.0)), Halving()))
+        loop.supervisor.arm(0)
+        for _ in range(400):
+            loop.tick()
+            loop._clock.wait()
+        assert link.voltages[-1] == pytest.approx(50.0)
+        for _ in range(requests):
+            loop.request_stop()
+        while loop.supervisor.driving:
+            loop.tick()
+            loop._clock.wait()
+        falls = -np.diff(link.voltages)
+        assert falls.max() == pytest.approx(fall)
+        assert link.voltages[-1] == 0.0
+
+
+def test_a_plan_that_is_no_number_leaves_the_voltage_where_it_is(ring):
+    link = FakeLink()
+    broken = Halving()
+    broken.plan = lambda reference: float("nan") if reference > 15.0 else reference / 2.0
+    make_loop(link, ring).drive(Segment("broken", TableReference(np.linspace(10, 20, 100)), broken))
+    assert np.isfinite(link.voltages).all()
+    assert max(link.voltages) == pytest.approx(7.5, abs=0.06)
+
+
+def test_watching_writes_nothing(ring):
+    link = FakeLink()
+    make_loop(link, ring).watch(50)
+    assert link.voltages == []
+
+
+def test_the_inverse_of_a_known_plant_follows_to_rounding(tmp_path, ring):
+    def operator():
+        return PrandtlIshlinskii([0.0, 2.0, 6.0, 20.0], [0.7, 0.2, 0.1, 0.2], [0.0, 50.0], [2.0, 0.3])
+
+    plant = operator()
+    inverse = ImplicitInverse(operator())
+    inverse.reset = lambda: None
+    link = FakeLink(plant.step)
+    loop = make_loop(link, ring)
+    values = 150.0 - 100.0 * np.cos(np.linspace(0, 12, 3000))
+    loop.drive(Segment("sine", TableReference(values), inverse))
+    rows = rows_of(tmp_path)
+    running = rows[rows["state"] == State.RUNNING]
+    np.testing.assert_allclose(running["force_N"][1:], running["reference_N"][:-1], atol=1e-9)
+
+
+def test_a_direct_drive_writes_its_table_as_it_is(tmp_path, ring):
+    values = np.concatenate((np.linspace(0, 30, 200), np.linspace(30, 0, 200)))
+    make_loop(FakeLink(), ring).drive(Segment("volts", TableReference(values), DirectDrive()))
+    rows = rows_of(tmp_path)
+    np.testing.assert_allclose(rows[rows["state"] == State.RUNNING]["voltage_V"], values, atol=1e-12)

@@ -1,0 +1,27 @@
+"""Absolute deadlines: skipped, counted, never replayed."""
+
+import time
+
+from piezod.control import RealRateKeeper
+
+
+def test_a_missed_tick_is_skipped_and_counted_and_the_next_deadline_stays_on_the_grid():
+    keeper = RealRateKeeper(0.01)
+    keeper.start()
+    begun_ns = keeper._deadline_ns
+    time.sleep(0.035)
+    keeper.wait()
+    assert keeper.missed >= 3
+    assert keeper.tick == keeper.missed + 1
+    assert (keeper._deadline_ns - begun_ns) % 10_000_000 == 0
+    assert keeper._deadline_ns - begun_ns == keeper.tick * 10_000_000
+    keeper.wait()
+    assert time.monotonic_ns() >= keeper._deadline_ns
+
+
+def test_it_never_returns_before_its_deadline():
+    keeper = RealRateKeeper(0.002)
+    keeper.start()
+    for _ in range(50):
+        keeper.wait()
+        assert keeper.lateness_ns >= 0

@@ -1,0 +1,190 @@
+"""References: tables, files, registers and streams, and what happens when they end or fall silent."""
+
+import socket
+import struct
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from piezod.config.reference import FileReference, RegisterReference, StreamReference, WaveformReference
+from piezod.control.references import (
+    DatagramStream,
+    Freshness,
+    LiveReading,
+    TableReference,
+    file_table,
+    make_reference,
+    waveform_table,
+)
+from piezod.errors import BusyError, ConfigurationError
+from piezod.excitation import shape
+from piezod.recording import Recording, write_csv
+from piezod.transport import Reading
+
+MS = 1_000_000
+
+
+def waveform(kind="triangle", **changes):
+    values = {"kind": kind, "amplitude_N": 50.0, "offset_N": 100.0, "frequency_Hz": 2.0}
+    return WaveformReference(**values | changes)
+
+
+def values_of(reference, count, first=0):
+    return np.array([reference.read(k, k * MS) for k in range(first, first + count)])
+
+
+@pytest.mark.parametrize("kind", ["triangle", "sine", "staircase", "steps", "multisine"])
+def test_every_waveform_stays_within_offset_and_amplitude_and_uses_them(kind):
+    values = values_of(waveform_table(waveform(kind), 1000.0), 1000)
+    assert values.min() == pytest.approx(50.0, abs=0.2)
+    assert values.max() == pytest.approx(150.0, abs=0.2)
+
+
+@pytest.mark.parametrize("kind", ["triangle", "sine", "staircase", "multisine"])
+def test_a_waveform_starts_at_its_low_end(kind):
+    assert shape(kind, np.array([0.0]))[0] == pytest.approx(-1.0, abs=1e-3)
+
+
+def test_a_triangle_reaches_its_top_in_the_middle_of_the_period():
+    values = values_of(waveform_table(waveform(), 1000.0), 500)
+    assert int(np.argmax(values)) == 250
+    np.testing.assert_allclose(np.diff(values[:250]), 100.0 / 250)
+
+
+def test_a_period_that_is_no_whole_number_of_ticks_repeats_without_a_slip():
+    reference = waveform_table(waveform("sine", frequency_Hz=3.0), 1000.0)
+    k = np.arange(5000)
+    np.testing.assert_allclose(values_of(reference, 5000), 100.0 - 50.0 * np.cos(2 * np.pi * 3.0 * k / 1000.0), atol=1e-6)
+
+
+def test_a_table_ends_holds_its_last_value_and_says_so():
+    reference = TableReference([1.0, 2.0, 3.0])
+    reference.start(10)
+    assert [reference.read(k, 0) for k in (10, 11, 12)] == [1.0, 2.0, 3.0]
+    assert reference.freshness is Freshness.LIVE
+    assert reference.read(13, 0) == 3.0
+    assert reference.freshness is Freshness.ENDED
+
+
+def test_a_looped_table_starts_again():
+    reference = TableReference([1.0, 2.0, 3.0], loop=True)
+    assert values_of(reference, 7).tolist() == [1, 2, 3, 1, 2, 3, 1]
+
+
+def test_a_waveform_too_fast_for_the_tick_is_refused():
+    with pytest.raises(ConfigurationError, match="frequency_Hz is 300, must be at most a quarter of rate_Hz, 250"):
+        waveform_table(waveform(frequency_Hz=300.0), 1000.0)
+
+
+def test_a_waveform_too_long_to_keep_is_refused():
+    with pytest.raises(ConfigurationError, match="shorten duration_s"):
+        waveform_table(waveform(duration_s=1e6), 1000.0)
+
+
+def test_a_column_of_a_recording_is_interpolated_scaled_and_shifted(tmp_path):
+    recording = Recording(np.array([5.0, 5.01, 5.03]), {"reference_um": np.array([0.0, 10.0, 30.0])})
+    write_csv(recording, tmp_path / "rec.csv")
+    config = FileReference(kind="file", path="rec.csv", column="reference_um", scale=2.0, offset_N=7.0)
+    reference = file_table(config, 1000.0, tmp_path)
+    np.testing.assert_allclose(values_of(reference, 31), 7.0 + 2.0 * np.arange(31), atol=1e-5)
+
+
+def test_a_missing_column_names_those_that_are_there(tmp_path):
+    write_csv(Recording(np.array([0.0, 1.0]), {"force_N": np.zeros(2)}), tmp_path / "rec.csv")
+    with pytest.raises(ConfigurationError, match="has no column reference_N, has force_N"):
+        file_table(FileReference(kind="file", path="rec.csv"), 1000.0, tmp_path)
+
+
+def test_a_register_whose_counter_stands_still_goes_stale_and_comes_back():
+    reading = Reading()
+    reading.reference_N, reading.reference_counter = 12.0, 1
+    reference = LiveReading(reading, RegisterReference(kind="register", stale_after_s=0.5), counted=True)
+    reference.start(0)
+    assert reference.read(0, 1000 * MS) == 12.0
+    assert reference.freshness is Freshness.LIVE
+    reference.read(1, 1499 * MS)
+    assert reference.freshness is Freshness.LIVE
+    reference.read(2, 1501 * MS)
+    assert reference.freshness is Freshness.STALE
+    reading.reference_N, reading.reference_counter = 13.0, 2
+    assert reference.read(3, 1502 * MS) == 13.0
+    assert reference.freshness is Freshness.LIVE
+
+
+def test_a_register_that_holds_no_number_keeps_the_last_one():
+    reading = Reading()
+    reading.reference_N = 12.0
+    reference = LiveReading(reading, RegisterReference(kind="register"), counted=False)
+    reference.read(0, MS)
+    reading.reference_N = float("nan")
+    assert reference.read(1, 2 * MS) == 12.0
+    reference.read(2, 600 * MS)
+    assert reference.freshness is Freshness.STALE
+
+
+@pytest.fixture(params=["udp", "unix"])
+def stream(request, tmp_path):
+    if request.param == "udp":
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+            probe.bind(("127.0.0.1", 0))
+            port = probe.getsockname()[1]
+        listen, family, address = f"udp://127.0.0.1:{port}", socket.AF_INET, ("127.0.0.1", port)
+    else:
+        address = str(tmp_path / "stream")
+        listen, family = address, socket.AF_UNIX
+    reference = DatagramStream(StreamReference(kind="stream", listen=listen, stale_after_s=0.1))
+    sender = socket.socket(family, socket.SOCK_DGRAM)
+    sender.connect(address)
+    yield reference, sender
+    sender.close()
+    reference.close()
+
+
+def datagram(sequence, value):
+    return struct.pack("<QQd", sequence, 0, value)
+
+
+def test_the_newest_datagram_counts_and_silence_makes_it_stale(stream):
+    reference, sender = stream
+    reference.read(0, 0)
+    assert reference.freshness is Freshness.STALE
+    sender.send(datagram(1, 10.0))
+    sender.send(datagram(2, 11.0))
+    assert reference.read(1, MS) == 11.0
+    assert reference.freshness is Freshness.LIVE
+    reference.read(2, 100 * MS)
+    assert reference.freshness is Freshness.LIVE
+    assert reference.read(3, 102 * MS) == 11.0
+    assert reference.freshness is Freshness.STALE
+
+
+def test_old_repeated_malformed_and_infinite_datagrams_are_refused_and_counted(stream):
+    reference, sender = stream
+    for message in (datagram(5, 50.0), datagram(4, 40.0), datagram(5, 51.0), b"x", datagram(6, float("inf")), b"y" * 60):
+        sender.send(message)
+    assert reference.read(0, MS) == 50.0
+    assert reference.rejected == 5
+
+
+def test_an_address_in_use_is_busy():
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
+        other.bind(("127.0.0.1", 0))
+        listen = f"udp://127.0.0.1:{other.getsockname()[1]}"
+        with pytest.raises(BusyError, match="cannot be bound"):
+            DatagramStream(StreamReference(kind="stream", listen=listen))
+
+
+@pytest.mark.parametrize("listen", ["udp://127.0.0.1", "udp://:70000", "tcp://1.2.3.4:5", "relative/path", "udp://h:x"])
+def test_an_address_that_is_neither_udp_nor_path_is_refused(listen):
+    with pytest.raises(ValueError, match="must be udp://HOST:PORT or an absolute path"):
+        StreamReference(kind="stream", listen=listen)
+
+
+def test_make_reference_builds_what_the_configuration_names():
+    kinds = {
+        "sine": (waveform("sine"), TableReference),
+        "register": (RegisterReference(kind="register"), LiveReading),
+    }
+    for config, expected in kinds.values():
+        assert isinstance(make_reference(config, 1000.0, Path(), Reading(), counted=True), expected)

@@ -1,0 +1,118 @@
+"""The model file: read, refused, and written back as it was."""
+
+from pathlib import Path
+
+import pytest
+
+from piezod.errors import ConfigurationError, ModelError
+from piezod.model import Model, dump_model, load_model, save_model
+
+TEXT = """\
+schema: piezod.model/1
+name: a stack
+input:
+  channel: voltage_V
+  unit: V
+  low: 0.0
+  high: 140.0
+output:
+  channel: force_N
+  unit: N
+  low: -2.5
+  high: 300.0
+hysteresis:
+  plays:
+    thresholds: [0.0, 1.5, 20.0]
+    weights: [0.7, 0.1, 3.3e-5]
+  dead_zones:
+    thresholds: [0.0, 60.0]
+    weights: [2.1, -0.30000000000000004]
+  offset: 0.125
+  eps: 0.01
+start:
+  kind: reset
+  peak: 140.0
+provenance:
+  created: '2026-11-21T09:00:00+00:00'
+  by: a test
+  recordings:
+  - path: rec.csv
+    sha256: 0000000000000000000000000000000000000000000000000000000000000000
+    samples: 1000
+  fit:
+    rms_fit: 0.1
+    rms_held_out: 0.11
+  notes: ''
+"""
+
+
+@pytest.fixture
+def model_file(tmp_path):
+    path = tmp_path / "model.yaml"
+
+    def write(old="", new=""):
+        assert old in TEXT
+        path.write_text(TEXT.replace(old, new, 1) if old else TEXT, encoding="utf-8")
+        return path
+
+    return write
+
+
+def test_what_is_read_is_written_back_to_the_letter(model_file):
+    assert dump_model(load_model(model_file())) == TEXT.replace(
+        "sha256: 0000000000000000000000000000000000000000000000000000000000000000",
+        "sha256: '0000000000000000000000000000000000000000000000000000000000000000'",
+    )
+
+
+def test_saving_and_loading_gives_the_same_model_and_the_same_text(model_file, tmp_path):
+    model = load_model(model_file())
+    save_model(model, tmp_path / "again.yaml")
+    again = load_model(tmp_path / "again.yaml")
+    assert again == model
+    assert (tmp_path / "again.yaml").read_text(encoding="utf-8") == dump_model(again)
+    assert [path.name for path in tmp_path.iterdir()] != []
+    assert not list(tmp_path.glob(".*"))
+
+
+def test_the_shipped_model_loads_and_writes_back_as_it_is():
+    path = Path(__file__).parents[3] / "config" / "model.yaml"
+    assert dump_model(load_model(path)) == path.read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "error", "message"),
+    [
+        ("piezod.model/1", "piezod.model/2", ModelError, "schema is 'piezod.model/2', must be 'piezod.model/1'"),
+        ("[0.7, 0.1, 3.3e-5]", "[0.7, 0.1]", ModelError, "plays: 3 thresholds and 2 weights"),
+        ("[0.7, 0.1, 3.3e-5]", "[0.7, -0.8, 0.9]", ModelError, r"partial sum of weights 0\.\.1 is -0\.1"),
+        ("[0.0, 1.5, 20.0]", "[0.0, 20.0, 1.5]", ModelError, "threshold 2 is 1.5, must be above 20"),
+        ("[0.0, 60.0]", "[1.0, 60.0]", ModelError, "one threshold being 0"),
+        ("0.125", ".nan", ConfigurationError, "hysteresis.offset is nan, must be a finite number"),
+        ("peak: 140.0", "peak: null", ConfigurationError, "peak belongs to kind reset"),
+        ("high: 140.0", "high: -1.0", ConfigurationError, "low is 0, must be below high, -1"),
+        ("offset: 0.125", "ofset: 0.125", ConfigurationError, "unknown key hysteresis.ofset, did you mean 'offset'"),
+    ],
+)
+def test_a_model_that_says_something_impossible_is_refused_in_one_line(model_file, old, new, error, message):
+    with pytest.raises(error, match=message) as caught:
+        load_model(model_file(old, new))
+    assert "\n" not in str(caught.value)
+    assert caught.value.exit_code == 78
+
+
+def test_states_that_no_input_leads_to_are_refused(model_file):
+    path = model_file("  kind: reset\n  peak: 140.0", "  kind: states\n  states: [0.0, 9.0, 20.0]")
+    with pytest.raises(ModelError, match=r"model\.yaml: play states: state 1 is 9"):
+        load_model(path)
+
+
+def test_a_model_starts_where_its_file_says(model_file):
+    assert load_model(model_file()).operator().states.tolist() == [0.0, 1.5, 20.0]
+    assert isinstance(load_model(model_file()), Model)
+
+
+def test_a_file_that_cannot_be_written_is_said_and_leaves_nothing(model_file, tmp_path):
+    model = load_model(model_file())
+    with pytest.raises(ConfigurationError, match="cannot be written"):
+        save_model(model, tmp_path / "none" / "model.yaml")
