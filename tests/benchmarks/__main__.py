@@ -1,0 +1,47 @@
+"""The command: run the benchmarks that are named, or all, and print the table."""
+
+import argparse
+import json
+import platform
+import time
+from collections.abc import Iterator
+from importlib import import_module
+from pathlib import Path
+
+from piezod.errors import PiezodError
+from tests.benchmarks.table import NotMeasuredError, Row, header
+
+BENCHMARKS = ("chain", "batch", "wakeup", "exchange", "whole_tick", "memory")
+
+
+def run(name: str, *, quick: bool) -> Iterator[Row]:
+    """Rows of one benchmark; where nothing can be measured, one row that says why."""
+    try:
+        yield from import_module(f"tests.benchmarks.{name}").measure(quick=quick)
+    except (NotMeasuredError, PiezodError) as reason:
+        yield Row(name, f"not measured: {reason}")
+
+
+def main() -> None:
+    """Parse, run, print."""
+    parser = argparse.ArgumentParser(prog="python -m tests.benchmarks", description=__doc__)
+    parser.add_argument("names", nargs="*", metavar="NAME", help=f"one of {', '.join(BENCHMARKS)}; all when left out")
+    parser.add_argument("--json", type=Path, metavar="FILE", help="write the rows as JSON too")
+    parser.add_argument("--quick", action="store_true", help="fewer and shorter rounds: under 20 s in all")
+    options = parser.parse_args()
+    if unknown := sorted(set(options.names) - set(BENCHMARKS)):
+        parser.error(f"no benchmark is called {', '.join(unknown)}; there are {', '.join(BENCHMARKS)}")
+    begun = time.monotonic()
+    print(header(), flush=True)
+    rows = []
+    for name in options.names or BENCHMARKS:
+        for row in run(name, quick=options.quick):
+            print(row.text(), flush=True)
+            rows.append(row)
+    print(f"{time.monotonic() - begun:.0f} s, Python {platform.python_version()}, {platform.platform()}")
+    if options.json:
+        options.json.write_text(json.dumps([row.as_dict() for row in rows], indent=2) + "\n", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,118 @@
+"""One exchange, voltage out and reading back, against libmodbus and pymodbus on the same wire.
+
+Two processes on two cores wait for each other to wake up; on one core they only take turns, which costs a tenth. Where
+the kernel puts them decides more than what they are, so the server is held on one core and every client on another. The
+rows "one core" show what a client computes, without the waiting that a real device would cost too.
+"""
+
+import contextlib
+import os
+import time
+from collections.abc import Callable, Iterator
+
+import numpy as np
+
+from piezod.config import load_bench
+from piezod.config.link import LinkConfig, ModbusRtuLink
+from piezod.daemon.shipped import shipped
+from piezod.errors import PiezodError
+from piezod.transport import ExchangeResult, make_link
+from tests.benchmarks import modbus_peers as peers
+from tests.benchmarks.rounds import PERCENTILES, Figures, alternate, percentiles
+from tests.benchmarks.table import NotMeasuredError, Row
+
+EXCHANGES = 5000
+SLOW_EXCHANGES = 300  # of pymodbus' serial client, which takes milliseconds
+MOST_RATIO = {("libmodbus", "tcp"): 1.3, ("libmodbus", "rtu"): 1.3, ("pymodbus", "rtu"): 0.1}
+SERVERS = {"minimal server": peers.minimal_server, "emulator": peers.emulator}
+WIRES = {"tcp": "TCP", "rtu": "RTU on a pty"}
+CASES = (  # wire, server, whether server and client share a core
+    ("tcp", "minimal server", False),
+    ("tcp", "emulator", False),
+    ("rtu", "minimal server", False),
+    ("rtu", "emulator", False),
+    ("tcp", "minimal server", True),
+)
+
+
+def measure(*, quick: bool) -> Iterator[Row]:
+    """Rows of both wires and both servers."""
+    count = EXCHANGES // 10 if quick else EXCHANGES
+    cores = sorted(os.sched_getaffinity(0))
+    for kind, server, one_core in CASES:
+        what = f"{WIRES[kind]}, {server}" + (", one core" if one_core else "")
+        try:
+            with on_core(cores[-1]), SERVERS[server](kind) as address, on_core(cores[-1 if one_core else 0]):
+                yield from _rows(what, address, count, targets=not one_core)
+        except (NotMeasuredError, PiezodError) as reason:
+            yield Row("exchange", what, note=f"not measured: {reason}")
+
+
+@contextlib.contextmanager
+def on_core(core: int) -> Iterator[None]:
+    """This process, and what it starts meanwhile, on one core."""
+    before = os.sched_getaffinity(0)
+    os.sched_setaffinity(0, {core})
+    try:
+        yield
+    finally:
+        os.sched_setaffinity(0, before)
+
+
+def _rows(what: str, address: peers.Address, count: int, *, targets: bool) -> Iterator[Row]:
+    slow = SLOW_EXCHANGES * count // EXCHANGES if address.kind == "rtu" else count
+    actions: dict[str, Callable[[], Figures]] = {
+        "ours": lambda: ours_us(address, count),
+        "pymodbus": lambda: peers.pymodbus_us(address, slow),
+    }
+    note = ""
+    with contextlib.ExitStack() as stack:
+        try:
+            program = stack.enter_context(peers.libmodbus_client())
+            actions["libmodbus"] = lambda: percentiles(peers.libmodbus_ns(program, address, count) * 1e-3)
+        except NotMeasuredError as reason:
+            note = f"libmodbus: not measured: {reason}"
+        found = alternate(actions)
+    for other in ("libmodbus", "pymodbus"):
+        most_ratio = MOST_RATIO.get((other, address.kind)) if targets else None
+        for k, q in enumerate(PERCENTILES if other in found else ()):
+            figure, limit = float(found["ours"][k]), float(found[other][k])
+            yield Row("exchange", f"{what}, p{q}", "us", figure, limit, other, most_ratio=most_ratio, note=note)
+
+
+def ours_us(address: peers.Address, count: int) -> Figures:
+    """Percentiles of this link's exchange [us].
+
+    Raises
+    ------
+    NotMeasuredError
+        An exchange failed.
+    """
+    link = make_link(link_config(address))
+    took_ns = np.empty(count)
+    link.open()
+    try:
+        for k in range(-count // 10, count):
+            begun = time.perf_counter_ns()
+            result = link.exchange(0.0)
+            took_ns[k] = time.perf_counter_ns() - begun
+            if result != ExchangeResult.OK:
+                raise NotMeasuredError(f"exchange {k} ended with {result.name}")
+    finally:
+        link.close()
+    return percentiles(took_ns * 1e-3)
+
+
+def link_config(address: peers.Address) -> LinkConfig:
+    """The link of the shipped bench, to `address`."""
+    link = load_bench(shipped("bench.yaml")).link
+    if address.kind == "tcp":
+        return link.model_copy(update={"host": address.host, "port": address.port})
+    return ModbusRtuLink(
+        kind="modbus_rtu",
+        port=address.where,
+        baudrate=peers.BAUDRATE,
+        unit_id=peers.UNIT,
+        timeout_s=0.1,
+        registers=link.registers,
+    )

@@ -1,0 +1,111 @@
+"""A million ticks of the compensator leave nothing behind in the interpreter."""
+
+import gc
+import sys
+import tracemalloc
+from itertools import repeat
+
+import numpy as np
+import pytest
+
+from piezod.model import Model, Plant
+from piezod.model.compensator import InverseCompensator
+from piezod.model.parameters import Channel, Hysteresis, Provenance, Start, Superposition
+
+PASS = 1000  # ticks over one list of references
+
+
+def make_model(plays, zones):
+    def superposition(thresholds, first, rest):
+        return Superposition(thresholds=tuple(thresholds.tolist()), weights=(first, *repeat(rest, thresholds.size - 1)))
+
+    return Model(
+        name="stack",
+        input=Channel(channel="voltage_V", unit="V", low=0.0, high=140.0),
+        output=Channel(channel="force_N", unit="N", low=0.0, high=300.0),
+        hysteresis=Hysteresis(
+            plays=superposition(np.linspace(0.0, 70.0, plays + 1), 1.0, 0.8 / plays),
+            dead_zones=superposition(np.linspace(0.0, 140.0, zones + 1), 1.2, 0.6 / zones),
+        ),
+        start=Start(kind="reset", peak=140.0),
+        provenance=Provenance(created="1970-01-01T00:00:00Z", by="test"),
+    )
+
+
+@pytest.fixture(params=[(10, 4), (32, 8)], ids="{0[0]} plays, {0[1]} dead zones".format)
+def model(request):
+    return make_model(*request.param)
+
+
+@pytest.fixture
+def forces_N(model):
+    """There and back over the whole range, as plain floats."""
+    ramp_V = np.linspace(0.0, 140.0, PASS // 2)
+    return Plant(model).run(np.concatenate((ramp_V, ramp_V[::-1]))).tolist()
+
+
+@pytest.fixture
+def _idle_collector():
+    """Frozen and off, as in the control process."""
+    gc.collect()
+    gc.freeze()
+    gc.disable()
+    yield
+    gc.unfreeze()
+    gc.enable()
+
+
+@pytest.fixture
+def _tracing():
+    tracemalloc.start()
+    yield
+    tracemalloc.stop()
+
+
+def growth(step, forces_N, passes, count):
+    """By how much `count` grows over `passes` times all `forces_N`; the first two passes warm up."""
+    for _ in repeat(None, 2):
+        for force_N in forces_N:
+            step(force_N)
+    before = count()
+    before = count()  # a second time: now, as at the end, an earlier result is alive while it counts
+    for _ in repeat(None, passes):
+        for force_N in forces_N:
+            step(force_N)
+    return count() - before
+
+
+def traced_bytes():
+    return tracemalloc.get_traced_memory()[0]
+
+
+def tick_of(model):
+    compensator = InverseCompensator(model)
+
+    def tick(force_N):
+        compensator.commit(compensator.plan(force_N))
+
+    return tick
+
+
+@pytest.mark.usefixtures("_idle_collector")
+def test_a_million_ticks_of_the_compensator_hold_no_more_blocks_than_before(model, forces_N):
+    collections = [generation["collections"] for generation in gc.get_stats()]
+    assert growth(tick_of(model), forces_N, 1_000_000 // PASS, sys.getallocatedblocks) == 0
+    assert [generation["collections"] for generation in gc.get_stats()] == collections
+
+
+@pytest.mark.usefixtures("_idle_collector", "_tracing")
+def test_a_million_ticks_of_the_compensator_hold_no_more_bytes_than_before(model, forces_N):
+    assert growth(tick_of(model), forces_N, 1_000_000 // PASS, traced_bytes) == 0
+
+
+@pytest.mark.usefixtures("_idle_collector", "_tracing")
+@pytest.mark.parametrize("count", [sys.getallocatedblocks, traced_bytes])
+def test_a_step_that_appends_to_a_list_is_caught(forces_N, count):
+    kept = []
+
+    def step(force_N):
+        kept.append(force_N + 1.0)
+
+    assert growth(step, forces_N, 2, count) >= 2 * PASS
