@@ -1,0 +1,116 @@
+"""The emulator's configuration file: which physics, which firmware, which connectors."""
+
+import re
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import Field, field_validator
+
+from firmware_sim.effects import Finite, Positive, Section
+from firmware_sim.scenario import Scenario, load_scenario
+from firmware_sim.yaml_reader import checked, read_document
+
+UnitId = Annotated[int, Field(ge=1, le=247)]
+PortNumber = Annotated[int, Field(ge=0, le=65535)]
+
+
+class Firmware(Section):
+    """What the device does by itself."""
+
+    serial_number: Annotated[int, Field(ge=0, le=65535)] = 1001
+    watchdog_ms: Annotated[int, Field(ge=0, le=65535)] = 0
+    watchdog_ramp_V_per_s: Positive = 400.0
+    safe_V: Finite = 0.0
+    virtual_tick_us: Annotated[int, Field(ge=10, le=10_000_000)] = 1000
+    fault_bits: Literal[0, 8, 16, 24, 32, 40, 48, 56] = 0
+
+
+class Tcp(Section):
+    """Modbus TCP; port 0 takes a free one."""
+
+    host: str = "127.0.0.1"
+    port: PortNumber = 15020
+    unit_id: UnitId = 1
+    one_client: bool = False
+
+
+class Rtu(Section):
+    """Modbus RTU on a pseudo-terminal; `link` names a symbolic link to it."""
+
+    unit_id: UnitId = 1
+    link: str | None = None
+
+
+class LineCommand(Section):
+    """A line that the device understands, with fields in braces, and what it answers (null: nothing)."""
+
+    request: Annotated[str, Field(min_length=1, max_length=200)]
+    reply: Annotated[str, Field(max_length=500)] | None = None
+
+    def pattern(self) -> re.Pattern[str]:
+        """Return what a request must look like as a whole; a field in braces is a number."""
+        parts = re.split(r"\{(\w+)\}", self.request)
+        texts = [re.escape(part) if index % 2 == 0 else rf"(?P<{part}>\S+)" for index, part in enumerate(parts)]
+        return re.compile("".join(texts))
+
+
+_MEASURED = "{force_N:.4f},{voltage_V:.4f},{heartbeat},{command_echo},{status},{temperature_C:.3f}"
+
+
+class Line(Section):
+    """The ASCII line protocol, on a pseudo-terminal, on TCP, or on both."""
+
+    pty: bool = True
+    link: str | None = None
+    host: str = "127.0.0.1"
+    tcp_port: PortNumber | None = None
+    terminator: Annotated[str, Field(min_length=1, max_length=4)] = "\n"
+    set_voltage: LineCommand = LineCommand(request="SVA A {voltage_V}")
+    measure: LineCommand = LineCommand(request="MEAS?", reply=_MEASURED)
+    identify: LineCommand = LineCommand(request="IDN?", reply="PIEZO-BENCH,{identity},{serial_number},{map_version}")
+    set_watchdog: LineCommand = LineCommand(request="WDT {watchdog_ms}")
+    ask_watchdog: LineCommand = LineCommand(request="WDT?", reply="{watchdog_ms}")
+
+
+class EmulatorConfig(Section):
+    """One emulated bench and how it is reached."""
+
+    schema_: Annotated[Literal["firmware_sim.emulator/1"], Field(alias="schema")]
+    scenario: str = "stack"
+    physics: dict[str, Any] = {}
+    effects: dict[str, Any] = {}
+    seed: Annotated[int, Field(ge=0)] | None = None
+    time: Literal["real", "virtual"] = "real"
+    firmware: Firmware = Firmware()
+    tcp: Tcp | None = Tcp()
+    rtu: Rtu | None = None
+    line: Line | None = None
+
+    @field_validator("physics")
+    @classmethod
+    def _effects_stand_apart(cls, physics: dict[str, Any]) -> dict[str, Any]:
+        if "effects" in physics:
+            raise ValueError("effects stand in their own section, beside physics")
+        return physics
+
+
+def load_config(path: Path) -> EmulatorConfig:
+    """Read the emulator's configuration.
+
+    Raises
+    ------
+    ConfigurationError
+        One line with file, line, key, value and limit.
+    """
+    return checked(EmulatorConfig, read_document(path))
+
+
+def configured_scenario(config: EmulatorConfig) -> Scenario:
+    """Return the scenario that a configuration names, with its overrides and effects."""
+    return load_scenario(config.scenario, {**config.physics, "effects": _switched_on(config.effects)})
+
+
+def _switched_on(effects: dict[str, Any]) -> dict[str, Any]:
+    """Let `creep:` or `creep: true` stand for creep at its default strength, `creep: false` for none."""
+    plain: dict[str, Any] = {None: {}, True: {}, False: None}  # type: ignore[dict-item]
+    return {name: plain[value] if value is None or isinstance(value, bool) else value for name, value in effects.items()}

@@ -1,0 +1,94 @@
+"""Puts the bench, its firmware and its connectors together, and serves until told to stop."""
+
+import asyncio
+import contextlib
+import json
+import signal
+import sys
+import threading
+import time
+from collections.abc import Callable
+
+from firmware_sim.bench import Bench
+from firmware_sim.config import EmulatorConfig, configured_scenario
+from firmware_sim.device import Device
+from firmware_sim.line import LineProtocol, serve_lines
+from firmware_sim.modbus import ModbusUnit
+from firmware_sim.pty import PseudoTerminal
+from firmware_sim.rtu import RtuStation
+from firmware_sim.scenario import with_effects
+from firmware_sim.tcp import serve_tcp
+
+BACKGROUND_S = 0.004  # so far the physics may lag behind when nobody asks
+
+
+def build_device(config: EmulatorConfig, effects: tuple[str, ...] = ()) -> Device:
+    """Build the bench and its firmware; compiles the physics, so that no request waits for it."""
+    bench = Bench(with_effects(configured_scenario(config), effects), seed=config.seed)
+    bench.warm_up()
+    return Device(bench, config.firmware, config.time, time.monotonic_ns)
+
+
+async def serve(config: EmulatorConfig, device: Device, *, until_stdin_closes: bool) -> None:
+    """Serve until SIGTERM, SIGINT or (when asked) the end of standard input."""
+    async with contextlib.AsyncExitStack() as stack:
+        ready = await _open(config, device, stack)
+        stopped = asyncio.Event()
+        _stop_on_signals(stopped, until_stdin_closes=until_stdin_closes)
+        sys.stdout.write(json.dumps({"ready": True, **ready, "time": config.time}) + "\n")
+        sys.stdout.flush()
+        background = asyncio.create_task(_keep_up(device))
+        await stopped.wait()
+        background.cancel()
+
+
+async def _open(config: EmulatorConfig, device: Device, stack: contextlib.AsyncExitStack) -> dict[str, str]:
+    """Open every connector that the configuration names; return where each is reached."""
+    unit, ready = ModbusUnit(device), {}
+    if config.tcp is not None:
+        server = await serve_tcp(unit, config.tcp)
+        stack.callback(server.close)
+        ready["tcp"] = _address(server)
+    if config.rtu is not None:
+        station = RtuStation(unit, config.rtu.unit_id, time.monotonic_ns)
+        ready["rtu"] = _open_pty(station.received, config.rtu.link, stack)
+    if config.line is not None and config.line.pty:
+        ready["line"] = _open_pty(LineProtocol(device, config.line).received, config.line.link, stack)
+    if config.line is not None and config.line.tcp_port is not None:
+        server = await serve_lines(device, config.line, config.line.tcp_port)
+        stack.callback(server.close)
+        ready["line_tcp"] = _address(server)
+    return ready
+
+
+def _open_pty(received: Callable[[bytes], bytes], link: str | None, stack: contextlib.AsyncExitStack) -> str:
+    terminal = PseudoTerminal(received, link)
+    stack.callback(terminal.close)
+    return terminal.path
+
+
+def _address(server: asyncio.Server) -> str:
+    host, port = server.sockets[0].getsockname()[:2]
+    return f"{host}:{port}"
+
+
+async def _keep_up(device: Device) -> None:
+    """Let the physics follow the clock when nobody asks, so that the dead-man's switch acts unasked."""
+    while not device.virtual:
+        device.catch_up()
+        await asyncio.sleep(BACKGROUND_S)
+
+
+def _stop_on_signals(stopped: asyncio.Event, *, until_stdin_closes: bool) -> None:
+    loop = asyncio.get_running_loop()
+    for number in (signal.SIGTERM, signal.SIGINT):
+        loop.add_signal_handler(number, stopped.set)
+    if until_stdin_closes:
+        threading.Thread(target=_wait_for_stdin, args=(loop, stopped), daemon=True).start()
+
+
+def _wait_for_stdin(loop: asyncio.AbstractEventLoop, stopped: asyncio.Event) -> None:
+    while sys.stdin.buffer.read1(4096):
+        pass
+    with contextlib.suppress(RuntimeError):  # the loop has ended already
+        loop.call_soon_threadsafe(stopped.set)

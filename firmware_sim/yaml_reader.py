@@ -1,0 +1,119 @@
+"""Strict YAML: no duplicate keys, no aliases, no implicit dates or octal numbers, a size limit, and the line of every key."""
+
+import re
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TypeVar
+
+import yaml
+from pydantic import BaseModel, ValidationError
+
+from firmware_sim.errors import ConfigurationError
+
+LARGEST_BYTES = 1_000_000
+DEEPEST = 20
+
+Value = None | bool | int | float | str | list["Value"] | dict[str, "Value"]
+Place = tuple[str | int, ...]
+Model = TypeVar("Model", bound=BaseModel)
+
+_INTEGER = re.compile(r"[-+]?(0|[1-9][0-9]*)")
+_FLOAT = re.compile(r"[-+]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][-+]?[0-9]+)?")
+_WORDS: dict[str, None | bool] = {"true": True, "false": False, "null": None, "~": None, "": None}
+
+
+@dataclass(frozen=True)
+class Document:
+    """What a file says, and where it says it (lines count from 1)."""
+
+    name: str
+    content: dict[str, Value]
+    lines: dict[Place, int]
+
+    def line(self, place: Place) -> int:
+        """Return the line of a key, or of the nearest key above it."""
+        while place and place not in self.lines:
+            place = place[:-1]
+        return self.lines.get(place, 1)
+
+
+def read_document(path: Path) -> Document:
+    """Read a YAML mapping.
+
+    Raises
+    ------
+    ConfigurationError
+        The file is missing, too large, no YAML, no mapping, or repeats a key.
+    """
+    try:
+        raw = path.read_bytes()
+    except OSError as error:
+        raise ConfigurationError(f"{path}:1: cannot be read: {error.strerror}") from None
+    if len(raw) > LARGEST_BYTES:
+        raise ConfigurationError(f"{path}:1: has {len(raw)} bytes, must be at most {LARGEST_BYTES}")
+    try:
+        root = yaml.compose(raw.decode("utf-8"), Loader=yaml.SafeLoader)
+    except UnicodeDecodeError:
+        raise ConfigurationError(f"{path}:1: is not UTF-8 text") from None
+    except yaml.MarkedYAMLError as error:
+        line = error.problem_mark.line + 1 if error.problem_mark else 1
+        raise ConfigurationError(f"{path}:{line}: {error.problem or 'is no YAML'}") from None
+    except yaml.YAMLError:
+        raise ConfigurationError(f"{path}:1: is no YAML text") from None
+    lines: dict[Place, int] = {}
+    content = _Walk(str(path), lines).value(root, ()) if root is not None else {}
+    if not isinstance(content, dict):
+        raise ConfigurationError(f"{path}:1: must be a mapping of keys to values")
+    return Document(str(path), content, lines)
+
+
+def checked(model: type[Model], document: Document) -> Model:
+    """Turn a document into its model, or say in one line what is wrong and where."""
+    try:
+        return model.model_validate(document.content)
+    except ValidationError as error:
+        first = error.errors(include_url=False)[0]
+        place = tuple(first["loc"])
+        key = ".".join(str(part) for part in place) or "the file"
+        what = first["msg"].removeprefix("Value error, ")
+        shown = "" if isinstance(first["input"], dict) else f" is {str(first['input'])[:60]!r}"
+        raise ConfigurationError(f"{document.name}:{document.line(place)}: {key}{shown}: {what}") from None
+
+
+@dataclass(frozen=True)
+class _Walk:
+    """Turns YAML's nodes into plain values and notes their lines."""
+
+    name: str
+    lines: dict[Place, int]
+
+    def value(self, node: yaml.Node, place: Place) -> Value:
+        if len(place) > DEEPEST:
+            raise ConfigurationError(f"{self.name}:{node.start_mark.line + 1}: nested too deeply (or an alias of itself)")
+        self.lines.setdefault(place, node.start_mark.line + 1)
+        if isinstance(node, yaml.MappingNode):
+            return self._mapping(node, place)
+        if isinstance(node, yaml.SequenceNode):
+            return [self.value(child, (*place, index)) for index, child in enumerate(node.value)]
+        return _scalar(node)
+
+    def _mapping(self, node: yaml.MappingNode, place: Place) -> dict[str, Value]:
+        found: dict[str, Value] = {}
+        for key_node, child in node.value:
+            key, line = str(key_node.value), key_node.start_mark.line + 1
+            if key in found:
+                raise ConfigurationError(f"{self.name}:{line}: the key '{key}' stands twice")
+            self.lines[(*place, key)] = line
+            found[key] = self.value(child, (*place, key))
+        return found
+
+
+def _scalar(node: yaml.Node) -> Value:
+    text = str(node.value)
+    if isinstance(node, yaml.ScalarNode) and node.style in ("'", '"', "|", ">"):
+        return text
+    if text.lower() in _WORDS:
+        return _WORDS[text.lower()]
+    if _INTEGER.fullmatch(text):
+        return int(text)
+    return float(text) if _FLOAT.fullmatch(text) else text
