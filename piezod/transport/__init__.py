@@ -1,0 +1,17 @@
+"""Links to the bench: Modbus TCP, Modbus RTU, lines of ASCII, two devices as one, and one in this process."""
+
+from piezod.transport.factory import make_link
+from piezod.transport.identity import verify_identity
+from piezod.transport.link import ExchangeResult, Link, Reading
+from piezod.transport.null import NullLink
+from piezod.transport.wire_rate import wire_floor_rate_Hz
+
+__all__ = [
+    "ExchangeResult",
+    "Link",
+    "NullLink",
+    "Reading",
+    "make_link",
+    "verify_identity",
+    "wire_floor_rate_Hz",
+]

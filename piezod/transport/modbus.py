@@ -1,0 +1,256 @@
+"""A Modbus device as a link: the block that the tick writes and reads, and the registers of set-up, over one wire."""
+
+from time import monotonic
+from typing import NoReturn
+
+from piezod.config.link import READ_WRITE, ModbusRtuLink, ModbusTcpLink, Register, Registers
+from piezod.errors import BusyError, ConfigurationError, TemporaryError, UnreachableError
+from piezod.transport.frames import Request, read_request, read_write_request, write_request
+from piezod.transport.identity import Expectation, check_register
+from piezod.transport.link import ExchangeResult, Reading
+from piezod.transport.registers import RegisterCodec
+from piezod.transport.tick_values import Plausibility, ReadBlock, SetPoint
+from piezod.transport.wire import Wire
+
+SET_UP_TIMEOUT_S = 0.5  # outside the tick a device may take its time
+TRANSIENT_EXCEPTIONS = {4: "device failure", 5: "acknowledge", 6: "busy", 10: "gateway path", 11: "gateway target"}
+LASTING_EXCEPTIONS = {1: "illegal function", 2: "illegal address", 3: "illegal value"}
+
+_OK = ExchangeResult.OK
+
+
+class ModbusLink:
+    """Writes the set point and reads the block, strictly checked.
+
+    Function 23 does both in one transaction; 16 or 6 with 3 or 4 takes two, both within the one timeout.
+
+    Parameters
+    ----------
+    config
+        The `link` section.
+    wire
+        What carries the frames.
+
+    Raises
+    ------
+    ConfigurationError
+        The map cannot be exchanged in a tick.
+    """
+
+    __slots__ = (
+        "_block",
+        "_plausibility",
+        "_read",
+        "_registers",
+        "_set_point",
+        "_timeout_s",
+        "_unit",
+        "_wire",
+        "_write",
+        "_written_generation",
+        "counts",
+        "reading",
+        "written_V",
+    )
+
+    def __init__(self, config: ModbusTcpLink | ModbusRtuLink, wire: Wire) -> None:
+        self._wire, self._unit, self._timeout_s = wire, config.unit_id, config.timeout_s
+        self._registers: Registers = config.registers
+        writes, reads = config.registers.tick_writes(), config.registers.tick_reads()
+        self._plausibility = Plausibility(frozenset(reads))
+        self.reading: Reading = self._plausibility.reading
+        self._set_point = SetPoint(writes) if "voltage_setpoint" in writes else None
+        self._block = ReadBlock(reads) if reads else None
+        self._read = self._read_template(reads)
+        self._write = self._write_template(writes)
+        self._written_generation = -1
+        self.counts = [0] * len(ExchangeResult)
+        self.written_V = float("nan")
+
+    def _read_template(self, reads: dict[str, Register]) -> Request | None:
+        """What `poll` sends: function 3 stands in for 23, which would write."""
+        if self._block is None:
+            return None
+        function = 4 if next(iter(reads.values())).function == 4 else 3
+        return read_request(self._wire.framing, self._unit, function, self._block.first, self._block.count)
+
+    def _write_template(self, writes: dict[str, Register]) -> Request | None:
+        if self._set_point is None:
+            return None
+        first, words = next(iter(writes.values())), sum(register.words for register in writes.values())
+        if first.function == READ_WRITE:
+            if self._block is None:
+                raise ConfigurationError(
+                    "registers.voltage_setpoint.function is 23, but nothing is read: write with 16 or 6"
+                )
+            return read_write_request(
+                self._wire.framing, self._unit, self._block.first, self._block.count, first.address, words
+            )
+        if first.function == 6 and words > 1:
+            raise ConfigurationError(
+                f"registers.voltage_setpoint.function 6 writes one register, the tick writes {words}: use 16"
+            )
+        return write_request(self._wire.framing, self._unit, first.function, first.address, words)
+
+    @property
+    def description(self) -> str:
+        """Kind and address, for people."""
+        return self._wire.description
+
+    @property
+    def last_exception(self) -> int:
+        """Code of the last Modbus exception, 0 when there was none."""
+        return self._wire.exception_code
+
+    @property
+    def stale_bytes(self) -> int:
+        """Bytes that arrived unasked or too late, and were discarded."""
+        return self._wire.stale_bytes
+
+    @property
+    def hint(self) -> str:
+        """What probably is wrong; empty when nothing is known."""
+        return self._wire.hint
+
+    def open(self) -> None:
+        """Connect; raises UnreachableError or BusyError."""
+        self._wire.open()
+        self._plausibility.forget()
+
+    def close(self) -> None:
+        """Disconnect; may be called twice."""
+        self._wire.close()
+
+    def exchange(self, voltage_V: float) -> ExchangeResult:
+        """Write the voltage [V] and read the block; never raises, lasts at most the link's timeout."""
+        result = self._exchange(voltage_V, monotonic() + self._timeout_s)
+        self.counts[result] += 1
+        return result
+
+    def poll(self) -> ExchangeResult:
+        """Read the block without writing; the same checks, but a reconnected device may have been restarted."""
+        result = self._poll(monotonic() + self._timeout_s)
+        self.counts[result] += 1
+        return result
+
+    def _exchange(self, voltage_V: float, deadline_s: float) -> ExchangeResult:
+        write, set_point = self._write, self._set_point
+        if write is None or set_point is None:
+            return ExchangeResult.OUT_OF_RANGE
+        result = self._command(write, set_point, voltage_V, deadline_s)
+        if result is not _OK or self._block is None:
+            return result
+        echo = set_point.sequence if set_point.counts else -1
+        return self._take(write, echo) if write.reads else self._look(deadline_s, echo)
+
+    def _command(self, write: Request, set_point: SetPoint, voltage_V: float, deadline_s: float) -> ExchangeResult:
+        """Send the set point; a voltage that cannot be encoded sends nothing."""
+        wire = self._wire
+        written_V = set_point.put(write, voltage_V)
+        if written_V != written_V:  # noqa: PLR0124 - nan
+            return ExchangeResult.OUT_OF_RANGE
+        result = wire.ready(deadline_s)
+        if result is not _OK:
+            return result
+        self.written_V = written_V
+        result = wire.transact(write, deadline_s)
+        refused = result is ExchangeResult.DEVICE_EXCEPTION
+        self._written_generation = -1 if refused else wire.generation
+        return result
+
+    def _poll(self, deadline_s: float) -> ExchangeResult:
+        wire, set_point = self._wire, self._set_point
+        generation = wire.generation
+        result = wire.ready(deadline_s)
+        if result is not _OK:
+            return result
+        if wire.generation != generation:
+            self._plausibility.forget()
+        if set_point is not None and set_point.counts and self._written_generation == wire.generation:
+            return self._look(deadline_s, set_point.sequence)
+        return self._look(deadline_s, -1)
+
+    def _look(self, deadline_s: float, echo: int) -> ExchangeResult:
+        """Read the block; a link without one has nothing to look at."""
+        read = self._read
+        if read is None:
+            return _OK
+        result = self._wire.transact(read, deadline_s)
+        return self._take(read, echo) if result is _OK else result
+
+    def _take(self, request: Request, echo: int) -> ExchangeResult:
+        """Decode, check and believe the reply to `request`."""
+        block, plausibility = self._block, self._plausibility
+        assert block is not None
+        result = block.decode(self._wire.payload, request.payload_at, plausibility.values)
+        return plausibility.accept(echo) if result is _OK else result
+
+    def has(self, role: str) -> bool:
+        """Whether the map names a register for this role."""
+        return isinstance(getattr(self._registers, role, None), Register)
+
+    def read_register(self, role: str) -> float:
+        """Read one register, outside the tick."""
+        register = self._register(role)
+        return RegisterCodec(register).unpack_from(self._read_bytes(role, register), 0)
+
+    def write_register(self, role: str, value: float) -> None:
+        """Write one register, outside the tick."""
+        register = self._register(role)
+        if register.function in (3, 4):
+            raise ConfigurationError(f"registers.{role}.function is {register.function}, must be 16 or 6 to be written")
+        codec = RegisterCodec(register)
+        codec.check_encodable(value, value, f"registers.{role}")
+        function = 6 if register.function == 6 else 16
+        request = write_request(self._wire.framing, self._unit, function, register.address, register.words)
+        codec.pack_into(request.frame, request.values_at, value)
+        if request.mirrors_values:
+            request.mirror_values()
+        self._transact_or_raise(request, role, register)
+
+    def identify(self) -> None:
+        """Compare identity, version and byte order where the map names them; raises IdentityError."""
+        for role in ("order_check", "identity", "map_version"):
+            expected = getattr(self._registers, role)
+            if expected is not None:
+                check_register(Expectation(role, expected, self.description), self._read_bytes(role, expected))
+
+    def _register(self, role: str) -> Register:
+        register = getattr(self._registers, role, None)
+        if not isinstance(register, Register):
+            raise ConfigurationError(f"link.registers.{role} is missing: {self.description} has no such register")
+        return register
+
+    def _read_bytes(self, role: str, register: Register) -> bytes:
+        function = 4 if register.function == 4 else 3
+        request = read_request(self._wire.framing, self._unit, function, register.address, register.words)
+        self._transact_or_raise(request, role, register)
+        return bytes(self._wire.payload[request.payload_at : request.payload_at + 2 * register.words])
+
+    def _transact_or_raise(self, request: Request, role: str, register: Register) -> None:
+        wire = self._wire
+        deadline_s = monotonic() + max(SET_UP_TIMEOUT_S, self._timeout_s)
+        result = wire.ready(deadline_s)
+        if result is _OK:
+            result = wire.transact(request, deadline_s)
+        if result is not _OK:
+            self._explain(result, f"{self.description}: registers.{role} at address {register.address}")
+
+    def _explain(self, result: ExchangeResult, where: str) -> NoReturn:
+        """Turn a failed set-up exchange into an error for people."""
+        code = self._wire.exception_code
+        if result is ExchangeResult.DEVICE_EXCEPTION and code in LASTING_EXCEPTIONS:
+            raise ConfigurationError(
+                f"{where}: exception {code}, {LASTING_EXCEPTIONS[code]}: check address and function"
+            )
+        if result is ExchangeResult.DEVICE_EXCEPTION:
+            name = TRANSIENT_EXCEPTIONS.get(code, "unknown")
+            raise TemporaryError(f"{where}: exception {code}, {name}: try again")
+        if result is ExchangeResult.DISCONNECTED and not self._wire.answered:
+            raise BusyError(f"{where}: connection closed without a reply: another client may hold the device")
+        if result in (ExchangeResult.TIMEOUT, ExchangeResult.DISCONNECTED):
+            raise UnreachableError(
+                f"{where}: {result.name.lower()}: check unit_id, cable, and whether another client holds it"
+            )
+        advice = f": {self._wire.hint}" if self._wire.hint else ": check unit_id, address and function"
+        raise ConfigurationError(f"{where}: the reply is of the wrong kind, {result.name.lower()}{advice}")

@@ -1,0 +1,204 @@
+"""The values that the tick writes and reads: patched into the request, checked and taken from the reply."""
+
+import struct
+from math import isfinite, nan
+from operator import itemgetter
+
+from piezod.config.link import Register
+from piezod.errors import ConfigurationError
+from piezod.transport.frames import Request
+from piezod.transport.link import ExchangeResult, Reading
+from piezod.transport.registers import RegisterCodec, swap_positions
+
+_FORCE, _READBACK, _TEMPERATURE, _REFERENCE, _HEARTBEAT, _ECHO, _STATUS, _COUNTER = range(8)
+SLOTS = {
+    "force": _FORCE,
+    "voltage_readback": _READBACK,
+    "temperature": _TEMPERATURE,
+    "reference": _REFERENCE,
+    "heartbeat": _HEARTBEAT,
+    "command_echo": _ECHO,
+    "status": _STATUS,
+    "reference_counter": _COUNTER,
+}
+_COUNTERS = ("heartbeat", "command_echo", "status", "reference_counter", "command_sequence")
+_COUNTS = 65536  # counters are compared modulo 16 bits
+_HALF = 32768  # an advance of more is a step back
+
+_OK = ExchangeResult.OK
+
+
+class SetPoint:
+    """What the tick writes: the voltage, and the number of the command.
+
+    Parameters
+    ----------
+    registers
+        By role, in the order of their addresses and without gaps.
+
+    Attributes
+    ----------
+    sequence
+        Number of the last command.
+    counts
+        Whether the device is told that number.
+    """
+
+    __slots__ = ("_modulus", "_sequence", "_sequence_at", "_voltage", "_voltage_at", "counts", "sequence")
+
+    def __init__(self, registers: dict[str, Register]) -> None:
+        _check_counters(registers)
+        first = next(iter(registers.values())).address
+        voltage = registers["voltage_setpoint"]
+        self._voltage = RegisterCodec(voltage)
+        self._voltage_at = 2 * (voltage.address - first)
+        self.counts = "command_sequence" in registers
+        self._sequence: RegisterCodec | None = None
+        self._sequence_at, self._modulus, self.sequence = 0, _COUNTS, 0
+        if self.counts:
+            counter = registers["command_sequence"]
+            self._sequence = RegisterCodec(counter)
+            self._sequence_at = 2 * (counter.address - first)
+            self._modulus = _HALF if counter.type == "int16" else _COUNTS
+
+    def put(self, request: Request, voltage_V: float) -> float:
+        """Patch voltage and number into `request`.
+
+        Returns
+        -------
+        float
+            The voltage that the bytes stand for [V]; nan, and nothing changed, when it cannot be encoded.
+        """
+        at = request.values_at
+        written_V = self._voltage.pack_into(request.frame, at + self._voltage_at, voltage_V)
+        if written_V != written_V:  # noqa: PLR0124 - nan
+            return nan
+        if self._sequence is not None:
+            self.sequence = (self.sequence + 1) % self._modulus
+            self._sequence.pack_into(request.frame, at + self._sequence_at, self.sequence)
+        if request.mirrors_values:
+            request.mirror_values()
+        return written_V
+
+
+class Plausibility:
+    """The last checks before a reading is believed, and the only writer of `reading`.
+
+    Parameters
+    ----------
+    roles
+        What the device has.
+
+    Attributes
+    ----------
+    values
+        Newest values by slot, not yet believed; counters whole numbers.
+    reading
+        The last believed ones.
+    """
+
+    __slots__ = ("_has_echo", "_has_heartbeat", "_heartbeat", "_heartbeat_known", "reading", "values")
+
+    def __init__(self, roles: frozenset[str]) -> None:
+        self.values = [nan, nan, nan, nan, 0.0, 0.0, 0.0, 0.0]
+        self.reading = Reading()
+        self._has_heartbeat = "heartbeat" in roles
+        self._has_echo = "command_echo" in roles
+        self._heartbeat = 0
+        self._heartbeat_known = False
+
+    def forget(self) -> None:
+        """Take the next heartbeat as it comes: the device may have been restarted."""
+        self._heartbeat_known = False
+
+    def accept(self, expected_echo: int) -> ExchangeResult:
+        """Check heartbeat and echo of `values`; believe them if good. A negative `expected_echo` is not compared."""
+        values = self.values
+        heartbeat, echo = int(values[_HEARTBEAT]), int(values[_ECHO])
+        if self._has_heartbeat and self._heartbeat_known:
+            advance = (heartbeat - self._heartbeat) % _COUNTS
+            if not 0 < advance < _HALF:
+                return ExchangeResult.HEARTBEAT_STOOD
+        if self._has_echo and expected_echo >= 0 and (echo - expected_echo) % _COUNTS:
+            return ExchangeResult.ECHO_MISMATCH
+        self._heartbeat, self._heartbeat_known = heartbeat, True
+        reading = self.reading
+        reading.force_N = values[_FORCE]
+        reading.voltage_readback_V = values[_READBACK]
+        reading.temperature_C = values[_TEMPERATURE]
+        reading.reference_N = values[_REFERENCE]
+        reading.heartbeat = heartbeat
+        reading.command_echo = echo
+        reading.status = int(values[_STATUS])
+        reading.reference_counter = int(values[_COUNTER])
+        return _OK
+
+
+class ReadBlock:
+    """What the tick reads, decoded with one struct call.
+
+    Parameters
+    ----------
+    registers
+        By role, in the order of their addresses; gaps are skipped.
+    """
+
+    __slots__ = ("_bytes", "_fields", "_struct", "count", "first")
+
+    def __init__(self, registers: dict[str, Register]) -> None:
+        _check_counters(registers)
+        members = list(registers.values())
+        self.first = members[0].address
+        self.count = members[-1].address + members[-1].words - self.first
+        code = ">"
+        positions: list[int] = []
+        for register in members:
+            at = 2 * (register.address - self.first)
+            code += (
+                "x" * (at - len(positions)) + {"int16": "h", "uint16": "H", "int32": "i", "float32": "f"}[register.type]
+            )
+            positions.extend(range(len(positions), at))
+            positions.extend(at + k for k in _big_endian_positions(register.byte_order))
+        self._struct = struct.Struct(code)
+        plain = positions == list(range(2 * self.count))
+        self._bytes = None if plain else itemgetter(*positions)
+        self._fields = tuple(
+            (
+                SLOTS[role],
+                register.scale,
+                register.offset,
+                -float("inf") if register.low is None else register.low,
+                float("inf") if register.high is None else register.high,
+            )
+            for role, register in registers.items()
+        )
+
+    def decode(self, buffer: memoryview, at: int, values: list[float]) -> ExchangeResult:
+        """Decode the registers that begin at byte `at` into `values`, by slot."""
+        if self._bytes is None:
+            raw = self._struct.unpack_from(buffer, at)
+        else:
+            raw = self._struct.unpack(bytes(self._bytes(buffer[at : at + self._struct.size])))
+        for number, (slot, scale, offset, low, high) in zip(raw, self._fields, strict=True):
+            value = number * scale + offset
+            if not low <= value <= high or not isfinite(value):
+                return ExchangeResult.OUT_OF_RANGE if isfinite(value) else ExchangeResult.NOT_FINITE
+            values[slot] = value
+        return _OK
+
+
+def _big_endian_positions(byte_order: str) -> tuple[int, ...]:
+    """Where the bytes of the big-endian number stand on the wire."""
+    if byte_order in ("BA", "DCBA"):
+        return tuple(range(len(byte_order)))[::-1]
+    return swap_positions(byte_order) or tuple(range(len(byte_order)))
+
+
+def _check_counters(registers: dict[str, Register]) -> None:
+    for role in _COUNTERS:
+        register = registers.get(role)
+        if register is not None and (register.scale != 1.0 or register.offset != 0.0):
+            raise ConfigurationError(
+                f"registers.{role}: scale is {register.scale:g} and offset {register.offset:g}, must be 1 and 0: it is "
+                "a counter or a set of bits"
+            )
