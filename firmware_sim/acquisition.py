@@ -1,13 +1,12 @@
 """What the firmware reads: transport delay, the sampling instant, noise, mains hum, converter step, frozen readings.
 
 The device samples on its own clock, which need not be a multiple of the physics step: a sample that falls between two
-steps is interpolated. The noise comes from a small generator inside the state record (splitmix64, Steele et al. 2014, and
-Box-Muller), so that a run is reproducible to the bit from its seed.
+steps is interpolated. The noise comes from a small generator inside the state record (splitmix64, Steele et al. 2014,
+and Box-Muller), so that a run is reproducible to the bit from its seed.
 """
 
 import math
 
-import numpy as np
 from numba import njit, uint64
 
 from firmware_sim.layout import (
@@ -18,13 +17,14 @@ from firmware_sim.layout import (
     STATUS_OUTPUT_ON,
     STATUS_OVER_TEMPERATURE,
     STATUS_WATCHDOG_TRIPPED,
+    Record,
 )
 
 _DEAD = STATUS_AMPLIFIER_FAULT | STATUS_MAINS_LOST
 
 
 @njit(cache=True)
-def acquire(state: np.record, parameters: np.record) -> None:
+def acquire(state: Record, parameters: Record) -> None:
     """Carry the cell's signal to the converter and sample it when a sample is due."""
     _transport(state, parameters)
     state.sample_phase += parameters.samples_per_step
@@ -35,7 +35,7 @@ def acquire(state: np.record, parameters: np.record) -> None:
 
 
 @njit(cache=True)
-def _transport(state: np.record, parameters: np.record) -> None:
+def _transport(state: Record, parameters: Record) -> None:
     """Delay the cell's signal [N] by a number of physics steps that need not be whole."""
     state.previous_arrived_N = state.arrived_N
     if parameters.delay_steps <= 0.0:
@@ -50,7 +50,7 @@ def _transport(state: np.record, parameters: np.record) -> None:
 
 
 @njit(cache=True)
-def sample(state: np.record, parameters: np.record, late: float) -> None:
+def sample(state: Record, parameters: Record, late: float) -> None:
     """Take one device sample, `late` steps before the present one."""
     state.samples += 1
     time_s = (state.steps - late) * parameters.step_s
@@ -68,7 +68,7 @@ def sample(state: np.record, parameters: np.record, late: float) -> None:
 
 
 @njit(cache=True)
-def _feel_temperature(state: np.record, parameters: np.record, time_s: float) -> None:
+def _feel_temperature(state: Record, parameters: Record, time_s: float) -> None:
     """Let the temperature [degC] wander: two slow periods that never meet again."""
     phase = parameters.wander_rad_per_s * time_s + parameters.wander_phase
     rest = 0.75 * math.sin(parameters.wander_phase) + 0.25 * math.sin(1.7 * parameters.wander_phase)
@@ -78,7 +78,7 @@ def _feel_temperature(state: np.record, parameters: np.record, time_s: float) ->
 
 
 @njit(cache=True)
-def _status(state: np.record, parameters: np.record) -> int:
+def _status(state: Record, parameters: Record) -> int:
     """Return the status bits."""
     bits: int = state.fault_bits
     if (state.fault_bits & _DEAD) == 0:
@@ -93,7 +93,7 @@ def _status(state: np.record, parameters: np.record) -> int:
 
 
 @njit(cache=True)
-def _hum(parameters: np.record, time_s: float) -> float:
+def _hum(parameters: Record, time_s: float) -> float:
     """Return the mains' fundamental, third and fifth harmonic [N]; its phase strays a little as the mains' does."""
     phase = parameters.hum_rad_per_s * time_s + parameters.hum_phase + 0.05 * math.sin(0.11 * time_s)
     wave = math.sin(phase) + 0.3 * math.sin(3.0 * phase + 0.4) + 0.1 * math.sin(5.0 * phase + 1.1)
@@ -102,7 +102,7 @@ def _hum(parameters: np.record, time_s: float) -> float:
 
 
 @njit(cache=True)
-def _frozen(parameters: np.record, time_s: float) -> bool:
+def _frozen(parameters: Record, time_s: float) -> bool:
     """Return whether the reading is stuck."""
     for place in range(parameters.dropouts):
         if parameters.dropout_from_s[place] <= time_s < parameters.dropout_to_s[place]:
@@ -111,7 +111,7 @@ def _frozen(parameters: np.record, time_s: float) -> bool:
 
 
 @njit(cache=True)
-def _noise(state: np.record, parameters: np.record) -> float:
+def _noise(state: Record, parameters: Record) -> float:
     """Return one sample of white and of low-pass coloured noise [N]."""
     noise_N: float = parameters.white_N * _normal(state)
     if parameters.coloured_N > 0.0:
@@ -123,7 +123,7 @@ def _noise(state: np.record, parameters: np.record) -> float:
 
 
 @njit(cache=True)
-def _normal(state: np.record) -> float:
+def _normal(state: Record) -> float:
     """Return a standard normal number; every second one is the spare of the pair before."""
     if state.has_spare != 0:
         state.has_spare = 0
@@ -137,7 +137,7 @@ def _normal(state: np.record) -> float:
 
 
 @njit(cache=True)
-def _uniform(state: np.record) -> float:
+def _uniform(state: Record) -> float:
     """Return a uniform number in (0, 1]."""
     state.random = uint64(state.random + uint64(0x9E3779B97F4A7C15))
     mixed = uint64(state.random)

@@ -1,21 +1,20 @@
 """The amplifier: converter step, output range, current limit into the stack's capacitance, first-order lag.
 
-The lag `tau du/dt = target - u` is integrated by the trapezoidal rule over the physics step, split where the step is long
-against the time constant; the current limit bounds each part's change. There is no closed-form exponential here.
+The lag `tau du/dt = target - u` is integrated by the trapezoidal rule over the physics step, split where the step is
+long against the time constant; the current limit bounds each part's change. There is no closed-form exponential here.
 """
 
 import math
 
-import numpy as np
 from numba import njit
 
-from firmware_sim.layout import STATUS_AMPLIFIER_FAULT, STATUS_MAINS_LOST
+from firmware_sim.layout import STATUS_AMPLIFIER_FAULT, STATUS_MAINS_LOST, Record
 
 _DEAD = STATUS_AMPLIFIER_FAULT | STATUS_MAINS_LOST
 
 
 @njit(cache=True)
-def watch_for_commands(state: np.record, parameters: np.record) -> None:
+def watch_for_commands(state: Record, parameters: Record) -> None:
     """Let the dead-man's switch ramp the command to its safe value when no command has come for too long."""
     state.quiet_steps += 1
     if state.watchdog_steps > 0 and state.quiet_steps > state.watchdog_steps:
@@ -28,7 +27,7 @@ def watch_for_commands(state: np.record, parameters: np.record) -> None:
 
 
 @njit(cache=True)
-def drive(state: np.record, parameters: np.record) -> None:
+def drive(state: Record, parameters: Record) -> None:
     """Move the output voltage [V] by one physics step towards the command."""
     wanted_V = state.command_V if (state.fault_bits & _DEAD) == 0 else 0.0
     if parameters.converter_step_V > 0.0:
@@ -44,7 +43,7 @@ def drive(state: np.record, parameters: np.record) -> None:
 
 
 @njit(cache=True)
-def _lag(state: np.record, parameters: np.record) -> None:
+def _lag(state: Record, parameters: Record) -> None:
     """Follow the target with the lag; a new target acts from the beginning of the step."""
     parts = min(64, 1 + int(4.0 * parameters.step_s / parameters.lag_s))
     part_s = parameters.step_s / parts
@@ -56,7 +55,7 @@ def _lag(state: np.record, parameters: np.record) -> None:
 
 
 @njit(cache=True)
-def _most(parameters: np.record, duration_s: float) -> float:
+def _most(parameters: Record, duration_s: float) -> float:
     """Return the greatest change of the output [V] in a time [s]; the limit 0 stands for none."""
     if parameters.slew_V_per_s > 0.0:
         limit_V: float = parameters.slew_V_per_s * duration_s

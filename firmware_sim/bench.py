@@ -16,7 +16,7 @@ from firmware_sim.kernels import advance, begin, run
 from firmware_sim.parameters import initial_state, parameter_record
 from firmware_sim.scenario import Scenario, load_scenario
 
-CYCLE_V_PER_S = 140.0  # how fast a stack that comes `cycled` was driven up and down
+CYCLE_V_PER_S = 140.0  # how fast a stack that comes used was driven up and down
 REST_S = 1.0
 
 
@@ -52,8 +52,8 @@ class Bench:
         self._state = initial_state(self._parameters, generator)
         self._owed_s = 0.0
         begin(self._state, self._parameters)
-        if self.scenario.stack.initial == "cycled":
-            self._cycle()
+        if self.scenario.stack.driven_to_V > 0.0:
+            self._drive_before(self.scenario.stack.driven_to_V)
 
     @property
     def step_s(self) -> float:
@@ -162,10 +162,9 @@ class Bench:
             run(self._state, self._parameters, commands, ticks, ends, force_N, interpolate)
         return force_N
 
-    def _cycle(self) -> None:
-        """Drive the stack to full scale and back, let it rest, and take what force remains for zero."""
-        full_V = min(self.scenario.stack.full_V, self.scenario.amplifier.maximum_V)
-        rise = np.arange(0.0, full_V, CYCLE_V_PER_S * 1e-3)
+    def _drive_before(self, peak_V: float) -> None:
+        """Drive the stack to a voltage and back, let it rest, and take what force remains for zero."""
+        rise = np.arange(0.0, peak_V, CYCLE_V_PER_S * 1e-3)
         rest = np.zeros(int(REST_S / 1e-3))
         self.run(np.concatenate([rise, rise[::-1], rest]), 1e-3)
         self._parameters[0]["tare_N"] = self.true_force_N

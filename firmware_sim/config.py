@@ -2,11 +2,12 @@
 
 import re
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, Self
 
-from pydantic import Field, field_validator
+from pydantic import Field, field_validator, model_validator
 
-from firmware_sim.effects import Finite, Positive, Section
+from firmware_sim.effects import Effects, Finite, Positive, Section
+from firmware_sim.errors import ConfigurationError
 from firmware_sim.scenario import Scenario, load_scenario
 from firmware_sim.yaml_reader import checked, read_document
 
@@ -77,8 +78,8 @@ class EmulatorConfig(Section):
 
     schema_: Annotated[Literal["firmware_sim.emulator/1"], Field(alias="schema")]
     scenario: str = "stack"
-    physics: dict[str, Any] = {}
-    effects: dict[str, Any] = {}
+    effects: Effects = Effects()
+    physics: Annotated[dict[str, Any], Field(default_factory=dict)]
     seed: Annotated[int, Field(ge=0)] | None = None
     time: Literal["real", "virtual"] = "real"
     firmware: Firmware = Firmware()
@@ -86,12 +87,24 @@ class EmulatorConfig(Section):
     rtu: Rtu | None = None
     line: Line | None = None
 
-    @field_validator("physics")
+    @field_validator("effects", mode="before")
     @classmethod
-    def _effects_stand_apart(cls, physics: dict[str, Any]) -> dict[str, Any]:
-        if "effects" in physics:
-            raise ValueError("effects stand in their own section, beside physics")
-        return physics
+    def _switched(cls, effects: object) -> object:
+        """Let `creep: true` stand for creep at its default strength."""
+        if not isinstance(effects, dict):
+            return effects
+        plain: dict[bool, dict[str, object] | None] = {True: {}, False: None}
+        return {name: plain[value] if isinstance(value, bool) else value for name, value in effects.items()}
+
+    @model_validator(mode="after")
+    def _scenario_exists(self) -> Self:
+        if "effects" in self.physics:
+            raise ValueError("physics.effects: effects stand in their own section, beside physics")
+        try:
+            configured_scenario(self)
+        except ConfigurationError as error:
+            raise ValueError(str(error)) from None
+        return self
 
 
 def load_config(path: Path) -> EmulatorConfig:
@@ -107,10 +120,5 @@ def load_config(path: Path) -> EmulatorConfig:
 
 def configured_scenario(config: EmulatorConfig) -> Scenario:
     """Return the scenario that a configuration names, with its overrides and effects."""
-    return load_scenario(config.scenario, {**config.physics, "effects": _switched_on(config.effects)})
-
-
-def _switched_on(effects: dict[str, Any]) -> dict[str, Any]:
-    """Let `creep:` or `creep: true` stand for creep at its default strength, `creep: false` for none."""
-    plain: dict[str, Any] = {None: {}, True: {}, False: None}  # type: ignore[dict-item]
-    return {name: plain[value] if value is None or isinstance(value, bool) else value for name, value in effects.items()}
+    effects = config.effects.model_dump(exclude_none=True)
+    return load_scenario(config.scenario, {**config.physics, **({"effects": effects} if effects else {})})

@@ -8,8 +8,9 @@ Addresses (big-endian words, float32 and int32 most significant word first):
     200-201 force [N]      202-203 voltage read back [V]      204 heartbeat      205 command echo      206 status
     207-208 temperature [degC]      209-210 reference [N]     211 reference counter (both written by another master)
 
-In real time the physics is advanced, in whole steps, to the present at every request and by a background task. In virtual
-time every write of the set point lets one tick pass, under the set point that stood before.
+In real time the physics is advanced, in whole steps, to the present at every request and by a background task. In
+virtual time every write of the set point lets one tick pass, under the set point that stood before; so does a second
+reading without a command in between, or a client that only watches would see a device that stands still.
 """
 
 import math
@@ -61,8 +62,15 @@ class Device:
         self._longest_steps = round(LONGEST_CATCH_UP_S / bench.step_s)
         self._start_ns = now_ns()
         self._done_steps = 0
+        self._was_read = False
         self._words = [0] * _END
-        self._words[0:6] = [IDENTITY, MAP_VERSION, *_words(">f", ORDER_CHECK), firmware.serial_number, int(self.virtual)]
+        self._words[0:6] = [
+            IDENTITY,
+            MAP_VERSION,
+            *_words(">f", ORDER_CHECK),
+            firmware.serial_number,
+            int(self.virtual),
+        ]
         self._words[112:114] = _words(">i", firmware.virtual_tick_us)
         bench.set_fault(firmware.fault_bits)
         self._set_watchdog(firmware.watchdog_ms)
@@ -82,6 +90,9 @@ class Device:
 
     def sample(self) -> Sample:
         """Return the present reading."""
+        if self.virtual and self._was_read:
+            self._pass_tick()
+        self._was_read = True
         self.catch_up()
         return self.bench.sample()
 
@@ -156,10 +167,14 @@ class Device:
 
     def _command(self, voltage_V: float) -> None:
         if self.virtual:
-            self.bench.advance(1e-6 * _value(">i", self._words[112:114]))
+            self._pass_tick()
+            self._was_read = False
         else:
             self.catch_up()
         self.bench.set_voltage(voltage_V)
+
+    def _pass_tick(self) -> None:
+        self.bench.advance(1e-6 * _value(">i", self._words[112:114]))
 
     def _check_voltage(self, voltage_V: float) -> None:
         low_V, high_V = self.bench.scenario.amplifier.minimum_V, self.bench.scenario.amplifier.maximum_V
@@ -168,9 +183,7 @@ class Device:
 
     def _set_watchdog(self, timeout_ms: int) -> None:
         firmware = self._firmware
-        self.bench.set_watchdog(
-            1e-3 * timeout_ms, safe_V=firmware.safe_V, ramp_V_per_s=firmware.watchdog_ramp_V_per_s
-        )
+        self.bench.set_watchdog(1e-3 * timeout_ms, safe_V=firmware.safe_V, ramp_V_per_s=firmware.watchdog_ramp_V_per_s)
 
     def _refresh(self) -> None:
         sample = self.sample()

@@ -145,7 +145,10 @@ class MainsHum(Section):
 class SensorDropout(Section):
     """Stretches, in device time, in which the reading freezes."""
 
-    places_s: Annotated[tuple[tuple[float, float], ...], Field(max_length=16, strict=False)] = ((5.0, 5.4), (12.0, 13.0))
+    places_s: Annotated[tuple[tuple[float, float], ...], Field(max_length=16, strict=False)] = (
+        (5.0, 5.4),
+        (12.0, 13.0),
+    )
 
 
 class Quantisation(Section):

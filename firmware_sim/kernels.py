@@ -5,7 +5,7 @@ from numba import njit
 
 from firmware_sim.acquisition import acquire, sample
 from firmware_sim.amplifier import drive, watch_for_commands
-from firmware_sim.layout import Records
+from firmware_sim.layout import Record, Records
 from firmware_sim.load_cell import sense
 from firmware_sim.mechanics import load
 from firmware_sim.stack import deform
@@ -28,7 +28,7 @@ def advance(states: Records, parameter_sets: Records, steps: int) -> None:
 
 
 @njit(cache=True)
-def _step(state: np.record, parameters: np.record) -> None:
+def _step(state: Record, parameters: Record) -> None:
     """Let one physics step pass through amplifier, stack, mechanics, load cell and converter."""
     state.steps += 1
     watch_for_commands(state, parameters)
@@ -51,14 +51,15 @@ def run(
 ) -> None:
     """Drive a bench with a voltage record [V] and note a force reading [N] each sample.
 
-    Command k acts from physics step `ticks[k]` on; reading k is taken at step `ends[k]`. The two clocks are given apart,
-    so that they can run at different rates. With `interpolate` the command runs straight from one value to the next.
+    Command k acts from physics step `ticks[k]` on; reading k is taken at step `ends[k]`. The two clocks are given
+    apart, so that they can run at different rates. With `interpolate` the command runs straight from one value to the
+    next.
     """
     state = states[0]
     parameters = parameter_sets[0]
     command, last, step = 0, voltage_V.size - 1, 0
-    for sample in range(ends.size):
-        while step < ends[sample]:
+    for reading in range(ends.size):
+        while step < ends[reading]:
             while command < last and ticks[command + 1] <= step:
                 command += 1
             state.command_V = voltage_V[command]
@@ -68,4 +69,4 @@ def run(
             state.quiet_steps = 0
             _step(state, parameters)
             step += 1
-        force_N[sample] = state.reading_N
+        force_N[reading] = state.reading_N

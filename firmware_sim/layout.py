@@ -4,6 +4,8 @@ A record's fields are read by name in the compiled code (`state.output_V`), so t
 Every field carries its unit. `parameters.py` fills the first record from a scenario; only the kernels write the second.
 """
 
+from typing import Any, TypeAlias
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -144,4 +146,5 @@ STATE = np.dtype(
     align=True,
 )
 
-Records = NDArray[np.void]
+Records = NDArray[np.void]  # shape (1,), as a compiled loop takes them
+Record: TypeAlias = Any  # one element of these; its fields are known by name, not to the type checker

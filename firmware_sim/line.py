@@ -17,6 +17,7 @@ UNKNOWN_COMMAND, NO_NUMBER, OUT_OF_RANGE = 1, 2, 3
 LONGEST_LINE = 1024
 
 Fields = dict[str, float]
+Action = Callable[[Fields], None]
 
 
 class LineProtocol:
@@ -34,7 +35,7 @@ class LineProtocol:
         self._device = device
         self._end = settings.terminator.encode("ascii")
         self._bytes = b""
-        actions: tuple[tuple[LineCommand, Callable[[Fields], None]], ...] = (
+        actions: tuple[tuple[LineCommand, Action], ...] = (
             (settings.set_voltage, self._set_voltage),
             (settings.measure, _nothing),
             (settings.identify, _nothing),

@@ -6,12 +6,13 @@ trapezoidal rule at the physics step.
 
 import math
 
-import numpy as np
 from numba import njit
+
+from firmware_sim.layout import Record
 
 
 @njit(cache=True)
-def sense(state: np.record, parameters: np.record) -> None:
+def sense(state: Record, parameters: Record) -> None:
     """Advance the cell's analogue signal [N] by one physics step."""
     signal_N = state.true_force_N
     if parameters.leakage_s > 0.0:
@@ -26,7 +27,7 @@ def sense(state: np.record, parameters: np.record) -> None:
 
 
 @njit(cache=True)
-def _cross_talk(state: np.record, parameters: np.record) -> float:
+def _cross_talk(state: Record, parameters: Record) -> float:
     """Return `k du/dt` [N], band-limited as the input stage is."""
     rate_V_per_s = (state.output_V - state.feedthrough_V) / (parameters.feedthrough_lag_s + 0.5 * parameters.step_s)
     state.feedthrough_V += rate_V_per_s * parameters.step_s
@@ -35,7 +36,7 @@ def _cross_talk(state: np.record, parameters: np.record) -> float:
 
 
 @njit(cache=True)
-def _low_pass(state: np.record, parameters: np.record, signal_N: float) -> float:
+def _low_pass(state: Record, parameters: Record, signal_N: float) -> float:
     """Return the filtered signal [N]."""
     half = 0.5 * parameters.step_s * parameters.filter_rad_per_s
     middle_N = 0.5 * (state.filter_in_N + signal_N)

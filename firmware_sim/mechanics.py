@@ -1,4 +1,4 @@
-"""The mechanics between stack and load cell: force law, contact, friction, second-order mode, and what acts from outside.
+"""The mechanics between stack and load cell: force law, contact, friction, a mode, and what acts from outside.
 
 - Force law: `F = F_full x (1 + a x^2) / (1 + b x)`, scaled to F_full at full stroke x = 1: it stiffens and saturates.
 - Further curvature k: `F_full (exp(2 k x) - 1) / (2 k)`, which bends up for k > 0 and down for k < 0.
@@ -9,12 +9,13 @@
 
 import math
 
-import numpy as np
 from numba import njit
+
+from firmware_sim.layout import Record
 
 
 @njit(cache=True)
-def load(state: np.record, parameters: np.record) -> None:
+def load(state: Record, parameters: Record) -> None:
     """Advance the true force [N] on the load cell by one physics step."""
     state.previous_contact_N = state.contact_N
     state.contact_N = _contact(parameters, _force_law(parameters, state.stroke / parameters.full_V))
@@ -32,7 +33,7 @@ def load(state: np.record, parameters: np.record) -> None:
 
 
 @njit(cache=True)
-def _force_law(parameters: np.record, stroke: float) -> float:
+def _force_law(parameters: Record, stroke: float) -> float:
     """Return the force [N] at a relative stroke."""
     law = stroke * (1.0 + parameters.stiffening * stroke * stroke) / (1.0 + parameters.softening * stroke)
     law *= (1.0 + parameters.softening) / (1.0 + parameters.stiffening)
@@ -44,7 +45,7 @@ def _force_law(parameters: np.record, stroke: float) -> float:
 
 
 @njit(cache=True)
-def _contact(parameters: np.record, force_N: float) -> float:
+def _contact(parameters: Record, force_N: float) -> float:
     """Return what of the force [N] arrives when the first `gap_N` only close a gap."""
     if parameters.gap_N <= 0.0:
         return force_N
@@ -56,7 +57,7 @@ def _contact(parameters: np.record, force_N: float) -> float:
 
 
 @njit(cache=True)
-def _rub(state: np.record, parameters: np.record) -> None:
+def _rub(state: Record, parameters: Record) -> None:
     """Advance the friction [N] with the motion, measured by the contact force it would give."""
     travel = state.contact_N - state.previous_contact_N
     if travel == 0.0:
@@ -68,7 +69,7 @@ def _rub(state: np.record, parameters: np.record) -> None:
 
 
 @njit(cache=True)
-def _add_outside(state: np.record, parameters: np.record) -> None:
+def _add_outside(state: Record, parameters: Record) -> None:
     """Add temperature, a shifted load and a machine nearby to the driving force [N]."""
     time_s = state.steps * parameters.step_s
     if parameters.drift_N_per_K != 0.0:
@@ -84,7 +85,7 @@ def _add_outside(state: np.record, parameters: np.record) -> None:
 
 
 @njit(cache=True)
-def _swing(state: np.record, parameters: np.record, before_N: float) -> None:
+def _swing(state: Record, parameters: Record, before_N: float) -> None:
     """Advance the mode over the step while its drive runs linearly from the last to the present one."""
     parts = 1 + int(5.0 * parameters.mode_rad_per_s * parameters.step_s)
     part_s = parameters.step_s / parts
@@ -95,7 +96,7 @@ def _swing(state: np.record, parameters: np.record, before_N: float) -> None:
 
 
 @njit(cache=True)
-def _runge_kutta(state: np.record, parameters: np.record, part_s: float, start_N: float, end_N: float) -> None:
+def _runge_kutta(state: Record, parameters: Record, part_s: float, start_N: float, end_N: float) -> None:
     """Take one classical fourth-order step of the mode."""
     square = parameters.mode_rad_per_s * parameters.mode_rad_per_s
     loss = 2.0 * parameters.mode_damping * parameters.mode_rad_per_s

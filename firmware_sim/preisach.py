@@ -1,7 +1,7 @@
 """Hysteresis as a Preisach plane, evaluated through its Everett function and a stack of reversal extrema.
 
-The plane is populated by relays that switch up at a and down at b <= a. The Everett function E(x, y) is the weight of the
-relays with x <= b and a <= y: what the output changes by between two reversals at x and y. With the remembered
+The plane is populated by relays that switch up at a and down at b <= a. The Everett function E(x, y) is the weight of
+the relays with x <= b and a <= y: what the output changes by between two reversals at x and y. With the remembered
 reversals x_1, x_2, ... the output is that of the last reversal plus or minus E between it and the present input, and an
 input that passes an older reversal wipes out the pair in between (Mayergoyz, Mathematical Models of Hysteresis, 1991).
 
@@ -16,14 +16,13 @@ The stack starts demagnetised (relays with a + b > 0 down): the virgin curve is 
 
 import math
 
-import numpy as np
 from numba import njit
 
-from firmware_sim.layout import REVERSALS
+from firmware_sim.layout import REVERSALS, Record
 
 
 @njit(cache=True)
-def everett(parameters: np.record, low_V: float, high_V: float) -> float:
+def everett(parameters: Record, low_V: float, high_V: float) -> float:
     """Return what the output changes by when the input runs from a reversal at `low_V` to `high_V` or back."""
     ratio = (high_V - low_V) / parameters.width_scale_V
     by_width = ratio * math.atan(ratio) - 0.5 * math.log1p(ratio * ratio)
@@ -36,7 +35,7 @@ def everett(parameters: np.record, low_V: float, high_V: float) -> float:
 
 
 @njit(cache=True)
-def virgin(parameters: np.record, field_V: float) -> float:
+def virgin(parameters: Record, field_V: float) -> float:
     """Return the output on the first rise (or fall) out of the demagnetised state."""
     size_V = abs(field_V)
     half = 0.5 * everett(parameters, -size_V, size_V)
@@ -44,7 +43,7 @@ def virgin(parameters: np.record, field_V: float) -> float:
 
 
 @njit(cache=True)
-def move_field(state: np.record, parameters: np.record, field_V: float) -> None:
+def move_field(state: Record, parameters: Record, field_V: float) -> None:
     """Move the plane's input to `field_V`; leaves the output in `state.irreversible`."""
     if field_V == state.field_V:
         return
@@ -63,7 +62,7 @@ def move_field(state: np.record, parameters: np.record, field_V: float) -> None:
 
 
 @njit(cache=True)
-def _remember(state: np.record) -> None:
+def _remember(state: Record) -> None:
     """Push the present point as a reversal; when the memory is full, its smallest loop is forgotten."""
     if state.reversals == REVERSALS:
         state.reversals -= 2
@@ -73,7 +72,7 @@ def _remember(state: np.record) -> None:
 
 
 @njit(cache=True)
-def _wipe_out(state: np.record, direction: float, field_V: float) -> None:
+def _wipe_out(state: Record, direction: float, field_V: float) -> None:
     """Forget the reversals that the input passes."""
     while state.reversals >= 2 and direction * (field_V - state.reversal_V[state.reversals - 2]) >= 0.0:
         state.reversals -= 2

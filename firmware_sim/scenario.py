@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from importlib import resources
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 from pydantic import Field
 
@@ -26,15 +26,15 @@ class Amplifier(Section):
 class Stack(Section):
     """Hysteresis: weight of the irreversible part, and the scales of its two densities.
 
-    `irreversible` is the irreversible part of the stroke on the virgin curve at full scale. `initial` says whether the
-    stack comes demagnetised or was driven to full scale and back before (with the force tared afterwards).
+    `irreversible` is the irreversible part of the stroke on the virgin curve at full scale. `driven_to_V` is
+    the highest voltage that the stack ever saw before power-on (with the force tared afterwards); 0: it comes virgin.
     """
 
     full_V: Positive = 140.0
-    irreversible: Annotated[float, Field(ge=0, lt=1)] = 0.45
+    irreversible: Annotated[float, Field(ge=0, lt=1)] = 0.42
     width_scale_V: Positive = 60.0
     bias_scale_V: Positive = 90.0
-    initial: Literal["virgin", "cycled"] = "virgin"
+    driven_to_V: NotNegative = 0.0
 
 
 class Mechanics(Section):
@@ -97,7 +97,9 @@ def load_scenario(name: str, overrides: Mapping[str, Value] | None = None) -> Sc
     path = Path(name)
     if not name.endswith((".yaml", ".yml")):
         if name not in scenario_names():
-            raise ConfigurationError(f"scenario is '{name}', must be one of {', '.join(scenario_names())}, or a YAML file")
+            raise ConfigurationError(
+                f"scenario is '{name}', must be one of {', '.join(scenario_names())}, or a YAML file"
+            )
         path = Path(str(resources.files("firmware_sim") / "scenarios" / f"{name}.yaml"))
     document = read_document(path)
     return checked(Scenario, Document(document.name, _merged(document.content, overrides or {}), document.lines))

@@ -1,7 +1,7 @@
 """The piezo stack: voltage to free stroke (in volts' worth), with hysteresis, rate, creep and ageing.
 
-- Rate: the field that the relays see trails the voltage by a coercive offset that grows with the logarithm of the rate. It
-  builds up over a path travelled in volts, not over time, so that nothing moves while the voltage rests.
+- Rate: the field that the relays see trails the voltage by a coercive offset that grows with the logarithm of the rate.
+  It builds up over a path travelled in volts, not over time, so that nothing moves while the voltage rests.
 - Creep: a dense spectrum of relaxations, several a decade with faded edges, driven by the hysteresis' output and
   integrated by the trapezoidal rule; its step response climbs with the logarithm of time.
 - Ageing: the stroke's gain saturates exponentially.
@@ -9,14 +9,14 @@
 
 import math
 
-import numpy as np
 from numba import njit
 
+from firmware_sim.layout import Record
 from firmware_sim.preisach import move_field
 
 
 @njit(cache=True)
-def deform(state: np.record, parameters: np.record) -> None:
+def deform(state: Record, parameters: Record) -> None:
     """Advance the free stroke [V] by one physics step under the amplifier's output."""
     _trail(state, parameters)
     move_field(state, parameters, state.output_V - state.coercive_V)
@@ -31,7 +31,7 @@ def deform(state: np.record, parameters: np.record) -> None:
 
 
 @njit(cache=True)
-def _trail(state: np.record, parameters: np.record) -> None:
+def _trail(state: Record, parameters: Record) -> None:
     """Let the coercive offset approach the one that belongs to the present rate."""
     travel_V = state.output_V - state.previous_output_V
     if parameters.rate_growth == 0.0 or travel_V == 0.0:
@@ -43,7 +43,7 @@ def _trail(state: np.record, parameters: np.record) -> None:
 
 
 @njit(cache=True)
-def _creep(state: np.record, parameters: np.record) -> None:
+def _creep(state: Record, parameters: Record) -> None:
     """Relax every mode towards its share of the hysteresis' output and add it to the stroke."""
     middle = 0.5 * (state.previous_hysteresis + state.hysteresis)
     total = 0.0

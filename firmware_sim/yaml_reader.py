@@ -1,4 +1,4 @@
-"""Strict YAML: no duplicate keys, no aliases, no implicit dates or octal numbers, a size limit, and the line of every key."""
+"""Strict YAML: no duplicate keys, no implicit dates or octal numbers, a size limit, and the line of every key."""
 
 import re
 from dataclasses import dataclass
@@ -13,13 +13,13 @@ from firmware_sim.errors import ConfigurationError
 LARGEST_BYTES = 1_000_000
 DEEPEST = 20
 
-Value = None | bool | int | float | str | list["Value"] | dict[str, "Value"]
+Value = bool | int | float | str | list["Value"] | dict[str, "Value"] | None
 Place = tuple[str | int, ...]
 Model = TypeVar("Model", bound=BaseModel)
 
 _INTEGER = re.compile(r"[-+]?(0|[1-9][0-9]*)")
 _FLOAT = re.compile(r"[-+]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][-+]?[0-9]+)?")
-_WORDS: dict[str, None | bool] = {"true": True, "false": False, "null": None, "~": None, "": None}
+_WORDS: dict[str, bool | None] = {"true": True, "false": False, "null": None, "~": None, "": None}
 
 
 @dataclass(frozen=True)
@@ -52,7 +52,9 @@ def read_document(path: Path) -> Document:
     if len(raw) > LARGEST_BYTES:
         raise ConfigurationError(f"{path}:1: has {len(raw)} bytes, must be at most {LARGEST_BYTES}")
     try:
-        root = yaml.compose(raw.decode("utf-8"), Loader=yaml.SafeLoader)
+        text = raw.decode("utf-8")
+        _refuse_aliases(path, text)
+        root = yaml.compose(text, Loader=yaml.SafeLoader)
     except UnicodeDecodeError:
         raise ConfigurationError(f"{path}:1: is not UTF-8 text") from None
     except yaml.MarkedYAMLError as error:
@@ -89,7 +91,9 @@ class _Walk:
 
     def value(self, node: yaml.Node, place: Place) -> Value:
         if len(place) > DEEPEST:
-            raise ConfigurationError(f"{self.name}:{node.start_mark.line + 1}: nested too deeply (or an alias of itself)")
+            raise ConfigurationError(
+                f"{self.name}:{node.start_mark.line + 1}: nested too deeply (or an alias of itself)"
+            )
         self.lines.setdefault(place, node.start_mark.line + 1)
         if isinstance(node, yaml.MappingNode):
             return self._mapping(node, place)
@@ -106,6 +110,13 @@ class _Walk:
             self.lines[(*place, key)] = line
             found[key] = self.value(child, (*place, key))
         return found
+
+
+def _refuse_aliases(path: Path, text: str) -> None:
+    for event in yaml.parse(text, Loader=yaml.SafeLoader):
+        if isinstance(event, yaml.AliasEvent):
+            line = event.start_mark.line + 1 if event.start_mark else 1
+            raise ConfigurationError(f"{path}:{line}: an alias (*{event.anchor}): write it out")
 
 
 def _scalar(node: yaml.Node) -> Value:
