@@ -19,8 +19,9 @@ from tests.benchmarks.compiled import compiled
 from tests.benchmarks.rounds import Figures, percentiles
 from tests.benchmarks.table import NotMeasuredError
 
-BAUDRATE = 115200  # a pty has none; the clients want one
+BAUDRATE = 4_000_000  # a pty has none; the highest leaves the shortest silence between two frames
 UNIT = 1
+DEVICE_PRIORITY = 70  # below the control process
 WRITE_AT, READ_AT, READS = 100, 200, 12  # the tick's blocks in config/bench.yaml
 
 
@@ -67,10 +68,23 @@ def minimal_server(kind: str) -> Iterator[Address]:
 
 
 @contextlib.contextmanager
-def emulator(kind: str) -> Iterator[Address]:
-    """The emulated bench."""
-    with emulated_bench(shipped("emulator.yaml"), "--port", "0", *(["--rtu"] if kind == "rtu" else [])) as serves:
+def emulator(kind: str, time_is: str = "virtual") -> Iterator[Address]:
+    """The emulated bench; in virtual time every exchange is its next sample, in real time it may be asked too often."""
+    wire = ["--rtu"] if kind == "rtu" else []
+    with emulated_bench(shipped("emulator.yaml"), "--port", "0", "--time", time_is, *wire) as serves:
         yield Address(kind, serves[kind])
+
+
+@contextlib.contextmanager
+def punctual() -> Iterator[None]:
+    """Start processes with a real-time priority: a device is a machine of its own and waits for no scheduler here."""
+    before = os.sched_getscheduler(0), os.sched_getparam(0)
+    with contextlib.suppress(PermissionError):
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(DEVICE_PRIORITY))
+    try:
+        yield
+    finally:
+        os.sched_setscheduler(0, *before)
 
 
 def _end(process: subprocess.Popen) -> None:
