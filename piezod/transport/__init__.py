@@ -1,6 +1,6 @@
 """Links to the bench: Modbus TCP, Modbus RTU, lines of ASCII, two devices as one, and one in this process."""
 
-from piezod.transport.factory import make_link
+from piezod.transport.factory import check_encodable, make_link
 from piezod.transport.identity import verify_identity
 from piezod.transport.link import ExchangeResult, Link, Reading
 from piezod.transport.null import NullLink
@@ -11,6 +11,7 @@ __all__ = [
     "Link",
     "NullLink",
     "Reading",
+    "check_encodable",
     "make_link",
     "verify_identity",
     "wire_floor_rate_Hz",

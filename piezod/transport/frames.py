@@ -50,6 +50,8 @@ class Request:
         The whole request; value bytes, transaction id and CRC are patched in place.
     values_at
         Where the written values begin in `frame`; 0 when nothing is written.
+    body
+        `frame` without its CRC; the same memory.
     reply_head
         What the good reply begins with: all of it but registers and CRC.
     reply_size
@@ -64,12 +66,23 @@ class Request:
         The reply repeats the value (function 6).
     """
 
-    __slots__ = ("frame", "mirrors_values", "payload_at", "reads", "reply_head", "reply_size", "unit_at", "values_at")
+    __slots__ = (
+        "body",
+        "frame",
+        "mirrors_values",
+        "payload_at",
+        "reads",
+        "reply_head",
+        "reply_size",
+        "unit_at",
+        "values_at",
+    )
 
     def __init__(self, request: ModbusPDU, reply: ModbusPDU, *, framing: Framing, written: int, read: int) -> None:
         trailer = CRC_BYTES if framing == "rtu" else 0
         framer = _framer(framing)
         self.frame = bytearray(framer.buildFrame(request))
+        self.body = memoryview(self.frame)[: len(self.frame) - trailer]
         whole_reply = framer.buildFrame(reply)
         self.reply_size = len(whole_reply)
         self.payload_at = self.reply_size - trailer - 2 * read

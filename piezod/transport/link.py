@@ -66,21 +66,17 @@ class Link(Protocol):
     ----------
     reading
         What the last good exchange read.
-    written_V
-        The voltage as it last went on the wire [V], after scale and rounding; nan before the first.
     counts
         Exchanges by `ExchangeResult`.
-    last_exception
-        Code of the last Modbus exception, 0 when there was none.
-    stale_bytes
-        Bytes that arrived unasked or too late, and were discarded.
-    hint
-        What probably is wrong, for people; empty when nothing is known.
     """
 
     reading: Reading
-    written_V: float
     counts: list[int]
+
+    @property
+    def written_V(self) -> float:
+        """The voltage as it last went on the wire [V], after scale and rounding; nan before the first."""
+        ...
 
     @property
     def description(self) -> str:

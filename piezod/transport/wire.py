@@ -13,12 +13,8 @@ class Wire(Protocol):
     ----------
     payload
         Where the last good reply stands, from its first byte on.
-    generation
-        How often it was connected; a new one knows nothing of commands sent before.
     exception_code
         Code of the last Modbus exception, 0 when there was none.
-    stale_bytes
-        Bytes discarded.
     hint
         What probably is wrong; empty when nothing is known.
     answered
@@ -27,11 +23,19 @@ class Wire(Protocol):
 
     framing: Framing
     payload: memoryview
-    generation: int
     exception_code: int
-    stale_bytes: int
     hint: str
     answered: bool
+
+    @property
+    def generation(self) -> int:
+        """How often it was connected; a new connection knows nothing of commands sent before."""
+        ...
+
+    @property
+    def stale_bytes(self) -> int:
+        """Bytes discarded."""
+        ...
 
     @property
     def description(self) -> str:

@@ -1,0 +1,110 @@
+"""The lines that a device understands, and the patterns of what it answers."""
+
+import re
+from collections.abc import Mapping
+from math import isfinite, nan
+from string import Formatter
+
+from piezod.config.link import LineCommand
+from piezod.errors import ConfigurationError
+
+ROLES = {
+    "force_N": "force",
+    "voltage_readback_V": "voltage_readback",
+    "temperature_C": "temperature",
+    "reference_N": "reference",
+    "heartbeat": "heartbeat",
+    "command_echo": "command_echo",
+    "status": "status",
+}
+
+
+class LineTemplate:
+    """A line with one number in it, such as `SVA A {voltage_V:.3f}`.
+
+    Parameters
+    ----------
+    template
+        As `str.format` takes it.
+    field
+        Name of the number.
+    terminator
+        Ends the line.
+    where
+        Key in the configuration, for messages.
+
+    Raises
+    ------
+    ConfigurationError
+        Another field, no field, more than one, or a format that is none of a number's.
+    """
+
+    __slots__ = ("_after", "_before", "_format", "_terminator")
+
+    def __init__(self, template: str, field: str, terminator: str, where: str) -> None:
+        expected = f"must be a line with one number, such as 'SVA A {{{field}:.3f}}'"
+        try:
+            parts = list(Formatter().parse(template))
+        except ValueError as error:
+            raise ConfigurationError(f"{where} is {template!r}: {error}; {expected}") from error
+        fields = [(name, spec or "", conversion) for _, name, spec, conversion in parts if name is not None]
+        if len(fields) != 1 or fields[0][0] != field or fields[0][2]:
+            raise ConfigurationError(f"{where} is {template!r}, {expected}")
+        number_at = next(k for k, part in enumerate(parts) if part[1] is not None)
+        self._before = "".join(part[0] for part in parts[: number_at + 1])
+        self._after = "".join(part[0] for part in parts[number_at + 1 :])
+        self._format = fields[0][1]
+        self._terminator = terminator
+        for value in (0.0, -1.5, 100.0):
+            try:
+                _, read_back = self.fill(value)
+            except (ValueError, TypeError) as error:
+                raise ConfigurationError(f"{where} is {template!r}: {error}; {expected}") from error
+            if abs(read_back - value) > 1.0:
+                raise ConfigurationError(f"{where} is {template!r}: {value:g} becomes {read_back:g}; {expected}")
+
+    def fill(self, value: float) -> tuple[bytes, float]:
+        """The line with its terminator, and the number that it says; nan when `value` is not finite."""
+        if not isfinite(value):
+            return b"", nan
+        number = format(value, self._format)
+        return f"{self._before}{number}{self._after}{self._terminator}".encode("ascii"), float(number)
+
+
+def plain_line(command: LineCommand, terminator: str, where: str) -> bytes:
+    """A line without numbers in it, with its terminator.
+
+    Raises
+    ------
+    ConfigurationError
+        The line is not ASCII.
+    """
+    try:
+        return (command.send + terminator).encode("ascii")
+    except UnicodeEncodeError as error:
+        raise ConfigurationError(f"{where}.send is {command.send!r}, must be ASCII") from error
+
+
+def compile_reply(
+    command: LineCommand, where: str, groups: Mapping[str, object] | None = None
+) -> re.Pattern[bytes] | None:
+    """The pattern that a reply must match as a whole; None when none is awaited.
+
+    Raises
+    ------
+    ConfigurationError
+        No regular expression, or a group of a name not in `groups`.
+    """
+    if command.reply is None:
+        return None
+    try:
+        pattern = re.compile(command.reply.encode("ascii"))
+    except (re.error, UnicodeEncodeError) as error:
+        raise ConfigurationError(
+            f"{where}.reply is {command.reply!r}, must be a regular expression: {error}"
+        ) from error
+    unknown = set(pattern.groupindex) - set(groups or ())
+    if unknown:
+        allowed = ", ".join(groups or ()) or "none"
+        raise ConfigurationError(f"{where}.reply names the group {min(unknown)}, must be one of: {allowed}")
+    return pattern

@@ -1,0 +1,185 @@
+"""Modbus RTU: frames without numbers on a line that may carry noise, so every byte and the checksum are compared.
+
+    silence >= 3.5 characters [ unit ][ function | data ][ CRC, low byte first ] silence >= 3.5 characters
+                                 1         1        n             2
+
+What does not look like the reply is collected until the line falls silent, judged, and thrown away.
+"""
+
+from time import monotonic, sleep
+
+from pymodbus.framer import FramerRTU
+
+from piezod.config.link import ModbusRtuLink
+from piezod.transport.frames import CRC_BYTES, Framing, Request, classify
+from piezod.transport.link import ExchangeResult
+from piezod.transport.serial_port import RECEIVE_BYTES, SerialPort
+from piezod.transport.wire_rate import gap_s
+
+QUIET_S = 0.004  # above the 1.75 ms that separate frames; adapters deliver in lumps
+BAD_IN_A_ROW = 5  # then it is no noise
+SHORTEST_FRAME_BYTES = 5  # an exception: unit, function, code, CRC
+
+_OK = ExchangeResult.OK
+_TIMEOUT = ExchangeResult.TIMEOUT
+_BAD_CRC = ExchangeResult.BAD_CRC
+_CRC_TABLE = tuple(FramerRTU.crc16_table)
+
+
+class RtuWire:
+    """A serial line with Modbus devices on it.
+
+    Parameters
+    ----------
+    config
+        Port, character format, unit and time limits.
+    """
+
+    __slots__ = (
+        "_bad_crc_in_a_row",
+        "_config",
+        "_gap_s",
+        "_port",
+        "_quiet_s",
+        "answered",
+        "exception_code",
+        "hint",
+        "payload",
+    )
+    framing: Framing = "rtu"
+
+    def __init__(self, config: ModbusRtuLink) -> None:
+        self._config = config
+        self._port = SerialPort(config)
+        self._gap_s = gap_s(config)
+        self._quiet_s = 0.0
+        self._bad_crc_in_a_row = 0
+        self.payload = self._port.view
+        self.exception_code = 0
+        self.hint = ""
+        self.answered = False
+
+    @property
+    def description(self) -> str:
+        """Kind and address, for people."""
+        return f"modbus_rtu {self._config.port} {self._config.baudrate} baud unit {self._config.unit_id}"
+
+    @property
+    def generation(self) -> int:
+        """How often the port was opened."""
+        return self._port.generation
+
+    @property
+    def stale_bytes(self) -> int:
+        """Bytes discarded."""
+        return self._port.stale_bytes
+
+    def open(self) -> None:
+        """Open and lock the port; raises UnreachableError or BusyError."""
+        self._port.open()
+        self.answered = False
+
+    def close(self) -> None:
+        """Let go of the port, until the next `open`."""
+        self._port.close()
+
+    def ready(self, deadline_s: float) -> ExchangeResult:  # noqa: ARG002 - opening a port does not wait
+        """Open the port again if it must be; DISCONNECTED as long as a late reply may still come."""
+        return self._port.ready()
+
+    def transact(self, request: Request, deadline_s: float) -> ExchangeResult:
+        """Send `request` and receive its reply into `payload`."""
+        port, frame = self._port, request.frame
+        checksum = crc16(request.body)
+        frame[-2], frame[-1] = checksum & 255, checksum >> 8
+        pause_s = self._quiet_s - monotonic()
+        if pause_s > 0.0:
+            sleep(pause_s)
+        try:
+            port.drain()
+            port.send(frame, deadline_s)
+            result = self._receive(request, deadline_s)
+        except OSError:
+            port.vanished()
+            return ExchangeResult.DISCONNECTED
+        self._quiet_s = monotonic() + self._gap_s
+        if result is not _OK:
+            self._after_failure(request, result, deadline_s)
+        return result
+
+    def _receive(self, request: Request, deadline_s: float) -> ExchangeResult:
+        """Receive until the good reply is whole; anything else is collected and judged."""
+        port, buffer, head, size = self._port, self._port.buffer, request.reply_head, request.reply_size
+        received = 0
+        while received < size:
+            if not port.wait(deadline_s):
+                return self._judge(request, received)
+            received += port.receive(received)
+            if not buffer.startswith(head if received >= len(head) else head[:received]):
+                return self._judge(request, self._collect(request, received, deadline_s))
+        if not buffer.startswith(head) or crc16(port.view[:size]):
+            return self._judge(request, self._collect(request, received, deadline_s))
+        port.stale_bytes += received - size
+        self.answered = True
+        self._bad_crc_in_a_row = 0
+        self.hint = ""
+        return _OK
+
+    def _collect(self, request: Request, received: int, deadline_s: float) -> int:
+        """Receive on until a whole frame is there, or the line falls silent after as much as was asked for.
+
+        Less than that, and the reply proper may still be on its way: then only the deadline ends the waiting.
+        """
+        port, size = self._port, max(request.reply_size, len(request.frame))
+        while received < RECEIVE_BYTES:
+            if _is_frame(port.view, received) and not port.buffer.startswith(request.frame):
+                break
+            until_s = min(deadline_s, monotonic() + QUIET_S) if received >= size else deadline_s
+            if not port.wait(until_s):
+                break
+            received += port.receive(received)
+        return received
+
+    def _judge(self, request: Request, received: int) -> ExchangeResult:
+        """Say what is wrong with everything that was received."""
+        port, frame = self._port, request.frame
+        port.stale_bytes += received
+        if received == 0:
+            return _TIMEOUT
+        if received >= len(frame) and port.buffer.startswith(frame):
+            self.hint = "the request itself comes back: switch off the local echo of the RS-485 adapter"
+            return ExchangeResult.MALFORMED
+        if _is_frame(port.view, received):
+            self.answered = True
+            result, code = classify(port.buffer, request, received - CRC_BYTES)
+            self.exception_code = code or self.exception_code
+            return result
+        if received < request.reply_size and request.reply_head.startswith(
+            port.buffer[: min(received, len(request.reply_head))]
+        ):
+            return _TIMEOUT
+        self._bad_crc_in_a_row += 1
+        if self._bad_crc_in_a_row >= BAD_IN_A_ROW:
+            self.hint = f"{self._bad_crc_in_a_row} bad checksums in a row: check baudrate and parity"
+        return _BAD_CRC
+
+    def _after_failure(self, request: Request, result: ExchangeResult, deadline_s: float) -> None:
+        """Distrust the line unless the reply certainly has come: garbled as a whole, or as an exception."""
+        if result is ExchangeResult.DEVICE_EXCEPTION:
+            self._bad_crc_in_a_row = 0
+        elif result is not _BAD_CRC or monotonic() >= deadline_s:
+            config = self._config
+            reply_s = request.reply_size * config.bits_per_character / config.baudrate
+            self._port.distrust(config.timeout_s + reply_s)
+
+
+def crc16(frame: memoryview) -> int:
+    """Checksum of the bytes; 0 for a good frame together with its own. Table: pymodbus' `FramerRTU`."""
+    table, checksum = _CRC_TABLE, 0xFFFF
+    for byte in frame:
+        checksum = checksum >> 8 ^ table[(checksum ^ byte) & 255]
+    return checksum
+
+
+def _is_frame(view: memoryview, received: int) -> bool:
+    return received >= SHORTEST_FRAME_BYTES and crc16(view[:received]) == 0
