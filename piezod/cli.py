@@ -78,11 +78,15 @@ def demo(
 def run(
     config: ConfigArgument,
     arm: Annotated[bool, typer.Option("--arm", help="Arm at once; without it the bench is only read.")] = False,
+    as_json: JsonOption = False,
 ) -> None:
     """Run the bench in the foreground until its reference ends or a signal comes (SIGINT, SIGTERM: ramp down)."""
     from piezod.daemon.service import run_foreground
 
-    raise typer.Exit(run_foreground(config, arm=arm))
+    result = run_foreground(config, arm=arm)
+    if as_json:
+        print(json.dumps(result.as_dict(), indent=2))
+    raise typer.Exit(result.exit_code)
 
 
 @app.command(epilog="Example: piezod check config/bench.yaml")

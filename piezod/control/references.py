@@ -174,17 +174,16 @@ class DatagramStream:
 
     def _bind(self, config: StreamReference) -> socket.socket:
         address = config.udp_address
+        if address is None:
+            receiver = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+            self._path = Path(config.listen)
+            self._path.unlink(missing_ok=True)
+        else:
+            receiver = socket.socket(socket.AF_INET6 if ":" in address[0] else socket.AF_INET, socket.SOCK_DGRAM)
         try:
-            if address is not None:
-                family = socket.AF_INET6 if ":" in address[0] else socket.AF_INET
-                receiver = socket.socket(family, socket.SOCK_DGRAM)
-                receiver.bind(address)
-            else:
-                self._path = Path(config.listen)
-                self._path.unlink(missing_ok=True)
-                receiver = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
-                receiver.bind(config.listen)
+            receiver.bind(config.listen if address is None else address)
         except OSError as error:
+            receiver.close()
             raise BusyError(f"reference.listen: {config.listen} cannot be bound: {error.strerror}") from error
         receiver.setblocking(False)
         return receiver

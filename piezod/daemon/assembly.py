@@ -19,7 +19,7 @@ from piezod.control import (
     VirtualRateKeeper,
     make_reference,
 )
-from piezod.errors import CheckFailedError, ConfigurationError, PiezodError
+from piezod.errors import CheckFailedError, ConfigurationError
 from piezod.excitation import triangle_ramp
 from piezod.model import DirectDrive, Model, load_model, make_compensator
 from piezod.transport import ExchangeResult, Link, make_link, verify_identity, wire_floor_rate_Hz
@@ -58,9 +58,21 @@ def load(path: Path) -> tuple[BenchConfig, Model]:
     ConfigurationError
         A file says something impossible, or the wire cannot carry the rate.
     """
+    bench = load_without_model(path)
+    return bench, load_model(model_path(bench, path))
+
+
+def load_without_model(path: Path) -> BenchConfig:
+    """Read and cross-check a bench that is only to be recorded: its model may not exist yet.
+
+    Raises
+    ------
+    ConfigurationError
+        The file says something impossible, or the wire cannot carry the rate.
+    """
     bench = load_bench(path)
     check_rate(bench)
-    return bench, load_model(model_path(bench, path))
+    return bench
 
 
 def check_rate(bench: BenchConfig) -> None:
@@ -108,7 +120,7 @@ def make_rate_keeper(bench: BenchConfig, link: Link) -> RateKeeper:
     return RealRateKeeper(bench.dt_s)
 
 
-def make_segment(work: Work, bench: BenchConfig, model: Model, link: Link, folder: Path) -> Segment:
+def make_segment(work: Work, bench: BenchConfig, model: Model | None, link: Link, folder: Path) -> Segment:
     """Turn work into what the loop drives.
 
     Raises
@@ -119,6 +131,8 @@ def make_segment(work: Work, bench: BenchConfig, model: Model, link: Link, folde
     reset_cycle = _reset_cycle(bench) if work.reset_cycle else None
     if work.voltages_V is not None:
         return Segment(work.name, TableReference(work.voltages_V), DirectDrive(), reset_cycle)
+    if model is None:
+        raise ConfigurationError(f"{work.name}: compensation '{work.compensation}' needs a model, none was loaded")
     config = work.reference or bench.reference
     counted = link.has("reference_counter")
     reference = make_reference(config, bench.rate_Hz, folder, link.reading, counted=counted)
@@ -187,4 +201,4 @@ def _set_device_watchdog(bench: BenchConfig, link: Link) -> None:
         )
 
 
-__all__ = ["PiezodError", "Work", "check_ready", "load", "make_rate_keeper", "make_segment", "opened_link"]
+__all__ = ["Work", "check_ready", "load", "load_without_model", "make_rate_keeper", "make_segment", "opened_link"]

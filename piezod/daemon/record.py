@@ -4,7 +4,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from piezod.config import BenchConfig
-from piezod.daemon.assembly import Work, load
+from piezod.daemon.assembly import Work, load_without_model
 from piezod.daemon.demo import OnRows, follow_session
 from piezod.daemon.session import Outcome, Session
 from piezod.errors import CheckFailedError, UsageError
@@ -48,12 +48,12 @@ def record(
     CheckFailedError
         A fault ended the recording before its end.
     """
-    bench, model = load(path)
+    bench = load_without_model(path)
     peak_V = bench.limits.voltage_max_V if peak_V is None else peak_V
     _check(name, peak_V, bench)
     voltages_V = excitation(name, peak_V, frequency_Hz, periods, bench.rate_Hz)
     work = Work(name, "direct", voltages_V=voltages_V, reset_cycle=reset_cycle)
-    session = Session(bench, model, path.parent, [work])
+    session = Session(bench, None, path.parent, [work])
     history = follow_session(session, on_rows)
     if session.outcome.fault:
         raise CheckFailedError(f"the recording ended early: {session.outcome.fault}")

@@ -8,7 +8,6 @@ import contextlib
 import multiprocessing
 import os
 import signal
-import time
 import warnings
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -55,7 +54,7 @@ class Session:
         Driven one after the other; none: the bench is only read, until stopped.
     """
 
-    def __init__(self, bench: BenchConfig, model: Model, folder: Path, works: list[Work]) -> None:
+    def __init__(self, bench: BenchConfig, model: Model | None, folder: Path, works: list[Work]) -> None:
         context = multiprocessing.get_context("spawn")
         self._ours, theirs = context.Pipe()
         self._process = context.Process(target=_control, args=(bench, model, folder, works, theirs), daemon=False)
@@ -127,7 +126,7 @@ class Session:
             self.outcome = content
 
 
-def _control(bench: BenchConfig, model: Model, folder: Path, works: list[Work], pipe: Connection) -> None:
+def _control(bench: BenchConfig, model: Model | None, folder: Path, works: list[Work], pipe: Connection) -> None:
     """The control process."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     try:
@@ -140,7 +139,7 @@ def _control(bench: BenchConfig, model: Model, folder: Path, works: list[Work], 
         pipe.send(("error", (type(error).__name__, str(error))))
 
 
-def _drive(bench: BenchConfig, model: Model, folder: Path, works: list[Work], pipe: Connection) -> Outcome:
+def _drive(bench: BenchConfig, model: Model | None, folder: Path, works: list[Work], pipe: Connection) -> Outcome:
     with opened_link(bench) as link, contextlib.ExitStack() as stack:
         clock = make_rate_keeper(bench, link)
         segments = [make_segment(work, bench, model, link, folder) for work in works]
@@ -183,7 +182,3 @@ def _resident_kib() -> int:
     pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1])
     return pages * os.sysconf("SC_PAGE_SIZE") // 1024
 
-
-def now_s() -> float:
-    """Monotonic time [s]."""
-    return time.monotonic()

@@ -18,15 +18,54 @@ Array = NDArray[np.float64]
 
 
 @numba.njit(cache=True)
+def dead_zone(r: float, x: float) -> float:
+    """One dead zone of threshold `r` at `x` (3.6)."""
+    beyond = x - r
+    return beyond if r == 0.0 or (r > 0.0) == (beyond > 0.0) else 0.0
+
+
+@numba.njit(cache=True)
 def dead_zone_step(packed: Array, base: int, count: int, x: float) -> float:
     """Weighted sum of the dead zones at `x`."""
     y = 0.0
     for j in range(count):
-        r = packed[base + j]
-        beyond = x - r
-        if r == 0.0 or (r > 0.0) == (beyond > 0.0):
-            y += packed[base + count + j] * beyond
+        y += packed[base + count + j] * dead_zone(packed[base + j], x)
     return y
+
+
+@numba.njit(cache=True)
+def dead_zone_columns(thresholds: Array, x: Array, columns: Array) -> None:
+    """Every dead zone over the record `x`, shape (N,), into `columns`, shape (N, count): the columns of (3.15)."""
+    for k in range(x.size):
+        for j in range(thresholds.size):
+            columns[k, j] = dead_zone(thresholds[j], x[k])
+
+
+def shifted(thresholds: Array, weights: Array, shift: float) -> tuple[Array, Array, float]:
+    """Dead zones of x + `shift` as dead zones of x and a constant: S(x + shift) = S~(x) + constant (derived here).
+
+    A threshold that the shift carries over zero becomes one of the other side: max(x - r, 0) = x - r - min(x - r, 0).
+    """
+    moved = thresholds - shift
+    centre = float(weights[thresholds == 0.0][0])
+    constant = centre * shift
+    kept_thresholds, kept_weights = [], []
+    for r, moved_r, weight in zip(thresholds, moved, weights, strict=True):
+        if r == 0.0:
+            continue
+        if (r > 0.0) == (moved_r > 0.0) and moved_r != 0.0:
+            kept_thresholds.append(moved_r)
+            kept_weights.append(weight)
+            continue
+        centre += weight
+        constant -= weight * moved_r
+        if moved_r != 0.0:
+            kept_thresholds.append(moved_r)
+            kept_weights.append(-weight)
+    all_thresholds = np.array([*kept_thresholds, 0.0])
+    all_weights = np.array([*kept_weights, centre])
+    order = np.argsort(all_thresholds)
+    return all_thresholds[order], all_weights[order], constant
 
 
 def split(thresholds: Array, weights: Array) -> tuple[tuple[Array, Array], tuple[Array, Array]]:

@@ -66,6 +66,15 @@ def play_solve(packed: Array, base: int, count: int, v: float) -> float:
     return position + sign * missing / slope
 
 
+@numba.njit(cache=True)
+def play_states_run(packed: Array, base: int, count: int, u: Array, states: Array) -> None:
+    """Every play's state over the record `u`, shape (N,), into `states`, shape (N, count): the columns of (3.14)."""
+    for k in range(u.size):
+        play_step(packed, base, count, u[k])
+        for i in range(count):
+            states[k, i] = packed[base + STATE * count + i]
+
+
 def inverse_table(thresholds: Array, weights: Array) -> tuple[Array, Array]:
     """Thresholds and weights of the inverse superposition (3.28-3.32, 3.35); applied twice it gives back its input.
 
