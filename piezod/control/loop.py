@@ -111,8 +111,8 @@ class ControlLoop:
 
     def drive(self, segment: Segment) -> Cause:
         """Arm, follow `segment` to its end, ramp down; returns the fault that ended it, or Cause.NONE."""
-        self._clock.start()
         self._arm(segment)
+        self._clock.start()
         while self.supervisor.driving:
             self.tick()
             self._clock.wait()

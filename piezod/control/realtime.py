@@ -15,7 +15,7 @@ from pathlib import Path
 
 from piezod.config import RealTimeConfig
 
-_MCL_CURRENT, _MCL_FUTURE = 1, 2
+_MCL_CURRENT, _MCL_FUTURE, _MCL_ONFAULT = 1, 2, 4  # on fault: what is never touched needs no memory
 _DMA_LATENCY = Path("/dev/cpu_dma_latency")
 
 
@@ -65,7 +65,7 @@ def _try(act: object, key: str, remedy: str) -> None:
 
 def _lock_memory() -> None:
     library = ctypes.CDLL(None, use_errno=True)
-    if library.mlockall(_MCL_CURRENT | _MCL_FUTURE) != 0:
+    if library.mlockall(_MCL_CURRENT | _MCL_FUTURE | _MCL_ONFAULT) != 0:
         number = ctypes.get_errno()
         raise OSError(number, os.strerror(number))
 

@@ -96,7 +96,7 @@ def _demo_bench() -> Iterator[tuple[BenchConfig, Path]]:
     bench, _ = load(path)
     with emulated_bench(shipped("emulator.yaml"), "--port", "0") as serves:
         host, _, port = serves["tcp"].rpartition(":")
-        link = bench.link.model_copy(update={"host": host, "port": int(port)})
+        link = bench.link.model_copy(update={"host": host, "port": int(port), "timeout_s": 0.1})
         ring_log = f"/dev/shm/piezod-demo-{port}.ring"  # noqa: S108  # shared memory is meant to be seen
         daemon = bench.daemon.model_copy(update={"ring_log": ring_log})
         yield bench.model_copy(update={"link": link, "daemon": daemon}), path
