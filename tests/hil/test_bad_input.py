@@ -113,8 +113,9 @@ def test_another_identity_ends_with_78_and_names_both_and_writes_nothing(tmp_pat
         with connection:
             while request := connection.recv(260):
                 seen.append(request)
-                count = struct.unpack(">H", request[10:12])[0]
-                body = bytes([request[6], request[7], 2 * count]) + b"\x00\x07" * count
+                address, count = struct.unpack(">HH", request[8:12])
+                registers = struct.pack(">f", 1234.5) if address == 2 else b"\x00\x07" * count
+                body = bytes([request[6], request[7], 2 * count]) + registers
                 connection.sendall(request[:4] + struct.pack(">H", len(body)) + body)
 
     thread = threading.Thread(target=answer, daemon=True)
