@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from firmware_sim.compiled_cache import forget_outdated_kernels
 from firmware_sim.kernels import advance, begin, run
 from firmware_sim.parameters import initial_state, parameter_record
 from firmware_sim.scenario import Scenario, load_scenario
@@ -47,6 +48,7 @@ class Bench:
 
     def __init__(self, scenario: Scenario | str = "stack", *, seed: int | None = None) -> None:
         self.scenario = load_scenario(scenario) if isinstance(scenario, str) else scenario
+        forget_outdated_kernels()
         generator = np.random.Generator(np.random.PCG64(seed))
         self._parameters = parameter_record(self.scenario, generator)
         self._state = initial_state(self._parameters, generator)

@@ -10,6 +10,7 @@ from pydantic import BaseModel, ConfigDict, Field
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+Stretch = Annotated[tuple[NotNegative, Positive], Field(strict=False)]
 
 
 class Section(BaseModel):
@@ -145,10 +146,7 @@ class MainsHum(Section):
 class SensorDropout(Section):
     """Stretches, in device time, in which the reading freezes."""
 
-    places_s: Annotated[tuple[tuple[float, float], ...], Field(max_length=16, strict=False)] = (
-        (5.0, 5.4),
-        (12.0, 13.0),
-    )
+    places_s: Annotated[tuple[Stretch, ...], Field(max_length=16, strict=False)] = ((5.0, 5.4), (12.0, 13.0))
 
 
 class Quantisation(Section):

@@ -42,7 +42,7 @@ class Mechanics(Section):
 
     full_N: Positive = 300.0
     stiffening: Annotated[float, Field(ge=0, le=1)] = 0.08
-    softening: Annotated[float, Field(ge=0, le=1)] = 0.16
+    softening: Annotated[float, Field(ge=0, le=1)] = 0.3
 
 
 class LoadCell(Section):
