@@ -1,7 +1,7 @@
 """Waveforms: the shapes of force references, and the voltage excitations that a bench is recorded with.
 
-A shape is a function of the phase (periods since the start) with values from -1 to 1 that starts at its low end, where a
-stack rests.
+A shape is a function of the phase (periods since the start) with values from -1 to 1 that starts at its low end,
+where a stack rests.
 """
 
 from fractions import Fraction
@@ -16,7 +16,8 @@ MULTISINE_HARMONICS = (1, 2, 3, 5, 8, 13)
 
 def triangle(phase: Array) -> Array:
     """-1 to 1 and back, once a period."""
-    return 1.0 - 4.0 * np.abs(phase % 1.0 - 0.5)
+    result: Array = 1.0 - 4.0 * np.abs(phase % 1.0 - 0.5)
+    return result
 
 
 def sine(phase: Array) -> Array:
@@ -44,13 +45,14 @@ def steps(phase: Array, levels: int, seed: int) -> Array:
 
 
 def multisine(phase: Array, seed: int) -> Array:
-    """Sum of harmonics with amplitudes falling as 1/h and phases drawn from `seed`, scaled to -1..1, from its lowest point."""
+    """Sum of harmonics with amplitudes as 1/h and phases drawn from `seed`, scaled to -1..1, from its lowest point."""
     shifts = np.random.default_rng(seed).uniform(0, 2 * np.pi, len(MULTISINE_HARMONICS))
 
     def raw(at: Array) -> Array:
-        return np.sum(
-            [np.cos(2 * np.pi * h * at + s) / h for h, s in zip(MULTISINE_HARMONICS, shifts, strict=True)], axis=0
-        )
+        total = np.zeros_like(at)
+        for harmonic, shift in zip(MULTISINE_HARMONICS, shifts, strict=True):
+            total += np.cos(2 * np.pi * harmonic * at + shift) / harmonic
+        return total
 
     dense = raw(np.arange(4096) / 4096)
     start = np.argmin(dense) / 4096
@@ -83,17 +85,23 @@ def whole_periods(frequency_Hz: float, rate_Hz: float) -> tuple[float, int]:
 
 def constant_triangles(peak_V: float, frequency_Hz: float, periods: int, rate_Hz: float) -> Array:
     """Triangles 0 -> `peak_V` -> 0, the thesis' first excitation [V]."""
-    phase = np.arange(round(periods * rate_Hz / frequency_Hz) + 1) * frequency_Hz / rate_Hz
+    phase = _phase(frequency_Hz, periods, rate_Hz)
     return peak_V * triangle_ramp(phase)
 
 
 def varying_triangles(peak_V: float, frequency_Hz: float, periods: int, rate_Hz: float) -> Array:
     """Triangles from 0 whose peaks grow to `peak_V` and shrink again, the thesis' second excitation [V]."""
-    phase = np.arange(round(periods * rate_Hz / frequency_Hz) + 1) * frequency_Hz / rate_Hz
+    phase = _phase(frequency_Hz, periods, rate_Hz)
     rising = (periods + 1) // 2
     number = np.floor(phase).clip(0, periods - 1)
     peaks = np.minimum(number + 1, periods - number) / rising
-    return peak_V * peaks * triangle_ramp(phase)
+    result: Array = peak_V * peaks * triangle_ramp(phase)
+    return result
+
+
+def _phase(frequency_Hz: float, periods: int, rate_Hz: float) -> Array:
+    """Phase of every tick, both ends included."""
+    return np.arange(round(periods * rate_Hz / frequency_Hz) + 1, dtype=np.float64) * frequency_Hz / rate_Hz
 
 
 EXCITATIONS = ("constant-triangles", "varying-triangles")

@@ -35,7 +35,7 @@ class ArmingConfig(Section):
 class DaemonConfig(Section):
     """Where the daemon keeps what it shows to others."""
 
-    ring_log: str = "/dev/shm/piezod-{name}.ring"
+    ring_log: str = "/dev/shm/piezod-{name}.ring"  # noqa: S108  # shared memory is meant to be seen
     ring_seconds: Annotated[float, Field(gt=0, le=3600)] = 60.0
 
 
@@ -105,8 +105,8 @@ class BenchConfig(Section):
         settable = link.watchdog if isinstance(link, SerialLineLink) else link.registers.watchdog_ms
         if self.limits.device_watchdog_ms and settable is None:
             raise ValueError(
-                f"limits.device_watchdog_ms is {self.limits.device_watchdog_ms}, but the link names no watchdog to be set; "
-                "name its register, or set 0 and set the device's own by hand"
+                f"limits.device_watchdog_ms is {self.limits.device_watchdog_ms}, but the link names no watchdog to be "
+                "set; name its register, or set 0 and set the device's own by hand"
             )
         return self
 

@@ -59,24 +59,27 @@ def _explain(detail: ErrorDetails, document: Document, section: type[BaseModel])
     name = ".".join(str(key) for key in keys) or "the file"
     value = _shorten(detail["input"])
     kind, context = detail["type"], detail.get("ctx", {})
-    if kind == "missing":
-        return f"{where}: {name} is missing"
-    if kind == "extra_forbidden":
-        return f"{where}: unknown key {name}{_suggestion(str(keys[-1]), _known_keys(section))}"
     if kind in _LIMIT_WORDS:
         bound, words = _LIMIT_WORDS[kind]
         return f"{where}: {name} is {value}, must be {words} {context[bound]:g}"
     if kind in _TYPE_WORDS:
         return f"{where}: {name} is {value}, must be {_TYPE_WORDS[kind]}"
-    if kind in ("literal_error", "enum"):
-        return f"{where}: {name} is {value}, must be {context['expected']}"
-    if kind == "value_error":
-        return f"{where}: {name}: {context['error']}" if keys else f"{where}: {context['error']}"
-    if kind == "union_tag_invalid":
-        return f"{where}: {name}.kind is '{context['tag']}', must be one of {context['expected_tags']}"
-    if kind == "union_tag_not_found":
-        return f"{where}: {name}.kind is missing"
-    return f"{where}: {name} is {value}: {detail['msg']}"
+    match kind:
+        case "missing":
+            says = f"{name} is missing"
+        case "extra_forbidden":
+            says = f"unknown key {name}{_suggestion(str(keys[-1]), _known_keys(section))}"
+        case "literal_error" | "enum":
+            says = f"{name} is {value}, must be {context['expected']}"
+        case "value_error":
+            says = f"{name}: {context['error']}" if keys else str(context["error"])
+        case "union_tag_invalid":
+            says = f"{name}.kind is '{context['tag']}', must be one of {context['expected_tags']}"
+        case "union_tag_not_found":
+            says = f"{name}.kind is missing"
+        case _:
+            says = f"{name} is {value}: {detail['msg']}"
+    return f"{where}: {says}"
 
 
 def _is_union_tag(key: str | int, document: Document, loc: tuple[str | int, ...]) -> bool:

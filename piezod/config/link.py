@@ -58,6 +58,17 @@ class ExpectedRegister(Register):
     expect: float
 
 
+ROLE_UNITS = {
+    "voltage_setpoint": "V",
+    "voltage_readback": "V",
+    "force": "N",
+    "reference": "N",
+    "temperature": "degC",
+    "watchdog_ms": "ms",
+    "virtual_tick_us": "us",
+}
+
+
 class Registers(Section):
     """The device's map, by what each register is for.
 
@@ -84,15 +95,6 @@ class Registers(Section):
     virtual_time: Register | None = None
     virtual_tick_us: Register | None = None
 
-    _UNITS = {
-        "voltage_setpoint": "V",
-        "voltage_readback": "V",
-        "force": "N",
-        "reference": "N",
-        "temperature": "degC",
-        "watchdog_ms": "ms",
-        "virtual_tick_us": "us",
-    }
     _TICK_WRITES = ("voltage_setpoint", "command_sequence")
     _TICK_READS = (
         "force",
@@ -119,7 +121,7 @@ class Registers(Section):
 
     @model_validator(mode="after")
     def _units_are_those_of_the_role(self) -> Self:
-        for name, unit in self._UNITS.items():
+        for name, unit in ROLE_UNITS.items():
             register = getattr(self, name)
             if register is not None and register.unit != unit:
                 raise ValueError(f"{name}.unit is '{register.unit}', must be '{unit}'; convert with scale and offset")

@@ -1,7 +1,8 @@
 """Read YAML so strictly that what was written is what is meant.
 
-PyYAML's defaults let a duplicate key win silently, read `12:30` as 750, `0400` as 256 and `no` as false. Here a number is
-decimal, a truth value is `true` or `false`, a key stands once, aliases do not exist, and every error names file and line.
+PyYAML's defaults let a duplicate key win silently, read `12:30` as 750, `0400` as 256 and `no` as false. Here a
+number is decimal, a truth value is `true` or `false`, a key stands once, aliases do not exist, and every error names
+file and line.
 """
 
 import re

@@ -1,7 +1,7 @@
 """The control loop: reference -> plan -> limit -> exchange -> commit -> ring log -> keep time, once a tick.
 
-The states that matter are those of the stack, so they move with the voltage that was really written, after every limit and
-rounding (`link.written_V`), and only when the exchange was good. Nothing in here raises for a bad sample.
+The states that matter are those of the stack, so they move with the voltage that was really written, after every
+limit and rounding (`link.written_V`), and only when the exchange was good. Nothing in here raises for a bad sample.
 """
 
 from dataclasses import dataclass, field

@@ -1,7 +1,8 @@
 """Everything that is asked of the operating system for the sake of time, in one place, each optional.
 
-Measured on two cores without PREEMPT_RT: SCHED_FIFO decides whether a loaded machine loses whole periods; a full garbage
-collection with numba imported costs 8 to 9 ms; deep sleep states of the cores cost tens of microseconds a wake-up.
+Measured on two cores without PREEMPT_RT: SCHED_FIFO decides whether a loaded machine loses whole periods; a full
+garbage collection with numba imported costs 8 to 9 ms; deep sleep states of the cores cost tens of microseconds a
+wake-up.
 """
 
 import contextlib

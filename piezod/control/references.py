@@ -22,7 +22,6 @@ from piezod.excitation import shape, whole_periods
 from piezod.recording import read_csv
 from piezod.transport import Reading
 
-
 MOST_TICKS = 50_000_000  # 400 MB of values
 
 
@@ -75,7 +74,7 @@ class TableReference:
         table = np.asarray(values, dtype=float)
         if table.ndim != 1 or table.size == 0 or not np.isfinite(table).all():
             raise ConfigurationError("reference: needs at least one value, all finite")
-        self._values = memoryview(np.ascontiguousarray(table))
+        self._values: memoryview[float] = memoryview(table.tobytes()).cast("d")
         self._loop = loop
         self._first = 0
         self.ramp_down_on_lapse = ramp_down_on_lapse
@@ -239,7 +238,7 @@ def waveform_table(config: WaveformReference, rate_Hz: float) -> TableReference:
         periods = config.frequency_Hz * ticks / rate_Hz
     if ticks > MOST_TICKS:
         raise ConfigurationError(f"reference: {ticks} ticks, at most {MOST_TICKS} are kept; shorten duration_s")
-    phase = np.arange(ticks) * (periods / ticks)
+    phase = np.arange(ticks, dtype=np.float64) * (periods / ticks)
     unit = shape(config.kind, phase, levels=config.levels, seed=config.seed)
     values = config.offset_N + config.amplitude_N * unit
     return TableReference(values, loop=config.duration_s is None, ramp_down_on_lapse=config.at_end == "ramp_down")

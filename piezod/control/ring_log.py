@@ -3,8 +3,9 @@
     file = header | capacity rows
     header = magic (8 bytes) | row size | capacity | rows written so far, each uint64
 
-The control loop is the only writer: it packs the row, then advances the count. A reader copies rows and looks at the count
-again; what was overwritten meanwhile is dropped and counted. No lock, no system call, no other process can slow a tick.
+The control loop is the only writer: it packs the row, then advances the count. A reader copies rows and looks at the
+count again; what was overwritten meanwhile is dropped and counted. No lock, no system call, no other process can
+slow a tick.
 """
 
 import mmap
@@ -121,7 +122,8 @@ class RingReader:
         overwritten = min(max(0, self._written() - self._capacity + 1 - first), rows.size)
         self.dropped += first - self._next + overwritten
         self._next = written
-        return rows[overwritten:]
+        fresh: NDArray[np.void] = rows[overwritten:]
+        return fresh
 
     def _written(self) -> int:
         return int(_COUNT.unpack_from(self._memory, _COUNT_AT)[0])

@@ -151,7 +151,7 @@ class Supervisor:
             self._go(State.DISARMED, Cause.RESET)
 
     def judge_exchange(self, good: bool, now_ns: int) -> None:
-        """Take note of an exchange; trip when none was good for too long, and leave the rest to the device's watchdog."""
+        """Take note of an exchange; trip on a long silence, then leave the rest to the device's watchdog."""
         if good:
             self._last_good_ns = now_ns
             return

@@ -159,14 +159,14 @@ def check_ready(bench: BenchConfig, link: Link) -> None:
     span_N = bench.limits.force_trip_N - bench.limits.force_min_N
     if abs(second_N - first_N) > 0.05 * span_N:
         raise CheckFailedError(
-            f"arming: two force readings are {first_N:.3g} N and {second_N:.3g} N, must agree within {0.05 * span_N:.3g} N; "
-            "check load cell and cable"
+            f"arming: two force readings are {first_N:.3g} N and {second_N:.3g} N, must agree within "
+            f"{0.05 * span_N:.3g} N; check load cell and cable"
         )
     readback_V, safe_V = link.reading.voltage_readback_V, bench.limits.voltage_safe_V
     if isfinite(readback_V) and abs(readback_V - safe_V) > bench.arming.readback_within_V:
         raise CheckFailedError(
-            f"arming: the amplifier reads back {readback_V:.3g} V, must be within {bench.arming.readback_within_V:g} V of "
-            f"{safe_V:g} V; bring it down first"
+            f"arming: the amplifier reads back {readback_V:.3g} V, must be within "
+            f"{bench.arming.readback_within_V:g} V of {safe_V:g} V; bring it down first"
         )
     _set_device_watchdog(bench, link)
 
@@ -182,8 +182,8 @@ def _force_at_rest(bench: BenchConfig, link: Link) -> float:
     force_N = link.reading.force_N
     if not bench.limits.force_min_N <= force_N <= bench.limits.force_trip_N:
         raise CheckFailedError(
-            f"arming: force is {force_N:.3g} N at rest, must be within limits.force_min_N, {bench.limits.force_min_N:g}, and "
-            f"limits.force_trip_N, {bench.limits.force_trip_N:g}; check preload and tare"
+            f"arming: force is {force_N:.3g} N at rest, must be within limits.force_min_N, "
+            f"{bench.limits.force_min_N:g}, and limits.force_trip_N, {bench.limits.force_trip_N:g}; check preload and tare"
         )
     return force_N
 
@@ -196,8 +196,8 @@ def _set_device_watchdog(bench: BenchConfig, link: Link) -> None:
     found_ms = link.read_register("watchdog_ms")
     if found_ms != wanted_ms:
         raise CheckFailedError(
-            f"arming: the device's watchdog reads back {found_ms:g} ms after {wanted_ms} ms were written; without it the "
-            "output stays on when this machine dies"
+            f"arming: the device's watchdog reads back {found_ms:g} ms after {wanted_ms} ms were written; "
+            "without it the output stays on when this machine dies"
         )
 
 

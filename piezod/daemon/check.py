@@ -4,11 +4,11 @@ import os
 import resource
 import time
 import warnings
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from math import isnan
 from pathlib import Path
-from typing import Literal
+from typing import Literal, TypeVar
 
 import numpy as np
 
@@ -58,14 +58,17 @@ def check_bench(path: Path) -> list[Check]:
     return checks
 
 
-def _try(checks: list[Check], name: str, look: object, say: object) -> object:
+Found = TypeVar("Found")
+
+
+def _try(checks: list[Check], name: str, look: Callable[[], Found], say: Callable[[Found], str]) -> Found | None:
     """Append what `look` finds; returns it, or None when it raised."""
     try:
-        found = look()  # type: ignore[operator]
+        found = look()
     except PiezodError as error:
         checks.append(Check(name, "FAIL", str(error)))
         return None
-    checks.append(Check(name, "OK", say(found)))  # type: ignore[operator]
+    checks.append(Check(name, "OK", say(found)))
     return found
 
 

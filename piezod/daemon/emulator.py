@@ -1,4 +1,4 @@
-"""The emulated bench as a process of its own: started for the demo, ended with it. Only its command line is known here."""
+"""The emulated bench as a process of its own, started for the demo and ended with it."""
 
 import contextlib
 import json

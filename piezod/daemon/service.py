@@ -59,7 +59,9 @@ class TrackingError:
         joined = rows if self._last is None else np.concatenate((np.atleast_1d(self._last), rows))
         self._last = rows[-1].copy()
         commands, answers = joined[:-1], joined[1:]
-        followed = (commands["state"] == State.RUNNING) & (answers["state"] == State.RUNNING) & (answers["result"] == GOOD)
+        followed = (
+            (commands["state"] == State.RUNNING) & (answers["state"] == State.RUNNING) & (answers["result"] == GOOD)
+        )
         error = answers["force_N"][followed] - commands["reference_N"][followed]
         if error.size:
             self.ticks += int(error.size)
@@ -108,7 +110,9 @@ def _sum_up(outcome: Outcome, tracking: TrackingError) -> None:
     for warning in outcome.warnings:
         _say(f"warning: {warning}")
     failed = ", ".join(f"{name} {count}" for name, count in outcome.results.items() if name != "ok")
-    _say(f"{outcome.ticks} ticks, {outcome.missed} missed, {outcome.failed_exchanges} failed exchanges {failed}".rstrip())
+    _say(
+        f"{outcome.ticks} ticks, {outcome.missed} missed, {outcome.failed_exchanges} failed exchanges {failed}".rstrip()
+    )
     if tracking.ticks:
         _say(f"tracking: rms error {tracking.rms_N:.3f} N, max {tracking.max_N:.3f} N over {tracking.ticks} ticks")
     if outcome.fault:

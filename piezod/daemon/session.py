@@ -1,7 +1,7 @@
 """Drive a bench in a process of its own, and follow its ring log from here.
 
-The control process is one thread that reads, plans and writes. Whatever else there is to do (showing, recording, drawing)
-happens on this side and cannot slow a tick.
+The control process is one thread that reads, plans and writes. Whatever else there is to do (showing, recording,
+drawing) happens on this side and cannot slow a tick.
 """
 
 import contextlib
@@ -181,4 +181,3 @@ def _resident_kib() -> int:
     """Resident memory of this process now [KiB]."""
     pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1])
     return pages * os.sysconf("SC_PAGE_SIZE") // 1024
-

@@ -55,13 +55,11 @@ def _as_hysteresis(structure: Structure, zones: Array, parameters: Array, eps: f
     )
 
 
-def _refine(
-    structure: Structure, zones: Array, start: Array, u: Array, y: Array, constraints: Constraints
-) -> Array:
+def _refine(structure: Structure, zones: Array, start: Array, u: Array, y: Array, constraints: Constraints) -> Array:
     """Gauss-Newton on the output error; each step is the quadratic program with a linear term.
 
-    The program's error is in volts and has the noisy force among its regressors, which biases the dead-zone weights; the error
-    in the force has not.
+    The program's error is in volts and has the noisy force among its regressors, which biases the dead-zone weights;
+    the error in the force has not.
     """
     best, best_loss = start, np.inf
     parameters, damping = start, 1.0

@@ -3,8 +3,9 @@
     min_w  w' G w   subject to   partial sums of plays and of inverse dead zones >= eps,   H(u_max) = u_max
     w = [play weights, one constant, inverse dead-zone weights],   G = sum over samples of phi phi'
 
-The error is linear in the direct play weights and in the inverse dead-zone weights, so the program is convex. Columns are
-scaled to equal length and the Hessian to a mean diagonal of 1; without that ProxQP's tolerance says nothing about the weights.
+The error is linear in the direct play weights and in the inverse dead-zone weights, so the program is convex.
+Columns are scaled to equal length and the Hessian to a mean diagonal of 1; without that ProxQP's tolerance says
+nothing about the weights.
 """
 
 from dataclasses import dataclass, replace
@@ -24,7 +25,7 @@ TOLERANCE = 1e-12
 
 @dataclass(frozen=True)
 class Constraints:
-    """Rows that the weights must satisfy: `rows @ w >= low` (3.16, 3.18-3.21) and `equality @ w = 1` (3.17 over u_max)."""
+    """What the weights must satisfy: `rows @ w >= low` (3.16, 3.18-3.21), `equality @ w = 1` (3.17 over u_max)."""
 
     rows: Array
     low: Array
@@ -122,7 +123,8 @@ def solve_step(hessian: Array, gradient: Array, constraints: Constraints, start:
     solver.solve()
     if solver.results.info.status != proxsuite.proxqp.QPSolverOutput.PROXQP_SOLVED:
         raise RecordingError(
-            f"the quadratic program was not solved ({solver.results.info.status.name}): the recording does not determine "
-            "the model; record triangles over the whole range, or identify with fewer operators"
+            f"the quadratic program was not solved ({solver.results.info.status.name}): the recording does not "
+            "determine the model; record triangles over the whole range, or identify with fewer operators"
         )
-    return start + scale * np.array(solver.results.x)
+    weights: Array = start + scale * np.array(solver.results.x)
+    return weights

@@ -28,8 +28,8 @@ def max_hysteresis_percent(drive: Array, response: Array, cells: int = 100) -> f
 
         100 max_x |down(x) - up(x)| / (max response - min response)          (THEORY 1.8)
 
-    Up and down are the means over a cell of `drive` of all samples taken while it rises and while it falls, so that noise
-    is averaged and every cycle counts.
+    Up and down are the means over a cell of `drive` of all samples taken while it rises and while it falls, so that
+    noise is averaged and every cycle counts.
 
     Parameters
     ----------
@@ -56,7 +56,9 @@ def max_hysteresis_percent(drive: Array, response: Array, cells: int = 100) -> f
     return float(100.0 * np.nanmax(openings) / (response.max() - response.min()))
 
 
-def _cell_means(cell: Array, drive: Array, response: Array, chosen: NDArray[np.bool_], cells: int) -> Array:
+def _cell_means(
+    cell: NDArray[np.integer], drive: Array, response: Array, chosen: NDArray[np.bool_], cells: int
+) -> Array:
     """Mean response a cell, moved along the branch's own slope to the cell's centre of the drive."""
     count = np.bincount(cell[chosen], minlength=cells).astype(float)
     count[count == 0] = np.nan
@@ -68,4 +70,5 @@ def _cell_means(cell: Array, drive: Array, response: Array, chosen: NDArray[np.b
     slope = np.full(cells, np.nan)
     if known.sum() > 1:
         slope[known] = np.gradient(mean_response[known], mean_drive[known])
-    return mean_response + slope * (centre - mean_drive)
+    at_centre: Array = mean_response + slope * (centre - mean_drive)
+    return at_centre

@@ -14,8 +14,8 @@ def play_thresholds(count: int, reach: float, *, growth: float = 1.0) -> Array:
     count
         n, the plays besides the linear part.
     reach
-        Largest threshold that still moves [V]: half the range on a unipolar drive, because a play wider than that is frozen
-        after the first peak (THEORY 1.3).
+        Largest threshold that still moves [V]: half the range on a unipolar drive, because a play wider than that is
+        frozen after the first peak (THEORY 1.3).
     growth
         1: equally spaced (3.25); above 1: finer near zero.
     """

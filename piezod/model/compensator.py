@@ -1,4 +1,4 @@
-"""The inverse chain: from the force that is wanted to the voltage, planned first and committed with what was applied."""
+"""The inverse chain: from the force wanted to the voltage, planned first and committed with what was applied."""
 
 from typing import Protocol
 
@@ -48,7 +48,7 @@ class InverseCompensator:
 
     def plan(self, reference: float) -> float:
         """Voltage [V] for a reference [N]; moves no state."""
-        return plan_step(self._packed, reference)  # type: ignore[no-any-return]  # compiled
+        return plan_step(self._packed, reference)
 
     def commit(self, voltage_V: float) -> None:
         """Move the plays with the voltage that was really written."""
@@ -56,7 +56,7 @@ class InverseCompensator:
 
 
 class GainCompensator:
-    """One factor between force and voltage, the chord of the steady major loop: what is had without a hysteresis model."""
+    """One factor between force and voltage, the chord of the steady major loop: what one has without a model."""
 
     def __init__(self, model: Model) -> None:
         bottom, top = Plant(model).steady_range()

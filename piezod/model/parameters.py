@@ -6,8 +6,9 @@ writing it again gives the same text.
 
 import hashlib
 import os
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Literal, Self
 
 import numpy as np
 import yaml
@@ -118,7 +119,7 @@ class Provenance(Section):
 class Model(Section):
     """A whole model file."""
 
-    schema_: Annotated[Literal["piezod.model/1"], Field(alias="schema")] = SCHEMA
+    schema_: Annotated[Literal["piezod.model/1"], Field(alias="schema")] = "piezod.model/1"
     name: Annotated[str, Field(min_length=1, max_length=100)]
     input: Channel
     output: Channel
@@ -197,7 +198,7 @@ class _Dumper(yaml.SafeDumper):
     """Lists of numbers in one line, floats so that they read back to the same bits."""
 
 
-def _represent_list(dumper: yaml.SafeDumper, values: Any) -> yaml.Node:
+def _represent_list(dumper: yaml.SafeDumper, values: Sequence[object]) -> yaml.Node:
     flow = all(isinstance(value, (int, float)) for value in values) and bool(values)
     return dumper.represent_sequence("tag:yaml.org,2002:seq", values, flow_style=flow)
 

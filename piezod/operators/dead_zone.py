@@ -1,4 +1,4 @@
-"""One-sided dead-zone operators with weights: the memoryless, asymmetric half of the modified Prandtl-Ishlinskii operator.
+"""One-sided dead-zone operators with weights: the memoryless half of the modified Prandtl-Ishlinskii operator.
 
     S_r(x) = max(x - r, 0) for r > 0,   x for r = 0,   min(x - r, 0) for r < 0        (3.6)
     y = sum_j w_j S_{r_j}(x)                                                          (3.7)
@@ -99,7 +99,8 @@ def check_dead_zone(thresholds: Array, weights: Array, eps: float) -> None:
     """
     if np.count_nonzero(thresholds == 0.0) != 1 or thresholds.shape != weights.shape:
         raise ModelError(
-            f"dead zones: {thresholds.size} thresholds and {weights.size} weights, must be as many, one threshold being 0"
+            f"dead zones: {thresholds.size} thresholds and {weights.size} weights, must be as many, one "
+            "threshold being 0"
         )
     upper, lower = split(thresholds, weights)
     steepest = max(float(np.abs(np.cumsum(side[1])).max()) for side in (upper, lower))

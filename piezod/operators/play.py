@@ -5,7 +5,8 @@ A play of threshold r lets its input move by r either way before its state z fol
     z(k) = max(u(k) - r, min(u(k) + r, z(k-1)))                       (3.1)
     v(k) = sum_i w_i z_i(k),   0 = r_0 < r_1 < ... < r_n              (3.4)
 
-The steps work on `packed[base : base + 3 * count]`: thresholds, weights, states, each `count` long. They allocate nothing.
+The steps work on `packed[base : base + 3 * count]`: thresholds, weights, states, each `count` long. They allocate
+nothing.
 """
 
 import numba
@@ -53,8 +54,8 @@ def play_solve(packed: Array, base: int, count: int, v: float) -> float:
     missing = v - play_value(packed, base, count)
     sign = 1.0 if missing >= 0.0 else -1.0
     missing *= sign
-    position = packed[states]
-    slope = packed[weights]
+    position: float = packed[states]
+    slope: float = packed[weights]
     for i in range(1, count):
         kink = packed[states + i] + sign * packed[base + i]
         rise = slope * (kink - position) * sign
@@ -99,7 +100,7 @@ def inverse_table(thresholds: Array, weights: Array) -> tuple[Array, Array]:
 
 
 def inverse_states(weights: Array, states: Array) -> Array:
-    """States of the inverse plays that belong to `states` of the direct ones: z'_i = W_i z_i + sum_{j>i} w_j z_j (3.34)."""
+    """States of the inverse plays, from those of the direct ones: z'_i = W_i z_i + sum_{j>i} w_j z_j (3.34)."""
     products = weights * states
     tail = np.concatenate((np.cumsum(products[::-1])[::-1][1:], [0.0]))
     result: Array = np.cumsum(weights) * states + tail

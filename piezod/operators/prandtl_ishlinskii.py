@@ -4,7 +4,8 @@ Forward: plays, then dead zones (3.8). Inverse: dead zones first, plays second (
 
 - `AnalyticInverse` steps the inverse tables (3.28-3.36). Exact as long as what it returns is what is applied.
 - `ImplicitInverse` keeps the plays of the forward operator and solves for the input sample by sample. It plans without
-  moving a state and is then told what was really applied, so it stays exact when a limit bites. This is the one that drives.
+  moving a state and is then told what was really applied, so it stays exact when a limit bites. This is the one that
+  drives.
 
 All of them own one packed array: [play count, dead-zone count, offset | r, w, z of the plays | r, w of the dead zones].
 """
@@ -34,7 +35,8 @@ def forward_step(packed: Array, u: float) -> float:
     """Advance by one sample: y = S[H[u]] + offset."""
     plays, zones = int(packed[0]), int(packed[1])
     v = play_step(packed, HEADER, plays, u)
-    return dead_zone_step(packed, HEADER + 3 * plays, zones, v) + packed[2]
+    y: float = dead_zone_step(packed, HEADER + 3 * plays, zones, v) + packed[2]
+    return y
 
 
 @numba.njit(cache=True)

@@ -5,7 +5,10 @@ import sys
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
 
 from piezod.recording import Recording
 from piezod.report.page import table_html
@@ -16,13 +19,43 @@ STATES = ("DISARMED", "ARMING", "RUNNING", "HOLD", "RAMP_DOWN", "FAULT")
 HEADER = ["reference", "compensation", "rms error [N]", "[%]", "max error [N]", "[%]", "max hysteresis [%]"]
 
 
+Rows = NDArray[np.void]
+
+
+class Timing(Protocol):
+    """Percentiles in microseconds."""
+
+    @property
+    def lateness_us(self) -> dict[str, float]:
+        """Of the wake-ups."""
+        ...
+
+    @property
+    def completion_us(self) -> dict[str, float]:
+        """From the deadline to the committed state."""
+        ...
+
+
+class SessionOutcome(Protocol):
+    """What the control process counted."""
+
+    ticks: int
+    missed: int
+    failed_exchanges: int
+    results: dict[str, int]
+    fault: str
+    stopped: bool
+    warnings: list[str]
+    resident_kib: int
+
+
 @dataclass(frozen=True)
 class DemoVerdict:
     """The figures of the demo and whether it passed."""
 
     figures: dict[tuple[str, str], TrackingFigures]
-    timing: Any
-    outcome: Any
+    timing: Timing
+    outcome: SessionOutcome
 
     @property
     def hysteresis_ratio(self) -> float:
@@ -74,7 +107,7 @@ class DemoVerdict:
         }
 
 
-def judge(recordings: dict[tuple[str, str], Recording], timing: Any, outcome: Any) -> DemoVerdict:
+def judge(recordings: dict[tuple[str, str], Recording], timing: Timing, outcome: SessionOutcome) -> DemoVerdict:
     """Figures of every reference that was followed."""
     figures = {
         key: tracking_figures(recording, loop=key[0] == "triangle")
@@ -85,12 +118,12 @@ def judge(recordings: dict[tuple[str, str], Recording], timing: Any, outcome: An
 
 
 @contextlib.contextmanager
-def live_line(names: list[str]) -> Iterator[Callable[[Any], None]]:
-    """Yield a function that shows the newest row: one line that is overwritten on a terminal, one a second elsewhere."""
+def live_line(names: list[str]) -> Iterator[Callable[[Rows], None]]:
+    """Yield a function that shows the newest row: one line overwritten on a terminal, one a second elsewhere."""
     terminal = sys.stdout.isatty()
     last_ns = 0
 
-    def show(rows: Any) -> None:
+    def show(rows: Rows) -> None:
         nonlocal last_ns
         if not len(rows) or (not terminal and int(rows["time_ns"][-1]) - last_ns < 1_000_000_000):
             return
@@ -128,8 +161,8 @@ def _rows(verdict: DemoVerdict) -> list[list[str]]:
 def _timing_words(verdict: DemoVerdict) -> str:
     late = verdict.timing.lateness_us
     return (
-        f"{verdict.outcome.ticks} ticks, {verdict.outcome.missed} missed, {verdict.outcome.failed_exchanges} failed exchanges; "
-        f"lateness p50 {late['p50']:.0f} us, p99 {late['p99']:.0f} us, p99.9 {late['p99.9']:.0f} us"
+        f"{verdict.outcome.ticks} ticks, {verdict.outcome.missed} missed, {verdict.outcome.failed_exchanges} failed "
+        f"exchanges; lateness p50 {late['p50']:.0f} us, p99 {late['p99']:.0f} us, p99.9 {late['p99.9']:.0f} us"
     )
 
 

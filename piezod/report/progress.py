@@ -3,14 +3,15 @@
 import contextlib
 import sys
 from collections.abc import Callable, Iterator
-from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
 
 @contextlib.contextmanager
-def progress(what: str, duration_s: float) -> Iterator[Callable[[Any], None]]:
+def progress(what: str, duration_s: float) -> Iterator[Callable[[NDArray[np.void]], None]]:
     """Yield a function to be called with new ring-log rows; the bar follows their time stamps.
 
     Parameters
@@ -30,7 +31,7 @@ def progress(what: str, duration_s: float) -> Iterator[Callable[[Any], None]]:
         task = bar.add_task(what, total=duration_s)
         first_ns: int | None = None
 
-        def show(rows: Any) -> None:
+        def show(rows: NDArray[np.void]) -> None:
             nonlocal first_ns
             if len(rows):
                 first_ns = first_ns if first_ns is not None else int(rows["time_ns"][0])

@@ -5,7 +5,8 @@ from pathlib import Path
 
 import numpy as np
 from bokeh.layouts import column, row
-from bokeh.models import Div, HoverTool
+from bokeh.models import HoverTool
+from bokeh.models.widgets import Div
 from bokeh.plotting import figure
 from numpy.typing import NDArray
 

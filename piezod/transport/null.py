@@ -1,6 +1,6 @@
 """A link to a device inside this process, for tests and simulation; no configuration file can name it."""
 
-from math import nan
+from math import isfinite, nan
 from typing import Protocol
 
 from piezod.errors import ConfigurationError
@@ -47,6 +47,9 @@ class NullLink:
 
     def exchange(self, voltage_V: float) -> ExchangeResult:
         """Write the voltage [V] and read."""
+        if not isfinite(voltage_V):
+            self.counts[ExchangeResult.OUT_OF_RANGE] += 1
+            return ExchangeResult.OUT_OF_RANGE
         self.written_V = voltage_V
         return self._take(self._device.exchange(voltage_V))
 

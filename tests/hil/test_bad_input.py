@@ -54,7 +54,9 @@ def bench_copy(tmp_path):
     """The shipped bench file with one replacement."""
 
     def write(old, new):
-        text = BENCH.read_text(encoding="utf-8").replace("model: model.yaml", f"model: {ROOT / 'config' / 'model.yaml'}")
+        text = BENCH.read_text(encoding="utf-8").replace(
+            "model: model.yaml", f"model: {ROOT / 'config' / 'model.yaml'}"
+        )
         assert old in text
         path = tmp_path / "bench.yaml"
         path.write_text(text.replace(old, new, 1), encoding="utf-8")
@@ -83,7 +85,9 @@ def test_a_model_of_another_schema_ends_with_78(bench_copy, tmp_path):
     path = bench_copy("model.yaml", "/old.yaml")
     path.write_text(path.read_text().replace(str(ROOT / "config" / "/old.yaml"), "old.yaml"), encoding="utf-8")
     text = path.read_text(encoding="utf-8")
-    path.write_text("\n".join("model: old.yaml" if x.startswith("model:") else x for x in text.splitlines()), encoding="utf-8")
+    path.write_text(
+        "\n".join("model: old.yaml" if x.startswith("model:") else x for x in text.splitlines()), encoding="utf-8"
+    )
     assert "schema is 'piezod.model/0', must be 'piezod.model/1'" in one_line(piezod("run", path, "--arm"), 78)
 
 

@@ -35,7 +35,7 @@ class FakeLink:
         self.written_V = 0.0
         self.counts = [0] * len(ExchangeResult)
         self.voltages = []
-        self.fails = lambda number: False
+        self.fails = lambda _: False
         self.exchanges = 0
 
     def exchange(self, voltage_V):

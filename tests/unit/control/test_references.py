@@ -55,7 +55,9 @@ def test_a_triangle_reaches_its_top_in_the_middle_of_the_period():
 def test_a_period_that_is_no_whole_number_of_ticks_repeats_without_a_slip():
     reference = waveform_table(waveform("sine", frequency_Hz=3.0), 1000.0)
     k = np.arange(5000)
-    np.testing.assert_allclose(values_of(reference, 5000), 100.0 - 50.0 * np.cos(2 * np.pi * 3.0 * k / 1000.0), atol=1e-6)
+    np.testing.assert_allclose(
+        values_of(reference, 5000), 100.0 - 50.0 * np.cos(2 * np.pi * 3.0 * k / 1000.0), atol=1e-6
+    )
 
 
 def test_a_table_ends_holds_its_last_value_and_says_so():
@@ -161,7 +163,14 @@ def test_the_newest_datagram_counts_and_silence_makes_it_stale(stream):
 
 def test_old_repeated_malformed_and_infinite_datagrams_are_refused_and_counted(stream):
     reference, sender = stream
-    for message in (datagram(5, 50.0), datagram(4, 40.0), datagram(5, 51.0), b"x", datagram(6, float("inf")), b"y" * 60):
+    for message in (
+        datagram(5, 50.0),
+        datagram(4, 40.0),
+        datagram(5, 51.0),
+        b"x",
+        datagram(6, float("inf")),
+        b"y" * 60,
+    ):
         sender.send(message)
     assert reference.read(0, MS) == 50.0
     assert reference.rejected == 5

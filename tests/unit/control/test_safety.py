@@ -76,7 +76,12 @@ def test_five_ticks_missed_in_a_row_trip():
 
 
 def test_amplifier_fault_bits_and_a_tripped_watchdog_trip():
-    for status, cause in ((8, Cause.DEVICE_FAULT), (16, Cause.DEVICE_FAULT), (32, Cause.DEVICE_FAULT), (2, Cause.DEVICE_WATCHDOG)):
+    for status, cause in (
+        (8, Cause.DEVICE_FAULT),
+        (16, Cause.DEVICE_FAULT),
+        (32, Cause.DEVICE_FAULT),
+        (2, Cause.DEVICE_WATCHDOG),
+    ):
         supervisor = running()
         supervisor.judge_reading(10.0, status)
         assert supervisor.cause is cause

@@ -26,10 +26,10 @@ def superpositions(draw, most=8, first=1.0):
 
 
 @st.composite
-def operators(draw, two_sided=st.booleans()):
+def operators(draw):
     plays = draw(superpositions())
     upper = draw(superpositions(most=4, first=2.0))
-    if draw(two_sided):
+    if draw(st.booleans()):
         lower = draw(superpositions(most=4, first=2.0))
         weights = np.concatenate((lower[1][:0:-1], [upper[1][0]], upper[1][1:]))
         lower_slopes = np.cumsum(np.concatenate(([upper[1][0]], lower[1][1:])))
@@ -88,7 +88,11 @@ def test_both_inverses_after_forward_are_the_identity(operator, u):
 
 
 def typical_operator(two_sided=False):
-    zones = ([-40.0, -15.0, 0.0, 30.0, 80.0], [0.2, -0.3, 2.0, -0.2, 0.3]) if two_sided else ([0.0, 30.0, 80.0], [2.0, -0.2, 0.3])
+    zones = (
+        ([-40.0, -15.0, 0.0, 30.0, 80.0], [0.2, -0.3, 2.0, -0.2, 0.3])
+        if two_sided
+        else ([0.0, 30.0, 80.0], [2.0, -0.2, 0.3])
+    )
     return PrandtlIshlinskii([0.0, 2.0, 5.0, 12.0, 30.0], [0.6, 0.2, -0.1, 0.15, 0.2], *zones, offset=3.0)
 
 

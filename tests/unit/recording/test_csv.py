@@ -10,7 +10,9 @@ from piezod.recording import Recording, read_csv, write_csv
 def test_what_is_written_is_read_back(tmp_path):
     rng = np.random.default_rng(1)
     time_s = np.cumsum(rng.uniform(1e-4, 1e-2, 200))
-    recording = Recording(time_s, {"voltage_V": rng.normal(size=200), "force_N": rng.normal(size=200)}, {"bench": "a b"})
+    recording = Recording(
+        time_s, {"voltage_V": rng.normal(size=200), "force_N": rng.normal(size=200)}, {"bench": "a b"}
+    )
     write_csv(recording, tmp_path / "rec.csv")
     again = read_csv(tmp_path / "rec.csv")
     np.testing.assert_allclose(again.time_s, time_s, atol=5e-10)

@@ -1,0 +1,1 @@
+"""The service around the loop: processes, recording, checks; everything that may wait."""
