@@ -97,18 +97,25 @@ class TcpWire:
         self._family, self._address = found[0][0], found[0][4]
         try:
             self._connect(monotonic() + self._config.connect_timeout_s)
-            self._check_welcome(where)
-        except ConnectionRefusedError as error:
-            self.close()
-            raise UnreachableError(f"{where} refused the connection: is the device on, and the port right?") from error
-        except TimeoutError as error:
-            self.close()
-            raise UnreachableError(
-                f"{where} did not answer within {self._config.connect_timeout_s:g} s: check cable, address and firewall"
-            ) from error
+            turned_away = self._is_turned_away()
+        except ConnectionResetError:
+            turned_away = True
         except OSError as error:
             self.close()
-            raise UnreachableError(f"{where}: {error.strerror or error}: check network and address") from error
+            raise UnreachableError(self._explain(error)) from error
+        if turned_away:
+            self.close()
+            raise BusyError(f"{where} closed the connection at once: another client may hold the device; stop it first")
+
+    def _explain(self, error: OSError) -> str:
+        """Say why there is no connection."""
+        where = f"link: {self._config.host}:{self._config.port}"
+        if isinstance(error, ConnectionRefusedError):
+            return f"{where} refused the connection: is the device on, and the port right?"
+        if isinstance(error, TimeoutError):
+            limit_s = self._config.connect_timeout_s
+            return f"{where} did not answer within {limit_s:g} s: check cable, address and firewall"
+        return f"{where}: {error.strerror or error}: check network and address"
 
     def close(self) -> None:
         """Disconnect, until the next `open`."""
@@ -253,17 +260,11 @@ class TcpWire:
         self.generation += 1
         self.answered = False
 
-    def _check_welcome(self, where: str) -> None:
-        """Notice a device that closes a second client's connection."""
+    def _is_turned_away(self) -> bool:
+        """Whether the device closes the connection at once, as one that serves a single client does to a second."""
         connection = self._socket
         assert connection is not None
-        if not self._poll.poll(1e3 * REFUSAL_S):
-            return
-        with contextlib.suppress(ConnectionError):
-            if connection.recv(1, socket.MSG_PEEK):
-                return
-        self.close()
-        raise BusyError(f"{where} closed the connection at once: another client may hold the device; stop it first")
+        return bool(self._poll.poll(1e3 * REFUSAL_S)) and not connection.recv(1, socket.MSG_PEEK)
 
     def _disconnect(self) -> None:
         if self._socket is None:

@@ -6,7 +6,7 @@ GAP_CHARACTERS = 3.5  # silence between two RTU frames: Modbus over Serial Line 
 FIXED_GAP_S = 0.00175  # above 19200 baud devices may insist on this instead (same place)
 
 _READ_OVERHEAD = 8 + 5  # unit, function, address, count, CRC; unit, function, byte count, CRC
-_WRITE_OVERHEAD = {16: 9 + 8, 6: 6 + 8}
+_WRITE_OVERHEAD = {16: 9 + 8, 6: 6 + 6}
 _READ_WRITE_OVERHEAD = 13 + 5
 
 

@@ -1,0 +1,67 @@
+"""Links to scripted devices."""
+
+import contextlib
+
+import pytest
+
+from piezod.config.link import ModbusRtuLink, ModbusTcpLink, SerialLineLink
+from piezod.transport import make_link
+from tests.unit.transport.scripted import LINE, ScriptedLine, ScriptedPty, ScriptedTcp, registers
+
+TIMEOUT_S = 0.05
+BAUDRATE = 921600
+
+
+def tcp_config(port, **more):
+    fields = {"kind": "modbus_tcp", "host": "127.0.0.1", "port": port, "timeout_s": TIMEOUT_S, "registers": registers()}
+    return ModbusTcpLink.model_validate(fields | more)
+
+
+def rtu_config(port, **more):
+    fields = {
+        "kind": "modbus_rtu",
+        "port": port,
+        "baudrate": BAUDRATE,
+        "timeout_s": TIMEOUT_S,
+        "registers": registers(),
+    }
+    return ModbusRtuLink.model_validate(fields | more)
+
+
+def line_config(port, **more):
+    fields = {"kind": "serial_line", "port": port, "baudrate": BAUDRATE, "timeout_s": TIMEOUT_S}
+    return SerialLineLink.model_validate(fields | LINE | more)
+
+
+@contextlib.contextmanager
+def opened(server, config):
+    link = make_link(config)
+    link.open()
+    try:
+        yield link, server
+    finally:
+        link.close()
+
+
+@pytest.fixture
+def tcp():
+    """A link over TCP that has exchanged once, and its scripted device."""
+    with ScriptedTcp() as server, opened(server, tcp_config(server.port)) as pair:
+        assert pair[0].exchange(1.0) == 0
+        yield pair
+
+
+@pytest.fixture
+def rtu():
+    """A link over a pty that has exchanged once, and its scripted device."""
+    with ScriptedPty() as server, opened(server, rtu_config(server.port)) as pair:
+        assert pair[0].exchange(1.0) == 0
+        yield pair
+
+
+@pytest.fixture
+def line():
+    """A link by lines over a pty that has exchanged once, and its scripted device."""
+    with ScriptedLine() as server, opened(server, line_config(server.port)) as pair:
+        assert pair[0].exchange(1.0) == 0
+        yield pair

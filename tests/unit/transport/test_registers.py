@@ -1,0 +1,122 @@
+import struct
+from math import isnan
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from pymodbus.client import ModbusTcpClient
+
+from piezod.config.link import Register
+from piezod.errors import ConfigurationError
+from piezod.transport.registers import RegisterCodec
+from piezod.transport.tick_values import SLOTS, ReadBlock
+
+TYPE = ModbusTcpClient.DATATYPE
+PYMODBUS = {"int16": TYPE.INT16, "uint16": TYPE.UINT16, "int32": TYPE.INT32, "float32": TYPE.FLOAT32}
+RANGES = {"int16": (-32768, 32767), "uint16": (0, 65535), "int32": (-(2**31), 2**31 - 1)}
+ORDERS = {"int16": ("AB", "BA"), "uint16": ("AB", "BA"), "int32": ("ABCD", "CDAB", "BADC", "DCBA")}
+ORDERS["float32"] = ORDERS["int32"]
+KINDS = [(kind, order) for kind, orders in ORDERS.items() for order in orders]
+
+
+def register(kind, order=None, **more):
+    return Register.model_validate({"address": 0, "type": kind, "order": order} | more)
+
+
+def by_pymodbus(kind, order, raw):
+    """pymodbus puts the words in order; the bytes within a word are swapped here."""
+    first = order in ("AB", "BA", "ABCD", "BADC")
+    words = ModbusTcpClient.convert_to_registers(raw, PYMODBUS[kind], word_order="big" if first else "little")
+    swapped = order in ("BA", "BADC", "DCBA")
+    return b"".join(struct.pack("<H" if swapped else ">H", word) for word in words)
+
+
+def raw_values(kind):
+    if kind == "float32":
+        return st.floats(width=32, allow_nan=False, allow_infinity=False)
+    return st.integers(*RANGES[kind])
+
+
+@pytest.mark.parametrize(("kind", "order"), KINDS)
+@given(data=st.data())
+def test_bytes_are_those_of_pymodbus(kind, order, data):
+    raw = data.draw(raw_values(kind))
+    buffer = bytearray(8)
+    codec = RegisterCodec(register(kind, order))
+    assert codec.pack_into(buffer, 2, float(raw)) == raw
+    assert bytes(buffer[2 : 2 + codec.size]) == by_pymodbus(kind, order, raw)
+    assert codec.unpack_from(buffer, 2) == raw
+
+
+@given(
+    kind=st.sampled_from(sorted(RANGES)),
+    scale=st.floats(1e-4, 1e3) | st.floats(-1e3, -1e-4),
+    offset=st.floats(-1e3, 1e3),
+    data=st.data(),
+)
+def test_what_comes_back_is_within_half_a_count(kind, scale, offset, data):
+    low, high = RANGES[kind]
+    value = data.draw(st.floats(low, high)) * scale + offset
+    codec = RegisterCodec(register(kind, scale=scale, offset=offset))
+    buffer = bytearray(4)
+    written = codec.pack_into(buffer, 0, value)
+    if not isnan(written):
+        assert abs(written - value) <= 0.5 * abs(scale) + 1e-9 * abs(value)
+        assert codec.unpack_from(buffer, 0) == written
+
+
+@pytest.mark.parametrize(
+    ("kind", "value"),
+    [("uint16", -1.0), ("uint16", 65535.6), ("int16", 32768.0), ("int32", 2.0**31), ("float32", 3.5e38),
+     ("float32", float("nan")), ("uint16", float("inf")), ("int32", float("nan"))],
+)  # fmt: skip
+def test_what_does_not_fit_is_never_saturated(kind, value):
+    buffer = bytearray(b"same")
+    assert isnan(RegisterCodec(register(kind)).pack_into(buffer, 0, value))
+    assert buffer == b"same"
+
+
+def test_low_and_high_of_a_register_bound_what_is_written():
+    codec = RegisterCodec(register("float32", low=0.0, high=10.0))
+    assert isnan(codec.pack_into(bytearray(4), 0, 10.5))
+    assert codec.pack_into(bytearray(4), 0, 10.0) == 10.0
+
+
+def test_limits_that_cannot_be_encoded_are_refused_by_name():
+    codec = RegisterCodec(register("uint16", scale=0.001))
+    codec.check_encodable(0.0, 65.0, "link")
+    with pytest.raises(ConfigurationError, match=r"link: 140 cannot be encoded, must be within 0 and 65\.535"):
+        codec.check_encodable(0.0, 140.0, "link")
+
+
+@given(data=st.data())
+def test_a_block_decodes_like_its_registers_one_by_one(data):
+    """Any types and orders, with gaps."""
+    members, address = {}, data.draw(st.integers(0, 100))
+    for role in ("force", "voltage_readback", "temperature", "reference"):
+        kind, order = data.draw(st.sampled_from(KINDS))
+        unit = {"force": "N", "reference": "N", "voltage_readback": "V", "temperature": "degC"}[role]
+        address += data.draw(st.integers(0, 3))
+        members[role] = register(
+            kind, order, address=address, scale=data.draw(st.sampled_from([1.0, 0.1, -2.0])), unit=unit
+        )
+        address += members[role].words
+    block = ReadBlock(members)
+    payload = bytearray(data.draw(st.binary(min_size=5 + 2 * block.count, max_size=5 + 2 * block.count)))
+    for member in members.values():
+        RegisterCodec(member).pack_into(
+            payload, 5 + 2 * (member.address - block.first), data.draw(st.integers(-300, 300)) * 0.1
+        )
+    values = [0.0] * len(SLOTS)
+    result = block.decode(memoryview(payload), 5, values)
+    expected = {
+        role: RegisterCodec(member).unpack_from(payload, 5 + 2 * (member.address - block.first))
+        for role, member in members.items()
+    }
+    if result == 0:
+        assert {role: values[SLOTS[role]] for role in members} == expected
+
+
+def test_a_counter_with_a_scale_is_refused():
+    with pytest.raises(ConfigurationError, match=r"registers\.heartbeat: scale is 2"):
+        ReadBlock({"heartbeat": register("uint16", scale=2.0)})
