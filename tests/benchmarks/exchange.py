@@ -1,19 +1,21 @@
 """One exchange, voltage out and reading back, against libmodbus and pymodbus on the same wire.
 
-Two processes on two cores wait for each other to wake up; on one core they only take turns, which costs a tenth. Where
-the kernel puts them decides more than what they are, so the server is held on one core and every client on another. The
-rows "one core" show what a client computes, without the waiting that a real device would cost too.
+Everybody runs as the control process does: real-time priority, no deep sleep of the cores. Whether a core must be woken
+decides more than what a client is, so the server is held on one core and every client on another. The rows "one core"
+show what a client computes: there the two only take turns.
 """
 
 import contextlib
 import os
 import time
+import warnings
 from collections.abc import Callable, Iterator
 
 import numpy as np
 
-from piezod.config import load_bench
+from piezod.config import RealTimeConfig, load_bench
 from piezod.config.link import LinkConfig, ModbusRtuLink
+from piezod.control import real_time
 from piezod.daemon.shipped import shipped
 from piezod.errors import PiezodError
 from piezod.transport import ExchangeResult, make_link
@@ -42,13 +44,24 @@ def measure(*, quick: bool) -> Iterator[Row]:
     """Rows of both wires and both servers."""
     count = EXCHANGES // 10 if quick else EXCHANGES
     cores = sorted(os.sched_getaffinity(0))
-    for kind, server, one_core in CASES:
-        what = f"{WIRES[kind]}, {server}" + (", one core" if one_core else "")
-        try:
-            with on_core(cores[-1]), SERVERS[server](kind) as address, on_core(cores[-1 if one_core else 0]):
-                yield from _rows(what, address, count, targets=not one_core)
-        except (NotMeasuredError, PiezodError) as reason:
-            yield Row("exchange", what, note=f"not measured: {reason}")
+    with in_real_time() as missing:
+        for kind, server, one_core in CASES:
+            what = f"{WIRES[kind]}, {server}" + (", one core" if one_core else "")
+            client_core = cores[-1] if one_core else cores[0]
+            try:
+                with on_core(cores[-1]), SERVERS[server](kind) as address, on_core(client_core):
+                    yield from _rows(what, address, count, missing, targets=not one_core)
+            except (NotMeasuredError, PiezodError) as reason:
+                yield Row("exchange", what, note=f"not measured: {reason}")
+
+
+@contextlib.contextmanager
+def in_real_time() -> Iterator[str]:
+    """Priority and latency request of the control process, inherited by what is started; yields what is missing."""
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        with real_time(RealTimeConfig(lock_memory=False)):
+            yield "; ".join(str(one.message) for one in caught)
 
 
 @contextlib.contextmanager
@@ -62,19 +75,18 @@ def on_core(core: int) -> Iterator[None]:
         os.sched_setaffinity(0, before)
 
 
-def _rows(what: str, address: peers.Address, count: int, *, targets: bool) -> Iterator[Row]:
+def _rows(what: str, address: peers.Address, count: int, note: str, *, targets: bool) -> Iterator[Row]:
     slow = SLOW_EXCHANGES * count // EXCHANGES if address.kind == "rtu" else count
     actions: dict[str, Callable[[], Figures]] = {
         "ours": lambda: ours_us(address, count),
         "pymodbus": lambda: peers.pymodbus_us(address, slow),
     }
-    note = ""
     with contextlib.ExitStack() as stack:
         try:
             program = stack.enter_context(peers.libmodbus_client())
             actions["libmodbus"] = lambda: percentiles(peers.libmodbus_ns(program, address, count) * 1e-3)
         except NotMeasuredError as reason:
-            note = f"libmodbus: not measured: {reason}"
+            note = f"libmodbus: not measured: {reason}; {note}"
         found = alternate(actions)
     for other in ("libmodbus", "pymodbus"):
         most_ratio = MOST_RATIO.get((other, address.kind)) if targets else None

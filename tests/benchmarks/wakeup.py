@@ -10,7 +10,7 @@ import numpy as np
 from piezod.config import RealTimeConfig
 from piezod.control import RealTimeWarning
 from piezod.control.latency import measure_lateness
-from tests.benchmarks.rounds import PERCENTILES, Figures, alternate, percentiles
+from tests.benchmarks.rounds import PERCENTILES, ROUNDS, Figures, alternate, percentiles
 from tests.benchmarks.table import NotMeasuredError, Row
 
 RATE_HZ = 1000.0
@@ -20,7 +20,7 @@ MOST_RATIO = 1.3
 
 def measure(*, quick: bool) -> Iterator[Row]:
     """Median and p99 [us]; the rounds of both alternate."""
-    duration_s = 0.5 if quick else 4.0
+    duration_s, rounds = (0.25, ROUNDS) if quick else (2.0, 2 * ROUNDS + 1)
     notes: set[str] = set()
     actions: dict[str, Callable[[], Figures]] = {"ours": lambda: _keeper_us(duration_s, notes)}
     try:
@@ -28,7 +28,7 @@ def measure(*, quick: bool) -> Iterator[Row]:
         actions["cyclictest"] = lambda: _cyclictest_us(duration_s)
     except NotMeasuredError as reason:
         notes.add(f"limit: not measured: {reason}")
-    found = alternate(actions)
+    found = alternate(actions, rounds)
     for k, q in enumerate(PERCENTILES):
         limit = float(found["cyclictest"][k]) if "cyclictest" in found else None
         yield Row(
