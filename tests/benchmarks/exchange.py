@@ -20,11 +20,11 @@ from piezod.daemon.shipped import shipped
 from piezod.errors import PiezodError
 from piezod.transport import ExchangeResult, make_link
 from tests.benchmarks import modbus_peers as peers
-from tests.benchmarks.rounds import PERCENTILES, Figures, alternate, percentiles
+from tests.benchmarks.rounds import PERCENTILES, ROUNDS, Figures, alternate, percentiles
 from tests.benchmarks.table import NotMeasuredError, Row
 
-EXCHANGES = 5000
-SLOW_EXCHANGES = 300  # of pymodbus' serial client, which takes milliseconds
+EXCHANGES = 1500  # a round: short, and many rounds, because the cost of waking a core changes from second to second
+SLOW_EXCHANGES = 100  # of pymodbus' serial client, which takes milliseconds
 SILENCE_NS = (
     20_000  # above the 3.5 characters that separate RTU frames; in a tick it passes while nothing is to be done
 )
@@ -42,7 +42,7 @@ CASES = (  # wire, server, whether server and client share a core
 
 def measure(*, quick: bool) -> Iterator[Row]:
     """Rows of both wires and both servers."""
-    count = EXCHANGES // 10 if quick else EXCHANGES
+    count, rounds = (EXCHANGES // 3, ROUNDS) if quick else (EXCHANGES, 3 * ROUNDS)
     cores = sorted(os.sched_getaffinity(0))
     with in_real_time() as missing:
         for kind, server, one_core in CASES:
@@ -50,7 +50,7 @@ def measure(*, quick: bool) -> Iterator[Row]:
             client_core = cores[-1] if one_core else cores[0]
             try:
                 with on_core(cores[-1]), SERVERS[server](kind) as address, on_core(client_core):
-                    yield from _rows(what, address, count, missing, targets=not one_core)
+                    yield from _rows(what, address, count, rounds, missing, targets=not one_core)
             except (NotMeasuredError, PiezodError) as reason:
                 yield Row("exchange", what, note=f"not measured: {reason}")
 
@@ -75,7 +75,7 @@ def on_core(core: int) -> Iterator[None]:
         os.sched_setaffinity(0, before)
 
 
-def _rows(what: str, address: peers.Address, count: int, note: str, *, targets: bool) -> Iterator[Row]:
+def _rows(what: str, address: peers.Address, count: int, rounds: int, note: str, *, targets: bool) -> Iterator[Row]:
     slow = SLOW_EXCHANGES * count // EXCHANGES if address.kind == "rtu" else count
     actions: dict[str, Callable[[], Figures]] = {
         "ours": lambda: ours_us(address, count),
@@ -87,7 +87,7 @@ def _rows(what: str, address: peers.Address, count: int, note: str, *, targets: 
             actions["libmodbus"] = lambda: percentiles(peers.libmodbus_ns(program, address, count) * 1e-3)
         except NotMeasuredError as reason:
             note = f"libmodbus: not measured: {reason}; {note}"
-        found = alternate(actions)
+        found = alternate(actions, rounds)
     for other in ("libmodbus", "pymodbus"):
         most_ratio = MOST_RATIO.get((other, address.kind)) if targets else None
         for k, q in enumerate(PERCENTILES if other in found else ()):
