@@ -85,6 +85,15 @@ def test_the_heartbeat_counts_device_samples_and_wraps():
     assert device.sample().heartbeat == (21 * 4000) % 65536
 
 
+def test_a_sample_between_two_physics_steps_is_taken_at_its_own_time():
+    drive_V = np.linspace(0.0, 140.0, 4001)
+    every_step = bench(sample_rate_Hz=10_000.0).run(drive_V, 1e-4, interpolate=True)
+    third_ms = bench(sample_rate_Hz=3000.0).run(drive_V, 1e-4, interpolate=True)
+    time_s = np.arange(drive_V.size) * 1e-4
+    sampled_s = np.floor(time_s * 3000.0 + 1e-6) / 3000.0
+    np.testing.assert_allclose(third_ms, np.interp(sampled_s, time_s, every_step), atol=1e-6)
+
+
 def test_the_force_hardly_depends_on_the_physics_step():
     drive_V = triangles([130.0, 60.0], period_s=2.0)
     effects = {"resonance": {"frequency_Hz": 60.0}, "electrical_lag": True, "friction": True, "creep": True}

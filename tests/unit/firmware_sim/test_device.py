@@ -175,13 +175,21 @@ def test_any_register_of_the_command_block_feeds_the_watchdog():
     assert device.sample().status == 1
 
 
-def test_virtual_time_passes_only_with_writes_of_the_set_point():
+def test_virtual_time_passes_a_tick_a_command_whatever_else_is_asked():
     device = virtual_device()
     device.read(200, 12)
+    device.read(0, 6)
     device.write(102, [5])
     assert device.bench.time_s == 0.0
     heartbeats = [exchange(device, 10.0, sequence)[2] for sequence in range(1, 6)]
     assert heartbeats == [4, 8, 12, 16, 20]
+
+
+def test_virtual_time_passes_a_tick_a_reading_for_who_only_watches():
+    device = virtual_device()
+    exchange(device, 10.0, 1)
+    heartbeats = [device.read(204, 1)[0] for _ in range(3)]
+    assert heartbeats == [8, 12, 16]
 
 
 def test_the_virtual_tick_can_be_set_and_its_range_is_guarded():

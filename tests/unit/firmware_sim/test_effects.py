@@ -13,6 +13,14 @@ def slope(force_N, dt_s=1e-3):
     return np.diff(force_N) / dt_s
 
 
+def lag_on_a_ramp_s(**effects):
+    """How much later a force is reached while the voltage rises steadily, once transients have died."""
+    drive_V = np.linspace(0.0, 140.0, 4001)
+    plain, late = forces(drive_V, interpolate=True), forces(drive_V, interpolate=True, **effects)
+    time_s = np.arange(drive_V.size) * 1e-3
+    return np.mean((time_s - np.interp(late, plain, time_s))[2000:3800])
+
+
 def test_all_effects_of_the_catalogue_are_there():
     assert len(Effects.model_fields) == 22
 
@@ -127,6 +135,24 @@ def test_resonance_rings_at_its_frequency_and_dies_by_its_damping():
     assert np.log(envelope[0] / envelope[1]) == pytest.approx(0.02 * 2 * np.pi * 40.0 * 0.25, rel=0.1)
 
 
+def test_resonance_trails_a_ramp_by_twice_the_damping_over_the_frequency():
+    expected_s = 2 * 0.7 / (2 * np.pi * 30.0)
+    measured_s = lag_on_a_ramp_s(resonance={"frequency_Hz": 30.0, "damping_ratio": 0.7})
+    assert measured_s == pytest.approx(expected_s, rel=3e-3)
+
+
+@pytest.mark.parametrize(
+    ("effect", "expected_s"),
+    [
+        ({"electrical_lag": {"time_constant_s": 0.01}}, 0.01),
+        ({"sensor_filter": {"cutoff_Hz": 10.0}}, 0.5 / np.pi / 10.0),
+        ({"sensor_filter": {"cutoff_Hz": 10.0, "order": 2}}, np.sqrt(2.0) * 0.5 / np.pi / 10.0),
+    ],
+)
+def test_lags_trail_a_ramp_by_their_time_constant(effect, expected_s):
+    assert lag_on_a_ramp_s(**effect) == pytest.approx(expected_s, rel=1e-2)
+
+
 def test_thermal_drift_follows_the_temperature_channel():
     device = bench(effects={"thermal_drift": {"coefficient_N_per_K": 3.0}})
     temperature, force_N = [], []
@@ -213,20 +239,15 @@ def test_quantisation_puts_readings_on_a_lattice():
     np.testing.assert_allclose(force_N / 0.7, np.rint(force_N / 0.7), atol=1e-9)
 
 
-@pytest.mark.parametrize("delay_s", [0.005, 0.0123])
-def test_transport_delay_shifts_without_rounding(delay_s):
-    drive_V = triangles([140.0], 2.0)
-    plain = forces(drive_V, interpolate=True)
-    late = forces(drive_V, interpolate=True, transport_delay={"delay_s": delay_s})
-    time_s = np.arange(drive_V.size) * 1e-3
-    expected = np.interp(time_s - delay_s, time_s, plain)
-    assert np.max(np.abs(late - expected)) < 0.05  # between readings the force is not quite straight
+@pytest.mark.parametrize("delay_s", [0.005, 0.00503, 0.01237])
+def test_transport_delay_shifts_by_its_time_and_no_part_of_a_step_more(delay_s):
+    assert lag_on_a_ramp_s(transport_delay={"delay_s": delay_s}) == pytest.approx(delay_s, abs=2e-6)
 
 
-def test_a_delay_of_part_of_a_step_is_part_of_the_way():
-    drive_V = np.linspace(0.0, 140.0, 2000)
-    at = [forces(drive_V, interpolate=True, transport_delay={"delay_s": d})[1500] for d in (5e-4, 5.5e-4, 6e-4)]
-    assert at[1] == pytest.approx(0.5 * (at[0] + at[2]), abs=1e-6)
+def test_transport_delay_leaves_an_edge_sharp():
+    late = forces(STEP_V, transport_delay={"delay_s": 0.03})
+    assert np.array_equal(np.unique(late[:131]), [0.0])
+    assert late[131] == forces(STEP_V)[101]
 
 
 @pytest.mark.parametrize("skew_ppm", [-2000.0, 2000.0])

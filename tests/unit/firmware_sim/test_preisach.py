@@ -62,10 +62,17 @@ def test_the_everett_evaluation_agrees_with_a_grid_of_relays(share):
     plane = Plane(share)
     relays = RelayPlane(plane.parameters[0])
     path_V = [140.0, 35.0, 90.0, 50.0, 75.0, 20.0, 60.0, 0.0, 120.0, 30.5, 30.0, 31.0]
-    path_V += list(np.random.default_rng(5).uniform(0.0, 140.0, 25))
+    path_V += [-20.0, 10.0, -80.0, 30.0, -139.5, 100.0, -110.0, 139.5, -139.9, 0.0]
+    path_V += list(np.random.default_rng(5).uniform(0.0, 140.0, 15))
     full = plane.parameters[0]["full_V"] * Scenario().stack.irreversible
     errors = [abs(plane.move(field_V) - relays.move(field_V)) for field_V in path_V]
     assert max(errors) < 0.01 * full  # one row of relays is 0.5 V of 140 V wide
+
+
+def test_a_swing_beyond_the_greatest_one_so_far_is_back_on_the_virgin_curve():
+    plane, reference = Plane(), Plane()
+    assert plane.move(60.0, -90.0) == pytest.approx(reference.move(-90.0), abs=1e-9)
+    assert plane.state["reversals"][0] == 0
 
 
 @given(st.lists(voltages, min_size=1, max_size=12), st.sampled_from([0.0, 0.4]))
