@@ -42,7 +42,7 @@ CASES = (  # wire, server, whether server and client share a core
 
 def measure(*, quick: bool) -> Iterator[Row]:
     """Rows of both wires and both servers."""
-    count, rounds = (EXCHANGES // 3, ROUNDS) if quick else (EXCHANGES, 3 * ROUNDS)
+    count, rounds = (EXCHANGES // 5, ROUNDS) if quick else (EXCHANGES, 3 * ROUNDS)
     cores = sorted(os.sched_getaffinity(0))
     with in_real_time() as missing:
         for kind, server, one_core in CASES:

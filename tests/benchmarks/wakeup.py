@@ -20,7 +20,7 @@ MOST_RATIO = 1.3
 
 def measure(*, quick: bool) -> Iterator[Row]:
     """Median and p99 [us]; the rounds of both alternate."""
-    duration_s, rounds = (0.25, ROUNDS) if quick else (2.0, 2 * ROUNDS + 1)
+    duration_s, rounds = (0.2, ROUNDS) if quick else (2.0, 2 * ROUNDS + 1)
     notes: set[str] = set()
     actions: dict[str, Callable[[], Figures]] = {"ours": lambda: _keeper_us(duration_s, notes)}
     try:

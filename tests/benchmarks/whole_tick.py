@@ -30,7 +30,7 @@ PERCENTILES = (50, 99, 99.9)
 
 def measure(*, quick: bool) -> Iterator[Row]:
     """Rows of completion, of what went wrong, and of resident memory."""
-    duration_s = DURATION_S / 8 if quick else DURATION_S
+    duration_s = DURATION_S / 12 if quick else DURATION_S
     with contextlib.ExitStack() as stack:
         with peers.punctual():
             address = stack.enter_context(peers.emulator("tcp", "real"))
