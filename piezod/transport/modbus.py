@@ -1,6 +1,6 @@
 """A Modbus device as a link: the block that the tick writes and reads, and the registers of set-up, over one wire."""
 
-from time import monotonic
+from time import monotonic, sleep
 from typing import NoReturn
 
 from piezod.config.link import READ_WRITE, ModbusRtuLink, ModbusTcpLink, Register, Registers
@@ -13,6 +13,7 @@ from piezod.transport.tick_values import Plausibility, ReadBlock, SetPoint
 from piezod.transport.wire import Wire
 
 SET_UP_TIMEOUT_S = 0.5  # outside the tick a device may take its time
+SET_UP_RETRY_S = 0.01  # meanwhile a line settles, or a device accepts connections again
 TRANSIENT_EXCEPTIONS = {4: "device failure", 5: "acknowledge", 6: "busy", 10: "gateway path", 11: "gateway target"}
 LASTING_EXCEPTIONS = {1: "illegal function", 2: "illegal address", 3: "illegal value"}
 
@@ -230,7 +231,8 @@ class ModbusLink:
     def _transact_or_raise(self, request: Request, role: str, register: Register) -> None:
         wire = self._wire
         deadline_s = monotonic() + max(SET_UP_TIMEOUT_S, self._timeout_s)
-        result = wire.ready(deadline_s)
+        while (result := wire.ready(deadline_s)) is not _OK and monotonic() < deadline_s:
+            sleep(SET_UP_RETRY_S)
         if result is _OK:
             result = wire.transact(request, deadline_s)
         if result is not _OK:
@@ -246,7 +248,7 @@ class ModbusLink:
         if result is ExchangeResult.DEVICE_EXCEPTION:
             name = TRANSIENT_EXCEPTIONS.get(code, "unknown")
             raise TemporaryError(f"{where}: exception {code}, {name}: try again")
-        if result is ExchangeResult.DISCONNECTED and not self._wire.answered:
+        if result is ExchangeResult.DISCONNECTED and self._wire.framing == "tcp" and not self._wire.answered:
             raise BusyError(f"{where}: connection closed without a reply: another client may hold the device")
         if result in (ExchangeResult.TIMEOUT, ExchangeResult.DISCONNECTED):
             raise UnreachableError(

@@ -17,6 +17,7 @@ from piezod.transport.serial_port import RECEIVE_BYTES, SerialPort
 from piezod.transport.wire_rate import gap_s
 
 QUIET_S = 0.004  # above the 1.75 ms that separate frames; adapters deliver in lumps
+OVERSLEEP_S = 0.0001  # the kernel wakes a sleeper so much later; what is left of a silence is waited out awake
 BAD_IN_A_ROW = 5  # then it is no noise
 SHORTEST_FRAME_BYTES = 5  # an exception: unit, function, code, CRC
 
@@ -92,9 +93,9 @@ class RtuWire:
         port, frame = self._port, request.frame
         checksum = crc16(request.body)
         frame[-2], frame[-1] = checksum & 255, checksum >> 8
-        pause_s = self._quiet_s - monotonic()
-        if pause_s > 0.0:
-            sleep(pause_s)
+        while (pause_s := self._quiet_s - monotonic()) > 0.0:
+            if pause_s > OVERSLEEP_S:
+                sleep(pause_s - OVERSLEEP_S)
         try:
             port.drain()
             port.send(frame, deadline_s)

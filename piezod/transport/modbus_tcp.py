@@ -87,25 +87,35 @@ class TcpWire:
         """
         self.close()
         host, port = self._config.host, self._config.port
-        where = f"link: {host}:{port}"
         try:
             found = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)
         except (OSError, UnicodeError) as error:
             raise UnreachableError(
-                f"{where} cannot be resolved ({error}): check link.host and the name server"
+                f"link: {host}:{port} cannot be resolved ({error}): check link.host and the name server"
             ) from error
-        self._family, self._address = found[0][0], found[0][4]
-        try:
-            self._connect(monotonic() + self._config.connect_timeout_s)
-            turned_away = self._is_turned_away()
-        except ConnectionResetError:
-            turned_away = True
-        except OSError as error:
+        self._connect_first(found, monotonic() + self._config.connect_timeout_s)
+
+    def _connect_first(self, found: list[Any], deadline_s: float) -> None:
+        """Connect to the first address that takes the connection; a name may stand for several."""
+        failure = OSError("no address")
+        for family, _, _, _, address in found:
+            self._family, self._address = family, address
+            try:
+                self._connect(deadline_s)
+                turned_away = self._is_turned_away()
+            except ConnectionResetError:
+                turned_away = True
+            except OSError as error:
+                self._disconnect()
+                failure = error
+                continue
+            if not turned_away:
+                return
             self.close()
-            raise UnreachableError(self._explain(error)) from error
-        if turned_away:
-            self.close()
+            where = f"link: {self._config.host}:{self._config.port}"
             raise BusyError(f"{where} closed the connection at once: another client may hold the device; stop it first")
+        self.close()
+        raise UnreachableError(self._explain(failure)) from failure
 
     def _explain(self, error: OSError) -> str:
         """Say why there is no connection."""

@@ -126,6 +126,13 @@ def test_the_echo_tells_a_reply_late_by_one_from_the_right_one(rtu):
     assert [link.exchange(float(volt)) for volt in (3, 4)] == [ExchangeResult.ECHO_MISMATCH] * 2
 
 
+def test_a_register_is_read_after_the_line_has_settled(rtu):
+    link, server = rtu
+    server.once(lambda _frame: [])
+    assert link.exchange(1.0) is ExchangeResult.TIMEOUT
+    assert link.read_register("identity") == 20570
+
+
 def test_local_echo_of_the_request_is_explained(rtu):
     link, server = rtu
     server.once(lambda frame: [bytes(frame), 0.001, server.good(frame)])

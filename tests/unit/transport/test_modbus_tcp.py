@@ -283,6 +283,18 @@ def test_a_host_that_does_not_answer_is_given_up_after_the_connect_timeout():
             link.open()
 
 
+def test_every_address_of_a_name_is_tried(monkeypatch):
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        refusing = taken.getsockname()
+    with ScriptedTcp() as server:
+        found = [
+            (socket.AF_INET, socket.SOCK_STREAM, 6, "", address) for address in (refusing, ("127.0.0.1", server.port))
+        ]
+        monkeypatch.setattr(socket, "getaddrinfo", lambda *_, **__: found)
+        with opened(server, tcp_config(server.port, host="bench.local")) as (link, _):
+            assert link.exchange(1.0) is ExchangeResult.OK
+
+
 def test_an_unknown_host_says_so(monkeypatch):
     def fail(*_, **__):
         raise socket.gaierror(-2, "Name or service not known")
