@@ -84,6 +84,10 @@ class TableReference:
         """Ticks of one pass."""
         return len(self._values)
 
+    def span(self) -> tuple[float, float]:
+        """Smallest and largest value."""
+        return min(self._values), max(self._values)
+
     def start(self, tick: int) -> None:
         """The first sample belongs to `tick`."""
         self._first = tick

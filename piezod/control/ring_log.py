@@ -71,7 +71,8 @@ class RingLog:
             raise ConfigurationError(f"daemon.ring_log: {path} cannot be created: {error.strerror}") from error
         try:
             os.posix_fallocate(descriptor, 0, size)
-            self._memory = mmap.mmap(descriptor, size)
+            flags = mmap.MAP_SHARED | mmap.MAP_POPULATE  # no page is touched for the first time in a tick
+            self._memory = mmap.mmap(descriptor, size, flags)
         finally:
             os.close(descriptor)
         _HEAD.pack_into(self._memory, 0, MAGIC, _ROW.size, capacity, 0)

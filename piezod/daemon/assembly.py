@@ -183,7 +183,7 @@ def _force_at_rest(bench: BenchConfig, link: Link) -> float:
     if not bench.limits.force_min_N <= force_N <= bench.limits.force_trip_N:
         raise CheckFailedError(
             f"arming: force is {force_N:.3g} N at rest, must be within limits.force_min_N, "
-            f"{bench.limits.force_min_N:g}, and limits.force_trip_N, {bench.limits.force_trip_N:g}; check preload and tare"
+            f"{bench.limits.force_min_N:g}, and limits.force_trip_N, {bench.limits.force_trip_N:g}; check preload, tare"
         )
     return force_N
 

@@ -13,12 +13,13 @@ from typing import Literal, TypeVar
 import numpy as np
 
 from piezod.config import BenchConfig, load_bench, model_path
-from piezod.control import RealTimeWarning, real_time
+from piezod.config.reference import RegisterReference, StreamReference
+from piezod.control import RealTimeWarning, TableReference, make_reference, real_time
 from piezod.daemon.assembly import check_rate, opened_link
 from piezod.daemon.history import percentiles
 from piezod.errors import PiezodError
 from piezod.model import Model, Plant, load_model
-from piezod.transport import ExchangeResult, Link
+from piezod.transport import ExchangeResult, Link, Reading
 
 Level = Literal["OK", "WARN", "FAIL"]
 
@@ -51,6 +52,7 @@ def check_bench(path: Path) -> list[Check]:
     )
     if model is not None:
         checks.append(_reach(bench, model))
+        checks.extend(_reference(bench, model, path.parent))
     checks.extend(_watchdog(bench))
     checks.extend(_clock())
     checks.extend(_rights(bench))
@@ -82,6 +84,28 @@ def _reach(bench: BenchConfig, model: Model) -> Check:
     if model.input.high < bench.limits.voltage_max_V - 1e-9:
         return Check("reach", "WARN", found, "limits.voltage_max_V is above what was identified; record up to it")
     return Check("reach", "OK", found)
+
+
+def _reference(bench: BenchConfig, model: Model, folder: Path) -> Iterator[Check]:
+    """Only a table can be looked at before it is followed."""
+    if isinstance(bench.reference, (RegisterReference, StreamReference)):
+        return
+    try:
+        table = make_reference(bench.reference, bench.rate_Hz, folder, Reading(), counted=False)
+    except PiezodError as error:
+        yield Check("reference", "FAIL", str(error))
+        return
+    assert isinstance(table, TableReference)
+    low, high = table.span()
+    bottom, top = Plant(model).steady_range()
+    found = f"{low:.1f} to {high:.1f} N, {len(table)} ticks"
+    if low < bottom or high > top:
+        remedy = (
+            f"after a reset cycle {bottom:.1f} to {top:.1f} N can be reached; beyond, the voltage stays at its limit"
+        )
+        yield Check("reference", "WARN", found, remedy)
+    else:
+        yield Check("reference", "OK", found)
 
 
 def _watchdog(bench: BenchConfig) -> Iterator[Check]:

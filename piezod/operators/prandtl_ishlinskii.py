@@ -14,6 +14,7 @@ import numba
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from piezod.operators.compiled_cache import forget_outdated_steps
 from piezod.operators.dead_zone import check_dead_zone, dead_zone_step, inverse_dead_zone
 from piezod.operators.play import (
     check_states,
@@ -116,6 +117,7 @@ class PrandtlIshlinskii:
         offset: float = 0.0,
         eps: float = EPS,
     ) -> None:
+        forget_outdated_steps(forward_step.stats.cache_path)
         plays = np.array(play_thresholds, dtype=float), np.array(play_weights, dtype=float)
         zones = np.array(dead_zone_thresholds, dtype=float), np.array(dead_zone_weights, dtype=float)
         check_superposition("plays", *plays, eps)

@@ -1,0 +1,17 @@
+"""The cache of compiled steps is not believed when a source is newer."""
+
+import os
+from pathlib import Path
+
+from piezod.operators import compiled_cache
+from piezod.operators.compiled_cache import forget_outdated_steps
+
+
+def test_a_step_older_than_any_source_is_forgotten_and_a_newer_one_is_kept(tmp_path):
+    newest_s = max(source.stat().st_mtime for source in Path(compiled_cache.__file__).parent.glob("*.py"))
+    old, new = tmp_path / "old.nbi", tmp_path / "new.nbi"
+    for path, age_s in ((old, -1.0), (new, 1.0)):
+        path.touch()
+        os.utime(path, (newest_s + age_s, newest_s + age_s))
+    forget_outdated_steps(str(tmp_path))
+    assert [path.name for path in tmp_path.iterdir()] == ["new.nbi"]
