@@ -38,7 +38,7 @@ Framing = Literal["tcp", "rtu"]
 
 MBAP_BYTES = 7  # transaction id, protocol id, length, unit: MODBUS Messaging on TCP/IP 1.0b, 3.1.3
 CRC_BYTES = 2
-WORST_FRAME_BYTES = 260  # MBAP and the longest PDU of 253 bytes
+_CRC_TABLE = tuple(FramerRTU.crc16_table)
 
 
 class Request:
@@ -50,8 +50,6 @@ class Request:
         The whole request; value bytes, transaction id and CRC are patched in place.
     values_at
         Where the written values begin in `frame`; 0 when nothing is written.
-    body
-        `frame` without its CRC; the same memory.
     reply_head
         What the good reply begins with: all of it but registers and CRC.
     reply_size
@@ -64,17 +62,24 @@ class Request:
         The reply carries registers.
     mirrors_values
         The reply repeats the value (function 6).
+    values, checksum
+        The bytes of `frame` that change, up to the CRC, and the checksum of those before.
+    reply_fixed, reply_checksum
+        How many bytes of the good reply never change, and their checksum.
     """
 
     __slots__ = (
-        "body",
+        "checksum",
         "frame",
         "mirrors_values",
         "payload_at",
         "reads",
+        "reply_checksum",
+        "reply_fixed",
         "reply_head",
         "reply_size",
         "unit_at",
+        "values",
         "values_at",
     )
 
@@ -82,7 +87,6 @@ class Request:
         trailer = CRC_BYTES if framing == "rtu" else 0
         framer = _framer(framing)
         self.frame = bytearray(framer.buildFrame(request))
-        self.body = memoryview(self.frame)[: len(self.frame) - trailer]
         whole_reply = framer.buildFrame(reply)
         self.reply_size = len(whole_reply)
         self.payload_at = self.reply_size - trailer - 2 * read
@@ -91,10 +95,27 @@ class Request:
         self.unit_at = MBAP_BYTES - 1 if framing == "tcp" else 0
         self.mirrors_values = request.function_code == 6
         self.reads = read > 0
+        end = len(self.frame) - trailer
+        begin = self.values_at or end
+        self.values = memoryview(self.frame)[begin:end]
+        self.checksum = crc16(memoryview(self.frame)[:begin])
+        self.reply_fixed = self.payload_at - 2 * self.mirrors_values
+        self.reply_checksum = crc16(memoryview(self.reply_head)[: self.reply_fixed])
 
     def mirror_values(self) -> None:
         """Expect the values that stand in `frame` in the reply too."""
         self.reply_head[-2:] = self.frame[self.values_at : self.values_at + 2]
+
+
+def crc16(frame: memoryview, checksum: int = 0xFFFF) -> int:
+    """Checksum of the bytes, continued from `checksum`; 0 for a good frame together with its own.
+
+    The table is that of pymodbus' `FramerRTU`.
+    """
+    table = _CRC_TABLE
+    for byte in frame:
+        checksum = checksum >> 8 ^ table[(checksum ^ byte) & 255]
+    return checksum
 
 
 def classify(reply: bytearray, request: Request, size: int) -> tuple[ExchangeResult, int]:

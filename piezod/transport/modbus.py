@@ -183,7 +183,7 @@ class ModbusLink:
         """Decode, check and believe the reply to `request`."""
         block, plausibility = self._block, self._plausibility
         assert block is not None
-        result = block.decode(self._wire.payload, request.payload_at, plausibility.values)
+        result = block.decode(self._wire.payload, request.payload_at, plausibility.values, plausibility.counters)
         return plausibility.accept(echo) if result is _OK else result
 
     def has(self, role: str) -> bool:

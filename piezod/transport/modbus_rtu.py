@@ -8,10 +8,8 @@ What does not look like the reply is collected until the line falls silent, judg
 
 from time import monotonic, sleep
 
-from pymodbus.framer import FramerRTU
-
 from piezod.config.link import ModbusRtuLink
-from piezod.transport.frames import CRC_BYTES, Framing, Request, classify
+from piezod.transport.frames import CRC_BYTES, Framing, Request, classify, crc16
 from piezod.transport.link import ExchangeResult
 from piezod.transport.serial_port import RECEIVE_BYTES, SerialPort
 from piezod.transport.wire_rate import gap_s
@@ -24,7 +22,6 @@ SHORTEST_FRAME_BYTES = 5  # an exception: unit, function, code, CRC
 _OK = ExchangeResult.OK
 _TIMEOUT = ExchangeResult.TIMEOUT
 _BAD_CRC = ExchangeResult.BAD_CRC
-_CRC_TABLE = tuple(FramerRTU.crc16_table)
 
 
 class RtuWire:
@@ -91,7 +88,7 @@ class RtuWire:
     def transact(self, request: Request, deadline_s: float) -> ExchangeResult:
         """Send `request` and receive its reply into `payload`."""
         port, frame = self._port, request.frame
-        checksum = crc16(request.body)
+        checksum = crc16(request.values, request.checksum)
         frame[-2], frame[-1] = checksum & 255, checksum >> 8
         while (pause_s := self._quiet_s - monotonic()) > 0.0:
             if pause_s > OVERSLEEP_S:
@@ -118,7 +115,7 @@ class RtuWire:
             received += port.receive(received)
             if not buffer.startswith(head if received >= len(head) else head[:received]):
                 return self._judge(request, self._collect(request, received, deadline_s))
-        if not buffer.startswith(head) or crc16(port.view[:size]):
+        if not buffer.startswith(head) or crc16(port.view[request.reply_fixed : size], request.reply_checksum):
             return self._judge(request, self._collect(request, received, deadline_s))
         port.stale_bytes += received - size
         self.answered = True
@@ -172,14 +169,6 @@ class RtuWire:
             config = self._config
             reply_s = request.reply_size * config.bits_per_character / config.baudrate
             self._port.distrust(config.timeout_s + reply_s)
-
-
-def crc16(frame: memoryview) -> int:
-    """Checksum of the bytes; 0 for a good frame together with its own. Table: pymodbus' `FramerRTU`."""
-    table, checksum = _CRC_TABLE, 0xFFFF
-    for byte in frame:
-        checksum = checksum >> 8 ^ table[(checksum ^ byte) & 255]
-    return checksum
 
 
 def _is_frame(view: memoryview, received: int) -> bool:

@@ -1,7 +1,7 @@
 """From a physical value to the bytes of a Modbus register, and back."""
 
 import struct
-from math import isfinite, nan
+from math import nan
 
 from piezod.config.link import Register
 from piezod.errors import ConfigurationError
@@ -13,6 +13,8 @@ _LIMITS = {
     "int32": (-(2.0**31), 2.0**31 - 1),
     "float32": (-(2.0 - 2.0**-23) * 2.0**127, (2.0 - 2.0**-23) * 2.0**127),
 }
+
+_JUST_UNDER_HALF = 0.499  # what rounds back into the type's range
 
 Buffer = bytearray | memoryview
 
@@ -32,13 +34,28 @@ class RegisterCodec:
         Another byte order than the register's.
     """
 
-    __slots__ = ("_high", "_is_float", "_low", "_offset", "_raw_high", "_raw_low", "_scale", "_struct", "_swap", "size")
+    __slots__ = (
+        "_high",
+        "_is_float",
+        "_low",
+        "_offset",
+        "_raw_high",
+        "_raw_low",
+        "_scale",
+        "_struct",
+        "_swap",
+        "_type",
+        "size",
+    )
 
     def __init__(self, register: Register, order: str | None = None) -> None:
         byte_order = order or register.byte_order
         self.size = 2 * register.words
+        self._type = register.type
         self._is_float = register.type == "float32"
         self._raw_low, self._raw_high = _LIMITS[register.type]
+        if not self._is_float:
+            self._raw_low, self._raw_high = self._raw_low - _JUST_UNDER_HALF, self._raw_high + _JUST_UNDER_HALF
         self._scale, self._offset = register.scale, register.offset
         self._low = -float("inf") if register.low is None else register.low
         self._high = float("inf") if register.high is None else register.high
@@ -55,17 +72,19 @@ class RegisterCodec:
             The value that the bytes stand for, after rounding; nan when `value` cannot be encoded or lies outside the
             register's low..high: then the buffer is as it was.
         """
-        if not self._low <= value <= self._high:
-            return nan
         raw = (value - self._offset) / self._scale
-        if not self._is_float:
-            raw = round(raw) if isfinite(raw) else raw
-        if not self._raw_low <= raw <= self._raw_high:
+        if not (self._low <= value <= self._high and self._raw_low <= raw <= self._raw_high):
             return nan
-        self._struct.pack_into(buffer, at, raw)
+        code = self._struct
+        if self._is_float:
+            code.pack_into(buffer, at, raw)
+            (raw,) = code.unpack_from(buffer, at)
+        else:
+            raw = round(raw)
+            code.pack_into(buffer, at, raw)
         if self._swap:
             self._swap_bytes(buffer, at)
-        return self.unpack_from(buffer, at)
+        return raw * self._scale + self._offset
 
     def unpack_from(self, buffer: Buffer | bytes, at: int) -> float:
         """Read the value that stands in `buffer` from byte `at` on."""
@@ -86,7 +105,7 @@ class RegisterCodec:
             Names the end of the range that does not fit.
         """
         scratch = bytearray(self.size)
-        ends = sorted((self._raw_low * self._scale + self._offset, self._raw_high * self._scale + self._offset))
+        ends = sorted(raw * self._scale + self._offset for raw in _LIMITS[self._type])
         first, last = max(ends[0], self._low), min(ends[1], self._high)
         for value in (low, high):
             encoded = self.pack_into(scratch, 0, value)

@@ -14,7 +14,7 @@ from piezod.errors import CheckFailedError, ConfigurationError, IdentityError, U
 from piezod.transport.line_template import ROLES, LineTemplate, compile_reply, plain_line
 from piezod.transport.link import ExchangeResult, Reading
 from piezod.transport.serial_port import RECEIVE_BYTES, SerialPort
-from piezod.transport.tick_values import SLOTS, Plausibility
+from piezod.transport.tick_values import COUNTERS, QUANTITIES, Plausibility
 
 SET_UP_TIMEOUT_S = 0.5  # outside the tick a device may take its time
 WATCHDOG = "watchdog_ms"
@@ -39,12 +39,13 @@ class SerialLineDevice:
     __slots__ = (
         "_acknowledge",
         "_config",
-        "_fields",
+        "_counters",
         "_identity",
         "_measure",
         "_pattern",
         "_plausibility",
         "_port",
+        "_quantities",
         "_set_up",
         "_set_up_generation",
         "_set_voltage",
@@ -68,7 +69,8 @@ class SerialLineDevice:
         self._identity = self._query(config.identity, "identity")
         self._set_up = [self._query(command, "setup") for command in config.setup]
         names = tuple(self._pattern.groupindex) if self._pattern is not None else ()
-        self._fields = tuple((name, SLOTS[ROLES[name]]) for name in names)
+        self._quantities = tuple((name, QUANTITIES[ROLES[name]]) for name in names if ROLES[name] in QUANTITIES)
+        self._counters = tuple((name, COUNTERS[ROLES[name]]) for name in names if ROLES[name] in COUNTERS)
         self._plausibility = Plausibility(frozenset(ROLES[name] for name in names) - {"command_echo"})
         self.reading: Reading = self._plausibility.reading
         self._set_up_generation = -1
@@ -157,15 +159,17 @@ class SerialLineDevice:
         result, match = self._converse(self._measure, self._pattern, deadline_s)
         if result is not _OK or match is None:
             return result
-        values = self._plausibility.values
-        for name, slot in self._fields:
-            try:
+        values, counters = self._plausibility.values, self._plausibility.counters
+        try:
+            for name, slot in self._quantities:
                 value = float(match[name])
-            except (TypeError, ValueError):
-                return ExchangeResult.MALFORMED
-            if not isfinite(value):
-                return ExchangeResult.NOT_FINITE
-            values[slot] = value
+                if not isfinite(value):
+                    return ExchangeResult.NOT_FINITE
+                values[slot] = value
+            for name, slot in self._counters:
+                counters[slot] = int(match[name])
+        except (TypeError, ValueError):
+            return ExchangeResult.MALFORMED
         return self._plausibility.accept(-1)
 
     def _ready(self, deadline_s: float) -> ExchangeResult:
@@ -220,7 +224,7 @@ class SerialLineDevice:
             return self._set_voltage is not None
         if role == WATCHDOG:
             return self._watchdog is not None
-        return any(ROLES[name] == role for name, _ in self._fields)
+        return any(ROLES[name] == role for name, _ in (*self._quantities, *self._counters))
 
     def read_register(self, role: str) -> float:
         """Read one field of the reading, or the watchdog time that the device acknowledged."""

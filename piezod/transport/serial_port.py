@@ -51,6 +51,7 @@ class SerialPort:
         "_serial",
         "_settled_s",
         "_wanted",
+        "_whole",
         "buffer",
         "generation",
         "stale_bytes",
@@ -66,6 +67,7 @@ class SerialPort:
         self._not_before_s = self._settled_s = 0.0
         self.buffer = bytearray(RECEIVE_BYTES)
         self.view = memoryview(self.buffer)
+        self._whole = (self.view,)
         self.generation = self.stale_bytes = 0
 
     def open(self) -> None:
@@ -130,7 +132,7 @@ class SerialPort:
         ConnectionError
             The port is gone: it stays readable and gives nothing.
         """
-        count = os.readv(self._descriptor, (self.view[at:] if at else self.view,))
+        count = os.readv(self._descriptor, (self.view[at:],) if at else self._whole)
         if count == 0:
             raise ConnectionError
         return count

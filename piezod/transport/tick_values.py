@@ -1,6 +1,7 @@
 """The values that the tick writes and reads: patched into the request, checked and taken from the reply."""
 
 import struct
+import sys
 from math import isfinite, nan
 from operator import itemgetter
 
@@ -10,18 +11,9 @@ from piezod.transport.frames import Request
 from piezod.transport.link import ExchangeResult, Reading
 from piezod.transport.registers import RegisterCodec, swap_positions
 
-_FORCE, _READBACK, _TEMPERATURE, _REFERENCE, _HEARTBEAT, _ECHO, _STATUS, _COUNTER = range(8)
-SLOTS = {
-    "force": _FORCE,
-    "voltage_readback": _READBACK,
-    "temperature": _TEMPERATURE,
-    "reference": _REFERENCE,
-    "heartbeat": _HEARTBEAT,
-    "command_echo": _ECHO,
-    "status": _STATUS,
-    "reference_counter": _COUNTER,
-}
-_COUNTERS = ("heartbeat", "command_echo", "status", "reference_counter", "command_sequence")
+QUANTITIES = {"force": 0, "voltage_readback": 1, "temperature": 2, "reference": 3}  # role -> slot
+COUNTERS = {"heartbeat": 0, "command_echo": 1, "status": 2, "reference_counter": 3}
+_HIGHEST = sys.float_info.max  # within +- this a value is finite
 _COUNTS = 65536  # counters are compared modulo 16 bits
 _HALF = 32768  # an advance of more is a step back
 
@@ -91,16 +83,17 @@ class Plausibility:
 
     Attributes
     ----------
-    values
-        Newest values by slot, not yet believed; counters whole numbers.
+    values, counters
+        The newest by slot (`QUANTITIES`, `COUNTERS`), not yet believed.
     reading
         The last believed ones.
     """
 
-    __slots__ = ("_has_echo", "_has_heartbeat", "_heartbeat", "_heartbeat_known", "reading", "values")
+    __slots__ = ("_has_echo", "_has_heartbeat", "_heartbeat", "_heartbeat_known", "counters", "reading", "values")
 
     def __init__(self, roles: frozenset[str]) -> None:
-        self.values = [nan, nan, nan, nan, 0.0, 0.0, 0.0, 0.0]
+        self.values = [nan] * len(QUANTITIES)
+        self.counters = [0] * len(COUNTERS)
         self.reading = Reading()
         self._has_heartbeat = "heartbeat" in roles
         self._has_echo = "command_echo" in roles
@@ -112,9 +105,8 @@ class Plausibility:
         self._heartbeat_known = False
 
     def accept(self, expected_echo: int) -> ExchangeResult:
-        """Check heartbeat and echo of `values`; believe them if good. A negative `expected_echo` is not compared."""
-        values = self.values
-        heartbeat, echo = int(values[_HEARTBEAT]), int(values[_ECHO])
+        """Check heartbeat and echo; believe all if good. A negative `expected_echo` is not compared."""
+        heartbeat, echo, status, reference_counter = self.counters
         if self._has_heartbeat and self._heartbeat_known:
             advance = (heartbeat - self._heartbeat) % _COUNTS
             if not 0 < advance < _HALF:
@@ -123,14 +115,11 @@ class Plausibility:
             return ExchangeResult.ECHO_MISMATCH
         self._heartbeat, self._heartbeat_known = heartbeat, True
         reading = self.reading
-        reading.force_N = values[_FORCE]
-        reading.voltage_readback_V = values[_READBACK]
-        reading.temperature_C = values[_TEMPERATURE]
-        reading.reference_N = values[_REFERENCE]
+        reading.force_N, reading.voltage_readback_V, reading.temperature_C, reading.reference_N = self.values
         reading.heartbeat = heartbeat
         reading.command_echo = echo
-        reading.status = int(values[_STATUS])
-        reading.reference_counter = int(values[_COUNTER])
+        reading.status = status
+        reading.reference_counter = reference_counter
         return _OK
 
 
@@ -143,7 +132,7 @@ class ReadBlock:
         By role, in the order of their addresses; gaps are skipped.
     """
 
-    __slots__ = ("_bytes", "_fields", "_struct", "count", "first")
+    __slots__ = ("_bytes", "_counters", "_quantities", "_struct", "count", "first")
 
     def __init__(self, registers: dict[str, Register]) -> None:
         _check_counters(registers)
@@ -162,28 +151,33 @@ class ReadBlock:
         self._struct = struct.Struct(code)
         plain = positions == list(range(2 * self.count))
         self._bytes = None if plain else itemgetter(*positions)
-        self._fields = tuple(
+        self._quantities = tuple(
             (
-                SLOTS[role],
+                k,
+                QUANTITIES[role],
                 register.scale,
                 register.offset,
-                -float("inf") if register.low is None else register.low,
-                float("inf") if register.high is None else register.high,
+                -_HIGHEST if register.low is None else register.low,
+                _HIGHEST if register.high is None else register.high,
             )
-            for role, register in registers.items()
+            for k, (role, register) in enumerate(registers.items())
+            if role in QUANTITIES
         )
+        self._counters = tuple((k, COUNTERS[role]) for k, role in enumerate(registers) if role in COUNTERS)
 
-    def decode(self, buffer: memoryview, at: int, values: list[float]) -> ExchangeResult:
-        """Decode the registers that begin at byte `at` into `values`, by slot."""
+    def decode(self, buffer: memoryview, at: int, values: list[float], counters: list[int]) -> ExchangeResult:
+        """Decode the registers that begin at byte `at` into `values` and `counters`, by slot."""
         if self._bytes is None:
             raw = self._struct.unpack_from(buffer, at)
         else:
             raw = self._struct.unpack(bytes(self._bytes(buffer[at : at + self._struct.size])))
-        for number, (slot, scale, offset, low, high) in zip(raw, self._fields, strict=True):
-            value = number * scale + offset
-            if not low <= value <= high or not isfinite(value):
+        for k, slot, scale, offset, low, high in self._quantities:
+            value = raw[k] * scale + offset
+            if not low <= value <= high:
                 return ExchangeResult.OUT_OF_RANGE if isfinite(value) else ExchangeResult.NOT_FINITE
             values[slot] = value
+        for k, slot in self._counters:
+            counters[slot] = raw[k]
         return _OK
 
 
@@ -195,10 +189,17 @@ def _big_endian_positions(byte_order: str) -> tuple[int, ...]:
 
 
 def _check_counters(registers: dict[str, Register]) -> None:
-    for role in _COUNTERS:
+    """Refuse counters and bits that are no plain whole numbers."""
+    for role in ("command_sequence", *COUNTERS):
         register = registers.get(role)
-        if register is not None and (register.scale != 1.0 or register.offset != 0.0):
+        if register is None:
+            continue
+        where = f"registers.{role}"
+        if register.type == "float32":
             raise ConfigurationError(
-                f"registers.{role}: scale is {register.scale:g} and offset {register.offset:g}, must be 1 and 0: it is "
-                "a counter or a set of bits"
+                f"{where}.type is float32, must be uint16, int16 or int32: it counts, or holds bits"
+            )
+        if (register.scale, register.offset, register.low, register.high) != (1.0, 0.0, None, None):
+            raise ConfigurationError(
+                f"{where} has scale, offset, low or high, must have none: it counts, or holds bits"
             )

@@ -5,8 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from piezod.transport import wire_floor_rate_Hz
-from piezod.transport.frames import read_request, read_write_request, write_request
-from piezod.transport.modbus_rtu import crc16
+from piezod.transport.frames import crc16, read_request, read_write_request, write_request
 from tests.unit.transport.conftest import line_config, rtu_config, tcp_config
 from tests.unit.transport.scripted import crc, registers
 

@@ -10,8 +10,8 @@ import pytest
 
 from piezod.errors import BusyError, UnreachableError
 from piezod.transport import ExchangeResult, make_link
-from tests.unit.transport.conftest import TIMEOUT_S, opened, rtu_config
-from tests.unit.transport.scripted import ScriptedPty, crc, descriptors, registers, snapshot, until_good
+from tests.unit.transport.conftest import TIMEOUT_S, opened, rtu_config, tcp_config
+from tests.unit.transport.scripted import ScriptedPty, ScriptedTcp, crc, descriptors, registers, snapshot, until_good
 
 DATA = 3  # the registers begin there: unit, function, byte count
 
@@ -131,6 +131,23 @@ def test_a_register_is_read_after_the_line_has_settled(rtu):
     server.once(lambda _frame: [])
     assert link.exchange(1.0) is ExchangeResult.TIMEOUT
     assert link.read_register("identity") == 20570
+
+
+GARBLED_VALUE = {"tcp": lambda reply: [reply[:10] + b"\1\1"], "rtu": patched(4, b"\1")}
+
+
+@pytest.mark.parametrize("wire", ["tcp", "rtu"])
+def test_the_single_register_write_wants_its_value_back(wire):
+    server_class, make_config = (ScriptedTcp, tcp_config) if wire == "tcp" else (ScriptedPty, rtu_config)
+    single = registers(6, 3, without=("command_sequence", "command_echo"))
+    single["voltage_setpoint"] |= {"type": "int16", "scale": 0.01}
+    with server_class() as server, opened(server, make_config(server.port, registers=single)) as (link, _):
+        assert link.exchange(12.344) is ExchangeResult.OK
+        assert link.exchange(-7.5) is ExchangeResult.OK
+        assert server.bench.get(100, ">h") == -750
+        assert link.written_V == pytest.approx(-7.5)
+        server.once(lambda frame: GARBLED_VALUE[wire](server.good(frame)))
+        assert link.exchange(3.0) is ExchangeResult.WRONG_COUNT
 
 
 def test_local_echo_of_the_request_is_explained(rtu):

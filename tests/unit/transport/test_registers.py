@@ -9,7 +9,7 @@ from pymodbus.client import ModbusTcpClient
 from piezod.config.link import Register
 from piezod.errors import ConfigurationError
 from piezod.transport.registers import RegisterCodec
-from piezod.transport.tick_values import SLOTS, ReadBlock
+from piezod.transport.tick_values import COUNTERS, QUANTITIES, ReadBlock
 
 TYPE = ModbusTcpClient.DATATYPE
 PYMODBUS = {"int16": TYPE.INT16, "uint16": TYPE.UINT16, "int32": TYPE.INT32, "float32": TYPE.FLOAT32}
@@ -107,16 +107,17 @@ def test_a_block_decodes_like_its_registers_one_by_one(data):
         RegisterCodec(member).pack_into(
             payload, 5 + 2 * (member.address - block.first), data.draw(st.integers(-300, 300)) * 0.1
         )
-    values = [0.0] * len(SLOTS)
-    result = block.decode(memoryview(payload), 5, values)
+    values = [0.0] * len(QUANTITIES)
+    result = block.decode(memoryview(payload), 5, values, [0] * len(COUNTERS))
     expected = {
         role: RegisterCodec(member).unpack_from(payload, 5 + 2 * (member.address - block.first))
         for role, member in members.items()
     }
     if result == 0:
-        assert {role: values[SLOTS[role]] for role in members} == expected
+        assert {role: values[QUANTITIES[role]] for role in members} == expected
 
 
-def test_a_counter_with_a_scale_is_refused():
-    with pytest.raises(ConfigurationError, match=r"registers\.heartbeat: scale is 2"):
-        ReadBlock({"heartbeat": register("uint16", scale=2.0)})
+@pytest.mark.parametrize("fields", [{"scale": 2.0}, {"offset": 1.0}, {"high": 9.0}, {"kind": "float32"}])
+def test_a_counter_that_is_no_plain_whole_number_is_refused(fields):
+    with pytest.raises(ConfigurationError, match=r"registers\.heartbeat.*it counts, or holds bits"):
+        ReadBlock({"heartbeat": register(**({"kind": "uint16"} | fields))})
