@@ -101,7 +101,7 @@ def _reference(bench: BenchConfig, model: Model, folder: Path) -> Iterator[Check
     found = f"{low:.1f} to {high:.1f} N, {len(table)} ticks"
     if low < bottom or high > top:
         remedy = (
-            f"after a reset cycle {bottom:.1f} to {top:.1f} N can be reached; beyond, the voltage stays at its limit"
+            f"after a reset cycle {bottom:.1f} to {top:.1f} N can be reached; beyond, the voltage is clamped"
         )
         yield Check("reference", "WARN", found, remedy)
     else:

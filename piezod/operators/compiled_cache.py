@@ -1,7 +1,7 @@
 """Keeps numba's cache honest: a compiled step must not outlive an edit of a step that it calls.
 
-Numba compares a cached function only with the file it stands in. The steps of the Prandtl-Ishlinskii operator call those of
-the plays and dead zones, so after an update of one of these files alone the old operator would go on running.
+Numba compares a cached function only with the file it stands in. The steps of the Prandtl-Ishlinskii operator call
+those of the plays and dead zones, so after an update of one of these files alone the old operator would go on running.
 """
 
 import contextlib
