@@ -133,7 +133,7 @@ def test_a_register_is_read_after_the_line_has_settled(rtu):
     assert link.read_register("identity") == 20570
 
 
-GARBLED_VALUE = {"tcp": lambda reply: [reply[:10] + b"\1\1"], "rtu": patched(4, b"\1")}
+GARBLED_VALUE = {"tcp": lambda reply: [reply[:10] + b"\1\1"], "rtu": patched(4, b"\7")}
 
 
 @pytest.mark.parametrize("wire", ["tcp", "rtu"])
@@ -143,9 +143,9 @@ def test_the_single_register_write_wants_its_value_back(wire):
     single["voltage_setpoint"] |= {"type": "int16", "scale": 0.01}
     with server_class() as server, opened(server, make_config(server.port, registers=single)) as (link, _):
         assert link.exchange(12.344) is ExchangeResult.OK
-        assert link.exchange(-7.5) is ExchangeResult.OK
-        assert server.bench.get(100, ">h") == -750
-        assert link.written_V == pytest.approx(-7.5)
+        assert link.exchange(7.5) is ExchangeResult.OK
+        assert server.bench.get(100, ">h") == 750
+        assert link.written_V == pytest.approx(7.5)
         server.once(lambda frame: GARBLED_VALUE[wire](server.good(frame)))
         assert link.exchange(3.0) is ExchangeResult.WRONG_COUNT
 
