@@ -10,6 +10,7 @@ from pathlib import Path
 from firmware_sim.config import EmulatorConfig, Line, Rtu, Tcp, load_config
 from firmware_sim.effects import Effects
 from firmware_sim.errors import ConfigurationError, PortBusyError
+from firmware_sim.punctual import be_punctual
 from firmware_sim.server import build_device, serve
 
 EXIT_BUSY = 75
@@ -23,6 +24,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         config = _adjusted(load_config(options.config), options)
         device = build_device(config, tuple(options.effect))
+        if config.time == "real":
+            be_punctual()
         asyncio.run(serve(config, device, until_stdin_closes=options.until_stdin_closes))
     except ConfigurationError as error:
         sys.stderr.write(f"{error}\n")
