@@ -164,6 +164,7 @@ class _ModbusLink(Section):
 
     unit_id: Annotated[int, Field(ge=0, le=255)] = 1
     timeout_s: Annotated[float, Field(gt=0, le=10)] = 0.02
+    heartbeat_within_s: Annotated[float, Field(ge=0, le=10)] = 0.0
     registers: Registers
 
 
@@ -211,6 +212,7 @@ class SerialLineLink(_SerialPort):
 
     kind: Literal["serial_line"]
     timeout_s: Annotated[float, Field(gt=0, le=10)] = 0.05
+    heartbeat_within_s: Annotated[float, Field(ge=0, le=10)] = 0.0
     terminator: Annotated[str, Field(min_length=1, max_length=4)] = "\n"
     set_voltage: LineCommand | None = None
     measure: LineCommand | None = None

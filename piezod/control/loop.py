@@ -1,7 +1,7 @@
 """The control loop: reference -> plan -> limit -> exchange -> commit -> ring log -> keep time, once a tick.
 
 The states that matter are those of the stack, so they move with the voltage that was really written, after every
-limit and rounding (`link.written_V`), and only when the exchange was good. Nothing in here raises for a bad sample.
+limit and rounding (`link.written_V`), and only when the device acknowledged it. Nothing here raises for a bad sample.
 """
 
 from dataclasses import dataclass, field
@@ -14,7 +14,7 @@ from piezod.control.references import Freshness, Reference, TableReference
 from piezod.control.ring_log import RingLog
 from piezod.control.safety import Cause, State, Supervisor
 from piezod.model import Compensator
-from piezod.transport import ExchangeResult, Link
+from piezod.transport import ACKNOWLEDGED, ExchangeResult, Link
 
 
 @dataclass(frozen=True)
@@ -139,7 +139,7 @@ class ControlLoop:
         planned_V = self._plan(clock.tick, begun_ns)
         if self.supervisor.driving:
             result = link.exchange(self._limit(planned_V))
-            if result == ExchangeResult.OK:
+            if result in ACKNOWLEDGED:
                 limiter.applied_V = link.written_V
                 if self._segment is not None:
                     self._segment.compensator.commit(link.written_V)

@@ -22,7 +22,14 @@ from piezod.control import (
 from piezod.errors import CheckFailedError, ConfigurationError
 from piezod.excitation import triangle_ramp
 from piezod.model import DirectDrive, Model, load_model, make_compensator
-from piezod.transport import ExchangeResult, Link, make_link, verify_identity, wire_floor_rate_Hz
+from piezod.transport import (
+    ExchangeResult,
+    Link,
+    check_encodable,
+    make_link,
+    verify_identity,
+    wire_floor_rate_Hz,
+)
 
 
 @dataclass(frozen=True)
@@ -71,18 +78,19 @@ def load_without_model(path: Path) -> BenchConfig:
         The file says something impossible, or the wire cannot carry the rate.
     """
     bench = load_bench(path)
-    check_rate(bench)
+    check_wire(bench)
     return bench
 
 
-def check_rate(bench: BenchConfig) -> None:
-    """Refuse a rate above what the wire can carry.
+def check_wire(bench: BenchConfig) -> None:
+    """Refuse a rate above what the wire can carry, and voltages that it cannot encode.
 
     Raises
     ------
     ConfigurationError
-        Names the rate and the wire's floor.
+        Names the rate and the wire's floor, or the voltage and what its register carries.
     """
+    check_encodable(bench.link, bench.limits.voltage_min_V, bench.limits.voltage_max_V)
     for name, link in (("link", bench.link), ("load_cell_link", bench.load_cell_link)):
         floor_Hz = None if link is None else wire_floor_rate_Hz(link)
         if floor_Hz is not None and bench.rate_Hz > floor_Hz:

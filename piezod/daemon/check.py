@@ -15,7 +15,7 @@ import numpy as np
 from piezod.config import BenchConfig, load_bench, model_path
 from piezod.config.reference import RegisterReference, StreamReference
 from piezod.control import RealTimeWarning, TableReference, make_reference, real_time
-from piezod.daemon.assembly import check_rate, opened_link
+from piezod.daemon.assembly import check_wire, opened_link
 from piezod.daemon.history import percentiles
 from piezod.errors import PiezodError
 from piezod.model import Model, Plant, load_model
@@ -46,7 +46,7 @@ def check_bench(path: Path) -> list[Check]:
     bench = _try(checks, "configuration", lambda: load_bench(path), lambda bench: f"{path}, bench '{bench.name}'")
     if bench is None:
         return checks
-    _try(checks, "rate", lambda: check_rate(bench), lambda _: f"{bench.rate_Hz:g} Hz fits the wire")
+    _try(checks, "wire", lambda: check_wire(bench), lambda _: f"carries {bench.rate_Hz:g} Hz and every voltage")
     model = _try(
         checks, "model", lambda: load_model(model_path(bench, path)), lambda model: f"'{model.name}' has an inverse"
     )
@@ -100,9 +100,7 @@ def _reference(bench: BenchConfig, model: Model, folder: Path) -> Iterator[Check
     bottom, top = Plant(model).steady_range()
     found = f"{low:.1f} to {high:.1f} N, {len(table)} ticks"
     if low < bottom or high > top:
-        remedy = (
-            f"after a reset cycle {bottom:.1f} to {top:.1f} N can be reached; beyond, the voltage is clamped"
-        )
+        remedy = f"after a reset cycle {bottom:.1f} to {top:.1f} N can be reached; beyond, the voltage is clamped"
         yield Check("reference", "WARN", found, remedy)
     else:
         yield Check("reference", "OK", found)

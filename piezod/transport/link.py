@@ -24,6 +24,12 @@ class ExchangeResult(IntEnum):
     ECHO_MISMATCH = 13  # the reading answers another command than the last one
 
 
+# The device answered this very request, so the voltage was taken; only what it read cannot be believed.
+ACKNOWLEDGED = frozenset(
+    {ExchangeResult.OK, ExchangeResult.NOT_FINITE, ExchangeResult.OUT_OF_RANGE, ExchangeResult.HEARTBEAT_STOOD}
+)
+
+
 class Reading:
     """What the device last said, every check passed; quantities that it does not have are nan, counters 0.
 

@@ -58,7 +58,7 @@ class ModbusLink:
         self._wire, self._unit, self._timeout_s = wire, config.unit_id, config.timeout_s
         self._registers: Registers = config.registers
         writes, reads = config.registers.tick_writes(), config.registers.tick_reads()
-        self._plausibility = Plausibility(frozenset(reads))
+        self._plausibility = Plausibility(frozenset(reads), config.heartbeat_within_s)
         self.reading: Reading = self._plausibility.reading
         self._set_point = SetPoint(writes) if "voltage_setpoint" in writes else None
         self._block = ReadBlock(reads) if reads else None

@@ -71,7 +71,9 @@ class SerialLineDevice:
         names = tuple(self._pattern.groupindex) if self._pattern is not None else ()
         self._quantities = tuple((name, QUANTITIES[ROLES[name]]) for name in names if ROLES[name] in QUANTITIES)
         self._counters = tuple((name, COUNTERS[ROLES[name]]) for name in names if ROLES[name] in COUNTERS)
-        self._plausibility = Plausibility(frozenset(ROLES[name] for name in names) - {"command_echo"})
+        self._plausibility = Plausibility(
+            frozenset(ROLES[name] for name in names) - {"command_echo"}, config.heartbeat_within_s
+        )
         self.reading: Reading = self._plausibility.reading
         self._set_up_generation = -1
         self._watchdog_ms = nan

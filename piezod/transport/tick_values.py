@@ -4,6 +4,7 @@ import struct
 import sys
 from math import isfinite, nan
 from operator import itemgetter
+from time import monotonic
 
 from piezod.config.link import Register
 from piezod.errors import ConfigurationError
@@ -80,6 +81,8 @@ class Plausibility:
     ----------
     roles
         What the device has.
+    heartbeat_within_s
+        How long the heartbeat may stand still [s]; 0: not from one exchange to the next.
 
     Attributes
     ----------
@@ -89,9 +92,19 @@ class Plausibility:
         The last believed ones.
     """
 
-    __slots__ = ("_has_echo", "_has_heartbeat", "_heartbeat", "_heartbeat_known", "counters", "reading", "values")
+    __slots__ = (
+        "_advanced_s",
+        "_has_echo",
+        "_has_heartbeat",
+        "_heartbeat",
+        "_heartbeat_known",
+        "_within_s",
+        "counters",
+        "reading",
+        "values",
+    )
 
-    def __init__(self, roles: frozenset[str]) -> None:
+    def __init__(self, roles: frozenset[str], heartbeat_within_s: float) -> None:
         self.values = [nan] * len(QUANTITIES)
         self.counters = [0] * len(COUNTERS)
         self.reading = Reading()
@@ -99,6 +112,8 @@ class Plausibility:
         self._has_echo = "command_echo" in roles
         self._heartbeat = 0
         self._heartbeat_known = False
+        self._within_s = heartbeat_within_s
+        self._advanced_s = 0.0
 
     def forget(self) -> None:
         """Take the next heartbeat as it comes: the device may have been restarted."""
@@ -109,8 +124,11 @@ class Plausibility:
         heartbeat, echo, status, reference_counter = self.counters
         if self._has_heartbeat and self._heartbeat_known:
             advance = (heartbeat - self._heartbeat) % _COUNTS
-            if not 0 < advance < _HALF:
+            now_s = monotonic()
+            if (advance == 0 and now_s - self._advanced_s >= self._within_s) or advance >= _HALF:
                 return ExchangeResult.HEARTBEAT_STOOD
+            if advance:
+                self._advanced_s = now_s
         if self._has_echo and expected_echo >= 0 and (echo - expected_echo) % _COUNTS:
             return ExchangeResult.ECHO_MISMATCH
         self._heartbeat, self._heartbeat_known = heartbeat, True

@@ -8,6 +8,7 @@ from unit.control.test_limits import limits
 from piezod.control import Cause, ControlLoop, RingLog, RingReader, Segment, State, TableReference
 from piezod.model import DirectDrive
 from piezod.operators import ImplicitInverse, PrandtlIshlinskii
+from piezod.transport import ExchangeResult
 
 DT_S = 0.001
 
@@ -179,3 +180,11 @@ def test_a_direct_drive_writes_its_table_as_it_is(tmp_path, ring):
     make_loop(FakeLink(), ring).drive(Segment("volts", TableReference(values), DirectDrive()))
     rows = rows_of(tmp_path)
     np.testing.assert_allclose(rows[rows["state"] == State.RUNNING]["voltage_V"], values, atol=1e-12)
+
+
+def test_a_voltage_whose_reading_was_no_number_was_written_all_the_same_and_is_committed(ring):
+    link, compensator = FakeLink(), Halving()
+    exchange = link.exchange
+    link.exchange = lambda voltage_V: (exchange(voltage_V), ExchangeResult.NOT_FINITE)[link.exchanges % 2]
+    make_loop(link, ring).drive(Segment("table", TableReference(np.full(60, 10.0)), compensator))
+    assert compensator.committed == link.voltages

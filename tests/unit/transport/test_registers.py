@@ -8,8 +8,9 @@ from pymodbus.client import ModbusTcpClient
 
 from piezod.config.link import Register
 from piezod.errors import ConfigurationError
+from piezod.transport import ExchangeResult, tick_values
 from piezod.transport.registers import RegisterCodec
-from piezod.transport.tick_values import COUNTERS, QUANTITIES, ReadBlock
+from piezod.transport.tick_values import COUNTERS, QUANTITIES, Plausibility, ReadBlock
 
 TYPE = ModbusTcpClient.DATATYPE
 PYMODBUS = {"int16": TYPE.INT16, "uint16": TYPE.UINT16, "int32": TYPE.INT32, "float32": TYPE.FLOAT32}
@@ -121,3 +122,16 @@ def test_a_block_decodes_like_its_registers_one_by_one(data):
 def test_a_counter_that_is_no_plain_whole_number_is_refused(fields):
     with pytest.raises(ConfigurationError, match=r"registers\.heartbeat.*it counts, or holds bits"):
         ReadBlock({"heartbeat": register(**({"kind": "uint16"} | fields))})
+
+
+def test_a_heartbeat_may_stand_for_the_configured_time_and_no_longer(monkeypatch):
+    now_s = 100.0
+    monkeypatch.setattr(tick_values, "monotonic", lambda: now_s)
+    plausibility = Plausibility(frozenset({"heartbeat"}), heartbeat_within_s=0.005)
+    results = []
+    for heartbeat, at_s in ((7, 0.0), (8, 0.001), (8, 0.005), (8, 0.0061), (9, 0.007), (8, 0.008)):
+        now_s = 100.0 + at_s
+        plausibility.counters[0] = heartbeat
+        results.append(plausibility.accept(-1))
+    ok, stood = ExchangeResult.OK, ExchangeResult.HEARTBEAT_STOOD
+    assert results == [ok, ok, ok, stood, ok, stood]
