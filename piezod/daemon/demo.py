@@ -21,6 +21,7 @@ REFERENCES = {
     "triangle": WaveformReference(kind="triangle", amplitude_N=110, offset_N=150, frequency_Hz=0.5, duration_s=6.0),
     "multisine": WaveformReference(kind="multisine", amplitude_N=110, offset_N=150, frequency_Hz=0.25, duration_s=8.0),
 }
+STALL_S = 0.5  # a virtual machine may stand still for a tenth of a second; the demo must not call that a lost device
 COMPENSATIONS = ("gain", "inverse")
 
 OnRows = Callable[[NDArray[np.void]], None]
@@ -96,7 +97,13 @@ def _demo_bench() -> Iterator[tuple[BenchConfig, Path]]:
     bench, _ = load(path)
     with emulated_bench(shipped("emulator.yaml"), "--port", "0") as serves:
         host, _, port = serves["tcp"].rpartition(":")
-        link = bench.link.model_copy(update={"host": host, "port": int(port), "timeout_s": 0.1})
+        link = bench.link.model_copy(update={"host": host, "port": int(port), "timeout_s": STALL_S})
+        patience = {
+            "comm_loss_ms": 2000 * STALL_S,
+            "device_watchdog_ms": round(1000 * STALL_S),
+            "missed_ticks_in_a_row": round(STALL_S * bench.rate_Hz),
+        }
+        limits = bench.limits.model_copy(update=patience)
         ring_log = f"/dev/shm/piezod-demo-{port}.ring"  # noqa: S108  # shared memory is meant to be seen
         daemon = bench.daemon.model_copy(update={"ring_log": ring_log})
-        yield bench.model_copy(update={"link": link, "daemon": daemon}), path
+        yield bench.model_copy(update={"link": link, "limits": limits, "daemon": daemon}), path

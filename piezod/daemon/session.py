@@ -5,6 +5,7 @@ drawing) happens on this side and cannot slow a tick.
 """
 
 import contextlib
+import ctypes
 import multiprocessing
 import os
 import signal
@@ -27,6 +28,7 @@ from piezod.model import Model
 from piezod.transport import ExchangeResult
 
 LOOK_EVERY_S = 0.1
+_PR_SET_PDEATHSIG = 1  # prctl(2): the signal that comes when the parent has died
 
 
 @dataclass
@@ -127,14 +129,16 @@ class Session:
 
 
 def _control(bench: BenchConfig, model: Model | None, folder: Path, works: list[Work], pipe: Connection) -> None:
-    """The control process."""
+    """The control process; ramps down when the one that started it dies."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
     try:
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always")
             outcome = _drive(bench, model, folder, works, pipe)
         outcome.warnings = [str(warning.message) for warning in caught]
-        pipe.send(("done", outcome))
+        with contextlib.suppress(BrokenPipeError):
+            pipe.send(("done", outcome))
     except PiezodError as error:
         pipe.send(("error", (type(error).__name__, str(error))))
 
@@ -147,7 +151,8 @@ def _drive(bench: BenchConfig, model: Model | None, folder: Path, works: list[Wo
             stack.callback(segment.reference.close)
             segment.compensator.commit(segment.compensator.plan(0.0))
             segment.compensator.reset()
-        check_ready(bench, link)
+        if works:
+            check_ready(bench, link)
         ring = RingLog(bench.ring_log_path, round(bench.daemon.ring_seconds * bench.rate_Hz))
         stack.callback(ring.close)
         loop = ControlLoop(link, bench.limits, clock, ring, bench.dt_s, bench.arming.voltage_V_per_s)

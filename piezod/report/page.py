@@ -38,7 +38,7 @@ STYLE = """<style>
 h1 { font-size: 1.5rem; margin: 0.3rem 0; } h2 { font-size: 1.15rem; margin: 1rem 0 0; }
 .verdict { font-size: 1.1rem; }
 table { border-collapse: collapse; } th, td { padding: 0.25rem 0.8rem; border-bottom: 1px solid #ddd; text-align:
-right; } th:first-child, td:first-child { text-align: left; }
+right; } th:nth-child(-n+2), td:nth-child(-n+2) { text-align: left; }
 </style>"""
 
 

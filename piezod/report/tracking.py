@@ -14,7 +14,7 @@ from piezod.identify.scores import largest, max_hysteresis_percent, rms
 from piezod.recording import Recording
 from piezod.report.page import BLUE, GREY, ORANGE, write_page
 
-SHOWN_SAMPLES = 4000  # a curve needs no more on a screen; figures use all samples
+SHOWN_SAMPLES = 1500  # a curve needs no more on a screen; the figures of the table use all samples
 
 
 @dataclass(frozen=True)
@@ -54,8 +54,16 @@ def tracking_figures(recording: Recording, *, loop: bool) -> TrackingFigures:
         rms_error_percent=100 * rms(error) / range_N,
         max_error_N=largest(error),
         max_error_percent=100 * largest(error) / range_N,
-        max_hysteresis_percent=max_hysteresis_percent(reference, force) if loop else None,
+        max_hysteresis_percent=_opening(reference, force) if loop else None,
     )
+
+
+def _opening(reference: NDArray[np.float64], force: NDArray[np.float64]) -> float | None:
+    """Of a run that was stopped before its reference came back there is none."""
+    try:
+        return max_hysteresis_percent(reference, force)
+    except ValueError:
+        return None
 
 
 def write_tracking_page(
@@ -126,8 +134,11 @@ def _errors(recordings: dict[str, Recording]) -> figure:
 
 def _finish(plot: figure) -> figure:
     plot.sizing_mode = "stretch_width"
-    plot.legend.location = "top_left"
-    plot.legend.background_fill_alpha = 0.7
+    plot.toolbar.autohide = True
+    plot.toolbar.logo = None
+    plot.legend.orientation = "horizontal"
+    plot.legend.border_line_color = None
     plot.legend.click_policy = "hide"
+    plot.add_layout(plot.legend[0], "above")
     plot.add_tools(HoverTool(tooltips=[("x", "$x{0.000}"), ("y", "$y{0.00}")]))
     return plot
