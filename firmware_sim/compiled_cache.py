@@ -24,5 +24,5 @@ def forget_older_than_sources(sources: Path, cache: Path) -> None:
         try:
             if index.stat().st_mtime < newest_s:
                 index.unlink()
-        except FileNotFoundError:  # another process was quicker
+        except OSError:  # another process was quicker, or the cache is not ours
             continue

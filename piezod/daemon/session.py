@@ -103,6 +103,8 @@ class Session:
 
     def close(self) -> None:
         """Ramp down if it still drives, and wait for the end."""
+        if self._process.pid is None:
+            return
         self.stop()
         self._process.join(timeout=30)
         if self._process.is_alive():

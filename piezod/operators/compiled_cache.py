@@ -20,6 +20,6 @@ def forget_outdated_steps(cache_path: str) -> None:
     """
     newest_s = max(source.stat().st_mtime for source in Path(__file__).parent.glob("*.py"))
     for index in Path(cache_path).glob("*.nbi"):
-        with contextlib.suppress(FileNotFoundError):  # another process was quicker
+        with contextlib.suppress(OSError):  # another process was quicker, or the cache is not ours
             if index.stat().st_mtime < newest_s:
                 index.unlink()
