@@ -4,7 +4,7 @@ The states that matter are those of the stack, so they move with the voltage tha
 limit and rounding (`link.written_V`), and only when the device acknowledged it. Nothing here raises for a bad sample.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from math import isfinite
 
 from piezod.config import LimitsConfig
@@ -45,7 +45,6 @@ class LoopCounts:
 
     ticks: int = 0
     failed_exchanges: int = 0
-    results: dict[str, int] = field(default_factory=dict)
 
 
 class ControlLoop:

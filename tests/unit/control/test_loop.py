@@ -6,6 +6,7 @@ from unit.control.fake_bench import FakeClock, FakeLink
 from unit.control.test_limits import limits
 
 from piezod.control import Cause, ControlLoop, RingLog, RingReader, Segment, State, TableReference
+from piezod.control.references import Freshness
 from piezod.model import DirectDrive
 from piezod.operators import ImplicitInverse, PrandtlIshlinskii
 from piezod.transport import ExchangeResult
@@ -151,6 +152,45 @@ def test_a_plan_that_is_no_number_leaves_the_voltage_where_it_is(ring):
     make_loop(link, ring).drive(Segment("broken", TableReference(np.linspace(10, 20, 100)), broken))
     assert np.isfinite(link.voltages).all()
     assert max(link.voltages) == pytest.approx(7.5, abs=0.06)
+
+
+def test_a_reference_that_ends_with_hold_keeps_the_voltage_until_stopped(ring):
+    link = FakeLink()
+    loop = make_loop(link, ring)
+    loop.begin(Segment("short", TableReference(np.linspace(10, 20, 50), ramp_down_on_lapse=False), Halving()))
+    loop.supervisor.arm(0)
+    for _ in range(500):
+        loop.tick()
+        loop._clock.wait()
+    assert loop.supervisor.state is State.HOLD
+    assert set(link.voltages[-300:]) == {10.0}
+    loop.request_stop()
+    while loop.supervisor.driving:
+        loop.tick()
+        loop._clock.wait()
+    assert link.voltages[-1] == pytest.approx(0.0, abs=1e-6)
+
+
+def test_a_live_reference_that_falls_silent_is_held_and_followed_again_when_it_returns(ring):
+    class Intermittent(TableReference):
+        def read(self, tick, now_ns):
+            self.freshness = Freshness.STALE if 100 <= tick < 150 else Freshness.LIVE
+            return 20.0 if tick < 150 else 22.0
+
+    link = FakeLink()
+    loop = make_loop(link, ring)
+    loop.begin(Segment("live", Intermittent([0.0], ramp_down_on_lapse=False), Halving()))
+    loop.supervisor.arm(0)
+    states = []
+    for _ in range(200):
+        loop.tick()
+        states.append(loop.supervisor.state)
+        loop._clock.wait()
+    assert states[99] is State.RUNNING
+    assert set(states[100:150]) == {State.HOLD}
+    assert set(states[150:]) == {State.RUNNING}
+    assert set(link.voltages[100:150]) == {10.0}
+    assert link.voltages[-1] == 11.0
 
 
 def test_watching_writes_nothing(ring):
