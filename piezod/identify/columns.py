@@ -1,15 +1,23 @@
 """From samples to Gram matrices: the columns of the identification problem, accumulated chunk by chunk.
 
-A recording of any length passes through once; only matrices as large as the number of weights are kept.
+A superposition is written in slopes instead of weights: s_i = w_0 + ... + w_i is the slope of the loading curve between
+the thresholds i and i+1, and its column is the part of the input that lies between them:
+
+    H(u) = sum_i s_i (z_i - z_{i+1}),   S'(y) = sum_j s'_j (S_j(y) - S_{j+1}(y)),   the last column being z_n, S_m itself
+
+It is the same operator. But the conditions "every partial sum at least eps" become bounds, and the columns are nearly
+orthogonal: their condition number is 10 to 35 for 7 to 30 plays, where that of the weights' columns is 100 to 5600.
+A recording of any length passes through once; only matrices as large as the number of slopes are kept.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from piezod.operators.dead_zone import dead_zone_columns
-from piezod.operators.play import play_states_run, play_step
+from piezod.operators.play import play_states_run
 
 Array = NDArray[np.float64]
 
@@ -23,15 +31,15 @@ class Structure:
     Parameters
     ----------
     play_thresholds
-        r_i [V], shape (n + 1,), from 0.
+        r_i [input unit], shape (n + 1,), from 0.
     zone_thresholds
         r'_j [output unit above `origin`], shape (m + 1,) or (2m + 1,), one of them 0.
     origin
         Output where the dead zones start [output unit].
     u_max
-        Largest input [V].
+        Input where the loading curve's height is fixed to the input itself (3.17).
     zone_scale
-        Input range over output range [V per output unit].
+        Input range over output range [input unit per output unit].
     """
 
     play_thresholds: Array
@@ -41,53 +49,112 @@ class Structure:
     zone_scale: float
 
     @property
+    def plays(self) -> int:
+        """Plays, the linear part included."""
+        return int(self.play_thresholds.size)
+
+    @property
     def columns(self) -> int:
         """Plays, one constant, dead zones."""
         return int(self.play_thresholds.size + 1 + self.zone_thresholds.size)
 
 
-class Regressors:
-    """Columns [plays, 1, -dead zones] of successive samples of one recording; the play states carry over.
+def slopes_of(weights: Array) -> Array:
+    """Partial sums of the weights."""
+    return np.cumsum(weights)
+
+
+def weights_of(slopes: Array) -> Array:
+    """Differences of the slopes."""
+    return np.diff(slopes, prepend=0.0)
+
+
+def zone_slopes_of(thresholds: Array, weights: Array) -> Array:
+    """Partial sums from the centre outwards, at each threshold's own place."""
+    centre = int(np.flatnonzero(thresholds == 0.0)[0])
+    return np.concatenate((np.cumsum(weights[centre::-1])[:0:-1], np.cumsum(weights[centre:])))
+
+
+def zone_weights_of(thresholds: Array, slopes: Array) -> Array:
+    """The weights that have these outward partial sums."""
+    centre = int(np.flatnonzero(thresholds == 0.0)[0])
+    lower = np.diff(slopes[centre::-1])[::-1]
+    return np.concatenate((lower, [slopes[centre]], np.diff(slopes[centre:])))
+
+
+def zone_segments(thresholds: Array, x: Array) -> Array:
+    """Part of each sample of `x` that lies between a threshold and the next one outwards, shape (N, count)."""
+    centre = int(np.flatnonzero(thresholds == 0.0)[0])
+    zones = np.empty((x.size, thresholds.size))
+    dead_zone_columns(thresholds, x, zones)
+    segments = zones.copy()
+    segments[:, centre:-1] -= zones[:, centre + 1 :]
+    segments[:, 1:centre] -= zones[:, : centre - 1] if centre > 1 else 0.0
+    if centre > 0:
+        segments[:, centre] -= zones[:, centre - 1]
+    return segments
+
+
+class PlaySegments:
+    """Play columns of successive samples; the states carry over.
 
     Parameters
     ----------
-    structure
-        Which operators.
-    first_u
-        Input that the plays are brought to first, from the de-energised state (3.2).
+    thresholds
+        r_i, shape (n + 1,).
+    states
+        z_i before the first sample; None: de-energised.
     """
 
-    def __init__(self, structure: Structure, first_u: float = 0.0) -> None:
-        thresholds = structure.play_thresholds
-        self._structure = structure
-        self._packed = np.concatenate((thresholds, np.zeros(2 * thresholds.size)))
-        play_step(self._packed, 0, thresholds.size, first_u)
+    def __init__(self, thresholds: Array, states: Array | None = None) -> None:
+        start = np.zeros(thresholds.size) if states is None else states
+        self._count = int(thresholds.size)
+        self._packed = np.concatenate((thresholds, np.zeros(thresholds.size), start))
 
-    def plays(self, u: Array) -> Array:
-        """States of every play over the next samples, shape (N, n + 1)."""
-        count = self._structure.play_thresholds.size
-        states = np.empty((u.size, count))
-        play_states_run(self._packed, 0, count, u, states)
+    def run(self, u: Array) -> Array:
+        """Columns z_i - z_{i+1} over the next samples, shape (N, n + 1)."""
+        states = np.empty((u.size, self._count))
+        play_states_run(self._packed, 0, self._count, u, states)
+        states[:, :-1] -= states[:, 1:]
         return states
 
-    def columns(self, u: Array, y: Array) -> Array:
-        """All columns over the next samples, shape (N, q)."""
-        structure = self._structure
-        count = structure.play_thresholds.size
-        phi = np.empty((u.size, structure.columns))
-        phi[:, :count] = self.plays(u)
-        phi[:, count] = 1.0
-        zones = np.empty((u.size, structure.zone_thresholds.size))
-        dead_zone_columns(structure.zone_thresholds, y - structure.origin, zones)
-        phi[:, count + 1 :] = -zones
-        return phi
+
+@dataclass(frozen=True)
+class Samples:
+    """One stretch of a recording: input and output, and which samples count.
+
+    Parameters
+    ----------
+    u, y
+        Input and output, shape (N,).
+    counts
+        Where the output is believed and used, shape (N,); the plays see every sample all the same.
+    states
+        Play states before the first sample; None: de-energised.
+    """
+
+    u: Array
+    y: Array
+    counts: NDArray[np.bool_]
+    states: Array | None = None
+
+    def chunks(self, structure: Structure) -> Iterator[tuple[Array, Array]]:
+        """Play columns and output of the samples that count, chunk by chunk."""
+        plays = PlaySegments(structure.play_thresholds, self.states)
+        for start in range(0, self.u.size, CHUNK):
+            part = slice(start, start + CHUNK)
+            columns, chosen = plays.run(self.u[part]), self.counts[part]
+            if chosen.all():
+                yield columns, self.y[part]
+            elif chosen.any():
+                yield columns[chosen], self.y[part][chosen]
 
 
-def accumulate_gram(structure: Structure, u: Array, y: Array) -> Array:
-    """Sum of phi phi' over one recording, shape (q, q)."""
-    regressors = Regressors(structure)
+def accumulate_gram(structure: Structure, samples: Samples) -> Array:
+    """Sum of phi phi' with phi = [play segments, 1, -dead-zone segments], shape (q, q)."""
     gram = np.zeros((structure.columns, structure.columns))
-    for start in range(0, u.size, CHUNK):
-        phi = regressors.columns(u[start : start + CHUNK], y[start : start + CHUNK])
+    for plays, y in samples.chunks(structure):
+        zones = zone_segments(structure.zone_thresholds, y - structure.origin)
+        phi = np.hstack((plays, np.ones((y.size, 1)), -zones))
         gram += phi.T @ phi
     return gram

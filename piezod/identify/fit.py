@@ -1,28 +1,61 @@
-"""One fit of one structure: the quadratic program first, then the error in the force itself is minimised."""
+"""One fit of one structure: the quadratic program first, then the error in the output itself is minimised."""
+
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from piezod.identify.columns import CHUNK, Regressors, Structure, accumulate_gram
-from piezod.identify.qp import Constraints, solve, solve_step
+from piezod.identify.columns import (
+    Samples,
+    Structure,
+    accumulate_gram,
+    weights_of,
+    zone_segments,
+    zone_slopes_of,
+    zone_weights_of,
+)
+from piezod.identify.qp import Constraints, Variant, solve, solve_step
 from piezod.model.parameters import Hysteresis, Superposition
 from piezod.operators import EPS
-from piezod.operators.dead_zone import dead_zone_columns, inverse_dead_zone, shifted
+from piezod.operators.dead_zone import inverse_dead_zone, shifted
 
 Array = NDArray[np.float64]
 
 MOST_STEPS = 12
+SMALLEST_STEP = 1e-14  # relative change of the slopes that ends the refinement
 
 
-def fit_hysteresis(structure: Structure, u: Array, y: Array, *, variant: str = "B", eps: float = EPS) -> Hysteresis:
-    """Identify one structure on one recording that starts de-energised.
+@dataclass(frozen=True)
+class Fit:
+    """What one fit found.
 
     Parameters
     ----------
     structure
         Which operators.
-    u, y
-        Input [V] and output, shape (N,).
+    hysteresis
+        The direct operator.
+    gram
+        Gram matrix of the quadratic program, shape (q, q): what a later refit needs.
+    condition
+        Condition number of the columns, each scaled to length 1, without the direction that the normalisation fixes.
+    """
+
+    structure: Structure
+    hysteresis: Hysteresis
+    gram: Array
+    condition: float
+
+
+def fit_hysteresis(structure: Structure, samples: Samples, *, variant: Variant = "B", eps: float = EPS) -> Fit:
+    """Identify one structure.
+
+    Parameters
+    ----------
+    structure
+        Which operators.
+    samples
+        Input and output.
     variant
         Constraint variant of the quadratic program, "A" or "B".
     eps
@@ -34,71 +67,85 @@ def fit_hysteresis(structure: Structure, u: Array, y: Array, *, variant: str = "
         The recording does not determine the model.
     """
     constraints = Constraints.of(structure, variant=variant, eps=eps)
-    weights = solve(accumulate_gram(structure, u, y), constraints)
-    plays = structure.play_thresholds.size
-    zones, zone_weights = inverse_dead_zone(structure.zone_thresholds, weights[plays + 1 :])
-    parameters = np.concatenate((weights[: plays + 1], zone_weights))
-    if zones.size > 1:
-        parameters = _refine(structure, zones, parameters, u, y, constraints)
-    return _as_hysteresis(structure, zones, parameters, eps)
+    gram = accumulate_gram(structure, samples)
+    slopes = solve(gram, constraints)
+    inverse_weights = zone_weights_of(structure.zone_thresholds, slopes[structure.plays + 1 :])
+    zones, zone_weights = inverse_dead_zone(structure.zone_thresholds, inverse_weights)
+    parameters = np.concatenate((slopes[: structure.plays + 1], zone_slopes_of(zones, zone_weights)))
+    direct = constraints.for_direct(zones.size, eps * float(parameters[structure.plays + 1 :].max()))
+    parameters = _refine(structure, zones, parameters, samples, direct)
+    return Fit(structure, _as_hysteresis(structure, zones, parameters, eps), gram, _condition(gram))
 
 
 def _as_hysteresis(structure: Structure, zones: Array, parameters: Array, eps: float) -> Hysteresis:
     """The constant inside the dead zones moves into their thresholds and the offset."""
-    plays = structure.play_thresholds.size
-    thresholds, weights, constant = shifted(zones, parameters[plays + 1 :], float(parameters[plays]))
+    plays = structure.plays
+    zone_weights = zone_weights_of(zones, parameters[plays + 1 :])
+    thresholds, weights, constant = shifted(zones, zone_weights, float(parameters[plays]))
     return Hysteresis(
-        plays=Superposition(thresholds=tuple(structure.play_thresholds), weights=tuple(parameters[:plays])),
-        dead_zones=Superposition(thresholds=tuple(thresholds), weights=tuple(weights)),
-        offset=structure.origin + constant,
+        plays=Superposition(
+            thresholds=tuple(structure.play_thresholds.tolist()), weights=tuple(weights_of(parameters[:plays]).tolist())
+        ),
+        dead_zones=Superposition(thresholds=tuple(thresholds.tolist()), weights=tuple(weights.tolist())),
+        offset=float(structure.origin + constant),
         eps=eps,
     )
 
 
-def _refine(structure: Structure, zones: Array, start: Array, u: Array, y: Array, constraints: Constraints) -> Array:
-    """Gauss-Newton on the output error; each step is the quadratic program with a linear term.
+def _condition(gram: Array) -> float:
+    """From the eigenvalues of the scaled Gram matrix; the smallest belongs to the solution itself."""
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(gram), np.finfo(float).tiny))
+    values = np.linalg.eigvalsh(gram * np.outer(scale, scale))
+    return float(np.sqrt(values[-1] / max(values[1], np.finfo(float).tiny)))
 
-    The program's error is in volts and has the noisy force among its regressors, which biases the dead-zone weights;
-    the error in the force has not.
+
+def _refine(
+    structure: Structure, zones: Array, start: Array, samples: Samples, constraints: Constraints
+) -> Array:
+    """Gauss-Newton on the output error; each step is a quadratic program, halved until the error falls.
+
+    The first program's error is in the input's unit and has the noisy output among its regressors, which biases the
+    dead-zone slopes; the error in the output has not.
     """
-    best, best_loss = start, np.inf
-    parameters, damping = start, 1.0
+    best, step, damping = start, np.zeros_like(start), 1.0
+    best_loss = np.inf
+    parameters = start
     for _ in range(MOST_STEPS):
-        hessian, gradient, loss = _normal_equations(structure, zones, parameters, u, y)
-        if loss >= best_loss * (1.0 - 1e-12):
-            damping *= 0.25
-            if damping < 1e-3:
+        hessian, gradient, loss = _normal_equations(structure, zones, parameters, samples)
+        if loss < best_loss:
+            best, best_loss, damping = parameters, loss, 1.0
+            step = solve_step(hessian, gradient, constraints, parameters) - parameters
+            if np.abs(step).max() <= SMALLEST_STEP * np.abs(parameters).max():
                 break
         else:
-            best, best_loss = parameters, loss
-            full = solve_step(hessian, gradient, constraints.for_direct(zones), parameters)
-            best_step = full - parameters
-            damping = 1.0
-            if np.abs(best_step).max() <= 1e-14 * np.abs(parameters).max():
-                break
-        parameters = best + damping * best_step
+            damping *= 0.25
+        parameters = best + damping * step
     return best
 
 
 def _normal_equations(
-    structure: Structure, zones: Array, parameters: Array, u: Array, y: Array
+    structure: Structure, zones: Array, parameters: Array, samples: Samples
 ) -> tuple[Array, Array, float]:
     """J'J, J'e and e'e of the error in the output, one pass over the samples."""
-    plays = structure.play_thresholds.size
-    size = parameters.size
+    plays, size = structure.plays, parameters.size
     hessian, gradient, loss = np.zeros((size, size)), np.zeros(size), 0.0
-    regressors = Regressors(structure)
-    slopes_at = zones
-    zone_weights = parameters[plays + 1 :]
-    for start in range(0, u.size, CHUNK):
-        states = regressors.plays(u[start : start + CHUNK])
-        v = states @ parameters[:plays] + parameters[plays]
-        columns = np.empty((v.size, zones.size))
-        dead_zone_columns(zones, v, columns)
-        error = y[start : start + CHUNK] - structure.origin - columns @ zone_weights
-        slope = (((columns != 0.0) | (slopes_at == 0.0)) @ zone_weights)[:, None]
-        jacobian = np.hstack((slope * states, slope, columns))
+    zone_slopes = parameters[plays + 1 :]
+    for segments, y in samples.chunks(structure):
+        v = segments @ parameters[:plays] + parameters[plays]
+        columns = zone_segments(zones, v)
+        error = y - structure.origin - columns @ zone_slopes
+        slope = _slope_at(zones, zone_slopes, v)[:, None]
+        jacobian = np.hstack((slope * segments, slope, columns))
         hessian += jacobian.T @ jacobian
         gradient += jacobian.T @ error
         loss += float(error @ error)
     return hessian, gradient, loss
+
+
+def _slope_at(zones: Array, slopes: Array, v: Array) -> Array:
+    """Slope of the force law at v: that of the outermost threshold passed."""
+    centre = int(np.flatnonzero(zones == 0.0)[0])
+    passed = np.searchsorted(zones, v, side="right") - 1
+    inner = np.where(v >= 0.0, passed, np.minimum(passed + 1, centre))
+    result: Array = slopes[np.clip(inner, 0, zones.size - 1)]
+    return result

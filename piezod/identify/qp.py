@@ -1,15 +1,15 @@
 """The quadratic program of the identification (3.11-3.24), solved by ProxQP from accumulated Gram matrices.
 
-    min_w  w' G w   subject to   partial sums of plays and of inverse dead zones >= eps,   H(u_max) = u_max
-    w = [play weights, one constant, inverse dead-zone weights],   G = sum over samples of phi phi'
+    min_s  s' G s   subject to   slopes >= eps,   H(u_max) = u_max
+    s = [play slopes, one constant, inverse dead-zone slopes],   G = sum over samples of phi phi'
 
-The error is linear in the direct play weights and in the inverse dead-zone weights, so the program is convex.
-Columns are scaled to equal length and the Hessian to a mean diagonal of 1; without that ProxQP's tolerance says
-nothing about the weights.
+The error is linear in the direct play slopes and in the inverse dead-zone slopes, so the program is convex. Columns are
+scaled to equal length and the Hessian to a mean diagonal of 1; without that ProxQP's tolerance says nothing about the
+slopes.
 """
 
 from dataclasses import dataclass, replace
-from typing import Self
+from typing import Literal, Self
 
 import numpy as np
 import proxsuite
@@ -19,20 +19,21 @@ from piezod.errors import RecordingError
 from piezod.identify.columns import Structure
 
 Array = NDArray[np.float64]
+Variant = Literal["A", "B"]
 
-TOLERANCE = 1e-12
+TOLERANCES = (1e-12, 1e-10, 1e-9)  # absolute, on the scaled program; the first that rounding lets it reach
 
 
 @dataclass(frozen=True)
 class Constraints:
-    """What the weights must satisfy: `rows @ w >= low` (3.16, 3.18-3.21), `equality @ w = 1` (3.17 over u_max)."""
+    """What the slopes must satisfy: `rows @ s >= low` (3.16, 3.18-3.21) and `equality @ s = 1` (3.17 over u_max)."""
 
     rows: Array
     low: Array
     equality: Array
 
     @classmethod
-    def of(cls, structure: Structure, *, variant: str, eps: float) -> Self:
+    def of(cls, structure: Structure, *, variant: Variant, eps: float) -> Self:
         """Constraints of a structure.
 
         Parameters
@@ -42,39 +43,30 @@ class Constraints:
         variant
             "A": no play weight negative (the thesis'); "B": no partial sum below eps (necessary and sufficient).
         eps
-            Smallest partial sum; of the dead zones as a fraction of input range over output range.
+            Smallest slope; of the inverse dead zones as a fraction of input range over output range.
         """
-        plays, zones = structure.play_thresholds.size, structure.zone_thresholds.size
+        plays, zones = structure.plays, int(structure.zone_thresholds.size)
         rows = np.zeros((plays + zones, structure.columns))
-        rows[:plays, :plays] = np.eye(plays) if variant == "A" else np.tril(np.ones((plays, plays)))
-        rows[plays:, plays + 1 :] = outward_sums(structure.zone_thresholds)
+        rows[:plays, :plays] = np.eye(plays)
+        if variant == "A":
+            rows[1:plays, : plays - 1] -= np.eye(plays - 1)
+        rows[plays:, plays + 1 :] = np.eye(zones)
         low = np.concatenate((np.full(plays, eps), np.full(zones, eps * structure.zone_scale)))
         if variant == "A":
             low[1:plays] = 0.0
         equality = np.zeros(structure.columns)
-        equality[:plays] = 1.0 - structure.play_thresholds / structure.u_max
+        equality[:plays] = np.diff(structure.play_thresholds, append=structure.u_max) / structure.u_max
         return cls(rows, low, equality)
 
-    def for_direct(self, zones: Array) -> Self:
-        """The same for direct dead-zone weights, whose slopes are the reciprocals [output unit per V]."""
-        rows = self.rows.copy()
-        rows[-zones.size :, -zones.size :] = outward_sums(zones)
+    def for_direct(self, zones: int, steepest: float) -> Self:
+        """The same for direct dead-zone slopes [output unit per input unit], kept above a fraction of `steepest`."""
         low = self.low.copy()
-        low[-zones.size :] = 1e-4 / low[-1]
-        return replace(self, rows=rows, low=low)
-
-
-def outward_sums(thresholds: Array) -> Array:
-    """Rows that sum the dead-zone weights from the centre outwards, on each side (U_S)."""
-    centre = int(np.flatnonzero(thresholds == 0.0)[0])
-    rows = np.zeros((thresholds.size, thresholds.size))
-    for j in range(thresholds.size):
-        rows[j, min(j, centre) : max(j, centre) + 1] = 1.0
-    return rows
+        low[-zones:] = steepest
+        return replace(self, low=low)
 
 
 def solve(gram: Array, constraints: Constraints) -> Array:
-    """Weights that minimise w' G w, shape (q,).
+    """Slopes that minimise s' G s, shape (q,).
 
     Raises
     ------
@@ -93,9 +85,9 @@ def solve_step(hessian: Array, gradient: Array, constraints: Constraints, start:
     hessian, gradient
         A, shape (q, q), and g, shape (q,).
     constraints
-        Of the weights, not of the step.
+        Of the slopes, not of the step.
     start
-        Weights that the step starts from.
+        Slopes that the step starts from.
 
     Raises
     ------
@@ -108,11 +100,7 @@ def solve_step(hessian: Array, gradient: Array, constraints: Constraints, start:
     factor = size / np.trace(scaled)
     equality, rows = constraints.equality * scale, constraints.rows * scale
     length, span = np.linalg.norm(rows, axis=1), np.linalg.norm(equality)
-    solver = proxsuite.proxqp.dense.QP(size, 1, rows.shape[0])
-    solver.settings.eps_abs = TOLERANCE
-    solver.settings.eps_rel = 0.0
-    solver.settings.max_iter = 10_000
-    solver.init(
+    step = _proxqp(
         factor * scaled,
         -factor * scale * gradient,
         equality[None, :] / span,
@@ -120,11 +108,22 @@ def solve_step(hessian: Array, gradient: Array, constraints: Constraints, start:
         rows / length[:, None],
         (constraints.low - constraints.rows @ start) / length,
     )
-    solver.solve()
-    if solver.results.info.status != proxsuite.proxqp.QPSolverOutput.PROXQP_SOLVED:
-        raise RecordingError(
-            f"the quadratic program was not solved ({solver.results.info.status.name}): the recording does not "
-            "determine the model; record triangles over the whole range, or identify with fewer operators"
-        )
-    weights: Array = start + scale * np.array(solver.results.x)
-    return weights
+    slopes: Array = start + scale * step
+    return slopes
+
+
+def _proxqp(hessian: Array, gradient: Array, equality: Array, value: Array, rows: Array, low: Array) -> Array:
+    """Minimise x' H x / 2 + g' x under A x = b and C x >= l, as exactly as rounding allows."""
+    solver = proxsuite.proxqp.dense.QP(hessian.shape[0], 1, rows.shape[0])
+    solver.settings.eps_rel = 0.0
+    solver.settings.max_iter = 1000
+    solver.init(hessian, gradient, equality, value, rows, low)
+    for tolerance in TOLERANCES:
+        solver.settings.eps_abs = tolerance
+        solver.solve()
+        if solver.results.info.status == proxsuite.proxqp.QPSolverOutput.PROXQP_SOLVED:
+            return np.array(solver.results.x)
+    raise RecordingError(
+        f"the quadratic program was not solved ({solver.results.info.status.name}): the recording does not "
+        "determine the model; record triangles over the whole range, or identify with fewer operators"
+    )
