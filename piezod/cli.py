@@ -102,19 +102,26 @@ def check(config: ConfigArgument, as_json: JsonOption = False) -> None:
 @app.command(epilog="Example: piezod record config/bench.yaml --excitation varying-triangles -o varying.csv")
 def record(
     config: ConfigArgument,
-    excitation: Annotated[str, typer.Option(metavar="NAME", help="constant-triangles or varying-triangles.")],
+    excitation: Annotated[
+        str,
+        typer.Option(
+            metavar="NAME",
+            help="constant-triangles, varying-triangles or staircase-minor-loops-multisine.",
+        ),
+    ],
     output: Annotated[Path, typer.Option("--output", "-o", metavar="REC", help="The recording to write (CSV).")],
     peak: Annotated[float | None, typer.Option(metavar="V", help="Highest voltage; the limit's when left out.")] = None,
-    frequency: Annotated[float, typer.Option(metavar="HZ", min=1e-4, help="Of one triangle.")] = 0.1,
-    periods: Annotated[int, typer.Option(min=1, max=1000, help="Triangles.")] = 5,
+    frequency: Annotated[float, typer.Option(metavar="HZ", min=1e-4, help="Of one full triangle.")] = 0.1,
+    periods: Annotated[int, typer.Option(min=1, max=1000, help="Triangles, or repeats of the whole.")] = 5,
     reset_cycle: Annotated[bool, typer.Option(help="Drive 0 -> highest -> 0 first.")] = False,
 ) -> None:
     """Drive an excitation through the bench and record what it answers."""
     from piezod.daemon.record import record as record_excitation
+    from piezod.excitation import duration_s
     from piezod.recording import write_csv
     from piezod.report.progress import progress
 
-    with progress(f"recording {excitation}", periods / frequency) as show:
+    with progress(f"recording {excitation}", duration_s(excitation, frequency, periods)) as show:
         recording, outcome = record_excitation(
             config,
             excitation,

@@ -13,6 +13,17 @@ Array = NDArray[np.float64]
 
 MULTISINE_HARMONICS = (1, 2, 3, 5, 8, 13)
 
+# The third excitation; voltages as parts of the peak, times in periods of its main triangle. All chosen here.
+STAIRCASE_LEVELS = 8
+DWELL_PERIODS = 0.1
+MINOR_LOOP_BIASES = (0.2, 0.5, 0.8)
+MINOR_LOOP_SIZES = (0.1, 0.25)  # from end to end
+REVERSAL_DEPTHS = (0.8, 0.6, 0.4, 0.2)  # below the peak, deepest first: a fan of first-order reversals
+NESTED_REVERSALS = (0.1, 0.9, 0.2, 0.8, 0.3, 0.7, 0.4, 0.6, 0.5)
+MULTISINE_RANGE = (0.1, 0.9)
+MULTISINE_PERIOD = 2.0  # of its lowest harmonic
+MULTISINE_REPEATS = 2
+
 
 def triangle(phase: Array) -> Array:
     """-1 to 1 and back, once a period."""
@@ -99,15 +110,81 @@ def varying_triangles(peak_V: float, frequency_Hz: float, periods: int, rate_Hz:
     return result
 
 
-def _phase(frequency_Hz: float, periods: int, rate_Hz: float) -> Array:
+def staircase_minor_loops_multisine(peak_V: float, frequency_Hz: float, periods: int, rate_Hz: float) -> Array:
+    """One record that tells plays, dead zones and virgin curve apart, from 0 to `peak_V` and back [V].
+
+    In this order: the virgin rise in steps at half the slew, a full triangle, minor loops of two sizes at three biases,
+    a staircase down and up with dwells, a fan of reversals from the peak, nested reversals that decay to the middle, a
+    multisine, and the return to 0. Steady triangles leave every play with a threshold above `peak_V` / 2 frozen
+    (THEORY 1.3); the virgin rise moves them, and the reversals separate those below.
+
+    Parameters
+    ----------
+    peak_V, frequency_Hz
+        Of the main triangle; every ramp has its slew, 2 `peak_V` `frequency_Hz`, and the multisine under twice that.
+    periods
+        Repeats of the whole; only the first of them starts on the virgin curve.
+    rate_Hz
+        Samples a second.
+    """
+    times, levels, multisine_start = _identification_corners()
+    phase = _phase(frequency_Hz, periods * float(times[-1]), rate_Hz)
+    within = np.where(phase < periods * times[-1], phase % times[-1], times[-1])
+    parts = np.interp(within, times, levels)
+    wave = (within - multisine_start) / MULTISINE_PERIOD
+    inside = (wave >= 0.0) & (wave < MULTISINE_REPEATS)
+    low, high = MULTISINE_RANGE
+    parts[inside] = low + 0.5 * (high - low) * (1.0 + multisine(wave[inside], seed=1))
+    result: Array = peak_V * parts
+    return result
+
+
+def _identification_corners() -> tuple[Array, Array, float]:
+    """Corners of the third excitation: times [periods of the triangle], levels [parts of the peak], multisine's start.
+
+    A level that follows itself is held.
+    """
+    treads = np.arange(1, STAIRCASE_LEVELS + 1) / STAIRCASE_LEVELS
+    up, down = np.repeat(treads, 2), np.repeat(1.0 - treads, 2)
+    virgin = [0.0, 0.0, *up]
+    loops = [
+        bias + side * 0.5 * size
+        for bias in MINOR_LOOP_BIASES
+        for size in MINOR_LOOP_SIZES
+        for side in (1.0, -1.0, 1.0, -1.0, 1.0)
+    ]
+    fan = [level for depth in REVERSAL_DEPTHS for level in (1.0 - depth, 1.0)]
+    floor = MULTISINE_RANGE[0]
+    before = [*virgin, 0.0, 1.0, 0.0, *loops, 1.0, *down, *up, *fan, *NESTED_REVERSALS, floor]
+    levels = np.array([*before, floor, 0.0, 0.0])
+    travel = 0.5 * np.abs(np.diff(levels))
+    travel[: len(virgin) - 1] *= 2.0
+    lasts = np.where(travel > 0.0, travel, DWELL_PERIODS)
+    lasts[len(before) - 1] = MULTISINE_REPEATS * MULTISINE_PERIOD
+    times = np.concatenate(([0.0], np.cumsum(lasts)))
+    return times, levels, float(times[len(before) - 1])
+
+
+def _phase(frequency_Hz: float, periods: float, rate_Hz: float) -> Array:
     """Phase of every tick, both ends included."""
     return np.arange(round(periods * rate_Hz / frequency_Hz) + 1, dtype=np.float64) * frequency_Hz / rate_Hz
 
 
-EXCITATIONS = ("constant-triangles", "varying-triangles")
+IDENTIFICATION = "staircase-minor-loops-multisine"
+EXCITATIONS = ("constant-triangles", "varying-triangles", IDENTIFICATION)
 
 
 def excitation(name: str, peak_V: float, frequency_Hz: float, periods: int, rate_Hz: float) -> Array:
     """The voltage excitation called `name`, from 0 to `peak_V`, one value a tick [V]."""
-    makers = {"constant-triangles": constant_triangles, "varying-triangles": varying_triangles}
+    makers = {
+        "constant-triangles": constant_triangles,
+        "varying-triangles": varying_triangles,
+        IDENTIFICATION: staircase_minor_loops_multisine,
+    }
     return makers[name](peak_V, frequency_Hz, periods, rate_Hz)
+
+
+def duration_s(name: str, frequency_Hz: float, periods: int) -> float:
+    """How long the excitation called `name` lasts [s]."""
+    triangles = float(_identification_corners()[0][-1]) if name == IDENTIFICATION else 1.0
+    return periods * triangles / frequency_Hz

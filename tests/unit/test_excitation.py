@@ -5,7 +5,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from piezod.excitation import EXCITATIONS, excitation, varying_triangles, whole_periods
+from piezod.excitation import (
+    EXCITATIONS,
+    IDENTIFICATION,
+    MINOR_LOOP_BIASES,
+    MINOR_LOOP_SIZES,
+    duration_s,
+    excitation,
+    varying_triangles,
+    whole_periods,
+)
 
 
 @pytest.mark.parametrize("name", EXCITATIONS)
@@ -21,6 +30,62 @@ def test_the_peaks_of_varying_triangles_grow_and_shrink():
     voltages = varying_triangles(140.0, 0.1, 5, 100.0)
     peaks = [voltages[k * 1000 : (k + 1) * 1000].max() for k in range(5)]
     np.testing.assert_allclose(peaks, np.array([1, 2, 3, 2, 1]) * 140.0 / 3)
+
+
+@pytest.mark.parametrize("name", EXCITATIONS)
+def test_an_excitation_lasts_as_long_as_said(name):
+    voltages = excitation(name, 140.0, 0.1, 2, 100.0)
+    assert (voltages.size - 1) / 100.0 == pytest.approx(duration_s(name, 0.1, 2), abs=0.01)
+
+
+@given(st.floats(1.0, 1000.0), st.floats(0.01, 1.0), st.integers(1, 3))
+def test_the_identification_record_stays_in_range_and_below_ten_times_the_triangles_slew(peak_V, frequency_Hz, periods):
+    rate_Hz = 200.0 * frequency_Hz
+    voltages = excitation(IDENTIFICATION, peak_V, frequency_Hz, periods, rate_Hz)
+    assert voltages.min() >= 0.0
+    assert voltages.max() <= peak_V
+    slew_V_per_s = np.abs(np.diff(voltages)).max() * rate_Hz
+    assert slew_V_per_s < 10.0 * 2.0 * peak_V * frequency_Hz
+
+
+def test_the_identification_record_holds_levels_on_the_way_up_and_on_the_way_down():
+    voltages = excitation(IDENTIFICATION, 140.0, 0.1, 1, 100.0)
+    moves = np.flatnonzero(np.diff(voltages) != 0)
+    gaps = np.flatnonzero(np.diff(moves) >= 90)  # a dwell of a tenth of ten seconds, sampled at 100 Hz
+    before, after = moves[gaps], moves[gaps + 1]
+    rising = np.diff(voltages)[before] > 0
+    onward = np.diff(voltages)[after] > 0
+    up = {round(level, 6) for level in voltages[after[rising & onward]]}
+    down = {round(level, 6) for level in voltages[after[~rising & ~onward]]}
+    levels = {round(140.0 * k / 8, 6) for k in range(1, 8)}
+    assert up == levels
+    assert down == levels
+
+
+def test_the_identification_record_begins_with_the_virgin_rise_at_half_the_slew():
+    voltages = excitation(IDENTIFICATION, 140.0, 0.1, 1, 100.0)
+    rise = voltages[: np.argmax(voltages) + 1]
+    assert np.diff(rise).min() >= 0.0
+    assert np.diff(rise).max() * 100.0 == pytest.approx(0.5 * 2.0 * 140.0 * 0.1)
+
+
+@pytest.mark.parametrize("bias", MINOR_LOOP_BIASES)
+@pytest.mark.parametrize("size", MINOR_LOOP_SIZES)
+def test_the_identification_record_runs_each_minor_loop_twice(bias, size):
+    voltages = excitation(IDENTIFICATION, 1.0, 0.1, 1, 1000.0)
+    moving = voltages[np.insert(np.diff(voltages) != 0, 0, True)]
+    turns = moving[1:-1][np.diff(np.sign(np.diff(moving))) != 0]
+    high, low = bias + size / 2, bias - size / 2
+    found = np.abs(np.lib.stride_tricks.sliding_window_view(turns, 4) - [high, low, high, low]).max(axis=1)
+    assert found.min() < 1e-3
+
+
+def test_the_identification_record_reverses_from_the_peak_at_depths_of_its_own():
+    voltages = excitation(IDENTIFICATION, 1.0, 0.1, 1, 1000.0)
+    moving = voltages[np.insert(np.diff(voltages) != 0, 0, True)]
+    turns = np.round(moving[1:-1][np.diff(np.sign(np.diff(moving))) != 0], 3)
+    valleys = {turns[k] for k in range(1, turns.size - 1) if turns[k - 1] == turns[k + 1] == 1.0}
+    assert {0.0, 0.2, 0.4, 0.6, 0.8} <= valleys
 
 
 @given(st.floats(0.001, 200.0), st.sampled_from([50.0, 200.0, 1000.0, 3333.0]))
