@@ -14,6 +14,7 @@ Array = NDArray[np.float64]
 MULTISINE_HARMONICS = (1, 2, 3, 5, 8, 13)
 
 # The third excitation; voltages as parts of the peak, times in periods of its main triangle. All chosen here.
+VIRGIN_SLOWNESS = 8.0  # the plays above half the peak move in the virgin rise only: it must last
 STAIRCASE_LEVELS = 8
 DWELL_PERIODS = 0.1
 MINOR_LOOP_BIASES = (0.2, 0.5, 0.8)
@@ -113,10 +114,10 @@ def varying_triangles(peak_V: float, frequency_Hz: float, periods: int, rate_Hz:
 def staircase_minor_loops_multisine(peak_V: float, frequency_Hz: float, periods: int, rate_Hz: float) -> Array:
     """One record that tells plays, dead zones and virgin curve apart, from 0 to `peak_V` and back [V].
 
-    In this order: the virgin rise in steps at half the slew, a full triangle, minor loops of two sizes at three biases,
-    a staircase down and up with dwells, a fan of reversals from the peak, nested reversals that decay to the middle, a
-    multisine, and the return to 0. Steady triangles leave every play with a threshold above `peak_V` / 2 frozen
-    (THEORY 1.3); the virgin rise moves them, and the reversals separate those below.
+    In this order: the virgin rise in steps at an eighth of the slew, a full triangle, minor loops of two sizes at three
+    biases, a staircase down and up with dwells, a fan of reversals from the peak, nested reversals that decay to the
+    middle, a multisine, and the return to 0. Steady triangles leave every play with a threshold above `peak_V` / 2
+    frozen (THEORY 1.3); the virgin rise moves them, and the reversals separate those below.
 
     Parameters
     ----------
@@ -158,7 +159,7 @@ def _identification_corners() -> tuple[Array, Array, float]:
     before = [*virgin, 0.0, 1.0, 0.0, *loops, 1.0, *down, *up, *fan, *NESTED_REVERSALS, floor]
     levels = np.array([*before, floor, 0.0, 0.0])
     travel = 0.5 * np.abs(np.diff(levels))
-    travel[: len(virgin) - 1] *= 2.0
+    travel[: len(virgin) - 1] *= VIRGIN_SLOWNESS
     lasts = np.where(travel > 0.0, travel, DWELL_PERIODS)
     lasts[len(before) - 1] = MULTISINE_REPEATS * MULTISINE_PERIOD
     times = np.concatenate(([0.0], np.cumsum(lasts)))
