@@ -8,7 +8,7 @@ from typing import Annotated, Any
 import typer
 
 from piezod import __version__
-from piezod.errors import PiezodError
+from piezod.errors import PiezodError, UsageError
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -134,6 +134,70 @@ def record(
     write_csv(recording, output)
     missing = f", {outcome.missed} ticks missed" if outcome.missed else ""
     print(f"{output}: {recording.time_s.size} samples, {recording.time_s[-1]:.1f} s{missing}")
+
+
+@app.command(epilog="Example: piezod identify varying.csv constant.csv -o model.yaml --report report")
+def identify(
+    recordings: Annotated[list[Path], typer.Argument(metavar="REC...", help="Recordings.")],
+    model: Annotated[Path, typer.Option("-o", metavar="MODEL", help="The model file to write.")],
+    report: Annotated[Path | None, typer.Option(metavar="DIR", help="Write identification.html there.")] = None,
+    input_column: Annotated[str, typer.Option("--input", metavar="COLUMN")] = "voltage_V",
+    output_column: Annotated[str, typer.Option("--output", metavar="COLUMN")] = "force_N",
+    plays: Annotated[int | None, typer.Option(min=1, max=100, help="n; judged on held-out data when left out.")] = None,
+    dead_zones: Annotated[int | None, typer.Option(min=0, max=30, help="m; as above.")] = None,
+    variant: Annotated[str, typer.Option(metavar="A|B", help="A: no weight negative; B: no partial sum.")] = "B",
+    fit_share: Annotated[
+        float, typer.Option(help="Leading share of each recording to fit; the rest is held out.")
+    ] = 0.7,
+    name: Annotated[str, typer.Option(help="Name of the model.")] = "stack",
+    as_json: JsonOption = False,
+) -> None:
+    """Identify a model from recordings."""
+    from piezod.identify.identification import Options
+    from piezod.identify.identification import identify as identify_model
+    from piezod.model import save_model
+    from piezod.recording import read_csv
+    from piezod.report.identification import figures_of, print_identification, write_identification_page
+
+    if variant not in ("A", "B"):
+        raise UsageError(f"--variant is '{variant}', must be A or B")
+    read = [read_csv(path) for path in recordings]
+    options = Options(
+        input=input_column,
+        output=output_column,
+        plays=plays,
+        zones=dead_zones,
+        variant="A" if variant == "A" else "B",
+        fit_share=fit_share,
+        name=name,
+    )
+    identification = identify_model(read, options, f"piezod {__version__}")
+    if report is not None:
+        write_identification_page(report / "identification.html", identification, read)
+    save_model(identification.model, model)
+    if as_json:
+        print(json.dumps(figures_of(identification), indent=2))
+    else:
+        print_identification(identification)
+
+
+@app.command(epilog="Example: piezod simulate varying.csv --model model.yaml -o simulated.csv")
+def simulate(
+    recording: Annotated[Path, typer.Argument(metavar="REC", help="Whose input is simulated.")],
+    model: Annotated[Path, typer.Option("--model", metavar="MODEL")],
+    output: Annotated[Path, typer.Option("-o", metavar="OUT.csv", help="time_s and the simulated output column.")],
+    start_window: Annotated[
+        float, typer.Option(metavar="S", min=0.0, help="First seconds that may tell what the memory starts with.")
+    ] = 1.0,
+) -> None:
+    """Simulate a model over a recording's input, in free run."""
+    from piezod.identify.simulation import simulate_recording
+    from piezod.model import load_model
+    from piezod.recording import read_csv, write_csv
+
+    simulated, words = simulate_recording(load_model(model), read_csv(recording), start_window)
+    write_csv(simulated, output)
+    print(f"{output}: {simulated.time_s.size} samples; {words}")
 
 
 @app.command(epilog="Example: piezod latency --seconds 5")

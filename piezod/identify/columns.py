@@ -3,14 +3,15 @@
 A superposition is written in slopes instead of weights: s_i = w_0 + ... + w_i is the slope of the loading curve between
 the thresholds i and i+1, and its column is the part of the input that lies between them:
 
-    H(u) = sum_i s_i (z_i - z_{i+1}),   S'(y) = sum_j s'_j (S_j(y) - S_{j+1}(y)),   the last column being z_n, S_m itself
+    H(u) = sum_i s_i (z_i - z_{i+1}),   S'(y) = sum_j s'_j (S_j(y) - S_{j+1}(y)),   the last columns: z_n, S_m
 
 It is the same operator. But the conditions "every partial sum at least eps" become bounds, and the columns are nearly
-orthogonal: their condition number is 10 to 35 for 7 to 30 plays, where that of the weights' columns is 100 to 5600.
+orthogonal: their condition number is 10 to 35 for 7 to 30 plays, where that of the weights' columns is 100 to
+5600.
 A recording of any length passes through once; only matrices as large as the number of slopes are kept.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -101,15 +102,12 @@ class PlaySegments:
     Parameters
     ----------
     thresholds
-        r_i, shape (n + 1,).
-    states
-        z_i before the first sample; None: de-energised.
+        r_i, shape (n + 1,); de-energised before the first sample.
     """
 
-    def __init__(self, thresholds: Array, states: Array | None = None) -> None:
-        start = np.zeros(thresholds.size) if states is None else states
+    def __init__(self, thresholds: Array) -> None:
         self._count = int(thresholds.size)
-        self._packed = np.concatenate((thresholds, np.zeros(thresholds.size), start))
+        self._packed = np.concatenate((thresholds, np.zeros(2 * thresholds.size)))
 
     def run(self, u: Array) -> Array:
         """Columns z_i - z_{i+1} over the next samples, shape (N, n + 1)."""
@@ -129,32 +127,55 @@ class Samples:
         Input and output, shape (N,).
     counts
         Where the output is believed and used, shape (N,); the plays see every sample all the same.
-    states
-        Play states before the first sample; None: de-energised.
+    clock
+        Time that runs linearly and is 0 where the fitted part ends, shape (N,), where a drift of the output is fitted
+        and taken out; None: it is not. On a record from rest a drift cannot be told from the first rise of wide plays.
+    path
+        Inputs that led to the start from the de-energised state, before the first sample [input unit].
     """
 
     u: Array
     y: Array
     counts: NDArray[np.bool_]
-    states: Array | None = None
+    clock: Array | None = None
+    path: tuple[float, ...] = ()
 
-    def chunks(self, structure: Structure) -> Iterator[tuple[Array, Array]]:
-        """Play columns and output of the samples that count, chunk by chunk."""
-        plays = PlaySegments(structure.play_thresholds, self.states)
+    def chunks(self, structure: Structure) -> Iterator[tuple[Array, Array, Array | None]]:
+        """Play columns, output and clock of the samples that count, chunk by chunk."""
+        plays = PlaySegments(structure.play_thresholds)
+        plays.run(np.array(self.path))
         for start in range(0, self.u.size, CHUNK):
             part = slice(start, start + CHUNK)
             columns, chosen = plays.run(self.u[part]), self.counts[part]
-            if chosen.all():
-                yield columns, self.y[part]
-            elif chosen.any():
-                yield columns[chosen], self.y[part][chosen]
+            if chosen.any():
+                clock = None if self.clock is None else self.clock[part][chosen]
+                yield columns[chosen], self.y[part][chosen], clock
 
 
-def accumulate_gram(structure: Structure, samples: Samples) -> Array:
-    """Sum of phi phi' with phi = [play segments, 1, -dead-zone segments], shape (q, q)."""
-    gram = np.zeros((structure.columns, structure.columns))
-    for plays, y in samples.chunks(structure):
-        zones = zone_segments(structure.zone_thresholds, y - structure.origin)
-        phi = np.hstack((plays, np.ones((y.size, 1)), -zones))
+def clocks_of(recordings: Sequence[Samples]) -> int:
+    """How many recordings have a drift to be taken out."""
+    return sum(samples.clock is not None for samples in recordings)
+
+
+def chunks_of(structure: Structure, recordings: Sequence[Samples]) -> Iterator[tuple[Array, Array, Array]]:
+    """Play columns, output, and the clock of each recording that has one, of all samples that count, chunk by chunk."""
+    count, number = clocks_of(recordings), 0
+    for samples in recordings:
+        for plays, y, clock in samples.chunks(structure):
+            drifts = np.zeros((y.size, count))
+            if clock is not None:
+                drifts[:, number] = clock
+            yield plays, y, drifts
+        number += samples.clock is not None
+
+
+def accumulate_gram(structure: Structure, recordings: Sequence[Samples]) -> Array:
+    """Sum of phi phi' with phi = [play segments, 1, clocks, -dead-zone segments], shape (q, q)."""
+    size = structure.columns + clocks_of(recordings)
+    gram = np.zeros((size, size))
+    for plays, y, drifts in chunks_of(structure, recordings):
+        phi = np.hstack(
+            (plays, np.ones((y.size, 1)), drifts, -zone_segments(structure.zone_thresholds, y - structure.origin))
+        )
         gram += phi.T @ phi
     return gram

@@ -1,5 +1,6 @@
 """One fit of one structure: the quadratic program first, then the error in the output itself is minimised."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,6 +10,8 @@ from piezod.identify.columns import (
     Samples,
     Structure,
     accumulate_gram,
+    chunks_of,
+    clocks_of,
     weights_of,
     zone_segments,
     zone_slopes_of,
@@ -47,15 +50,17 @@ class Fit:
     condition: float
 
 
-def fit_hysteresis(structure: Structure, samples: Samples, *, variant: Variant = "B", eps: float = EPS) -> Fit:
+def fit_hysteresis(
+    structure: Structure, recordings: Sequence[Samples], *, variant: Variant = "B", eps: float = EPS
+) -> Fit:
     """Identify one structure.
 
     Parameters
     ----------
     structure
         Which operators.
-    samples
-        Input and output.
+    recordings
+        Input and output of each.
     variant
         Constraint variant of the quadratic program, "A" or "B".
     eps
@@ -66,21 +71,22 @@ def fit_hysteresis(structure: Structure, samples: Samples, *, variant: Variant =
     RecordingError
         The recording does not determine the model.
     """
-    constraints = Constraints.of(structure, variant=variant, eps=eps)
-    gram = accumulate_gram(structure, samples)
+    constraints = Constraints.of(structure, clocks_of(recordings), variant=variant, eps=eps)
+    gram = accumulate_gram(structure, recordings)
     slopes = solve(gram, constraints)
-    inverse_weights = zone_weights_of(structure.zone_thresholds, slopes[structure.plays + 1 :])
+    free = structure.plays + 1 + clocks_of(recordings)
+    inverse_weights = zone_weights_of(structure.zone_thresholds, slopes[free:])
     zones, zone_weights = inverse_dead_zone(structure.zone_thresholds, inverse_weights)
-    parameters = np.concatenate((slopes[: structure.plays + 1], zone_slopes_of(zones, zone_weights)))
-    direct = constraints.for_direct(zones.size, eps * float(parameters[structure.plays + 1 :].max()))
-    parameters = _refine(structure, zones, parameters, samples, direct)
+    parameters = np.concatenate((slopes[:free], zone_slopes_of(zones, zone_weights)))
+    direct = constraints.for_direct(zones.size, eps * float(parameters[free:].max()))
+    parameters = _refine(structure, zones, parameters, recordings, direct)
     return Fit(structure, _as_hysteresis(structure, zones, parameters, eps), gram, _condition(gram))
 
 
 def _as_hysteresis(structure: Structure, zones: Array, parameters: Array, eps: float) -> Hysteresis:
     """The constant inside the dead zones moves into their thresholds and the offset."""
     plays = structure.plays
-    zone_weights = zone_weights_of(zones, parameters[plays + 1 :])
+    zone_weights = zone_weights_of(zones, parameters[-zones.size :])
     thresholds, weights, constant = shifted(zones, zone_weights, float(parameters[plays]))
     return Hysteresis(
         plays=Superposition(
@@ -100,7 +106,7 @@ def _condition(gram: Array) -> float:
 
 
 def _refine(
-    structure: Structure, zones: Array, start: Array, samples: Samples, constraints: Constraints
+    structure: Structure, zones: Array, start: Array, recordings: Sequence[Samples], constraints: Constraints
 ) -> Array:
     """Gauss-Newton on the output error; each step is a quadratic program, halved until the error falls.
 
@@ -111,7 +117,7 @@ def _refine(
     best_loss = np.inf
     parameters = start
     for _ in range(MOST_STEPS):
-        hessian, gradient, loss = _normal_equations(structure, zones, parameters, samples)
+        hessian, gradient, loss = _normal_equations(structure, zones, parameters, recordings)
         if loss < best_loss:
             best, best_loss, damping = parameters, loss, 1.0
             step = solve_step(hessian, gradient, constraints, parameters) - parameters
@@ -124,18 +130,18 @@ def _refine(
 
 
 def _normal_equations(
-    structure: Structure, zones: Array, parameters: Array, samples: Samples
+    structure: Structure, zones: Array, parameters: Array, recordings: Sequence[Samples]
 ) -> tuple[Array, Array, float]:
     """J'J, J'e and e'e of the error in the output, one pass over the samples."""
     plays, size = structure.plays, parameters.size
     hessian, gradient, loss = np.zeros((size, size)), np.zeros(size), 0.0
-    zone_slopes = parameters[plays + 1 :]
-    for segments, y in samples.chunks(structure):
+    zone_slopes = parameters[-zones.size :]
+    for segments, y, drifts in chunks_of(structure, recordings):
         v = segments @ parameters[:plays] + parameters[plays]
         columns = zone_segments(zones, v)
-        error = y - structure.origin - columns @ zone_slopes
+        error = y - structure.origin - columns @ zone_slopes - drifts @ parameters[plays + 1 : -zones.size]
         slope = _slope_at(zones, zone_slopes, v)[:, None]
-        jacobian = np.hstack((slope * segments, slope, columns))
+        jacobian = np.hstack((slope * segments, slope, drifts, columns))
         hessian += jacobian.T @ jacobian
         gradient += jacobian.T @ error
         loss += float(error @ error)

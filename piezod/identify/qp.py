@@ -1,7 +1,7 @@
 """The quadratic program of the identification (3.11-3.24), solved by ProxQP from accumulated Gram matrices.
 
     min_s  s' G s   subject to   slopes >= eps,   H(u_max) = u_max
-    s = [play slopes, one constant, inverse dead-zone slopes],   G = sum over samples of phi phi'
+    s = [play slopes, a constant, a drift for each recording, inverse dead-zone slopes],   G = sum of phi phi'
 
 The error is linear in the direct play slopes and in the inverse dead-zone slopes, so the program is convex. Columns are
 scaled to equal length and the Hessian to a mean diagonal of 1; without that ProxQP's tolerance says nothing about the
@@ -33,28 +33,31 @@ class Constraints:
     equality: Array
 
     @classmethod
-    def of(cls, structure: Structure, *, variant: Variant, eps: float) -> Self:
+    def of(cls, structure: Structure, clocks: int, *, variant: Variant, eps: float) -> Self:
         """Constraints of a structure.
 
         Parameters
         ----------
         structure
             Which operators.
+        clocks
+            Free columns after the constant.
         variant
             "A": no play weight negative (the thesis'); "B": no partial sum below eps (necessary and sufficient).
         eps
             Smallest slope; of the inverse dead zones as a fraction of input range over output range.
         """
         plays, zones = structure.plays, int(structure.zone_thresholds.size)
-        rows = np.zeros((plays + zones, structure.columns))
+        size = structure.columns + clocks
+        rows = np.zeros((plays + zones, size))
         rows[:plays, :plays] = np.eye(plays)
         if variant == "A":
             rows[1:plays, : plays - 1] -= np.eye(plays - 1)
-        rows[plays:, plays + 1 :] = np.eye(zones)
+        rows[plays:, size - zones :] = np.eye(zones)
         low = np.concatenate((np.full(plays, eps), np.full(zones, eps * structure.zone_scale)))
         if variant == "A":
             low[1:plays] = 0.0
-        equality = np.zeros(structure.columns)
+        equality = np.zeros(size)
         equality[:plays] = np.diff(structure.play_thresholds, append=structure.u_max) / structure.u_max
         return cls(rows, low, equality)
 

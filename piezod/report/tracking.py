@@ -95,7 +95,8 @@ COLOURS = {"gain": ORANGE, "inverse": BLUE}
 LABELS = {"gain": "plain gain", "inverse": "hysteresis inverse"}
 
 
-def _thin(values: NDArray[np.float64]) -> NDArray[np.float64]:
+def thin(values: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Every so many samples, as many as a screen shows."""
     return values[:: max(1, values.size // SHOWN_SAMPLES)]
 
 
@@ -103,36 +104,37 @@ def _over_time(recordings: dict[str, Recording]) -> figure:
     plot = figure(title="Force over time", x_axis_label="time [s]", y_axis_label="force [N]", height=320)
     first = next(iter(recordings.values()))
     plot.line(
-        _thin(first.time_s), _thin(first.channel("reference_N")), color=GREY, line_width=3, legend_label="reference"
+        thin(first.time_s), thin(first.channel("reference_N")), color=GREY, line_width=3, legend_label="reference"
     )
     for name, recording in recordings.items():
         plot.line(
-            _thin(recording.time_s), _thin(recording.channel("force_N")), color=COLOURS[name], legend_label=LABELS[name]
+            thin(recording.time_s), thin(recording.channel("force_N")), color=COLOURS[name], legend_label=LABELS[name]
         )
-    return _finish(plot)
+    return finish(plot)
 
 
 def _loop(recordings: dict[str, Recording]) -> figure:
     plot = figure(title="Force over reference", x_axis_label="reference [N]", y_axis_label="force [N]", height=320)
     for name, recording in recordings.items():
         plot.line(
-            _thin(recording.channel("reference_N")),
-            _thin(recording.channel("force_N")),
+            thin(recording.channel("reference_N")),
+            thin(recording.channel("force_N")),
             color=COLOURS[name],
             legend_label=LABELS[name],
         )
-    return _finish(plot)
+    return finish(plot)
 
 
 def _errors(recordings: dict[str, Recording]) -> figure:
     plot = figure(title="Error: force minus reference", x_axis_label="time [s]", y_axis_label="error [N]", height=220)
     for name, recording in recordings.items():
         error = recording.channel("force_N") - recording.channel("reference_N")
-        plot.line(_thin(recording.time_s), _thin(error), color=COLOURS[name], legend_label=LABELS[name])
-    return _finish(plot)
+        plot.line(thin(recording.time_s), thin(error), color=COLOURS[name], legend_label=LABELS[name])
+    return finish(plot)
 
 
-def _finish(plot: figure) -> figure:
+def finish(plot: figure) -> figure:
+    """Legend, tools and width that all figures share."""
     plot.sizing_mode = "stretch_width"
     plot.toolbar.autohide = True
     plot.toolbar.logo = None

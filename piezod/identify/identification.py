@@ -1,0 +1,285 @@
+"""From recordings to a model: prepare, judge the orders, fit, and say how good it is."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from piezod.errors import RecordingError, UsageError
+from piezod.identify.columns import Samples, Structure
+from piezod.identify.order import PLAYS, ZONES, Candidate, choose, judge_orders, residual
+from piezod.identify.qp import Variant
+from piezod.identify.scores import largest, nrmse_percent, rms
+from piezod.identify.start import estimate_path, settled_from, starts_at_rest
+from piezod.identify.thresholds import dead_zone_thresholds, play_reach, play_thresholds
+from piezod.model import Model, file_sha256
+from piezod.model.parameters import Channel, FitFigures, Provenance, RecordingSource
+from piezod.operators import EPS
+from piezod.recording import Recording
+
+Array = NDArray[np.float64]
+
+FEWEST_SAMPLES = 100
+
+
+@dataclass(frozen=True)
+class Options:
+    """How to identify.
+
+    Parameters
+    ----------
+    input, output
+        Columns of the recordings.
+    plays, zones
+        n and m; None: judged by the held-out error.
+    variant
+        "A": no play weight negative; "B": no partial sum below eps.
+    eps
+        Smallest partial sum.
+    fit_share
+        Leading share of each recording that is fitted; the rest is held out.
+    name
+        Of the model.
+    """
+
+    input: str = "voltage_V"
+    output: str = "force_N"
+    plays: int | None = None
+    zones: int | None = None
+    variant: Variant = "B"
+    eps: float = EPS
+    fit_share: float = 0.7
+    name: str = "stack"
+
+
+@dataclass(frozen=True)
+class Identification:
+    """A model and how it was come by.
+
+    Parameters
+    ----------
+    model
+        The chosen one.
+    candidates
+        Every pair of orders that was judged.
+    chosen
+        The one taken.
+    notes
+        What the recordings cannot determine, and what was noticed in them.
+    """
+
+    model: Model
+    candidates: list[Candidate]
+    chosen: Candidate
+    notes: list[str]
+
+
+def identify(recordings: Sequence[Recording], options: Options, by: str) -> Identification:
+    """Identify a model.
+
+    Parameters
+    ----------
+    recordings
+        At least one, all with the same input and output columns.
+    options
+        Columns, orders, constraints.
+    by
+        Program and version, for the provenance.
+
+    Raises
+    ------
+    RecordingError
+        A recording determines no model; the message says what to record instead.
+    """
+    pairs = [(r.channel(options.input), r.channel(options.output)) for r in recordings]
+    for recording, (u, y) in zip(recordings, pairs, strict=True):
+        check_excitation(recording.source, options, u, y)
+    fitted, held_out, notes = _stretches(recordings, pairs, options)
+    orders = [
+        (n, m)
+        for n in ((options.plays,) if options.plays is not None else PLAYS)
+        for m in ((options.zones,) if options.zones is not None else ZONES)
+    ]
+    structures = _Structures(pairs)
+    candidates = judge_orders(structures.of, fitted, held_out, orders=orders, variant=options.variant, eps=options.eps)
+    chosen = choose(candidates)
+    model = _model(recordings, pairs, options, chosen, fitted, held_out, by)
+    return Identification(model, candidates, chosen, notes + _undetermined(chosen))
+
+
+def check_excitation(source: str, options: Options, u: Array, y: Array) -> None:
+    """Refuse recordings that cannot tell anything.
+
+    Raises
+    ------
+    RecordingError
+        Says what is wrong and what to record instead.
+    """
+    advice = "record triangles from 0 over the whole range (piezod record --excitation varying-triangles)"
+    if u.size < FEWEST_SAMPLES:
+        raise RecordingError(f"{source}: has {u.size} samples, needs at least {FEWEST_SAMPLES}; {advice}")
+    for name, values in ((options.input, u), (options.output, y)):
+        if not np.isfinite(values).any():
+            raise RecordingError(f"{source}: {name} holds no number at all; {advice}")
+        if np.nanmax(values) - np.nanmin(values) <= 1e-9 * (1.0 + float(np.nanmax(np.abs(values)))):
+            raise RecordingError(f"{source}: {name} is constant at {np.nanmedian(values):.6g}; {advice}")
+    if not np.isfinite(u).all():
+        raise RecordingError(
+            f"{source}: {options.input} has {np.count_nonzero(~np.isfinite(u))} missing samples: the memory cannot be "
+            "followed across them; cut the recording there"
+        )
+    good = np.isfinite(y)
+    slope = float(np.corrcoef(u[good], y[good])[0, 1])
+    if slope < -0.5:
+        raise RecordingError(
+            f"{source}: {options.output} falls where {options.input} rises (correlation {slope:.2f}); "
+            "check the sensor's sign, or whether the columns are swapped"
+        )
+
+
+def _stretches(
+    recordings: Sequence[Recording], pairs: Sequence[tuple[Array, Array]], options: Options
+) -> tuple[list[Samples], list[Samples], list[str]]:
+    """Which samples are fitted and which are held out, and where each recording's memory starts."""
+    if not 0.1 <= options.fit_share <= 0.95:
+        raise UsageError(f"the fitted share is {options.fit_share:g}, must be within 0.1 and 0.95")
+    fitted, held_out, notes = [], [], []
+    for recording, (u, y) in zip(recordings, pairs, strict=True):
+        counts = np.isfinite(y)
+        path: tuple[float, ...] = ()
+        clock = None
+        boundary = int(options.fit_share * u.size)
+        if not starts_at_rest(u):
+            first = settled_from(u)
+            counts[:first] = False
+            path = (float(u[0]),)
+            clock = (recording.time_s - recording.time_s[boundary]) / (recording.time_s[boundary] - recording.time_s[0])
+            notes.append(
+                f"{recording.source}: does not start at rest; its first "
+                f"{recording.time_s[first] - recording.time_s[0]:.3g} s are not used, "
+                "and plays wider than half its swing stay unknown"
+            )
+        inside, outside = counts.copy(), counts.copy()
+        inside[boundary:], outside[:boundary] = False, False
+        if inside.sum() < FEWEST_SAMPLES or outside.sum() < FEWEST_SAMPLES:
+            raise RecordingError(
+                f"{recording.source}: {inside.sum()} samples to fit and {outside.sum()} to hold out are too few; "
+                "record at least three periods"
+            )
+        fitted.append(Samples(u, np.nan_to_num(y), inside, clock, path))
+        held_out.append(Samples(u, np.nan_to_num(y), outside, clock, path))
+    return fitted, held_out, notes
+
+
+class _Structures:
+    """Thresholds for any orders, from the range that all recordings cover."""
+
+    def __init__(self, pairs: Sequence[tuple[Array, Array]]) -> None:
+        self._reach = 0.995 * max(play_reach(u) for u, _ in pairs)
+        self._u_max = max(float(np.abs(u).max()) for u, _ in pairs)
+        first_u, first_y = pairs[0]
+        self._low = min(float(np.nanmin(y)) for _, y in pairs)
+        self._high = max(float(np.nanmax(y)) for _, y in pairs)
+        self._origin = float(first_y[0]) if starts_at_rest(first_u) and np.isfinite(first_y[0]) else self._low
+        self._swing = max(float(np.ptp(u)) for u, _ in pairs)
+
+    def of(self, plays: int, zones: int) -> Structure:
+        """Thresholds for n plays and m dead zones."""
+        return Structure(
+            play_thresholds(plays, self._reach),
+            dead_zone_thresholds(zones, self._low - self._origin, self._high - self._origin),
+            self._origin,
+            self._u_max,
+            self._swing / (self._high - self._low),
+        )
+
+
+def _model(
+    recordings: Sequence[Recording],
+    pairs: Sequence[tuple[Array, Array]],
+    options: Options,
+    chosen: Candidate,
+    fitted: Sequence[Samples],
+    held_out: Sequence[Samples],
+    by: str,
+) -> Model:
+    assert chosen.fit is not None
+    sources = tuple(
+        RecordingSource(path=r.source, sha256=file_sha256(Path(r.source)), samples=int(r.time_s.size))
+        for r in recordings
+        if Path(r.source).is_file()
+    )
+    return Model(
+        name=options.name,
+        input=_channel(options.input, [u for u, _ in pairs]),
+        output=_channel(options.output, [y for _, y in pairs]),
+        hysteresis=chosen.fit.hysteresis,
+        provenance=Provenance(
+            created=datetime.now(UTC).isoformat(timespec="seconds"),
+            by=by,
+            recordings=sources,
+            fit=_figures(chosen, fitted, held_out),
+        ),
+    )
+
+
+def _channel(name: str, values: Sequence[Array]) -> Channel:
+    low = min(float(np.nanmin(v)) for v in values)
+    high = max(float(np.nanmax(v)) for v in values)
+    unit = name.rpartition("_")[2] or name
+    return Channel(channel=name, unit=unit, low=low, high=high)
+
+
+def _figures(chosen: Candidate, fitted: Sequence[Samples], held_out: Sequence[Samples]) -> FitFigures:
+    """Figures on fit and held-out data, side by side."""
+    assert chosen.fit is not None
+    operator = chosen.fit.hysteresis.operator()
+    figures: dict[str, float] = {}
+    for name, stretches in (("fit", fitted), ("held_out", held_out)):
+        errors = [residual(operator, samples)[samples.counts] for samples in stretches]
+        measured = np.concatenate([samples.y[samples.counts] for samples in stretches])
+        error = np.concatenate(errors)
+        figures[f"rms_{name}"] = float(f"{rms(error):.6g}")
+        figures[f"max_{name}"] = float(f"{largest(error):.6g}")
+        figures[f"nrmse_percent_{name}"] = float(f"{nrmse_percent(measured, measured - error):.6g}")
+    return FitFigures(**figures)
+
+
+def _undetermined(chosen: Candidate) -> list[str]:
+    """Slopes whose column is nearly empty: the recording hardly reaches there."""
+    assert chosen.fit is not None
+    gram, structure = chosen.fit.gram, chosen.fit.structure
+    lengths = np.sqrt(np.diag(gram)[: structure.plays])
+    weak = np.flatnonzero(lengths < 1e-3 * lengths.max())
+    return [f"plays above {structure.play_thresholds[k]:.3g} are hardly moved by these recordings" for k in weak[:1]]
+
+
+def simulate(model: Model, u: Array, y: Array | None, window: int) -> tuple[Array, str]:
+    """Free run of a model over a record.
+
+    Parameters
+    ----------
+    model
+        What was identified.
+    u
+        Input, shape (N,).
+    y
+        Measured output; where the record does not start at rest, its first `window` samples tell the start.
+    window
+        How many samples may be looked at to find the start.
+
+    Returns
+    -------
+    output, start
+        Simulated output, shape (N,), and in words what it started from.
+    """
+    operator = model.operator()
+    if starts_at_rest(u) or y is None:
+        return operator.run(u), f"start of the model ({model.start.kind})"
+    path = estimate_path(operator, u, y, window)
+    operator.set_states(np.zeros(operator.plays[0].size))
+    operator.run(np.array(path))
+    return operator.run(u), f"start found from the first {window} samples"

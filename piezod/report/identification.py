@@ -1,0 +1,161 @@
+"""What identification found, as text for a terminal and as one page."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from bokeh.layouts import column, row
+from bokeh.models.widgets import Div
+from bokeh.plotting import figure
+from numpy.typing import NDArray
+
+from piezod.identify.identification import Identification, simulate
+from piezod.identify.order import Candidate
+from piezod.identify.scores import max_hysteresis_percent
+from piezod.identify.tables import OperatorRow, dead_zone_rows, play_rows
+from piezod.recording import Recording
+from piezod.report.page import BLUE, GREY, ORANGE, table_html, write_page
+from piezod.report.tracking import finish, thin
+
+Array = NDArray[np.float64]
+
+START_WINDOW = 2000  # samples that may tell where a recording's memory starts
+
+
+def figures_of(identification: Identification) -> dict[str, Any]:
+    """For JSON."""
+    fit = identification.model.provenance.fit
+    chosen = identification.chosen
+    assert chosen.fit is not None
+    return {
+        "schema": "piezod.identification/1",
+        "orders": {"plays": chosen.plays, "dead_zones": chosen.zones},
+        "unit": identification.model.output.unit,
+        "range": identification.model.output.high - identification.model.output.low,
+        "fit": {key.removesuffix("_fit"): value for key, value in fit if key.endswith("_fit")},
+        "held_out": {key.removesuffix("_held_out"): value for key, value in fit if key.endswith("_held_out")},
+        "condition": chosen.fit.condition,
+        "notes": identification.notes,
+        "candidates": [
+            {"plays": c.plays, "dead_zones": c.zones, "rms_fit": c.rms_fit, "rms_held_out": c.rms_held_out}
+            for c in identification.candidates
+        ],
+    }
+
+
+def print_identification(identification: Identification) -> None:
+    """Orders, figures, tables and notes as text."""
+    model, chosen = identification.model, identification.chosen
+    unit = model.output.unit
+    print(f"held-out rms error [{unit}] by number of plays n (down) and dead zones m (across):")
+    for line in _order_rows(identification.candidates, chosen):
+        print("  " + "".join(cell.rjust(9) for cell in line))
+    assert chosen.fit is not None
+    print(f"chosen: n = {chosen.plays}, m = {chosen.zones}; condition number {chosen.fit.condition:.0f}")
+    print(f"{'':22}{'fit':>12}{'held out':>12}")
+    for name, fit, held_out in _figure_rows(identification):
+        print(f"{name:22}{fit:>12}{held_out:>12}")
+    for title, rows in (("plays", play_rows(model.hysteresis)), ("dead zones", dead_zone_rows(model.hysteresis))):
+        weak = ", ".join(str(one.index) for one in rows if not one.matters)
+        print(f"{title}: {len(rows)}" + (f", of which {weak} hardly matter" if weak else ", all of which matter"))
+    for note in identification.notes:
+        print(f"note: {note}")
+
+
+def write_identification_page(path: Path, identification: Identification, recordings: Sequence[Recording]) -> None:
+    """One page: verdict, figures, orders, tables, and the curves of every recording."""
+    model, chosen = identification.model, identification.chosen
+    span = model.output.high - model.output.low
+    verdict = (
+        f"{chosen.plays} plays and {chosen.zones} dead zones; held-out rms error {chosen.rms_held_out:.3g} "
+        f"{model.output.unit}, {100 * chosen.rms_held_out / span:.2f} % of range"
+    )
+    header = ["", "fit", "held out"]
+    parts: list[object] = [
+        Div(text=f"<h1>Identification</h1><p class='verdict'>{verdict}</p>"),
+        Div(text=table_html(header, [list(line) for line in _figure_rows(identification)])),
+    ]
+    for recording in recordings:
+        parts.extend(_curves(identification, recording))
+    orders = _order_rows(identification.candidates, chosen)
+    parts.append(
+        Div(text=f"<h2>Held-out rms error [{model.output.unit}] by orders</h2>{table_html(orders[0], orders[1:])}")
+    )
+    for title, rows in (("Plays", play_rows(model.hysteresis)), ("Dead zones", dead_zone_rows(model.hysteresis))):
+        parts.append(Div(text=f"<h2>{title}</h2>" + _parameter_table(rows)))
+    write_page(path, "Identification", column(*parts, sizing_mode="stretch_width"))
+
+
+def _curves(identification: Identification, recording: Recording) -> list[object]:
+    """Input and output over time, the loop measured and modelled, and what is left."""
+    model = identification.model
+    u, y = recording.channel(model.input.channel), recording.channel(model.output.channel)
+    modelled, start = simulate(model, u, y, START_WINDOW)
+    time_s = recording.time_s
+    over_time = figure(title="Output over time", x_axis_label="time [s]", y_axis_label=model.output.channel, height=300)
+    over_time.line(thin(time_s), thin(y), color=GREY, line_width=3, legend_label="measured")
+    over_time.line(thin(time_s), thin(modelled), color=BLUE, legend_label="modelled")
+    inputs = figure(title="Input over time", x_axis_label="time [s]", y_axis_label=model.input.channel, height=200)
+    inputs.line(thin(time_s), thin(u), color=ORANGE, legend_label="input")
+    loop = figure(
+        title="Hysteresis curve", x_axis_label=model.input.channel, y_axis_label=model.output.channel, height=300
+    )
+    loop.line(thin(u), thin(y), color=GREY, line_width=3, legend_label="measured")
+    loop.line(thin(u), thin(modelled), color=BLUE, legend_label="modelled")
+    left = figure(title="Measured minus modelled", x_axis_label="time [s]", y_axis_label=model.output.unit, height=200)
+    left.line(thin(time_s), thin(y - modelled), color=ORANGE, legend_label="residual")
+    head = Div(text=f"<h2>{recording.source}</h2><p>max hysteresis {_opening(u, y)}; {start}</p>")
+    return [head, row(finish(over_time), finish(loop), sizing_mode="stretch_width"), finish(inputs), finish(left)]
+
+
+def _opening(u: Array, y: Array) -> str:
+    good = np.isfinite(y)
+    return f"{max_hysteresis_percent(u[good], y[good]):.2f} % of range"
+
+
+def _figure_rows(identification: Identification) -> list[tuple[str, str, str]]:
+    fit, unit = identification.model.provenance.fit, identification.model.output.unit
+    span = identification.model.output.high - identification.model.output.low
+    pairs = (
+        (f"rms error [{unit}]", fit.rms_fit, fit.rms_held_out),
+        ("rms error [% of range]", _share(fit.rms_fit, span), _share(fit.rms_held_out, span)),
+        (f"max error [{unit}]", fit.max_fit, fit.max_held_out),
+        ("fit, NRMSE [%]", fit.nrmse_percent_fit, fit.nrmse_percent_held_out),
+    )
+    return [(name, f"{inside or 0.0:.4g}", f"{outside or 0.0:.4g}") for name, inside, outside in pairs]
+
+
+def _share(value: float | None, span: float) -> float:
+    return 100.0 * (value or 0.0) / span
+
+
+def _order_rows(candidates: Sequence[Candidate], chosen: Candidate) -> list[list[str]]:
+    zones = sorted({candidate.zones for candidate in candidates})
+    plays = sorted({candidate.plays for candidate in candidates})
+    by_order = {(candidate.plays, candidate.zones): candidate for candidate in candidates}
+    rows = [["n \\ m", *(str(m) for m in zones)]]
+    for n in plays:
+        cells = []
+        for m in zones:
+            candidate = by_order[n, m]
+            mark = " *" if candidate is chosen else ""
+            cells.append(f"{candidate.rms_held_out:.4g}{mark}" if candidate.fit is not None else "-")
+        rows.append([str(n), *cells])
+    return rows
+
+
+def _parameter_table(rows: Sequence[OperatorRow]) -> str:
+    header = ["i", "threshold r", "weight w", "inverse r'", "inverse w'", ""]
+    cells = [
+        [
+            str(one.index),
+            f"{one.threshold:.6g}",
+            f"{one.weight:.6g}",
+            f"{one.inverse_threshold:.6g}",
+            f"{one.inverse_weight:.6g}",
+            "" if one.matters else "hardly matters",
+        ]
+        for one in rows
+    ]
+    return table_html(header, cells)

@@ -1,0 +1,225 @@
+"""Identification: known models come back, noise is averaged, and what tells nothing is refused."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from piezod.errors import RecordingError
+from piezod.excitation import constant_triangles, varying_triangles
+from piezod.identify.columns import Samples, Structure, zone_segments, zone_slopes_of, zone_weights_of
+from piezod.identify.fit import fit_hysteresis
+from piezod.identify.identification import Options, identify, simulate
+from piezod.identify.qp import Constraints
+from piezod.identify.tables import dead_zone_rows, play_rows
+from piezod.identify.thresholds import dead_zone_thresholds, play_reach, play_thresholds
+from piezod.model import Plant
+from piezod.operators import AnalyticInverse, PrandtlIshlinskii
+from piezod.operators.dead_zone import inverse_dead_zone
+from piezod.recording import Recording, read_csv
+
+FLEXURE = Path(__file__).parents[4] / "shared" / "recordings" / "piezo-flexure"
+U_MAX, Y_MAX = 140.0, 300.0
+
+
+def excitation(two_sided):
+    rise = varying_triangles(U_MAX, 0.1, 61, 50.0)
+    if not two_sided:
+        return rise
+    time = np.arange(20_000) / 50.0
+    return np.concatenate((rise, -rise, U_MAX * np.sin(0.6 * time) * np.linspace(1.0, 0.0, time.size)))
+
+
+def known_operator(plays, zones, two_sided, seed):
+    rng = np.random.default_rng(seed)
+    thresholds = play_thresholds(plays, 139.0 if two_sided else 70.0)
+    weights = np.concatenate(([0.5], rng.uniform(-0.01, 0.1, plays)))
+    weights /= np.sum(weights * (1.0 - thresholds / U_MAX))
+    zone_thresholds = dead_zone_thresholds(zones, -Y_MAX if two_sided else 0.0, Y_MAX)
+    inverse_weights = zone_weights_of(zone_thresholds, 0.45 + rng.uniform(-0.2, 0.2, zone_thresholds.size))
+    direct = inverse_dead_zone(zone_thresholds, inverse_weights)
+    structure = Structure(thresholds, zone_thresholds, 0.0, U_MAX, U_MAX / Y_MAX)
+    return PrandtlIshlinskii(thresholds, weights, *direct), structure
+
+
+def all_samples(u, y):
+    return [Samples(u, y, np.ones(u.size, bool))]
+
+
+@pytest.mark.parametrize(
+    ("plays", "zones", "two_sided"),
+    [(3, 0, False), (7, 3, False), (20, 4, False), (30, 8, False), (12, 3, True), (30, 8, True)],
+)
+def test_a_known_model_comes_back_from_noise_free_data_to_1e_8(plays, zones, two_sided):
+    operator, structure = known_operator(plays, zones, two_sided, seed=plays)
+    u = excitation(two_sided)
+    fit = fit_hysteresis(structure, all_samples(u, operator.run(u)), variant="B")
+    np.testing.assert_allclose(fit.hysteresis.plays.weights, operator.plays[1], rtol=0, atol=1e-8)
+    np.testing.assert_allclose(fit.hysteresis.dead_zones.weights, operator.dead_zones[1], rtol=0, atol=1e-8)
+    np.testing.assert_allclose(fit.hysteresis.dead_zones.thresholds, operator.dead_zones[0], rtol=0, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("plays", "zones", "two_sided"), [(7, 3, False), (20, 4, False), (30, 8, False), (12, 3, True)]
+)
+def test_a_tenth_of_a_percent_of_noise_costs_less_than_a_twentieth_of_itself_on_held_out_data(plays, zones, two_sided):
+    operator, structure = known_operator(plays, zones, two_sided, seed=plays)
+    u = excitation(two_sided)
+    y = operator.run(u)
+    noise = 1e-3 * np.ptp(y)
+    rng = np.random.default_rng(11)
+    fit = fit_hysteresis(structure, all_samples(u, y + rng.normal(0.0, noise, y.size)))
+    held_out_u = np.concatenate(([0.0], constant_triangles(110.0, 0.1, 3, 50.0)))
+    truth = PrandtlIshlinskii(*operator.plays, *operator.dead_zones).run(held_out_u)
+    measured = truth + rng.normal(0.0, noise, truth.size)
+    error = measured - fit.hysteresis.operator().run(held_out_u)
+    assert np.sqrt(np.mean(error**2)) <= 1.05 * noise
+
+
+def test_variant_a_gives_no_negative_weight_where_variant_b_finds_the_true_one():
+    operator, structure = known_operator(7, 0, False, seed=3)
+    weights = operator.plays[1].copy()
+    weights[2] = -0.08
+    weights /= np.sum(weights * (1.0 - operator.plays[0] / U_MAX))
+    operator = PrandtlIshlinskii(operator.plays[0], weights, *operator.dead_zones)
+    u = excitation(False)
+    samples = all_samples(u, operator.run(u))
+    assert min(fit_hysteresis(structure, samples, variant="A").hysteresis.plays.weights) >= -1e-12
+    assert fit_hysteresis(structure, samples, variant="B").hysteresis.plays.weights[2] == pytest.approx(
+        weights[2], abs=1e-8
+    )
+
+
+def test_every_partial_sum_stays_above_eps_where_the_data_would_fold():
+    operator, structure = known_operator(7, 0, False, seed=3)
+    u = excitation(False)
+    y = operator.run(u) - 1.5 * np.clip(u - 60.0, 0.0, 20.0)  # a stretch where the output stands still or falls
+    fit = fit_hysteresis(structure, all_samples(u, y), eps=0.05)
+    assert np.cumsum(fit.hysteresis.plays.weights).min() >= 0.05 - 1e-9
+
+
+def test_the_normalisation_holds():
+    operator, structure = known_operator(20, 4, False, seed=5)
+    u = excitation(False)
+    fit = fit_hysteresis(structure, all_samples(u, operator.run(u)))
+    weights, thresholds = np.array(fit.hysteresis.plays.weights), np.array(fit.hysteresis.plays.thresholds)
+    assert np.sum(weights * (U_MAX - thresholds)) == pytest.approx(U_MAX, rel=1e-10)
+    assert Constraints.of(structure, 1, variant="B", eps=0.01).rows.shape == (21 + 5, structure.columns + 1)
+
+
+def test_a_drift_of_the_sensor_does_not_bend_the_loop():
+    operator, structure = known_operator(7, 3, False, seed=2)
+    u = excitation(False)
+    y = operator.run(u)
+    clock = np.linspace(-1.0, 0.0, u.size)
+    counts = np.ones(u.size, bool)
+    errors = []
+    for known_clock in (None, clock):
+        fit = fit_hysteresis(structure, [Samples(u, y + 5.0 * clock, counts, known_clock)])
+        errors.append(np.sqrt(np.mean((fit.hysteresis.operator().run(u) - y) ** 2)))
+    assert errors[1] < errors[0] / 10
+
+
+@given(st.lists(st.floats(-3, 3), min_size=1, max_size=9), st.integers(0, 4))
+def test_dead_zone_slopes_and_weights_are_each_others_inverse(weights, below):
+    weights = np.array(weights)
+    thresholds = np.arange(weights.size, dtype=float) - min(below, weights.size - 1)
+    again = zone_weights_of(thresholds, zone_slopes_of(thresholds, weights))
+    np.testing.assert_allclose(again, weights, atol=1e-12)
+
+
+@given(st.lists(st.floats(-9, 9), min_size=1, max_size=30), st.integers(0, 3), st.integers(0, 3))
+def test_the_segments_of_a_value_add_up_to_it(values, above, below):
+    thresholds = np.arange(-below, above + 1, dtype=float)
+    x = np.array(values)
+    np.testing.assert_allclose(zone_segments(thresholds, x).sum(axis=1), x, atol=1e-12)
+
+
+def test_the_tables_of_the_inverse_are_those_that_invert():
+    operator, structure = known_operator(7, 3, False, seed=4)
+    u = excitation(False)
+    hysteresis = fit_hysteresis(structure, all_samples(u, operator.run(u))).hysteresis
+    inverse = AnalyticInverse(hysteresis.operator())
+    count = len(hysteresis.plays.weights)
+    np.testing.assert_allclose([one.inverse_threshold for one in play_rows(hysteresis)], inverse.packed[3 : 3 + count])
+    np.testing.assert_allclose(
+        [one.inverse_weight for one in play_rows(hysteresis)], inverse.packed[3 + count : 3 + 2 * count]
+    )
+    assert [one.index for one in dead_zone_rows(hysteresis)] == [0, 1, 2, 3]
+
+
+def recording_of(u, y, source="rec.csv"):
+    return Recording(np.arange(u.size) / 50.0, {"voltage_V": u, "force_N": y}, source=source)
+
+
+def test_orders_are_taken_by_the_error_on_data_held_out():
+    operator, _ = known_operator(6, 2, False, seed=9)
+    u = varying_triangles(U_MAX, 0.1, 41, 50.0)
+    y = operator.run(u) + np.random.default_rng(1).normal(0.0, 0.3, u.size)
+    found = identify([recording_of(u, y)], Options(), "a test")
+    assert found.chosen.rms_held_out <= 1.1 * 0.3
+    assert found.chosen.rms_held_out <= min(c.rms_held_out for c in found.candidates) * 1.05
+    assert found.chosen.size < max(c.size for c in found.candidates)
+
+
+def test_missing_forces_are_left_out_and_do_not_change_the_model():
+    operator, _ = known_operator(6, 2, False, seed=9)
+    u = varying_triangles(U_MAX, 0.1, 41, 50.0)
+    y = operator.run(u)
+    y[1000:1400] = np.nan
+    model = identify([recording_of(u, y)], Options(plays=14, zones=4), "a test").model
+    error = Plant(model).run(u) - operator_again(operator, u)
+    assert np.sqrt(np.mean(error**2)) < 0.003 * np.ptp(operator_again(operator, u))
+
+
+def operator_again(operator, u):
+    return PrandtlIshlinskii(*operator.plays, *operator.dead_zones).run(u)
+
+
+TRIANGLES = varying_triangles(U_MAX, 0.1, 7, 50.0)
+
+
+@pytest.mark.parametrize(
+    ("u", "y", "says"),
+    [
+        (TRIANGLES[:50], TRIANGLES[:50], "has 50 samples, needs at least 100"),
+        (TRIANGLES, np.full(TRIANGLES.size, 7.5), "force_N is constant at 7.5"),
+        (np.zeros(TRIANGLES.size), TRIANGLES, "voltage_V is constant at 0"),
+        (TRIANGLES, -2.0 * TRIANGLES, "force_N falls where voltage_V rises"),
+        (TRIANGLES, np.full(TRIANGLES.size, np.nan), "force_N holds no number at all"),
+        (np.where(TRIANGLES > 100, np.nan, TRIANGLES), TRIANGLES, "voltage_V has"),
+    ],
+)
+def test_a_recording_that_tells_nothing_is_refused_with_what_to_record_instead(u, y, says):
+    with pytest.raises(RecordingError, match=says) as caught:
+        identify([recording_of(u, y)], Options(), "a test")
+    assert str(caught.value).startswith("rec.csv: ")
+    assert "\n" not in str(caught.value)
+
+
+def test_a_record_that_does_not_start_at_rest_is_simulated_from_a_start_found_in_its_first_stretch():
+    operator, _ = known_operator(7, 3, False, seed=4)
+    whole = np.concatenate((constant_triangles(U_MAX, 0.1, 2, 50.0), varying_triangles(90.0, 0.1, 5, 50.0)))
+    y = operator.run(whole)
+    model = identify([recording_of(whole, y)], Options(plays=14, zones=4), "a test").model
+    part = slice(700, None)
+    simulated, words = simulate(model, whole[part], y[part], 100)
+    assert "found from the first 100 samples" in words
+    assert np.sqrt(np.mean((simulated - y[part])[100:] ** 2)) < 0.01 * np.ptp(y)
+
+
+def test_only_a_start_at_rest_shows_the_plays_beyond_half_the_swing():
+    assert play_reach(TRIANGLES) == pytest.approx(U_MAX)
+    assert play_reach(TRIANGLES[250:] + 20.0) == pytest.approx(0.5 * np.ptp(TRIANGLES[250:]))
+
+
+@pytest.mark.skipif(not FLEXURE.exists(), reason="the recordings in ../shared are not here")
+def test_a_real_stack_is_identified_to_less_than_half_a_percent_of_range_on_data_held_out():
+    recording = read_csv(FLEXURE / "identification.csv")
+    model = identify([recording], Options(output="displacement_um"), "a test").model
+    rms_held_out = model.provenance.fit.rms_held_out
+    print("held-out rms", rms_held_out, "um of", model.output.high - model.output.low)
+    assert rms_held_out <= 0.0045 * (model.output.high - model.output.low)
+    assert model.provenance.recordings[0].samples == recording.time_s.size
