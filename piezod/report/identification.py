@@ -15,7 +15,7 @@ from piezod.identify.order import Candidate
 from piezod.identify.scores import max_hysteresis_percent
 from piezod.identify.tables import OperatorRow, dead_zone_rows, play_rows
 from piezod.recording import Recording
-from piezod.report.page import BLUE, GREY, ORANGE, table_html, write_page
+from piezod.report.page import BLUE, GREY, ORANGE, STYLE, table_html, write_page
 from piezod.report.tracking import finish, thin
 
 Array = NDArray[np.float64]
@@ -73,7 +73,7 @@ def write_identification_page(path: Path, identification: Identification, record
     )
     header = ["", "fit", "held out"]
     parts: list[object] = [
-        Div(text=f"<h1>Identification</h1><p class='verdict'>{verdict}</p>"),
+        Div(text=f"{STYLE}<h1>Identification</h1><p class='verdict'>{verdict}</p>"),
         Div(text=table_html(header, [list(line) for line in _figure_rows(identification)])),
     ]
     for recording in recordings:
