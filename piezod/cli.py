@@ -200,6 +200,32 @@ def simulate(
     print(f"{output}: {simulated.time_s.size} samples; {words}")
 
 
+@app.command(epilog="Example: piezod validate config/bench.yaml --model a.yaml --model b.yaml --report validation.html")
+def validate(
+    config: ConfigArgument,
+    model: Annotated[
+        list[Path], typer.Option(metavar="MODEL", help="Model to try; repeatable. The first gives the plain gain too.")
+    ],
+    report: Annotated[Path | None, typer.Option(metavar="FILE", help="Write a page with all loops.")] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Follow six triangular force references without and with each model; say which model is better."""
+    from piezod.daemon.validate import plan_validation, run_validation
+    from piezod.report.progress import progress
+    from piezod.report.validation import judge_validation, validation_text, write_validation_page
+
+    plan = plan_validation(config, model)
+    with progress(f"{len(plan.works)} runs", plan.duration_s) as show:
+        result = run_validation(plan, show)
+    verdict = judge_validation(plan.references, plan.compensations, plan.range_N, result.recordings, result.outcome)
+    print(json.dumps(verdict.as_dict(), indent=2) if as_json else validation_text(verdict))
+    if report is not None:
+        write_validation_page(report, verdict, result.recordings)
+        if not as_json:
+            print(f"page: {report.resolve()}")
+    raise typer.Exit(0 if verdict.complete else 1)
+
+
 @app.command(epilog="Example: piezod latency --seconds 5")
 def latency(
     seconds: Annotated[float, typer.Option(min=0.1, max=600, help="How long each rate is kept.")] = 2.0,

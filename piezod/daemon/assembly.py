@@ -48,6 +48,8 @@ class Work:
         For a direct drive, one a tick [V].
     reset_cycle
         Drive 0 -> voltage_max_V -> 0 first.
+    model
+        What compensates; None: the session's.
     """
 
     name: str
@@ -55,6 +57,7 @@ class Work:
     reference: ReferenceConfig | None = None
     voltages_V: NDArray[np.float64] | None = None
     reset_cycle: bool = True
+    model: Model | None = None
 
 
 def load(path: Path) -> tuple[BenchConfig, Model]:
@@ -139,7 +142,7 @@ def make_segment(work: Work, bench: BenchConfig, model: Model | None, link: Link
     reset_cycle = _reset_cycle(bench) if work.reset_cycle else None
     if work.voltages_V is not None:
         return Segment(work.name, TableReference(work.voltages_V), DirectDrive(), reset_cycle)
-    if model is None:
+    if (model := work.model or model) is None:
         raise ConfigurationError(f"{work.name}: compensation '{work.compensation}' needs a model, none was loaded")
     config = work.reference or bench.reference
     counted = link.has("reference_counter")

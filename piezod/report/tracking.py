@@ -86,7 +86,7 @@ def write_tracking_page(
     for reference in dict.fromkeys(key[0] for key in recordings):
         chosen = {key[1]: value for key, value in recordings.items() if key[0] == reference}
         rows.append(Div(text=f"<h2>{reference}</h2>"))
-        rows.append(row(_over_time(chosen), _loop(chosen), sizing_mode="stretch_width"))
+        rows.append(row(_over_time(chosen), loop_figure(chosen, COLOURS, LABELS), sizing_mode="stretch_width"))
         rows.append(_errors(chosen))
     write_page(path, title, column(*rows, sizing_mode="stretch_width"))
 
@@ -113,14 +113,15 @@ def _over_time(recordings: dict[str, Recording]) -> figure:
     return finish(plot)
 
 
-def _loop(recordings: dict[str, Recording]) -> figure:
+def loop_figure(recordings: dict[str, Recording], colours: dict[str, str], labels: dict[str, str]) -> figure:
+    """Force over reference, one curve a compensation."""
     plot = figure(title="Force over reference", x_axis_label="reference [N]", y_axis_label="force [N]", height=320)
     for name, recording in recordings.items():
         plot.line(
             thin(recording.channel("reference_N")),
             thin(recording.channel("force_N")),
-            color=COLOURS[name],
-            legend_label=LABELS[name],
+            color=colours[name],
+            legend_label=labels[name],
         )
     return finish(plot)
 
