@@ -1,6 +1,16 @@
 """Recordings: a time axis and named channels with units, and the files they live in."""
 
 from piezod.recording.csv import read_csv, write_csv
+from piezod.recording.files import convert, open_stream, read_recording, write_recording
 from piezod.recording.recording import TIME, Recording
 
-__all__ = ["TIME", "Recording", "read_csv", "write_csv"]
+__all__ = [
+    "TIME",
+    "Recording",
+    "convert",
+    "open_stream",
+    "read_csv",
+    "read_recording",
+    "write_csv",
+    "write_recording",
+]

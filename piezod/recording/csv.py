@@ -1,79 +1,129 @@
-"""Recordings as CSV: `#` lines of metadata, one header row, `time_s` first, every column `name_unit`."""
+"""Recordings as CSV: `#` lines of metadata, one header row, `time_s` first, every column `name_unit`.
 
-import os
-import warnings
+An empty cell is a missing sample. Files are read in blocks of whole lines; a block at a time is in memory.
+"""
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from itertools import chain, repeat
 from pathlib import Path
-from typing import TextIO
+from typing import BinaryIO
 
 import numpy as np
 
 from piezod.errors import RecordingError
-from piezod.recording.recording import TIME, Recording
+from piezod.recording.csv_cells import arrow_parser, parse
+from piezod.recording.names import TIME, channel_name, name_columns
+from piezod.recording.recording import Recording
+from piezod.recording.source import MOST_VALUES, Source, Table, foreign, replacing, whole
+
+BLOCK = 2**22
+"""Bytes parsed at once: numbers of rows that fit the cache, calls too few to count."""
+
+LARGE = 2**24
+"""Bytes above which pyarrow is worth its import."""
 
 
 def read_csv(path: Path) -> Recording:
-    """Read a CSV recording.
+    """Read a CSV recording, whatever its suffix.
 
     Raises
     ------
     RecordingError
-        One line: the file, the row or column, and what is wrong with it.
+        One line: the file, the line and column, and what is wrong with it.
     """
-    try:
-        with path.open(encoding="utf-8") as file:
-            metadata, names = _read_head(file, path)
-            with warnings.catch_warnings(action="ignore", category=UserWarning):  # no data: said below
-                table = np.loadtxt(file, delimiter=",", comments="#", ndmin=2)
-    except (OSError, UnicodeDecodeError) as error:
-        raise RecordingError(f"{path}: cannot be read: {error}") from error
-    except ValueError as error:
-        raise RecordingError(f"{path}: {error}") from error
-    if table.size == 0:
-        raise RecordingError(f"{path}: has a header but no samples")
-    if table.shape[1] != len(names):
-        raise RecordingError(f"{path}: header names {len(names)} columns, the rows have {table.shape[1]}")
-    columns = np.ascontiguousarray(table.T)
-    return Recording(columns[0], dict(zip(names[1:], columns[1:], strict=True)), metadata, str(path))
+    with foreign(path, "read"), open_csv(path) as source:
+        return whole(source)
+
+
+@contextmanager
+def open_csv(path: Path) -> Iterator[Source]:
+    """Open a CSV file: its header is read, its rows are not yet.
+
+    Raises
+    ------
+    RecordingError
+        The header is none.
+    """
+    with path.open("rb") as file:
+        metadata, names, line = _read_head(file, path)
+        arrow = arrow_parser(len(names)) if path.stat().st_size > LARGE else None
+
+        def chunks(wanted: Sequence[str], _: int) -> Iterator[Table]:
+            at = [names.index(name) for name in wanted]
+            values = 0
+            for first_line, block in _blocks(file, path, line):
+                table = parse(block, path, names, first_line, arrow)
+                values += table.size
+                if values > MOST_VALUES:
+                    raise RecordingError(f"{path}: has more than {MOST_VALUES:.3g} numbers; split it")
+                if table.size:
+                    yield {name: np.ascontiguousarray(table[:, k]) for name, k in zip(wanted, at, strict=True)}
+
+        yield Source(path, names, chunks, None, metadata)
 
 
 def write_csv(recording: Recording, path: Path) -> None:
-    """Write a recording, whole or not at all.
+    """Write a recording, whole or not at all: time to the nanosecond, values to nine digits, missing ones as nan.
 
     Raises
     ------
     RecordingError
-        The file cannot be written.
+        The file cannot be written, a name would break the header, or samples are closer than nanoseconds.
     """
-    temporary = path.with_name(f".{path.name}.{os.getpid()}")
-    table = np.column_stack([recording.time_s, *recording.channels.values()])
-    try:
-        with temporary.open("w", encoding="utf-8") as file:
-            for key, value in recording.metadata.items():
-                file.write(f"# {key}: {' '.join(value.split())}\n")
-            file.write(",".join((TIME, *recording.channels)) + "\n")
-            np.savetxt(file, table, delimiter=",", fmt=["%.9f", *["%.9g"] * len(recording.channels)])
-        temporary.replace(path)
-    except OSError as error:
-        temporary.unlink(missing_ok=True)
-        raise RecordingError(f"{path}: cannot be written: {error.strerror}") from error
+    names = (TIME, *recording.channels)
+    bad = [name for name in names if not name.strip() or name != name.strip() or set(name) & set(",#\r\n")]
+    if bad:
+        raise RecordingError(f"{path}: cannot be written: {bad[0]!r} is no column name")
+    if (np.diff(np.round(recording.time_s, 9)) <= 0).any():
+        raise RecordingError(f"{path}: cannot be written: samples lie closer than 1 ns, CSV keeps nanoseconds")
+    row = ",".join(["%.9f", *["%.9g"] * len(recording.channels)]) + "\n"
+    table = [recording.time_s, *recording.channels.values()]
+    with replacing(path) as temporary, temporary.open("w", encoding="utf-8") as file:
+        for key, value in recording.metadata.items():
+            file.write(f"# {' '.join(key.split())}: {' '.join(value.split())}\n")
+        file.write(",".join(names) + "\n")
+        for start in range(0, recording.time_s.size, 2**14):
+            block = np.column_stack([column[start : start + 2**14] for column in table])
+            file.write("".join(repeat(row, len(block))) % tuple(block.ravel().tolist()))
 
 
-def _read_head(file: TextIO, path: Path) -> tuple[dict[str, str], list[str]]:
-    """Metadata and column names; leaves the file at the first row."""
+def _read_head(file: BinaryIO, path: Path) -> tuple[dict[str, str], tuple[str, ...], int]:
+    """Metadata, column names and the number of lines read; leaves the file at the first row."""
     metadata: dict[str, str] = {}
-    for line in iter(file.readline, ""):
+    for number in range(1, 10_000):
+        raw = file.readline(BLOCK)
+        if not raw or len(raw) == BLOCK:
+            break
+        try:
+            line = raw.decode("utf-8-sig" if number == 1 else "utf-8")
+        except UnicodeDecodeError as error:
+            raise RecordingError(f"{path}: cannot be read: line {number} is no text: {error}") from error
         if line.startswith("#"):
             key, _, value = line[1:].partition(":")
             metadata[key.strip()] = value.strip()
         elif line.strip():
-            names = [name.strip() for name in line.split(",")]
-            _check_names(names, path)
-            return metadata, names
+            return metadata, _header(line, path), number
     raise RecordingError(f"{path}: is empty, must hold a header row and samples")
 
 
-def _check_names(names: list[str], path: Path) -> None:
-    if names[0] != TIME:
-        raise RecordingError(f"{path}: first column is {names[0][:40]!r}, must be {TIME}")
-    if len(set(names)) != len(names) or "" in names:
-        raise RecordingError(f"{path}: column names must be unique and not empty: {', '.join(names)[:120]}")
+def _header(line: str, path: Path) -> tuple[str, ...]:
+    cells = line.split(",")
+    if channel_name(cells[0]) != TIME:
+        raise RecordingError(f"{path}: first column is {cells[0].strip()[:40]!r}, must be {TIME}")
+    return name_columns(path, [(cell, "") for cell in cells])
+
+
+def _blocks(file: BinaryIO, path: Path, line: int) -> Iterator[tuple[int, bytes]]:
+    """Whole lines, some megabytes at a time, each with the number of the lines before it."""
+    rest = b""
+    for read in chain(iter(lambda: file.read(BLOCK), b""), [b"\n"]):
+        whole, end, after = (rest + read).rpartition(b"\n")
+        if len(after) >= BLOCK:
+            raise RecordingError(f"{path}: line {line + 1} is longer than {BLOCK} bytes")
+        rest = after
+        if whole:
+            yield line, whole + end
+            line += whole.count(b"\n") + 1
+        elif end:
+            line += 1

@@ -6,10 +6,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piezod.errors import RecordingError
+from piezod.recording import quality, stretches
+from piezod.recording.names import TIME
+from piezod.recording.stretches import Array, Stretch
 
-Array = NDArray[np.float64]
+__all__ = ["TIME", "Array", "Recording"]
 
-TIME = "time_s"
+MOST_RESAMPLED = 2**29
+"""Numbers that a resampled recording may hold: 4.3 GB."""
+
+UNIFORM_WITHIN = 0.01
+"""Share of the median period by which the periods of uniformly sampled time may differ from it."""
 
 
 @dataclass(frozen=True)
@@ -21,7 +28,7 @@ class Recording:
     time_s
         Shape (N,), strictly increasing [s].
     channels
-        Name to values, each shape (N,); a name ends in its unit: `force_N`, `voltage_V`.
+        Name to values, each shape (N,); a name ends in its unit: `force_N`, `voltage_V`. A missing sample is nan.
     metadata
         What the file says about itself.
     source
@@ -55,11 +62,25 @@ class Recording:
 
     @property
     def dt_s(self) -> float:
-        """Median sample period [s]."""
+        """Median sample period [s].
+
+        Raises
+        ------
+        RecordingError
+            There are not two samples.
+        """
+        if self.time_s.size < 2:
+            raise RecordingError(f"{self.source}: has {self.time_s.size} samples, a sample period needs 2")
         return float(np.median(np.diff(self.time_s)))
 
+    @property
+    def uniform(self) -> bool:
+        """Whether every sample period is within 1 % of the median."""
+        periods = np.diff(self.time_s)
+        return periods.size == 0 or bool((np.abs(periods - self.dt_s) < UNIFORM_WITHIN * self.dt_s).all())
+
     def channel(self, name: str) -> Array:
-        """Values of one channel.
+        """Values of one channel, shape (N,), in the unit of its name.
 
         Raises
         ------
@@ -69,3 +90,111 @@ class Recording:
         if name not in self.channels:
             raise RecordingError(f"{self.source}: has no column {name}, has {', '.join(self.channels)}")
         return self.channels[name]
+
+    def missing(self, channel: str) -> NDArray[np.bool_]:
+        """Where a channel has no sample, shape (N,).
+
+        Raises
+        ------
+        RecordingError
+            There is no such channel.
+        """
+        return np.isnan(self.channel(channel))
+
+    def frozen(self, channel: str, longer_than: int = 20) -> list[Stretch]:
+        """Where a reading stands still to the last bit while another channel moves, as (start, stop) samples.
+
+        Parameters
+        ----------
+        channel
+            Its name.
+        longer_than
+            Least number of identical samples in a row that counts.
+
+        Raises
+        ------
+        RecordingError
+            There is no such channel.
+        """
+        others = (values for name, values in self.channels.items() if name != channel)
+        return stretches.frozen(self.channel(channel), others, longer_than)
+
+    def clipped(self, channel: str, at_least: int = 5) -> list[Stretch]:
+        """Where a channel rests at its largest or smallest value, as (start, stop) samples; a flag is not cut.
+
+        Parameters
+        ----------
+        channel
+            Its name.
+        at_least
+            Least number of samples in a row that counts.
+
+        Raises
+        ------
+        RecordingError
+            There is no such channel.
+        """
+        return stretches.clipped(self.channel(channel), at_least)
+
+    def resampled(self, dt_s: float) -> "Recording":
+        """Every channel interpolated linearly to a uniform time axis from the first sample on.
+
+        Nothing is invented: between samples more than five (median) periods apart, where time pauses or samples are
+        missing, and beyond a channel's first and last sample, the result is nan. No low-pass filter is applied.
+
+        Parameters
+        ----------
+        dt_s
+            The new sample period [s], above 0.
+
+        Raises
+        ------
+        RecordingError
+            The period is impossible, or would make more numbers than fit.
+        """
+        if not 0 < dt_s < np.inf:
+            raise RecordingError(f"{self.source}: cannot be resampled to {dt_s} s, must be above 0")
+        longest_s = stretches.GAP_PERIODS * self.dt_s
+        steps = (self.time_s[-1] - self.time_s[0]) / dt_s
+        if steps * (1 + len(self.channels)) > MOST_RESAMPLED:
+            raise RecordingError(f"{self.source}: {dt_s:g} s would make {steps:.3g} samples; take a longer period")
+        at_s = self.time_s[0] + dt_s * np.arange(int(steps * (1 + 1e-12) + 1e-9) + 1)
+        at_s[-1] = min(at_s[-1], self.time_s[-1])  # rounding must not lose the last sample
+        channels = {
+            name: stretches.interpolated(self.time_s, values, at_s, longest_s) for name, values in self.channels.items()
+        }
+        return Recording(at_s, channels, dict(self.metadata), self.source)
+
+    def window(self, start_s: float, stop_s: float) -> "Recording":
+        """The samples from `start_s` on and before `stop_s`; times stay as they are.
+
+        Raises
+        ------
+        RecordingError
+            None lies there.
+        """
+        first, after = (int(k) for k in np.searchsorted(self.time_s, [start_s, stop_s]))
+        if first >= after:
+            raise RecordingError(f"{self.source}: has no samples from {start_s:g} s to {stop_s:g} s")
+        return self._part(slice(first, after))
+
+    def split(self, fraction: float) -> "tuple[Recording, Recording]":
+        """The first `fraction` of the samples, and the rest: one to identify on, one to hold out.
+
+        Raises
+        ------
+        RecordingError
+            One of the two would be empty.
+        """
+        first = round(fraction * self.time_s.size) if 0 < fraction < 1 else 0
+        if not 0 < first < self.time_s.size:
+            raise RecordingError(f"{self.source}: cannot be split at {fraction:g} of {self.time_s.size} samples")
+        return self._part(slice(None, first)), self._part(slice(first, None))
+
+    def quality(self) -> list[str]:
+        """One line for each thing noteworthy: irregular time, gaps, missing, frozen and clipped samples."""
+        return quality.describe(self)
+
+    def _part(self, samples: slice) -> "Recording":
+        channels = {name: values[samples] for name, values in self.channels.items()}
+        return Recording(self.time_s[samples], channels, dict(self.metadata), self.source)

@@ -29,9 +29,9 @@ def test_what_is_written_is_read_back(tmp_path):
         ("t,force_N\n0,1\n", "first column is 't', must be time_s"),
         ("time_s,force_N,force_N\n0,1,2\n", "column names must be unique"),
         ("time_s,force_N\n0,1\n0,2\n", "time_s must strictly increase, sample 1"),
-        ("time_s,force_N\n0,1\n1,x\n", "could not convert string 'x'"),
+        ("time_s,force_N\n0,1\n1,x\n", "line 3: force_N is 'x', must be a number or empty"),
         ("time_s,force_N\n0,1\nnan,2\n", "not finite"),
-        ("time_s,force_N\n0,1,5\n1,2,5\n", "header names 2 columns, the rows have 3"),
+        ("time_s,force_N\n0,1,5\n1,2,5\n", "line 2 has 3 cells, the header names 2 columns"),
     ],
 )
 def test_a_file_that_is_no_recording_is_refused_in_one_line(tmp_path, text, message):
