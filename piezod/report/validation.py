@@ -2,7 +2,7 @@
 
 import html
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -11,6 +11,7 @@ from bokeh.layouts import column, row
 from bokeh.models.widgets import Div
 from bokeh.plotting import figure
 
+from piezod.identify.scores import max_hysteresis_percent
 from piezod.recording import Recording
 from piezod.report.demo import SessionOutcome
 from piezod.report.page import BLUE, GREEN, GREY, ORANGE, RED, table_html, write_page
@@ -140,8 +141,16 @@ def judge_validation(
     recordings: dict[tuple[str, str], Recording],
     outcome: SessionOutcome,
 ) -> ValidationVerdict:
-    """Figures of every run that reached its end."""
-    figures = {key: tracking_figures(recording, loop=True) for key, recording in recordings.items()}
+    """Figures of every run that reached its end: errors over all of it, max hysteresis without the first cycle.
+
+    That one comes from rest, along a branch that the others do not return to.
+    """
+    figures = {}
+    for key, recording in recordings.items():
+        steady = recording.time_s >= 1.0 / references[key[0]].frequency_Hz
+        reference, force = recording.channel("reference_N")[steady], recording.channel("force_N")[steady]
+        opening = max_hysteresis_percent(reference, force)
+        figures[key] = replace(tracking_figures(recording, loop=False), max_hysteresis_percent=opening)
     return ValidationVerdict(references, compensations, range_N, figures, outcome)
 
 
@@ -175,7 +184,8 @@ def write_validation_page(path: Path, verdict: ValidationVerdict, recordings: di
     title = "Which model a force follows better"
     parts = ("max hysteresis [%]", "rms error [N] (%)", "max error [N] (%)")
     header = ["reference", *(f"{name}: {part}" for name in verdict.compensations for part in parts)]
-    table = table_html(header, _rows(verdict))
+    rows_html = [[cells[0].replace(" ", "\u00a0"), *cells[1:]] for cells in _rows(verdict)]
+    table = table_html(header, rows_html)
     text = f"<h1>{title}</h1><p class='verdict'>{html.escape(verdict.words)}</p>{table}<p>{_common_range(verdict)}</p>"
     rows: list[object] = [Div(text=text)]
     colours = {
@@ -197,7 +207,7 @@ def _common_range(verdict: ValidationVerdict) -> str:
     frequency_Hz = next(iter(verdict.references.values())).frequency_Hz
     return (
         f"triangles of {frequency_Hz:g} Hz within {low_N:.1f} to {high_N:.1f} N, which every model reaches; "
-        f"% of each reference's range"
+        "% of each reference's range; hysteresis without the first cycle, which comes from rest"
     )
 
 

@@ -70,7 +70,7 @@ def test_the_references_are_six_slow_triangles_within_what_both_models_reach(val
         assert low_N < offset_N - amplitude_N
         assert offset_N + amplitude_N < high_N
     assert all(one["frequency_Hz"] == 0.1 for one in result["figures"])
-    assert all(one["samples"] > 2 * 10 * 200 - 10 for one in result["figures"])
+    assert all(one["samples"] > 3 * 10 * 200 - 10 for one in result["figures"])
 
 
 def test_the_page_shows_every_reference(validated):
