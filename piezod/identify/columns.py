@@ -147,7 +147,9 @@ class Samples:
         for start in range(0, self.u.size, CHUNK):
             part = slice(start, start + CHUNK)
             columns, chosen = plays.run(self.u[part]), self.counts[part]
-            if chosen.any():
+            if chosen.all():
+                yield columns, self.y[part], None if self.clock is None else self.clock[part]
+            elif chosen.any():
                 clock = None if self.clock is None else self.clock[part][chosen]
                 yield columns[chosen], self.y[part][chosen], clock
 

@@ -25,7 +25,7 @@ from piezod.operators.dead_zone import inverse_dead_zone, shifted
 Array = NDArray[np.float64]
 
 MOST_STEPS = 12
-SMALLEST_STEP = 1e-14  # relative change of the slopes that ends the refinement
+SMALLEST_GAIN = 1e-8  # share of the squared error that a further step must promise
 
 
 @dataclass(frozen=True)
@@ -121,7 +121,8 @@ def _refine(
         if loss < best_loss:
             best, best_loss, damping = parameters, loss, 1.0
             step = solve_step(hessian, gradient, constraints, parameters) - parameters
-            if np.abs(step).max() <= SMALLEST_STEP * np.abs(parameters).max():
+            gain = float(step @ gradient - 0.5 * step @ hessian @ step)
+            if 2.0 * gain <= SMALLEST_GAIN * loss:
                 break
         else:
             damping *= 0.25

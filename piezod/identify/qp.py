@@ -21,6 +21,7 @@ from piezod.identify.columns import Structure
 Array = NDArray[np.float64]
 Variant = Literal["A", "B"]
 
+MOST_ITERATIONS = 60  # it converges within some tens, or rounding keeps it from the tolerance
 TOLERANCES = (1e-12, 1e-10, 1e-9)  # absolute, on the scaled program; the first that rounding lets it reach
 
 
@@ -119,7 +120,7 @@ def _proxqp(hessian: Array, gradient: Array, equality: Array, value: Array, rows
     """Minimise x' H x / 2 + g' x under A x = b and C x >= l, as exactly as rounding allows."""
     solver = proxsuite.proxqp.dense.QP(hessian.shape[0], 1, rows.shape[0])
     solver.settings.eps_rel = 0.0
-    solver.settings.max_iter = 1000
+    solver.settings.max_iter = MOST_ITERATIONS
     solver.init(hessian, gradient, equality, value, rows, low)
     for tolerance in TOLERANCES:
         solver.settings.eps_abs = tolerance
