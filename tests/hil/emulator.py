@@ -27,10 +27,10 @@ def emulator(*arguments):
         assert line, f"the emulator ended with {process.wait()}"
         yield json.loads(line)
     finally:
-        process.stdin.close()
+        process.stdin.close()  # which ends it; a signal on top could meet it while it is ending
+        code = process.wait(timeout=10)
         process.stdout.close()
-        process.terminate()
-        assert process.wait(timeout=10) == 0
+        assert code == 0
 
 
 def bench_file(folder, serves, **changes):
