@@ -5,7 +5,7 @@ An empty cell is a missing sample. Files are read in blocks of whole lines; a bl
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from itertools import chain, repeat
+from itertools import repeat
 from pathlib import Path
 from typing import BinaryIO
 
@@ -46,14 +46,14 @@ def open_csv(path: Path) -> Iterator[Source]:
         The header is none.
     """
     with path.open("rb") as file:
-        metadata, names, line = _read_head(file, path)
+        metadata, names = _read_head(file, path)
         arrow = arrow_parser(len(names)) if path.stat().st_size > LARGE else None
 
         def chunks(wanted: Sequence[str], _: int) -> Iterator[Table]:
             at = [names.index(name) for name in wanted]
             values = 0
-            for first_line, block in _blocks(file, path, line):
-                table = parse(block, path, names, first_line, arrow)
+            for position, block in _blocks(file, path):
+                table = parse(block, path, names, position, arrow)
                 values += table.size
                 if values > MOST_VALUES:
                     raise RecordingError(f"{path}: has more than {MOST_VALUES:.3g} numbers; split it")
@@ -88,8 +88,8 @@ def write_csv(recording: Recording, path: Path) -> None:
             file.write("".join(repeat(row, len(block))) % tuple(block.ravel().tolist()))
 
 
-def _read_head(file: BinaryIO, path: Path) -> tuple[dict[str, str], tuple[str, ...], int]:
-    """Metadata, column names and the number of lines read; leaves the file at the first row."""
+def _read_head(file: BinaryIO, path: Path) -> tuple[dict[str, str], tuple[str, ...]]:
+    """Metadata and column names; leaves the file at the first row."""
     metadata: dict[str, str] = {}
     for number in range(1, 10_000):
         raw = file.readline(BLOCK)
@@ -103,7 +103,7 @@ def _read_head(file: BinaryIO, path: Path) -> tuple[dict[str, str], tuple[str, .
             key, _, value = line[1:].partition(":")
             metadata[key.strip()] = value.strip()
         elif line.strip():
-            return metadata, _header(line, path), number
+            return metadata, _header(line, path)
     raise RecordingError(f"{path}: is empty, must hold a header row and samples")
 
 
@@ -114,16 +114,18 @@ def _header(line: str, path: Path) -> tuple[str, ...]:
     return name_columns(path, [(cell, "") for cell in cells])
 
 
-def _blocks(file: BinaryIO, path: Path, line: int) -> Iterator[tuple[int, bytes]]:
-    """Whole lines, some megabytes at a time, each with the number of the lines before it."""
+def _blocks(file: BinaryIO, path: Path) -> Iterator[tuple[int, bytes]]:
+    """Whole lines, some megabytes at a time, each with its position in the file."""
+    position = file.tell()
     rest = b""
-    for read in chain(iter(lambda: file.read(BLOCK), b""), [b"\n"]):
-        whole, end, after = (rest + read).rpartition(b"\n")
-        if len(after) >= BLOCK:
-            raise RecordingError(f"{path}: line {line + 1} is longer than {BLOCK} bytes")
-        rest = after
-        if whole:
-            yield line, whole + end
-            line += whole.count(b"\n") + 1
-        elif end:
-            line += 1
+    while read := file.read(BLOCK):
+        end = read.rfind(b"\n") + 1
+        if end:
+            block = b"".join([rest, memoryview(read)[:end]])
+            yield position, block
+            position += len(block)
+        rest = read[end:] if end else rest + read
+        if len(rest) > BLOCK:
+            raise RecordingError(f"{path}: has a line longer than {BLOCK} bytes, at byte {position}")
+    if rest:
+        yield position, rest + b"\n"

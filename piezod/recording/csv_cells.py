@@ -16,21 +16,23 @@ import numpy as np
 from piezod.errors import RecordingError
 from piezod.recording.source import Array
 
+MEGABYTE = 2**20
+
 Parser = Callable[[bytes], Array]
 
 _EMPTY_CELL = re.compile(rb"(?m)(?<=,)[ \t]*(?=,|\r?$)|^[ \t]*(?=,)")
 _PLAIN = b"0123456789abcdefghijklmnopqrstuvwxyzABCDEFGHIJKLMNOPQRSTUVWXYZ+-.,\r\n"
 
 
-def parse(block: bytes, path: Path, names: Sequence[str], line: int, arrow: Parser | None) -> Array:
+def parse(block: bytes, path: Path, names: Sequence[str], position: int, arrow: Parser | None) -> Array:
     """Numbers of a block of whole lines, shape (rows, columns); an empty cell is nan.
 
     Parameters
     ----------
     block
         Text, ends in a newline.
-    path, names, line
-        For messages: the file, its columns, the lines before this block.
+    path, names, position
+        For messages: the file, its columns, the bytes before this block.
     arrow
         What `arrow_parser` made.
 
@@ -51,10 +53,10 @@ def parse(block: bytes, path: Path, names: Sequence[str], line: int, arrow: Pars
         try:
             table = _by_numpy(filled)
         except ValueError as error:
-            _refuse(filled, path, names, line)
-            raise RecordingError(f"{path}: after line {line}: {error}") from error
+            _refuse(filled, path, names, position)
+            raise RecordingError(f"{path}: after byte {position}: {error}") from error
     if table.size and table.shape[1] != len(names):
-        _refuse(block, path, names, line)
+        _refuse(block, path, names, position)
     return table
 
 
@@ -65,8 +67,7 @@ def arrow_parser(columns: int) -> Parser | None:
     except ImportError:
         return None
     names = [str(k) for k in range(columns)]
-    # One thread: which of two runs reads first must not matter, and the other core belongs to the loop.
-    reading = arrow_csv.ReadOptions(column_names=names, use_threads=False, block_size=2**26)
+    reading = arrow_csv.ReadOptions(column_names=names, block_size=2**26)
     parsing = arrow_csv.ParseOptions(quote_char=False)
     types = dict.fromkeys(names, arrow.float64())
     converting = arrow_csv.ConvertOptions(column_types=types, null_values=["", "nan"])
@@ -89,8 +90,10 @@ def _by_numpy(block: bytes) -> Array:
         return np.loadtxt(text, dtype=np.float64, delimiter=",", comments="#", ndmin=2)
 
 
-def _refuse(block: bytes, path: Path, names: Sequence[str], line: int) -> None:
+def _refuse(block: bytes, path: Path, names: Sequence[str], position: int) -> None:
     """Say which line is wrong, looking at one after the other."""
+    with path.open("rb") as file:
+        line = sum(file.read(min(MEGABYTE, position - at)).count(b"\n") for at in range(0, position, MEGABYTE))
     for number, text in enumerate(block.decode("latin-1").split("\n"), line + 1):
         row = text.partition("#")[0].strip()
         cells = row.split(",")

@@ -84,7 +84,7 @@ def convert(source: Path, target: Path) -> None:
 
 
 def open_stream(path: Path, columns: Sequence[str] | None = None, chunk: int = 65536) -> Iterator[Recording]:
-    """Read a recording piece by piece; never more than a few pieces are in memory (`.mat` v5: the whole file is).
+    """Read a recording piece by piece; a file larger than memory will do (not `.mat` v5 and `.mf4`).
 
     Parameters
     ----------

@@ -16,10 +16,13 @@ from piezod.errors import RecordingError
 from piezod.recording.mdf4_blocks import check_blocks
 from piezod.recording.names import TIME, channel_name, name_columns, unit_of
 from piezod.recording.recording import Recording
-from piezod.recording.source import Array, Source, Table, one_length, replacing, require, skipped, spans
+from piezod.recording.source import Array, Source, Table, one_length, replacing, require, skipped
 
 PLAIN_CONVERSIONS = {0, 1, 2, 4, 5, 6}
 """none, linear, rational and tables of numbers (cc_type, MDF 4.1); not 3, an algebraic formula, nor any to text."""
+
+NUMBERS = {0, 1, 2, 3, 4, 5}
+"""Unsigned, signed and floating point, of either byte order (cn_data_type, MDF 4.1)."""
 
 
 @contextmanager
@@ -68,8 +71,7 @@ def _columns(file: Any) -> tuple[dict[tuple[int, int], tuple[str, str]], list[st
         for index, channel in enumerate(content.channels):
             if index == master or not content.channel_group.cycles_nr:
                 continue
-            plain = _is_plain(channel) and master is not None and _is_plain(content.channels[master])
-            if plain and file.get(group=group, index=index, record_count=1, samples_only=True)[0].dtype.kind in "fiub":
+            if master is not None and _is_plain(channel) and _is_plain(content.channels[master]):
                 columns[group, index] = (channel.name, channel.unit or "")
             else:
                 left_out.append(channel.name)
@@ -77,7 +79,8 @@ def _columns(file: Any) -> tuple[dict[tuple[int, int], tuple[str, str]], list[st
 
 
 def _is_plain(channel: Any) -> bool:  # noqa: ANN401
-    return channel.conversion is None or channel.conversion.conversion_type in PLAIN_CONVERSIONS
+    conversion = 0 if channel.conversion is None else channel.conversion.conversion_type
+    return channel.data_type in NUMBERS and conversion in PLAIN_CONVERSIONS
 
 
 def _source(path: Path, file: Any, columns: dict[tuple[int, int], tuple[str, str]], said: dict[str, str]) -> Source:  # noqa: ANN401
@@ -89,26 +92,24 @@ def _source(path: Path, file: Any, columns: dict[tuple[int, int], tuple[str, str
         path, {f"group {group + 1}": int(file.groups[group].channel_group.cycles_nr) for group in groups}
     )
 
-    def chunks(wanted: Sequence[str], chunk: int) -> Iterator[Table]:
-        for start, stop in spans(samples, chunk):
-            times = [file.get_master(group, record_offset=start, record_count=stop - start) for group in groups]
-            if any(not np.array_equal(time, times[0]) for time in times[1:]):
-                raise RecordingError(f"{path}: its groups are sampled at different times; export one of them")
-            time_s = np.array(times[0], dtype=np.float64)
-            yield {name: time_s if name == TIME else _piece(file, places[name], start, stop) for name in wanted}
+    def chunks(wanted: Sequence[str], _: int) -> Iterator[Table]:
+        # asammdf reads the whole group to cut a part from it: parts would not spare memory and take longer
+        times = [np.asarray(file.get_master(group), dtype=np.float64) for group in groups]
+        if any(not np.array_equal(time_s, times[0]) for time_s in times[1:]):
+            raise RecordingError(f"{path}: its groups are sampled at different times; export one of them")
+        if samples:
+            yield {name: times[0] if name == TIME else _values(file, places[name]) for name in wanted}
 
     return Source(path, names, chunks, samples, said)
 
 
-def _piece(file: Any, place: tuple[int, int], start: int, stop: int) -> Array:  # noqa: ANN401
+def _values(file: Any, place: tuple[int, int]) -> Array:  # noqa: ANN401
     """Samples of a channel in its unit; nan where the file marks them invalid."""
     group, index = place
-    samples, invalid = file.get(
-        group=group, index=index, record_offset=start, record_count=stop - start, samples_only=True
-    )
-    values = np.array(samples, dtype=np.float64)
-    if invalid is not None:
-        values[np.asarray(invalid, dtype=bool)] = np.nan
+    signal = file.get(group=group, index=index, ignore_invalidation_bits=True)
+    values = np.array(signal.samples, dtype=np.float64)
+    if signal.invalidation_bits is not None:
+        values[np.asarray(signal.invalidation_bits, dtype=bool)] = np.nan
     return values
 
 

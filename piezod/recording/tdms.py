@@ -14,6 +14,12 @@ from piezod.recording.source import Array, Source, Table, one_length, replacing,
 
 GROUP = "recording"
 
+SEGMENT = 2**16
+"""Samples of each channel in one segment of a file written."""
+
+READ = 2**20
+"""Samples read at once: nptdms reads a whole segment to cut a part from it, and others write long ones."""
+
 
 @contextmanager
 def open_tdms(path: Path) -> Iterator[Source]:
@@ -44,12 +50,14 @@ def write_tdms(recording: Recording, path: Path) -> None:
     nptdms = require("nptdms", "tdms", path)
     columns = {TIME: recording.time_s, **recording.channels}
     root = nptdms.RootObject(properties=dict(recording.metadata))
-    channels = [
-        nptdms.ChannelObject(GROUP, name, np.asarray(values, dtype=np.float64), {"unit_string": unit_of(name)})
-        for name, values in columns.items()
-    ]
+    units = {name: {"unit_string": unit_of(name)} for name in columns}
     with replacing(path) as temporary, nptdms.TdmsWriter(temporary) as file:
-        file.write_segment([root, *channels])
+        file.write_segment([root])
+        for start, stop in spans(recording.time_s.size, SEGMENT):
+            file.write_segment(
+                nptdms.ChannelObject(GROUP, name, np.asarray(values[start:stop], dtype=np.float64), units[name])
+                for name, values in columns.items()
+            )
 
 
 def _source(path: Path, channels: list[Any], metadata: dict[str, str]) -> Source:
@@ -61,7 +69,7 @@ def _source(path: Path, channels: list[Any], metadata: dict[str, str]) -> Source
     samples = one_length(path, {name: len(channel) for name, channel in found.items()})
 
     def chunks(wanted: Sequence[str], chunk: int) -> Iterator[Table]:
-        for start, stop in spans(samples, chunk):
+        for start, stop in spans(samples, max(chunk, READ)):
             yield {name: _piece(found.get(name), step, start, stop) for name in wanted}
 
     return Source(path, names, chunks, samples, metadata)
