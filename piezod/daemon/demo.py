@@ -1,6 +1,7 @@
 """The demo: the whole path on the emulated bench, with plain gain and with the inverse, on two references."""
 
 import contextlib
+import signal
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -70,24 +71,17 @@ def run_demo(on_rows: OnRows, work_names: list[str]) -> DemoResult:
 
 
 def follow_session(session: Session, on_rows: OnRows) -> History:
-    """Start a session and keep every row until it ends; Ctrl-C asks for a ramp down and goes on following it."""
+    """Start a session and keep every row until it ends; Ctrl-C asks for a ramp down, and is followed to its end."""
     history = History()
+    before = signal.signal(signal.SIGINT, lambda *_: session.stop())
     try:
         session.start()
-        follower = session.follow()
-        while True:
-            try:
-                rows = next(follower)
-            except StopIteration:
-                break
-            except KeyboardInterrupt:
-                session.stop()
-                follower = session.follow()
-                continue
+        for rows in session.follow():
             history.add(rows)
             on_rows(rows)
     finally:
         session.close()
+        signal.signal(signal.SIGINT, before)
     return history
 
 

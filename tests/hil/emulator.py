@@ -10,6 +10,7 @@ import yaml
 
 ROOT = Path(__file__).parents[2]
 BENCH = ROOT / "config" / "bench.yaml"
+PATIENT_S = 0.5  # a virtual machine may stand still for a tenth of a second
 EMULATOR = ROOT / "config" / "emulator.yaml"
 
 
@@ -38,12 +39,12 @@ def bench_file(folder, serves, **changes):
     content = yaml.safe_load(BENCH.read_text(encoding="utf-8"))
     registers = content["link"]["registers"]
     if "rtu" in serves:
-        content["link"] = {"kind": "modbus_rtu", "port": serves["rtu"], "baudrate": 921600, "timeout_s": 0.05}
+        content["link"] = {"kind": "modbus_rtu", "port": serves["rtu"], "baudrate": 921600, "timeout_s": PATIENT_S}
     elif "line" in serves:
         content["link"] = line_link(serves["line"])
     else:
         host, _, port = serves["tcp"].rpartition(":")
-        content["link"] |= {"host": host, "port": int(port)}
+        content["link"] |= {"host": host, "port": int(port), "timeout_s": PATIENT_S}
     if "line" not in serves:
         content["link"]["registers"] = registers
     content["model"] = str(ROOT / "config" / "model.yaml")
@@ -63,7 +64,7 @@ def line_link(port):
         "kind": "serial_line",
         "port": port,
         "baudrate": 921600,
-        "timeout_s": 0.05,
+        "timeout_s": PATIENT_S,
         "set_voltage": {"send": "SVA A {voltage_V:.4f}"},
         "measure": {
             "send": "MEAS?",

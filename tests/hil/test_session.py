@@ -88,10 +88,10 @@ def test_the_control_process_ramps_down_when_the_one_that_started_it_is_killed(t
         bench = bench_file(tmp_path, serves, rate_Hz=200, limits=PATIENT)
         with running(bench, "--arm") as process:
             wait_for(process, "RUNNING")
-            time.sleep(0.5)
+            time.sleep(1.0)
+            assert register(serves, 202) > 5.0
             process.kill()
             process.wait()
-            assert register(serves, 202) > 5.0
             deadline = time.monotonic() + 5.0
             while register(serves, 202) > 0.1 and time.monotonic() < deadline:
                 time.sleep(0.05)
