@@ -38,7 +38,7 @@ FORMATS = {
     ".mat": Format("MAT", (b"MATLAB 5.0 MAT-file", b"MATLAB 7.3 MAT-file"), open_mat, write_mat),
     ".tdms": Format("TDMS", (b"TDSm",), open_tdms, write_tdms),
     ".parquet": Format("Parquet", (b"PAR1",), open_parquet, write_parquet),
-    ".mf4": Format("MDF4", (b"MDF     4.",), open_mdf4, write_mdf4),
+    ".mf4": Format("MDF4", (b"MDF     4.", b"UnFinMF "), open_mdf4, write_mdf4),
 }
 
 
@@ -68,7 +68,9 @@ def write_recording(recording: Recording, path: Path) -> None:
     RecordingError
         The suffix is unknown, the format cannot hold it, its extra is missing, or the file cannot be written.
     """
-    _format(path).write(recording, path)
+    kind = _format(path)
+    with foreign(path, "written"):
+        kind.write(recording, path)
 
 
 def convert(source: Path, target: Path) -> None:

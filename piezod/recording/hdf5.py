@@ -4,6 +4,7 @@ Datasets are looked for in the root and in groups directly below it. What would 
 external storage, virtual datasets) and what holds no numbers (references, text, tables) is left out.
 """
 
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -56,7 +57,7 @@ def write_hdf5(recording: Recording, path: Path) -> None:
         h5py is missing, or the file cannot be written.
     """
     h5py = require("h5py", "hdf5", path)
-    with replacing(path) as temporary, h5py.File(temporary, "w", track_order=True) as file:
+    with replacing(path) as temporary, h5py.File(temporary, "w", libver=("v108", "latest"), track_order=True) as file:
         for key, value in recording.metadata.items():
             file.attrs[key] = value
         for name, values in {TIME: recording.time_s, **recording.channels}.items():
@@ -69,12 +70,14 @@ def numbers(h5py: Any, file: Any) -> tuple[dict[str, Any], list[str]]:  # noqa: 
     found: dict[str, Any] = {}
     left_out: list[str] = []
     for path, item in _items(h5py, file, left_out):
-        if isinstance(item, h5py.Group):
+        if isinstance(item, h5py.Group) and item != file["/"]:
             for below, dataset in _items(h5py, item, left_out):
                 _sort(h5py, f"{path}/{below}", dataset, found, left_out)
         else:
             _sort(h5py, path, item, found, left_out)
-    return {path.rpartition("/")[2] if _alone(path, found) else path: found[path] for path in found}, left_out
+    names = {path: path.rpartition("/")[2] for path in found}
+    often = Counter(names.values())
+    return {name if often[name] == 1 else path: found[path] for path, name in names.items()}, left_out
 
 
 def text(value: Any) -> str:  # noqa: ANN401  an attribute is of any type
@@ -87,6 +90,8 @@ def text(value: Any) -> str:  # noqa: ANN401  an attribute is of any type
 def _items(h5py: Any, group: Any, left_out: list[str]) -> Iterator[tuple[str, Any]]:  # noqa: ANN401
     """Members of a group that lie in this file: links to elsewhere are not followed."""
     for name in group:
+        if name.startswith("#"):
+            continue  # MATLAB's own
         if isinstance(group.get(name, getlink=True), h5py.HardLink):
             yield name, group[name]
         else:
@@ -99,11 +104,6 @@ def _sort(h5py: Any, path: str, item: Any, found: dict[str, Any], left_out: list
         found[path] = item
     else:
         left_out.append(path)
-
-
-def _alone(path: str, found: dict[str, Any]) -> bool:
-    last = path.rpartition("/")[2]
-    return sum(other.rpartition("/")[2] == last for other in found) == 1
 
 
 def _unit(dataset: Any) -> str:  # noqa: ANN401

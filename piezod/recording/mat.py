@@ -1,4 +1,4 @@
-"""Recordings as MAT: one vector a channel. Version 5 by scipy.io, version 7.3 (HDF5 inside) by h5py.
+"""Recordings as MAT, one vector a channel: version 5, and to read also 7.3, which is HDF5 inside.
 
 Only vectors of real numbers are loaded. Cells, structs, objects and function handles are left out unread.
 """
@@ -12,15 +12,17 @@ import numpy as np
 
 from piezod.errors import RecordingError
 from piezod.recording.hdf5 import columns_of, numbers
+from piezod.recording.mat5 import NUMBERS, numbers_of, text_of, variables
 from piezod.recording.names import TIME, name_columns
 from piezod.recording.recording import Recording
-from piezod.recording.source import Source, Table, check_claim, one_length, replacing, require, skipped, spans
+from piezod.recording.source import Source, Table, check_claim, one_length, replacing, require, skipped
 
 VERSION_7_3 = b"MATLAB 7.3"
 METADATA = "metadata"
 """The character variable that holds the metadata, a `key: value` a line."""
 
-NUMBERS = {"double", "single", "int8", "int16", "int32", "int64", "uint8", "uint16", "uint32", "uint64", "logical"}
+MOST_TEXT = 10**6
+"""Characters that metadata may have."""
 
 LONGEST_NAME = 31
 """Characters of a variable's name in version 5."""
@@ -62,25 +64,21 @@ def write_mat(recording: Recording, path: Path) -> None:
 
 @contextmanager
 def _open_5(path: Path) -> Iterator[Source]:
-    scipy_io = require("scipy.io", "scipy", path)
     with path.open("rb") as file:
-        listed = scipy_io.whosmat(file)
-        sizes = {name: _size(shape) for name, shape, kind in listed if kind in NUMBERS and _is_vector(shape)}
-        left_out = [f"{kind} {name}" for name, _, kind in listed if name not in sizes and name != METADATA]
-        check_claim(path, sum(sizes.values()))
-        text = [name for name, shape, kind in listed if name == METADATA and kind == "char" and _size(shape) < 10**6]
-        loaded = scipy_io.loadmat(file, variable_names=[*sizes, *text])
-    found = {name: loaded[name] for name in sizes if not np.iscomplexobj(loaded[name])}
-    names = name_columns(path, [(name, "") for name in found])
-    vectors = dict(zip(names, found.values(), strict=True))
-    samples = one_length(path, {name: vector.size for name, vector in vectors.items()})
+        every = list(variables(file))
+        vectors = [variable for variable in every if variable.is_vector]
+        names = name_columns(path, [(vector.name, "") for vector in vectors])
+        samples = one_length(path, dict(zip(names, (vector.numbers for vector in vectors), strict=True)))
+        check_claim(path, samples * len(names))
+        left_out = [f"{v.kind} {v.name}" for v in every if not v.is_vector and v.name != METADATA]
+        said = [text_of(file, v) for v in every if v.name == METADATA and v.kind == "char" and v.numbers < MOST_TEXT]
+        stored = dict(zip(names, vectors, strict=True))
 
-    def chunks(wanted: Sequence[str], chunk: int) -> Iterator[Table]:
-        for start, stop in spans(samples, chunk):
-            yield {name: vectors[name].ravel()[start:stop].astype(np.float64) for name in wanted}
+        def chunks(wanted: Sequence[str], _: int) -> Iterator[Table]:
+            if samples:
+                yield {name: numbers_of(file, stored[name]) for name in wanted}
 
-    metadata = _metadata(loaded[METADATA]) if text else {}
-    yield Source(path, names, chunks, samples, metadata | skipped(left_out))
+        yield Source(path, names, chunks, samples, _metadata("".join(said)) | skipped(left_out))
 
 
 @contextmanager
@@ -89,9 +87,9 @@ def _open_7_3(path: Path) -> Iterator[Source]:
     with h5py.File(path, "r") as file:
         datasets, left_out = numbers(h5py, file)
         kinds = {name: _kind(dataset) for name, dataset in datasets.items()}
-        vectors = {name: dataset for name, dataset in datasets.items() if kinds[name] in {*NUMBERS, ""}}
+        vectors = {name: dataset for name, dataset in datasets.items() if kinds[name] in {*NUMBERS, "logical", ""}}
         left_out += [f"{kinds[name]} {name}" for name in datasets if name not in vectors and name != METADATA]
-        text = kinds.get(METADATA) == "char" and datasets[METADATA].size < 10**6
+        text = kinds.get(METADATA) == "char" and datasets[METADATA].size < MOST_TEXT
         metadata = _metadata("".join(map(chr, datasets[METADATA][()].ravel()))) if text else {}
         yield columns_of(path, vectors, metadata | skipped(left_out))
 
@@ -101,18 +99,6 @@ def _kind(dataset: Any) -> str:  # noqa: ANN401  h5py has no types
     return kind.decode("latin-1") if isinstance(kind, bytes) else str(kind)
 
 
-def _metadata(text: Any) -> dict[str, str]:  # noqa: ANN401  a string, or an array of one
-    lines = "".join(np.asarray(text).ravel().tolist()).split("\n")
-    pairs = (line.partition(": ") for line in lines if line.strip())
+def _metadata(text: str) -> dict[str, str]:
+    pairs = (line.partition(": ") for line in text.split("\n") if line.strip())
     return {key: value for key, _, value in pairs}
-
-
-def _is_vector(shape: Sequence[int]) -> bool:
-    return len(shape) == 2 and 1 in shape
-
-
-def _size(shape: Sequence[int]) -> int:
-    size = 1
-    for length in shape:
-        size *= int(length)
-    return size

@@ -36,7 +36,8 @@ def open_mdf4(path: Path) -> Iterator[Source]:
     """
     asammdf = require("asammdf", "mdf", path)
     check_blocks(path)
-    with asammdf.MDF(path) as file:
+    # An open file: a path, asammdf maps to memory, and says so on stderr when it fails half-way
+    with path.open("rb") as raw, asammdf.MDF(raw) as file:
         columns, left_out = _columns(file)
         yield _source(path, file, columns, _metadata(file.header.comment) | skipped(left_out))
 

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import BinaryIO
 
 from piezod.errors import RecordingError
+from piezod.recording.source import check_claim
 
 HEADER_BLOCK = 64
 """Position of the first block."""
@@ -28,7 +29,14 @@ STRUCTURE = {
     b"##SR": (0, 1),
     b"##HL": (0,),
 }
-"""Which links of a block lead to its children and its next of kin; data lists (##DL, ##LD): all of them."""
+"""Which links of a block lead to its children and its next of kin."""
+
+LISTS = {b"##DL", b"##LD"}
+"""Blocks all of whose links lead to children."""
+
+
+COMMENT = 5
+"""The link of the first block to its comment."""
 
 
 def check_blocks(path: Path) -> None:
@@ -37,12 +45,14 @@ def check_blocks(path: Path) -> None:
     Raises
     ------
     RecordingError
-        The file is unfinished, or a link leads out of it or back.
+        The file is unfinished, a link leads out of it or back, or a block claims to be larger than it can be.
     """
     size = path.stat().st_size
     with path.open("rb") as file:
-        if file.read(8) != b"MDF     ":
+        head = file.read(HEADER_BLOCK).ljust(HEADER_BLOCK, b"\0")
+        if not head.startswith(b"MDF     ") or any(head[60:64]):  # id_file, flags of what is left to do
             raise RecordingError(f"{path}: is no finished MDF file; its recorder was cut off, finalise it first")
+        _check_header(file, path, size)
         reached = {HEADER_BLOCK}
         ahead = [HEADER_BLOCK]
         while ahead:
@@ -53,15 +63,33 @@ def check_blocks(path: Path) -> None:
                 ahead.append(link)
 
 
+def _check_header(file: BinaryIO, path: Path, size: int) -> None:
+    """The first block and its comment: where these are damaged, asammdf fails before it can clean up after itself."""
+    kind, links = _block(file, HEADER_BLOCK, size, path)
+    comment = links[COMMENT] if len(links) > COMMENT else 0
+    if kind != b"##HD" or (comment and _block(file, comment, size, path)[0] not in {b"##TX", b"##MD"}):
+        raise RecordingError(f"{path}: is damaged: its first block or its comment is none")
+
+
 def _children(file: BinaryIO, position: int, size: int, path: Path) -> list[int]:
+    kind, links = _block(file, position, size, path)
+    if kind == b"##CG":
+        file.seek(position + 24 + 8 * len(links) + 8)
+        cycles, record, invalid = struct.unpack("<Q8x2I", file.read(24).ljust(24, b"\0"))
+        check_claim(path, cycles * (record + invalid) // 8)
+    if kind == b"##DZ":
+        original = struct.unpack("<8xQ", file.read(16).ljust(16, b"\0"))[0]
+        check_claim(path, original // 8)
+    chosen = range(len(links)) if kind in LISTS else STRUCTURE.get(kind, ())
+    return [links[k] for k in chosen if k < len(links) and links[k]]
+
+
+def _block(file: BinaryIO, position: int, size: int, path: Path) -> tuple[bytes, tuple[int, ...]]:
+    """Kind and links of a block; the file is left behind the links."""
     file.seek(position)
-    head = file.read(24)
-    if len(head) < 24:
-        raise RecordingError(f"{path}: is cut off: a block begins at byte {position} of {size}")
-    kind, _, count = struct.unpack("<4s4x2Q", head)
-    every = kind in {b"##DL", b"##LD"}
-    most = count if every else 1 + max(STRUCTURE.get(kind, (-1,)))
-    most = min(most, count, size // 8)
-    links = struct.unpack(f"<{most}Q", file.read(8 * most).ljust(8 * most, b"\0"))
-    chosen = range(most) if every else STRUCTURE.get(kind, ())
-    return [links[k] for k in chosen if k < most and links[k]]
+    kind, length, count = struct.unpack("<4s4x2Q", file.read(24).ljust(24, b"\0"))
+    if length > size - position or 24 + 8 * count > length:
+        raise RecordingError(
+            f"{path}: is damaged or cut off: a block at byte {position} of {size} claims {length} bytes"
+        )
+    return kind, struct.unpack(f"<{count}Q", file.read(8 * count))

@@ -1,0 +1,120 @@
+"""Every format: there and back, whole and in pieces, with its units, and what is missing said plainly."""
+
+import sys
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from unit.recording.formats import PACKAGES, REAL, recordings, same, sample, suffixes
+
+from piezod.errors import RecordingError
+from piezod.recording import Recording, convert, open_stream, read_recording, write_recording
+from piezod.recording.files import FORMATS
+
+quick = settings(max_examples=25, suppress_health_check=[HealthCheck.function_scoped_fixture])
+
+
+def test_every_suffix_is_tested():
+    assert set(FORMATS) == set(PACKAGES)
+
+
+@pytest.mark.parametrize("suffix", suffixes(".h5", ".mat", ".tdms", ".parquet", ".mf4"))
+@quick
+@given(recording=recordings())
+def test_a_binary_format_keeps_every_bit(tmp_path, suffix, recording):
+    path = tmp_path / f"rec{suffix}"
+    write_recording(recording, path)
+    again = read_recording(path)
+    same(recording, again)
+    assert again.metadata == recording.metadata
+
+
+@quick
+@given(recording=recordings())
+def test_csv_keeps_nine_digits(tmp_path, recording):
+    path = tmp_path / "rec.csv"
+    write_recording(recording, path)
+    again = read_recording(path)
+    np.testing.assert_allclose(again.time_s, recording.time_s, atol=5e-10, rtol=1e-15)
+    for name, values in recording.channels.items():
+        np.testing.assert_allclose(again.channels[name], values, rtol=5e-9)
+    assert again.metadata == recording.metadata
+
+
+@pytest.mark.parametrize("suffix", suffixes())
+def test_a_stream_yields_what_the_whole_file_holds(tmp_path, suffix):
+    path = tmp_path / f"rec{suffix}"
+    write_recording(sample(1000), path)
+    whole = read_recording(path)
+    pieces = list(open_stream(path, ["force_N"], chunk=96))
+    assert max(piece.time_s.size for piece in pieces) <= 96
+    assert all(list(piece.channels) == ["force_N"] for piece in pieces)
+    np.testing.assert_array_equal(np.concatenate([piece.time_s for piece in pieces]), whole.time_s)
+    np.testing.assert_array_equal(
+        np.concatenate([piece.channel("force_N") for piece in pieces]), whole.channel("force_N")
+    )
+
+
+@pytest.mark.parametrize("suffix", suffixes())
+def test_a_stream_of_a_column_that_is_not_there_names_those_that_are(tmp_path, suffix):
+    path = tmp_path / f"rec{suffix}"
+    write_recording(sample(5), path)
+    with pytest.raises(RecordingError, match=r"has no column force_kN, has .*force_N"):
+        next(open_stream(path, ["force_kN"]))
+
+
+def test_a_stream_notices_time_that_steps_back_between_pieces(tmp_path):
+    path = tmp_path / "rec.csv"
+    path.write_text("time_s,force_N\n0,1\n1,2\n0.5,3\n2,4\n", encoding="utf-8")
+    with pytest.raises(RecordingError, match="must strictly increase"):
+        list(open_stream(path, chunk=2))
+
+
+@pytest.mark.parametrize("suffix", suffixes())
+def test_what_exists_stays_when_writing_fails(tmp_path, suffix):
+    path = tmp_path / f"rec{suffix}"
+    path.write_bytes(b"precious")
+    broken = Recording(np.arange(3.0), {"force_N": np.array(["a", "b", "c"])})
+    with pytest.raises(RecordingError, match=r"rec.*cannot be written"):
+        write_recording(broken, path)
+    assert path.read_bytes() == b"precious"
+    assert list(tmp_path.iterdir()) == [path]
+
+
+@pytest.mark.parametrize("suffix", suffixes(".h5", ".tdms", ".parquet", ".mf4"))
+def test_a_missing_package_is_named_with_the_extra_to_install(tmp_path, suffix, monkeypatch):
+    monkeypatch.setitem(sys.modules, PACKAGES[suffix], None)
+    extra = {".h5": "hdf5", ".mf4": "mdf"}.get(suffix, suffix[1:])
+    with pytest.raises(RecordingError, match=rf"needs {PACKAGES[suffix]}; pip install 'piezod\[{extra}\]'"):
+        write_recording(sample(3), tmp_path / f"rec{suffix}")
+
+
+@pytest.mark.parametrize("suffix", suffixes(".h5", ".mat", ".tdms", ".parquet", ".mf4"))
+def test_content_of_another_format_is_named(tmp_path, suffix):
+    path = tmp_path / f"rec{suffix}"
+    write_recording(sample(3), path)
+    wrong = path.rename(tmp_path / "rec.csv")
+    with pytest.raises(RecordingError, match=rf"holds {FORMATS[suffix].name}, its suffix says CSV"):
+        read_recording(wrong)
+
+
+@pytest.mark.parametrize("name", ["rec.xlsx", "rec", "rec.npy", "rec.pkl"])
+def test_an_unknown_suffix_is_refused_before_anything_is_read(tmp_path, name):
+    with pytest.raises(RecordingError, match=r"must be one of \.csv"):
+        convert(tmp_path / "absent.csv", tmp_path / name)
+
+
+@pytest.mark.parametrize("suffix", suffixes())
+def test_a_file_that_is_not_there_is_said_in_one_line(tmp_path, suffix):
+    path = tmp_path / f"absent{suffix}"
+    with pytest.raises(RecordingError, match="cannot be read: No such file") as caught:
+        read_recording(path)
+    assert str(caught.value).startswith(str(path))
+
+
+@pytest.mark.skipif(not REAL.exists(), reason=f"{REAL} is absent")
+@pytest.mark.parametrize("suffix", suffixes(".h5", ".mat", ".tdms", ".parquet", ".mf4"))
+def test_a_measured_recording_survives_every_format(tmp_path, suffix):
+    source = REAL / "pneumatic-friction" / "circle_5bar.csv"
+    convert(source, tmp_path / f"rec{suffix}")
+    same(read_recording(source), read_recording(tmp_path / f"rec{suffix}"))
