@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from piezod.recording.hdf5_heap import check_heaps
 from piezod.recording.names import TIME, name_columns, unit_of
 from piezod.recording.recording import Recording
 from piezod.recording.source import Source, Table, one_length, replacing, require, skipped, spans
@@ -29,6 +30,7 @@ def open_hdf5(path: Path) -> Iterator[Source]:
         h5py is missing, or the datasets are no recording.
     """
     h5py = require("h5py", "hdf5", path)
+    check_heaps(path)
     with h5py.File(path, "r") as file:
         datasets, left_out = numbers(h5py, file)
         metadata = {key: said for key in file.attrs if (said := text(file.attrs.get(key)))}

@@ -12,6 +12,7 @@ import numpy as np
 
 from piezod.errors import RecordingError
 from piezod.recording.hdf5 import columns_of, numbers
+from piezod.recording.hdf5_heap import check_heaps
 from piezod.recording.mat5 import NUMBERS, numbers_of, text_of, variables
 from piezod.recording.names import TIME, name_columns
 from piezod.recording.recording import Recording
@@ -84,6 +85,7 @@ def _open_5(path: Path) -> Iterator[Source]:
 @contextmanager
 def _open_7_3(path: Path) -> Iterator[Source]:
     h5py = require("h5py", "hdf5", path)
+    check_heaps(path)
     with h5py.File(path, "r") as file:
         datasets, left_out = numbers(h5py, file)
         kinds = {name: _kind(dataset) for name, dataset in datasets.items()}

@@ -72,16 +72,19 @@ def _columns(file: Any) -> tuple[dict[tuple[int, int], tuple[str, str]], list[st
         for index, channel in enumerate(content.channels):
             if index == master or not content.channel_group.cycles_nr:
                 continue
-            if master is not None and _is_plain(channel) and _is_plain(content.channels[master]):
+            record = content.channel_group.samples_byte_nr
+            if master is not None and _is_plain(channel, record) and _is_plain(content.channels[master], record):
                 columns[group, index] = (channel.name, channel.unit or "")
             else:
                 left_out.append(channel.name)
     return columns, left_out
 
 
-def _is_plain(channel: Any) -> bool:  # noqa: ANN401
+def _is_plain(channel: Any, record: int) -> bool:  # noqa: ANN401
+    """Whether it is numbers that lie within a record of that many bytes: asammdf reads beyond its end unasked."""
+    end = channel.byte_offset + (channel.bit_offset + channel.bit_count + 7) // 8
     conversion = 0 if channel.conversion is None else channel.conversion.conversion_type
-    return channel.data_type in NUMBERS and conversion in PLAIN_CONVERSIONS
+    return end <= record and channel.data_type in NUMBERS and conversion in PLAIN_CONVERSIONS
 
 
 def _source(path: Path, file: Any, columns: dict[tuple[int, int], tuple[str, str]], said: dict[str, str]) -> Source:  # noqa: ANN401

@@ -31,6 +31,9 @@ STRUCTURE = {
 }
 """Which links of a block lead to its children and its next of kin."""
 
+GROUPS = {(b"##HD", 0): b"##DG", (b"##DG", 0): b"##DG", (b"##DG", 1): b"##CG", (b"##CG", 0): b"##CG"}
+"""What must stand at the end of a link of the first levels."""
+
 LISTS = {b"##DL", b"##LD"}
 """Blocks all of whose links lead to children."""
 
@@ -50,6 +53,7 @@ def check_blocks(path: Path) -> None:
     size = path.stat().st_size
     with path.open("rb") as file:
         head = file.read(HEADER_BLOCK).ljust(HEADER_BLOCK, b"\0")
+        head[:24].decode()  # refuses as asammdf does, which then fails to clean up after itself
         if not head.startswith(b"MDF     ") or any(head[60:64]):  # id_file, flags of what is left to do
             raise RecordingError(f"{path}: is no finished MDF file; its recorder was cut off, finalise it first")
         _check_header(file, path, size)
@@ -64,7 +68,7 @@ def check_blocks(path: Path) -> None:
 
 
 def _check_header(file: BinaryIO, path: Path, size: int) -> None:
-    """The first block and its comment: where these are damaged, asammdf fails before it can clean up after itself."""
+    """The first block and its comment."""
     kind, links = _block(file, HEADER_BLOCK, size, path)
     comment = links[COMMENT] if len(links) > COMMENT else 0
     if kind != b"##HD" or (comment and _block(file, comment, size, path)[0] not in {b"##TX", b"##MD"}):
@@ -81,7 +85,12 @@ def _children(file: BinaryIO, position: int, size: int, path: Path) -> list[int]
         original = struct.unpack("<8xQ", file.read(16).ljust(16, b"\0"))[0]
         check_claim(path, original // 8)
     chosen = range(len(links)) if kind in LISTS else STRUCTURE.get(kind, ())
-    return [links[k] for k in chosen if k < len(links) and links[k]]
+    children = [(k, links[k]) for k in chosen if k < len(links) and links[k]]
+    for k, link in children:
+        wanted = GROUPS.get((kind, k))
+        if wanted and _block(file, link, size, path)[0] != wanted:
+            raise RecordingError(f"{path}: is damaged: at byte {link} is no block {wanted.decode()}")
+    return [link for _, link in children]
 
 
 def _block(file: BinaryIO, position: int, size: int, path: Path) -> tuple[bytes, tuple[int, ...]]:
