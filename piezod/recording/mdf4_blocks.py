@@ -85,7 +85,9 @@ def _children(file: BinaryIO, position: int, size: int, path: Path) -> list[int]
         original = struct.unpack("<8xQ", file.read(16).ljust(16, b"\0"))[0]
         check_claim(path, original // 8)
     chosen = range(len(links)) if kind in LISTS else STRUCTURE.get(kind, ())
-    children = [(k, links[k]) for k in chosen if k < len(links) and links[k]]
+    if len(links) <= max(chosen, default=-1):
+        raise RecordingError(f"{path}: is damaged: the block at byte {position} has {len(links)} links")
+    children = [(k, links[k]) for k in chosen if links[k]]
     for k, link in children:
         wanted = GROUPS.get((kind, k))
         if wanted and _block(file, link, size, path)[0] != wanted:

@@ -158,7 +158,7 @@ class Recording:
         steps = (self.time_s[-1] - self.time_s[0]) / dt_s
         if steps * (1 + len(self.channels)) > MOST_RESAMPLED:
             raise RecordingError(f"{self.source}: {dt_s:g} s would make {steps:.3g} samples; take a longer period")
-        at_s = self.time_s[0] + dt_s * np.arange(int(steps * (1 + 1e-12) + 1e-9) + 1)
+        at_s = self.time_s[0] + dt_s * np.arange(int(steps + 1e-6) + 1)
         at_s[-1] = min(at_s[-1], self.time_s[-1])  # rounding must not lose the last sample
         channels = {
             name: stretches.interpolated(self.time_s, values, at_s, longest_s) for name, values in self.channels.items()
