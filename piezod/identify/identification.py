@@ -1,7 +1,7 @@
 """From recordings to a model: prepare, judge the orders, fit, and say how good it is."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -10,19 +10,22 @@ from numpy.typing import NDArray
 
 from piezod.errors import RecordingError, UsageError
 from piezod.identify.columns import Samples, Structure
+from piezod.identify.fit import fit_hysteresis
 from piezod.identify.order import PLAYS, ZONES, Candidate, choose, judge_orders, residual
 from piezod.identify.qp import Variant
 from piezod.identify.scores import largest, nrmse_percent, rms
-from piezod.identify.start import estimate_path, settled_from, starts_at_rest
-from piezod.identify.thresholds import dead_zone_thresholds, play_reach, play_thresholds
+from piezod.identify.start import estimate_path, settled_from, start_at_zero, starts_at_rest
+from piezod.identify.thresholds import dead_zone_thresholds, play_reach, play_thresholds, widest
 from piezod.model import Model, file_sha256
-from piezod.model.parameters import Channel, FitFigures, Provenance, RecordingSource
+from piezod.model.parameters import Channel, FitFigures, Provenance, RecordingSource, Start
 from piezod.operators import EPS
 from piezod.recording import Recording
 
 Array = NDArray[np.float64]
 
 FEWEST_SAMPLES = 100
+START_SAMPLES = 100_000  # looked at to find how a drive that begins at zero was used before
+START_ORDERS = (11, 3)
 
 
 @dataclass(frozen=True)
@@ -97,13 +100,17 @@ def identify(recordings: Sequence[Recording], options: Options, by: str) -> Iden
     pairs = [(r.channel(options.input), r.channel(options.output)) for r in recordings]
     for recording, (u, y) in zip(recordings, pairs, strict=True):
         check_excitation(recording.source, options, u, y)
-    fitted, held_out, notes = _stretches(recordings, pairs, options)
+    if not 0.1 <= options.fit_share <= 0.95:
+        raise UsageError(f"the fitted share is {options.fit_share:g}, must be within 0.1 and 0.95")
+    stretches = [_stretch(recording, u, y, options) for recording, (u, y) in zip(recordings, pairs, strict=True)]
+    fitted, held_out = [one.fitted for one in stretches], [one.held_out for one in stretches]
+    notes = [note for one in stretches for note in one.notes]
     orders = [
         (n, m)
         for n in ((options.plays,) if options.plays is not None else PLAYS)
         for m in ((options.zones,) if options.zones is not None else ZONES)
     ]
-    structures = _Structures(pairs)
+    structures = _Structures(stretches)
     candidates = judge_orders(structures.of, fitted, held_out, orders=orders, variant=options.variant, eps=options.eps)
     chosen = choose(candidates)
     model = _model(recordings, pairs, options, chosen, fitted, held_out, by)
@@ -140,56 +147,91 @@ def check_excitation(source: str, options: Options, u: Array, y: Array) -> None:
         )
 
 
-def _stretches(
-    recordings: Sequence[Recording], pairs: Sequence[tuple[Array, Array]], options: Options
-) -> tuple[list[Samples], list[Samples], list[str]]:
-    """Which samples are fitted and which are held out, and where each recording's memory starts."""
-    if not 0.1 <= options.fit_share <= 0.95:
-        raise UsageError(f"the fitted share is {options.fit_share:g}, must be within 0.1 and 0.95")
-    fitted, held_out, notes = [], [], []
-    for recording, (u, y) in zip(recordings, pairs, strict=True):
-        counts = np.isfinite(y)
-        path: tuple[float, ...] = ()
-        clock = None
-        boundary = int(options.fit_share * u.size)
-        if not starts_at_rest(u):
-            first = settled_from(u)
-            counts[:first] = False
-            path = (float(u[0]),)
-            clock = (recording.time_s - recording.time_s[boundary]) / (recording.time_s[boundary] - recording.time_s[0])
-            notes.append(
-                f"{recording.source}: does not start at rest; its first "
-                f"{recording.time_s[first] - recording.time_s[0]:.3g} s are not used, "
-                "and plays wider than half its swing stay unknown"
-            )
-        inside, outside = counts.copy(), counts.copy()
-        inside[boundary:], outside[:boundary] = False, False
-        if inside.sum() < FEWEST_SAMPLES or outside.sum() < FEWEST_SAMPLES:
-            raise RecordingError(
-                f"{recording.source}: {inside.sum()} samples to fit and {outside.sum()} to hold out are too few; "
-                "record at least three periods"
-            )
-        fitted.append(Samples(u, np.nan_to_num(y), inside, clock, path))
-        held_out.append(Samples(u, np.nan_to_num(y), outside, clock, path))
-    return fitted, held_out, notes
+@dataclass(frozen=True)
+class _Stretch:
+    """One recording: what is fitted, what is held out, and how it starts."""
+
+    fitted: Samples
+    held_out: Samples
+    at_rest: bool
+    notes: tuple[str, ...]
+
+
+def _stretch(recording: Recording, u: Array, y: Array, options: Options) -> _Stretch:
+    """Which samples are fitted and which are held out, and what the memory starts with."""
+    counts = np.isfinite(y)
+    clock: Array | None = None
+    path: tuple[float, ...]
+    boundary = int(options.fit_share * u.size)
+    at_rest = starts_at_rest(u)
+    notes = []
+    if at_rest:
+        counted = counts.copy()
+        counted[boundary:] = False
+        start = start_at_zero(u, _unit(options.input), _loss_of_start(u, y, counted))
+        path = start.path
+        if path:
+            notes.append(f"{recording.source}: the stack was {start.words}; that is what its memory starts with")
+    else:
+        first = settled_from(u)
+        counts[:first] = False
+        path = (float(u[0]),)
+        clock = (recording.time_s - recording.time_s[boundary]) / (recording.time_s[boundary] - recording.time_s[0])
+        notes.append(
+            f"{recording.source}: does not start at rest; its first "
+            f"{recording.time_s[first] - recording.time_s[0]:.3g} s are not used, "
+            "and plays wider than half its swing stay unknown"
+        )
+    inside, outside = counts.copy(), counts.copy()
+    inside[boundary:], outside[:boundary] = False, False
+    if inside.sum() < FEWEST_SAMPLES or outside.sum() < FEWEST_SAMPLES:
+        raise RecordingError(
+            f"{recording.source}: {inside.sum()} samples to fit and {outside.sum()} to hold out are too few; "
+            "record at least three periods"
+        )
+    fitted = Samples(u, np.nan_to_num(y), inside, clock, path)
+    return _Stretch(fitted, replace(fitted, counts=outside), at_rest, tuple(notes))
+
+
+def _loss_of_start(u: Array, y: Array, counts: NDArray[np.bool_]) -> Callable[[tuple[float, ...]], float]:
+    """Mean square error in the output of a middling structure, as a function of the start path."""
+    part = slice(0, START_SAMPLES)
+    u, y, counts = u[part], np.nan_to_num(y[part]), counts[part]
+    if not np.ptp(u) > 0.0 or counts.sum() < FEWEST_SAMPLES:
+        return lambda path: 0.0 if not path else np.inf
+
+    def loss(path: tuple[float, ...]) -> float:
+        samples = Samples(u, y, counts, None, path)
+        structure = _Structures([_Stretch(samples, samples, at_rest=True, notes=())]).of(*START_ORDERS)
+        error = residual(fit_hysteresis(structure, [samples]).hysteresis.operator(), samples)
+        return float(np.mean(error[counts] ** 2))
+
+    return loss
 
 
 class _Structures:
     """Thresholds for any orders, from the range that all recordings cover."""
 
-    def __init__(self, pairs: Sequence[tuple[Array, Array]]) -> None:
-        self._reach = 0.995 * max(play_reach(u) for u, _ in pairs)
-        self._u_max = max(float(np.abs(u).max()) for u, _ in pairs)
-        first_u, first_y = pairs[0]
-        self._low = min(float(np.nanmin(y)) for _, y in pairs)
-        self._high = max(float(np.nanmax(y)) for _, y in pairs)
-        self._origin = float(first_y[0]) if starts_at_rest(first_u) and np.isfinite(first_y[0]) else self._low
-        self._swing = max(float(np.ptp(u)) for u, _ in pairs)
+    def __init__(self, stretches: Sequence[_Stretch]) -> None:
+        parts = [stretch.fitted for stretch in stretches]
+        known = [
+            samples.y[one.fitted.counts | one.held_out.counts] for samples, one in zip(parts, stretches, strict=True)
+        ]
+        reaches = [
+            play_reach(samples.u, samples.path, at_rest=one.at_rest)
+            for samples, one in zip(parts, stretches, strict=True)
+        ]
+        self._reach = widest(reaches)
+        self._u_max = max(float(np.abs(samples.u).max()) for samples in parts)
+        self._low = min(float(y.min()) for y in known)
+        self._high = max(float(y.max()) for y in known)
+        self._origin = float(known[0][0]) if stretches[0].at_rest else self._low
+        self._swing = max(float(np.ptp(samples.u)) for samples in parts)
 
     def of(self, plays: int, zones: int) -> Structure:
         """Thresholds for n plays and m dead zones."""
         return Structure(
-            play_thresholds(plays, self._reach),
+            play_thresholds(plays, self._reach.end, beyond=self._reach.beyond),
             dead_zone_thresholds(zones, self._low - self._origin, self._high - self._origin),
             self._origin,
             self._u_max,
@@ -217,6 +259,7 @@ def _model(
         input=_channel(options.input, [u for u, _ in pairs]),
         output=_channel(options.output, [y for _, y in pairs]),
         hysteresis=chosen.fit.hysteresis,
+        start=_start(fitted[0].path, at_rest=starts_at_rest(fitted[0].u)),
         provenance=Provenance(
             created=datetime.now(UTC).isoformat(timespec="seconds"),
             by=by,
@@ -226,11 +269,21 @@ def _model(
     )
 
 
+def _start(path: tuple[float, ...], *, at_rest: bool) -> Start:
+    """What a drive from zero starts with, when it starts as the first recording did."""
+    if at_rest and path:
+        return Start(kind="reset", peak=float(f"{path[0]:.6g}"))
+    return Start()
+
+
 def _channel(name: str, values: Sequence[Array]) -> Channel:
     low = min(float(np.nanmin(v)) for v in values)
     high = max(float(np.nanmax(v)) for v in values)
-    unit = name.rpartition("_")[2] or name
-    return Channel(channel=name, unit=unit, low=low, high=high)
+    return Channel(channel=name, unit=_unit(name), low=low, high=high)
+
+
+def _unit(column: str) -> str:
+    return column.rpartition("_")[2] or column
 
 
 def _figures(chosen: Candidate, fitted: Sequence[Samples], held_out: Sequence[Samples]) -> FitFigures:

@@ -1,25 +1,32 @@
-"""The memory that a recording starts with: known at rest, otherwise found from its first stretch.
+"""The memory that a recording starts with: whatever happened before, what matters of it is a sequence of reversals.
 
-Whatever happened before, what matters of it is a sequence of ever smaller reversals. Two of them are enough for a bench
-that was used: one end of the range, a reversal, and the first sample.
+A drive that starts at zero is de-energised, or it was driven to some peak and back. Which of them shows in the first
+rise: below the old peak it runs on a branch inside the loop, above it on the virgin curve. One that starts elsewhere
+has come from an end of its range by one more reversal.
 """
 
+from collections.abc import Callable
+from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
 
+from piezod.errors import RecordingError
 from piezod.operators import PrandtlIshlinskii
 
 Array = NDArray[np.float64]
 Path = tuple[float, ...]
 
-AT_REST = 0.02  # share of the input's swing around zero that counts as de-energised
+AT_REST = 0.02  # share of the input's swing around zero that counts as a drive at zero
 REVERSALS_TRIED = 41
+PEAKS_TRIED = (0.15, 0.3, 0.45, 0.6, 0.75, 0.9, 1.0)  # of the largest input, old peaks before a start at zero
+REFINEMENTS = 5  # of the old peak, each halves the distance between two that are tried
+CLEARLY = 0.9  # share of the squared error below which a used stack is believed rather than a virgin one
 
 
 def starts_at_rest(u: Array) -> bool:
-    """Whether the first input is near enough to zero for a de-energised start."""
+    """Whether the first input is near enough to zero for a drive that was off."""
     return bool(abs(u[0]) <= AT_REST * np.ptp(u))
 
 
@@ -30,6 +37,59 @@ def settled_from(u: Array) -> int:
     """
     low, high = u.min() + 0.01 * np.ptp(u), u.max() - 0.01 * np.ptp(u)
     return int(max(np.argmax(u <= low), np.argmax(u >= high)))
+
+
+@dataclass(frozen=True)
+class Start:
+    """How a drive came to a recording's first sample.
+
+    Parameters
+    ----------
+    path
+        Inputs since the de-energised state, before the first sample; empty: it starts de-energised.
+    words
+        The same for people.
+    """
+
+    path: Path
+    words: str
+
+
+def start_at_zero(u: Array, unit: str, loss: Callable[[Path], float]) -> Start:
+    """De-energised, or driven to a peak and back before: whichever a fit prefers clearly.
+
+    Parameters
+    ----------
+    u
+        Input, shape (N,), from zero.
+    unit
+        Of the input.
+    loss
+        Mean square error of a fit whose recording starts after these inputs; raises `RecordingError` where there is
+        none.
+    """
+
+    def tried(path: Path) -> float:
+        try:
+            return loss(path)
+        except RecordingError:
+            return float("inf")
+
+    extreme = max(float(u.max()), -float(u.min()), key=abs)
+    sign = 1.0 if u.max() >= -u.min() else -1.0
+    losses = {share: tried((sign * share * extreme, 0.0)) for share in PEAKS_TRIED}
+    virgin = tried(())
+    distance = 0.15
+    for _ in range(REFINEMENTS):
+        best, distance = min(losses, key=losses.__getitem__), 0.5 * distance
+        for share in (best - distance, best + distance):
+            if 0.0 < share <= 1.0 and share not in losses:
+                losses[share] = tried((sign * share * extreme, 0.0))
+    best = min(losses, key=losses.__getitem__)
+    if losses[best] >= CLEARLY * virgin:
+        return Start((), "de-energised")
+    peak = sign * best * extreme
+    return Start((peak, 0.0), f"driven to about {peak:.3g} {unit} and back before")
 
 
 def estimate_path(operator: PrandtlIshlinskii, u: Array, y: Array, window: int) -> Path:

@@ -14,7 +14,7 @@ from piezod.identify.fit import fit_hysteresis
 from piezod.identify.identification import Options, identify, simulate
 from piezod.identify.qp import Constraints
 from piezod.identify.tables import dead_zone_rows, play_rows
-from piezod.identify.thresholds import dead_zone_thresholds, play_reach, play_thresholds
+from piezod.identify.thresholds import Reach, dead_zone_thresholds, play_reach, play_thresholds
 from piezod.model import Plant
 from piezod.operators import AnalyticInverse, PrandtlIshlinskii
 from piezod.operators.dead_zone import inverse_dead_zone
@@ -209,9 +209,33 @@ def test_a_record_that_does_not_start_at_rest_is_simulated_from_a_start_found_in
     assert np.sqrt(np.mean((simulated - y[part])[100:] ** 2)) < 0.01 * np.ptp(y)
 
 
-def test_only_a_start_at_rest_shows_the_plays_beyond_half_the_swing():
-    assert play_reach(TRIANGLES) == pytest.approx(U_MAX)
-    assert play_reach(TRIANGLES[250:] + 20.0) == pytest.approx(0.5 * np.ptp(TRIANGLES[250:]))
+def test_only_a_virgin_rise_shows_the_plays_beyond_half_the_swing():
+    whole, half = 0.995 * U_MAX, 0.995 * 0.5 * U_MAX
+    assert play_reach(TRIANGLES, (), at_rest=True) == Reach(pytest.approx(whole))
+    assert play_reach(TRIANGLES, (U_MAX, 0.0), at_rest=True) == Reach(pytest.approx(half))
+    assert play_reach(TRIANGLES + 20.0, (20.0,), at_rest=False) == Reach(pytest.approx(half))
+    assert play_reach(TRIANGLES, (0.3 * U_MAX, 0.0), at_rest=True) == Reach(pytest.approx(whole))
+
+
+def test_a_rise_past_an_old_peak_gets_one_threshold_between_half_the_swing_and_that_peak():
+    assert play_reach(TRIANGLES, (100.0, 0.0), at_rest=True).beyond == pytest.approx(85.0)
+
+
+@pytest.mark.parametrize("old_peak", [None, 45.0, 100.0, 140.0])
+def test_what_a_stack_was_driven_to_before_is_found_in_its_first_rise(old_peak):
+    operator, _ = known_operator(20, 3, False, seed=6)
+    operator = PrandtlIshlinskii(
+        operator.plays[0] * 1.9, operator.plays[1], *operator.dead_zones
+    )  # wide plays as well, so that the first rise differs
+    u = varying_triangles(U_MAX, 0.1, 41, 50.0)
+    operator.run(np.array([0.0] if old_peak is None else [old_peak, 0.0]))
+    y = operator.run(u) + np.random.default_rng(1).normal(0.0, 0.1, u.size)
+    y -= y[0]
+    found = identify([recording_of(u, y)], Options(plays=23, zones=6), "a test")
+    assert found.model.start.kind == ("virgin" if old_peak is None else "reset")
+    if old_peak is not None:
+        assert found.model.start.peak == pytest.approx(old_peak, abs=5.0)
+    assert found.chosen.rms_fit < 0.003 * np.ptp(y)
 
 
 @pytest.mark.skipif(not FLEXURE.exists(), reason="the recordings in ../shared are not here")
