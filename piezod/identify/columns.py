@@ -55,6 +55,12 @@ class Structure:
         return int(self.play_thresholds.size)
 
     @property
+    def zones(self) -> int:
+        """Dead zones on the side that has more, besides the linear part."""
+        centre = int(np.flatnonzero(self.zone_thresholds == 0.0)[0])
+        return max(centre, int(self.zone_thresholds.size) - 1 - centre)
+
+    @property
     def columns(self) -> int:
         """Plays, one constant, dead zones."""
         return int(self.play_thresholds.size + 1 + self.zone_thresholds.size)

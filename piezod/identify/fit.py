@@ -18,7 +18,7 @@ from piezod.identify.columns import (
     zone_weights_of,
 )
 from piezod.identify.qp import Constraints, Variant, solve, solve_step
-from piezod.model.parameters import Hysteresis, Superposition
+from piezod.model.parameters import Hysteresis, Statistics, Superposition
 from piezod.operators import EPS
 from piezod.operators.dead_zone import inverse_dead_zone, shifted
 
@@ -42,12 +42,15 @@ class Fit:
         Gram matrix of the quadratic program, shape (q, q): what a later refit needs.
     condition
         Condition number of the columns, each scaled to length 1, without the direction that the normalisation fixes.
+    statistics
+        What a later refit needs instead of the samples.
     """
 
     structure: Structure
     hysteresis: Hysteresis
     gram: Array
     condition: float
+    statistics: Statistics
 
 
 def fit_hysteresis(
@@ -80,7 +83,29 @@ def fit_hysteresis(
     parameters = np.concatenate((slopes[:free], zone_slopes_of(zones, zone_weights)))
     direct = constraints.for_direct(zones.size, eps * float(parameters[free:].max()))
     parameters = _refine(structure, zones, parameters, recordings, direct)
-    return Fit(structure, _as_hysteresis(structure, zones, parameters, eps), gram, _condition(gram))
+    statistics = _statistics(structure, zones, parameters, recordings)
+    return Fit(structure, _as_hysteresis(structure, zones, parameters, eps), gram, _condition(gram), statistics)
+
+
+def _statistics(structure: Structure, zones: Array, parameters: Array, recordings: Sequence[Samples]) -> Statistics:
+    """Normal equations at the solution; drifts of the recordings are eliminated from them."""
+    normal, _, loss = _normal_equations(structure, zones, parameters, recordings)
+    first, count = structure.plays + 1, clocks_of(recordings)
+    kept = np.delete(np.arange(parameters.size), np.arange(first, first + count))
+    drifts = normal[first : first + count, first : first + count]
+    across = normal[kept][:, first : first + count]
+    normal = normal[np.ix_(kept, kept)] - across @ np.linalg.pinv(drifts) @ across.T
+    samples = int(sum(np.count_nonzero(one.counts) for one in recordings))
+    return Statistics(
+        samples=samples,
+        rms=float(np.sqrt(loss / samples)),
+        play_slopes=tuple(parameters[: structure.plays].tolist()),
+        constant=float(parameters[structure.plays]),
+        zone_thresholds=tuple(zones.tolist()),
+        zone_slopes=tuple(parameters[-zones.size :].tolist()),
+        origin=structure.origin,
+        normal=tuple(float(f"{value:.9g}") for value in normal[np.tril_indices(kept.size)]),
+    )
 
 
 def _as_hysteresis(structure: Structure, zones: Array, parameters: Array, eps: float) -> Hysteresis:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from piezod.errors import RecordingError, UsageError
 from piezod.identify.columns import Samples, Structure
 from piezod.identify.fit import fit_hysteresis
-from piezod.identify.order import PLAYS, ZONES, Candidate, choose, judge_orders, residual
+from piezod.identify.order import PLAYS, ZONES, Candidate, best_of, choose, judge_orders, prune, residual
 from piezod.identify.qp import Variant
 from piezod.identify.scores import largest, nrmse_percent, rms
 from piezod.identify.start import estimate_path, settled_from, start_at_zero, starts_at_rest
@@ -42,6 +42,8 @@ class Options:
         "A": no play weight negative; "B": no partial sum below eps.
     eps
         Smallest partial sum.
+    prune
+        Whether operators that hardly matter are dropped.
     fit_share
         Leading share of each recording that is fitted; the rest is held out.
     name
@@ -54,6 +56,7 @@ class Options:
     zones: int | None = None
     variant: Variant = "B"
     eps: float = EPS
+    prune: bool = True
     fit_share: float = 0.7
     name: str = "stack"
 
@@ -68,14 +71,17 @@ class Identification:
         The chosen one.
     candidates
         Every pair of orders that was judged.
+    taken
+        The pair of orders that was taken.
     chosen
-        The one taken.
+        The same after pruning: what the model was made of.
     notes
         What the recordings cannot determine, and what was noticed in them.
     """
 
     model: Model
     candidates: list[Candidate]
+    taken: Candidate
     chosen: Candidate
     notes: list[str]
 
@@ -112,9 +118,11 @@ def identify(recordings: Sequence[Recording], options: Options, by: str) -> Iden
     ]
     structures = _Structures(stretches)
     candidates = judge_orders(structures.of, fitted, held_out, orders=orders, variant=options.variant, eps=options.eps)
-    chosen = choose(candidates)
+    taken = chosen = choose(candidates)
+    if options.prune:
+        chosen = prune(taken, best_of(candidates), fitted, held_out, variant=options.variant, eps=options.eps)
     model = _model(recordings, pairs, options, chosen, fitted, held_out, by)
-    return Identification(model, candidates, chosen, notes + _undetermined(chosen))
+    return Identification(model, candidates, taken, chosen, notes + _undetermined(chosen))
 
 
 def check_excitation(source: str, options: Options, u: Array, y: Array) -> None:
@@ -266,6 +274,7 @@ def _model(
             recordings=sources,
             fit=_figures(chosen, fitted, held_out),
         ),
+        statistics=chosen.fit.statistics,
     )
 
 

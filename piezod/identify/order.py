@@ -1,7 +1,7 @@
 """How many operators: grow both tables, judge each in free run on data held out, take the smallest that will do."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,6 +10,7 @@ from piezod.errors import RecordingError
 from piezod.identify.columns import Samples, Structure
 from piezod.identify.fit import Fit, fit_hysteresis
 from piezod.identify.qp import Variant
+from piezod.identify.tables import dead_zone_rows, play_rows
 from piezod.operators import PrandtlIshlinskii
 
 Array = NDArray[np.float64]
@@ -17,6 +18,7 @@ Array = NDArray[np.float64]
 PLAYS = (2, 4, 6, 8, 11, 14, 18, 23, 29)
 ZONES = (0, 1, 2, 3, 4, 6, 8)
 NEGLIGIBLE = 0.02  # share of the held-out power, one percent of rms error
+SMALLEST_SHARE_PRUNED = 0.1  # of the operators that hardly matter; below it pruning ends
 BLOCKS = 8  # of each held-out stretch; their scatter is the standard error
 
 
@@ -126,11 +128,78 @@ def choose(candidates: Sequence[Candidate]) -> Candidate:
     RecordingError
         None could be fitted.
     """
+    best = best_of(candidates)
+    good = (candidate for candidate in candidates if candidate.fit is not None and _as_good(candidate, best))
+    return min(good, key=lambda c: (c.size, c.rms_held_out))
+
+
+def best_of(candidates: Sequence[Candidate]) -> Candidate:
+    """The one with the smallest held-out error.
+
+    Raises
+    ------
+    RecordingError
+        None could be fitted.
+    """
     usable = [candidate for candidate in candidates if candidate.fit is not None]
     if not usable:
         raise RecordingError("no order could be fitted: record triangles over the whole range, from rest")
-    best = min(usable, key=lambda candidate: candidate.rms_held_out)
-    return min((candidate for candidate in usable if _as_good(candidate, best)), key=lambda c: (c.size, c.rms_held_out))
+    return min(usable, key=lambda candidate: candidate.rms_held_out)
+
+
+def prune(
+    chosen: Candidate,
+    best: Candidate,
+    fitted: Sequence[Samples],
+    held_out: Sequence[Samples],
+    *,
+    variant: Variant,
+    eps: float,
+) -> Candidate:
+    """Drop operators that hardly matter from the direct table and refit, as long as the held-out error allows it.
+
+    The smallest weights go first, all that hardly matter at once; where that costs too much, half of them. The inverse
+    is computed from what is left, so the two never part (THEORY 1.8).
+
+    Parameters
+    ----------
+    chosen
+        What `choose` took.
+    best
+        Whose held-out error is the measure.
+    fitted, held_out, variant, eps
+        As for `judge_orders`.
+    """
+    share = 1.0
+    while chosen.fit is not None and share > SMALLEST_SHARE_PRUNED:
+        structure = _without_the_least(chosen.fit, share)
+        if structure is None:
+            break
+        plays, zones = structure.plays - 1, structure.zones
+        smaller = _judge(structure, plays, zones, fitted, held_out, variant, eps)
+        if smaller.fit is not None and _as_good(smaller, best):
+            chosen = smaller
+        else:
+            share *= 0.5
+    return chosen
+
+
+def _without_the_least(fit: Fit, share: float) -> Structure | None:
+    """The structure without a share of the operators that hardly matter; None where all matter."""
+    plays, zones = play_rows(fit.hysteresis), dead_zone_rows(fit.hysteresis)
+    steepest = [float(np.abs(np.cumsum([row.weight for row in rows])).max()) for rows in (plays, zones)]
+    weak = [
+        (abs(row.weight) / steepest[table], table, place)
+        for table, rows in enumerate((plays, zones))
+        for place, row in enumerate(rows)
+        if not row.matters and row.index != 0
+    ]
+    if not weak:
+        return None
+    gone = sorted(weak)[: max(1, round(share * len(weak)))]
+    kept_plays = np.delete(fit.structure.play_thresholds, [place for _, table, place in gone if table == 0])
+    kept_zones = np.delete(fit.structure.zone_thresholds, [place for _, table, place in gone if table == 1])
+    return replace(fit.structure, play_thresholds=kept_plays, zone_thresholds=kept_zones)
 
 
 def _as_good(candidate: Candidate, best: Candidate) -> bool:

@@ -106,6 +106,32 @@ class FitFigures(Section):
     nrmse_percent_held_out: float | None = None
 
 
+class Statistics(Section):
+    """Sufficient statistics of the fit: its squared error near the solution, without the samples.
+
+        e'e(p) = samples rms^2 + (p - p0)' N (p - p0),   p = [play slopes, constant, dead-zone slopes]
+
+    Slopes are partial sums of weights; the constant is added to the plays' output, in front of dead zones that begin at
+    `zone_thresholds` and at the output `origin`. `normal` is the lower triangle of N, row by row [output unit^2].
+    """
+
+    samples: Annotated[int, Field(ge=1)]
+    rms: Annotated[float, Field(ge=0)]
+    play_slopes: Numbers
+    constant: float
+    zone_thresholds: Numbers
+    zone_slopes: Numbers
+    origin: float
+    normal: Numbers
+
+    @model_validator(mode="after")
+    def _sizes_agree(self) -> Self:
+        size = len(self.play_slopes) + 1 + len(self.zone_slopes)
+        if len(self.normal) != size * (size + 1) // 2:
+            raise ValueError(f"normal has {len(self.normal)} numbers, must have {size * (size + 1) // 2}")
+        return self
+
+
 class Provenance(Section):
     """Where the model comes from."""
 
@@ -126,6 +152,7 @@ class Model(Section):
     hysteresis: Hysteresis
     start: Start = Start()
     provenance: Provenance
+    statistics: Statistics | None = None
 
     def operator(self) -> PrandtlIshlinskii:
         """Build the operator in the model's start state.

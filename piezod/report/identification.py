@@ -31,6 +31,7 @@ def figures_of(identification: Identification) -> dict[str, Any]:
     return {
         "schema": "piezod.identification/1",
         "orders": {"plays": chosen.plays, "dead_zones": chosen.zones},
+        "orders_before_pruning": {"plays": identification.taken.plays, "dead_zones": identification.taken.zones},
         "unit": identification.model.output.unit,
         "range": identification.model.output.high - identification.model.output.low,
         "fit": {key.removesuffix("_fit"): value for key, value in fit if key.endswith("_fit")},
@@ -49,16 +50,16 @@ def print_identification(identification: Identification) -> None:
     model, chosen = identification.model, identification.chosen
     unit = model.output.unit
     print(f"held-out rms error [{unit}] by number of plays n (down) and dead zones m (across):")
-    for line in _order_rows(identification.candidates, chosen):
-        print("  " + "".join(cell.rjust(9) for cell in line))
+    for line in _order_rows(identification.candidates, identification.taken):
+        print("  " + "".join(cell.rjust(11) for cell in line))
     assert chosen.fit is not None
-    print(f"chosen: n = {chosen.plays}, m = {chosen.zones}; condition number {chosen.fit.condition:.0f}")
+    print(f"{_orders(identification)}; condition number {chosen.fit.condition:.0f}")
     print(f"{'':22}{'fit':>12}{'held out':>12}")
     for name, fit, held_out in _figure_rows(identification):
         print(f"{name:22}{fit:>12}{held_out:>12}")
     for title, rows in (("plays", play_rows(model.hysteresis)), ("dead zones", dead_zone_rows(model.hysteresis))):
-        weak = ", ".join(str(one.index) for one in rows if not one.matters)
-        print(f"{title}: {len(rows)}" + (f", of which {weak} hardly matter" if weak else ", all of which matter"))
+        matter = [str(one.index) for one in rows if one.matters]
+        print(f"{title}: {len(rows)}, of which {len(matter)} matter: {', '.join(matter)}")
     for note in identification.notes:
         print(f"note: {note}")
 
@@ -78,7 +79,7 @@ def write_identification_page(path: Path, identification: Identification, record
     ]
     for recording in recordings:
         parts.extend(_curves(identification, recording))
-    orders = _order_rows(identification.candidates, chosen)
+    orders = _order_rows(identification.candidates, identification.taken)
     parts.append(
         Div(text=f"<h2>Held-out rms error [{model.output.unit}] by orders</h2>{table_html(orders[0], orders[1:])}")
     )
@@ -126,6 +127,14 @@ def _figure_rows(identification: Identification) -> list[tuple[str, str, str]]:
     return [(name, f"{inside or 0.0:.4g}", f"{outside or 0.0:.4g}") for name, inside, outside in pairs]
 
 
+def _orders(identification: Identification) -> str:
+    taken, chosen = identification.taken, identification.chosen
+    text = f"taken (*): n = {taken.plays}, m = {taken.zones}"
+    if (chosen.plays, chosen.zones) != (taken.plays, taken.zones):
+        text += f"; without those that hardly matter: n = {chosen.plays}, m = {chosen.zones}"
+    return text
+
+
 def _share(value: float | None, span: float) -> float:
     return 100.0 * (value or 0.0) / span
 
@@ -139,8 +148,8 @@ def _order_rows(candidates: Sequence[Candidate], chosen: Candidate) -> list[list
         cells = []
         for m in zones:
             candidate = by_order[n, m]
-            mark = " *" if candidate is chosen else ""
-            cells.append(f"{candidate.rms_held_out:.4g}{mark}" if candidate.fit is not None else "-")
+            mark = "*" if candidate is chosen else ""
+            cells.append(f"{mark}{candidate.rms_held_out:.4g}" if candidate.fit is not None else "-")
         rows.append([str(n), *cells])
     return rows
 

@@ -235,7 +235,7 @@ def test_what_a_stack_was_driven_to_before_is_found_in_its_first_rise(old_peak):
     assert found.model.start.kind == ("virgin" if old_peak is None else "reset")
     if old_peak is not None:
         assert found.model.start.peak == pytest.approx(old_peak, abs=5.0)
-    assert found.chosen.rms_fit < 0.003 * np.ptp(y)
+    assert found.chosen.rms_fit < 0.005 * np.ptp(y)
 
 
 @pytest.mark.skipif(not FLEXURE.exists(), reason="the recordings in ../shared are not here")
@@ -246,3 +246,42 @@ def test_a_real_stack_is_identified_to_less_than_half_a_percent_of_range_on_data
     print("held-out rms", rms_held_out, "um of", model.output.high - model.output.low)
     assert rms_held_out <= 0.0045 * (model.output.high - model.output.low)
     assert model.provenance.recordings[0].samples == recording.time_s.size
+
+
+def test_operators_that_hardly_matter_are_pruned_and_the_rest_refitted():
+    u = varying_triangles(U_MAX, 0.1, 41, 50.0)
+    thresholds = play_thresholds(23, 0.995 * U_MAX)
+    weights = np.zeros(24)
+    weights[[0, 3, 9, 17]] = [0.5, 0.2, 0.15, 0.15]
+    operator = PrandtlIshlinskii(thresholds, weights, [0.0], [2.0])
+    y = operator.run(u) + np.random.default_rng(1).normal(0.0, 0.1, u.size)
+    recording = recording_of(u, y)
+    whole = identify([recording], Options(plays=23, zones=0, prune=False), "a test")
+    pruned = identify([recording], Options(plays=23, zones=0), "a test")
+    kept = [k for k, r in enumerate(thresholds) if r in pruned.chosen.fit.structure.play_thresholds]
+    assert {0, 3, 9, 17} <= set(kept)
+    assert len(kept) < 12
+    assert pruned.chosen.rms_held_out <= 1.01 * whole.chosen.rms_held_out
+    assert (pruned.taken.plays, pruned.chosen.plays) == (23, len(kept) - 1)
+
+
+def test_the_statistics_in_the_model_predict_the_error_of_other_parameters():
+    operator, structure = known_operator(7, 3, False, seed=4)
+    u = varying_triangles(U_MAX, 0.1, 21, 50.0)
+    y = operator.run(u) + np.random.default_rng(3).normal(0.0, 0.5, u.size)
+    kept = fit_hysteresis(structure, all_samples(u, y)).statistics
+    size = len(kept.play_slopes) + 1 + len(kept.zone_slopes)
+    normal = np.zeros((size, size))
+    normal[np.tril_indices(size)] = kept.normal
+    normal += np.tril(normal, -1).T
+    step = np.random.default_rng(5).normal(0.0, 5e-4, size)
+    slopes = np.array(kept.play_slopes) + step[: len(kept.play_slopes)]
+    constant = kept.constant + step[len(kept.play_slopes)]
+    zones = np.array(kept.zone_thresholds)
+    zone_slopes = np.array(kept.zone_slopes) + step[len(kept.play_slopes) + 1 :]
+    plays = PrandtlIshlinskii(structure.play_thresholds, np.diff(slopes, prepend=0.0), [0.0], [1.0])
+    modelled = zone_segments(zones, plays.run(u) + constant) @ zone_slopes + kept.origin
+    assert kept.samples == u.size
+    predicted = kept.samples * kept.rms**2 + step @ normal @ step
+    assert np.sum((y - modelled) ** 2) == pytest.approx(predicted, rel=1e-3)
+    assert step @ normal @ step > 0.01 * predicted
