@@ -274,7 +274,7 @@ def test_the_statistics_in_the_model_predict_the_error_of_other_parameters():
     normal = np.zeros((size, size))
     normal[np.tril_indices(size)] = kept.normal
     normal += np.tril(normal, -1).T
-    step = np.random.default_rng(5).normal(0.0, 5e-4, size)
+    step = np.random.default_rng(5).normal(0.0, 4e-3, size)
     slopes = np.array(kept.play_slopes) + step[: len(kept.play_slopes)]
     constant = kept.constant + step[len(kept.play_slopes)]
     zones = np.array(kept.zone_thresholds)
@@ -283,5 +283,5 @@ def test_the_statistics_in_the_model_predict_the_error_of_other_parameters():
     modelled = zone_segments(zones, plays.run(u) + constant) @ zone_slopes + kept.origin
     assert kept.samples == u.size
     predicted = kept.samples * kept.rms**2 + step @ normal @ step
-    assert np.sum((y - modelled) ** 2) == pytest.approx(predicted, rel=1e-3)
+    assert np.sum((y - modelled) ** 2) == pytest.approx(predicted, rel=2e-3)
     assert step @ normal @ step > 0.01 * predicted
