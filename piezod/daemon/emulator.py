@@ -1,4 +1,4 @@
-"""The emulated bench as a process of its own, started for the demo and ended with it."""
+"""The emulated bench as a process of its own, started by a command and ended with it."""
 
 import contextlib
 import json
@@ -7,7 +7,13 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 
+import yaml
+
+from piezod.daemon.shipped import shipped
 from piezod.errors import UnreachableError
+
+VIRTUAL_RATE_HZ = 200  # enough for what is recorded at 0.1 Hz, and quick
+STANDSTILL_MS = 500  # a machine may stand still for a tenth of a second; that is no lost device
 
 
 @contextlib.contextmanager
@@ -38,3 +44,36 @@ def emulated_bench(config: Path, *arguments: str) -> Iterator[dict[str, str]]:
         for stream in (process.stdin, process.stdout):
             if stream:
                 stream.close()
+
+
+@contextlib.contextmanager
+def emulated_bench_file(folder: Path, scenario: str) -> Iterator[Path]:
+    """Start an emulated bench in virtual time and yield a bench file that points at it.
+
+    Parameters
+    ----------
+    folder
+        Where the file is written.
+    scenario
+        Of the emulator: `stack`, `seed_bench` or a YAML file.
+
+    Raises
+    ------
+    UnreachableError
+        It did not come up.
+    """
+    content = yaml.safe_load(shipped("bench.yaml").read_text(encoding="utf-8"))
+    arguments = ("--port", "0", "--time", "virtual", "--scenario", scenario)
+    with emulated_bench(shipped("emulator.yaml"), *arguments) as serves:
+        host, _, port = serves["tcp"].rpartition(":")
+        content["rate_Hz"] = VIRTUAL_RATE_HZ
+        content["link"] |= {"host": host, "port": int(port), "timeout_s": 1e-3 * STANDSTILL_MS}
+        content["limits"] |= {
+            "stale_after_ms": 4000 / VIRTUAL_RATE_HZ,
+            "comm_loss_ms": 4 * STANDSTILL_MS,
+            "device_watchdog_ms": 2 * STANDSTILL_MS,
+        }
+        content["daemon"]["ring_log"] = f"/dev/shm/piezod-emulated-{port}.ring"  # noqa: S108  # meant to be seen
+        path = folder / "bench.yaml"
+        path.write_text(yaml.safe_dump(content, sort_keys=False), encoding="utf-8")
+        yield path

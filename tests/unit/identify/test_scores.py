@@ -51,7 +51,7 @@ def test_a_drive_that_never_comes_back_has_no_loop():
 
 
 def test_of_loops_of_several_sizes_the_widest_opening_counts():
-    """Play of threshold 0.1 with a drive of growing peaks: the first rise is the lowest, the largest fall the highest."""
+    """A play of threshold 0.1, growing peaks: the first rise is the lowest branch, the last fall the highest."""
     drive = np.concatenate([peak * triangle(cycles=1) for peak in (0.4, 0.7, 1.0)])
     play = PrandtlIshlinskii([0.0, 0.1], [1e-6, 1.0], [0.0], [1.0], eps=1e-9)
     response = play.run(drive)
