@@ -2,6 +2,7 @@
 
 import json
 import sys
+from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -189,15 +190,27 @@ def simulate(
     start_window: Annotated[
         float, typer.Option(metavar="S", min=0.0, help="First seconds that may tell what the memory starts with.")
     ] = 1.0,
+    condition: Annotated[
+        str | None, typer.Option("--where", metavar="COLUMN=VALUE", help="Compare only the samples at which it holds.")
+    ] = None,
+    as_json: JsonOption = False,
 ) -> None:
-    """Simulate a model over a recording's input, in free run."""
-    from piezod.identify.simulation import simulate_recording
+    """Simulate a model over a recording's input, in free run; compare with its output where it has one."""
+    from piezod.identify.simulation import simulate_recording, where
     from piezod.model import load_model
     from piezod.recording import read_csv, write_csv
 
-    simulated, words = simulate_recording(load_model(model), read_csv(recording), start_window)
-    write_csv(simulated, output)
-    print(f"{output}: {simulated.time_s.size} samples; {words}")
+    read, loaded = read_csv(recording), load_model(model)
+    chosen = where(read, condition) if condition else None
+    simulation = simulate_recording(loaded, read, start_window, chosen)
+    write_csv(simulation.recording, output)
+    figures = simulation.agreement
+    if as_json:
+        compared = None if figures is None else asdict(figures) | {"unit": loaded.output.unit}
+        print(json.dumps({"schema": "piezod.simulation/1", "start": simulation.start, "compared": compared}, indent=2))
+    else:
+        words = "" if figures is None else f"; {figures.words(loaded.output.unit)}"
+        print(f"{output}: {read.time_s.size} samples; {simulation.start}{words}")
 
 
 @app.command(epilog="Example: piezod validate config/bench.yaml --model a.yaml --model b.yaml --report validation.html")

@@ -1,5 +1,6 @@
 """From recordings to a model: prepare, judge the orders, fit, and say how good it is."""
 
+import contextlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
@@ -13,7 +14,7 @@ from piezod.identify.columns import Samples, Structure
 from piezod.identify.fit import fit_hysteresis
 from piezod.identify.order import PLAYS, ZONES, Candidate, best_of, choose, judge_orders, prune, residual
 from piezod.identify.qp import Variant
-from piezod.identify.scores import largest, nrmse_percent, rms
+from piezod.identify.scores import largest, max_hysteresis_percent, nrmse_percent, rms
 from piezod.identify.start import estimate_path, settled_from, start_at_zero, starts_at_rest
 from piezod.identify.thresholds import dead_zone_thresholds, play_reach, play_thresholds, widest
 from piezod.model import Model, file_sha256
@@ -299,15 +300,28 @@ def _figures(chosen: Candidate, fitted: Sequence[Samples], held_out: Sequence[Sa
     """Figures on fit and held-out data, side by side."""
     assert chosen.fit is not None
     operator = chosen.fit.hysteresis.operator()
-    figures: dict[str, float] = {}
+    figures: dict[str, float | None] = {}
     for name, stretches in (("fit", fitted), ("held_out", held_out)):
         errors = [residual(operator, samples)[samples.counts] for samples in stretches]
-        measured = np.concatenate([samples.y[samples.counts] for samples in stretches])
-        error = np.concatenate(errors)
-        figures[f"rms_{name}"] = float(f"{rms(error):.6g}")
-        figures[f"max_{name}"] = float(f"{largest(error):.6g}")
-        figures[f"nrmse_percent_{name}"] = float(f"{nrmse_percent(measured, measured - error):.6g}")
-    return FitFigures(**figures)
+        outputs = [samples.y[samples.counts] for samples in stretches]
+        inputs = [samples.u[samples.counts] for samples in stretches]
+        modelled = [y - error for y, error in zip(outputs, errors, strict=True)]
+        measured, error = np.concatenate(outputs), np.concatenate(errors)
+        figures[f"rms_{name}"] = rms(error)
+        figures[f"max_{name}"] = largest(error)
+        figures[f"nrmse_percent_{name}"] = nrmse_percent(measured, measured - error)
+        figures[f"max_hysteresis_percent_{name}"] = _widest_loop(inputs, outputs)
+        figures[f"remaining_hysteresis_percent_{name}"] = _widest_loop(modelled, outputs)
+    return FitFigures(**{key: value if value is None else float(f"{value:.6g}") for key, value in figures.items()})
+
+
+def _widest_loop(drives: Sequence[Array], responses: Sequence[Array]) -> float | None:
+    """Max hysteresis of the recordings, None where none of them closes a loop."""
+    openings = []
+    for drive, response in zip(drives, responses, strict=True):
+        with contextlib.suppress(ValueError):
+            openings.append(max_hysteresis_percent(drive, response))
+    return max(openings, default=None)
 
 
 def _undetermined(chosen: Candidate) -> list[str]:

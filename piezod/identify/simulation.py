@@ -1,6 +1,9 @@
 """A model in free run over a recording: only the input is looked at, and where needed a stated first stretch."""
 
+from dataclasses import dataclass
+
 import numpy as np
+from numpy.typing import NDArray
 
 from piezod.errors import UsageError
 from piezod.identify.identification import simulate
@@ -8,8 +11,84 @@ from piezod.identify.scores import largest, nrmse_percent, rms
 from piezod.model import Model
 from piezod.recording import Recording
 
+Array = NDArray[np.float64]
 
-def simulate_recording(model: Model, recording: Recording, start_window_s: float) -> tuple[Recording, str]:
+
+@dataclass(frozen=True)
+class Agreement:
+    """How far measurement and simulation agree, after the first stretch that was looked at.
+
+    Parameters
+    ----------
+    samples
+        How many were compared.
+    rms, max, nrmse_percent
+        Of measured minus simulated [output unit], [%].
+    gain, offset
+        With which the simulation would fit best: measured = gain simulated + offset [1], [output unit].
+    rms_refitted, max_refitted, nrmse_percent_refitted
+        The same with them.
+    """
+
+    samples: int
+    rms: float
+    max: float
+    nrmse_percent: float
+    gain: float
+    offset: float
+    rms_refitted: float
+    max_refitted: float
+    nrmse_percent_refitted: float
+
+    @classmethod
+    def of(cls, measured: Array, simulated: Array) -> "Agreement":
+        """Compare two records of the same length, both finite, neither of them constant."""
+        gain, offset = np.polynomial.Polynomial.fit(simulated, measured, 1).convert().coef[::-1]
+        refitted = gain * simulated + offset
+        return cls(
+            samples=int(measured.size),
+            rms=rms(measured - simulated),
+            max=largest(measured - simulated),
+            nrmse_percent=nrmse_percent(measured, simulated),
+            gain=float(gain),
+            offset=float(offset),
+            rms_refitted=rms(measured - refitted),
+            max_refitted=largest(measured - refitted),
+            nrmse_percent_refitted=nrmse_percent(measured, refitted),
+        )
+
+    def words(self, unit: str) -> str:
+        """In a sentence."""
+        return (
+            f"over {self.samples} samples rms error {self.rms:.4g} {unit}, max {self.max:.4g} {unit}, "
+            f"fit {self.nrmse_percent:.2f} %; with gain x {self.gain:.4f} and offset {self.offset:+.4g} {unit} "
+            f"refitted {self.rms_refitted:.4g} {unit}, max {self.max_refitted:.4g} {unit}, "
+            f"fit {self.nrmse_percent_refitted:.2f} %"
+        )
+
+
+@dataclass(frozen=True)
+class Simulation:
+    """A simulated recording.
+
+    Parameters
+    ----------
+    recording
+        `time_s` and the output column.
+    start
+        In words, what it started from.
+    agreement
+        With the measured output, where there is one.
+    """
+
+    recording: Recording
+    start: str
+    agreement: Agreement | None
+
+
+def simulate_recording(
+    model: Model, recording: Recording, start_window_s: float, chosen: NDArray[np.bool_] | None = None
+) -> Simulation:
     """Simulate the model's output over a recording's input.
 
     Parameters
@@ -19,31 +98,51 @@ def simulate_recording(model: Model, recording: Recording, start_window_s: float
     recording
         Has the model's input; its output, where it has one, tells the start and is compared with.
     start_window_s
-        First stretch that may be looked at to find what the memory starts with [s].
-
-    Returns
-    -------
-    simulated, words
-        A recording of `time_s` and the output column, and a sentence on start and errors.
+        First stretch that may be looked at to find what the memory starts with; it is not compared [s].
+    chosen
+        Which samples are compared, shape (N,); None: all. The simulation runs over every sample.
 
     Raises
     ------
     RecordingError
         The recording has not the model's input.
     UsageError
-        The input has missing samples.
+        The input has missing samples, or nothing is left to compare.
     """
     u = recording.channel(model.input.channel)
     if not np.isfinite(u).all():
         raise UsageError(f"{recording.source}: {model.input.channel} has missing samples; cut the recording there")
     y = recording.channels.get(model.output.channel)
     window = int(np.searchsorted(recording.time_s, recording.time_s[0] + start_window_s))
-    output, words = simulate(model, u, y if window else None, max(window, 1))
+    output, start = simulate(model, u, y if window else None, max(window, 1))
+    agreement = None
     if y is not None:
-        good = np.isfinite(y)
-        error, unit = (y - output)[good], model.output.unit
-        words += (
-            f"; rms error {rms(error):.4g} {unit}, max {largest(error):.4g} {unit}, "
-            f"fit {nrmse_percent(y[good], output[good]):.2f} %"
-        )
-    return Recording(recording.time_s, {model.output.channel: output}, {"simulated": model.name}), words
+        compared = np.isfinite(y) & (True if chosen is None else chosen)
+        compared[:window] = False
+        if np.unique(y[compared]).size < 2:  # a constant has no fit
+            raise UsageError(
+                f"{recording.source}: {np.count_nonzero(compared)} samples to compare, need two that differ"
+            )
+        agreement = Agreement.of(y[compared], output[compared])
+    return Simulation(
+        Recording(recording.time_s, {model.output.channel: output}, {"simulated": model.name}), start, agreement
+    )
+
+
+def where(recording: Recording, condition: str) -> NDArray[np.bool_]:
+    """Samples at which a column has a value, from `COLUMN=VALUE`, shape (N,).
+
+    Raises
+    ------
+    UsageError
+        It is no such condition.
+    RecordingError
+        There is no such column.
+    """
+    column, _, value = condition.partition("=")
+    try:
+        number = float(value)
+    except ValueError:
+        raise UsageError(f"--where is '{condition}', must be COLUMN=NUMBER") from None
+    result: NDArray[np.bool_] = recording.channel(column) == number
+    return result

@@ -96,7 +96,11 @@ class RecordingSource(Section):
 
 
 class FitFigures(Section):
-    """How well the model simulates in free run, in the output's unit, fit and held-out data apart."""
+    """How well the model simulates in free run, in the output's unit, fit and held-out data apart.
+
+    Max hysteresis is that of the output over the input, the remaining one that of the output over what the model
+    expects: what an inverse of this model would leave.
+    """
 
     rms_fit: float | None = None
     rms_held_out: float | None = None
@@ -104,6 +108,10 @@ class FitFigures(Section):
     max_held_out: float | None = None
     nrmse_percent_fit: float | None = None
     nrmse_percent_held_out: float | None = None
+    max_hysteresis_percent_fit: float | None = None
+    max_hysteresis_percent_held_out: float | None = None
+    remaining_hysteresis_percent_fit: float | None = None
+    remaining_hysteresis_percent_held_out: float | None = None
 
 
 class Statistics(Section):

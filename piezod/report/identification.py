@@ -54,9 +54,9 @@ def print_identification(identification: Identification) -> None:
         print("  " + "".join(cell.rjust(11) for cell in line))
     assert chosen.fit is not None
     print(f"{_orders(identification)}; condition number {chosen.fit.condition:.0f}")
-    print(f"{'':22}{'fit':>12}{'held out':>12}")
+    print(f"{'':24}{'fit':>12}{'held out':>12}")
     for name, fit, held_out in _figure_rows(identification):
-        print(f"{name:22}{fit:>12}{held_out:>12}")
+        print(f"{name:24}{fit:>12}{held_out:>12}")
     for title, rows in (("plays", play_rows(model.hysteresis)), ("dead zones", dead_zone_rows(model.hysteresis))):
         matter = [str(one.index) for one in rows if one.matters]
         print(f"{title}: {len(rows)}, of which {len(matter)} matter: {', '.join(matter)}")
@@ -115,7 +115,7 @@ def _opening(u: Array, y: Array) -> str:
     return f"{max_hysteresis_percent(u[good], y[good]):.2f} % of range"
 
 
-def _figure_rows(identification: Identification) -> list[tuple[str, str, str]]:
+def _figure_rows(identification: Identification) -> list[tuple[str, ...]]:
     fit, unit = identification.model.provenance.fit, identification.model.output.unit
     span = identification.model.output.high - identification.model.output.low
     pairs = (
@@ -123,8 +123,10 @@ def _figure_rows(identification: Identification) -> list[tuple[str, str, str]]:
         ("rms error [% of range]", _share(fit.rms_fit, span), _share(fit.rms_held_out, span)),
         (f"max error [{unit}]", fit.max_fit, fit.max_held_out),
         ("fit, NRMSE [%]", fit.nrmse_percent_fit, fit.nrmse_percent_held_out),
+        ("max hysteresis [%]", fit.max_hysteresis_percent_fit, fit.max_hysteresis_percent_held_out),
+        ("  left by the model [%]", fit.remaining_hysteresis_percent_fit, fit.remaining_hysteresis_percent_held_out),
     )
-    return [(name, f"{inside or 0.0:.4g}", f"{outside or 0.0:.4g}") for name, inside, outside in pairs]
+    return [(name, *("-" if value is None else f"{value:.4g}" for value in values)) for name, *values in pairs]
 
 
 def _orders(identification: Identification) -> str:

@@ -1,0 +1,42 @@
+"""Free run beside a measurement: what agrees as it is, and what only after gain and offset are refitted."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from piezod.errors import RecordingError, UsageError
+from piezod.identify.identification import Options, identify
+from piezod.identify.simulation import Agreement, simulate_recording, where
+from piezod.recording import Recording, read_csv
+
+FLEXURE = Path(__file__).parents[4] / "shared" / "recordings" / "piezo-flexure"
+
+
+def test_a_gain_and_an_offset_are_found_and_taken_out():
+    simulated = np.sin(np.linspace(0.0, 20.0, 1000))
+    agreement = Agreement.of(1.5 * simulated - 2.0, simulated)
+    assert (agreement.gain, agreement.offset) == (pytest.approx(1.5), pytest.approx(-2.0))
+    assert agreement.rms == pytest.approx(np.sqrt(np.mean((0.5 * simulated - 2.0) ** 2)))
+    assert agreement.rms_refitted < 1e-12
+    assert agreement.nrmse_percent_refitted == pytest.approx(100.0)
+
+
+def test_a_condition_chooses_samples():
+    recording = Recording(np.arange(4.0), {"on": np.array([0.0, 1.0, 1.0, 0.0])})
+    assert where(recording, "on=1").tolist() == [False, True, True, False]
+    with pytest.raises(UsageError, match="must be COLUMN=NUMBER"):
+        where(recording, "on")
+    with pytest.raises(RecordingError, match="has no column off"):
+        where(recording, "off=1")
+
+
+@pytest.mark.skipif(not FLEXURE.exists(), reason="the recordings in ../shared are not here")
+def test_what_does_not_transfer_to_the_tracking_record_is_above_all_gain_and_offset():
+    model = identify([read_csv(FLEXURE / "identification.csv")], Options(output="displacement_um"), "a test").model
+    tracking = read_csv(FLEXURE / "tracking.csv")
+    off = simulate_recording(model, tracking, 1.0, where(tracking, "feedforward_on=0")).agreement
+    print(off.words("um"))
+    assert 1.0 < off.rms < 2.0
+    assert off.rms_refitted < off.rms / 2.5
+    assert 1.02 < off.gain < 1.06
