@@ -1,0 +1,30 @@
+"""First-order lag of the amplifier's output resistance into the stack's capacitance.
+
+Forward    tau du'/dt = u - u', tau = R C, exact for a voltage that runs straight between samples
+Inverse    u = u' + tau du'/dt: one sample of preview (THEORY 1.10)
+Signature  loops widen in proportion to the rate, corners are rounded; nothing is left while the voltage rests
+Seat       amplifier, in front of the hysteresis
+Valid      0.1 ms to 0.5 s; below 1.5 samples it cannot be told from a filter or a delay
+Source     THEORY 3 B; R 10 to 1000 ohm into 0.1 to 10 uF
+"""
+
+from piezod.effects.effect import Array, Context, Effect, Parameter, Seat, Values
+from piezod.effects.kernels import first_order_run
+
+
+def forward(signal: Array, context: Context, values: Values) -> Array:
+    """Voltage at the stack, shape (N,) [V]."""
+    return first_order_run(signal, values["time_constant_s"], context.dt_s)
+
+
+EFFECT = Effect(
+    name="electrical_lag",
+    title="electrical lag of the amplifier",
+    seat=Seat.AMPLIFIER,
+    form="linear",
+    parameters=(Parameter("time_constant_s", "s", 1e-4, 0.5, starts=(3e-3, 3e-2), logarithmic=True),),
+    forward=forward,
+    handling="compensated",
+    docstring=__doc__,
+    separate_by="the amplifier's monitor output beside the load cell, or triangles at 1 and 10 Hz about two biases",
+)

@@ -1,0 +1,82 @@
+"""Steps of linear systems, exact for an input that runs straight between two samples; compiled once."""
+
+import math
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+@numba.njit(cache=True)
+def first_order_step(y: float, before: float, now: float, keep: float, ramp: float) -> float:
+    """Advance tau y' = x - y by a sample while x runs straight from `before` to `now`.
+
+    With a = exp(-T / tau) = `keep` and b = 1 - tau (1 - a) / T = `ramp`: y <- a y + (1 - a - b) before + b now.
+    """
+    return keep * y + (1.0 - keep - ramp) * before + ramp * now
+
+
+@numba.njit(cache=True)
+def first_order_coefficients(time_constant_s: float, dt_s: float) -> tuple[float, float]:
+    """`keep` and `ramp` of `first_order_step`."""
+    part = dt_s / time_constant_s
+    keep = math.exp(-part)
+    ramp = 1.0 + math.expm1(-part) / part if part > 1e-6 else 0.5 * part
+    return keep, ramp
+
+
+@numba.njit(cache=True)
+def first_order_run(x: Array, time_constant_s: float, dt_s: float) -> Array:
+    """`first_order_step` over a record, from rest at its first sample."""
+    keep, ramp = first_order_coefficients(time_constant_s, dt_s)
+    out = np.empty(x.size)
+    y = x[0]
+    out[0] = y
+    for k in range(1, x.size):
+        y = first_order_step(y, x[k - 1], x[k], keep, ramp)
+        out[k] = y
+    return out
+
+
+@numba.njit(cache=True)
+def second_order_run(x: Array, matrix: Array, before: Array, now: Array) -> Array:
+    """State space of two states over a record, from rest: s <- M s + before x(k-1) + now x(k); the output is s[0]."""
+    out = np.empty(x.size)
+    s0, s1 = x[0], 0.0
+    out[0] = s0
+    for k in range(1, x.size):
+        t0 = matrix[0, 0] * s0 + matrix[0, 1] * s1 + before[0] * x[k - 1] + now[0] * x[k]
+        s1 = matrix[1, 0] * s0 + matrix[1, 1] * s1 + before[1] * x[k - 1] + now[1] * x[k]
+        s0 = t0
+        out[k] = s0
+    return out
+
+
+def second_order(x: Array, frequency_Hz: float, damping_ratio: float, dt_s: float) -> Array:
+    """Mode over a record, exact for a straight input, from rest: y'' + 2 zeta w y' + w^2 y = w^2 x.
+
+    The exponential of the state space with the input and its slope as further states (derived here).
+    """
+    w = 2.0 * math.pi * frequency_Hz
+    system = np.zeros((4, 4))  # y, y' / w, x, slope of x
+    system[0, 1] = w
+    system[1, :3] = -w, -2.0 * damping_ratio * w, w
+    system[2, 3] = 1.0
+    step = exponential(system * dt_s)
+    now = step[:2, 3] / dt_s
+    return second_order_run(np.ascontiguousarray(x), step[:2, :2].copy(), step[:2, 2] - now, now)
+
+
+def exponential(matrix: Array) -> Array:
+    """Exponential of a small matrix, to rounding: a Taylor series of the matrix halved, then squared as often."""
+    halvings = max(0, math.ceil(math.log2(np.abs(matrix).sum(axis=1).max() + 1e-300)) + 3)
+    small = matrix / 2.0**halvings
+    result = term = np.eye(matrix.shape[0])
+    for k in range(1, 15):
+        term = term @ small / k
+        result = result + term
+    for _ in range(halvings):
+        result = result @ result
+    return result
