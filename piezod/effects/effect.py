@@ -12,6 +12,9 @@ Array = NDArray[np.float64]
 Values = Mapping[str, float]
 
 
+STRAIGHT, HELD, HELD_BEFORE = 0, 1, 2
+
+
 class Seat(IntEnum):
     """What an effect acts on, in the order of the signal chain; effects of one seat act in the order of `EFFECTS`.
 
@@ -91,6 +94,9 @@ class Context:
         Range of the force that the model was identified over [N].
     temperature_C
         Where it was recorded, shape (N,) [degC].
+    between
+        How the signal at hand runs between two samples: STRAIGHT, HELD (it keeps its value until the next sample) or
+        HELD_BEFORE (its value stands for the interval that ends at the sample).
     """
 
     dt_s: float
@@ -100,6 +106,7 @@ class Context:
     duration_s: float
     force_span_N: float
     temperature_C: Array | None = None
+    between: int = STRAIGHT
 
 
 Forward = Callable[[Array, Context, Values], Array]
@@ -133,6 +140,8 @@ class Effect:
         Why it is corrected in the reading or refused; empty where it is compensated.
     widening
         Of the seat HYSTERESIS alone: factor (1) and offset [V] of all play thresholds, each shape (N,).
+    smooths
+        Whether a held signal runs straight between samples behind it.
     needs
         Channel that must have been recorded, or None.
     separate_by
@@ -149,6 +158,7 @@ class Effect:
     docstring: str
     why: str = ""
     widening: Widening | None = None
+    smooths: bool = False
     needs: str | None = None
     separate_by: str = ""
     _by_name: dict[str, Parameter] = field(init=False, repr=False, compare=False, default_factory=dict)

@@ -14,7 +14,7 @@ from piezod.effects.kernels import first_order_run
 
 def forward(signal: Array, context: Context, values: Values) -> Array:
     """Voltage at the stack, shape (N,) [V]."""
-    return first_order_run(signal, values["time_constant_s"], context.dt_s)
+    return first_order_run(signal, values["time_constant_s"], context.dt_s, context.between)
 
 
 EFFECT = Effect(
@@ -25,6 +25,7 @@ EFFECT = Effect(
     parameters=(Parameter("time_constant_s", "s", 1e-4, 0.5, starts=(3e-3, 3e-2), logarithmic=True),),
     forward=forward,
     handling="compensated",
+    smooths=True,
     docstring=__doc__,
     separate_by="the amplifier's monitor output beside the load cell, or triangles at 1 and 10 Hz about two biases",
 )

@@ -8,6 +8,8 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
+HELD, HELD_BEFORE = 1, 2  # as in `effect`
+
 
 @numba.njit(cache=True)
 def first_order_step(y: float, before: float, now: float, keep: float, ramp: float) -> float:
@@ -19,18 +21,22 @@ def first_order_step(y: float, before: float, now: float, keep: float, ramp: flo
 
 
 @numba.njit(cache=True)
-def first_order_coefficients(time_constant_s: float, dt_s: float) -> tuple[float, float]:
-    """`keep` and `ramp` of `first_order_step`."""
+def first_order_coefficients(time_constant_s: float, dt_s: float, between: int = 0) -> tuple[float, float]:
+    """`keep` and `ramp` of `first_order_step`; for an input that is held the ramp is 0 or all that is not kept."""
     part = dt_s / time_constant_s
     keep = math.exp(-part)
+    if between == HELD:
+        return keep, 0.0
+    if between == HELD_BEFORE:
+        return keep, 1.0 - keep
     ramp = 1.0 + math.expm1(-part) / part if part > 1e-6 else 0.5 * part
     return keep, ramp
 
 
 @numba.njit(cache=True)
-def first_order_run(x: Array, time_constant_s: float, dt_s: float) -> Array:
-    """`first_order_step` over a record, from rest at its first sample."""
-    keep, ramp = first_order_coefficients(time_constant_s, dt_s)
+def first_order_run(x: Array, time_constant_s: float, dt_s: float, between: int = 0) -> Array:
+    """`first_order_step` over a record, from rest at its first sample; `between` as in `Context`."""
+    keep, ramp = first_order_coefficients(time_constant_s, dt_s, between)
     out = np.empty(x.size)
     y = x[0]
     out[0] = y
@@ -54,8 +60,8 @@ def second_order_run(x: Array, matrix: Array, before: Array, now: Array) -> Arra
     return out
 
 
-def second_order(x: Array, frequency_Hz: float, damping_ratio: float, dt_s: float) -> Array:
-    """Mode over a record, exact for a straight input, from rest: y'' + 2 zeta w y' + w^2 y = w^2 x.
+def second_order(x: Array, frequency_Hz: float, damping_ratio: float, dt_s: float, between: int = 0) -> Array:
+    """Mode over a record, exact for a straight or held input, from rest: y'' + 2 zeta w y' + w^2 y = w^2 x.
 
     The exponential of the state space with the input and its slope as further states (derived here).
     """
@@ -65,8 +71,9 @@ def second_order(x: Array, frequency_Hz: float, damping_ratio: float, dt_s: floa
     system[1, :3] = -w, -2.0 * damping_ratio * w, w
     system[2, 3] = 1.0
     step = exponential(system * dt_s)
-    now = step[:2, 3] / dt_s
-    return second_order_run(np.ascontiguousarray(x), step[:2, :2].copy(), step[:2, 2] - now, now)
+    all_of_it = step[:2, 2].copy()
+    now = (step[:2, 3] / dt_s, np.zeros(2), all_of_it)[between]
+    return second_order_run(np.ascontiguousarray(x), step[:2, :2].copy(), all_of_it - now, now)
 
 
 def exponential(matrix: Array) -> Array:

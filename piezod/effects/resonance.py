@@ -14,7 +14,7 @@ from piezod.effects.kernels import second_order
 
 def forward(signal: Array, context: Context, values: Values) -> Array:
     """Force behind the mode, shape (N,) [N]."""
-    return second_order(signal, values["frequency_Hz"], values["damping_ratio"], context.dt_s)
+    return second_order(signal, values["frequency_Hz"], values["damping_ratio"], context.dt_s, context.between)
 
 
 EFFECT = Effect(
@@ -28,6 +28,7 @@ EFFECT = Effect(
     ),
     forward=forward,
     handling="compensated",
+    smooths=True,
     docstring=__doc__,
     separate_by="steps or triangles with sharp corners, sampled at ten times the mode's frequency",
 )
