@@ -1,0 +1,42 @@
+"""The preload is lost: the first part of the force only closes a gap.
+
+Forward    max(0, F - gap); within softness of touching the parabola (F - gap + softness)^2 / (4 softness)
+Inverse    F + gap above zero; below, no force can be asked for: the reachable range begins at touching
+Signature  no force and no slope at the bottom, then a kink; look-alikes output_nonlinearity (has a slope at zero),
+           voltage_clamp (flat at the top)
+Seat       mechanics
+Valid      records that come down to the gap; softness is at most the gap, so nothing arrives from F = 0
+Source     THEORY 3 L; the parabola derived here
+"""
+
+import numpy as np
+
+from piezod.effects.effect import Array, Context, Effect, Parameter, Seat, Values
+
+
+def forward(signal: Array, context: Context, values: Values) -> Array:  # noqa: ARG001  # a `Forward`
+    """Force that arrives behind the gap, shape (N,) [N]."""
+    gap = values["gap_N"]
+    softness = min(values.get("softness_N", 0.0), gap)
+    beyond = signal - gap
+    out: Array = np.maximum(beyond, 0.0)
+    if softness > 0.0:
+        near = np.abs(beyond) < softness
+        out[near] = (beyond[near] + softness) ** 2 / (4.0 * softness)
+    return out
+
+
+EFFECT = Effect(
+    name="contact_gap",
+    title="gap before contact",
+    seat=Seat.MECHANICS,
+    form="memoryless",
+    parameters=(
+        Parameter("gap_N", "N", 1e-3, 1e4, starts=(2.0, 20.0, 100.0), logarithmic=True),
+        Parameter("softness_N", "N", 0.0, 100.0, starts=(0.5,), nuisance=True),
+    ),
+    forward=forward,
+    handling="compensated",
+    docstring=__doc__,
+    separate_by="a slow ramp from zero voltage, and again with more preload",
+)

@@ -1,0 +1,75 @@
+"""Presliding friction in the guide, which opposes every movement.
+
+Forward    F - z, dz/dF = s / p (1 - sign(dF) z / force)^exponent (Dahl), exact over every stretch of one direction
+Inverse    refused
+Signature  loops whose width stops growing with the amplitude, at twice the force, and does not change with the rate;
+           look-alike the plays themselves, which absorb it, and output_nonlinearity, which has one branch
+Seat       mechanics
+Valid      loops from below presliding_N to several times it; presliding_N is the travel, in force, in which 63 % arise
+Source     THEORY 3 N; Dahl 1968; the closed forms derived here
+"""
+
+import math
+
+import numba
+import numpy as np
+
+from piezod.effects.effect import Array, Context, Effect, Parameter, Seat, Values
+
+
+@numba.njit(cache=True)
+def dahl_step(z: float, travel: float, exponent: float) -> float:
+    """Friction in parts of its limit after a travel in parts of `presliding_N`; -1 <= z <= 1.
+
+    q = 1 - sign z falls by dq/d|travel| = -rate q^exponent, with the rate at which q falls from 1 to 1 / e within 1.
+    """
+    if travel == 0.0:
+        return z
+    sign = 1.0 if travel > 0.0 else -1.0
+    q = max(1.0 - sign * z, 0.0)
+    way = abs(travel)
+    if exponent == 1.0:
+        q *= math.exp(-way)
+    else:
+        power = 1.0 - exponent
+        root = q**power if q > 0.0 or power > 0.0 else math.inf
+        root = max(root + way * (math.exp(-power) - 1.0), 0.0)
+        q = root ** (1.0 / power)
+    return sign * (1.0 - q)
+
+
+@numba.njit(cache=True)
+def _run(force: Array, limit: float, presliding: float, exponent: float) -> Array:
+    out = np.empty(force.size)
+    z = 0.0
+    out[0] = force[0]
+    for k in range(1, force.size):
+        z = dahl_step(z, (force[k] - force[k - 1]) / presliding, exponent)
+        out[k] = force[k] - limit * z
+    return out
+
+
+def forward(signal: Array, context: Context, values: Values) -> Array:  # noqa: ARG001  # a `Forward`
+    """Force that gets past the guide, shape (N,) [N]."""
+    return _run(signal, values["force_N"], values["presliding_N"], values.get("exponent", 1.0))
+
+
+EFFECT = Effect(
+    name="friction",
+    title="friction in the guide",
+    seat=Seat.MECHANICS,
+    form="other",
+    parameters=(
+        Parameter("force_N", "N", 0.0, 1e3, starts=(1.0,)),
+        Parameter("presliding_N", "N", 1e-2, 1e4, starts=(3.0, 20.0, 100.0), logarithmic=True),
+        Parameter("exponent", "1", 0.5, 1.5, starts=(1.0,), nuisance=True, choices=(0.5, 1.0, 1.5)),
+    ),
+    forward=forward,
+    handling="refused",
+    docstring=__doc__,
+    why=(
+        "it changes with preload, wear and the time at rest, and pushed the wrong way at a reversal it doubles the"
+        " error; dither or a flexure instead of a guide removes it"
+    ),
+    separate_by="loop width against amplitude on logarithmic axes (friction 0 to 1, plays 2), and another preload",
+)

@@ -1,0 +1,47 @@
+"""The stack's sensitivity changes over the record: depolarisation, ageing, self-heating.
+
+Forward    x (1 + relative_change g(t / duration)); g is straight, levels off, or goes with the root of time
+Inverse    divide by the gain of the moment: a schedule, renewed by a reset cycle
+Signature  the same loop grows or shrinks in proportion to itself, time after time; look-alikes thermal_drift and creep
+           add something that does not scale with the loop
+Seat       stack, in front of the force law
+Valid      records of several loops of one amplitude; beyond the record's end nothing is known of it
+Source     THEORY 3 O; the three courses chosen here
+"""
+
+import math
+
+import numpy as np
+
+from piezod.effects.effect import Array, Context, Effect, Parameter, Seat, Values
+
+STRAIGHT_ON, LEVELS_OFF, ROOT = 0, 1, 2
+LEVELLING = 3.0  # time constants within the record
+
+
+def forward(signal: Array, context: Context, values: Values) -> Array:
+    """What the plays give with the sensitivity of the moment, shape (N,) [V]."""
+    part = np.clip(context.time_s / context.duration_s, 0.0, 1.0)
+    kind = round(values.get("kind", STRAIGHT_ON))
+    if kind == LEVELS_OFF:
+        part = np.expm1(-LEVELLING * part) / math.expm1(-LEVELLING)
+    elif kind == ROOT:
+        part = np.sqrt(part)
+    out: Array = signal * (1.0 + values["relative_change"] * part)
+    return out
+
+
+EFFECT = Effect(
+    name="gain_drift",
+    title="drift of the sensitivity",
+    seat=Seat.STACK,
+    form="linear",
+    parameters=(
+        Parameter("relative_change", "1", -0.5, 1.0, starts=(-0.02,)),
+        Parameter("kind", "1", 0.0, 2.0, starts=(0.0,), nuisance=True, choices=(0.0, 1.0, 2.0)),
+    ),
+    forward=forward,
+    handling="compensated",
+    docstring=__doc__,
+    separate_by="the same reset cycle at the beginning and at the end, at one temperature",
+)

@@ -1,0 +1,56 @@
+"""The force law stiffens or saturates beyond the one that was identified.
+
+Forward    F + curvature F^2 / span + cubic F^3 / span^2; straight where the slope would fall below a twentieth
+Inverse    exact: the root of the polynomial
+Signature  an error that depends on the force alone, the same on both branches; look-alikes voltage_clamp (flat at one
+           voltage), contact_gap (flat at the bottom)
+Seat       mechanics
+Valid      forces of the identified span and up to half of it beyond; a model that was fitted with it has absorbed it
+Source     THEORY 3 K and M; continued straight so that it stays invertible: derived here
+"""
+
+import math
+
+import numpy as np
+
+from piezod.effects.effect import Array, Context, Effect, Parameter, Seat, Values
+
+LEAST_SLOPE = 0.05
+
+
+def forward(signal: Array, context: Context, values: Values) -> Array:
+    """Force behind the changed law, shape (N,) [N]."""
+    curvature, cubic = values["curvature"], values.get("cubic", 0.0)
+    low, high = _rising(curvature, cubic)
+    part = signal / context.force_span_N
+    inside = np.clip(part, low, high)
+    law = inside + curvature * inside**2 + cubic * inside**3 + LEAST_SLOPE * (part - inside)
+    out: Array = law * context.force_span_N
+    return out
+
+
+def _rising(curvature: float, cubic: float) -> tuple[float, float]:
+    """Where 1 + 2 curvature x + 3 cubic x^2 stays above `LEAST_SLOPE`: the interval around zero."""
+    a, b, c = 3.0 * cubic, 2.0 * curvature, 1.0 - LEAST_SLOPE
+    roots: list[float] = []
+    if b * b >= 4.0 * a * c and (a != 0.0 or b != 0.0):
+        q = -0.5 * (b + math.copysign(math.sqrt(b * b - 4.0 * a * c), b))  # both roots without cancellation
+        roots = [c / q] + ([q / a] if a != 0.0 else [])
+    below, above = [x for x in roots if x < 0.0], [x for x in roots if x > 0.0]
+    return max(below, default=-math.inf), min(above, default=math.inf)
+
+
+EFFECT = Effect(
+    name="output_nonlinearity",
+    title="curved force law",
+    seat=Seat.MECHANICS,
+    form="memoryless",
+    parameters=(
+        Parameter("curvature", "1", -0.8, 0.8, starts=(0.03, -0.03)),
+        Parameter("cubic", "1", -0.2, 0.2, starts=(0.0,), nuisance=True),
+    ),
+    forward=forward,
+    handling="compensated",
+    docstring=__doc__,
+    separate_by="slow triangles about several biases, and again with another preload",
+)

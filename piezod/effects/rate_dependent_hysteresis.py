@@ -1,0 +1,72 @@
+"""The plays grow wider with the rate of the voltage.
+
+Forward    r_i(t) = r_i (1 + growth ln(1 + rate / reference)); rate is |du/dt| behind a short lag, kept while u rests
+Inverse    implicit, with the thresholds of this rate; exact for any schedule of thresholds (THEORY 1.9, 1.6)
+Signature  loops widen with the logarithm of the rate, flats after a reversal lengthen, nothing relaxes in a hold;
+           look-alike electrical_lag widens in proportion to the rate and rounds corners, creep goes on in a hold
+Seat       the hysteresis itself
+Valid      one decade of rates at least; r_0 = 0 has no width that could grow
+Source     THEORY 3 J (the logarithm) and 1.9; Al Janaideh and Krejci 2013 (thresholds that depend on the rate)
+"""
+
+import math
+
+import numba
+import numpy as np
+
+from piezod.effects.effect import Array, Context, Effect, Parameter, Seat, Values, unchanged
+
+LOGARITHM, POWER, OFFSET = 0, 1, 2
+OFFSET_SHARE = 0.1  # of the voltage range: what growth is measured in where all thresholds grow alike
+PAUSE = 2.0  # times rate_time_s: a shorter rest belongs to the movement (a held command), a longer one is a hold
+
+
+@numba.njit(cache=True)
+def rate_step(rate: float, rested_s: float, moved_V: float, dt_s: float, rate_time_s: float) -> tuple[float, float]:
+    """Advance the smoothed rate [V/s] and the time since the voltage last moved [s] by a sample of |du| = `moved_V`."""
+    rested_s += dt_s
+    if moved_V == 0.0:
+        return rate, rested_s
+    taken = rested_s if rested_s <= PAUSE * rate_time_s else dt_s
+    return rate - (moved_V / taken - rate) * math.expm1(-taken / rate_time_s), 0.0
+
+
+@numba.njit(cache=True)
+def _rates(u: Array, dt_s: float, rate_time_s: float) -> Array:
+    out = np.empty(u.size)
+    rate, rested = 0.0, 0.0
+    out[0] = rate
+    for k in range(1, u.size):
+        rate, rested = rate_step(rate, rested, abs(u[k] - u[k - 1]), dt_s, rate_time_s)
+        out[k] = rate
+    return out
+
+
+def widening(context: Context, values: Values) -> tuple[Array, Array]:
+    """Factor (1) and offset [V] of all thresholds above zero, each shape (N,)."""
+    u = context.applied_V
+    growth, kind = values["growth"], round(values.get("kind", LOGARITHM))
+    decay = np.log1p(_rates(u, context.dt_s, values.get("rate_time_s", 0.01)) / values["reference_V_per_s"])
+    if kind == OFFSET:
+        return np.ones(u.size), OFFSET_SHARE * float(np.ptp(u)) * growth * decay
+    factor: Array = np.exp(growth * decay) if kind == POWER else 1.0 + growth * decay
+    return factor, np.zeros(u.size)
+
+
+EFFECT = Effect(
+    name="rate_dependent_hysteresis",
+    title="hysteresis that grows with the rate",
+    seat=Seat.HYSTERESIS,
+    form="other",
+    parameters=(
+        Parameter("growth", "1", 0.0, 1.0, starts=(0.05,)),
+        Parameter("reference_V_per_s", "V/s", 0.1, 1e4, starts=(3.0, 30.0, 300.0), logarithmic=True),
+        Parameter("rate_time_s", "s", 1e-3, 0.1, starts=(0.01,), logarithmic=True, nuisance=True),
+        Parameter("kind", "1", 0.0, 2.0, starts=(0.0,), nuisance=True, choices=(0.0, 1.0, 2.0)),
+    ),
+    forward=unchanged,
+    widening=widening,
+    handling="compensated",
+    docstring=__doc__,
+    separate_by="triangles of one amplitude over three decades of frequency, with a hold behind each corner",
+)
