@@ -6,32 +6,33 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from piezod.recording.stretches import Stretch, gaps, typical_run
+from piezod.recording.stretches import Stretch, gaps
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
     from piezod.recording.recording import Recording
+    from piezod.recording.stuck import Stuck
 
 COMMANDS = ("voltage", "reference")
-"""Channels of these quantities are commands: they stand still and reach their limits on purpose."""
-
-UNUSUAL = 10
-"""A run of identical readings is noteworthy when it is so many times longer than the channel's typical one."""
+"""Channels of these quantities are commands: they stand still and reach their limits on purpose, and drive the rest."""
 
 
 def describe(recording: Recording) -> list[str]:
     """One line for each thing noteworthy: irregular time, gaps, missing samples, frozen and clipped readings."""
-    lines = _time(recording)
+    lines = irregular(recording) if recording.time_s.size > 2 else [f"time_s: has {recording.time_s.size} samples"]
+    drives = [name for name in recording.channels if name.startswith(COMMANDS)]
     for name in recording.channels:
-        lines += _missing(recording, name)
-        if not name.startswith(COMMANDS) and recording.time_s.size:
-            lines += _stuck(recording, name)
+        lines += missing(recording, name)
+        others = [other for other in recording.channels if other != name]
+        for drive in () if name in drives else (drives or others)[:1]:
+            lines += standing(recording, name, recording.stuck(name, drive))
     return lines
 
 
-def _time(recording: Recording) -> list[str]:
+def irregular(recording: Recording) -> list[str]:
+    """How far periods differ from each other, and where time pauses; of at least two samples."""
     time_s = recording.time_s
-    if time_s.size < 3:
-        return [f"time_s: has {time_s.size} samples"]
     lines = []
     if not recording.uniform:
         periods = np.diff(time_s)
@@ -45,7 +46,8 @@ def _time(recording: Recording) -> list[str]:
     return lines
 
 
-def _missing(recording: Recording, name: str) -> list[str]:
+def missing(recording: Recording, name: str) -> list[str]:
+    """How many samples of a channel are not there, and where the first is."""
     mask = recording.missing(name)
     if not mask.any():
         return []
@@ -54,21 +56,19 @@ def _missing(recording: Recording, name: str) -> list[str]:
     return [f"{name}: {_count(int(mask.sum()), 'sample')} missing ({share}), the first at {first_s:.6g} s"]
 
 
-def _stuck(recording: Recording, name: str) -> list[str]:
+def standing(recording: Recording, name: str, found: Stuck) -> list[str]:
+    """Where a reading is frozen or cut off."""
+    return list(_standing(recording, name, found))
+
+
+def _standing(recording: Recording, name: str, found: Stuck) -> Iterator[str]:
     values = recording.channel(name)
-    unusual = UNUSUAL * typical_run(values)
-    lines = []
-    clipped = recording.clipped(name, at_least=int(max(5, unusual)))
-    highest = np.nanmax(values) if clipped else np.nan
-    for what, at_top in (("largest", True), ("smallest", False)):
-        stretches = [s for s in clipped if (values[s[0]] == highest) == at_top]
+    for what, stretches in (("largest", found.at_largest), ("smallest", found.at_smallest)):
         if stretches:
             value = f"{values[stretches[0][0]]:.6g}"
-            lines.append(f"{name}: clipped at its {what} value {value}, {_places(recording, stretches)}")
-    frozen = [s for s in recording.frozen(name, longer_than=int(max(20, unusual))) if s not in clipped]
-    if frozen:
-        lines.append(f"{name}: stands still while others move, {_places(recording, frozen)}")
-    return lines
+            yield f"{name}: clipped at its {what} value {value}, {_places(recording, stretches)}"
+    if found.frozen:
+        yield f"{name}: stands still while its drive moves, {_places(recording, found.frozen)}"
 
 
 def _places(recording: Recording, stretches: list[Stretch]) -> str:

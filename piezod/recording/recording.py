@@ -8,7 +8,8 @@ from numpy.typing import NDArray
 from piezod.errors import RecordingError
 from piezod.recording import quality, stretches
 from piezod.recording.names import TIME
-from piezod.recording.stretches import Array, Stretch
+from piezod.recording.stretches import Array
+from piezod.recording.stuck import Stuck, stuck
 
 __all__ = ["TIME", "Array", "Recording"]
 
@@ -71,13 +72,17 @@ class Recording:
         """
         if self.time_s.size < 2:
             raise RecordingError(f"{self.source}: has {self.time_s.size} samples, a sample period needs 2")
-        return float(np.median(np.diff(self.time_s)))
+        return float(np.median(np.diff(self.time_s), overwrite_input=True))
 
     @property
     def uniform(self) -> bool:
         """Whether every sample period is within 1 % of the median."""
         periods = np.diff(self.time_s)
-        return periods.size == 0 or bool((np.abs(periods - self.dt_s) < UNIFORM_WITHIN * self.dt_s).all())
+        if periods.size == 0:
+            return True
+        shortest, longest = periods.min(), periods.max()
+        median = np.median(periods, overwrite_input=True)  # of a long recording a copy would be long too
+        return bool(max(longest - median, median - shortest) < UNIFORM_WITHIN * median)
 
     def channel(self, name: str) -> Array:
         """Values of one channel, shape (N,), in the unit of its name.
@@ -101,40 +106,20 @@ class Recording:
         """
         return np.isnan(self.channel(channel))
 
-    def frozen(self, channel: str, longer_than: int = 20) -> list[Stretch]:
-        """Where a reading stands still to the last bit while another channel moves, as (start, stop) samples.
+    def stuck(self, channel: str, drive: str) -> Stuck:
+        """Where a reading does not answer what drives it: frozen, or cut off at the ends of its range.
 
         Parameters
         ----------
-        channel
-            Its name.
-        longer_than
-            Least number of identical samples in a row that counts.
+        channel, drive
+            Names of the reading and of what moves it, such as `force_N` and `voltage_V`.
 
         Raises
         ------
         RecordingError
             There is no such channel.
         """
-        others = (values for name, values in self.channels.items() if name != channel)
-        return stretches.frozen(self.channel(channel), others, longer_than)
-
-    def clipped(self, channel: str, at_least: int = 5) -> list[Stretch]:
-        """Where a channel rests at its largest or smallest value, as (start, stop) samples; a flag is not cut.
-
-        Parameters
-        ----------
-        channel
-            Its name.
-        at_least
-            Least number of samples in a row that counts.
-
-        Raises
-        ------
-        RecordingError
-            There is no such channel.
-        """
-        return stretches.clipped(self.channel(channel), at_least)
+        return stuck(self.channel(channel), self.channel(drive))
 
     def resampled(self, dt_s: float) -> "Recording":
         """Every channel interpolated linearly to a uniform time axis from the first sample on.

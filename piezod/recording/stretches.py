@@ -1,6 +1,4 @@
-"""Where a channel stands still, is cut off, or is missing; where time has a gap. Arrays in, sample numbers out."""
-
-from collections.abc import Iterable
+"""Where a channel repeats itself, where time has a gap, what lies between samples. Arrays in, sample numbers out."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,42 +7,28 @@ Array = NDArray[np.float64]
 Stretch = tuple[int, int]
 """First sample, and the one after the last."""
 
+BLOCK = 2**20
+"""Samples looked at together: what is made of them is small beside a long recording."""
+
 GAP_PERIODS = 5
 """A pause longer than so many sample periods is a gap: over it nothing is interpolated."""
 
 
-def runs(values: Array) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Starts and stops of runs of identical values, each shape (runs,); a nan is a run of its own."""
-    edges = np.flatnonzero(values[1:] != values[:-1]) + 1
-    return np.concatenate([[0], edges]), np.concatenate([edges, [values.size]])
-
-
-def typical_run(values: Array) -> float:
-    """Median length of the runs of identical values [samples]: 1 for a noisy reading, more for a coarse or slow one."""
-    starts, stops = runs(values)
-    return float(np.median(stops - starts))
-
-
-def frozen(values: Array, others: Iterable[Array], at_least: int) -> list[Stretch]:
-    """Runs of at least so many identical values during which one of the others changes."""
-    starts, stops = _long_runs(values, at_least)
-    moves = np.zeros(starts.size, dtype=bool)
-    for other in others:
-        present = ~np.isnan(other)
-        changed = (other[1:] != other[:-1]) & present[1:] & present[:-1]
-        changes = np.concatenate([[0], np.cumsum(changed)])
-        moves |= changes[stops - 1] > changes[starts]
-    return _pairs(starts[moves], stops[moves])
-
-
-def clipped(values: Array, at_least: int) -> list[Stretch]:
-    """Runs of at least so many values at the largest or the smallest of all; none in a flag, which has no others."""
-    present = values[~np.isnan(values)]
-    if present.size == 0 or not ((present > present.min()) & (present < present.max())).any():
-        return []
-    starts, stops = _long_runs(values, at_least)
-    extreme = (values[starts] == present.min()) | (values[starts] == present.max())
-    return _pairs(starts[extreme], stops[extreme])
+def long_runs(values: Array, at_least: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Starts and stops of runs of at least so many identical values, each shape (runs,); a nan equals nothing."""
+    starts, stops = [np.empty(0, np.intp)], [np.empty(0, np.intp)]
+    begun = 0
+    for block in range(0, values.size, BLOCK):
+        part = values[block : block + BLOCK + 1]
+        bounds = np.concatenate([[begun], block + 1 + np.flatnonzero(part[1:] != part[:-1])]).astype(np.intp)
+        long = np.diff(bounds) >= at_least
+        starts.append(bounds[:-1][long])
+        stops.append(bounds[1:][long])
+        begun = int(bounds[-1])
+    last = values.size - begun >= at_least
+    starts.append(np.full(int(last), begun, np.intp))
+    stops.append(np.full(int(last), values.size, np.intp))
+    return np.concatenate(starts), np.concatenate(stops)
 
 
 def gaps(time_s: Array) -> list[Stretch]:
@@ -53,7 +37,7 @@ def gaps(time_s: Array) -> list[Stretch]:
         return []
     periods = np.diff(time_s)
     before = np.flatnonzero(periods > GAP_PERIODS * np.median(periods))
-    return _pairs(before, before + 1)
+    return pairs(before, before + 1)
 
 
 def interpolated(time_s: Array, values: Array, at_s: Array, longest_s: float) -> Array:
@@ -71,11 +55,6 @@ def interpolated(time_s: Array, values: Array, at_s: Array, longest_s: float) ->
     return np.asarray(result, dtype=np.float64)
 
 
-def _long_runs(values: Array, at_least: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    starts, stops = runs(values)
-    long = (stops - starts >= at_least) & ~np.isnan(values[starts])
-    return starts[long], stops[long]
-
-
-def _pairs(starts: NDArray[np.intp], stops: NDArray[np.intp]) -> list[Stretch]:
+def pairs(starts: NDArray[np.intp], stops: NDArray[np.intp]) -> list[Stretch]:
+    """(start, stop) of each."""
     return list(zip(starts.tolist(), stops.tolist(), strict=True))

@@ -28,26 +28,26 @@ def test_missing_samples_are_where_they_are_nan():
     assert recording.quality() == ["force_N: 2 samples missing (0.1 %), the first at 0.07 s"]
 
 
-def test_a_reading_that_stands_still_while_another_moves_is_frozen():
+def test_a_reading_that_stands_still_while_its_drive_moves_is_frozen():
     recording = noisy()
     recording.channels["force_N"][500:560] = recording.channels["force_N"][500]
-    assert recording.frozen("force_N") == [(500, 560)]
-    assert recording.frozen("force_N", longer_than=61) == []
+    assert recording.stuck("force_N", "voltage_V").frozen == [(500, 560)]
     (line,) = recording.quality()
-    assert line.startswith("force_N: stands still while others move, in 1 stretch, the longest of 60 samples from 5 ")
+    assert line.startswith(
+        "force_N: stands still while its drive moves, in 1 stretch, the longest of 60 samples from 5"
+    )
 
 
 def test_a_reading_is_not_frozen_while_everything_stands_still():
     recording = noisy()
     for values in recording.channels.values():
         values[500:560] = values[500]
-    assert recording.frozen("force_N") == []
+    assert recording.stuck("force_N", "voltage_V").stretches == []
 
 
 def test_a_hold_of_the_command_is_not_noteworthy():
     recording = noisy()
     recording.channels["voltage_V"][500:900] = 77.0
-    assert recording.frozen("voltage_V") == [(500, 900)]
     assert recording.quality() == []
 
 
@@ -56,7 +56,7 @@ def test_plateaus_at_the_extremes_are_clipped():
     force_N = recording.channels["force_N"]
     cut = force_N > 80
     force_N[cut] = 80.0
-    stretches = recording.clipped("force_N")
+    stretches = recording.stuck("force_N", "voltage_V").at_largest
     assert stretches
     assert all((force_N[start:stop] == 80.0).all() and stop - start >= 5 for start, stop in stretches)
     assert any("clipped at its largest value 80" in line for line in recording.quality())
@@ -64,9 +64,9 @@ def test_plateaus_at_the_extremes_are_clipped():
 
 def test_a_flag_and_a_constant_are_not_clipped():
     flag = np.repeat([0.0, 1.0, 0.0], 100)
-    recording = Recording(np.arange(300.0), {"on": flag, "zero_V": np.zeros(300)})
-    assert recording.clipped("on") == []
-    assert recording.clipped("zero_V") == []
+    recording = Recording(np.arange(300.0), {"on": flag, "zero_V": np.zeros(300), "ramp_V": np.arange(300.0)})
+    assert recording.stuck("on", "ramp_V").stretches == []
+    assert recording.stuck("zero_V", "ramp_V").stretches == []
 
 
 @pytest.mark.parametrize(("jitter", "uniform"), [(0.0, True), (0.009, True), (0.011, False)])
