@@ -272,6 +272,23 @@ def commission(
         validate(bench, models, output / "validation.html", as_json=as_json)
 
 
+@app.command(epilog="Example: piezod effects creep")
+def effects(
+    name: Annotated[str | None, typer.Argument(metavar="[NAME]", help="One effect in full.")] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """List the physical effects that can be found in a recording, or describe one."""
+    from piezod.effects import EFFECTS
+    from piezod.report.effects import effect_as_dict, effect_named, effect_page, effects_table
+
+    chosen = None if name is None else effect_named(name)
+    if as_json:
+        shown = list(EFFECTS.values()) if chosen is None else [chosen]
+        print(json.dumps({"schema": "piezod.effects/1", "effects": [effect_as_dict(one) for one in shown]}, indent=2))
+    else:
+        print(effects_table() if chosen is None else effect_page(chosen))
+
+
 @app.command(epilog="Example: piezod latency --seconds 5")
 def latency(
     seconds: Annotated[float, typer.Option(min=0.1, max=600, help="How long each rate is kept.")] = 2.0,

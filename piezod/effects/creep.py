@@ -6,32 +6,28 @@ Signature  a hold keeps moving towards the last step, straight in log t, in prop
            every frequency, so plays absorb it; look-alikes thermal_drift (not after steps), charge_leakage (to zero)
 Seat       stack, behind the plays and in front of the force law
 Valid      holds of a decade and more between from_s and to_s, at least 3 from_s; without holds it hides in the plays
-Source     THEORY 3 A and 1.10; Kuhnen (chain of logarithmic spacing); weights of the ends derived here
+Source     THEORY 3 A and 1.10; weights of the end elements derived here
 """
 
 import math
 
-import numba
 import numpy as np
 
 from piezod.effects.effect import Array, Context, Effect, Parameter, Seat, Values
-from piezod.effects.kernels import first_order_coefficients, first_order_step
+from piezod.effects.kernels import chain_run
 
 A_DECADE = 4  # elements
 NARROWEST = 3.0  # to_s over from_s
-FIRST_EXTRA, LAST_EXTRA = (
-    0.596,
-    1.260,
-)  # natural logarithms of time that the first and the last element stand for besides
+FIRST_EXTRA, LAST_EXTRA = 0.596, 1.260  # what the end elements stand for besides, in natural logarithms of time
 PLAYS, VOLTAGE = 0, 1  # what drives it
 
 
 def spectrum(from_s: float, to_s: float, slope: float = 0.0) -> tuple[Array, Array]:
     """Time constants [s] and weights (1) of the chain whose step response climbs by 1 a decade from `from_s` to `to_s`.
 
-    Weights go with tau^slope. With slope 0 the response is straight up to the ends: a flat density from one to the other
-    would come short there by E1(1) = 0.219 and Ein(1) = 0.797; the first and last elements
-    weigh 0.219 / (1 / e) and 0.797 / (1 - 1 / e) more, which makes up for it.
+    Weights go with tau^slope. With slope 0 the response is straight up to the ends: a flat density from one to the
+    other would come short there by E1(1) = 0.219 and Ein(1) = 0.797 in all, so the first and the last element weigh
+    0.219 / (1 / e) and 0.797 / (1 - 1 / e) more.
     """
     to_s = max(to_s, NARROWEST * from_s)
     decades = math.log10(to_s / from_s)
@@ -45,35 +41,13 @@ def spectrum(from_s: float, to_s: float, slope: float = 0.0) -> tuple[Array, Arr
     return tau_s, weights * decades / climbed
 
 
-@numba.njit(cache=True)
-def creep_step(states: Array, keep: Array, ramp: Array, weights: Array, before: float, now: float) -> float:
-    """Advance every element by a sample, in place, and return their weighted sum."""
-    total = 0.0
-    for j in range(states.size):
-        states[j] = first_order_step(states[j], before, now, keep[j], ramp[j])
-        total += weights[j] * states[j]
-    return total
-
-
-@numba.njit(cache=True)
-def _run(x: Array, tau_s: Array, weights: Array, dt_s: float, between: int) -> Array:
-    keep, ramp, states = np.empty(tau_s.size), np.empty(tau_s.size), np.zeros(tau_s.size)
-    for j in range(tau_s.size):
-        keep[j], ramp[j] = first_order_coefficients(tau_s[j], dt_s, between)
-    out = np.empty(x.size)
-    out[0] = 0.0
-    for k in range(1, x.size):
-        out[k] = creep_step(states, keep, ramp, weights, x[k - 1] - x[0], x[k] - x[0])
-    return out
-
-
 def forward(signal: Array, context: Context, values: Values) -> Array:
     """What the plays give and what crept since the first sample, shape (N,) [V]."""
     tau_s, weights = spectrum(values["from_s"], values["to_s"], values.get("slope", 0.0))
     driver = signal
     if round(values.get("driven_by", PLAYS)) == VOLTAGE:
         driver = _as_large_as(signal, context.applied_V)
-    crept = _run(np.ascontiguousarray(driver), tau_s, values["per_decade"] * weights, context.dt_s, context.between)
+    crept = chain_run(driver, tau_s, values["per_decade"] * weights, context.dt_s, context.between)
     out: Array = signal + crept
     return out
 

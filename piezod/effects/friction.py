@@ -6,7 +6,7 @@ Signature  loops whose width stops growing with the amplitude, at twice the forc
            look-alike the plays themselves, which absorb it, and output_nonlinearity, which has one branch
 Seat       mechanics
 Valid      loops from below presliding_N to several times it; presliding_N is the travel, in force, in which 63 % arise
-Source     THEORY 3 N; Dahl 1968; the closed forms derived here
+Source     THEORY 3 N (Dahl's equation); its closed forms derived here
 """
 
 import math

@@ -6,7 +6,7 @@ Signature  loops widen with the logarithm of the rate, flats after a reversal le
            look-alike electrical_lag widens in proportion to the rate and rounds corners, creep goes on in a hold
 Seat       the hysteresis itself
 Valid      one decade of rates at least; r_0 = 0 has no width that could grow
-Source     THEORY 3 J (the logarithm) and 1.9; Al Janaideh and Krejci 2013 (thresholds that depend on the rate)
+Source     THEORY 3 J (the logarithm) and 1.9 (thresholds that depend on the rate)
 """
 
 import math

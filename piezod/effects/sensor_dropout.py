@@ -6,7 +6,7 @@ Signature  not one digit changes while the model moves; look-alikes load_step (m
            quantisation (plateaus everywhere)
 Seat       acquisition
 Valid      stretches of three samples and more, in which something else than a hold was driven
-Source     DIAGNOSIS 2, step 8, and 3
+Source     derived here, from what a device does that answers with its last value
 """
 
 import numpy as np

@@ -6,7 +6,7 @@ Signature  one line that belongs neither to the drive nor to the mains and may s
            (50 or 60 Hz and harmonics), resonance (rings only behind corners)
 Seat       mechanics
 Valid      f from a few 1/T to half the sampling rate; swelling slower than ten periods of f
-Source     DIAGNOSIS 3; the breathing derived from DIAGNOSIS 2, step 8
+Source     derived here; machines do not run evenly, hence the breathing
 """
 
 import math

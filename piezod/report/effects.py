@@ -1,0 +1,94 @@
+"""The catalogue of effects in words: a table of all, a page of one, and the same as JSON."""
+
+import difflib
+from typing import Any
+
+from piezod.effects import EFFECTS, Effect, Parameter
+from piezod.errors import UsageError
+
+
+def effect_named(name: str) -> Effect:
+    """Entry of the catalogue.
+
+    Raises
+    ------
+    UsageError
+        There is none of that name; says the nearest.
+    """
+    if name in EFFECTS:
+        return EFFECTS[name]
+    nearest = difflib.get_close_matches(name, EFFECTS, n=1, cutoff=0.0)[0]
+    raise UsageError(
+        f"no effect is named '{name}', the nearest is '{nearest}'; 'piezod effects' lists all {len(EFFECTS)}"
+    )
+
+
+def effects_table() -> str:
+    """One line an effect: name, seat, parameters, what the compensator does about it."""
+    rows = [("effect", "seat", "compensator", "parameters")]
+    rows += [
+        (one.name, _seat(one), one.handling, ", ".join(parameter.name for parameter in one.catalogued))
+        for one in EFFECTS.values()
+    ]
+    return _columns(rows)
+
+
+def effect_page(effect: Effect) -> str:
+    """Its six fields, its parameters with unit and range, and what is done about it."""
+    rows = [("parameter", "unit", "range", "")]
+    rows += [(one.name, one.unit, _range(one), "nuisance" if one.nuisance else "") for one in effect.parameters]
+    handling = effect.handling + (f": {effect.why}" if effect.why else "")
+    return "\n\n".join(
+        (
+            f"{effect.name}: {effect.docstring.strip()}",
+            _columns(rows),
+            f"Compensator: {handling}\nTold apart by: {effect.separate_by}",
+        )
+    )
+
+
+def effect_as_dict(effect: Effect) -> dict[str, Any]:
+    """An effect for JSON."""
+    return {
+        "name": effect.name,
+        "title": effect.title,
+        "seat": _seat(effect),
+        "form": effect.form,
+        "handling": effect.handling,
+        "why": effect.why,
+        "needs": effect.needs,
+        "separate_by": effect.separate_by,
+        "parameters": [
+            {
+                "name": one.name,
+                "unit": one.unit,
+                "low": one.low,
+                "high": one.high,
+                "choices": list(one.choices),
+                "nuisance": one.nuisance,
+                "place": one.place,
+            }
+            for one in effect.parameters
+        ],
+        "docstring": effect.docstring.strip(),
+    }
+
+
+def _seat(effect: Effect) -> str:
+    return effect.seat.name.lower().replace("_", " ")
+
+
+def _range(parameter: Parameter) -> str:
+    if parameter.choices:
+        return " or ".join(f"{choice:g}" for choice in parameter.choices)
+    if parameter.place:
+        return "instant of the record"
+    return f"{parameter.low:.4g} to {parameter.high:.4g}"
+
+
+def _columns(rows: list[tuple[str, str, str, str]]) -> str:
+    widths = [max(len(row[i]) for row in rows) for i in range(3)]
+    return "\n".join(
+        "  ".join((*(cell.ljust(width) for cell, width in zip(row, widths, strict=False)), row[3])).rstrip()
+        for row in rows
+    )
