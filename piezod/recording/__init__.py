@@ -1,12 +1,14 @@
 """Recordings: a time axis and named channels with units, and the files they live in."""
 
 from piezod.recording.csv import read_csv, write_csv
-from piezod.recording.files import convert, open_stream, read_recording, write_recording
+from piezod.recording.files import check_target, column_names, convert, open_stream, read_recording, write_recording
 from piezod.recording.recording import TIME, Recording
 
 __all__ = [
     "TIME",
     "Recording",
+    "check_target",
+    "column_names",
     "convert",
     "open_stream",
     "read_csv",

@@ -1,5 +1,6 @@
 """Which file holds which format: reading, writing, streaming and converting by suffix."""
 
+import os
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
@@ -14,31 +15,32 @@ from piezod.recording.mat import open_mat, write_mat
 from piezod.recording.mdf4 import open_mdf4, write_mdf4
 from piezod.recording.names import TIME
 from piezod.recording.parquet import open_parquet, write_parquet
-from piezod.recording.recording import Recording
-from piezod.recording.source import Source, foreign, whole
+from piezod.recording.recording import Recording, check_time
+from piezod.recording.source import Source, foreign, require, whole
 from piezod.recording.tdms import open_tdms, write_tdms
 
 
 @dataclass(frozen=True)
 class Format:
-    """One file format: how files of it begin, and what opens and writes them."""
+    """One file format: how files of it begin, what opens and writes them, and the (module, extra) it needs."""
 
     name: str
     magic: tuple[bytes, ...]
     open: Callable[[Path], AbstractContextManager[Source]]
     write: Callable[[Recording, Path], None]
+    needs: tuple[str, str] | tuple[()] = ()
 
 
-_HDF5 = Format("HDF5", (b"\x89HDF\r\n\x1a\n",), open_hdf5, write_hdf5)
+_HDF5 = Format("HDF5", (b"\x89HDF\r\n\x1a\n",), open_hdf5, write_hdf5, ("h5py", "hdf5"))
 
 FORMATS = {
     ".csv": Format("CSV", (), open_csv, write_csv),
     ".h5": _HDF5,
     ".hdf5": _HDF5,
     ".mat": Format("MAT", (b"MATLAB 5.0 MAT-file", b"MATLAB 7.3 MAT-file"), open_mat, write_mat),
-    ".tdms": Format("TDMS", (b"TDSm",), open_tdms, write_tdms),
-    ".parquet": Format("Parquet", (b"PAR1",), open_parquet, write_parquet),
-    ".mf4": Format("MDF4", (b"MDF     4.", b"UnFinMF "), open_mdf4, write_mdf4),
+    ".tdms": Format("TDMS", (b"TDSm",), open_tdms, write_tdms, ("nptdms", "tdms")),
+    ".parquet": Format("Parquet", (b"PAR1",), open_parquet, write_parquet, ("pyarrow.parquet", "parquet")),
+    ".mf4": Format("MDF4", (b"MDF     4.", b"UnFinMF "), open_mdf4, write_mdf4, ("asammdf", "mdf")),
 }
 
 
@@ -111,15 +113,40 @@ def open_stream(path: Path, columns: Sequence[str] | None = None, chunk: int = 6
         raise RecordingError(f"{path}: chunk is {chunk} samples, must be at least 1")
     with _opened(path) as source:
         names = _wanted(source, columns)
-        end_s = -np.inf
+        done, end_s = 0, -np.inf
         for table in source.chunks(names, chunk):
             for start in range(0, table[TIME].size, chunk):
                 piece = {name: table[name][start : start + chunk] for name in names}
-                recording = Recording(piece.pop(TIME), piece, source.metadata, str(path))
-                if recording.time_s[0] <= end_s:
-                    raise RecordingError(f"{path}: time_s must strictly increase, {end_s:.9g} s is not passed")
-                end_s = recording.time_s[-1]
-                yield recording
+                check_time(str(path), piece[TIME], done, end_s)
+                done, end_s = done + piece[TIME].size, float(piece[TIME][-1])
+                yield Recording(piece.pop(TIME), piece, source.metadata, str(path))
+
+
+def column_names(path: Path) -> tuple[str, ...]:
+    """Names of a file's columns, `time_s` among them; of its numbers none is read.
+
+    Raises
+    ------
+    RecordingError
+        As `read_recording`.
+    """
+    with _opened(path) as source:
+        return source.names
+
+
+def check_target(path: Path) -> None:
+    """Refuse a file that could not be written, before the work whose result it is to hold.
+
+    Raises
+    ------
+    RecordingError
+        The suffix is unknown, its extra is missing, or the folder is not there or not to be written.
+    """
+    kind = _format(path)
+    if kind.needs:
+        require(*kind.needs, path)
+    if not path.parent.is_dir() or not os.access(path.parent, os.W_OK):
+        raise RecordingError(f"{path}: cannot be written: {path.parent} must be a folder that may be written to")
 
 
 def _wanted(source: Source, columns: Sequence[str] | None) -> tuple[str, ...]:

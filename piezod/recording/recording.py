@@ -11,7 +11,7 @@ from piezod.recording.names import TIME
 from piezod.recording.stretches import Array
 from piezod.recording.stuck import Stuck, stuck
 
-__all__ = ["TIME", "Array", "Recording"]
+__all__ = ["TIME", "Array", "Recording", "check_time"]
 
 MOST_RESAMPLED = 2**29
 """Numbers that a resampled recording may hold: 4.3 GB."""
@@ -51,15 +51,7 @@ class Recording:
         for name, values in self.channels.items():
             if values.shape != self.time_s.shape:
                 raise RecordingError(f"{self.source}: {name} has {values.size} samples, time_s has {self.time_s.size}")
-        if not np.isfinite(self.time_s).all():
-            raise RecordingError(f"{self.source}: time_s has a value that is not finite; remove the row")
-        backwards = np.flatnonzero(np.diff(self.time_s) <= 0)
-        if backwards.size:
-            k = int(backwards[0]) + 1
-            raise RecordingError(
-                f"{self.source}: time_s must strictly increase, sample {k} is at {self.time_s[k]:g} s after "
-                f"{self.time_s[k - 1]:g} s"
-            )
+        check_time(self.source, self.time_s)
 
     @property
     def dt_s(self) -> float:
@@ -183,3 +175,35 @@ class Recording:
     def _part(self, samples: slice) -> "Recording":
         channels = {name: values[samples] for name, values in self.channels.items()}
         return Recording(self.time_s[samples], channels, dict(self.metadata), self.source)
+
+
+def check_time(source: str, time_s: Array, first: int = 0, before_s: float = -np.inf) -> None:
+    """Refuse times that do not strictly increase.
+
+    Parameters
+    ----------
+    source
+        For messages.
+    time_s
+        Shape (N,) [s].
+    first, before_s
+        Number of the first of these samples, and the time of the one before it [s].
+
+    Raises
+    ------
+    RecordingError
+        The first sample at which it does not.
+    """
+    if not np.isfinite(time_s).all():
+        k = int(np.argmin(np.isfinite(time_s)))
+        raise RecordingError(f"{source}: time_s of sample {first + k} is not finite; remove the row")
+    backwards = time_s[1:] <= time_s[:-1]
+    at_once = bool(time_s.size and time_s[0] <= before_s)
+    if at_once or backwards.any():
+        k = 0 if at_once else int(np.argmax(backwards)) + 1
+        now_s, then_s = float(time_s[k]), float(time_s[k - 1] if k else before_s)
+        remedy = "write time with more digits" if now_s == then_s else "cut the file there"
+        raise RecordingError(
+            f"{source}: time_s must strictly increase, sample {first + k} is at {now_s:.12g} s after {then_s:.12g} s; "
+            f"{remedy}"
+        )

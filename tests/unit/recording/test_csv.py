@@ -63,7 +63,7 @@ def test_empty_cells_are_missing_samples(tmp_path):
 def test_an_empty_time_cell_is_refused(tmp_path):
     path = tmp_path / "rec.csv"
     path.write_text("time_s,a_V\n0,1\n,2\n", encoding="utf-8")
-    with pytest.raises(RecordingError, match="time_s has a value that is not finite"):
+    with pytest.raises(RecordingError, match="time_s of sample 1 is not finite"):
         read_csv(path)
 
 

@@ -8,7 +8,15 @@ from hypothesis import HealthCheck, given, settings
 from unit.recording.formats import PACKAGES, REAL, recordings, same, sample, suffixes
 
 from piezod.errors import RecordingError
-from piezod.recording import Recording, convert, open_stream, read_recording, write_recording
+from piezod.recording import (
+    Recording,
+    check_target,
+    column_names,
+    convert,
+    open_stream,
+    read_recording,
+    write_recording,
+)
 from piezod.recording.files import FORMATS
 
 quick = settings(max_examples=25, suppress_health_check=[HealthCheck.function_scoped_fixture])
@@ -68,6 +76,31 @@ def test_a_stream_notices_time_that_steps_back_between_pieces(tmp_path):
     path.write_text("time_s,force_N\n0,1\n1,2\n0.5,3\n2,4\n", encoding="utf-8")
     with pytest.raises(RecordingError, match="must strictly increase"):
         list(open_stream(path, chunk=2))
+
+
+@pytest.mark.parametrize("chunk", [1, 2, 3, 100])
+def test_a_stream_counts_samples_from_the_beginning_of_the_file(tmp_path, chunk):
+    path = tmp_path / "rec.csv"
+    path.write_text("time_s,force_N\n" + "".join(f"{time},1\n" for time in (0, 1, 2, 3, 3, 5)), encoding="utf-8")
+    with pytest.raises(RecordingError, match="sample 4 is at 3 s after 3 s; write time with more digits"):
+        list(open_stream(path, chunk=chunk))
+
+
+@pytest.mark.parametrize("suffix", suffixes())
+def test_the_names_of_a_file_are_those_that_reading_gives(tmp_path, suffix):
+    write_recording(sample(), tmp_path / f"rec{suffix}")
+    assert set(column_names(tmp_path / f"rec{suffix}")) == {"time_s", *sample().channels}
+
+
+def test_a_target_is_refused_before_the_work_when_it_could_not_be_written_after_it(tmp_path, monkeypatch):
+    check_target(tmp_path / "rec.csv")
+    with pytest.raises(RecordingError, match=r"suffix is '\.txt', must be one of \.csv"):
+        check_target(tmp_path / "rec.txt")
+    with pytest.raises(RecordingError, match=r"no/rec\.csv: cannot be written: .*no must be a folder"):
+        check_target(tmp_path / "no" / "rec.csv")
+    monkeypatch.setitem(sys.modules, "nptdms", None)
+    with pytest.raises(RecordingError, match=r"needs nptdms; pip install 'piezod\[tdms\]'"):
+        check_target(tmp_path / "rec.tdms")
 
 
 @pytest.mark.parametrize("suffix", suffixes())
