@@ -62,10 +62,11 @@ def _rub(state: Record, parameters: Record) -> None:
     travel = state.contact_N - state.previous_contact_N
     if travel == 0.0:
         return
-    sign = math.copysign(1.0, travel)
-    ratio = abs(travel) / parameters.presliding_N
-    gap_N = sign * parameters.friction_N - state.friction_N
-    state.friction_N += gap_N * ratio / (1.0 + 0.5 * ratio)
+    parts = 1 + int(4.0 * abs(travel) / parameters.presliding_N)
+    ratio = abs(travel) / parameters.presliding_N / parts
+    for _ in range(parts):  # a midpoint step longer than the presliding would overshoot
+        gap_N = math.copysign(parameters.friction_N, travel) - state.friction_N
+        state.friction_N += gap_N * ratio / (1.0 + 0.5 * ratio)
 
 
 @njit(cache=True)

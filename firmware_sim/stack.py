@@ -39,7 +39,10 @@ def _trail(state: Record, parameters: Record) -> None:
     rate = abs(travel_V) / parameters.step_s / parameters.rate_reference_V_per_s
     offset_V = parameters.rate_growth * parameters.width_scale_V * math.log1p(rate)
     path = abs(travel_V) / (parameters.rate_path_V + 3.0 * offset_V)
-    state.coercive_V += (math.copysign(offset_V, travel_V) - state.coercive_V) * path / (1.0 + 0.5 * path)
+    parts = 1 + int(4.0 * path)
+    for _ in range(parts):  # a midpoint step longer than the path would overshoot
+        gap_V = math.copysign(offset_V, travel_V) - state.coercive_V
+        state.coercive_V += gap_V * (path / parts) / (1.0 + 0.5 * path / parts)
 
 
 @njit(cache=True)
