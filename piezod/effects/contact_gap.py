@@ -9,21 +9,33 @@ Valid      records that come down to the gap; softness is at most the gap, so no
 Source     THEORY 3 L; the parabola derived here
 """
 
+import numba
 import numpy as np
 
 from piezod.effects.effect import Array, Context, Effect, Parameter, Seat, Values
 
 
+@numba.njit(cache=True)
+def contact_step(force: float, gap: float, softness: float) -> float:
+    """Force that arrives behind the gap; softness 0 is a sharp kink [N]."""
+    beyond = force - gap
+    soft = min(softness, gap)
+    if abs(beyond) < soft:
+        return (beyond + soft) ** 2 / (4.0 * soft)
+    return max(beyond, 0.0)
+
+
+@numba.njit(cache=True)
+def _run(force: Array, gap: float, softness: float) -> Array:
+    out = np.empty(force.size)
+    for k in range(force.size):
+        out[k] = contact_step(force[k], gap, softness)
+    return out
+
+
 def forward(signal: Array, context: Context, values: Values) -> Array:  # noqa: ARG001  # a `Forward`
     """Force that arrives behind the gap, shape (N,) [N]."""
-    gap = values["gap_N"]
-    softness = min(values.get("softness_N", 0.0), gap)
-    beyond = signal - gap
-    out: Array = np.maximum(beyond, 0.0)
-    if softness > 0.0:
-        near = np.abs(beyond) < softness
-        out[near] = (beyond[near] + softness) ** 2 / (4.0 * softness)
-    return out
+    return _run(signal, values["gap_N"], values.get("softness_N", 0.0))
 
 
 EFFECT = Effect(

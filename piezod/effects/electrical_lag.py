@@ -2,7 +2,8 @@
 
 Forward    tau du'/dt = u - u', tau = R C, exact for a voltage that runs straight between samples
 Inverse    u = u' + tau du'/dt: one sample of preview (THEORY 1.10)
-Signature  loops widen in proportion to the rate, corners are rounded; nothing is left while the voltage rests
+Signature  loops widen in proportion to the rate, corners are rounded; nothing is left while the voltage rests;
+           look-alikes sensor_filter (shapes the noise too), transport_delay (sharp corners), slew_limit (above a rate)
 Seat       amplifier, in front of the hysteresis
 Valid      0.1 ms to 0.5 s; below 1.5 samples it cannot be told from a filter or a delay
 Source     THEORY 3 B; R 10 to 1000 ohm into 0.1 to 10 uF

@@ -11,6 +11,7 @@ Source     THEORY 3 O; the three courses chosen here
 
 import math
 
+import numba
 import numpy as np
 
 from piezod.effects.effect import Array, Context, Effect, Parameter, Seat, Values
@@ -19,16 +20,27 @@ STRAIGHT_ON, LEVELS_OFF, ROOT = 0, 1, 2
 LEVELLING = 3.0  # time constants within the record
 
 
+@numba.njit(cache=True)
+def course(part: float, kind: int) -> float:
+    """Share of the change that has come about at a part of the record; 0 before it, 1 behind it."""
+    part = min(max(part, 0.0), 1.0)
+    if kind == LEVELS_OFF:
+        return math.expm1(-LEVELLING * part) / math.expm1(-LEVELLING)
+    return math.sqrt(part) if kind == ROOT else part
+
+
+@numba.njit(cache=True)
+def _run(x: Array, time_s: Array, duration_s: float, change: float, kind: int) -> Array:
+    out = np.empty(x.size)
+    for k in range(x.size):
+        out[k] = x[k] * (1.0 + change * course(time_s[k] / duration_s, kind))
+    return out
+
+
 def forward(signal: Array, context: Context, values: Values) -> Array:
     """What the plays give with the sensitivity of the moment, shape (N,) [V]."""
-    part = np.clip(context.time_s / context.duration_s, 0.0, 1.0)
     kind = round(values.get("kind", STRAIGHT_ON))
-    if kind == LEVELS_OFF:
-        part = np.expm1(-LEVELLING * part) / math.expm1(-LEVELLING)
-    elif kind == ROOT:
-        part = np.sqrt(part)
-    out: Array = signal * (1.0 + values["relative_change"] * part)
-    return out
+    return _run(signal, context.time_s, context.duration_s, values["relative_change"], kind)
 
 
 EFFECT = Effect(

@@ -18,9 +18,10 @@ HELD, HELD_BEFORE = 1, 2  # as in `effect`
 def first_order_step(y: float, before: float, now: float, keep: float, ramp: float) -> float:
     """Advance tau y' = x - y by a sample while x runs straight from `before` to `now`.
 
-    With a = exp(-T / tau) = `keep` and b = 1 - tau (1 - a) / T = `ramp`: y <- a y + (1 - a - b) before + b now.
+    With a = exp(-T / tau) = `keep` and b = 1 - tau (1 - a) / T = `ramp`: y <- a y + (1 - a - b) before + b now, written
+    so that a resting state rests to the last digit.
     """
-    return keep * y + (1.0 - keep - ramp) * before + ramp * now
+    return y + (1.0 - keep) * (before - y) + ramp * (now - before)
 
 
 @numba.njit(cache=True)

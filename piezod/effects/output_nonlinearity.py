@@ -11,6 +11,7 @@ Source     THEORY 3 K and M; continued straight so that it stays invertible: der
 
 import math
 
+import numba
 import numpy as np
 
 from piezod.effects.effect import Array, Context, Effect, Parameter, Seat, Values
@@ -18,18 +19,28 @@ from piezod.effects.effect import Array, Context, Effect, Parameter, Seat, Value
 LEAST_SLOPE = 0.05
 
 
-def forward(signal: Array, context: Context, values: Values) -> Array:
-    """Force behind the changed law, shape (N,) [N]."""
-    curvature, cubic = values["curvature"], values.get("cubic", 0.0)
-    low, high = _rising(curvature, cubic)
-    part = signal / context.force_span_N
-    inside = np.clip(part, low, high)
-    law = inside + curvature * inside**2 + cubic * inside**3 + LEAST_SLOPE * (part - inside)
-    out: Array = law * context.force_span_N
+@numba.njit(cache=True)
+def law_step(part: float, curvature: float, cubic: float, low: float, high: float) -> float:
+    """Law at a force, both in parts of the span; `low` to `high` is where the polynomial rises enough."""
+    inside = min(max(part, low), high)
+    return inside + inside * inside * (curvature + cubic * inside) + LEAST_SLOPE * (part - inside)
+
+
+@numba.njit(cache=True)
+def _run(force: Array, span: float, curvature: float, cubic: float, low: float, high: float) -> Array:
+    out = np.empty(force.size)
+    for k in range(force.size):
+        out[k] = span * law_step(force[k] / span, curvature, cubic, low, high)
     return out
 
 
-def _rising(curvature: float, cubic: float) -> tuple[float, float]:
+def forward(signal: Array, context: Context, values: Values) -> Array:
+    """Force behind the changed law, shape (N,) [N]."""
+    curvature, cubic = values["curvature"], values.get("cubic", 0.0)
+    return _run(signal, context.force_span_N, curvature, cubic, *rising(curvature, cubic))
+
+
+def rising(curvature: float, cubic: float) -> tuple[float, float]:
     """Where 1 + 2 curvature x + 3 cubic x^2 stays above `LEAST_SLOPE`: the interval around zero."""
     a, b, c = 3.0 * cubic, 2.0 * curvature, 1.0 - LEAST_SLOPE
     roots: list[float] = []

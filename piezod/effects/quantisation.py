@@ -9,16 +9,31 @@ Valid      steps above the noise; below it noise dithers the lattice away
 Source     THEORY 3 P
 """
 
+import math
+
+import numba
 import numpy as np
 
 from piezod.effects.effect import Array, Context, Effect, Parameter, Seat, Values
 
 
+@numba.njit(cache=True)
+def lattice_step(force: float, step: float, offset: float) -> float:
+    """Nearest point of the lattice, upwards from the middle [N]."""
+    return offset + step * math.floor((force - offset) / step + 0.5)
+
+
+@numba.njit(cache=True)
+def _run(force: Array, step: float, offset: float) -> Array:
+    out = np.empty(force.size)
+    for k in range(force.size):
+        out[k] = lattice_step(force[k], step, offset)
+    return out
+
+
 def forward(signal: Array, context: Context, values: Values) -> Array:  # noqa: ARG001  # a `Forward`
     """Reading on the lattice, shape (N,) [N]."""
-    step, offset = values["step_N"], values.get("offset_N", 0.0)
-    out: Array = offset + step * np.floor((signal - offset) / step + 0.5)
-    return out
+    return _run(signal, values["step_N"], values.get("offset_N", 0.0))
 
 
 EFFECT = Effect(

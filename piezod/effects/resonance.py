@@ -2,7 +2,8 @@
 
 Forward    y'' + 2 zeta w y' + w^2 y = w^2 F, w = 2 pi f, exact for a force that runs straight between samples
 Inverse    F = y + 2 zeta / w y' + y'' / w^2: two samples of preview, on smooth references
-Signature  ringing at f after corners, a peak of the gain at f, far below it an error in proportion to the acceleration
+Signature  ringing at f after corners, a peak of the gain at f, far below it an error in proportion to the acceleration;
+           look-alikes vibration (rings without corners), sensor_filter (hardly overshoots), electrical_lag
 Seat       mechanics
 Valid      f from a few 1/T to near half the sampling rate; zeta 0.001 to 1
 Source     THEORY 3 E

@@ -1,6 +1,6 @@
 """The reading freezes for a while.
 
-Forward    from from_s to to_s the reading keeps its last value
+Forward    F, but F(from_s) from from_s until to_s
 Inverse    the stretch is left out
 Signature  not one digit changes while the model moves; look-alikes load_step (moves on after its edge),
            quantisation (plateaus everywhere)
@@ -18,9 +18,10 @@ LATEST_s = 1e7
 
 def forward(signal: Array, context: Context, values: Values) -> Array:
     """Reading with the frozen stretch, shape (N,) [N]."""
-    first, end = np.searchsorted(context.time_s, (values["from_s"], values["to_s"]))
+    from_s, to_s = values["from_s"], values["to_s"]
+    first, end = np.searchsorted(context.time_s, (from_s, to_s))
     out = signal.copy()
-    out[first:end] = signal[max(first - 1, 0)]
+    out[first:end] = np.interp(from_s, context.time_s, signal)
     return out
 
 

@@ -18,8 +18,9 @@ def forward(signal: Array, context: Context, values: Values) -> Array:
     temperature = context.temperature_C
     assert temperature is not None  # `needs`
     lag_s = values.get("lag_s", 0.0)
-    felt = first_order_run(temperature, lag_s, context.dt_s) if lag_s > 0.0 else temperature
-    out: Array = signal + values["coefficient_N_per_K"] * (felt - temperature[0])
+    warmer = temperature - temperature[0]
+    felt = first_order_run(warmer, lag_s, context.dt_s) if lag_s > 0.0 else warmer
+    out: Array = signal + values["coefficient_N_per_K"] * felt
     return out
 
 

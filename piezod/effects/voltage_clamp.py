@@ -9,20 +9,31 @@ Valid      limits inside the range that was driven; one that is never reached ca
 Source     THEORY 3 D; the parabola derived here
 """
 
+import numba
 import numpy as np
 
 from piezod.effects.effect import Array, Context, Effect, Parameter, Seat, Values
 
 
+@numba.njit(cache=True)
+def clamp_step(u: float, limit: float, knee: float) -> float:
+    """Voltage that the output stage can give where `u` is asked for; the knee may be 0 [V]."""
+    if abs(u - limit) < knee:
+        return u - (u - limit + knee) ** 2 / (4.0 * knee)
+    return min(u, limit)
+
+
+@numba.njit(cache=True)
+def _run(u: Array, limit: float, knee: float) -> Array:
+    out = np.empty(u.size)
+    for k in range(u.size):
+        out[k] = clamp_step(u[k], limit, knee)
+    return out
+
+
 def forward(signal: Array, context: Context, values: Values) -> Array:  # noqa: ARG001  # a `Forward`
     """Voltage that the output stage can give, shape (N,) [V]."""
-    limit, knee = values["limit_V"], values.get("knee_V", 0.0)
-    out: Array = np.minimum(signal, limit)
-    if knee > 0.0:
-        into = signal - (limit - knee)
-        near = np.abs(signal - limit) < knee
-        out[near] = signal[near] - into[near] ** 2 / (4.0 * knee)
-    return out
+    return _run(signal, values["limit_V"], values.get("knee_V", 0.0))
 
 
 EFFECT = Effect(
