@@ -26,7 +26,7 @@ def dahl_step(z: float, travel: float, exponent: float) -> float:
     if travel == 0.0:
         return z
     sign = 1.0 if travel > 0.0 else -1.0
-    q = max(1.0 - sign * z, 0.0)
+    q = min(max(1.0 - sign * z, 0.0), 2.0)
     way = abs(travel)
     if exponent == 1.0:
         q *= math.exp(-way)
@@ -35,7 +35,7 @@ def dahl_step(z: float, travel: float, exponent: float) -> float:
         root = q**power if q > 0.0 or power > 0.0 else math.inf
         root = max(root + way * (math.exp(-power) - 1.0), 0.0)
         q = root ** (1.0 / power)
-    return sign * (1.0 - q)
+    return sign * (1.0 - min(q, 2.0))
 
 
 @numba.njit(cache=True)

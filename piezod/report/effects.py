@@ -17,7 +17,7 @@ def effect_named(name: str) -> Effect:
     """
     if name in EFFECTS:
         return EFFECTS[name]
-    nearest = difflib.get_close_matches(name, EFFECTS, n=1, cutoff=0.0)[0]
+    nearest = max(EFFECTS, key=lambda one: max(_likeness(name, part) for part in (one, *one.split("_"))))
     raise UsageError(
         f"no effect is named '{name}', the nearest is '{nearest}'; 'piezod effects' lists all {len(EFFECTS)}"
     )
@@ -72,6 +72,10 @@ def effect_as_dict(effect: Effect) -> dict[str, Any]:
         ],
         "docstring": effect.docstring.strip(),
     }
+
+
+def _likeness(one: str, other: str) -> float:
+    return difflib.SequenceMatcher(None, one, other).ratio()
 
 
 def _seat(effect: Effect) -> str:
