@@ -62,10 +62,10 @@ def test_one_slew_step_is_a_thousand_small_ones(y, before, now, most):
 
 
 def test_a_held_command_is_followed_from_the_sample_on_at_which_it_comes():
-    u = np.array([0.0, 0.0, 5.0, 5.0, 5.0])
+    u = np.array([0.0, 0.0, 5.0, 5.0, -5.0])
     slow = {"limit_V_per_s": 1.0 / DT_s}
     np.testing.assert_allclose(forward("slew_limit", u, DT_s, slow, between=HELD), [0.0, 0.0, 0.0, 1.0, 2.0])
-    np.testing.assert_allclose(forward("slew_limit", u, DT_s, slow, between=HELD_BEFORE), [0.0, 0.0, 1.0, 2.0, 3.0])
+    np.testing.assert_allclose(forward("slew_limit", u, DT_s, slow, between=HELD_BEFORE), [0.0, 0.0, 1.0, 2.0, 1.0])
 
 
 @pytest.mark.parametrize(("frequency_Hz", "percent"), [(0.1, 0.2), (1.0, 2.0)])
