@@ -24,19 +24,40 @@ class RealTimeConfig(Section):
     hold_cpu_latency: bool = True
 
 
+class SignCheckConfig(Section):
+    """The step that must raise the force before anything else is driven: polarity, cable and preload in one."""
+
+    step_V: Annotated[float, Field(gt=0)] = 2.0
+    rise_N: Annotated[float, Field(gt=0)] = 0.5
+    settle_s: Annotated[float, Field(gt=0, le=60)] = 0.1
+
+
+Precondition = Literal["identity", "map_version", "device_watchdog", "voltage_readback", "sign_check"]
+
+
 class ArmingConfig(Section):
-    """How the bench is brought from rest to the first reference."""
+    """What must hold before a voltage is written, and how the bench is brought from rest to the first reference.
+
+    `without` names the preconditions that this device cannot meet; each is one thing that will not be noticed.
+    """
 
     reset_cycle: bool = True
     voltage_V_per_s: Annotated[float, Field(gt=0)] = 200.0
     readback_within_V: Annotated[float, Field(gt=0)] = 2.0
+    agree_within_N: Annotated[float, Field(gt=0)] | None = None
+    sign_check: SignCheckConfig = SignCheckConfig()
+    without: Annotated[tuple[Precondition, ...], Field(strict=False)] = ()
 
 
 class DaemonConfig(Section):
-    """Where the daemon keeps what it shows to others."""
+    """Where the daemon keeps what it shows to others, and where it listens."""
 
     ring_log: str = "/dev/shm/piezod-{name}.ring"  # noqa: S108  # shared memory is meant to be seen
     ring_seconds: Annotated[float, Field(gt=0, le=3600)] = 60.0
+    socket: str | None = None
+    socket_group: Annotated[str, Field(min_length=1)] | None = None
+    socket_mode: Annotated[str, Field(pattern=r"^0?[0-7]{3}$")] = "0660"
+    metrics_port: Annotated[int, Field(ge=0, le=65535)] | None = None
 
 
 class BenchConfig(Section):
@@ -65,6 +86,22 @@ class BenchConfig(Section):
         """Where the ring log lies."""
         return Path(self.daemon.ring_log.replace("{name}", self.name))
 
+    @property
+    def lock_path(self) -> Path:
+        """What a program holds while it drives or watches this bench: beside the ring log."""
+        return self.ring_log_path.with_name(self.ring_log_path.name + ".lock")
+
+    @property
+    def socket_path(self) -> Path:
+        """Where the daemon is spoken to: beside the ring log unless named."""
+        if self.daemon.socket is None:
+            return self.ring_log_path.with_name(self.ring_log_path.name + ".sock")
+        return Path(self.daemon.socket.replace("{name}", self.name))
+
+    def names(self, role: str) -> bool:
+        """Whether amplifier or load cell has something for this role."""
+        return self.link.names(role) or (self.load_cell_link is not None and self.load_cell_link.names(role))
+
     @model_validator(mode="after")
     def _link_has_what_the_loop_needs(self) -> Self:
         _require_voltage(self.link)
@@ -83,12 +120,44 @@ class BenchConfig(Section):
                 f"arming.voltage_V_per_s is {self.arming.voltage_V_per_s:g}, must be at most limits.slew_V_per_s, "
                 f"{self.limits.slew_V_per_s:g}"
             )
+        highest_V = self.limits.voltage_max_V - self.limits.voltage_safe_V
+        if self.arming.sign_check.step_V > highest_V:
+            raise ValueError(
+                f"arming.sign_check.step_V is {self.arming.sign_check.step_V:g}, must be at most {highest_V:g}, from "
+                "the safe voltage to limits.voltage_max_V"
+            )
+        return self
+
+    @model_validator(mode="after")
+    def _limits_can_be_watched(self) -> Self:
+        for limit, role in (("readback_trip_V", "voltage_readback"), ("temperature_trip_degC", "temperature")):
+            if getattr(self.limits, limit) is not None and not self.names(role):
+                raise ValueError(
+                    f"limits.{limit} is {getattr(self.limits, limit):g}, but the link reads no {role}; "
+                    f"name it, or set {limit}: null"
+                )
+        return self
+
+    @model_validator(mode="after")
+    def _a_force_above_the_trip_can_be_read(self) -> Self:
+        """A reading outside low..high is refused as impossible, so a trip outside it would never be seen."""
+        link, limits = self.load_cell_link or self.link, self.limits
+        force = None if isinstance(link, SerialLineLink) else link.registers.force
+        if force is not None and force.high is not None and limits.force_trip_N >= force.high:
+            raise ValueError(
+                f"limits.force_trip_N is {limits.force_trip_N:g}, must be below registers.force.high, {force.high:g}"
+            )
+        if force is not None and force.low is not None and limits.force_min_N <= force.low:
+            raise ValueError(
+                f"limits.force_min_N is {limits.force_min_N:g}, must be above registers.force.low, {force.low:g}"
+            )
         return self
 
     @model_validator(mode="after")
     def _a_tick_moves_at_least_one_converter_step(self) -> Self:
         for name, rate in (
             ("limits.slew_V_per_s", self.limits.slew_V_per_s),
+            ("limits.slew_down_V_per_s", self.limits.fall_V_per_s),
             ("limits.ramp_down_V_per_s", self.limits.ramp_down_V_per_s),
             ("arming.voltage_V_per_s", self.arming.voltage_V_per_s),
         ):
@@ -101,9 +170,7 @@ class BenchConfig(Section):
 
     @model_validator(mode="after")
     def _a_watchdog_can_be_set(self) -> Self:
-        link = self.link
-        settable = link.watchdog if isinstance(link, SerialLineLink) else link.registers.watchdog_ms
-        if self.limits.device_watchdog_ms and settable is None:
+        if self.limits.device_watchdog_ms and not self.link.names("watchdog_ms"):
             raise ValueError(
                 f"limits.device_watchdog_ms is {self.limits.device_watchdog_ms}, but the link names no watchdog to be "
                 "set; name its register, or set 0 and set the device's own by hand"
@@ -122,6 +189,17 @@ class BenchConfig(Section):
         if self.limits.comm_loss_ms < tick_ms:
             raise ValueError(
                 f"limits.comm_loss_ms is {self.limits.comm_loss_ms:g}, must be at least one tick, {tick_ms:g} ms"
+            )
+        if self.limits.stale_after_ms < tick_ms:
+            raise ValueError(
+                f"limits.stale_after_ms is {self.limits.stale_after_ms:g}, must be at least one tick, {tick_ms:g} ms: "
+                "every reading would be stale"
+            )
+        if (2 + self.limits.force_debounce_samples) * tick_ms > self.limits.comm_loss_ms:
+            raise ValueError(
+                f"limits.force_debounce_samples is {self.limits.force_debounce_samples}, which is "
+                f"{self.limits.force_debounce_samples * tick_ms:g} ms, must be two ticks below limits.comm_loss_ms, "
+                f"{self.limits.comm_loss_ms:g}"
             )
         return self
 

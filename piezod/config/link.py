@@ -1,6 +1,7 @@
 """The `link` section: how the amplifier and the load cell are reached, and what stands where in their memory."""
 
-from typing import Annotated, Literal, Self
+from ipaddress import ip_address
+from typing import Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import Field, model_validator
 
@@ -95,7 +96,7 @@ class Registers(Section):
     virtual_time: Register | None = None
     virtual_tick_us: Register | None = None
 
-    _TICK_WRITES = ("voltage_setpoint", "command_sequence")
+    TICK_WRITES: ClassVar[tuple[str, ...]] = ("voltage_setpoint", "command_sequence")
     _TICK_READS = (
         "force",
         "voltage_readback",
@@ -109,7 +110,7 @@ class Registers(Section):
 
     def tick_writes(self) -> dict[str, Register]:
         """Registers written every tick, by role, in the order of their addresses."""
-        return self._present(self._TICK_WRITES)
+        return self._present(self.TICK_WRITES)
 
     def tick_reads(self) -> dict[str, Register]:
         """Registers read every tick, by role, in the order of their addresses."""
@@ -167,14 +168,61 @@ class _ModbusLink(Section):
     heartbeat_within_s: Annotated[float, Field(ge=0, le=10)] = 0.0
     registers: Registers
 
+    def names(self, role: str) -> bool:
+        """Whether the map has a register for this role."""
+        return getattr(self.registers, role, None) is not None
+
+
+PLAIN_PORT, SECURE_PORT = 502, 802  # as registered for mbap and mbap-s
+
+
+class TlsConfig(Section):
+    """Modbus/TCP Security: both sides show a certificate. `ca` signs the device's, `certificate` and `key` are ours.
+
+    Paths are absolute, or begin with $CREDENTIALS_DIRECTORY/, where systemd's LoadCredential= puts them.
+    """
+
+    ca: Annotated[str, Field(pattern=r"^(/|\$CREDENTIALS_DIRECTORY/).+")]
+    certificate: Annotated[str, Field(pattern=r"^(/|\$CREDENTIALS_DIRECTORY/).+")]
+    key: Annotated[str, Field(pattern=r"^(/|\$CREDENTIALS_DIRECTORY/).+")]
+    server_name: Annotated[str, Field(min_length=1)] | None = None
+
 
 class ModbusTcpLink(_ModbusLink):
-    """Modbus over TCP."""
+    """Modbus over TCP; with `tls` encrypted and authenticated, and never plain again."""
 
     kind: Literal["modbus_tcp"]
     host: Annotated[str, Field(min_length=1)]
-    port: Annotated[int, Field(ge=1, le=65535)] = 502
+    port: Annotated[int, Field(ge=1, le=65535)] = PLAIN_PORT
     connect_timeout_s: Annotated[float, Field(gt=0, le=10)] = 1.0
+    tls: TlsConfig | None = None
+    allow_plaintext_remote: bool = False
+
+    @model_validator(mode="before")
+    @classmethod
+    def _port_follows_tls(cls, content: Any) -> Any:  # noqa: ANN401  # whatever the file holds, not yet checked
+        if isinstance(content, dict) and content.get("tls") is not None and "port" not in content:
+            return content | {"port": SECURE_PORT}
+        return content
+
+    @model_validator(mode="after")
+    def _plain_stays_at_home(self) -> Self:
+        if refusal := self.refusal_of(self.host):
+            raise ValueError(refusal)
+        return self
+
+    def refusal_of(self, host: str) -> str:
+        """Say why plain Modbus must not go to this address; empty: it may, or `host` is a name yet to be resolved."""
+        try:
+            routable = ip_address(host.partition("%")[0]).is_global
+        except ValueError:
+            return ""
+        if not routable or self.tls is not None or self.allow_plaintext_remote:
+            return ""
+        return (
+            f"host {self.host} is the routable address {host}, and plain Modbus lets anybody on the way write the "
+            "voltage; set tls, or say allow_plaintext_remote: true"
+        )
 
 
 class _SerialPort(Section):
@@ -220,7 +268,19 @@ class SerialLineLink(_SerialPort):
     setup: Annotated[tuple[LineCommand, ...], Field(strict=False)] = ()
     watchdog: LineCommand | None = None
 
-    _FIELDS = ("force_N", "voltage_readback_V", "heartbeat", "command_echo", "status", "temperature_C", "reference_N")
+    def names(self, role: str) -> bool:
+        """Whether a line is named for this role; one answer to `identity` stands for device and firmware."""
+        lines = {
+            "voltage_setpoint": self.set_voltage,
+            "watchdog_ms": self.watchdog,
+            "identity": self.identity,
+            "map_version": self.identity,
+        }
+        if role in lines:
+            return lines[role] is not None
+        group = {"force": "force_N", "voltage_readback": "voltage_readback_V", "temperature": "temperature_C"}
+        reply = self.measure.reply if self.measure is not None else None
+        return reply is not None and f"(?P<{group.get(role, role)}>" in reply
 
 
 LinkConfig = Annotated[ModbusTcpLink | ModbusRtuLink | SerialLineLink, Field(discriminator="kind")]

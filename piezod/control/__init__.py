@@ -1,5 +1,6 @@
 """The control loop and what it is made of; nothing here knows a solver or a plot."""
 
+from piezod.control.arming import check_named, check_ready
 from piezod.control.loop import ControlLoop, LoopCounts, Segment
 from piezod.control.rate_keeper import RateKeeper, RealRateKeeper, VirtualRateKeeper
 from piezod.control.realtime import RealTimeWarning, real_time
@@ -23,6 +24,8 @@ __all__ = [
     "State",
     "TableReference",
     "VirtualRateKeeper",
+    "check_named",
+    "check_ready",
     "make_reference",
     "real_time",
 ]

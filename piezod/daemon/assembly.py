@@ -3,7 +3,6 @@
 import contextlib
 from collections.abc import Iterator
 from dataclasses import dataclass
-from math import isfinite
 from pathlib import Path
 
 import numpy as np
@@ -12,18 +11,19 @@ from numpy.typing import NDArray
 from piezod.config import BenchConfig, load_bench, model_path
 from piezod.config.reference import ReferenceConfig
 from piezod.control import (
+    ControlLoop,
     RateKeeper,
     RealRateKeeper,
+    RingLog,
     Segment,
     TableReference,
     VirtualRateKeeper,
     make_reference,
 )
-from piezod.errors import CheckFailedError, ConfigurationError
+from piezod.errors import ConfigurationError
 from piezod.excitation import triangle_ramp
 from piezod.model import DirectDrive, Model, load_model, make_compensator
 from piezod.transport import (
-    ExchangeResult,
     Link,
     check_encodable,
     make_link,
@@ -141,7 +141,7 @@ def make_segment(work: Work, bench: BenchConfig, model: Model | None, link: Link
     """
     reset_cycle = _reset_cycle(bench) if work.reset_cycle else None
     if work.voltages_V is not None:
-        return Segment(work.name, TableReference(work.voltages_V), DirectDrive(), reset_cycle)
+        return Segment(work.name, TableReference(work.voltages_V), DirectDrive(), reset_cycle, follows_force=False)
     if (model := work.model or model) is None:
         raise ConfigurationError(f"{work.name}: compensation '{work.compensation}' needs a model, none was loaded")
     config = work.reference or bench.reference
@@ -157,59 +157,20 @@ def _reset_cycle(bench: BenchConfig) -> TableReference:
     return TableReference(low + (high - low) * triangle_ramp(np.arange(ticks + 1) / ticks))
 
 
-def check_ready(bench: BenchConfig, link: Link) -> None:
-    """What must hold before a voltage is written: two readings that agree, rest, and a device watchdog that is set.
-
-    Raises
-    ------
-    CheckFailedError
-        Names what does not hold.
-    """
-    first_N = _force_at_rest(bench, link)
-    second_N = _force_at_rest(bench, link)
-    span_N = bench.limits.force_trip_N - bench.limits.force_min_N
-    if abs(second_N - first_N) > 0.05 * span_N:
-        raise CheckFailedError(
-            f"arming: two force readings are {first_N:.3g} N and {second_N:.3g} N, must agree within "
-            f"{0.05 * span_N:.3g} N; check load cell and cable"
-        )
-    readback_V, safe_V = link.reading.voltage_readback_V, bench.limits.voltage_safe_V
-    if isfinite(readback_V) and abs(readback_V - safe_V) > bench.arming.readback_within_V:
-        raise CheckFailedError(
-            f"arming: the amplifier reads back {readback_V:.3g} V, must be within "
-            f"{bench.arming.readback_within_V:g} V of {safe_V:g} V; bring it down first"
-        )
-    _set_device_watchdog(bench, link)
+def make_loop(bench: BenchConfig, link: Link, clock: RateKeeper, ring: RingLog) -> ControlLoop:
+    """The loop of this bench, disarmed."""
+    arming = bench.arming
+    return ControlLoop(
+        link,
+        bench.limits,
+        clock,
+        ring,
+        bench.dt_s,
+        arming.voltage_V_per_s,
+        sign_check=None if "sign_check" in arming.without else arming.sign_check,
+        readback_within_V=arming.readback_within_V,
+        watchdog_shows=link.has("status"),
+    )
 
 
-def _force_at_rest(bench: BenchConfig, link: Link) -> float:
-    for _ in range(5):
-        if (result := link.poll()) == ExchangeResult.OK:
-            break
-    else:
-        raise CheckFailedError(
-            f"arming: {link.description} gives no good reading: {result.name.lower().replace('_', ' ')}"
-        )
-    force_N = link.reading.force_N
-    if not bench.limits.force_min_N <= force_N <= bench.limits.force_trip_N:
-        raise CheckFailedError(
-            f"arming: force is {force_N:.3g} N at rest, must be within limits.force_min_N, "
-            f"{bench.limits.force_min_N:g}, and limits.force_trip_N, {bench.limits.force_trip_N:g}; check preload, tare"
-        )
-    return force_N
-
-
-def _set_device_watchdog(bench: BenchConfig, link: Link) -> None:
-    wanted_ms = bench.limits.device_watchdog_ms
-    if wanted_ms == 0 or not link.has("watchdog_ms"):
-        return
-    link.write_register("watchdog_ms", wanted_ms)
-    found_ms = link.read_register("watchdog_ms")
-    if found_ms != wanted_ms:
-        raise CheckFailedError(
-            f"arming: the device's watchdog reads back {found_ms:g} ms after {wanted_ms} ms were written; "
-            "without it the output stays on when this machine dies"
-        )
-
-
-__all__ = ["Work", "check_ready", "load", "load_without_model", "make_rate_keeper", "make_segment", "opened_link"]
+__all__ = ["Work", "load", "load_without_model", "make_loop", "make_rate_keeper", "make_segment", "opened_link"]

@@ -21,8 +21,8 @@ from numpy.typing import NDArray
 
 import piezod.errors
 from piezod.config import BenchConfig
-from piezod.control import CAUSE_TEXT, Cause, ControlLoop, RingLog, RingReader, real_time
-from piezod.daemon.assembly import Work, check_ready, make_rate_keeper, make_segment, opened_link
+from piezod.control import CAUSE_TEXT, Cause, ControlLoop, RingLog, RingReader, check_ready, real_time
+from piezod.daemon.assembly import Work, make_loop, make_rate_keeper, make_segment, opened_link
 from piezod.errors import PiezodError
 from piezod.model import Model
 from piezod.transport import ExchangeResult
@@ -157,7 +157,7 @@ def _drive(bench: BenchConfig, model: Model | None, folder: Path, works: list[Wo
             check_ready(bench, link)
         ring = RingLog(bench.ring_log_path, round(bench.daemon.ring_seconds * bench.rate_Hz))
         stack.callback(ring.close)
-        loop = ControlLoop(link, bench.limits, clock, ring, bench.dt_s, bench.arming.voltage_V_per_s)
+        loop = make_loop(bench, link, clock, ring)
         signal.signal(signal.SIGTERM, lambda *_: loop.request_stop())
         pipe.send(("ready", None))
         with real_time(bench.real_time):

@@ -198,6 +198,8 @@ class ModbusLink:
     def write_register(self, role: str, value: float) -> None:
         """Write one register, outside the tick."""
         register = self._register(role)
+        if role in Registers.TICK_WRITES:
+            raise ConfigurationError(f"registers.{role} is written by the tick alone, within every limit")
         if register.function in (3, 4):
             raise ConfigurationError(f"registers.{role}.function is {register.function}, must be 16 or 6 to be written")
         codec = RegisterCodec(register)

@@ -15,7 +15,7 @@ from time import monotonic
 from typing import Any
 
 from piezod.config.link import ModbusTcpLink
-from piezod.errors import BusyError, UnreachableError
+from piezod.errors import BusyError, ConfigurationError, UnreachableError
 from piezod.transport.frames import MBAP_BYTES, Framing, Request, classify
 from piezod.transport.link import ExchangeResult
 
@@ -87,6 +87,8 @@ class TcpWire:
         """
         self.close()
         host, port = self._config.host, self._config.port
+        if self._config.tls is not None:
+            raise ConfigurationError("link.tls is set, but this version speaks plain Modbus only; nothing was sent")
         try:
             found = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)
         except (OSError, UnicodeError) as error:

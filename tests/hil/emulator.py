@@ -65,6 +65,8 @@ def line_link(port):
         "port": port,
         "baudrate": 921600,
         "timeout_s": PATIENT_S,
+        "identity": {"send": "IDN?", "reply": "PIEZO-BENCH,20570,1001,1"},
+        "watchdog": {"send": "WDT {watchdog_ms:.0f}"},
         "set_voltage": {"send": "SVA A {voltage_V:.4f}"},
         "measure": {
             "send": "MEAS?",

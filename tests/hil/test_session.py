@@ -160,8 +160,7 @@ def test_the_same_excitation_gives_the_same_recording_over_every_wire(tmp_path):
         folder = tmp_path / wire
         folder.mkdir()
         with emulator("--time", "virtual", *option) as serves:
-            watchdog = {"device_watchdog_ms": 0} if wire == "line" else {}
-            bench = bench_file(folder, {wire: serves[wire]}, rate_Hz=200, limits={"stale_after_ms": 20} | watchdog)
+            bench = bench_file(folder, {wire: serves[wire]}, rate_Hz=200, limits={"stale_after_ms": 20})
             output = folder / "rec.csv"
             done = piezod("record", bench, "--excitation", "varying-triangles", "--frequency", "1", "-o", output)
             assert done.returncode == 0, done.stderr

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from piezod.config import load_bench, read_document
+from piezod.config import load_bench, loosened, read_document
 from piezod.errors import ConfigurationError
 
 BENCH = Path(__file__).parents[3] / "config" / "bench.yaml"
@@ -77,10 +77,89 @@ def test_the_shipped_configuration_is_accepted():
         ("    watchdog_ms: {", "    voltage_x: {", "unknown key link.registers.voltage_x"),
         ("    watchdog_ms: {address: 110, function: 16, type: uint16, unit: ms}\n", "", "no watchdog to be set"),
         ("name: emulator ", "name: ../../etc ", "name is '../../etc'"),
+        (
+            "slew_down_V_per_s: null",
+            "slew_down_V_per_s: 7000",
+            "slew_down_V_per_s is 7000, must be at most current_max_A",
+        ),
+        (
+            "ramp_down_V_per_s: 400.0",
+            "ramp_down_V_per_s: 4500.0",
+            "ramp_down_V_per_s is 4500, must be at most slew_V_per_s",
+        ),
+        ("resonance_Hz: 200.0", "resonance_Hz: 10.0", "resonance_Hz is 10, but the range can be crossed in 35 ms"),
+        ("loss_tangent: 0.02 ", "loss_tangent: null ", "loss_tangent is missing: dissipation_max_W and loss_tangent"),
+        ("    temperature:  ", "    #", "limits.temperature_trip_degC is 70, but the link reads no temperature"),
+        ("    voltage_readback: ", "    #", "limits.readback_trip_V is 3, but the link reads no voltage_readback"),
+        (
+            "low: -1000, high: 1000",
+            "low: -1000, high: 300",
+            "force_trip_N is 360, must be below registers.force.high, 300",
+        ),
+        (
+            "low: -1000, high: 1000",
+            "low: -10, high: 1000",
+            "force_min_N is -20, must be above registers.force.low, -10",
+        ),
+        ("stale_after_ms: 5 ", "stale_after_ms: 0.5 ", "stale_after_ms is 0.5, must be at least one tick, 1 ms"),
+        ("step_V: 2.0", "step_V: 200.0", "arming.sign_check.step_V is 200, must be at most 140"),
+        ("force_debounce_samples: 2", "force_debounce_samples: 0", "force_debounce_samples is 0, must be at least 1"),
+        ("without: []", "without: [watchdog]", "arming.without.0 is 'watchdog', must be 'identity'"),
+        ("socket_mode: '0660'", "socket_mode: '999'", "daemon.socket_mode is '999'"),
+        ("host: 127.0.0.1", "host: 8.8.8.8", "set tls, or say allow_plaintext_remote: true"),
+        ("host: 127.0.0.1", "host: '2001:4860:4860::8888'", "is the routable address 2001:4860:4860::8888"),
+        ("tls: null", "tls: {ca: ca.pem, certificate: /c, key: /k}", "link.tls.ca is 'ca.pem'"),
     ],
 )
 def test_an_impossible_value_is_refused_in_one_line(tmp_path, old, new, message):
     assert message in refused(tmp_path, old, new)
+
+
+@pytest.mark.parametrize(
+    ("changes", "names"),
+    [
+        ({"force_trip_N": 361.0}, "force_trip_N"),
+        ({"force_min_N": -21.0}, "force_min_N"),
+        ({"voltage_max_V": 141.0}, "voltage_max_V"),
+        ({"tracking_trip_N": None}, "tracking_trip_N"),
+        ({"ramp_down_V_per_s": 300.0}, "ramp_down_V_per_s"),
+        ({"device_watchdog_ms": 90}, "device_watchdog_ms"),
+        ({"comm_loss_action": "hold"}, "comm_loss_action"),
+        ({"slew_down_V_per_s": 3000.0}, "slew_down_V_per_s"),
+    ],
+)
+def test_what_is_looser_or_not_comparable_is_named(changes, names):
+    limits = load_bench(BENCH).limits
+    assert f"limits.{names} " in loosened(limits, limits.model_copy(update=changes))
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [{}, {"force_trip_N": 300.0, "force_min_N": -10.0}, {"slew_V_per_s": 100.0}, {"missed_ticks_in_a_row": 4}],
+)
+def test_what_is_tighter_loosens_nothing(changes):
+    limits = load_bench(BENCH).limits
+    assert loosened(limits, limits.model_copy(update=changes)) == ""
+
+
+@pytest.mark.parametrize(
+    ("host", "more"),
+    [
+        ("127.0.0.1", ""),
+        ("192.168.1.207", ""),
+        ("fe80::1%eth0", ""),
+        ("bench.example.org", ""),
+        ("8.8.8.8", "allow_plaintext_remote: true"),
+        ("8.8.8.8", "tls: {ca: /ca, certificate: /c, key: $CREDENTIALS_DIRECTORY/k}"),
+    ],
+)
+def test_plain_modbus_stays_at_home_unless_told_otherwise(tmp_path, host, more):
+    text = BENCH.read_text(encoding="utf-8").replace("host: 127.0.0.1", f"host: '{host}'\n  {more}", 1)
+    key = more.partition(":")[0]
+    lines = [line for line in text.splitlines() if not (key and line.startswith(f"  {key}: ") and more not in line)]
+    path = tmp_path / "bench.yaml"
+    path.write_text("\n".join(lines), encoding="utf-8")
+    assert load_bench(path).link.host == host
 
 
 def test_the_message_names_the_line(tmp_path):

@@ -55,3 +55,65 @@ def test_a_wish_that_is_no_number_leaves_the_voltage_and_is_counted():
     limiter.applied_V = 50.0
     assert limiter.limit(nan) == 50.0
     assert limiter.refused == 1
+
+
+@given(wishes, st.floats(0.001, 3.0))
+def test_a_voltage_never_changes_its_rate_faster_than_the_acceleration(wished, step_V):
+    limiter = Limiter(limits(acceleration_V_per_s2=step_V / DT_S**2), DT_S)
+    before, voltage = 0.0, 0.0
+    for wish in wished:
+        change_before, before = voltage - before, voltage
+        voltage = limiter.limit(wish)
+        limiter.acknowledged(voltage)
+        assert 0.0 <= voltage <= 140.0
+        if 0.0 < voltage < 140.0:  # the range is the harder limit
+            assert abs(voltage - before - change_before) <= step_V + 1e-9
+
+
+def test_an_accelerated_voltage_stops_at_what_was_wished():
+    limiter = Limiter(limits(acceleration_V_per_s2=2e5), DT_S)
+    path = []
+    for _ in range(300):
+        limiter.acknowledged(limiter.limit(100.0))
+        path.append(limiter.applied_V)
+    assert max(path) <= 100.0 + 1e-9
+    assert abs(path[-1] - 100.0) < 1e-6
+
+
+def test_rise_and_fall_have_each_their_slew():
+    limiter = Limiter(limits(slew_V_per_s=1000.0, slew_down_V_per_s=3000.0), DT_S)
+    limiter.applied_V = 50.0
+    assert limiter.limit(100.0) == 51.0
+    assert limiter.limit(0.0) == 47.0
+
+
+@given(st.lists(st.tuples(st.floats(0, 140), st.booleans(), st.booleans()), min_size=1, max_size=60))
+def test_whichever_unanswered_commands_arrived_the_device_sees_no_change_above_the_slew(commands):
+    limiter = Limiter(limits(), DT_S)
+    at_device = 0.0
+    for wish, arrives, answered in commands:
+        voltage = limiter.limit(wish)
+        if arrives or answered:
+            assert abs(voltage - at_device) <= 4.0 + 1e-9
+            at_device = voltage
+        if answered:
+            limiter.acknowledged(voltage)
+        else:
+            limiter.perhaps_sent(voltage)
+
+
+def test_a_command_soon_after_the_last_one_may_change_by_its_share_of_the_tick():
+    limiter = Limiter(limits(), DT_S)
+    assert limiter.limit(100.0, share=0.25) == 1.0
+
+
+@given(st.floats(0, 140), st.sampled_from([0.0, 0.5]))
+def test_a_range_that_was_narrowed_is_entered_within_the_slew(start_V, step_V):
+    limiter = Limiter(limits(voltage_step_V=step_V), DT_S)
+    limiter.applied_V = start_V
+    limiter.take_limits(limits(voltage_step_V=step_V, voltage_max_V=60.0))
+    for _ in range(50):
+        voltage = limiter.limit(140.0)
+        assert abs(voltage - limiter.applied_V) <= 4.0 + 1e-9
+        limiter.acknowledged(voltage)
+    assert limiter.applied_V <= 60.0

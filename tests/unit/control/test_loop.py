@@ -5,6 +5,7 @@ import pytest
 from unit.control.fake_bench import FakeClock, FakeLink
 from unit.control.test_limits import limits
 
+from piezod.config import SignCheckConfig
 from piezod.control import Cause, ControlLoop, RingLog, RingReader, Segment, State, TableReference
 from piezod.control.references import Freshness
 from piezod.model import DirectDrive
@@ -228,3 +229,178 @@ def test_a_voltage_whose_reading_was_no_number_was_written_all_the_same_and_is_c
     link.exchange = lambda voltage_V: (exchange(voltage_V), ExchangeResult.NOT_FINITE)[link.exchanges % 2]
     make_loop(link, ring).drive(Segment("table", TableReference(np.full(60, 10.0)), compensator))
     assert compensator.committed == link.voltages
+
+
+SIGN_CHECK = SignCheckConfig(step_V=2.0, rise_N=1.0, settle_s=0.02)
+
+
+def armed_loop(link, ring, *, values=None, **changes):
+    """A loop that has been armed and approaches 60 N, 30 V."""
+    loop = ControlLoop(link, limits(**changes), FakeClock(), ring, DT_S, 200.0, readback_within_V=2.0)
+    loop.arm(Segment("work", TableReference(np.full(10**5, 60.0) if values is None else values), Halving()))
+    return loop
+
+
+def run(loop, ticks):
+    for _ in range(ticks):
+        loop.run_tick()
+        loop._clock.wait()
+
+
+def test_the_sign_check_steps_up_and_back_before_anything_else(tmp_path, ring):
+    link = FakeLink()
+    loop = ControlLoop(link, limits(), FakeClock(), ring, DT_S, 200.0, sign_check=SIGN_CHECK)
+    assert loop.drive(Segment("work", TableReference(np.full(10, 10.0)), Halving())) is Cause.NONE
+    rows = rows_of(tmp_path)
+    voltages = rows[rows["state"] == State.ARMING]["voltage_V"]
+    assert set(voltages[:20]) == {0.0}
+    assert voltages[20:50].max() == pytest.approx(2.0)
+    back = 50 + int(np.flatnonzero(voltages[50:] < 0.25)[0])
+    assert voltages[:back].max() == pytest.approx(2.0)
+    assert np.abs(np.diff(voltages)).max() <= 0.2 + 1e-9
+
+
+@pytest.mark.parametrize(
+    "plant",
+    [
+        lambda voltage_V: -2.0 * voltage_V,  # polarity of the load cell or of the stack
+        lambda voltage_V: 0.0,  # cable
+        lambda voltage_V: 0.4 * voltage_V,  # hardly touching
+    ],
+)
+def test_a_force_that_does_not_rise_with_the_step_is_a_latched_fault_and_no_more_is_driven(ring, plant):
+    link = FakeLink(plant)
+    loop = ControlLoop(link, limits(), FakeClock(), ring, DT_S, 200.0, sign_check=SIGN_CHECK)
+    assert loop.drive(Segment("work", TableReference(np.full(10, 10.0)), Halving())) is Cause.SIGN_CHECK
+    assert loop.supervisor.state is State.FAULT
+    assert max(link.voltages) == pytest.approx(2.0)
+    assert link.voltages[-1] == pytest.approx(0.0, abs=1e-9)
+
+
+def test_after_a_failed_exchange_the_loop_looks_before_it_writes(ring):
+    link, asked = FakeLink(), []
+    exchange = link.exchange
+    link.exchange = lambda voltage_V: (asked.append("write"), exchange(voltage_V))[1]
+    link.poll = lambda: (asked.append("look"), ExchangeResult.OK)[1]
+    loop = armed_loop(link, ring)
+    link.fails = lambda number: number == 50
+    run(loop, 60)
+    assert asked[50] == "look"
+    assert asked.count("look") == 1
+
+
+def test_a_device_found_restarted_is_never_driven_again(ring):
+    link = FakeLink()
+    loop = armed_loop(link, ring)
+    run(loop, 300)
+    link.reading.heartbeat = 5000
+    link.fails = lambda number: number == 301
+    run(loop, 1)
+
+    def poll():
+        link.reading.heartbeat = 3
+        return ExchangeResult.OK
+
+    link.poll = poll
+    written = len(link.voltages)
+    run(loop, 50)
+    assert (loop.supervisor.state, loop.supervisor.fault) == (State.FAULT, Cause.DEVICE_RESTARTED)
+    assert len(link.voltages) == written
+
+
+def test_a_device_found_at_rest_was_restarted_even_without_a_heartbeat(ring):
+    link = FakeLink()
+    loop = armed_loop(link, ring)
+    run(loop, 300)
+    link.fails = lambda number: number == 301
+    run(loop, 1)
+
+    def poll():
+        link.reading.voltage_readback_V = 0.0
+        return ExchangeResult.OK
+
+    link.poll = poll
+    written = len(link.voltages)
+    run(loop, 50)
+    assert loop.supervisor.fault is Cause.DEVICE_RESTARTED
+    assert len(link.voltages) == written
+
+
+def test_a_process_that_stood_still_writes_nothing_when_it_goes_on(ring):
+    link = FakeLink()
+    loop = armed_loop(link, ring)
+    run(loop, 300)
+    loop._clock.tick += 2000
+    written = len(link.voltages)
+    run(loop, 50)
+    assert (loop.supervisor.state, loop.supervisor.fault) == (State.FAULT, Cause.STOOD_STILL)
+    assert len(link.voltages) == written
+
+
+def test_a_spike_lowers_the_voltage_by_one_tick_of_the_ramp_and_trips_nothing(ring):
+    link = FakeLink()
+    loop = armed_loop(link, ring, force_debounce_samples=2)
+    run(loop, 300)
+    link.plant = lambda voltage_V: 900.0
+    run(loop, 1)
+    link.plant = lambda voltage_V: 2.0 * voltage_V
+    run(loop, 5)
+    assert loop.supervisor.state is State.RUNNING
+    assert loop.supervisor.spikes == 1
+    assert min(link.voltages[-5:]) == pytest.approx(30.0 - 0.4)
+    assert link.voltages[-1] == pytest.approx(30.0)
+
+
+def test_a_controller_that_raises_is_ramped_down_without_it(ring):
+    link = FakeLink()
+    loop = armed_loop(link, ring)
+    run(loop, 300)
+
+    def fail(*_):
+        raise ZeroDivisionError("by nought")
+
+    loop._course.segment.compensator.plan = loop._course.segment.compensator.commit = fail
+    run(loop, 300)
+    assert (loop.supervisor.state, loop.supervisor.fault) == (State.FAULT, Cause.CONTROLLER)
+    assert loop.failure == "ZeroDivisionError: by nought"
+    assert link.voltages[-1] == pytest.approx(0.0, abs=1e-9)
+    assert np.diff(link.voltages).min() >= -0.4 - 1e-9
+
+
+def test_a_link_that_raises_again_and_again_ends_the_loop(ring):
+    link = FakeLink()
+    loop = armed_loop(link, ring)
+
+    def fail(*_):
+        raise RuntimeError("broken")
+
+    link.exchange = link.poll = fail
+    with pytest.raises(RuntimeError):
+        run(loop, 10)
+
+
+def test_an_output_that_is_not_read_back_at_rest_is_a_fault(ring):
+    link = FakeLink()
+    loop = armed_loop(link, ring)
+    run(loop, 300)
+    exchange = link.exchange
+
+    def stays(voltage_V):
+        result = exchange(voltage_V)
+        link.reading.voltage_readback_V = 30.0
+        return result
+
+    link.exchange = stays
+    loop.request_stop()
+    run(loop, 1000)
+    assert (loop.supervisor.state, loop.supervisor.fault) == (State.FAULT, Cause.READBACK)
+
+
+def test_an_output_found_high_is_ramped_down_from_where_it_is(ring):
+    link = FakeLink()
+    loop = ControlLoop(link, limits(), FakeClock(), ring, DT_S, 200.0, readback_within_V=2.0)
+    link.written_V = 60.0
+    assert loop.bring_down(60.0) is Cause.NONE
+    assert link.voltages[0] == pytest.approx(59.6)
+    assert link.voltages[-1] == pytest.approx(0.0, abs=1e-9)
+    assert loop.supervisor.state is State.DISARMED

@@ -92,3 +92,80 @@ def test_nothing_trips_while_nothing_is_driven():
     supervisor.judge_reading(1000.0, 8)
     supervisor.judge_exchange(False, 10_000 * MS)
     assert supervisor.state is State.DISARMED
+
+
+def test_values_that_cannot_be_believed_trip_once_they_are_stale_and_one_alone_does_not():
+    supervisor = running()
+    supervisor.judge_exchange(False, 6 * MS, answered=True)
+    assert supervisor.state is State.RUNNING
+    supervisor.judge_exchange(False, 7 * MS, answered=True)
+    assert (supervisor.state, supervisor.cause) == (State.RAMP_DOWN, Cause.BAD_READING)
+
+
+def test_stale_readings_blind_and_a_good_one_lets_see_again():
+    supervisor = running()
+    supervisor.judge_exchange(False, 5 * MS)
+    assert not supervisor.blind
+    supervisor.judge_exchange(False, 6 * MS)
+    assert supervisor.blind
+    supervisor.judge_exchange(True, 7 * MS)
+    assert not supervisor.blind
+    assert supervisor.state is State.RUNNING
+
+
+def test_a_device_that_took_over_is_not_written_to_any_more():
+    for cause in (Cause.DEVICE_WATCHDOG, Cause.DEVICE_RESTARTED):
+        supervisor = running()
+        supervisor.trip(cause)
+        assert (supervisor.state, supervisor.fault) == (State.FAULT, cause)
+
+
+def test_a_pause_longer_than_the_device_waits_ends_in_fault_before_anything_is_written():
+    supervisor = running()
+    supervisor.judge_gap(99 * MS)
+    assert supervisor.state is State.RUNNING
+    supervisor.judge_gap(100 * MS)
+    assert (supervisor.state, supervisor.cause) == (State.FAULT, Cause.STOOD_STILL)
+
+
+def test_without_a_device_watchdog_a_pause_longer_than_comm_loss_ramps_down():
+    supervisor = running(device_watchdog_ms=0)
+    supervisor.judge_gap(200 * MS)
+    assert supervisor.state is State.RUNNING
+    supervisor.judge_gap(201 * MS)
+    assert (supervisor.state, supervisor.cause) == (State.RAMP_DOWN, Cause.STOOD_STILL)
+
+
+def test_a_watchdog_that_tripped_before_arming_is_calmed_and_then_counts():
+    supervisor = Supervisor(limits())
+    supervisor.arm(0)
+    supervisor.judge_reading(0.0, 2)
+    assert supervisor.state is State.ARMING
+    supervisor.judge_reading(0.0, 1)
+    supervisor.judge_reading(0.0, 2)
+    assert supervisor.fault is Cause.DEVICE_WATCHDOG
+
+
+def test_a_device_too_hot_trips():
+    supervisor = running(temperature_trip_degC=70.0)
+    supervisor.judge_reading(10.0, 1, 0, 69.9)
+    assert supervisor.state is State.RUNNING
+    supervisor.judge_reading(10.0, 1, 1, 70.1)
+    assert supervisor.cause is Cause.TEMPERATURE
+
+
+def test_the_first_fault_is_the_one_that_is_kept():
+    supervisor = running()
+    supervisor.trip(Cause.OVER_FORCE)
+    supervisor.trip(Cause.COMM_LOSS)
+    supervisor.safe()
+    assert supervisor.fault is Cause.OVER_FORCE
+
+
+def test_tighter_limits_hold_at_once_and_neither_state_nor_fault_is_lost():
+    supervisor = running()
+    supervisor.take_limits(limits(force_trip_N=100.0))
+    assert supervisor.state is State.RUNNING
+    supervisor.judge_reading(101.0, 1)
+    supervisor.take_limits(limits())
+    assert supervisor.fault is Cause.OVER_FORCE

@@ -1,0 +1,78 @@
+"""The states of the bench, and the causes that lead from one to the other, each with its remedy."""
+
+from enum import IntEnum
+
+
+class State(IntEnum):
+    """What the loop does this tick."""
+
+    DISARMED = 0
+    ARMING = 1
+    RUNNING = 2
+    HOLD = 3
+    RAMP_DOWN = 4
+    FAULT = 5
+
+
+class Cause(IntEnum):
+    """Why the last transition happened."""
+
+    NONE = 0
+    ARMED = 1
+    REFERENCE_REACHED = 2
+    STOPPED = 3
+    REFERENCE_ENDED = 4
+    REFERENCE_STALE = 5
+    REFERENCE_LIVE = 6
+    COMM_LOSS = 7
+    OVER_FORCE = 8
+    UNDER_FORCE = 9
+    MISSED_TICKS = 10
+    DEVICE_FAULT = 11
+    DEVICE_WATCHDOG = 12
+    SAFE = 13
+    RESET = 14
+    BAD_READING = 15
+    FORCE_RATE = 16
+    SENSOR_STUCK = 17
+    TRACKING = 18
+    READBACK = 19
+    OVERHEATED = 20
+    TEMPERATURE = 21
+    SIGN_CHECK = 22
+    STOOD_STILL = 23
+    DEVICE_RESTARTED = 24
+    CONTROLLER = 25
+
+
+CAUSE_TEXT = {
+    Cause.NONE: "started",
+    Cause.ARMED: "armed",
+    Cause.REFERENCE_REACHED: "first reference reached",
+    Cause.STOPPED: "stop requested",
+    Cause.REFERENCE_ENDED: "reference ended",
+    Cause.REFERENCE_STALE: "reference stale; check who sends it",
+    Cause.REFERENCE_LIVE: "reference live again",
+    Cause.COMM_LOSS: "no good exchange for limits.comm_loss_ms; check cable, device and timeout_s",
+    Cause.OVER_FORCE: "force above limits.force_trip_N; check specimen, reference and load cell",
+    Cause.UNDER_FORCE: "force below limits.force_min_N; check preload and load cell",
+    Cause.MISSED_TICKS: "too many ticks missed in a row; lower rate_Hz or free the machine (piezod latency)",
+    Cause.DEVICE_FAULT: "the amplifier reports a fault; read its display",
+    Cause.DEVICE_WATCHDOG: "the device's watchdog tripped; check tick and device_watchdog_ms",
+    Cause.SAFE: "safe voltage reached",
+    Cause.RESET: "fault reset",
+    Cause.BAD_READING: "the device answers, but with no believable reading for limits.stale_after_ms; check load cell, "
+    "converter range and heartbeat",
+    Cause.FORCE_RATE: "force jumped faster than limits.force_rate_trip_N_per_s; check load cell, cable and specimen",
+    Cause.SENSOR_STUCK: "limits.stuck_samples equal force readings while the voltage moved; check load cell and cable",
+    Cause.TRACKING: "force off its reference by limits.tracking_trip_N; check load cell, specimen and model",
+    Cause.READBACK: "the voltage read back is not what was written; look for a second master or a broken monitor",
+    Cause.OVERHEATED: "the stack dissipates more than limits.dissipation_max_W; lower frequency or amplitude",
+    Cause.TEMPERATURE: "temperature above limits.temperature_trip_degC; let it cool",
+    Cause.SIGN_CHECK: "the force did not rise by arming.sign_check.rise_N; check polarity, cable and preload",
+    Cause.STOOD_STILL: "the control process stood still for longer than the device waits; see who stopped it",
+    Cause.DEVICE_RESTARTED: "the device was restarted, or is not where it was left; check its supply",
+    Cause.CONTROLLER: "the controller failed; see the log",
+}
+
+DEVICE_HAS_TAKEN_OVER = frozenset({Cause.DEVICE_WATCHDOG, Cause.DEVICE_RESTARTED})

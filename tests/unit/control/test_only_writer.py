@@ -1,0 +1,60 @@
+"""The voltage register has one writer, and the limiter stands directly before it."""
+
+import ast
+from pathlib import Path
+
+import pytest
+
+import piezod
+from piezod.config.link import ModbusTcpLink
+from piezod.errors import ConfigurationError
+from piezod.transport import make_link
+
+PACKAGE = Path(piezod.__file__).parent
+SET_POINT = {"address": 100, "function": 16, "unit": "V"}
+
+
+def calls_of(method):
+    """(file, enclosing source line) of every call of `method` in the package, the links' own delegation left out."""
+    found = []
+    for path in sorted(PACKAGE.rglob("*.py")):
+        source = path.read_text(encoding="utf-8")
+        found += [
+            (path.relative_to(PACKAGE).as_posix(), ast.get_source_segment(source, node))
+            for node in ast.walk(ast.parse(source))
+            if isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute) and node.func.attr == method
+        ]
+    return found
+
+
+def test_a_voltage_goes_onto_the_wire_at_one_place_and_through_the_limiter():
+    outside_links = [(path, call) for path, call in calls_of("exchange") if not path.startswith("transport/")]
+    assert outside_links == [
+        ("control/loop.py", "link.exchange(limiter.limit(planned_V, self._change_V(), share))"),
+    ]
+
+
+def test_links_only_pass_on_what_they_were_given():
+    inside_links = {call for path, call in calls_of("exchange") if path.startswith("transport/")}
+    assert inside_links == {
+        "self._amplifier.exchange(voltage_V)",  # a pair to its amplifier
+        "self._device.exchange(voltage_V)",  # the null link to the object behind it
+        "self._device.exchange(None)",
+    }
+
+
+def test_no_set_up_write_names_the_set_point():
+    roles = {call.partition("write_register(")[2].partition(",")[0] for _, call in calls_of("write_register")}
+    assert roles == {'"watchdog_ms"', '"virtual_tick_us"', "role"}
+
+
+@pytest.mark.parametrize("role", ["voltage_setpoint", "command_sequence"])
+def test_a_set_up_write_of_what_the_tick_writes_is_refused(role):
+    registers = {
+        "voltage_setpoint": SET_POINT,
+        "command_sequence": {"address": 102, "function": 16, "type": "uint16"},
+    }
+    config = {"kind": "modbus_tcp", "host": "127.0.0.1", "port": 1, "registers": registers}
+    link = make_link(ModbusTcpLink.model_validate(config))
+    with pytest.raises(ConfigurationError, match="written by the tick alone"):
+        link.write_register(role, 1.0)
