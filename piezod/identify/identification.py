@@ -1,6 +1,7 @@
 """From recordings to a model: prepare, judge the orders, fit, and say how good it is."""
 
 import contextlib
+import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
@@ -12,10 +13,12 @@ from numpy.typing import NDArray
 from piezod.errors import RecordingError, UsageError
 from piezod.identify.columns import Samples, Structure
 from piezod.identify.fit import fit_hysteresis
+from piezod.identify.intake import OnStep
 from piezod.identify.order import PLAYS, ZONES, Candidate, best_of, choose, judge_orders, prune, residual
 from piezod.identify.qp import Variant
 from piezod.identify.scores import largest, max_hysteresis_percent, nrmse_percent, rms
 from piezod.identify.start import estimate_path, settled_from, start_at_zero, starts_at_rest
+from piezod.identify.suitability import FEWEST_SAMPLES, check_suitable
 from piezod.identify.thresholds import dead_zone_thresholds, play_reach, play_thresholds, widest
 from piezod.model import Model, file_sha256
 from piezod.model.parameters import Channel, FitFigures, Provenance, RecordingSource, Start
@@ -24,7 +27,6 @@ from piezod.recording import Recording
 
 Array = NDArray[np.float64]
 
-FEWEST_SAMPLES = 100
 START_SAMPLES = 100_000  # looked at to find how a drive that begins at zero was used before
 START_ORDERS = (11, 3)
 
@@ -87,17 +89,29 @@ class Identification:
     notes: list[str]
 
 
-def identify(recordings: Sequence[Recording], options: Options, by: str) -> Identification:
+def identify(
+    recordings: Sequence[Recording],
+    options: Options,
+    by: str,
+    *,
+    sources: Sequence[RecordingSource] = (),
+    notes: Sequence[str] = (),
+    on_step: OnStep = lambda *_: None,
+) -> Identification:
     """Identify a model.
 
     Parameters
     ----------
     recordings
-        At least one, all with the same input and output columns.
+        At least one, all with the same input and output columns; such as `take_in` gives.
     options
         Columns, orders, constraints.
     by
         Program and version, for the provenance.
+    sources, notes
+        What taking them in found; without sources the recordings' files are hashed here.
+    on_step
+        Called with what is done and the share of the pairs of orders that is judged.
 
     Raises
     ------
@@ -105,55 +119,30 @@ def identify(recordings: Sequence[Recording], options: Options, by: str) -> Iden
         A recording determines no model; the message says what to record instead.
     """
     pairs = [(r.channel(options.input), r.channel(options.output)) for r in recordings]
-    for recording, (u, y) in zip(recordings, pairs, strict=True):
-        check_excitation(recording.source, options, u, y)
+    said = [*notes, *(w for one in recordings for w in check_suitable(one, options.input, options.output))]
     if not 0.1 <= options.fit_share <= 0.95:
         raise UsageError(f"the fitted share is {options.fit_share:g}, must be within 0.1 and 0.95")
     stretches = [_stretch(recording, u, y, options) for recording, (u, y) in zip(recordings, pairs, strict=True)]
     fitted, held_out = [one.fitted for one in stretches], [one.held_out for one in stretches]
-    notes = [note for one in stretches for note in one.notes]
     orders = [
         (n, m)
         for n in ((options.plays,) if options.plays is not None else PLAYS)
         for m in ((options.zones,) if options.zones is not None else ZONES)
     ]
     structures = _Structures(stretches)
-    candidates = judge_orders(structures.of, fitted, held_out, orders=orders, variant=options.variant, eps=options.eps)
+    judged = itertools.count()
+
+    def structure_of(plays: int, zones: int) -> Structure:
+        on_step("fitting", next(judged) / len(orders))
+        return structures.of(plays, zones)
+
+    candidates = judge_orders(structure_of, fitted, held_out, orders=orders, variant=options.variant, eps=options.eps)
     taken = chosen = choose(candidates)
     if options.prune:
         chosen = prune(taken, best_of(candidates), fitted, held_out, variant=options.variant, eps=options.eps)
-    model = _model(recordings, pairs, options, chosen, fitted, held_out, by)
-    return Identification(model, candidates, taken, chosen, notes + _undetermined(chosen))
-
-
-def check_excitation(source: str, options: Options, u: Array, y: Array) -> None:
-    """Refuse recordings that cannot tell anything.
-
-    Raises
-    ------
-    RecordingError
-        Says what is wrong and what to record instead.
-    """
-    advice = "record triangles from 0 over the whole range (piezod record --excitation varying-triangles)"
-    if u.size < FEWEST_SAMPLES:
-        raise RecordingError(f"{source}: has {u.size} samples, needs at least {FEWEST_SAMPLES}; {advice}")
-    for name, values in ((options.input, u), (options.output, y)):
-        if not np.isfinite(values).any():
-            raise RecordingError(f"{source}: {name} holds no number at all; {advice}")
-        if np.nanmax(values) - np.nanmin(values) <= 1e-9 * (1.0 + float(np.nanmax(np.abs(values)))):
-            raise RecordingError(f"{source}: {name} is constant at {np.nanmedian(values):.6g}; {advice}")
-    if not np.isfinite(u).all():
-        raise RecordingError(
-            f"{source}: {options.input} has {np.count_nonzero(~np.isfinite(u))} missing samples: the memory cannot be "
-            "followed across them; cut the recording there"
-        )
-    good = np.isfinite(y)
-    slope = float(np.corrcoef(u[good], y[good])[0, 1])
-    if slope < -0.5:
-        raise RecordingError(
-            f"{source}: {options.output} falls where {options.input} rises (correlation {slope:.2f}); "
-            "check the sensor's sign, or whether the columns are swapped"
-        )
+    model = _model(recordings, pairs, options, chosen, fitted, held_out, by, sources, said)
+    said += [note for one in stretches for note in one.notes]
+    return Identification(model, candidates, taken, chosen, said + _undetermined(chosen))
 
 
 @dataclass(frozen=True)
@@ -256,9 +245,11 @@ def _model(
     fitted: Sequence[Samples],
     held_out: Sequence[Samples],
     by: str,
+    sources: Sequence[RecordingSource],
+    notes: Sequence[str],
 ) -> Model:
     assert chosen.fit is not None
-    sources = tuple(
+    sources = tuple(sources) or tuple(
         RecordingSource(path=r.source, sha256=file_sha256(Path(r.source)), samples=int(r.time_s.size))
         for r in recordings
         if Path(r.source).is_file()
@@ -274,6 +265,7 @@ def _model(
             by=by,
             recordings=sources,
             fit=_figures(chosen, fitted, held_out),
+            notes="; ".join(notes),
         ),
         statistics=chosen.fit.statistics,
     )

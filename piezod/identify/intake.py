@@ -1,0 +1,281 @@
+"""What identification and simulation need from recording files: read once, in pieces, and made fit for use.
+
+A file may be larger than memory by the columns that are not wanted. Nothing is resampled: the model knows no rate, a
+sample says the same wherever it lies in time, and interpolation would take down the noise that errors are judged by.
+"""
+
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from piezod.errors import RecordingError, UsageError
+from piezod.identify.suitability import FEWEST_SAMPLES
+from piezod.model import file_sha256
+from piezod.model.parameters import RecordingSource
+from piezod.recording import TIME, Recording, column_names, open_stream
+from piezod.recording.names import unit_of
+from piezod.recording.quality import irregular, missing, standing
+from piezod.recording.source import foreign
+from piezod.recording.stretches import GAP_PERIODS
+
+Array = NDArray[np.float64]
+OnStep = Callable[[str, float | None], None]
+
+CHUNK = 2**20
+"""Samples read at once."""
+
+TEMPERATURES = ("temperature_C", "temperature_degC")
+"""Columns that hold the temperature [degree Celsius], kept as the first of them."""
+
+PREFIXES = {"n": 1e-9, "u": 1e-6, "m": 1e-3, "k": 1e3, "M": 1e6}
+SCALED = ("V", "N")
+"""Units for which a column in thousands or thousandths is taken and converted."""
+
+UNSEEN = 0.01
+"""Share of its swing that the input may move unseen while samples are missing."""
+
+FASTEST = 0.99
+"""Share of the input's slews that are no faster than what is taken for its fastest."""
+
+MOST_STUCK = 0.5
+"""Share of the output's samples that may be frozen or clipped."""
+
+
+@dataclass(frozen=True)
+class Taken:
+    """A recording that was taken in.
+
+    Parameters
+    ----------
+    recording
+        Input, output, the temperature where there is one, and what else was asked for. Every input is a number; an
+        output that is missing or not believed is nan.
+    sha256
+        Of the file's bytes.
+    notes
+        One line for each thing that was noticed or done.
+    """
+
+    recording: Recording
+    sha256: str
+    notes: list[str]
+
+    @property
+    def source(self) -> RecordingSource:
+        """For the provenance of a model."""
+        return RecordingSource(path=self.recording.source, sha256=self.sha256, samples=int(self.recording.time_s.size))
+
+
+def take_in(
+    paths: Sequence[Path], input_column: str, output_column: str, on_step: OnStep = lambda *_: None
+) -> list[Taken]:
+    """Read recordings to identify on.
+
+    Where the input is missing for longer than it can be bridged a recording is cut, and its longest stretch kept.
+    Outputs that are frozen or clipped become nan.
+
+    Parameters
+    ----------
+    paths
+        Files of any format.
+    input_column, output_column
+        Such as `voltage_V`; a file may hold it in another multiple of its unit, `voltage_kV`.
+    on_step
+        Called now and then with what is done; the share of it that is done is not known.
+
+    Raises
+    ------
+    RecordingError
+        A file cannot be read, has no such column, or hardly an output that can be believed.
+    UsageError
+        Input and output are one column.
+    """
+    if input_column == output_column:
+        raise UsageError(f"--input and --output are both {input_column}, must be different columns")
+    return [_take(path, input_column, output_column, on_step) for path in paths]
+
+
+def take_whole(
+    path: Path, input_column: str, output_column: str, also: Sequence[str] = (), on_step: OnStep = lambda *_: None
+) -> Taken:
+    """Read a recording to simulate: every row is kept, and the output may be absent.
+
+    Parameters
+    ----------
+    path, input_column, output_column, on_step
+        As for `take_in`.
+    also
+        Further columns.
+
+    Raises
+    ------
+    RecordingError
+        The file cannot be read, or its input is missing for longer than it can be bridged.
+    """
+    names = column_names(path)
+    wanted = [input_column, *also]
+    if any(_multiple(output_column, name) for name in names):
+        wanted.append(output_column)
+    recording, sha256, notes = _read(path, names, wanted, on_step)
+    bridged, breaks, said = _bridge(recording, input_column)
+    u = bridged.channel(input_column)
+    if not np.isfinite(u).all():
+        line = missing(recording, input_column)[0]
+        raise RecordingError(f"{path}: {line}; must be there in every row that is simulated, cut the file there")
+    notes += said + [f"{_pause(recording, one)}: what the input did there is not known" for one in breaks]
+    if output_column in bridged.channels:
+        notes += _mask(bridged, input_column, output_column, most=1.0)
+    return _taken(bridged, sha256, notes)
+
+
+def _take(path: Path, input_column: str, output_column: str, on_step: OnStep) -> Taken:
+    names = column_names(path)
+    recording, sha256, notes = _read(path, names, [input_column, output_column], on_step)
+    recording, breaks, said = _bridge(recording, input_column)
+    recording, cut = _longest(recording, input_column, breaks)
+    notes += said + cut
+    notes += [f"{line}; used as they are, the model knows no rate" for line in irregular(recording)[:1]]
+    notes += _mask(recording, input_column, output_column, most=MOST_STUCK)
+    return _taken(recording, sha256, notes)
+
+
+def _taken(recording: Recording, sha256: str, notes: list[str]) -> Taken:
+    return Taken(recording, sha256, [f"{recording.source}: {note}" for note in notes])
+
+
+def _read(path: Path, names: Sequence[str], wanted: Sequence[str], on_step: OnStep) -> tuple[Recording, str, list[str]]:
+    """The wanted columns and the temperature, in their units; hash and notes."""
+    stored = {column: _stored(path, names, column) for column in wanted}
+    for name in [name for name in TEMPERATURES if name in names][:1]:
+        stored[TEMPERATURES[0]] = (name, 1.0)
+    with ThreadPoolExecutor(1) as pool, foreign(path, "read"):
+        sha256 = pool.submit(file_sha256, path)  # beside the reading: the file comes from the disk once
+        parts: list[dict[str, Array]] = []
+        samples = 0
+        for piece in open_stream(path, [name for name, _ in stored.values()], CHUNK):
+            parts.append({TIME: piece.time_s} | piece.channels)
+            samples += piece.time_s.size
+            on_step(f"reading {path.name}, {1e-6 * samples:.1f} million samples", None)
+        if not parts:
+            raise RecordingError(f"{path}: has no samples")
+        # Column by column, the parts let go: at no time is everything there twice.
+        time_s = np.concatenate([part.pop(TIME) for part in parts])
+        together = dict.fromkeys(name for name, _ in stored.values())
+        columns = {name: np.concatenate([part.pop(name) for part in parts]) for name in together}
+        channels = {column: _scaled(columns[name], factor) for column, (name, factor) in stored.items()}
+        notes = [f"{column}: is {name} times {factor:g}" for column, (name, factor) in stored.items() if factor != 1.0]
+        return Recording(time_s, channels, {}, str(path)), sha256.result(), notes
+
+
+def _scaled(values: Array, factor: float) -> Array:
+    """In the unit that is wanted; what is infinite is missing."""
+    if factor != 1.0:
+        values = values * factor
+    values[np.isinf(values)] = np.nan
+    return values
+
+
+def _stored(path: Path, names: Sequence[str], column: str) -> tuple[str, float]:
+    """Name of a column in the file, and the factor to its unit."""
+    for name in (column, *names):
+        if name in names and name != TIME and (factor := _multiple(column, name)):
+            return name, factor
+    present = ", ".join(name for name in names if name != TIME)
+    raise RecordingError(f"{path}: has no column {column}, has {present[:200]}")
+
+
+def _multiple(column: str, name: str) -> float:
+    """Factor from a column of the file to the one that is wanted; 0 where they are not the same quantity."""
+    if name == column:
+        return 1.0
+    unit = unit_of(column)
+    quantity = column.removesuffix(unit)
+    prefix = name.removeprefix(quantity).removesuffix(unit)
+    same = unit in SCALED and name == f"{quantity}{prefix}{unit}"
+    return PREFIXES.get(prefix, 0.0) if same else 0.0
+
+
+def _bridge(recording: Recording, column: str) -> tuple[Recording, list[tuple[int, int]], list[str]]:
+    """Interpolate the input over short holes; the long ones as (last sample before, first after), and notes."""
+    u, time_s = recording.channel(column), recording.time_s
+    absent = np.isnan(u)
+    if absent.all():
+        raise RecordingError(f"{recording.source}: {column} holds no number at all; record again")
+    if not absent.any():
+        return recording, _holes(time_s, u), []
+    there = np.flatnonzero(~absent)
+    holes = [(int(there[k]), int(there[m])) for k, m in _holes(time_s[there], u[there])]
+    filled = np.interp(time_s, time_s[there], u[there], left=np.nan, right=np.nan)
+    for before, after in holes:
+        filled[before + 1 : after] = np.nan
+    bridged = np.isfinite(filled) & absent
+    notes = missing(recording, column)
+    if bridged.any():
+        notes[0] += f"; {np.count_nonzero(bridged)} of them interpolated"
+    return Recording(time_s, recording.channels | {column: filled}, {}, recording.source), holes, notes
+
+
+def _holes(time_s: Array, u: Array) -> list[tuple[int, int]]:
+    """Neighbouring samples between which the input may have moved unseen."""
+    if time_s.size < 3:
+        return []
+    periods = np.diff(time_s)
+    long = np.flatnonzero(periods > GAP_PERIODS * np.median(periods))
+    if not long.size:
+        return []
+    every = max(1, time_s.size // CHUNK)
+    slews = np.abs(u[1::every] - u[:-1:every]) / (time_s[1::every] - time_s[:-1:every])
+    unseen = periods[long] * np.quantile(slews, FASTEST) > UNSEEN * np.ptp(u)
+    return [(k, k + 1) for k in long[unseen].tolist()]
+
+
+def _longest(recording: Recording, column: str, holes: Sequence[tuple[int, int]]) -> tuple[Recording, list[str]]:
+    """The longest stretch without a hole in the input, and what was cut."""
+    u = recording.channel(column)
+    starts = [0, *(after for _, after in holes)]
+    stops = [*(before + 1 for before, _ in holes), int(u.size)]
+    start, stop = max(zip(starts, stops, strict=True), key=lambda part: part[1] - part[0])
+    there = np.flatnonzero(np.isfinite(u[start:stop]))
+    start, stop = start + int(there[0]), start + int(there[-1]) + 1
+    if (start, stop) == (0, u.size):
+        return recording, []
+    part = slice(start, stop)
+    why = f"; {_pause(recording, holes[0])}" if holes else ""
+    more = f" and {len(holes) - 1} more" if len(holes) > 1 else ""
+    if stop - start < FEWEST_SAMPLES <= u.size:
+        raise RecordingError(
+            f"{recording.source}: {column} is there for {stop - start} samples at a stretch, must be for "
+            f"{FEWEST_SAMPLES}{why}{more}; record without pauses"
+        )
+    kept = Recording(
+        recording.time_s[part], {k: values[part] for k, values in recording.channels.items()}, {}, recording.source
+    )
+    where = f"{kept.time_s[0]:.6g} to {kept.time_s[-1]:.6g} s, {stop - start} of {u.size} samples"
+    return kept, [f"{column}: only {where}, are used: the memory cannot be followed where it is missing{why}{more}"]
+
+
+def _pause(recording: Recording, hole: tuple[int, int]) -> str:
+    before, after = hole
+    return f"no input from {recording.time_s[before]:.6g} to {recording.time_s[after]:.6g} s"
+
+
+def _mask(recording: Recording, input_column: str, output_column: str, *, most: float) -> list[str]:
+    """Set what is not believed of the output to nan; notes."""
+    notes = [f"{line}; not fitted" for line in missing(recording, output_column)]
+    y = recording.channel(output_column)
+    believed = np.count_nonzero(np.isfinite(y))
+    found = recording.stuck(output_column, input_column)
+    lines = standing(recording, output_column, found)
+    share = sum(stop - start for start, stop in found.stretches) / max(int(believed), 1)
+    if share > most:
+        raise RecordingError(
+            f"{recording.source}: {lines[0]}; {100 * share:.0f} % of its samples are not to be believed, may be "
+            f"{100 * most:.0f} %; give the sensor a larger range, or lower the peak"
+        )
+    for start, stop in found.stretches:
+        y[start:stop] = np.nan
+    return notes + [f"{line}; not fitted" for line in lines]
