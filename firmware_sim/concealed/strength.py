@@ -1,0 +1,91 @@
+"""How strongly an effect shows on a recording, and the parameter at which it shows as strongly as wanted."""
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+from numba import njit
+
+from firmware_sim.concealed.arrays import Array
+
+PLAYS = 30
+MOST_ROWS = 6000
+TOLERANCE = 0.08  # of the wanted strength
+MOST_TRIALS = 9
+
+
+class Visible:
+    """Measures the difference that an effect makes, after what a refitted model would absorb of it.
+
+    Parameters
+    ----------
+    without
+        Reading of the plant without the effect, shape (n,) [N].
+    voltage_V
+        Commands, shape (n,) [V].
+    """
+
+    def __init__(self, without: Array, voltage_V: Array) -> None:
+        self._without = without
+        self._every = max(1, math.ceil(without.size / MOST_ROWS))
+        widths = voltage_V.max() * np.linspace(0.0, 1.0, PLAYS) ** 1.3
+        rows = play_columns(widths, voltage_V)[:: self._every]
+        thin = without[:: self._every, None]
+        self._columns = np.hstack((rows, np.ones((rows.shape[0], 1)), thin))
+
+    def after_gain_and_offset_N(self, with_effect: Array) -> float:
+        """Rms of the difference after gain and offset are refitted [N]: what a fixed model cannot follow."""
+        columns = np.column_stack((self._without, np.ones(self._without.size)))
+        return _left_over(columns, with_effect)
+
+    def after_refit_N(self, with_effect: Array) -> float:
+        """Rms of the difference after superposed plays are refitted as well [N].
+
+        What is left when the model was identified with the effect already there.
+        """
+        return _left_over(self._columns, with_effect[:: self._every])
+
+
+def find_scale(visible: Callable[[float], float], wanted: float, low: float, high: float) -> float | None:
+    """The value between two bounds at which something that grows or falls steadily has the value wanted.
+
+    Regula falsi (Illinois) on logarithms, with the sides bisected when it dawdles.
+
+    Returns
+    -------
+    float or None
+        None when the bounds do not reach it.
+    """
+    x = [math.log(low), math.log(high)]
+    y = [_log_ratio(visible(low), wanted), _log_ratio(visible(high), wanted)]
+    if y[0] * y[1] > 0.0:
+        return None
+    for trial in range(MOST_TRIALS):
+        part = 0.5 if trial % 3 == 2 else min(max(y[0] / (y[0] - y[1]), 0.05), 0.95)
+        middle = x[0] + part * (x[1] - x[0])
+        value = _log_ratio(visible(math.exp(middle)), wanted)
+        if abs(value) < TOLERANCE:
+            return math.exp(middle)
+        side = 0 if value * y[0] > 0.0 else 1
+        x[side], y[side] = middle, value
+    return None
+
+
+@njit(cache=True)
+def play_columns(widths: Array, u: Array) -> Array:
+    """Play operators over an input from rest, shape (n, k)."""
+    z, out = np.zeros(widths.size), np.empty((u.size, widths.size))
+    for k in range(u.size):
+        for i in range(widths.size):
+            z[i] = max(u[k] - widths[i], min(u[k] + widths[i], z[i]))
+            out[k, i] = z[i]
+    return out
+
+
+def _left_over(columns: Array, values: Array) -> float:
+    weights = np.linalg.lstsq(columns, values, rcond=None)[0]
+    return float(np.sqrt(np.mean((values - columns @ weights) ** 2)))
+
+
+def _log_ratio(value: float, wanted: float) -> float:
+    return math.log(max(value, 1e-9 * wanted) / wanted)
