@@ -110,18 +110,24 @@ def record(
             help="constant-triangles, varying-triangles or staircase-minor-loops-multisine.",
         ),
     ],
-    output: Annotated[Path, typer.Option("--output", "-o", metavar="REC", help="The recording to write (CSV).")],
+    output: Annotated[
+        Path, typer.Option("--output", "-o", metavar="REC", help="The recording to write; its suffix says how.")
+    ],
     peak: Annotated[float | None, typer.Option(metavar="V", help="Highest voltage; the limit's when left out.")] = None,
     frequency: Annotated[float, typer.Option(metavar="HZ", min=1e-4, help="Of one full triangle.")] = 0.1,
-    periods: Annotated[int, typer.Option(min=1, max=1000, help="Triangles, or repeats of the whole.")] = 5,
+    periods: Annotated[
+        int | None, typer.Option(min=1, max=1000, help="Triangles: 5, or repeats of the whole: 1, when left out.")
+    ] = None,
     reset_cycle: Annotated[bool, typer.Option(help="Drive 0 -> highest -> 0 first.")] = False,
 ) -> None:
     """Drive an excitation through the bench and record what it answers."""
     from piezod.daemon.record import record as record_excitation
-    from piezod.excitation import duration_s
-    from piezod.recording import write_csv
+    from piezod.excitation import duration_s, usual_periods
+    from piezod.recording import check_target, write_recording
     from piezod.report.progress import progress
 
+    check_target(output)
+    periods = periods or usual_periods(excitation)
     with progress(f"recording {excitation}", duration_s(excitation, frequency, periods)) as show:
         recording, outcome = record_excitation(
             config,
@@ -132,14 +138,16 @@ def record(
             reset_cycle=reset_cycle,
             on_rows=show,
         )
-    write_csv(recording, output)
+    write_recording(recording, output)
     missing = f", {outcome.missed} ticks missed" if outcome.missed else ""
     print(f"{output}: {recording.time_s.size} samples, {recording.time_s[-1]:.1f} s{missing}")
 
 
 @app.command(epilog="Example: piezod identify varying.csv constant.csv -o model.yaml --report report")
 def identify(
-    recordings: Annotated[list[Path], typer.Argument(metavar="REC...", help="Recordings.")],
+    recordings: Annotated[
+        list[Path], typer.Argument(metavar="REC...", help="Recordings: csv, h5, mat, tdms, parquet, mf4.")
+    ],
     model: Annotated[Path, typer.Option("-o", metavar="MODEL", help="The model file to write.")],
     report: Annotated[Path | None, typer.Option(metavar="DIR", help="Write identification.html there.")] = None,
     input_column: Annotated[str, typer.Option("--input", metavar="COLUMN")] = "voltage_V",
@@ -156,13 +164,14 @@ def identify(
     """Identify a model from recordings."""
     from piezod.identify.identification import Options
     from piezod.identify.identification import identify as identify_model
+    from piezod.identify.intake import check_result, take_in
     from piezod.model import save_model
-    from piezod.recording import read_csv
     from piezod.report.identification import figures_of, print_identification, write_identification_page
+    from piezod.report.progress import steps
 
     if variant not in ("A", "B"):
         raise UsageError(f"--variant is '{variant}', must be A or B")
-    read = [read_csv(path) for path in recordings]
+    check_result(model, recordings)
     options = Options(
         input=input_column,
         output=output_column,
@@ -172,7 +181,17 @@ def identify(
         fit_share=fit_share,
         name=name,
     )
-    identification = identify_model(read, options, f"piezod {__version__}")
+    with steps() as show:
+        taken = take_in(recordings, input_column, output_column, show)
+        read = [one.recording for one in taken]
+        identification = identify_model(
+            read,
+            options,
+            f"piezod {__version__}",
+            sources=[one.source for one in taken],
+            notes=[note for one in taken for note in one.notes],
+            on_step=show,
+        )
     if report is not None:
         write_identification_page(report / "identification.html", identification, read)
     save_model(identification.model, model)
@@ -186,7 +205,7 @@ def identify(
 def simulate(
     recording: Annotated[Path, typer.Argument(metavar="REC", help="Whose input is simulated.")],
     model: Annotated[Path, typer.Option("--model", metavar="MODEL")],
-    output: Annotated[Path, typer.Option("-o", metavar="OUT.csv", help="time_s and the simulated output column.")],
+    output: Annotated[Path, typer.Option("-o", metavar="OUT", help="time_s and the simulated output column.")],
     start_window: Annotated[
         float, typer.Option(metavar="S", min=0.0, help="First seconds that may tell what the memory starts with.")
     ] = 1.0,
@@ -196,21 +215,31 @@ def simulate(
     as_json: JsonOption = False,
 ) -> None:
     """Simulate a model over a recording's input, in free run; compare with its output where it has one."""
+    from piezod.identify.intake import check_result, take_whole
     from piezod.identify.simulation import simulate_recording, where
     from piezod.model import load_model
-    from piezod.recording import read_csv, write_csv
+    from piezod.recording import check_target, write_recording
+    from piezod.report.progress import steps
 
-    read, loaded = read_csv(recording), load_model(model)
-    chosen = where(read, condition) if condition else None
-    simulation = simulate_recording(loaded, read, start_window, chosen)
-    write_csv(simulation.recording, output)
+    check_target(output)
+    check_result(output, [recording])
+    loaded = load_model(model)
+    column, equals, _ = (condition or "").partition("=")
+    with steps() as show:
+        taken = take_whole(recording, loaded.input.channel, loaded.output.channel, [column] if equals else [], show)
+    chosen = where(taken.recording, condition) if condition else None
+    simulation = simulate_recording(loaded, taken.recording, start_window, chosen)
+    write_recording(simulation.recording, output)
     figures = simulation.agreement
     if as_json:
         compared = None if figures is None else asdict(figures) | {"unit": loaded.output.unit}
-        print(json.dumps({"schema": "piezod.simulation/1", "start": simulation.start, "compared": compared}, indent=2))
+        content = {"schema": "piezod.simulation/1", "start": simulation.start, "compared": compared}
+        print(json.dumps(content | {"recording": taken.source.model_dump(), "notes": taken.notes}, indent=2))
     else:
         words = "" if figures is None else f"; {figures.words(loaded.output.unit)}"
-        print(f"{output}: {read.time_s.size} samples; {simulation.start}{words}")
+        print(f"{output}: {taken.source.samples} samples; {simulation.start}{words}")
+        for note in taken.notes:
+            print(f"note: {note}")
 
 
 @app.command(epilog="Example: piezod validate config/bench.yaml --model a.yaml --model b.yaml --report validation.html")

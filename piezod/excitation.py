@@ -185,6 +185,11 @@ def excitation(name: str, peak_V: float, frequency_Hz: float, periods: int, rate
     return makers[name](peak_V, frequency_Hz, periods, rate_Hz)
 
 
+def usual_periods(name: str) -> int:
+    """How often an excitation is repeated unless one says so: five triangles; what tells all in one run, once."""
+    return 1 if name == IDENTIFICATION else 5
+
+
 def duration_s(name: str, frequency_Hz: float, periods: int) -> float:
     """How long the excitation called `name` lasts [s]."""
     triangles = float(_identification_corners()[0][-1]) if name == IDENTIFICATION else 1.0

@@ -122,6 +122,7 @@ def identify(
     said = [*notes, *(w for one in recordings for w in check_suitable(one, options.input, options.output))]
     if not 0.1 <= options.fit_share <= 0.95:
         raise UsageError(f"the fitted share is {options.fit_share:g}, must be within 0.1 and 0.95")
+    on_step("fitting", 0.0)
     stretches = [_stretch(recording, u, y, options) for recording, (u, y) in zip(recordings, pairs, strict=True)]
     fitted, held_out = [one.fitted for one in stretches], [one.held_out for one in stretches]
     orders = [

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from piezod.errors import RecordingError, UsageError
+from piezod.errors import ConfigurationError, RecordingError, UsageError
 from piezod.identify.suitability import FEWEST_SAMPLES
 from piezod.model import file_sha256
 from piezod.model.parameters import RecordingSource
@@ -68,6 +68,22 @@ class Taken:
     def source(self) -> RecordingSource:
         """For the provenance of a model."""
         return RecordingSource(path=self.recording.source, sha256=self.sha256, samples=int(self.recording.time_s.size))
+
+
+def check_result(target: Path, recordings: Sequence[Path]) -> None:
+    """Refuse a result that would overwrite what it is made of or could not be written, before the work.
+
+    Raises
+    ------
+    UsageError
+        It is one of the recordings.
+    ConfigurationError
+        Its folder is not there.
+    """
+    if any(target.exists() and path.exists() and target.samefile(path) for path in recordings):
+        raise UsageError(f"-o is {target}, which is a recording that is read, must be another file")
+    if not target.parent.is_dir():
+        raise ConfigurationError(f"{target}: cannot be written: {target.parent} is no folder, make it first")
 
 
 def take_in(
@@ -127,6 +143,9 @@ def take_whole(
         line = missing(recording, input_column)[0]
         raise RecordingError(f"{path}: {line}; must be there in every row that is simulated, cut the file there")
     notes += said + [f"{_pause(recording, one)}: what the input did there is not known" for one in breaks]
+    if output_column in bridged.channels and np.isnan(bridged.channel(output_column)).all():
+        notes.append(f"{output_column} holds no number, nothing is compared")
+        del bridged.channels[output_column]
     if output_column in bridged.channels:
         notes += _mask(bridged, input_column, output_column, most=1.0)
     return _taken(bridged, sha256, notes)

@@ -119,7 +119,7 @@ def simulate_recording(
     if y is not None:
         compared = np.isfinite(y) & (True if chosen is None else chosen)
         compared[:window] = False
-        if np.unique(y[compared]).size < 2:  # a constant has no fit
+        if not compared.any() or y[compared].min() == y[compared].max():  # a constant has no fit
             raise UsageError(
                 f"{recording.source}: {np.count_nonzero(compared)} samples to compare, need two that differ"
             )

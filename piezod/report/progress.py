@@ -2,12 +2,41 @@
 
 import contextlib
 import sys
+import time
 from collections.abc import Callable, Iterator
 
 import numpy as np
 from numpy.typing import NDArray
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
+
+PATIENCE_S = 2.0
+"""What takes no longer needs no bar."""
+
+
+@contextlib.contextmanager
+def steps() -> Iterator[Callable[[str, float | None], None]]:
+    """Yield a function to be called with what is done and the share of it that is done, None where nobody knows.
+
+    The bar appears once that has taken longer than two seconds, and is gone at the end.
+    """
+    if not (sys.stdout.isatty() and sys.stderr.isatty()):
+        yield lambda *_: None
+        return
+    begun_s = time.monotonic()
+    columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn())
+    bar = Progress(*columns, console=Console(stderr=True), transient=True)
+    task = bar.add_task("", total=None)
+
+    def show(what: str, share: float | None) -> None:
+        if time.monotonic() - begun_s > PATIENCE_S:
+            bar.start()
+            bar.update(task, description=what, total=None if share is None else 1.0, completed=share or 0.0)
+
+    try:
+        yield show
+    finally:
+        bar.stop()
 
 
 @contextlib.contextmanager
