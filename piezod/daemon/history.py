@@ -65,7 +65,7 @@ class History:
         }
         if follows_force:
             channels["reference_N"] = commands["reference_N"].copy()
-        for name, field in (("readback_V", "readback_V"), ("temperature_degC", "temperature_C")):
+        for name, field in (("readback_V", "readback_V"), ("temperature_C", "temperature_C")):
             if np.isfinite(answers[field]).any():
                 channels[name] = answers[field].copy()
         return Recording((answers["time_ns"] - start_ns) * 1e-9, channels, metadata)

@@ -32,7 +32,7 @@ def channel_name(name: str, unit: str = "") -> str:
         name, unit = bracketed["name"], unit.strip() or bracketed["unit"]
     words = "_".join(name.split())
     suffix = _spell(unit)
-    if suffix and not words.endswith(f"_{suffix}"):
+    if suffix and not words.endswith((f"_{suffix}", f"_{unit.strip()}")):
         words = f"{words}_{suffix}"
     return TIME if words.lower() == TIME else words
 

@@ -19,6 +19,8 @@ from piezod.recording.names import channel_name, unit_of
         ("acceleration", "m/s²", "acceleration_m_per_s2"),
         ("travel", "µm", "travel_um"),
         ("travel", "\u03bcm", "travel_um"),
+        ("temperature_degC", "degC", "temperature_degC"),
+        ("temperature", "degC", "temperature_C"),
         ("share", "%", "share_percent"),
         ("state", "-", "state"),
         ("Time", "s", "time_s"),
