@@ -35,6 +35,9 @@ ONE_WAY = 0.1
 LEADS = 0.01
 """Mean opening of a clockwise loop, as share of the output's range, from which on the output leads the input."""
 
+CLEANER = 5.0
+"""How many times less noise an input has that was commanded, so that it is no measured force."""
+
 SATURATED = 0.25
 """Share of the input's swing over which the output may stay within a hundredth of its range from the top."""
 
@@ -216,7 +219,7 @@ def _wrong_way(pair: _Pair) -> Iterator[str]:
     )
     u, y = pair.neighbours()
     input_noise, output_noise = _noise(u) / float(np.std(u)), _noise(y) / float(np.nanstd(y))
-    if output_noise <= max(2.0 * input_noise, 1e-4):
+    if output_noise <= max(CLEANER * input_noise, 1e-4):
         raise pair.refused(f"{line}: are the columns swapped? Name them the other way round")
     yield f"{line}: does the load cell's amplifier leak, or is {pair.input} recorded late?"
 
