@@ -20,13 +20,16 @@ from piezod.recording import TIME, Recording, column_names, open_stream
 from piezod.recording.names import unit_of
 from piezod.recording.quality import irregular, missing, standing
 from piezod.recording.source import foreign
-from piezod.recording.stretches import GAP_PERIODS
+from piezod.recording.stretches import gaps
 
 Array = NDArray[np.float64]
 OnStep = Callable[[str, float | None], None]
 
 CHUNK = 2**20
 """Samples read at once."""
+
+GROWTH = 1.25
+"""How much room is made for more samples when there is none left."""
 
 TEMPERATURES = ("temperature_C", "temperature_degC")
 """Columns that hold the temperature [degree Celsius], kept as the first of them."""
@@ -173,21 +176,38 @@ def _read(path: Path, names: Sequence[str], wanted: Sequence[str], on_step: OnSt
         stored[TEMPERATURES[0]] = (name, 1.0)
     with ThreadPoolExecutor(1) as pool, foreign(path, "read"):
         sha256 = pool.submit(file_sha256, path)  # beside the reading: the file comes from the disk once
-        parts: list[dict[str, Array]] = []
-        samples = 0
-        for piece in open_stream(path, [name for name, _ in stored.values()], CHUNK):
-            parts.append({TIME: piece.time_s} | piece.channels)
-            samples += piece.time_s.size
-            on_step(f"reading {path.name}, {1e-6 * samples:.1f} million samples", None)
-        if not parts:
+        columns = {name: _Column() for name in (TIME, *(name for name, _ in stored.values()))}
+        for piece in open_stream(path, list(columns), CHUNK):
+            columns[TIME].add(piece.time_s)
+            for name, values in piece.channels.items():
+                columns[name].add(values)
+            on_step(f"reading {path.name}, {1e-6 * columns[TIME].size:.1f} million samples", None)
+        if not columns[TIME].size:
             raise RecordingError(f"{path}: has no samples")
-        # Column by column, the parts let go: at no time is everything there twice.
-        time_s = np.concatenate([part.pop(TIME) for part in parts])
-        together = dict.fromkeys(name for name, _ in stored.values())
-        columns = {name: np.concatenate([part.pop(name) for part in parts]) for name in together}
-        channels = {column: _scaled(columns[name], factor) for column, (name, factor) in stored.items()}
+        channels = {column: _scaled(columns[name].values(), factor) for column, (name, factor) in stored.items()}
         notes = [f"{column}: is {name} times {factor:g}" for column, (name, factor) in stored.items() if factor != 1.0]
-        return Recording(time_s, channels, {}, str(path)), sha256.result(), notes
+        return Recording(columns[TIME].values(), channels, {}, str(path)), sha256.result(), notes
+
+
+class _Column:
+    """Samples that come in pieces: at no time are they there twice, as when pieces are joined at the end."""
+
+    def __init__(self) -> None:
+        self._values = np.empty(0)
+        self.size = 0
+
+    def add(self, piece: Array) -> None:
+        """Keep more of them."""
+        size = self.size + piece.size
+        if size > self._values.size:
+            self._values.resize(int(GROWTH * size), refcheck=False)  # the system moves pages, not numbers
+        self._values[self.size : size] = piece
+        self.size = size
+
+    def values(self) -> Array:
+        """All of them, shape (size,)."""
+        self._values.resize(self.size, refcheck=False)
+        return self._values
 
 
 def _scaled(values: Array, factor: float) -> Array:
@@ -240,16 +260,13 @@ def _bridge(recording: Recording, column: str) -> tuple[Recording, list[tuple[in
 
 def _holes(time_s: Array, u: Array) -> list[tuple[int, int]]:
     """Neighbouring samples between which the input may have moved unseen."""
-    if time_s.size < 3:
-        return []
-    periods = np.diff(time_s)
-    long = np.flatnonzero(periods > GAP_PERIODS * np.median(periods))
-    if not long.size:
+    long = gaps(time_s)
+    if not long:
         return []
     every = max(1, time_s.size // CHUNK)
     slews = np.abs(u[1::every] - u[:-1:every]) / (time_s[1::every] - time_s[:-1:every])
-    unseen = periods[long] * np.quantile(slews, FASTEST) > UNSEEN * np.ptp(u)
-    return [(k, k + 1) for k in long[unseen].tolist()]
+    fastest, most = np.quantile(slews, FASTEST), UNSEEN * np.ptp(u)
+    return [(before, after) for before, after in long if fastest * (time_s[after] - time_s[before]) > most]
 
 
 def _longest(recording: Recording, column: str, holes: Sequence[tuple[int, int]]) -> tuple[Recording, list[str]]:
@@ -258,8 +275,8 @@ def _longest(recording: Recording, column: str, holes: Sequence[tuple[int, int]]
     starts = [0, *(after for _, after in holes)]
     stops = [*(before + 1 for before, _ in holes), int(u.size)]
     start, stop = max(zip(starts, stops, strict=True), key=lambda part: part[1] - part[0])
-    there = np.flatnonzero(np.isfinite(u[start:stop]))
-    start, stop = start + int(there[0]), start + int(there[-1]) + 1
+    there = np.isfinite(u[start:stop])
+    start, stop = start + int(np.argmax(there)), stop - int(np.argmax(there[::-1]))
     if (start, stop) == (0, u.size):
         return recording, []
     part = slice(start, stop)

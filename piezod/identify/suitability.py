@@ -23,8 +23,8 @@ FAR = 10.0
 """Outside the plausible range by more than this factor is impossible."""
 
 RATES_HZ = (0.1, 1e6)
-LOOSE = 0.5
-"""Correlation below which the output hardly follows the input; below its negative it runs against it."""
+LOOSE, OPPOSITE = 0.3, -0.5
+"""Correlations below which the output hardly follows the input, or runs against it."""
 
 QUIET = 10.0
 """Least swing, in standard deviations of the noise."""
@@ -180,7 +180,7 @@ def _loose(pair: _Pair) -> Iterator[str]:
     """An output that runs against its input, or is noise beside what the input does to it."""
     u, y = pair.some()
     together = float(np.corrcoef(u, y)[0, 1])
-    if together < -LOOSE:
+    if together < OPPOSITE:
         raise pair.refused(
             f"{pair.output} falls where {pair.input} rises (correlation {together:.2f}); check the sensor's sign"
         )

@@ -25,7 +25,8 @@ def open_parquet(path: Path) -> Iterator[Source]:
         pyarrow is missing, or the columns are no recording.
     """
     arrow, parquet = require("pyarrow", "parquet", path), require("pyarrow.parquet", "parquet", path)
-    with parquet.ParquetFile(path) as file:
+    # Not buffered ahead: that would hold all of the file's columns that are wanted, packed, beside the numbers
+    with parquet.ParquetFile(path, pre_buffer=False) as file:
         fields = list(file.schema_arrow)
         number = [_is_number(arrow, field) for field in fields]
         wanted_fields = [field for field, good in zip(fields, number, strict=True) if good]

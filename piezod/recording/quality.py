@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from piezod.recording.stretches import Stretch, gaps
+from piezod.recording.stretches import Stretch, extreme_periods, gaps
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -35,8 +35,8 @@ def irregular(recording: Recording) -> list[str]:
     time_s = recording.time_s
     lines = []
     if not recording.uniform:
-        periods = np.diff(time_s)
-        extent = f"periods of {periods.min():.6g} to {periods.max():.6g} s, median {recording.dt_s:.6g} s"
+        shortest_s, longest_s = extreme_periods(time_s)
+        extent = f"periods of {shortest_s:.6g} to {longest_s:.6g} s, median {recording.dt_s:.6g} s"
         lines.append(f"time_s: irregular, {extent}")
     pauses = gaps(time_s)
     if pauses:

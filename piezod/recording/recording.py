@@ -64,17 +64,15 @@ class Recording:
         """
         if self.time_s.size < 2:
             raise RecordingError(f"{self.source}: has {self.time_s.size} samples, a sample period needs 2")
-        return float(np.median(np.diff(self.time_s), overwrite_input=True))
+        return stretches.median_period(self.time_s)
 
     @property
     def uniform(self) -> bool:
         """Whether every sample period is within 1 % of the median."""
-        periods = np.diff(self.time_s)
-        if periods.size == 0:
+        if self.time_s.size < 2:
             return True
-        shortest, longest = periods.min(), periods.max()
-        median = np.median(periods, overwrite_input=True)  # of a long recording a copy would be long too
-        return bool(max(longest - median, median - shortest) < UNIFORM_WITHIN * median)
+        shortest_s, longest_s = stretches.extreme_periods(self.time_s)
+        return max(longest_s - self.dt_s, self.dt_s - shortest_s) < UNIFORM_WITHIN * self.dt_s
 
     def channel(self, name: str) -> Array:
         """Values of one channel, shape (N,), in the unit of its name.

@@ -31,12 +31,29 @@ def long_runs(values: Array, at_least: int) -> tuple[NDArray[np.intp], NDArray[n
     return np.concatenate(starts), np.concatenate(stops)
 
 
+def median_period(time_s: Array) -> float:
+    """Median sample period [s] of at least two samples; of a long recording that of a million of its periods."""
+    every = max(1, time_s.size // BLOCK)
+    return float(np.median(time_s[1::every] - time_s[:-1:every]))
+
+
+def extreme_periods(time_s: Array) -> tuple[float, float]:
+    """Shortest and longest sample period [s] of at least two samples."""
+    shortest_s, longest_s = np.inf, 0.0
+    for at in range(0, time_s.size - 1, BLOCK):
+        periods = np.diff(time_s[at : at + BLOCK + 1])
+        shortest_s, longest_s = min(shortest_s, float(periods.min())), max(longest_s, float(periods.max()))
+    return shortest_s, longest_s
+
+
 def gaps(time_s: Array) -> list[Stretch]:
     """Pairs of neighbouring samples farther apart than five median periods."""
     if time_s.size < 2:
         return []
-    periods = np.diff(time_s)
-    before = np.flatnonzero(periods > GAP_PERIODS * np.median(periods))
+    longest_s = GAP_PERIODS * median_period(time_s)
+    starts = range(0, time_s.size - 1, BLOCK)
+    found = [at + np.flatnonzero(np.diff(time_s[at : at + BLOCK + 1]) > longest_s) for at in starts]
+    before = np.concatenate(found)
     return pairs(before, before + 1)
 
 
