@@ -20,7 +20,7 @@ from piezod.control import (
     VirtualRateKeeper,
     make_reference,
 )
-from piezod.errors import ConfigurationError
+from piezod.errors import ConfigurationError, ModelError
 from piezod.excitation import triangle_ramp
 from piezod.model import DirectDrive, Model, load_model, make_compensator
 from piezod.transport import (
@@ -69,7 +69,38 @@ def load(path: Path) -> tuple[BenchConfig, Model]:
         A file says something impossible, or the wire cannot carry the rate.
     """
     bench = load_without_model(path)
-    return bench, load_model(model_path(bench, path))
+    return bench, load_drivable(model_path(bench, path))
+
+
+def load_drivable(path: Path) -> Model:
+    """Read a model that a bench can be driven with: from volts to newtons.
+
+    Raises
+    ------
+    ConfigurationError
+        It cannot be read.
+    ModelError
+        It has other units, or no inverse.
+    """
+    model = load_model(path)
+    check_units(model, path)
+    return model
+
+
+def check_units(model: Model, path: Path) -> None:
+    """Refuse a model of other quantities than a bench commands and measures: its numbers would be taken for volts.
+
+    Raises
+    ------
+    ModelError
+        Names the unit, and the one it must be.
+    """
+    for place, channel, unit in (("input", model.input, "V"), ("output", model.output, "N")):
+        if channel.unit != unit:
+            raise ModelError(
+                f"{path}: {place}.unit is {channel.unit!r} (column {channel.channel}), must be '{unit}' to drive a "
+                f"bench; identify on a column in {unit}"
+            )
 
 
 def load_without_model(path: Path) -> BenchConfig:
@@ -173,4 +204,14 @@ def make_loop(bench: BenchConfig, link: Link, clock: RateKeeper, ring: RingLog) 
     )
 
 
-__all__ = ["Work", "load", "load_without_model", "make_loop", "make_rate_keeper", "make_segment", "opened_link"]
+__all__ = [
+    "Work",
+    "check_units",
+    "load",
+    "load_drivable",
+    "load_without_model",
+    "make_loop",
+    "make_rate_keeper",
+    "make_segment",
+    "opened_link",
+]

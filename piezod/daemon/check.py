@@ -15,7 +15,7 @@ import numpy as np
 from piezod.config import BenchConfig, load_bench, model_path
 from piezod.config.reference import RegisterReference, StreamReference
 from piezod.control import RealTimeWarning, TableReference, make_reference, real_time
-from piezod.daemon.assembly import check_wire, opened_link
+from piezod.daemon.assembly import check_units, check_wire, opened_link
 from piezod.daemon.history import percentiles
 from piezod.errors import PiezodError
 from piezod.model import Model, Plant, load_model
@@ -41,6 +41,11 @@ def check_bench(path: Path) -> list[Check]:
     ----------
     path
         Bench configuration.
+
+    Raises
+    ------
+    ModelError
+        The model is not one from volts to newtons: nothing that follows would mean anything.
     """
     checks: list[Check] = []
     bench = _try(checks, "configuration", lambda: load_bench(path), lambda bench: f"{path}, bench '{bench.name}'")
@@ -51,6 +56,7 @@ def check_bench(path: Path) -> list[Check]:
         checks, "model", lambda: load_model(model_path(bench, path)), lambda model: f"'{model.name}' has an inverse"
     )
     if model is not None:
+        check_units(model, model_path(bench, path))
         checks.append(_reach(bench, model))
         checks.extend(_reference(bench, model, path.parent))
     checks.extend(_watchdog(bench))

@@ -5,11 +5,11 @@ from pathlib import Path
 
 from piezod.config import BenchConfig
 from piezod.config.reference import WaveformReference
-from piezod.daemon.assembly import Work, load_without_model
+from piezod.daemon.assembly import Work, load_drivable, load_without_model
 from piezod.daemon.demo import OnRows, follow_session
 from piezod.daemon.session import Outcome, Session
 from piezod.errors import ConfigurationError, UsageError
-from piezod.model import Model, Plant, load_model
+from piezod.model import Model, Plant
 from piezod.recording import Recording
 
 # Parts of the forces that bench and models reach in common; the outermost stay 5 % inside it.
@@ -84,7 +84,7 @@ def plan_validation(path: Path, model_paths: list[Path]) -> Validation:
         A model is given twice.
     """
     bench = load_without_model(path)
-    models = dict(zip(_labels(model_paths), [load_model(one) for one in model_paths], strict=True))
+    models = dict(zip(_labels(model_paths), [load_drivable(one) for one in model_paths], strict=True))
     range_N = common_range_N(bench, models)
     references = triangular_references(range_N)
     first = next(iter(models.values()))

@@ -171,6 +171,41 @@ def test_an_unknown_excitation_and_a_peak_above_the_limit_end_with_2(tmp_path):
     assert not output.exists()
 
 
+@pytest.mark.parametrize(
+    ("old", "new", "says"),
+    [
+        ("unit: N", "unit: um", "output.unit is 'um' (column force_N), must be 'N' to drive a bench; identify on"),
+        ("unit: V", "unit: mm", "input.unit is 'mm' (column voltage_V), must be 'V' to drive a bench; identify on"),
+    ],
+)
+@pytest.mark.parametrize("command", ["run", "check", "validate"])
+def test_a_model_of_other_units_than_the_benchs_is_refused_before_the_device_is_spoken_to(
+    tmp_path, command, old, new, says
+):
+    text = (ROOT / "config" / "model.yaml").read_text(encoding="utf-8")
+    assert text.count(old) == 1
+    model = tmp_path / "other.yaml"
+    model.write_text(text.replace(old, new), encoding="utf-8")
+    device = SilentDevice()
+    path = bench_file(tmp_path, {"tcp": f"127.0.0.1:{device.port}"}, model=str(model))
+    options = {"run": ["--arm"], "check": [], "validate": ["--model", model]}[command]
+    assert f"{model}: {says}" in one_line(piezod(command, path, *options), 78)
+    device.close()
+    assert not device.received
+
+
+@pytest.mark.parametrize(
+    ("target", "says"), [("x.txt", "suffix is '.txt', must be one of .csv"), ("no/x.csv", "no must be a folder")]
+)
+def test_a_recording_that_could_not_be_written_is_refused_before_the_device_is_spoken_to(tmp_path, target, says):
+    device = SilentDevice()
+    path = bench_file(tmp_path, {"tcp": f"127.0.0.1:{device.port}"})
+    done = piezod("record", path, "--excitation", "constant-triangles", "-o", tmp_path / target)
+    assert says in one_line(done, 78)
+    device.close()
+    assert not device.received
+
+
 def test_check_never_writes_and_says_ok(tmp_path):
     with emulator("--port", "0") as serves:
         done = piezod("check", bench_file(tmp_path, serves), "--json")
