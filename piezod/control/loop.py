@@ -101,6 +101,8 @@ class ControlLoop:
         self._comm_loss_ns = round(1e6 * limits.comm_loss_ms)
         self._watchdog_ns = round(1e6 * limits.device_watchdog_ms)
         self._look_after_ns = self._watchdog_ns // 2 or self._comm_loss_ns
+        margin_ns = max(2 * self._dt_ns, self._watchdog_ns // 10)
+        self._too_late_ns = self._watchdog_ns - margin_ns if self._watchdog_ns else 1 << 62
 
     def take_limits(self, limits: LimitsConfig) -> None:
         """Go on within these, between two ticks; state, voltage and latched fault stay."""
@@ -232,23 +234,25 @@ class ControlLoop:
         return self._approach_V if self._course.gentle else inf
 
     def _look_and_write(self, planned_V: float, begun_ns: int) -> ExchangeResult:
-        """Write only if the device is still where it was left."""
-        result = self._look(begun_ns)
-        if result != ExchangeResult.OK or not self.supervisor.driving:
+        """Write only if the device is still where it was left, and will be when the command arrives."""
+        result = self._look()
+        silent_ns = self._clock.now_ns() - self._acknowledged_ns
+        self._doubtful = True
+        if result != ExchangeResult.OK or not self.supervisor.driving or silent_ns >= self._too_late_ns:
             return result
         result = self._write(planned_V, begun_ns)
         if result == ExchangeResult.HEARTBEAT_STOOD:  # no new sample since the look, whose reading is good
             return ExchangeResult.OK
         return result
 
-    def _look(self, now_ns: int) -> ExchangeResult:
+    def _look(self) -> ExchangeResult:
         """Read, and leave the output to a device that has taken it over."""
         reading, supervisor = self._link.reading, self.supervisor
         heartbeat = reading.heartbeat
         result = self._link.poll()
         if result != ExchangeResult.OK:
             return result
-        silent = self._watchdog_ns > 0 and now_ns - self._acknowledged_ns >= self._watchdog_ns
+        silent = 0 < self._watchdog_ns <= self._clock.now_ns() - self._acknowledged_ns
         if silent and (not self._watchdog_shows or reading.status & STATUS_WATCHDOG):
             supervisor.trip(Cause.DEVICE_WATCHDOG)
         elif (reading.heartbeat - heartbeat) & 0xFFFF >= 0x8000 or self._has_fallen(reading.voltage_readback_V):
@@ -263,10 +267,11 @@ class ControlLoop:
 
     def _judge(self, result: int, planned_V: float, now_ns: int) -> None:
         supervisor, reading = self.supervisor, self._link.reading
-        good = result == ExchangeResult.OK
+        withheld = self._doubtful and supervisor.driving
+        good = result == ExchangeResult.OK and not withheld
         if not good:
             self.counts.failed_exchanges += 1
-        supervisor.judge_exchange(good, now_ns, answered=result in ACKNOWLEDGED)
+        supervisor.judge_exchange(good, now_ns, answered=result in ACKNOWLEDGED and not withheld)
         if good and supervisor.driving:
             applied_V, course = self.limiter.applied_V, self._course
             as_planned = abs(planned_V - applied_V) <= self._as_planned_V
