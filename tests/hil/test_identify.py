@@ -1,13 +1,15 @@
 """From the bench to a model and back: recorded, identified, simulated and driven, as commands."""
 
+import hashlib
 import json
 
 import numpy as np
 import pytest
-from hil.emulator import bench_file, emulator, piezod
+from hil.emulator import ROOT, bench_file, emulator, piezod
 
+from piezod.excitation import IDENTIFICATION, duration_s
 from piezod.model import load_model
-from piezod.recording import Recording, read_csv, write_csv
+from piezod.recording import Recording, convert, read_csv, read_recording, write_csv
 
 
 @pytest.fixture(scope="module")
@@ -45,6 +47,50 @@ def test_a_bench_without_a_model_is_recorded_identified_and_simulated_down_to_it
     assert done.returncode == 0, done.stderr
     simulated, measured = read_csv(out).channel("force_N"), read_csv(recorded).channel("force_N")
     assert np.sqrt(np.mean((simulated - measured) ** 2)) < 0.15
+
+
+@pytest.mark.parametrize(("suffix", "back"), [(".h5", ".mat"), (".parquet", ".csv"), (".mf4", ".tdms")])
+def test_every_format_goes_in_and_comes_out(recorded, tmp_path, suffix, back):
+    copy, model, out = tmp_path / f"rec{suffix}", tmp_path / "model.yaml", tmp_path / f"out{back}"
+    convert(recorded, copy)
+    done = piezod("identify", copy, "-o", model, "--plays", 8, "--dead-zones", 2, "--json")
+    assert done.returncode == 0, done.stderr
+    done = piezod("simulate", copy, "--model", model, "-o", out, "--json")
+    assert done.returncode == 0, done.stderr
+    figures = json.loads(done.stdout)
+    assert figures["recording"] == {
+        "path": str(copy),
+        "sha256": hashlib.sha256(copy.read_bytes()).hexdigest(),
+        "samples": 15_000,
+    }
+    simulated, measured = read_recording(out), read_recording(recorded)
+    assert list(simulated.channels) == ["force_N"]
+    np.testing.assert_allclose(simulated.time_s, measured.time_s, rtol=0, atol=1e-9)
+    error_N = (simulated.channel("force_N") - measured.channel("force_N"))[simulated.time_s >= 1.0]
+    assert figures["compared"]["rms"] == pytest.approx(np.sqrt(np.mean(error_N**2)), rel=1e-6)
+    assert figures["compared"]["rms"] < 0.01 * np.ptp(measured.channel("force_N"))
+
+
+def test_a_bench_records_into_any_format_and_repeats_what_tells_all_in_one_run_once(tmp_path):
+    with emulator("--time", "virtual", "--port", "0") as serves:
+        bench = bench_file(tmp_path, serves, rate_Hz=100, limits={"stale_after_ms": 20}, model="none.yaml")
+        options = ["--excitation", IDENTIFICATION, "--frequency", 2, "-o", tmp_path / "rec.h5"]
+        done = piezod("record", bench, *options)
+    assert done.returncode == 0, done.stderr
+    recording = read_recording(tmp_path / "rec.h5")
+    assert recording.metadata["excitation"].endswith(" 1 periods")
+    assert recording.time_s[-1] == pytest.approx(duration_s(IDENTIFICATION, 2.0, 1), abs=0.05)
+
+
+@pytest.mark.parametrize("command", ["identify", "simulate"])
+def test_a_result_never_overwrites_the_recording(recorded, tmp_path, command):
+    copy = tmp_path / "rec.csv"
+    copy.write_bytes(recorded.read_bytes())
+    model = ["--model", ROOT / "config" / "model.yaml"] if command == "simulate" else []
+    done = piezod(command, copy, *model, "-o", copy)
+    assert (done.returncode, done.stderr.count("\n")) == (2, 1)
+    assert "which is a recording that is read" in done.stderr
+    assert copy.read_bytes() == recorded.read_bytes()
 
 
 @pytest.mark.parametrize(

@@ -12,6 +12,7 @@ from piezod.excitation import (
     MINOR_LOOP_SIZES,
     duration_s,
     excitation,
+    usual_periods,
     varying_triangles,
     whole_periods,
 )
@@ -37,6 +38,10 @@ def test_the_peaks_of_varying_triangles_grow_and_shrink():
 def test_an_excitation_lasts_as_long_as_said(name):
     voltages = excitation(name, 140.0, 0.1, 2, 100.0)
     assert (voltages.size - 1) / 100.0 == pytest.approx(duration_s(name, 0.1, 2), abs=0.01)
+
+
+def test_triangles_are_repeated_five_times_and_what_tells_all_in_one_run_once():
+    assert [usual_periods(name) for name in EXCITATIONS] == [1 if name == IDENTIFICATION else 5 for name in EXCITATIONS]
 
 
 @given(st.floats(1.0, 1000.0), st.floats(0.01, 1.0), st.integers(1, 3))

@@ -1,0 +1,51 @@
+"""A bar for what takes long: on a terminal, after two seconds, and gone at the end."""
+
+import os
+import pty
+import subprocess
+import sys
+
+import pytest
+
+PROGRAM = """
+import time
+from piezod.report import progress
+progress.PATIENCE_S = {patience}
+with progress.steps() as show:
+    time.sleep(0.05)
+    show("reading rec.csv, 1.0 million samples", None)
+    show("fitting", 0.5)
+print("done")
+"""
+
+
+def seen_on_a_terminal(patience, *, stdout_too=True):
+    ours, theirs = pty.openpty()
+    process = subprocess.Popen(
+        [sys.executable, "-c", PROGRAM.format(patience=patience)],
+        stdin=theirs,
+        stdout=theirs if stdout_too else subprocess.DEVNULL,
+        stderr=theirs,
+        env=os.environ | {"TERM": "xterm", "COLUMNS": "100"},
+    )
+    os.close(theirs)
+    seen = b""
+    try:
+        while part := os.read(ours, 4096):
+            seen += part
+    except OSError:
+        pass  # the other end is closed
+    os.close(ours)
+    assert process.wait(timeout=30) == 0
+    return seen.decode()
+
+
+def test_what_takes_long_is_shown_with_the_share_that_is_done():
+    seen = seen_on_a_terminal(0.0)
+    assert "fitting" in seen
+    assert "50%" in seen
+
+
+@pytest.mark.parametrize(("patience", "stdout_too"), [(2.0, True), (0.0, False)])
+def test_what_is_quick_or_piped_shows_no_bar(patience, stdout_too):
+    assert seen_on_a_terminal(patience, stdout_too=stdout_too) == ("done\r\n" if stdout_too else "")
