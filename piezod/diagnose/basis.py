@@ -1,0 +1,156 @@
+"""The base that is refitted inside every hypothesis: a smooth density of plays in front of a smooth force law.
+
+    v = u + sum_k c_k B_k(u),   B_k = sum_i h_k(i) (z_i - u) dr_i / R,        F = sum_j d_j N_j(v)
+
+z_i are forty plays, h_k eleven hat functions over their index, N_j quadratic B-splines. The plays enter by what they lag
+behind u (less a stop, |z_i - u| <= r_i), so v stays about as large as u, which fixes the scale between plays and force law. A coarse density or a force law of few straight pieces leaves errors that look
+like friction or like a curved force law; this one is as smooth as a stack is.
+"""
+
+from dataclasses import dataclass
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+PLAYS = 40
+HATS = 11
+SPLINES = 12
+FINER_NEAR_ZERO = 1.5
+MARGIN = 0.15  # of the voltage range, beyond which the force law is continued straight
+
+
+@dataclass(frozen=True)
+class PlayDensity:
+    """Thresholds and the hats over them.
+
+    Parameters
+    ----------
+    thresholds_V
+        r_i, shape (PLAYS,), from above 0 [V].
+    hats
+        Weight of play i in column k, shape (PLAYS, HATS) [1].
+    """
+
+    thresholds_V: Array
+    hats: Array
+
+    @classmethod
+    def up_to(cls, reach_V: float) -> "PlayDensity":
+        """Plays up to a threshold, denser near zero."""
+        edges = reach_V * (np.arange(PLAYS + 1) / PLAYS) ** FINER_NEAR_ZERO
+        places = np.linspace(0, PLAYS - 1, HATS)
+        index = np.arange(PLAYS)[:, None]
+        hats = np.clip(1.0 - np.abs(index - places) / (places[1] - places[0]), 0.0, None)
+        return cls(0.5 * (edges[1:] + edges[:-1]), hats * (np.diff(edges) / reach_V)[:, None])
+
+    def columns(
+        self, applied_V: Array, path_V: Array, factor: Array | None = None, offset_V: Array | None = None
+    ) -> Array:
+        """B_k over a record, shape (N, HATS) [V].
+
+        Parameters
+        ----------
+        applied_V
+            Voltage at the stack, shape (N,) [V].
+        path_V
+            Voltages since the de-energised state, before the first sample [V].
+        factor, offset_V
+            What the thresholds are multiplied by and what is added to them, shape (N,) or None.
+        """
+        out = np.empty((applied_V.size, self.hats.shape[1]))
+        none = np.empty(0)
+        _columns(
+            self.thresholds_V,
+            self.hats,
+            np.asarray(path_V, dtype=np.float64),
+            np.ascontiguousarray(applied_V),
+            none if factor is None else factor,
+            none if offset_V is None else offset_V,
+            out,
+        )
+        return out
+
+    def weights(self, coefficients: Array) -> Array:
+        """Weight of u itself and of every play, shape (1 + PLAYS,) [1]."""
+        plays = self.hats @ coefficients
+        return np.concatenate(([1.0 - plays.sum()], plays))
+
+
+@numba.njit(cache=True)
+def _columns(r: Array, hats: Array, path: Array, u: Array, factor: Array, offset: Array, out: Array) -> None:
+    plays, count = hats.shape
+    first = np.zeros(plays, np.int64)  # a play belongs to two neighbouring hats at most
+    for i in range(plays):
+        while first[i] < count - 2 and hats[i, first[i]] == 0.0:
+            first[i] += 1
+    z = np.zeros(plays)
+    for k in range(path.size):
+        for i in range(plays):
+            z[i] = max(path[k] - r[i], min(path[k] + r[i], z[i]))
+    for k in range(u.size):
+        scale = factor[k] if factor.size else 1.0
+        more = offset[k] if offset.size else 0.0
+        for j in range(count):
+            out[k, j] = 0.0
+        for i in range(plays):
+            wide = r[i] * scale + more
+            z[i] = max(u[k] - wide, min(u[k] + wide, z[i]))
+            j = first[i]
+            out[k, j] += hats[i, j] * (z[i] - u[k])
+            out[k, j + 1] += hats[i, j + 1] * (z[i] - u[k])
+
+
+@dataclass(frozen=True)
+class ForceLaw:
+    """Quadratic B-splines on equal intervals, continued straight outside.
+
+    Parameters
+    ----------
+    low_V, high_V
+        Where the intervals begin and end [V].
+    """
+
+    low_V: float
+    high_V: float
+
+    @property
+    def count(self) -> int:
+        """How many splines."""
+        return SPLINES
+
+    def columns(self, v: Array) -> tuple[Array, Array]:
+        """N_j(v) and dN_j/dv, each shape (N, SPLINES) [1], [1/V]."""
+        values, slopes = np.empty((v.size, SPLINES)), np.empty((v.size, SPLINES))
+        _splines(v, self.low_V, (SPLINES - 2) / (self.high_V - self.low_V), values, slopes)
+        return values, slopes
+
+    def straight(self, offset: float, slope: float) -> Array:
+        """Coefficients of offset + slope v: the splines' own places are the interval's middles."""
+        step = (self.high_V - self.low_V) / (SPLINES - 2)
+        middles = self.low_V + step * (np.arange(SPLINES) - 0.5)
+        result: Array = offset + slope * middles
+        return result
+
+
+@numba.njit(cache=True)
+def _splines(v: Array, low: float, per_V: float, values: Array, slopes: Array) -> None:
+    count = values.shape[1]
+    for k in range(v.size):
+        for j in range(count):
+            values[k, j] = 0.0
+            slopes[k, j] = 0.0
+        x = (v[k] - low) * per_V
+        inside = min(max(x, 0.0), count - 2.0)
+        j = min(int(inside), count - 3)
+        t = inside - j
+        s0, s1, s2 = t - 1.0, 1.0 - 2.0 * t, t
+        beyond = x - inside
+        values[k, j] = 0.5 * (1.0 - t) ** 2 + beyond * s0
+        values[k, j + 1] = 0.5 + t - t * t + beyond * s1
+        values[k, j + 2] = 0.5 * t * t + beyond * s2
+        slopes[k, j] = s0 * per_V
+        slopes[k, j + 1] = s1 * per_V
+        slopes[k, j + 2] = s2 * per_V

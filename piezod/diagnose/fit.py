@@ -1,0 +1,283 @@
+"""Robust Gauss-Newton over base and effects together, and what each block of a recording says when it is left out."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from piezod.diagnose.chain import HATS, SPLINES, Chain, Point, Term
+from piezod.effects.effect import Parameter
+
+Array = NDArray[np.float64]
+
+MOST_STEPS = 14
+DONE = 1e-5  # relative fall of the loss below which a fit ends
+HUBER = 3.0  # residuals beyond so many standard deviations count less
+SMOOTH = 1e-10  # weight of the density's and the law's bends, in parts of the mean diagonal
+
+
+@dataclass(frozen=True)
+class Fitted:
+    """A hypothesis and how well it fits.
+
+    Parameters
+    ----------
+    terms, point
+        The hypothesis and its parameters.
+    losses
+        Mean square residual of every block in units of its recording's noise, the block left out of the fit (by one
+        linear step), shape (B,).
+    samples
+        How many samples of every block count, shape (B,).
+    spread
+        Standard errors of the searched parameters on their scale, from the curvature and the blocks' scatter.
+    """
+
+    terms: tuple[Term, ...]
+    point: Point
+    losses: Array
+    samples: Array
+    spread: tuple[dict[str, float], ...]
+
+    @property
+    def loss(self) -> float:
+        """Mean over all samples."""
+        return float(self.losses @ self.samples / self.samples.sum())
+
+
+class Layout:
+    """Where the parameters of a hypothesis stand in the vector: density, law, offsets, effects."""
+
+    def __init__(self, chain: Chain, terms: Sequence[Term]) -> None:
+        self.offsets = HATS + SPLINES
+        self.recordings = len(chain.series)
+        self.searched: list[tuple[int, Parameter]] = [
+            (number, term.effect.parameter(name)) for number, term in enumerate(terms) for name in term.searched
+        ]
+        self.effects = self.offsets + self.recordings - 1
+        self.size = self.effects + len(self.searched)
+
+    def vector(self, point: Point) -> Array:
+        searched = [_scaled(one, point.values[number][one.name]) for number, one in self.searched]
+        return np.concatenate((point.density, point.law, point.offsets_N[1:], searched))
+
+    def point(self, vector: Array, like: Point) -> Point:
+        values = [dict(one) for one in like.values]
+        for place, (number, one) in enumerate(self.searched):
+            values[number][one.name] = _unscaled(one, float(vector[self.effects + place]))
+        return Point(
+            vector[:HATS],
+            vector[HATS : self.offsets],
+            np.concatenate(([0.0], vector[self.offsets : self.effects])),
+            tuple(values),
+        )
+
+    def clipped(self, vector: Array) -> Array:
+        result = vector.copy()
+        for place, (_, one) in enumerate(self.searched, start=self.effects):
+            result[place] = np.clip(result[place], _scaled(one, one.low), _scaled(one, one.high))
+        return result
+
+
+def _scaled(one: Parameter, value: float) -> float:
+    return float(np.log(max(value, one.low))) if one.logarithmic else value
+
+
+def _unscaled(one: Parameter, value: float) -> float:
+    return float(np.clip(np.exp(value) if one.logarithmic else value, one.low, one.high))
+
+
+def _step_of(one: Parameter, value: float) -> float:
+    """How far a parameter is moved to see what it does, on its scale; inwards at a bound."""
+    size = 1e-3 if one.logarithmic else 1e-3 * max(abs(value), 1e-2 * min(one.high - one.low, 1e3))
+    return -size if _unscaled(one, value + size) >= one.high else size
+
+
+def fit(chain: Chain, terms: Sequence[Term], start: Point, *, most_steps: int = MOST_STEPS) -> Fitted:
+    """Fit a hypothesis from a start.
+
+    Parameters
+    ----------
+    chain
+        Recordings and base.
+    terms
+        Effects.
+    start
+        Where to begin.
+    most_steps
+        Of Gauss-Newton.
+    """
+    layout = Layout(chain, terms)
+    vector, damping = layout.vector(start), 1e-8
+    current = Normal.at(chain, terms, layout.point(vector, start))
+    for _ in range(most_steps):
+        trial = layout.clipped(vector + current.step(damping))
+        beyond = Normal.loss_at(chain, terms, layout.point(trial, start), current.scales)
+        if beyond < current.loss:
+            fell = (current.loss - beyond) / current.loss
+            vector, damping = trial, max(damping * 0.1, 1e-12)
+            current = Normal.at(chain, terms, layout.point(vector, start))
+            if fell < DONE:
+                break
+        else:
+            damping *= 10.0
+            if damping > 1e4:
+                break
+    return current.fitted(tuple(terms), layout.point(vector, start))
+
+
+@dataclass
+class Normal:
+    """Normal equations of a hypothesis at a point, block by block; residuals in units of each recording's noise."""
+
+    chain: Chain
+    readings: list[Array]  # simulated, one a recording
+    jacobians: list[Array]  # (N, P), 0 where a reading does not count
+    weighted: list[Array]  # residuals times the robust weights
+    weights: list[Array]
+    hessian: Array  # (B, P, P)
+    gradient: Array  # (B, P)
+    squares: Array  # (B,) plain squares
+    samples: Array  # (B,)
+    loss: float  # robust
+    scales: list[float]
+    ridge: Array
+
+    @classmethod
+    def at(cls, chain: Chain, terms: Sequence[Term], point: Point) -> "Normal":
+        """Normal equations of a hypothesis at a point."""
+        layout = Layout(chain, terms)
+        made = cls(chain, [], [], [], [], *(np.empty(0),) * 4, 0.0, [], np.empty(0))
+        hessian, gradient, squares, samples = [], [], [], []
+        for number, series in enumerate(chain.series):
+            reading, jacobian = _jacobian(chain, terms, point, layout, number)
+            residual = np.where(series.counts, series.reading_N - reading, 0.0) / series.noise_N
+            scale = max(1.4826 * float(np.median(np.abs(residual[series.counts]))), 1e-6)
+            weight = np.minimum(1.0, HUBER * scale / np.maximum(np.abs(residual), 1e-12))
+            made.loss += _robust(residual, scale)
+            made.scales.append(scale)
+            made.readings.append(reading)
+            made.jacobians.append(jacobian)
+            made.weighted.append(weight * residual)
+            made.weights.append(weight)
+            for block in series.blocks:
+                part = jacobian[block]
+                hessian.append(part.T @ (weight[block, None] * part))
+                gradient.append(part.T @ made.weighted[-1][block])
+                squares.append(float(residual[block] @ residual[block]))
+                samples.append(float(series.counts[block].sum()))
+        made.hessian, made.gradient = np.array(hessian), np.array(gradient)
+        made.squares, made.samples = np.array(squares), np.array(samples)
+        made.ridge = _ridge(made.hessian)
+        return made
+
+    @staticmethod
+    def loss_at(chain: Chain, terms: Sequence[Term], point: Point, scales: list[float]) -> float:
+        """The robust loss alone."""
+        loss = 0.0
+        for number, series in enumerate(chain.series):
+            reading = chain.run(number, terms, point).reading_N
+            residual = np.where(series.counts, series.reading_N - reading, 0.0) / series.noise_N
+            loss += _robust(residual, scales[number])
+        return loss if np.isfinite(loss) else np.inf
+
+    def step(self, damping: float) -> Array:
+        """Levenberg's and Marquardt's step."""
+        hessian = self.hessian.sum(axis=0) + self.ridge
+        return _solved(hessian + damping * np.diag(np.diag(hessian)), self.gradient.sum(axis=0))
+
+    def gain_of(self, changes: Sequence[Array | None]) -> tuple[float, float]:
+        """Fall of the squared residual when a multiple of a change is fitted with everything else, and the multiple.
+
+        Parameters
+        ----------
+        changes
+            Of the reading of every recording, shape (N,), or None where nothing changes [N].
+        """
+        across, length, along = np.zeros(self.ridge.shape[0]), 0.0, 0.0
+        for number, change in enumerate(changes):
+            if change is None:
+                continue
+            series = self.chain.series[number]
+            scaled = np.where(series.counts, change, 0.0) / series.noise_N
+            weighted = self.weights[number] * scaled
+            across += self.jacobians[number].T @ weighted
+            length += float(scaled @ weighted)
+            along += float(scaled @ self.weighted[number])
+        solved = _solved(self.hessian.sum(axis=0) + self.ridge, across)
+        denominator = length - float(solved @ across)
+        numerator = along - float(solved @ self.gradient.sum(axis=0))
+        if not denominator > 1e-9 * length:
+            return 0.0, 0.0
+        return numerator**2 / denominator, numerator / denominator
+
+    def fitted(self, terms: tuple[Term, ...], point: Point) -> Fitted:
+        """What every block says when it is left out, by one linear step."""
+        hessian, gradient = self.hessian.sum(axis=0) + self.ridge, self.gradient.sum(axis=0)
+        losses = np.empty(self.squares.size)
+        moves = np.empty((self.squares.size, gradient.size))
+        for b in range(losses.size):
+            move = _solved(hessian - self.hessian[b], gradient - self.gradient[b])
+            moves[b] = move
+            losses[b] = self.squares[b] - 2.0 * move @ self.gradient[b] + move @ self.hessian[b] @ move
+        jackknife = np.sqrt((losses.size - 1) / losses.size * np.sum((moves - moves.mean(axis=0)) ** 2, axis=0))
+        layout = Layout(self.chain, terms)
+        spread: tuple[dict[str, float], ...] = tuple({} for _ in terms)
+        for place, (term, one) in enumerate(layout.searched, start=layout.effects):
+            spread[term][one.name] = float(jackknife[place])
+        return Fitted(terms, point, np.maximum(losses, 1e-12) / np.maximum(self.samples, 1.0), self.samples, spread)
+
+
+def _jacobian(chain: Chain, terms: Sequence[Term], point: Point, layout: Layout, number: int) -> tuple[Array, Array]:
+    """Simulated reading of a recording, and how it changes with every parameter in units of the noise."""
+    series = chain.series[number]
+    reading = chain.run(number, terms, point).reading_N
+    jacobian = np.zeros((series.time_s.size, layout.size))
+    jacobian[:, : layout.offsets] = chain.base_tangents(number, terms, point)
+    if number:
+        jacobian[:, layout.offsets + number - 1] = 1.0
+    for place, (term, one) in enumerate(layout.searched, start=layout.effects):
+        if terms[term].acts_on(number, series):
+            scaled = _scaled(one, point.values[term][one.name])
+            size = _step_of(one, scaled)
+            moved = _moved(point, term, one.name, _unscaled(one, scaled + size))
+            jacobian[:, place] = (chain.run(number, terms, moved).reading_N - reading) / size
+    jacobian /= series.noise_N
+    jacobian[~series.counts] = 0.0
+    return reading, jacobian
+
+
+def _robust(residual: Array, scale: float) -> float:
+    """Huber's loss."""
+    size, limit = np.abs(residual), HUBER * scale
+    return float(np.sum(np.where(size <= limit, size * size, limit * (2.0 * size - limit))))
+
+
+def _moved(point: Point, term: int, name: str, value: float) -> Point:
+    values = tuple({**one, name: value} if number == term else one for number, one in enumerate(point.values))
+    return replace(point, values=values)
+
+
+def _ridge(blocks: Array) -> Array:
+    """Keeps density and law from bending where no sample tells."""
+    size = blocks.shape[1]
+    diagonal = np.einsum("bii->i", blocks)
+    ridge = np.diag(1e-12 * diagonal + 1e-12)
+    for first, count in ((0, HATS), (HATS, SPLINES)):
+        bends = np.diff(np.eye(count), 2, axis=0)
+        mean = diagonal[first : first + count].mean()
+        ridge[first : first + count, first : first + count] += SMOOTH * mean * bends.T @ bends
+    assert ridge.shape == (size, size)
+    return ridge
+
+
+def _solved(matrix: Array, side: Array) -> Array:
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(matrix), 1e-300))
+    try:
+        result: Array = scale * np.linalg.solve(
+            matrix * np.outer(scale, scale) + 1e-13 * np.eye(side.size), scale * side
+        )
+    except np.linalg.LinAlgError:
+        result = np.zeros_like(side)
+    return result

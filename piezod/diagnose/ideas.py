@@ -1,0 +1,78 @@
+"""Where a search may begin: every effect of the catalogue at its starts, and what direct tests suggest."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+from numpy.typing import NDArray
+
+from piezod.diagnose.chain import Chain, Point, Term
+from piezod.diagnose.fit import Normal
+from piezod.effects import EFFECTS
+from piezod.effects.effect import Effect
+
+Array = NDArray[np.float64]
+
+DIRECT = ("sensor_dropout", "quantisation", "load_step", "vibration", "mains_hum")  # found by tests of their own
+
+
+@dataclass(frozen=True)
+class Idea:
+    """An effect with values to begin from.
+
+    Parameters
+    ----------
+    term
+        Effect, scope and choices.
+    values
+        Of its searched parameters.
+    gain
+        By how much it would lower the squared residual in units of the noise, the base refitted; the effect's size
+        free, everything to first order.
+    """
+
+    term: Term
+    values: dict[str, float]
+    gain: float = 0.0
+
+
+def catalogue_ideas(
+    channels: Sequence[str],
+) -> Iterator[tuple[Effect, dict[str, float], tuple[tuple[str, float], ...]]]:
+    """Every effect at each of its starts, nuisances at their first one; choices at their first value too."""
+    for effect in EFFECTS.values():
+        if effect.name in DIRECT or (effect.needs is not None and effect.needs not in channels):
+            continue
+        searched = [one for one in effect.parameters if not one.choices]
+        choices = tuple((one.name, one.choices[0]) for one in effect.parameters if one.choices)
+        starts = [one.starts if not one.nuisance else one.starts[:1] for one in searched]
+        for values in product(*starts):
+            yield effect, dict(zip((one.name for one in searched), values, strict=True)), choices
+
+
+def screened(chain: Chain, terms: Sequence[Term], point: Point) -> list[Idea]:
+    """Every idea that could be added to a fitted hypothesis, the most promising first.
+
+    One finite perturbation an idea, projected off the tangent space of everything that is fitted already.
+    """
+    normal = Normal.at(chain, terms, point)
+    channels = ["temperature_C"] if all(one.temperature_C is not None for one in chain.series) else []
+    ideas = []
+    for effect, values, choices in catalogue_ideas(channels):
+        if any(term.effect is effect for term in terms):
+            continue
+        once = tuple({**dict(one)} for one in point.values)
+        term = Term(effect, "already", choices=choices)
+        changed = Point(point.density, point.law, point.offsets_N, (*once, values))
+        changes = [
+            chain.run(number, (*terms, term), changed).reading_N - normal.readings[number]
+            for number in range(len(chain.series))
+        ]
+        for scope in ("since", "already"):
+            term = Term(effect, scope, choices=choices)
+            acting = [c if term.acts_on(k, chain.series[k]) else None for k, c in enumerate(changes)]
+            gain, size = normal.gain_of(acting)
+            if size > 0.0 or effect.parameters[0].low < 0.0:
+                ideas.append(Idea(term, values, gain))
+    return sorted(ideas, key=lambda idea: -idea.gain)

@@ -1,0 +1,73 @@
+"""A recording made ready to be fitted: equal steps, what is believed, how it starts, and its blocks."""
+
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from piezod.effects.effect import STRAIGHT
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+Role = Literal["identification", "recording"]
+
+BLOCK_S = 2.0
+FEWEST_BLOCKS, MOST_BLOCKS = 12, 40
+
+
+@dataclass(frozen=True)
+class Series:
+    """One recording on equal steps.
+
+    Parameters
+    ----------
+    name
+        Where it came from.
+    role
+        Whether the model was identified on it, or it is asked about.
+    time_s, command_V, reading_N
+        Shape (N,); time from 0, readings that are missing are 0 and do not count.
+    counts
+        Which readings are believed, shape (N,).
+    noise_N
+        Standard deviation of its noise, for the weights between recordings [N].
+    path_V
+        Voltages since the de-energised state before the first sample.
+    temperature_C
+        Shape (N,), or None.
+    start_s
+        Time of the first sample in the recording's own time [s].
+    between
+        How the command runs between samples.
+    """
+
+    name: str
+    role: Role
+    time_s: Array
+    command_V: Array
+    reading_N: Array
+    counts: Mask
+    noise_N: float
+    path_V: tuple[float, ...] = ()
+    temperature_C: Array | None = None
+    start_s: float = 0.0
+    between: int = STRAIGHT
+    blocks: tuple[slice, ...] = field(init=False)
+
+    def __post_init__(self) -> None:
+        size = self.time_s.size
+        count = int(np.clip(self.duration_s / BLOCK_S, FEWEST_BLOCKS, MOST_BLOCKS))
+        edges = np.linspace(0, size, min(count, size) + 1).astype(int)
+        blocks = tuple(slice(int(a), int(b)) for a, b in zip(edges[:-1], edges[1:], strict=True))
+        object.__setattr__(self, "blocks", blocks)
+
+    @property
+    def dt_s(self) -> float:
+        """Spacing of the samples [s]."""
+        return float(self.time_s[1] - self.time_s[0])
+
+    @property
+    def duration_s(self) -> float:
+        """From the first sample to the last [s]."""
+        return float(self.time_s[-1])
