@@ -9,7 +9,8 @@ from firmware_sim.concealed import reader
 from firmware_sim.concealed.arrays import Array
 from firmware_sim.concealed.catalogue import ONCE, SINCE, THERE, TONES, frozen_places
 from firmware_sim.concealed.drives import Drive
-from firmware_sim.concealed.plant import Effect, Plant
+from firmware_sim.concealed.passage import Effect
+from firmware_sim.concealed.plant import Plant
 
 TEMPERATURE_NOISE_K = 0.01
 LATE = ("quantisation", "sensor_dropout")  # what acts on the readings, after the noise

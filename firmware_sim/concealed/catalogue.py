@@ -3,11 +3,12 @@
 Of every effect one parameter is its strength; it is found later, between two bounds. All others are drawn here. Names
 and units of parameters are those of the catalogue; a detail is what this plant adds and no one is asked for.
 
-Definitions: `growth` is d ln(width) / d ln(rate) far above the reference; `share` is the part of the irreversible
-stroke; `per_decade` the slope of the unit step's response between `from_s` and `to_s`; `relative_change` the gain at a
-record's end over that at its beginning, less 1, anew in every record; `curvature` is c of the nearest law g (x + c x^2)
-over the relative force x; `presliding_N` the travel, in force, after which 63 % of the friction is there; `amplitude_N`
-that of the fundamental; `cutoff_Hz` is at -3 dB; `skew_ppm` is above 0 when the reader samples late, ever later.
+Definitions: `time_constant_s` is that at half range; `growth` the rise of all widths, in parts of themselves, with the
+natural logarithm of the rate far above the reference; `share` the part of the irreversible stroke; `per_decade` the
+slope of the unit step's response between `from_s` and `to_s`; `relative_change` the gain at a record's end over that at
+its beginning, less 1, anew in every record; `curvature` c of the nearest law g (x + c x^2) over the relative force x;
+`presliding_N` the travel, in force, after which 63 % of the friction is there; `amplitude_N` that of the fundamental;
+`cutoff_Hz` is at -3 dB; `skew_ppm` is above 0 when the reader samples late, ever later.
 """
 
 import math
@@ -16,11 +17,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from firmware_sim.concealed.creep import LAWS
 from firmware_sim.concealed.mechanics import BENDS
-from firmware_sim.concealed.plant import SHAPES, Effect
+from firmware_sim.concealed.passage import Effect
+from firmware_sim.concealed.stroke import COURSES
 
 SHORTEST_SAMPLES = 1.5  # of a lag, filter or delay: below it the three are one and the same
 DELAY_SAMPLES = 2.0
+RAMP_SAMPLES = 4  # a limit that is left within fewer looks like a lag
 STEEPEST = 0.6  # of friction against its presliding travel
 MAINS_HZ = (50.0, 60.0)
 
@@ -42,8 +46,8 @@ class Context:
         Noise rms [N].
     duration_s
         Of the first recording [s].
-    fastest_V_per_s
-        Largest rate of its commands [V/s].
+    fastest_V_per_s, lasting_V_per_s
+        Largest rate of its commands, from one sample to the next and over `RAMP_SAMPLES` [V/s].
     """
 
     reach_V: float
@@ -52,6 +56,7 @@ class Context:
     noise_N: float
     duration_s: float
     fastest_V_per_s: float
+    lasting_V_per_s: float
 
     @property
     def period_s(self) -> float:
@@ -118,6 +123,11 @@ def _signed(rng: np.random.Generator, at: Context) -> tuple[dict[str, float], di
     return {}, {"negative": bool(rng.random() < 0.5)}
 
 
+def _lag(rng: np.random.Generator, at: Context) -> tuple[dict[str, float], dict[str, object]]:
+    del at
+    return {}, {"swell": rng.uniform(0.0, 0.05)}
+
+
 def _clamp(rng: np.random.Generator, at: Context) -> tuple[dict[str, float], dict[str, object]]:
     return {}, {"knee_V": _between(rng, 0.0005, 0.004) * at.reach_V}
 
@@ -129,13 +139,12 @@ def _rate(rng: np.random.Generator, at: Context) -> tuple[dict[str, float], dict
 def _creep(rng: np.random.Generator, at: Context) -> tuple[dict[str, float], dict[str, object]]:
     from_s = max(_between(rng, 0.02, 0.5), 3.0 * at.period_s)
     to_s = _between(rng, 30.0, 1000.0)
-    law = str(rng.choice(["lumpy", "power", "stretched"]))
-    return {"from_s": from_s, "to_s": to_s}, {"law": law, "seed": int(rng.integers(2**31))}
+    return {"from_s": from_s, "to_s": to_s}, {"law": str(rng.choice(LAWS)), "shape": rng.uniform()}
 
 
 def _gain(rng: np.random.Generator, at: Context) -> tuple[dict[str, float], dict[str, object]]:
     del at
-    return {}, {"negative": bool(rng.random() < 0.6), "shape": str(rng.choice(SHAPES))}
+    return {}, {"negative": bool(rng.random() < 0.6), "course": str(rng.choice(COURSES)), "bend": rng.uniform()}
 
 
 def _bend(rng: np.random.Generator, at: Context) -> tuple[dict[str, float], dict[str, object]]:
@@ -148,12 +157,17 @@ def _gap(rng: np.random.Generator, at: Context) -> tuple[dict[str, float], dict[
 
 
 def _friction(rng: np.random.Generator, at: Context) -> tuple[dict[str, float], dict[str, object]]:
-    return {"presliding_N": _between(rng, 0.01, 0.2) * at.full_N}, {"exponent": rng.uniform(0.7, 1.6)}
+    return {"presliding_N": _between(rng, 0.01, 0.2) * at.full_N}, {"break_away": rng.uniform(0.1, 0.6)}
 
 
 def _never_turns_back(effect: Effect) -> bool:
     """Whether the friction grows more slowly than the force that moves: else the reading would fall as that rises."""
     return effect.parameters["force_N"] <= STEEPEST * effect.parameters["presliding_N"]
+
+
+def _wider_than_soft(effect: Effect) -> bool:
+    """Whether there is a gap at all beside the softness of touching."""
+    return effect.parameters["gap_N"] >= 2.0 * effect.number("softness_N")
 
 
 def _resonance(rng: np.random.Generator, at: Context) -> tuple[dict[str, float], dict[str, object]]:
@@ -182,22 +196,23 @@ def _vibration(rng: np.random.Generator, at: Context) -> tuple[dict[str, float],
     frequency_Hz = 50.0
     while mains(frequency_Hz):
         frequency_Hz = _between(rng, 4.0, 0.4 * at.rate_Hz)
-    return {"frequency_Hz": frequency_Hz}, {"breathing": rng.uniform(0.0, 0.2), "breath_s": rng.uniform(5.0, 40.0)}
+    return {"frequency_Hz": frequency_Hz}, {"breathing": rng.uniform(0.0, 0.12), "breath_s": rng.uniform(5.0, 40.0)}
 
 
 def _feedthrough(rng: np.random.Generator, at: Context) -> tuple[dict[str, float], dict[str, object]]:
-    return {}, {"negative": bool(rng.random() < 0.2), "rise_s": rng.uniform(0.1, 0.4) * at.period_s}
+    return {}, {"negative": bool(rng.random() < 0.2), "window_s": rng.uniform(0.2, 0.9) * at.period_s}
 
 
 def _hum(rng: np.random.Generator, at: Context) -> tuple[dict[str, float], dict[str, object]]:
     del at
-    harmonics = {str(order): rng.uniform(0.05, 0.4) for order in (2, 3, 5) if rng.random() < 0.6}
-    return {"frequency_Hz": float(rng.choice(MAINS_HZ)) + rng.uniform(-0.04, 0.04)}, {"harmonics": harmonics}
+    harmonics = {str(order): rng.uniform(0.03, 0.4) for order in (2, 3, 4, 5, 7) if rng.random() < 0.5}
+    details = {"harmonics": harmonics, "stray_rad": rng.uniform(0.0, 0.08), "stray_s": rng.uniform(5.0, 30.0)}
+    return {"frequency_Hz": float(rng.choice(MAINS_HZ)) + rng.uniform(-0.04, 0.04)}, details
 
 
 def _filter(rng: np.random.Generator, at: Context) -> tuple[dict[str, float], dict[str, object]]:
     del at
-    return {}, {"order": int(rng.choice([1, 2], p=[0.65, 0.35]))}
+    return {}, {"order": int(rng.choice([1, 2], p=[0.65, 0.35])), "damping_ratio": float(rng.choice([0.7071, 0.866]))}
 
 
 def _dropout(rng: np.random.Generator, at: Context) -> tuple[dict[str, float], dict[str, object]]:
@@ -209,9 +224,9 @@ def _dropout(rng: np.random.Generator, at: Context) -> tuple[dict[str, float], d
 
 
 ENTRIES: dict[str, Entry] = {
-    "electrical_lag": Entry("time_constant_s", lambda at: (SHORTEST_SAMPLES * at.period_s, 0.15), _nothing),
+    "electrical_lag": Entry("time_constant_s", lambda at: (SHORTEST_SAMPLES * at.period_s, 0.15), _lag),
     "slew_limit": Entry(
-        "limit_V_per_s", lambda at: (0.3 * at.reach_V, min(200.0 * at.reach_V, at.fastest_V_per_s)), _nothing
+        "limit_V_per_s", lambda at: (0.3 * at.reach_V, min(200.0 * at.reach_V, 0.98 * at.lasting_V_per_s)), _nothing
     ),
     "voltage_clamp": Entry("limit_V", lambda at: (0.55 * at.reach_V, 0.985 * at.reach_V), _clamp),
     "rate_dependent_hysteresis": Entry("growth", lambda at: (0.002, 0.2), _rate),  # noqa: ARG005
@@ -219,7 +234,9 @@ ENTRIES: dict[str, Entry] = {
     "creep": Entry("per_decade", lambda at: (0.0003, 0.05), _creep),  # noqa: ARG005
     "gain_drift": Entry("relative_change", lambda at: (0.0003, 0.25), _gain, (SINCE,), signed=True),  # noqa: ARG005
     "output_nonlinearity": Entry("curvature", lambda at: (0.0005, 0.3), _bend, (SINCE,), signed=True),  # noqa: ARG005
-    "contact_gap": Entry("gap_N", lambda at: (0.003 * at.full_N, 0.35 * at.full_N), _gap, (SINCE,)),
+    "contact_gap": Entry(
+        "gap_N", lambda at: (0.003 * at.full_N, 0.35 * at.full_N), _gap, (SINCE,), plausible=_wider_than_soft
+    ),
     "friction": Entry(
         "force_N", lambda at: (0.0003 * at.full_N, 0.08 * at.full_N), _friction, (SINCE,), plausible=_never_turns_back
     ),

@@ -1,73 +1,76 @@
-"""Creep as a spectrum of retardation times, of a law drawn at random, scaled to its measured slope per decade.
+"""Creep by superposition: every past rise of the stroke goes on answering by one curve of time, drawn at random.
 
-Laws: `lumpy` (equal on the logarithm of time up to random lumps), `power` (a fractional element, t^a) and `stretched`
-(a broad bell on the logarithm of time). Each element answers exactly: `dx/dt = (c v - x) / tau` with v straight or
-held.
+The curve J(t) is closed: `logarithmic` log10(1 + t/a) - log10(1 + t/b), `fractional` (1 + t/a)^p - 1 that ends at b,
+and `stretched` 1 - exp(-(t/c)^q). It is scaled to its own slope per decade, fitted between `from_s` and `to_s`. The
+response to a record is the convolution of its rises with J, by transforms; there is no chain of elements.
 """
 
-from dataclasses import dataclass
+import math
+from collections.abc import Callable
 
 import numpy as np
-from numba import njit
 
 from firmware_sim.concealed.arrays import Array
 
-PER_DECADE = 5  # elements
-FADE_DECADES = 0.5  # beyond both ends of the span, so that the slope holds up to them
+LAWS = ("logarithmic", "fractional", "stretched")
+BEYOND = 2.0  # how far J's own times lie outside the span, so that its slope holds up to its ends
+CLIMB_DECADES = 1.34  # times 1/q: decades in which a stretched exponential goes from 10 to 90 %
+
+Curve = Callable[[Array], Array]
 
 
-@dataclass(frozen=True)
-class Spectrum:
-    """Retardation times [s] and compliances (1), shapes (k,)."""
+def curve(law: str, shape: float, from_s: float, to_s: float) -> Curve:
+    """J of a law, with a slope of 1 a decade between two times.
 
-    times_s: Array
-    compliances: Array
+    Parameters
+    ----------
+    law
+        One of `LAWS`.
+    shape
+        0 to 1: the exponent of the fractional law, the middle of the stretched one; of no meaning to the logarithmic.
+    from_s, to_s
+        The span [s].
+    """
+    raw = _raw(law, shape, from_s / BEYOND, to_s * BEYOND)
+    slope = slope_per_decade(raw, from_s, to_s)
 
-    def step_response(self, after_s: Array) -> Array:
-        """What is added to a unit step after a time, shape (n,) (1)."""
-        rise: Array = -np.expm1(-after_s[:, None] / self.times_s)
-        return rise @ self.compliances
+    def scaled(after_s: Array) -> Array:
+        return raw(after_s) / slope
 
-    def run(self, stroke: Array, dt_s: float, *, stairs: bool) -> Array:
-        """What is added to a stroke on the grid, shape (n,)."""
-        keep = np.exp(-dt_s / self.times_s)
-        constant = -np.expm1(-dt_s / self.times_s)
-        ramp = np.zeros(keep.size) if stairs else 1.0 - constant * self.times_s / dt_s
-        result: Array = _run(stroke, keep, constant * self.compliances, ramp * self.compliances)
-        return result
-
-
-def draw_spectrum(rng: np.random.Generator, law: str, from_s: float, to_s: float) -> Spectrum:
-    """Draw a spectrum of a law whose slope per decade between two times is 1."""
-    low, high = np.log10(from_s) - FADE_DECADES, np.log10(to_s) + FADE_DECADES
-    place = np.linspace(low, high, int(np.ceil((high - low) * PER_DECADE)) + 1)
-    if law == "lumpy":
-        weight = rng.uniform(0.75, 1.25, place.size)
-    elif law == "power":
-        weight = 10.0 ** (rng.uniform(0.03, 0.1) * (place - low))
-    else:
-        middle = 0.5 * (low + high) + rng.uniform(-0.3, 0.3)
-        weight = np.exp(-0.5 * ((place - middle) / (0.75 * (high - low))) ** 2)
-    spectrum = Spectrum(10.0**place, weight)
-    return Spectrum(spectrum.times_s, weight / slope_per_decade(spectrum, from_s, to_s))
+    return scaled
 
 
-def slope_per_decade(spectrum: Spectrum, from_s: float, to_s: float) -> float:
-    """Slope of the step response against the logarithm of time, fitted between two times."""
+def slope_per_decade(response: Curve, from_s: float, to_s: float) -> float:
+    """Slope of a step's response against the logarithm of time, fitted between two times."""
     times_s = np.geomspace(from_s, to_s, 200)
-    return float(np.polyfit(np.log10(times_s), spectrum.step_response(times_s), 1)[0])
+    return float(np.polyfit(np.log10(times_s), response(times_s), 1)[0])
 
 
-@njit(cache=True)
-def _run(stroke: Array, keep: Array, constant: Array, ramp: Array) -> Array:
-    x, out = np.zeros(keep.size), np.empty(stroke.size)
-    last = 0.0
-    for k in range(stroke.size):
-        rise = stroke[k] - last
-        total = 0.0
-        for i in range(keep.size):
-            x[i] = keep[i] * x[i] + constant[i] * last + ramp[i] * rise
-            total += x[i]
-        last = stroke[k]
-        out[k] = total
-    return out
+def crept(stroke: Array, response: Curve, dt_s: float) -> Array:
+    """What a stroke's past rises add to it, shape (n,).
+
+    A rise is taken to lie in the middle of its step of the grid.
+    """
+    rises = np.diff(stroke, prepend=0.0)
+    after_s: Array = np.asarray((np.arange(stroke.size) + 0.5) * dt_s, dtype=np.float64)
+    size = _transform_size(2 * stroke.size)
+    product = np.fft.rfft(rises, size)
+    product *= np.fft.rfft(response(after_s), size)
+    result: Array = np.fft.irfft(product, size)[: stroke.size]
+    return result
+
+
+def _raw(law: str, shape: float, a: float, b: float) -> Curve:
+    if law == "logarithmic":
+        return lambda t: np.log10(1.0 + t / a) - np.log10(1.0 + t / b)
+    if law == "fractional":
+        power = 0.03 + 0.07 * shape
+        return lambda t: (1.0 + t / (a * (1.0 + t / b))) ** power - 1.0
+    decades = math.log10(b / a) + 0.6
+    middle_s = a * (b / a) ** (0.55 + 0.15 * shape)
+    return lambda t: -np.expm1(-((t / middle_s) ** (CLIMB_DECADES / decades)))
+
+
+def _transform_size(least: int) -> int:
+    """Smallest size of 2, 3 or 5 times a power of two that is enough."""
+    return min(part << max(0, math.ceil(math.log2(least / part))) for part in (2, 3, 5))

@@ -7,12 +7,13 @@ import numpy as np
 
 from firmware_sim.concealed.arrays import Array
 from firmware_sim.concealed.case import Case, Noise, Record, effects_in
-from firmware_sim.concealed.catalogue import ENTRIES, SINCE, Context, Entry, frozen_places, places
+from firmware_sim.concealed.catalogue import ENTRIES, RAMP_SAMPLES, SINCE, Context, Entry, frozen_places, places
 from firmware_sim.concealed.drives import Drive, identification_voltage, mixed_work, temperature
 from firmware_sim.concealed.foreign import FOREIGN
 from firmware_sim.concealed.hysteresis import Kind, draw_hysteresis, draw_noncongruent
 from firmware_sim.concealed.mechanics import ForceLaw
-from firmware_sim.concealed.plant import Effect, Plant
+from firmware_sim.concealed.passage import Effect
+from firmware_sim.concealed.plant import Plant
 from firmware_sim.concealed.reader import frozen, quantised
 from firmware_sim.concealed.strength import Visible, find_scale
 
@@ -27,6 +28,7 @@ MISFIT = 0.12  # of the noise: what plays may leave of a hysteresis that counts 
 SHOWN_TOGETHER = 0.5  # of its own strength: what an effect must still show beside the others
 GENTLE = 0.5  # of the benches limit the rate of their commands
 GENTLE_PACE = (1.0, 40.0)  # to so many ranges a second
+READ_LATE = (0.35, 0.9)  # of a sample: how long after a command that is held its reading is taken
 ATTEMPTS = 18
 STRICT = 8  # attempts before a strength other than the one wanted is taken
 
@@ -77,6 +79,7 @@ class _Draw:
         self._reach_V = round(rng.uniform(60.0, 200.0), 1)
         self._full_N = float(np.exp(rng.uniform(np.log(50.0), np.log(2000.0))))
         self._held = bool(rng.random() < 0.5) and not any(ENTRIES[n].straight for n in wish.names if n in ENTRIES)
+        self._late = rng.uniform(*READ_LATE) if self._held else 0.0
         gentle = bool(rng.random() < GENTLE)
         self._most_V_per_s = self._reach_V * (float(np.exp(rng.uniform(*np.log(GENTLE_PACE)))) if gentle else np.inf)
         self._records = self._draw_records()
@@ -88,9 +91,10 @@ class _Draw:
         if self._misfit_N() > MISFIT * self._noise.rms_N * 1.01:
             return None
         drive = self._work.drive
-        fastest = float(np.abs(np.diff(drive.voltage_V)).max()) * self._rate_Hz
+        u = drive.voltage_V
+        fastest, lasting = (float(np.abs(u[n:] - u[:-n]).max()) / n * self._rate_Hz for n in (1, RAMP_SAMPLES))
         context = Context(
-            self._reach_V, self._full_N, self._rate_Hz, self._noise.rms_N, float(drive.time_s[-1]), fastest
+            self._reach_V, self._full_N, self._rate_Hz, self._noise.rms_N, float(drive.time_s[-1]), fastest, lasting
         )
         plain = self._reading(self._work, {})
         visible = Visible(plain, drive.voltage_V)
@@ -121,6 +125,7 @@ class _Draw:
             "reach_V": self._reach_V,
             "rate_Hz": self._rate_Hz,
             "held": self._held,
+            "read_late_samples": self._late,
         }
         return Case(self._wish.kind, self._plant, self._noise, self._records, effects, shows, truth)
 
@@ -144,7 +149,9 @@ class _Draw:
             voltage_V = mixed_work(self._rng, self._reach_V, self._rate_Hz, duration_s, self._most_V_per_s)
         voltage_V = np.round(voltage_V, 4)
         warmth = temperature(self._rng, duration_s, self._rate_Hz)[: voltage_V.size]
-        return Record(name, Drive(voltage_V, self._rate_Hz, self._held, warmth), int(self._rng.integers(2**40)))
+        return Record(
+            name, Drive(voltage_V, self._rate_Hz, self._held, self._late, warmth), int(self._rng.integers(2**40))
+        )
 
     def _draw_plant(self) -> Plant:
         rng = self._rng

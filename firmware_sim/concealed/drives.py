@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from firmware_sim.concealed.amplifier import slew
+from firmware_sim.concealed.amplifier import rate_limited
 from firmware_sim.concealed.arrays import Array
 
 FASTEST_HZ = 40.0
@@ -31,6 +31,8 @@ class Drive:
         Commands and readings a second [1/s].
     held
         A command is held until the next; otherwise the voltage runs straight from one to the next.
+    late
+        Part of a sample after its command at which a reading is taken; of commands that are not held, 0.
     temperature_C
         Of the bench at each command, shape (n,) [degC].
     """
@@ -38,6 +40,7 @@ class Drive:
     voltage_V: Array
     rate_Hz: float
     held: bool
+    late: float
     temperature_C: Array
 
     @property
@@ -49,6 +52,12 @@ class Drive:
     def fine_s(self) -> float:
         """Step of the fine grid [s]."""
         return 1.0 / (self.rate_Hz * self.substeps)
+
+    @property
+    def places(self) -> Array:
+        """Where the readings are taken, in steps of the fine grid, shape (n,)."""
+        whole = np.arange(self.voltage_V.size) * self.substeps + round(self.late * self.substeps)
+        return whole.astype(np.float64)
 
     @property
     def time_s(self) -> Array:
@@ -102,7 +111,7 @@ def mixed_work(
         parts += [join, piece]
         total += join.size + piece.size
         last = float(piece[-1])
-    return slew(np.concatenate(parts)[:samples], most_V_per_s, 1.0 / rate_Hz)
+    return rate_limited(np.concatenate(parts)[:samples], most_V_per_s, 1.0 / rate_Hz)
 
 
 def temperature(rng: np.random.Generator, duration_s: float, rate_Hz: float) -> Array:

@@ -53,6 +53,15 @@ def high_pass(time_constant_s: float) -> System:
     return System(low.A, low.B, -low.C, 1.0)
 
 
+def cascade(first: System, second: System) -> System:
+    """Two low-passes, one behind the other."""
+    n, m = first.B.size, second.B.size
+    A = np.zeros((n + m, n + m))
+    A[:n, :n], A[n:, n:] = first.A, second.A
+    A[n:, :n] = np.outer(second.B, first.C)
+    return System(A, np.concatenate((first.B, np.zeros(m))), np.concatenate((np.zeros(n), second.C)))
+
+
 def exponential(matrix: Array) -> Array:
     """Exponential of a small matrix by scaling, series and squaring."""
     norm = float(np.abs(matrix).sum(axis=1).max())

@@ -13,7 +13,7 @@ from firmware_sim.concealed.case import Case, Record
 from firmware_sim.concealed.drawing import Wish, draw_case
 from firmware_sim.concealed.errors import StudyError
 from firmware_sim.concealed.plan import wishes
-from firmware_sim.concealed.seal import SEAL, TRUTH, pack, pack_arrays, write_seal
+from firmware_sim.concealed.seal import SEAL, TRUTH, pack, pack_arrays, sealed_arrays, write_seal
 
 SCHEMA = "firmware_sim.concealed.truth/1"
 CASE_SCHEMA = "firmware_sim.concealed.case/1"
@@ -67,7 +67,7 @@ def make(
             progress(done, cases)
     text = json.dumps({"schema": SCHEMA, "entropy": str(entropy.entropy), "cases": truths})
     (directory / TRUTH).write_bytes(pack(text.encode()))
-    write_seal(directory, [directory / TRUTH, *(_sealed(directory, name) for name in names)], cases=cases)
+    write_seal(directory, [directory / TRUTH, *(sealed_arrays(directory, name) for name in names)], cases=cases)
 
 
 def _made(
@@ -90,12 +90,8 @@ def make_case(directory: Path, name: str, wish: Wish, seed: np.random.SeedSequen
     described = json.dumps(_what_an_engineer_knows(case), indent=1) + "\n"
     (folder / "case.json").write_text(described, encoding="utf-8")
     held_out = case.records[-1]
-    _sealed(directory, name).write_bytes(pack_arrays({"held_out_true_N": case.repeatable_N(held_out)}))
+    sealed_arrays(directory, name).write_bytes(pack_arrays({"held_out_true_N": case.repeatable_N(held_out)}))
     return case.truth
-
-
-def _sealed(directory: Path, name: str) -> Path:
-    return directory / "sealed" / f"{name}.sealed"
 
 
 def _what_an_engineer_knows(case: Case) -> dict[str, object]:

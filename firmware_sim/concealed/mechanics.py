@@ -1,9 +1,8 @@
-"""The mechanics of a concealed plant: a bent force law, contact, friction."""
+"""The force laws of a concealed plant: the one it has, how it may bend, and contact."""
 
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 
 from firmware_sim.concealed.arrays import Array
 
@@ -29,15 +28,16 @@ class ForceLaw:
         return self.full_N * x * (1.0 + self.a * x + self.b * x * x) / (1.0 + self.a + self.b)
 
 
-BENDS = ("hyperbolic", "cubic", "logarithmic")
+BENDS = ("hyperbolic", "power", "logarithmic")
 
 
 def bend(force: Array, amount: float, shape: str) -> Array:
     """A relative force that stiffens (amount > 0) or saturates, by one of `BENDS`; unit slope at zero."""
     if shape == "hyperbolic":
         return force / (1.0 - amount * force)
-    if shape == "cubic":
-        return force + amount * force**2 + 0.3 * amount * force**3
+    if shape == "power":
+        power: Array = ((1.0 + force) ** (1.0 + 2.0 * amount) - 1.0) / (1.0 + 2.0 * amount)
+        return power
     return -np.log1p(-2.0 * amount * force) / (2.0 * amount)
 
 
@@ -68,30 +68,3 @@ def contact(force_N: Array, gap_N: float, softness_N: float) -> Array:
         return 0.5 * (excess + np.hypot(excess, softness_N))
 
     return arrives(force_N) - arrives(np.zeros(1))
-
-
-@njit(cache=True)
-def rub(force_N: Array, coulomb_N: float, presliding_N: float, exponent: float) -> Array:
-    """Friction that opposes a motion measured in force [N]: Dahl's law with an exponent, exact for any step.
-
-    `dz/dx = s (1 - z sgn(dx) / z_max)^i`: with q = 1 - z sgn(dx) / z_max, q^(1-i) falls linearly with the travel. s is
-    such that 63 % of `coulomb_N` is there after a travel of `presliding_N` from rest.
-    """
-    power = 1.0 - exponent
-    pace = 1.0 / presliding_N if abs(power) < 1e-6 else (1.0 - np.exp(-power)) / power / presliding_N
-    out = np.empty(force_N.size)
-    z, last = 0.0, force_N[0]
-    for k in range(force_N.size):
-        dx = force_N[k] - last
-        last = force_N[k]
-        if dx != 0.0:
-            way = 1.0 if dx > 0.0 else -1.0
-            q = max(1.0 - way * z, 1e-12)
-            if abs(power) < 1e-6:
-                q *= np.exp(-pace * abs(dx))
-            else:
-                rest = q**power - power * pace * abs(dx)
-                q = max(rest, 0.0) ** (1.0 / power) if rest > 0.0 else 0.0
-            z = way * (1.0 - q)
-        out[k] = coulomb_N * z
-    return out

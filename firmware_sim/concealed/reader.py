@@ -9,9 +9,17 @@ from firmware_sim.concealed.arrays import Array
 NEAR = 1e-6  # of a step of the grid: on its point
 
 
-def tone(time_s: Array, frequency_Hz: float, phase: float) -> Array:
-    """A sine, shape (n,) (1)."""
+def tone(time_s: Array, frequency_Hz: float, phase: Array) -> Array:
+    """A sine whose phase [rad] may stray, shape (n,) (1)."""
     return np.sin(2.0 * np.pi * frequency_Hz * time_s + phase)
+
+
+def wander(rng: np.random.Generator, time_s: Array, correlation_s: float) -> Array:
+    """A smooth random walk of standard deviation 1 that returns, shape (n,) (1)."""
+    every_s = 0.25 * correlation_s
+    knots = rng.normal(0.0, 1.0, int(time_s[-1] / every_s) + 8)
+    smooth = np.convolve(knots, np.array([0.5, 1.0, 0.5]) / 1.5**0.5, mode="same")
+    return np.interp(time_s, every_s * np.arange(knots.size), smooth)
 
 
 def read_at(signal: Array, places: Array, *, stairs: bool) -> Array:

@@ -44,6 +44,11 @@ def unpack_arrays(data: bytes) -> dict[str, Array]:
         return {name: file[name].astype(np.float64) for name in file.files}
 
 
+def sealed_arrays(directory: Path, case: str) -> Path:
+    """Where a case's sealed arrays are."""
+    return directory / "sealed" / f"{case}.sealed"
+
+
 def write_seal(directory: Path, files: list[Path], **said: object) -> None:
     """Write the seal over files of a directory.
 
@@ -57,7 +62,7 @@ def write_seal(directory: Path, files: list[Path], **said: object) -> None:
         What else the seal says.
     """
     hashes = {str(path.relative_to(directory)): _sha256(path) for path in files}
-    made = datetime.now(UTC).isoformat(timespec="seconds")
+    made = datetime.now(UTC).isoformat(timespec="microseconds")
     text = json.dumps({"schema": SCHEMA, "made": made, **said, "sha256": hashes}, indent=1)
     (directory / SEAL).write_text(text + "\n", encoding="utf-8")
 

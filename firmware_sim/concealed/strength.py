@@ -12,6 +12,7 @@ PLAYS = 30
 MOST_ROWS = 6000
 TOLERANCE = 0.08  # of the wanted strength
 MOST_TRIALS = 9
+SMALLEST = 1e-13  # squared length of a direction that counts, against the longest
 
 
 class Visible:
@@ -26,24 +27,23 @@ class Visible:
     """
 
     def __init__(self, without: Array, voltage_V: Array) -> None:
-        self._without = without
         self._every = max(1, math.ceil(without.size / MOST_ROWS))
         widths = voltage_V.max() * np.linspace(0.0, 1.0, PLAYS) ** 1.3
         rows = play_columns(widths, voltage_V)[:: self._every]
         thin = without[:: self._every, None]
-        self._columns = np.hstack((rows, np.ones((rows.shape[0], 1)), thin))
+        self._fixed = _directions(np.column_stack((without, np.ones(without.size))))
+        self._refitted = _directions(np.hstack((rows, np.ones((rows.shape[0], 1)), thin)))
 
     def after_gain_and_offset_N(self, with_effect: Array) -> float:
         """Rms of the difference after gain and offset are refitted [N]: what a fixed model cannot follow."""
-        columns = np.column_stack((self._without, np.ones(self._without.size)))
-        return _left_over(columns, with_effect)
+        return _left_over(self._fixed, with_effect)
 
     def after_refit_N(self, with_effect: Array) -> float:
         """Rms of the difference after superposed plays are refitted as well [N].
 
         What is left when the model was identified with the effect already there.
         """
-        return _left_over(self._columns, with_effect[:: self._every])
+        return _left_over(self._refitted, with_effect[:: self._every])
 
 
 def find_scale(visible: Callable[[float], float], wanted: float, low: float, high: float) -> float | None:
@@ -82,9 +82,20 @@ def play_columns(widths: Array, u: Array) -> Array:
     return out
 
 
-def _left_over(columns: Array, values: Array) -> float:
-    weights = np.linalg.lstsq(columns, values, rcond=None)[0]
-    return float(np.sqrt(np.mean((values - columns @ weights) ** 2)))
+def _directions(columns: Array) -> Array:
+    """Orthonormal directions that columns of length about 1 span, shape (n, rank)."""
+    columns = columns / np.sqrt((columns**2).sum(axis=0)).clip(1e-300)
+    values, vectors = np.linalg.eigh(columns.T @ columns)
+    kept = values > SMALLEST * values[-1]
+    result: Array = columns @ (vectors[:, kept] / np.sqrt(values[kept]))
+    return result
+
+
+def _left_over(directions: Array, values: Array) -> float:
+    """Rms of what values have outside of the directions; twice removed, so that rounding leaves nothing inside."""
+    left = values - directions @ (directions.T @ values)
+    left -= directions @ (directions.T @ left)
+    return float(np.sqrt(np.mean(left**2)))
 
 
 def _log_ratio(value: float, wanted: float) -> float:
