@@ -34,6 +34,9 @@ GROWTH = 1.25
 TEMPERATURES = ("temperature_C", "temperature_degC")
 """Columns that hold the temperature [degree Celsius], kept as the first of them."""
 
+LARGEST = 1e30
+"""What is beyond is infinite, or stands for a missing sample: 9.97e36, 3.4e38."""
+
 PREFIXES = {"n": 1e-9, "u": 1e-6, "m": 1e-3, "k": 1e3, "M": 1e6}
 SCALED = ("V", "N")
 """Units for which a column in thousands or thousandths is taken and converted."""
@@ -211,10 +214,10 @@ class _Column:
 
 
 def _scaled(values: Array, factor: float) -> Array:
-    """In the unit that is wanted; what is infinite is missing."""
+    """In the unit that is wanted; what is larger than any measurement is missing."""
     if factor != 1.0:
         values = values * factor
-    values[np.isinf(values)] = np.nan
+    values[(values > LARGEST) | (values < -LARGEST)] = np.nan
     return values
 
 

@@ -181,7 +181,7 @@ def _statistics(values: Array, drive: Array, parts: list[slice]) -> _Ordinary | 
         drive_noise=float(np.nanmedian(np.concatenate(bends))) / (0.6745 * np.sqrt(6.0)),
         step=float(np.median(every_step)),
         noisy=alternating > ALTERNATING and _half_way(every_length) <= 2.0,
-        together=float(products[0, 1] / np.sqrt(products[0, 0] * products[1, 1])),
+        together=float(products[0, 1] / spread) if (spread := np.sqrt(products[0, 0] * products[1, 1])) else 0.0,
     )
 
 

@@ -4,11 +4,15 @@ import hashlib
 
 import numpy as np
 import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
 from unit.recording.formats import suffixes
 
 from piezod.errors import ConfigurationError, RecordingError, UsageError
 from piezod.excitation import constant_triangles, staircase_minor_loops_multisine
 from piezod.identify.intake import check_result, take_in, take_whole
+from piezod.identify.suitability import check_suitable
 from piezod.operators import PrandtlIshlinskii
 from piezod.recording import Recording, write_csv, write_recording
 
@@ -208,3 +212,27 @@ def test_a_result_that_would_overwrite_a_recording_or_has_no_folder_is_refused(t
     with pytest.raises(ConfigurationError, match="no is no folder"):
         check_result(tmp_path / "no" / "model.yaml", [path])
     check_result(tmp_path / "model.yaml", [path])
+
+
+CELLS = st.one_of(
+    st.sampled_from([0.0, 1.0, -1.0, 140.0, np.nan, np.inf, -np.inf, 1e-300, 1e300, -1.7e308]), st.floats(-1e3, 1e3)
+)
+CHANGES = st.lists(st.tuples(st.integers(0, 399), st.integers(1, 150), CELLS), max_size=4)
+
+
+@settings(max_examples=100, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(st.integers(1, 400), arrays(float, 400, elements=st.floats(1e-6, 1e3), fill=st.just(0.1)), CHANGES, CHANGES)
+def test_whatever_a_file_holds_is_taken_in_and_judged_or_refused_in_one_line(tmp_path, n, periods, in_u, in_y):
+    u = constant_triangles(140.0, 0.1, 4, 10.0)[:n].copy()
+    y = force(u)
+    for values, changes in ((u, in_u), (y, in_y)):
+        for start, length, value in changes:
+            values[start : start + length] = value
+    path = written(tmp_path, Recording(np.cumsum(periods[: u.size]), {"voltage_V": u, "force_N": y}), "rec.h5")
+    try:
+        (one,) = take_in([path], "voltage_V", "force_N")
+        assert np.isfinite(one.recording.channel("voltage_V")).all()
+        said = one.notes + check_suitable(one.recording, "voltage_V", "force_N")
+    except RecordingError as error:
+        said = [str(error)]
+    assert all(line.startswith(f"{path}: ") and "\n" not in line for line in said)
