@@ -233,7 +233,7 @@ ENTRIES: dict[str, Entry] = {
     "noncongruent_minor_loops": Entry("share", lambda at: (0.005, 1.0), _nothing),  # noqa: ARG005
     "creep": Entry("per_decade", lambda at: (0.0003, 0.05), _creep),  # noqa: ARG005
     "gain_drift": Entry("relative_change", lambda at: (0.0003, 0.25), _gain, (SINCE,), signed=True),  # noqa: ARG005
-    "output_nonlinearity": Entry("curvature", lambda at: (0.0005, 0.3), _bend, (SINCE,), signed=True),  # noqa: ARG005
+    "output_nonlinearity": Entry("curvature", lambda at: (0.0005, 0.24), _bend, (SINCE,), signed=True),  # noqa: ARG005
     "contact_gap": Entry(
         "gap_N", lambda at: (0.003 * at.full_N, 0.35 * at.full_N), _gap, (SINCE,), plausible=_wider_than_soft
     ),

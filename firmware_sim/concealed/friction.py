@@ -1,7 +1,7 @@
 """Elasto-plastic friction, measured in force: purely elastic up to break-away, then more and more plastic.
 
-Dupont et al., IEEE Trans. Autom. Control 47 (2002), with the bristle's deflection z in parts of its limit and the
-travel x in force:
+With the bristle's deflection z in parts of its limit and the travel x in force (the form is chosen here, after the
+elasto-plastic models of presliding):
 
     dz/dx = s (1 - a(z) z sgn(dx)),    a = 0 below break-away, 1 at the limit, half a sine wave in between,
 

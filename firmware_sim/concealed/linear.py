@@ -1,8 +1,8 @@
 """Linear systems answered exactly: the input is a staircase or runs straight between the points of the grid.
 
-`dx/dt = A x + B u, y = C x + D u`. Over one step the exponential of the block matrix `[[A, B, 0], [0, 0, 1], [0, 0, 0]]
-dt` holds the answer to the present state, to a constant input and to a ramp (Van Loan, IEEE Trans. Autom. Control 23,
-1978).
+`dx/dt = A x + B u, y = C x + D u`. An input and its slope that stay constant over a step are two more states, so the
+exponential of the block matrix `[[A, B, 0], [0, 0, 1], [0, 0, 0]] dt` holds the answer to the present state, to a
+constant input and to a ramp (derived here).
 """
 
 import math

@@ -28,6 +28,7 @@ class ForceLaw:
         return self.full_N * x * (1.0 + self.a * x + self.b * x * x) / (1.0 + self.a + self.b)
 
 
+MOST_AMOUNT = 0.48
 BENDS = ("hyperbolic", "power", "logarithmic")
 
 
@@ -50,10 +51,10 @@ def curvature(amount: float, shape: str) -> float:
 
 def amount_of(wanted: float, shape: str) -> float:
     """Amount of a bend whose curvature is the one wanted, by bisection."""
-    low, high = -0.45, 0.45
-    for _ in range(60):
+    low, high = (0.0, MOST_AMOUNT) if wanted > 0.0 else (-MOST_AMOUNT, 0.0)
+    for _ in range(50):
         middle = 0.5 * (low + high)
-        if middle == 0.0 or curvature(middle, shape) < wanted:
+        if curvature(middle, shape) < wanted:
             low = middle
         else:
             high = middle
