@@ -1,6 +1,6 @@
 """Draws a case: ranges, records, plant, noise, and effects of the strengths wanted."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 
 import numpy as np
@@ -29,6 +29,7 @@ SHOWN_TOGETHER = 0.5  # of its own strength: what an effect must still show besi
 GENTLE = 0.5  # of the benches limit the rate of their commands
 GENTLE_PACE = (1.0, 40.0)  # to so many ranges a second
 READ_LATE = (0.35, 0.9)  # of a sample: how long after a command that is held its reading is taken
+FOREIGNNESS = 0.25  # of what a foreign effect does, that its neighbours in the catalogue may not be able to do
 ATTEMPTS = 18
 STRICT = 8  # attempts before a strength other than the one wanted is taken
 
@@ -97,7 +98,7 @@ class _Draw:
             self._reach_V, self._full_N, self._rate_Hz, self._noise.rms_N, float(drive.time_s[-1]), fastest, lasting
         )
         plain = self._reading(self._work, {})
-        visible = Visible(plain, drive.voltage_V)
+        visible = Visible(plain, drive.voltage_V, self._rate_Hz)
         effects: dict[str, Effect] = {}
         truths: list[dict[str, object]] = []
         for name, strength in zip(self._wish.names, self._wish.strengths, strict=True):
@@ -174,7 +175,7 @@ class _Draw:
         """What superposed plays leave of the hysteresis without effects, on the first recording [N]."""
         voltage_V = self._work.drive.voltage_V
         stroke = self._plant.hysteresis.run(voltage_V)
-        return Visible(voltage_V, voltage_V).after_refit_N(stroke) / self._reach_V * self._full_N
+        return Visible(voltage_V, voltage_V, self._rate_Hz).after_refit_N(stroke) / self._reach_V * self._full_N
 
     def _reading(self, record: Record, effects: Mapping[str, Effect]) -> Array:
         """Reading without noise; what acts after the noise acts on it as it is."""
@@ -213,7 +214,7 @@ class _Draw:
             entry = ENTRIES[name]
             low, high = entry.bounds(context)
             drawn = entry.draw(self._rng, context)
-        measure = visible.after_gain_and_offset_N if scope == SINCE else visible.after_refit_N
+        measure = _measure(visible, name, scope)
 
         def shows_N(scale: float) -> float:
             return measure(self._reading(self._work, {name: entry.effect(name, scope, drawn, scale)}))
@@ -225,14 +226,18 @@ class _Draw:
         if not entry.plausible(effect):
             return None
         reading = self._reading(self._work, {name: effect})
+        raw_N = visible.after_gain_and_offset_N(reading)
+        if name in FOREIGN and visible.after_neighbours_N(reading) < FOREIGNNESS * raw_N:
+            return None
         truth: dict[str, object] = {
             "name": name,
             "parameters": effect.parameters,
             "details": effect.details,
             "scope": scope,
             "strength": strength,
-            "after_gain_and_offset_in_noise": visible.after_gain_and_offset_N(reading) / self._noise.rms_N,
+            "after_gain_and_offset_in_noise": raw_N / self._noise.rms_N,
             "after_refit_in_noise": visible.after_refit_N(reading) / self._noise.rms_N,
+            "after_neighbours_in_noise": visible.after_neighbours_N(reading) / self._noise.rms_N,
             "where": [place | {"recording": self._work.name} for place in places(effect, context)],
         }
         return effect, truth
@@ -247,10 +252,16 @@ class _Draw:
             name, strength = str(truth["name"]), truth["strength"]
             assert isinstance(strength, float)
             rest = self._reading(self._work, {other: on for other, on in active.items() if other != name})
-            measure = Visible(rest, self._work.drive.voltage_V)
-            since = truth["scope"] == SINCE
-            shows_N = measure.after_gain_and_offset_N(together) if since else measure.after_refit_N(together)
+            visible = Visible(rest, self._work.drive.voltage_V, self._rate_Hz)
+            shows_N = _measure(visible, name, str(truth["scope"]))(together)
             truth["beside_the_others_in_noise"] = shows_N / self._noise.rms_N
             if shows_N < SHOWN_TOGETHER * strength * self._noise.rms_N:
                 return False
         return True
+
+
+def _measure(visible: Visible, name: str, scope: str) -> Callable[[Array], float]:
+    """What an effect's strength is measured by: the part of it that nothing else can take away."""
+    if name in FOREIGN:
+        return visible.after_neighbours_N
+    return visible.after_gain_and_offset_N if scope == SINCE else visible.after_refit_N

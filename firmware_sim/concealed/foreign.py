@@ -215,7 +215,7 @@ def _drawn(**ranges: tuple[float, float]) -> Callable[[np.random.Generator], dic
 
 FOREIGN: dict[str, Foreign] = {
     "ratcheting_mount": Foreign(
-        "force", _ratcheting_mount, 1e-4, 0.3, _drawn(yield_share=(0.4, 0.75), recovery_s=(15.0, 60.0))
+        "force", _ratcheting_mount, 1e-4, 1.0, _drawn(yield_share=(0.55, 0.8), recovery_s=(1.0, 6.0))
     ),
     "growing_backlash": Foreign("force", _growing_backlash, 1e-4, 0.1, _drawn(path=(50.0, 200.0))),
     "emi_tare_knocks": Foreign(

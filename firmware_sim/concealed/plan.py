@@ -33,11 +33,11 @@ def wishes(rng: np.random.Generator, cases: int, kind: str, effect: str | None, 
     """
     kinds = _kinds(cases) if kind == "all" else [kind] * cases
     catalogue, foreign = _Turns(rng, tuple(ENTRIES)), _Turns(rng, tuple(FOREIGN))
-    strengths, noises = _Turns(rng, STRENGTHS), tuple(NOISE_SHARES)
+    strengths, noises = {name: _Turns(rng, STRENGTHS) for name in (*ENTRIES, *FOREIGN)}, tuple(NOISE_SHARES)
     result = []
     for each in kinds:
         names = _names(rng, each, catalogue, foreign, effect)
-        wanted = tuple(strengths.next() if strength is None else strength for _ in names)
+        wanted = tuple(strengths[name].next() if strength is None else strength for name in names)
         noise = str(rng.choice(noises, p=list(NOISE_SHARES.values())))
         result.append(Wish(each, names, wanted, noise))
     return [result[k] for k in rng.permutation(cases)]

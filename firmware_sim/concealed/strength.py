@@ -2,13 +2,16 @@
 
 import math
 from collections.abc import Callable
+from functools import cached_property
 
 import numpy as np
 from numba import njit
 
 from firmware_sim.concealed.arrays import Array
+from firmware_sim.concealed.linear import first_order, respond
 
 PLAYS = 30
+NEIGHBOUR_SAMPLES, NEIGHBOUR_TIMES = 3.0, 12
 MOST_ROWS = 6000
 TOLERANCE = 0.08  # of the wanted strength
 MOST_TRIALS = 9
@@ -24,15 +27,19 @@ class Visible:
         Reading of the plant without the effect, shape (n,) [N].
     voltage_V
         Commands, shape (n,) [V].
+    rate_Hz
+        Readings a second [1/s].
     """
 
-    def __init__(self, without: Array, voltage_V: Array) -> None:
+    def __init__(self, without: Array, voltage_V: Array, rate_Hz: float) -> None:
         self._every = max(1, math.ceil(without.size / MOST_ROWS))
         widths = voltage_V.max() * np.linspace(0.0, 1.0, PLAYS) ** 1.3
         rows = play_columns(widths, voltage_V)[:: self._every]
         thin = without[:: self._every, None]
         self._fixed = _directions(np.column_stack((without, np.ones(without.size))))
-        self._refitted = _directions(np.hstack((rows, np.ones((rows.shape[0], 1)), thin)))
+        columns = np.hstack((rows, np.ones((rows.shape[0], 1)), thin))
+        self._refitted = _directions(columns)
+        self._without, self._rate_Hz, self._columns = without, rate_Hz, columns
 
     def after_gain_and_offset_N(self, with_effect: Array) -> float:
         """Rms of the difference after gain and offset are refitted [N]: what a fixed model cannot follow."""
@@ -44,6 +51,32 @@ class Visible:
         What is left when the model was identified with the effect already there.
         """
         return _left_over(self._refitted, with_effect[:: self._every])
+
+    def after_neighbours_N(self, with_effect: Array) -> float:
+        """Rms of the difference after a refit, and after what many effects of the catalogue do to first order [N].
+
+        What is left of an effect in no catalogue when its neighbours have swallowed what they can.
+        """
+        return _left_over(self._neighboured, with_effect[:: self._every])
+
+    @cached_property
+    def _neighboured(self) -> Array:
+        signatures = neighbours(self._without, self._rate_Hz)[:: self._every]
+        return _directions(np.hstack((self._columns, signatures)))
+
+
+def neighbours(force_N: Array, rate_Hz: float) -> Array:
+    """First-order signatures of effects of the catalogue on a force, shape (n, k).
+
+    Its slope (delay, lag, feedthrough) and that growing with time (clocks), low-passes from some samples to minutes
+    (lag, filter, creep, leakage), powers (force law), time and the force that grows with it (drifts).
+    """
+    part = np.linspace(-1.0, 1.0, force_N.size)
+    slope = np.gradient(force_N)
+    times_s = np.geomspace(NEIGHBOUR_SAMPLES / rate_Hz, force_N.size / rate_Hz, NEIGHBOUR_TIMES)
+    passed = [respond(first_order(float(tau_s)), force_N, 1.0 / rate_Hz, stairs=False) for tau_s in times_s]
+    powers = [force_N**2, force_N**3, part, part**2, part**3, force_N * part, force_N * part**2]
+    return np.column_stack([slope, slope * part, *passed, *powers])
 
 
 def find_scale(visible: Callable[[float], float], wanted: float, low: float, high: float) -> float | None:

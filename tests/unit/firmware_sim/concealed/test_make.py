@@ -1,10 +1,12 @@
 """A study is the same for the same seed, says nothing outside the seal, and its effects are as strong as it says."""
 
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+import piezod
 from firmware_sim.concealed.case import effects_in
 from firmware_sim.concealed.catalogue import ENTRIES, SINCE
 from firmware_sim.concealed.cli import main
@@ -15,6 +17,7 @@ from firmware_sim.concealed.make import make
 from firmware_sim.concealed.plan import KINDS, wishes
 from firmware_sim.concealed.reader import frozen, quantised
 from firmware_sim.concealed.seal import open_truth, unpack_arrays
+from firmware_sim.concealed.strength import neighbours
 from firmware_sim.effects import Effects
 
 COLUMNS = ("time_s", "voltage_V", "force_N", "temperature_C")
@@ -112,6 +115,17 @@ def test_a_plan_has_a_quarter_nulls_every_single_evenly_and_every_foreign_effect
     assert all(len(set(wish.names)) == len(wish.names) for wish in planned)
 
 
+def test_singles_of_an_effect_have_every_strength_in_turn():
+    planned = wishes(np.random.default_rng(1), 66, "single", None, None)
+    wanted = {(wish.names[0], wish.strengths[0]) for wish in planned}
+    assert len(wanted) == 66
+
+
+def test_no_foreign_effect_is_mentioned_in_the_daemon():
+    sources = [path.read_text() for path in Path(piezod.__file__).parent.rglob("*.py")]
+    assert not [name for name in FOREIGN for source in sources if name in source]
+
+
 def test_an_effect_and_a_strength_that_are_asked_for_are_in_every_case():
     for kind, count in (("single", 1), ("pair", 2), ("triple", 3)):
         for wish in wishes(np.random.default_rng(1), 20, kind, "creep", 4.0):
@@ -144,7 +158,9 @@ def test_an_effect_is_as_strong_as_the_truth_says(name):
 
     plain = reading({})
     columns = [plain, np.ones(plain.size)]
-    if truth["scope"] != SINCE:
+    if name in FOREIGN:
+        columns += list(neighbours(plain, work.drive.rate_Hz).T)
+    if truth["scope"] != SINCE or name in FOREIGN:
         widths = work.drive.voltage_V.max() * np.linspace(0.0, 1.0, 30) ** 1.3
         states, rows = np.zeros(30), np.empty((plain.size, 30))
         for k, u in enumerate(work.drive.voltage_V):
@@ -152,6 +168,7 @@ def test_an_effect_is_as_strong_as_the_truth_says(name):
             rows[k] = states
         columns += list(rows.T)
     columns = np.column_stack(columns)
+    columns /= np.sqrt((columns**2).mean(axis=0)).clip(1e-9)
     shown = reading(case.effects)
     left = shown - columns @ np.linalg.lstsq(columns, shown, rcond=None)[0]
     strength = np.std(left) / case.noise.rms_N
