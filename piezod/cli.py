@@ -21,6 +21,11 @@ app = typer.Typer(
 
 ConfigArgument = Annotated[Path, typer.Argument(metavar="CONFIG", help="Bench configuration, e.g. config/bench.yaml.")]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON instead of text.")]
+DaemonArgument = Annotated[
+    Path | None, typer.Argument(metavar="[CONFIG]", help="Its bench configuration; left out: the only daemon here.")
+]
+SocketOption = Annotated[Path | None, typer.Option("--socket", metavar="PATH", help="Its socket, instead of CONFIG.")]
+WaitOption = Annotated[bool, typer.Option(help="Wait for what comes of it.")]
 
 
 def main() -> None:
@@ -74,16 +79,92 @@ def demo(
 @app.command(epilog="Example: piezod run config/bench.yaml --arm")
 def run(
     config: ConfigArgument,
-    arm: Annotated[bool, typer.Option("--arm", help="Arm at once; without it the bench is only read.")] = False,
+    arm: Annotated[
+        bool, typer.Option("--arm", help="Arm at once, end with the reference; else wait for piezod arm.")
+    ] = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Run the bench in the foreground until its reference ends or a signal comes (SIGINT, SIGTERM: ramp down)."""
-    from piezod.daemon.service import run_foreground
+    """Run the bench in the foreground: with --arm one reference, else until a signal comes (SIGTERM: ramp down)."""
+    from piezod.daemon.run import run_foreground
 
     result = run_foreground(config, arm=arm)
     if as_json:
         print(json.dumps(result.as_dict(), indent=2))
     raise typer.Exit(result.exit_code)
+
+
+@app.command(epilog="Example: piezod status config/bench.yaml --json")
+def status(config: DaemonArgument = None, socket: SocketOption = None, as_json: JsonOption = False) -> None:
+    """Say what the running daemon does."""
+    from piezod.daemon.client import command_and_wait, socket_of, status_text
+
+    answer = command_and_wait(socket_of(config, socket), "status", wait=False)
+    print(json.dumps(answer, indent=2) if as_json else status_text(answer))
+
+
+@app.command(epilog="Example: piezod arm config/bench.yaml")
+def arm(
+    config: DaemonArgument = None, socket: SocketOption = None, wait: WaitOption = True, as_json: JsonOption = False
+) -> None:
+    """Check every precondition, check the sign, drive to the first reference and follow it."""
+    _command_daemon("arm", config, socket, ("RUNNING", "HOLD"), wait=wait, as_json=as_json)
+
+
+@app.command(epilog="Example: piezod disarm config/bench.yaml")
+def disarm(
+    config: DaemonArgument = None, socket: SocketOption = None, wait: WaitOption = True, as_json: JsonOption = False
+) -> None:
+    """Ramp down and stay disarmed."""
+    _command_daemon("disarm", config, socket, ("DISARMED",), wait=wait, as_json=as_json)
+
+
+@app.command(epilog="Example: piezod stop config/bench.yaml")
+def stop(
+    config: DaemonArgument = None,
+    socket: SocketOption = None,
+    direct: Annotated[
+        bool, typer.Option("--direct", help="Without a daemon: over a connection of its own to the device of CONFIG.")
+    ] = False,
+    wait: WaitOption = True,
+    as_json: JsonOption = False,
+) -> None:
+    """Come to rest as fast as the slew limit allows, and stay disarmed."""
+    if not direct:
+        _command_daemon("stop", config, socket, ("DISARMED",), wait=wait, as_json=as_json)
+        return
+    if config is None or socket is not None:
+        raise UsageError("--direct needs CONFIG, which names the device, and no --socket")
+    from piezod.daemon.safe_stop import stop_directly
+
+    message = stop_directly(config)
+    print(json.dumps({"ok": True, "message": message}, indent=2) if as_json else message)
+
+
+@app.command(epilog="Example: piezod reset config/bench.yaml")
+def reset(config: DaemonArgument = None, socket: SocketOption = None, as_json: JsonOption = False) -> None:
+    """Leave FAULT, once its cause is gone; nothing is armed by it."""
+    _command_daemon("reset", config, socket, (), wait=False, as_json=as_json)
+
+
+@app.command(epilog="Example: piezod reload config/bench.yaml")
+def reload(config: DaemonArgument = None, socket: SocketOption = None, as_json: JsonOption = False) -> None:
+    """Let the daemon read its configuration again, as SIGHUP does; while it is armed only tighter limits are taken."""
+    _command_daemon("reload", config, socket, (), wait=False, as_json=as_json)
+
+
+def _command_daemon(
+    name: str, config: Path | None, socket: Path | None, wanted: tuple[str, ...], *, wait: bool, as_json: bool
+) -> None:
+    """Send a command, wait for what comes of it, print it; exit with 1 when that is not what was wanted."""
+    from piezod.daemon.client import command_and_wait, socket_of, status_text
+
+    answer = command_and_wait(socket_of(config, socket), name, wait=wait)
+    settled = "state" in answer
+    if as_json:
+        print(json.dumps(answer, indent=2))
+    else:
+        print(status_text(answer) if settled else answer["message"])
+    raise typer.Exit(1 if settled and answer["state"] not in wanted else 0)
 
 
 @app.command(epilog="Example: piezod check config/bench.yaml")
@@ -228,7 +309,7 @@ def simulate(
     with steps() as show:
         taken = take_whole(recording, loaded.input.channel, loaded.output.channel, [column] if equals else [], show)
     chosen = where(taken.recording, condition) if condition else None
-    simulation = simulate_recording(loaded, taken.recording, start_window, chosen)
+    simulation = simulate_recording(loaded, taken.recording, start_window, chosen, taken.sha256)
     write_recording(simulation.recording, output)
     figures = simulation.agreement
     if as_json:

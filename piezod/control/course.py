@@ -79,13 +79,14 @@ class Course:
         return self._supervisor.state is State.ARMING and (self._approaching or self._probing)
 
     def begin(self, segment: Segment, tick: int) -> None:
-        """Take up a segment."""
+        """Take up a segment; one taken up again without a reset cycle knows the stack already."""
+        if segment is not self.segment or segment.reset_cycle is not None:
+            segment.compensator.reset()
         self.segment = segment
         self.number += 1
         self._probing = self._sign_check is not None
         self._cycling = segment.reset_cycle is not None
         self._approaching = False
-        segment.compensator.reset()
         if self._sign_check is not None:
             self._sign_check.start(self._limiter.applied_V)
         elif segment.reset_cycle is not None:

@@ -1,137 +1,331 @@
-"""`piezod run`: the bench in the foreground. The control process drives; this one says what happens."""
+"""The parent of the control process: it answers, counts and notifies, and cannot slow a tick.
 
+Without `--arm` it stays until it is told to end: disarmed, waiting for a device that does not answer, driving when told
+to over its socket. With `--arm` it drives the reference once and ends with it.
+"""
+
+import asyncio
+import contextlib
 import signal
-import sys
-from dataclasses import dataclass
-from math import sqrt
+import time
 from pathlib import Path
-from types import FrameType
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from piezod import __version__
+from piezod.config import BenchConfig, loosened, model_path
 from piezod.control import CAUSE_TEXT, Cause, State
-from piezod.daemon.assembly import Work, load
-from piezod.daemon.history import GOOD
-from piezod.daemon.session import Outcome, Session
+from piezod.daemon.assembly import load
+from piezod.daemon.control_socket import ControlSocket, Peer
+from piezod.daemon.lock import BenchLock
+from piezod.daemon.metrics import BenchMetrics, MetricsServer
+from piezod.daemon.say import say
+from piezod.daemon.session import LOOK_EVERY_S, Session, deliberate_error
+from piezod.daemon.systemd import Notifier
+from piezod.daemon.tally import Tally
+from piezod.daemon.task import Outcome
+from piezod.errors import CheckFailedError, PiezodError, TemporaryError
+
+RETRY_S = (0.5, 1.0, 2.0, 5.0, 10.0)  # then every ten seconds
+READY_WITHIN_S = 30.0  # a control process that is not connected then hangs, and systemd may know
+ANSWER_WITHIN_S = 10.0
+COMMANDS = ("status", "arm", "disarm", "stop", "reset", "reload")
 
 
-@dataclass(frozen=True)
-class RunResult:
-    """What a run came to."""
-
-    outcome: Outcome
-    tracking: "TrackingError"
-
-    @property
-    def exit_code(self) -> int:
-        """0, or 1 after a fault."""
-        return 1 if self.outcome.fault else 0
-
-    def as_dict(self) -> dict[str, object]:
-        """For JSON."""
-        tracking = self.tracking
-        return {
-            "schema": "piezod.run/1",
-            **self.outcome.__dict__,
-            "tracking": {"ticks": tracking.ticks, "rms_error_N": tracking.rms_N, "max_error_N": tracking.max_N},
-        }
-
-
-class TrackingError:
-    """Error of force against reference, summed up as it goes, in memory that does not grow."""
-
-    def __init__(self) -> None:
-        self.ticks = 0
-        self.max_N = 0.0
-        self._sum_of_squares = 0.0
-        self._last: np.void | None = None
-
-    @property
-    def rms_N(self) -> float:
-        """Root of the mean square so far [N]; nan before the first tick."""
-        return sqrt(self._sum_of_squares / self.ticks) if self.ticks else float("nan")
-
-    def add(self, rows: NDArray[np.void]) -> None:
-        """Take in new rows; a force answers the command one row before it."""
-        if not rows.size:
-            return
-        joined = rows if self._last is None else np.concatenate((np.atleast_1d(self._last), rows))
-        self._last = rows[-1].copy()
-        commands, answers = joined[:-1], joined[1:]
-        followed = (
-            (commands["state"] == State.RUNNING) & (answers["state"] == State.RUNNING) & (answers["result"] == GOOD)
-        )
-        error = answers["force_N"][followed] - commands["reference_N"][followed]
-        if error.size:
-            self.ticks += int(error.size)
-            self._sum_of_squares += float(np.sum(error**2))
-            self.max_N = max(self.max_N, float(np.abs(error).max()))
-
-
-def run_foreground(path: Path, *, arm: bool) -> RunResult:
-    """Run a bench until its reference ends, a fault latches, or a signal asks for a ramp down.
+class Service:
+    """One bench, served until it is told to end.
 
     Parameters
     ----------
-    path
-        Bench configuration.
+    path, bench
+        The configuration file and what was read from it.
+    lock
+        Held until the end.
+    session
+        A first control process, launched already: it starts while this module is being imported.
     arm
-        Drive; else only read until stopped.
-
-    Raises
-    ------
-    PiezodError
-        The bench could not be had; nothing was written.
+        Drive at once, and end with the reference.
     """
-    bench, model = load(path)
-    works = [Work("bench reference", bench.compensation, reset_cycle=bench.arming.reset_cycle)] if arm else []
-    session = Session(bench, model, path.parent, works)
 
-    def stop(number: int, frame: FrameType | None) -> None:  # noqa: ARG001  # the signature signal handlers have
-        session.stop()
+    def __init__(self, path: Path, bench: BenchConfig, lock: BenchLock, session: Session, *, arm: bool) -> None:
+        self._path, self._bench, self._lock = path, bench, lock
+        self._model_text = _text_of(model_path(bench, path))
+        self._arm = arm
+        self._begun_s = time.monotonic()
+        self._notifier = Notifier()
+        self._session: Session | None = session
+        self._messages: asyncio.Queue[tuple[str, Any]] = asyncio.Queue()
+        self._answers: dict[int, asyncio.Future[tuple[str, str]]] = {}
+        self._busy = asyncio.Lock()
+        self._wake = asyncio.Event()
+        self._stops = 0
+        self._reloading = False
+        self._problem = ""
+        self._connected = False
+        self.outcome = Outcome()
+        self.tally = Tally(self._tell)
 
-    signal.signal(signal.SIGTERM, stop)
-    signal.signal(signal.SIGINT, stop)
-    teller, tracking = _Teller(), TrackingError()
+    async def run(self) -> None:
+        """Answer, and follow one control process after the other, until told to end."""
+        async with contextlib.AsyncExitStack() as stack:
+            stack.callback(self._notifier.close)
+            self._hear_signals()
+            control_socket = ControlSocket(self._bench, self._answer, say)
+            stack.push_async_callback(control_socket.close)
+            await control_socket.open()
+            if self._bench.daemon.metrics_port is not None:
+                metrics = MetricsServer(BenchMetrics(self._bench.name, self.tally), say)
+                stack.push_async_callback(metrics.close)
+                await metrics.open(self._bench.daemon.metrics_port)
+            await self._sessions()
+
+    def _hear_signals(self) -> None:
+        loop = asyncio.get_running_loop()
+        for number in (signal.SIGTERM, signal.SIGINT):
+            loop.add_signal_handler(number, self._stop)
+        loop.add_signal_handler(signal.SIGHUP, lambda: loop.create_task(self._hang_up()))
+
+    def _stop(self) -> None:
+        """Ramp down and end; each further one in haste."""
+        self._stops += 1
+        self._notifier.stopping()
+        self._wake.set()
+        if self._session is not None and self._connected:
+            self._session.stop()
+
+    async def _sessions(self) -> None:
+        """One control process after the other: again after a failed start, or when the configuration was reloaded."""
+        attempt, again = 0, True
+        while again and not self._stops:
+            self._reloading = again = False
+            session = self._session
+            if session is None:
+                session = Session(self._bench, None, self._path.parent, [], serves=self._path, lock=self._lock)
+                session.launch()
+            try:
+                await self._one_session(session)
+                attempt = 0
+            except TemporaryError as error:
+                if self._arm or self._connected:
+                    raise
+                await self._wait_to_retry(error, RETRY_S[min(attempt, len(RETRY_S) - 1)])
+                attempt, again = attempt + 1, True
+            finally:
+                self._connected = False
+                self._session = None
+                session.close()
+            again = again or self._reloading
+
+    async def _wait_to_retry(self, error: TemporaryError, pause_s: float) -> None:
+        """Stay up and disarmed; there is no tick to be healthy, so the parent answers for itself."""
+        if self._problem != str(error):
+            say(f"{error}; trying again")
+        self._problem = str(error)
+        self._notifier.ready()
+        self._notifier.status(f"DISARMED, {error}; trying again")
+        deadline_s = time.monotonic() + pause_s
+        while (left_s := deadline_s - time.monotonic()) > 0 and not self._wake.is_set():
+            self._notifier.alive()
+            with contextlib.suppress(TimeoutError):
+                await asyncio.wait_for(self._wake.wait(), min(left_s, 0.5))
+        self._wake.clear()
+
+    async def _one_session(self, session: Session) -> None:
+        self._session = session
+        loop = asyncio.get_running_loop()
+        self._messages = asyncio.Queue()
+        descriptor = session.descriptor
+        loop.add_reader(descriptor, self._receive, session, descriptor)
+        try:
+            kind, content = await self._until_ready()
+            if kind != "ready":
+                return
+            session.open_ring()
+            self._connected = True
+            self._problem = ""
+            self.tally.begin()
+            self._notifier.ready()
+            self._notifier.status(f"DISARMED, {content}")
+            if self._stops:
+                session.stop()
+            arming = loop.create_task(self._arm_at_once(session)) if self._arm else None
+            if arming is None:
+                say(f"{self._bench.name}: {self._bench.rate_Hz:g} Hz, reading only; arm with: piezod arm {self._path}")
+            await self._follow(session)
+            if arming is not None:
+                await arming
+        finally:
+            loop.remove_reader(descriptor)
+
+    def _receive(self, session: Session, descriptor: int) -> None:
+        """Take one message of the control process; called when there is one."""
+        kind, content = session.receive()
+        if kind == "answer":
+            number, *answer = content
+            self._settle(number, (answer[0], answer[1]))
+            return
+        if kind in ("done", "error"):
+            asyncio.get_running_loop().remove_reader(descriptor)
+            for number in list(self._answers):
+                self._settle(number, ("TemporaryError", "the control process has ended"))
+        self._messages.put_nowait((kind, content))
+
+    def _settle(self, number: int, answer: tuple[str, str]) -> None:
+        """Hand an answer to whoever waits for it; one that came too late is dropped."""
+        waiting = self._answers.get(number)
+        if waiting is not None and not waiting.done():
+            waiting.set_result(answer)
+
+    async def _until_ready(self) -> tuple[str, Any]:
+        """Wait for the control process; a stop meanwhile ends it, and is no error."""
+        begun_s = time.monotonic()
+        while self._messages.empty():
+            if time.monotonic() - begun_s < READY_WITHIN_S:
+                self._notifier.alive()
+            if self._stops and self._session is not None:
+                self._session.stop()
+            await asyncio.sleep(LOOK_EVERY_S / 10)
+        kind, content = self._messages.get_nowait()
+        if kind == "error" and not self._stops:
+            raise deliberate_error(*content)
+        return kind, content
+
+    async def _arm_at_once(self, session: Session) -> None:
+        try:
+            await self._command("arm")
+        except PiezodError:
+            session.stop()
+            raise
+        say(f"{self._bench.name}: {self._bench.rate_Hz:g} Hz, armed")
+
+    async def _follow(self, session: Session) -> None:
+        """Look at the ring log until the control process ends."""
+        while self._messages.empty():
+            if self._look(session):
+                self._notifier.alive()
+            if self._arm and self.tally.was_driving and self.tally.state in (State.DISARMED, State.FAULT):
+                session.stop()
+                self._arm = False
+            await asyncio.sleep(LOOK_EVERY_S)
+        self._look(session)
+        kind, content = self._messages.get_nowait()
+        if kind == "error":
+            raise deliberate_error(*content)
+        self.outcome = content
+
+    def _look(self, session: Session) -> bool:
+        """Take in what the ring log has; False when the loop has not ticked since."""
+        rows = session.read()
+        self.tally.add(rows)
+        return bool(rows.size)
+
+    def _tell(self, state: State, cause: Cause, row: np.void) -> None:
+        """Say a transition, once."""
+        text = f"{state.name}: {CAUSE_TEXT[cause]}"
+        say(f"{text} (force {row['force_N']:.2f} N, voltage {row['voltage_V']:.2f} V)")
+        self._notifier.status(text)
+
+    async def _command(self, name: str, argument: object = None) -> str:
+        """Have the control process do something; one command at a time.
+
+        Raises
+        ------
+        PiezodError
+            It refuses, or nobody is there.
+        """
+        async with self._busy:
+            session = self._session
+            if session is None or not self._connected:
+                raise TemporaryError(f"{name}: the device is not connected: {self._problem or 'starting'}; try again")
+            number = session.command(name, argument)
+            self._answers[number] = asyncio.get_running_loop().create_future()
+            try:
+                kind, text = await asyncio.wait_for(self._answers[number], ANSWER_WITHIN_S)
+            except TimeoutError:
+                raise TemporaryError(f"{name}: the control process did not answer; see piezod status") from None
+            finally:
+                del self._answers[number]
+            if kind != "ok":
+                raise deliberate_error(kind, text)
+            await asyncio.sleep(2 * self._bench.dt_s)  # so that the next status tells what came of it
+            return text
+
+    async def _answer(self, command: str, peer: Peer) -> dict[str, object]:
+        """Answer one command of the socket."""
+        if command == "status":
+            return {"ok": True, **self.status()}
+        if command not in COMMANDS:
+            return {"ok": False, "error": f"command is {command!r}, must be one of {', '.join(COMMANDS)}", "code": 2}
+        try:
+            message = await (self._reload() if command == "reload" else self._command(command))
+        except PiezodError as error:
+            say(f"socket: {command} by {peer}: refused: {error}")
+            return {"ok": False, "error": str(error), "code": error.exit_code}
+        say(f"socket: {command} by {peer}: {message}")
+        return {"ok": True, "message": message}
+
+    def status(self) -> dict[str, object]:
+        """What the bench does, for `piezod status`."""
+        if self._session is not None and self._connected:
+            self._look(self._session)
+        return {
+            "schema": "piezod.status/1",
+            "version": __version__,
+            "bench": self._bench.name,
+            "config": str(self._path.resolve()),
+            "rate_Hz": self._bench.rate_Hz,
+            "connected": self._connected,
+            "problem": self._problem,
+            "up_s": round(time.monotonic() - self._begun_s, 3),
+            "rows_dropped": 0 if self._session is None else self._session.dropped,
+            **self.tally.as_dict(),
+        }
+
+    async def _hang_up(self) -> None:
+        """SIGHUP: read the configuration again."""
+        self._notifier.reloading()
+        try:
+            say(f"reload: {await self._reload()}")
+        except PiezodError as error:
+            say(f"reload refused, the old configuration stays: {error}")
+            self._notifier.status(f"reload refused: {error}")
+        finally:
+            self._notifier.ready()
+
+    async def _reload(self) -> str:
+        """Take the configuration file as it is now: all of it when disarmed, tighter limits only while armed."""
+        bench, _ = load(self._path)
+        old, model_text = self._bench, _text_of(model_path(bench, self._path))
+        if (bench.name, bench.daemon) != (old.name, old.daemon):
+            raise CheckFailedError("reload: name and daemon can only change with a restart; nothing was changed")
+        if bench == old and model_text == self._model_text:
+            return "nothing has changed"
+        if self._session is None or not self._connected:
+            self._bench, self._model_text = bench, model_text
+            self._wake.set()
+            return "configuration taken"
+        if self.status()["state"] == State.DISARMED.name and not self._arm:
+            before = old, self._model_text
+            self._bench, self._model_text, self._reloading = bench, model_text, True
+            try:
+                await self._command("end")
+            except PiezodError:
+                (self._bench, self._model_text), self._reloading = before, False
+                raise
+            return "configuration taken; starting again, disarmed"
+        if bench.model_copy(update={"limits": old.limits}) != old or model_text != self._model_text:
+            raise CheckFailedError(f"reload: while {self.tally.state.name} only limits may change; disarm first")
+        if looser := loosened(old.limits, bench.limits):
+            raise CheckFailedError(f"reload: {looser}")
+        answer = await self._command("limits", bench.limits)
+        self._bench = bench
+        return answer
+
+
+def _text_of(path: Path) -> bytes:
+    """What a file holds, to be compared; nothing if it cannot be read: whoever needs it will say so."""
     try:
-        session.start()
-        _say(f"{bench.name}: {bench.rate_Hz:g} Hz, {'armed' if arm else 'reading only; --arm to drive'}")
-        for rows in session.follow():
-            teller.tell(rows)
-            tracking.add(rows)
-    finally:
-        session.close()
-    _sum_up(session.outcome, tracking)
-    return RunResult(session.outcome, tracking)
-
-
-def _sum_up(outcome: Outcome, tracking: TrackingError) -> None:
-    for warning in outcome.warnings:
-        _say(f"warning: {warning}")
-    failed = ", ".join(f"{name} {count}" for name, count in outcome.results.items() if name != "ok")
-    _say(
-        f"{outcome.ticks} ticks, {outcome.missed} missed, {outcome.failed_exchanges} failed exchanges {failed}".rstrip()
-    )
-    if tracking.ticks:
-        _say(f"tracking: rms error {tracking.rms_N:.3f} N, max {tracking.max_N:.3f} N over {tracking.ticks} ticks")
-    if outcome.fault:
-        _say(f"FAULT: {outcome.fault}")
-
-
-class _Teller:
-    """Says every transition once."""
-
-    def __init__(self) -> None:
-        self._state = State.DISARMED
-
-    def tell(self, rows: NDArray[np.void]) -> None:
-        """Print the transitions within `rows`."""
-        for row in rows[np.flatnonzero(np.diff(rows["state"], prepend=self._state))]:
-            self._state = State(row["state"])
-            cause = CAUSE_TEXT[Cause(row["cause"])]
-            _say(f"{self._state.name}: {cause} (force {row['force_N']:.2f} N, voltage {row['voltage_V']:.2f} V)")
-
-
-def _say(text: str) -> None:
-    print(text, file=sys.stderr, flush=True)
+        return path.read_bytes()
+    except OSError:
+        return b""

@@ -1,0 +1,81 @@
+"""`piezod run`: the bench in the foreground, as a service or by hand."""
+
+import asyncio
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from piezod.config import load_bench
+from piezod.daemon.lock import BenchLock
+from piezod.daemon.say import say
+from piezod.daemon.session import Session
+from piezod.daemon.task import Outcome
+
+if TYPE_CHECKING:
+    from piezod.daemon.tally import TrackingError
+
+
+@dataclass(frozen=True)
+class RunResult:
+    """What a run came to."""
+
+    outcome: Outcome
+    tracking: "TrackingError"
+
+    @property
+    def exit_code(self) -> int:
+        """0, or 1 after a fault."""
+        return 1 if self.outcome.fault else 0
+
+    def as_dict(self) -> dict[str, object]:
+        """For JSON."""
+        tracking = self.tracking
+        return {
+            "schema": "piezod.run/1",
+            **self.outcome.__dict__,
+            "tracking": {"ticks": tracking.ticks, "rms_error_N": tracking.rms_N, "max_error_N": tracking.max_N},
+        }
+
+
+def run_foreground(path: Path, *, arm: bool) -> RunResult:
+    """Run a bench until it is told to end; with `arm`, until its reference ends or a fault latches.
+
+    Parameters
+    ----------
+    path
+        Bench configuration.
+    arm
+        Drive at once.
+
+    Raises
+    ------
+    PiezodError
+        The bench could not be had; nothing was written.
+    """
+    bench = load_bench(path)
+    lock = BenchLock(bench.lock_path)
+    session = Session(bench, None, path.parent, [], serves=path, lock=lock)
+    try:
+        session.launch()
+        from piezod.daemon.service import Service  # noqa: PLC0415  # the control process starts while this is loaded
+
+        service = Service(path, bench, lock, session, arm=arm)
+        asyncio.run(service.run())
+    finally:
+        session.close()
+        lock.close()
+    _sum_up(service.outcome, service.tally.tracking)
+    return RunResult(service.outcome, service.tally.tracking)
+
+
+def _sum_up(outcome: Outcome, tracking: "TrackingError") -> None:
+    for warning in outcome.warnings:
+        say(f"warning: {warning}")
+    failed = ", ".join(f"{name} {count}" for name, count in outcome.results.items() if name != "ok")
+    say(
+        f"{outcome.ticks} ticks, {outcome.missed} missed, {outcome.failed_exchanges} failed exchanges {failed}".rstrip()
+    )
+    if tracking.ticks:
+        say(f"tracking: rms error {tracking.rms_N:.3f} N, max {tracking.max_N:.3f} N over {tracking.ticks} ticks")
+    if outcome.fault:
+        say(f"FAULT: {outcome.fault}")
