@@ -1,12 +1,12 @@
 """The stack's sensitivity changes over the record: depolarisation, ageing, self-heating.
 
-Forward    x (1 + relative_change g(t / duration)); g is straight, levels off, or goes with the root of time
+Forward    x (1 + relative_change g(t / duration)); g(p) = (1 - exp(-b p)) / (1 - exp(-b)) levels off with the bend b
 Inverse    divide by the gain of the moment: a schedule, renewed by a reset cycle
 Signature  the same loop grows or shrinks in proportion to itself, time after time; look-alikes thermal_drift and creep
            add something that does not scale with the loop
 Seat       stack, in front of the force law
 Valid      records of several loops of one amplitude; beyond the record's end nothing is known of it
-Source     THEORY 3 O; the three courses chosen here
+Source     THEORY 3 O; the course chosen here: straight for b = 0, late for b < 0
 """
 
 import math
@@ -16,31 +16,29 @@ import numpy as np
 
 from piezod.effects.effect import Array, Context, Effect, Parameter, Seat, Values
 
-STRAIGHT_ON, LEVELS_OFF, ROOT = 0, 1, 2
-LEVELLING = 3.0  # time constants within the record
+STRAIGHT_ON = 1e-3  # bends below it
 
 
 @numba.njit(cache=True)
-def course(part: float, kind: int) -> float:
+def course(part: float, bend: float) -> float:
     """Share of the change that has come about at a part of the record; 0 before it, 1 behind it."""
     part = min(max(part, 0.0), 1.0)
-    if kind == LEVELS_OFF:
-        return math.expm1(-LEVELLING * part) / math.expm1(-LEVELLING)
-    return math.sqrt(part) if kind == ROOT else part
+    if abs(bend) < STRAIGHT_ON:
+        return part
+    return math.expm1(-bend * part) / math.expm1(-bend)
 
 
 @numba.njit(cache=True)
-def _run(x: Array, time_s: Array, duration_s: float, change: float, kind: int) -> Array:
+def _run(x: Array, time_s: Array, duration_s: float, change: float, bend: float) -> Array:
     out = np.empty(x.size)
     for k in range(x.size):
-        out[k] = x[k] * (1.0 + change * course(time_s[k] / duration_s, kind))
+        out[k] = x[k] * (1.0 + change * course(time_s[k] / duration_s, bend))
     return out
 
 
 def forward(signal: Array, context: Context, values: Values) -> Array:
     """What the plays give with the sensitivity of the moment, shape (N,) [V]."""
-    kind = round(values.get("kind", STRAIGHT_ON))
-    return _run(signal, context.time_s, context.duration_s, values["relative_change"], kind)
+    return _run(signal, context.time_s, context.duration_s, values["relative_change"], values.get("bend", 0.0))
 
 
 EFFECT = Effect(
@@ -50,7 +48,7 @@ EFFECT = Effect(
     form="linear",
     parameters=(
         Parameter("relative_change", "1", -0.5, 1.0, starts=(-0.02,)),
-        Parameter("kind", "1", 0.0, 2.0, starts=(0.0,), nuisance=True, choices=(0.0, 1.0, 2.0)),
+        Parameter("bend", "1", -5.0, 20.0, starts=(1.0,), nuisance=True),
     ),
     forward=forward,
     handling="compensated",

@@ -43,7 +43,7 @@ EFFECT = Effect(
     form="memoryless",
     parameters=(
         Parameter("limit_V", "V", 0.5, 2000.0, starts=(30.0, 60.0, 95.0, 130.0), logarithmic=True),
-        Parameter("knee_V", "V", 0.0, 20.0, starts=(0.1,), nuisance=True),
+        Parameter("knee_V", "V", 1e-3, 20.0, starts=(0.3,), logarithmic=True, nuisance=True),
     ),
     forward=forward,
     handling="compensated",

@@ -20,7 +20,7 @@ from piezod.identify.scores import largest, max_hysteresis_percent, nrmse_percen
 from piezod.identify.start import estimate_path, settled_from, start_at_zero, starts_at_rest
 from piezod.identify.suitability import FEWEST_SAMPLES, check_suitable
 from piezod.identify.thresholds import dead_zone_thresholds, play_reach, play_thresholds, widest
-from piezod.model import Model, file_sha256
+from piezod.model import Model, file_sha256, run_chain
 from piezod.model.parameters import Channel, FitFigures, Provenance, RecordingSource, Start
 from piezod.operators import EPS
 from piezod.recording import Recording
@@ -326,29 +326,31 @@ def _undetermined(chosen: Candidate) -> list[str]:
     return [f"plays above {structure.play_thresholds[k]:.3g} are hardly moved by these recordings" for k in weak[:1]]
 
 
-def simulate(model: Model, u: Array, y: Array | None, window: int) -> tuple[Array, str]:
-    """Free run of a model over a record.
+def simulate(model: Model, recording: Recording, window: int, sha256: str | None = None) -> tuple[Array, str]:
+    """Free run of a model over a recording.
 
     Parameters
     ----------
     model
-        What was identified.
-    u
-        Input, shape (N,).
-    y
-        Measured output; where the record does not start at rest, its first `window` samples tell the start.
+        What was identified, with the effects that were found.
+    recording
+        Has the model's input; where it does not start at rest, the first `window` samples of its output tell the start.
     window
-        How many samples may be looked at to find the start.
+        How many samples may be looked at to find the start; 0: none.
+    sha256
+        Of the recording's file: some effects belong to one recording.
 
     Returns
     -------
     output, start
         Simulated output, shape (N,), and in words what it started from.
     """
-    operator = model.operator()
-    if starts_at_rest(u) or y is None:
-        return operator.run(u), f"start of the model ({model.start.kind})"
-    path = estimate_path(operator, u, y, window)
-    operator.set_states(np.zeros(operator.plays[0].size))
-    operator.run(np.array(path))
-    return operator.run(u), f"start found from the first {window} samples"
+    operator, start = model.operator(), f"start of the model ({model.start.kind})"
+    u, y = recording.channel(model.input.channel), recording.channels.get(model.output.channel)
+    if not starts_at_rest(u) and y is not None and window > 0:
+        path = estimate_path(operator, u, y, window)
+        operator.set_states(np.zeros(operator.plays[0].size))
+        operator.run(np.array(path))
+        start = f"start found from the first {window} samples"
+    temperature_C = recording.channels.get("temperature_C")
+    return run_chain(model, operator, recording.time_s, u, temperature_C=temperature_C, sha256=sha256), start

@@ -87,7 +87,11 @@ class Simulation:
 
 
 def simulate_recording(
-    model: Model, recording: Recording, start_window_s: float, chosen: NDArray[np.bool_] | None = None
+    model: Model,
+    recording: Recording,
+    start_window_s: float,
+    chosen: NDArray[np.bool_] | None = None,
+    sha256: str | None = None,
 ) -> Simulation:
     """Simulate the model's output over a recording's input.
 
@@ -101,6 +105,8 @@ def simulate_recording(
         First stretch that may be looked at to find what the memory starts with; it is not compared [s].
     chosen
         Which samples are compared, shape (N,); None: all. The simulation runs over every sample.
+    sha256
+        Of the recording's file.
 
     Raises
     ------
@@ -114,7 +120,7 @@ def simulate_recording(
         raise UsageError(f"{recording.source}: {model.input.channel} has missing samples; cut the recording there")
     y = recording.channels.get(model.output.channel)
     window = int(np.searchsorted(recording.time_s, recording.time_s[0] + start_window_s))
-    output, start = simulate(model, u, y if window else None, max(window, 1))
+    output, start = simulate(model, recording, window, sha256)
     agreement = None
     if y is not None:
         compared = np.isfinite(y) & (True if chosen is None else chosen)

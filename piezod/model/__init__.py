@@ -2,7 +2,7 @@
 
 from piezod.model.compensator import Compensator, DirectDrive, make_compensator
 from piezod.model.parameters import Model, dump_model, file_sha256, load_model, save_model
-from piezod.model.plant import Plant
+from piezod.model.plant import Plant, run_chain
 
 __all__ = [
     "Compensator",
@@ -13,5 +13,6 @@ __all__ = [
     "file_sha256",
     "load_model",
     "make_compensator",
+    "run_chain",
     "save_model",
 ]

@@ -15,6 +15,7 @@ import yaml
 from pydantic import Field, model_validator
 
 from piezod.config import Section, check, read_document
+from piezod.effects import EFFECTS
 from piezod.errors import ConfigurationError, ModelError
 from piezod.operators import EPS, PrandtlIshlinskii
 
@@ -150,14 +151,46 @@ class Provenance(Section):
     notes: str = ""
 
 
+class EffectValues(Section):
+    """An effect of the catalogue that the model has besides its hysteresis, with the values of its parameters.
+
+    One that belongs to a single recording (a tone, a load step) names it by its SHA-256, and acts in no other.
+    """
+
+    name: Annotated[str, Field(min_length=1)]
+    parameters: dict[str, float]
+    recording: Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")] | None = None
+
+    @model_validator(mode="after")
+    def _is_in_the_catalogue(self) -> Self:
+        effect = EFFECTS.get(self.name)
+        if effect is None:
+            raise ValueError(f"name is '{self.name}', must be one of {', '.join(EFFECTS)}")
+        for one in effect.parameters:
+            value = self.parameters.get(one.name)
+            if value is None:
+                raise ValueError(f"{self.name}: parameters has no {one.name}")
+            if not one.low <= value <= one.high:
+                raise ValueError(f"{self.name}: {one.name} is {value:g}, must be within {one.low:g} and {one.high:g}")
+        if unknown := set(self.parameters) - {one.name for one in effect.parameters}:
+            raise ValueError(f"{self.name}: has no parameter {', '.join(sorted(unknown))}")
+        return self
+
+
 class Model(Section):
-    """A whole model file."""
+    """A whole model file.
+
+    `sampling` says how the command runs between two samples and when the reading is taken: straight, held and read
+    after a new command, or held and read just before it.
+    """
 
     schema_: Annotated[Literal["piezod.model/1"], Field(alias="schema")] = "piezod.model/1"
     name: Annotated[str, Field(min_length=1, max_length=100)]
     input: Channel
     output: Channel
     hysteresis: Hysteresis
+    effects: Annotated[tuple[EffectValues, ...], Field(strict=False)] = ()
+    sampling: Literal["straight", "held", "held_before"] = "straight"
     start: Start = Start()
     provenance: Provenance
     statistics: Statistics | None = None
@@ -203,6 +236,10 @@ def load_model(path: Path) -> Model:
 def dump_model(model: Model) -> str:
     """Text of the model file."""
     content = model.model_dump(by_alias=True, exclude_none=True)
+    if not model.effects:
+        del content["effects"]
+    if model.sampling == "straight":
+        del content["sampling"]
     return yaml.dump(content, Dumper=_Dumper, sort_keys=False, width=120, allow_unicode=True)
 
 

@@ -1,9 +1,19 @@
-"""The forward chain: from the voltage that is applied to the force that the model expects."""
+"""The forward chain: from the voltage that is commanded to the reading that the model expects."""
+
+from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from piezod.effects import EFFECTS, Context, Effect, Seat
+from piezod.effects.effect import HELD, HELD_BEFORE, STRAIGHT
 from piezod.model.parameters import Model
+from piezod.operators import PrandtlIshlinskii
+
+Array = NDArray[np.float64]
+
+BETWEEN = {"straight": STRAIGHT, "held": HELD, "held_before": HELD_BEFORE}
 
 
 class Plant:
@@ -37,3 +47,97 @@ class Plant:
         low, high = self.model.input.low, self.model.input.high
         _, _, top, bottom = operator.run([low, high, high, low])
         return float(bottom), float(top)
+
+
+def effects_in(model: Model, sha256: str | None = None) -> list[tuple[Effect, dict[str, float]]]:
+    """Effects of the model that act in a recording, in the order of the signal chain.
+
+    Parameters
+    ----------
+    model
+        What was identified or found.
+    sha256
+        Of the recording's file: some effects belong to one recording.
+    """
+    order = {name: place for place, name in enumerate(EFFECTS)}
+    acting = [one for one in model.effects if one.recording is None or one.recording == sha256]
+    return [(EFFECTS[one.name], one.parameters) for one in sorted(acting, key=lambda one: order[one.name])]
+
+
+def run_chain(
+    model: Model,
+    operator: PrandtlIshlinskii,
+    time_s: Array,
+    command_V: Array,
+    *,
+    temperature_C: Array | None = None,
+    sha256: str | None = None,
+) -> Array:
+    """Readings that the whole model expects over a recording, shape (N,).
+
+    Parameters
+    ----------
+    model
+        Its effects and sampling.
+    operator
+        The model's operator in the state that the recording starts from; it is moved.
+    time_s, command_V
+        Of the recording, shape (N,), in equal steps where the model has effects.
+    temperature_C
+        Where it was recorded, shape (N,).
+    sha256
+        Of the recording's file.
+    """
+    effects = effects_in(model, sha256)
+    if not effects and model.sampling != "held_before":
+        return operator.run(command_V)
+    if model.sampling == "held_before":
+        command_V = np.concatenate((command_V[:1], command_V[:-1]))
+    seconds = time_s - time_s[0]
+    context = Context(
+        float(np.median(np.diff(seconds))),
+        seconds,
+        command_V,
+        command_V,
+        float(seconds[-1]),
+        model.output.high - model.output.low,
+        temperature_C,
+        BETWEEN[model.sampling],
+    )
+    signal = command_V
+    for effect, values in _seated(effects, Seat.AMPLIFIER, Seat.AMPLIFIER):
+        signal = effect.forward(signal, context, values)
+        context = behind(effect, replace(context, applied_V=signal))
+    factor, offset_V = widened(effects, context)
+    signal = operator.stroke(signal, factor, offset_V)
+    for effect, values in _seated(effects, Seat.STACK, Seat.STACK):
+        signal = effect.forward(signal, context, values)
+        context = behind(effect, context)
+    signal = operator.output(signal)
+    for effect, values in _seated(effects, Seat.MECHANICS, Seat.ACQUISITION):
+        signal = effect.forward(signal, context, values)
+        context = behind(effect, context)
+    return signal
+
+
+def widened(effects: Sequence[tuple[Effect, dict[str, float]]], context: Context) -> tuple[Array | None, Array | None]:
+    """Factor and offset of the play thresholds, each of shape (N,) or None."""
+    factor: Array | None = None
+    offset_V: Array | None = None
+    for effect, values in effects:
+        if effect.widening is not None:
+            wider, more_V = effect.widening(context, values)
+            factor = wider if factor is None else factor * wider
+            offset_V = more_V if offset_V is None else offset_V + more_V
+    return factor, offset_V
+
+
+def behind(effect: Effect, context: Context) -> Context:
+    """How a signal runs between samples once an effect has acted."""
+    return replace(context, between=STRAIGHT) if effect.smooths else context
+
+
+def _seated(
+    effects: Sequence[tuple[Effect, dict[str, float]]], first: Seat, last: Seat
+) -> list[tuple[Effect, dict[str, float]]]:
+    return [(effect, values) for effect, values in effects if first <= effect.seat <= last]

@@ -34,6 +34,13 @@ def dead_zone_step(packed: Array, base: int, count: int, x: float) -> float:
 
 
 @numba.njit(cache=True)
+def dead_zone_run(packed: Array, base: int, count: int, x: Array, y: Array) -> None:
+    """`dead_zone_step` over the record `x`, shape (N,), into `y`."""
+    for k in range(x.size):
+        y[k] = dead_zone_step(packed, base, count, x[k])
+
+
+@numba.njit(cache=True)
 def dead_zone_columns(thresholds: Array, x: Array, columns: Array) -> None:
     """Every dead zone over the record `x`, shape (N,), into `columns`, shape (N, count): the columns of (3.15)."""
     for k in range(x.size):

@@ -76,6 +76,27 @@ def play_states_run(packed: Array, base: int, count: int, u: Array, states: Arra
             states[k, i] = packed[base + STATE * count + i]
 
 
+@numba.njit(cache=True)
+def play_run(packed: Array, base: int, count: int, u: Array, factor: Array, offset: Array, v: Array) -> None:
+    """Weighted sum of the plays over the record `u`, shape (N,), into `v`.
+
+    Thresholds above 0 are multiplied by `factor` and widened by `offset`, each of shape (N,) or empty: rate-dependent
+    plays (THEORY 1.9).
+    """
+    weights, states = base + WEIGHT * count, base + STATE * count
+    for k in range(u.size):
+        wider = factor[k] if factor.size else 1.0
+        more = offset[k] if offset.size else 0.0
+        total = 0.0
+        for i in range(count):
+            r = packed[base + i]
+            r = r * wider + more if r > 0.0 else 0.0
+            z = max(u[k] - r, min(u[k] + r, packed[states + i]))
+            packed[states + i] = z
+            total += packed[weights + i] * z
+        v[k] = total
+
+
 def inverse_table(thresholds: Array, weights: Array) -> tuple[Array, Array]:
     """Thresholds and weights of the inverse superposition (3.28-3.32, 3.35); applied twice it gives back its input.
 

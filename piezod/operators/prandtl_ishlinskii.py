@@ -15,12 +15,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from piezod.operators.compiled_cache import forget_outdated_steps
-from piezod.operators.dead_zone import check_dead_zone, dead_zone_step, inverse_dead_zone
+from piezod.operators.dead_zone import check_dead_zone, dead_zone_run, dead_zone_step, inverse_dead_zone
 from piezod.operators.play import (
     check_states,
     check_superposition,
     inverse_states,
     inverse_table,
+    play_run,
     play_solve,
     play_step,
 )
@@ -124,6 +125,29 @@ class PrandtlIshlinskii:
         check_dead_zone(*zones, eps)
         self.offset = float(offset)
         self.packed = _pack(plays, np.zeros(plays[0].size), zones, self.offset)
+
+    def stroke(self, u: ArrayLike, factor: Array | None = None, offset: Array | None = None) -> Array:
+        """What the plays give over a record, shape (N,), with thresholds widened where that is asked for."""
+        inputs = np.ascontiguousarray(u, dtype=np.float64)
+        nothing, v = np.empty(0), np.empty(inputs.size)
+        count = int(self.packed[0])
+        play_run(
+            self.packed,
+            HEADER,
+            count,
+            inputs,
+            nothing if factor is None else factor,
+            nothing if offset is None else offset,
+            v,
+        )
+        return v
+
+    def output(self, stroke: Array) -> Array:
+        """What the dead zones and the offset make of it, shape (N,)."""
+        y = np.empty(stroke.size)
+        dead_zone_run(self.packed, HEADER + 3 * int(self.packed[0]), int(self.packed[1]), stroke, y)
+        result: Array = y + self.offset
+        return result
 
     @property
     def plays(self) -> tuple[Array, Array]:

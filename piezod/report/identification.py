@@ -92,7 +92,7 @@ def _curves(identification: Identification, recording: Recording) -> list[object
     """Input and output over time, the loop measured and modelled, and what is left."""
     model = identification.model
     u, y = recording.channel(model.input.channel), recording.channel(model.output.channel)
-    modelled, start = simulate(model, u, y, START_WINDOW)
+    modelled, start = simulate(model, recording, START_WINDOW)
     time_s = recording.time_s
     over_time = figure(title="Output over time", x_axis_label="time [s]", y_axis_label=model.output.channel, height=300)
     over_time.line(thin(time_s), thin(y), color=GREY, line_width=3, legend_label="measured")

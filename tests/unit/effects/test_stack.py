@@ -117,10 +117,10 @@ def test_creep_driven_by_the_voltage_is_scaled_to_the_signal():
     np.testing.assert_allclose(by_voltage, by_plays, atol=1e-12)
 
 
-@pytest.mark.parametrize(("kind", "half_way"), [(0.0, 0.5), (1.0, 0.81757), (2.0, np.sqrt(0.5))])
-def test_the_gain_has_changed_by_relative_change_at_the_end(kind, half_way):
+@pytest.mark.parametrize(("bend", "half_way"), [(0.0, 0.5), (3.0, 0.81757), (-3.0, 1.0 - 0.81757)])
+def test_the_gain_has_changed_by_relative_change_at_the_end(bend, half_way):
     x = np.full(1001, 20.0)
-    drifted = forward("gain_drift", x, DT_s, {"relative_change": -0.1, "kind": kind}, duration_s=1.0)
+    drifted = forward("gain_drift", x, DT_s, {"relative_change": -0.1, "bend": bend}, duration_s=1.0)
     assert drifted[0] == 20.0
     assert drifted[500] == pytest.approx(20.0 * (1.0 - 0.1 * half_way), rel=1e-6)
     assert drifted[-1] == pytest.approx(18.0, rel=1e-12)

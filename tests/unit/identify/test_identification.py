@@ -204,7 +204,7 @@ def test_a_record_that_does_not_start_at_rest_is_simulated_from_a_start_found_in
     y = operator.run(whole)
     model = identify([recording_of(whole, y)], Options(plays=14, zones=4), "a test").model
     part = slice(700, None)
-    simulated, words = simulate(model, whole[part], y[part], 100)
+    simulated, words = simulate(model, recording_of(whole[part], y[part]), 100)
     assert "found from the first 100 samples" in words
     assert np.sqrt(np.mean((simulated - y[part])[100:] ** 2)) < 0.01 * np.ptp(y)
 
