@@ -12,7 +12,7 @@ Array = NDArray[np.float64]
 Values = Mapping[str, float]
 
 
-STRAIGHT, HELD, HELD_BEFORE = 0, 1, 2
+STRAIGHT, HELD_BEFORE = 0.0, 2.0  # between them a part of a sample: held, and read so long after its command
 
 
 class Seat(IntEnum):
@@ -95,8 +95,9 @@ class Context:
     temperature_C
         Where it was recorded, shape (N,) [degC].
     between
-        How the signal at hand runs between two samples: STRAIGHT, HELD (it keeps its value until the next sample) or
-        HELD_BEFORE (its value stands for the interval that ends at the sample).
+        How the signal at hand runs between two samples. STRAIGHT (0). Above 0 up to 1: it is held until the next sample,
+        and sample k shows it so many parts of a sample after it began. HELD_BEFORE (2): it is held, and sample k shows
+        it just before it ends.
     """
 
     dt_s: float
@@ -106,7 +107,7 @@ class Context:
     duration_s: float
     force_span_N: float
     temperature_C: Array | None = None
-    between: int = STRAIGHT
+    between: float = STRAIGHT
 
 
 Forward = Callable[[Array, Context, Values], Array]

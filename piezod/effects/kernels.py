@@ -11,8 +11,6 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-HELD, HELD_BEFORE = 1, 2  # as in `effect`
-
 
 @numba.njit(cache=True)
 def first_order_step(y: float, before: float, now: float, keep: float, ramp: float) -> float:
@@ -25,20 +23,18 @@ def first_order_step(y: float, before: float, now: float, keep: float, ramp: flo
 
 
 @numba.njit(cache=True)
-def first_order_coefficients(time_constant_s: float, dt_s: float, between: int = 0) -> tuple[float, float]:
-    """`keep` and `ramp` of `first_order_step`; for an input that is held the ramp is 0 or all that is not kept."""
+def first_order_coefficients(time_constant_s: float, dt_s: float, between: float = 0.0) -> tuple[float, float]:
+    """`keep` and `ramp` of `first_order_step`; of an input that is held `ramp` is what its last part of a sample adds."""
     part = dt_s / time_constant_s
     keep = math.exp(-part)
-    if between == HELD:
-        return keep, 0.0
-    if between == HELD_BEFORE:
-        return keep, 1.0 - keep
+    if between > 0.0:
+        return keep, -math.expm1(-part * min(between, 1.0))
     ramp = 1.0 + math.expm1(-part) / part if part > 1e-6 else 0.5 * part
     return keep, ramp
 
 
 @numba.njit(cache=True)
-def first_order_run(x: Array, time_constant_s: float, dt_s: float, between: int = 0) -> Array:
+def first_order_run(x: Array, time_constant_s: float, dt_s: float, between: float = 0.0) -> Array:
     """`first_order_step` over a record, from rest at its first sample; `between` as in `Context`."""
     keep, ramp = first_order_coefficients(time_constant_s, dt_s, between)
     out = np.empty(x.size)
@@ -61,7 +57,7 @@ def chain_step(states: Array, keep: Array, ramp: Array, weights: Array, before: 
 
 
 @numba.njit(cache=True)
-def chain_run(x: Array, time_constants_s: Array, weights: Array, dt_s: float, between: int = 0) -> Array:
+def chain_run(x: Array, time_constants_s: Array, weights: Array, dt_s: float, between: float = 0.0) -> Array:
     """`chain_step` over a record, counted from rest at its first sample."""
     count = time_constants_s.size
     keep, ramp, states = np.empty(count), np.empty(count), np.zeros(count)
@@ -88,7 +84,7 @@ def second_order_run(x: Array, matrix: Array, before: Array, now: Array) -> Arra
     return out
 
 
-def second_order(x: Array, frequency_Hz: float, damping_ratio: float, dt_s: float, between: int = 0) -> Array:
+def second_order(x: Array, frequency_Hz: float, damping_ratio: float, dt_s: float, between: float = 0.0) -> Array:
     """Mode over a record, exact for a straight or held input, from rest: y'' + 2 zeta w y' + w^2 y = w^2 x.
 
     The exponential of the state space with the input and its slope as further states (derived here).
@@ -100,7 +96,7 @@ def second_order(x: Array, frequency_Hz: float, damping_ratio: float, dt_s: floa
     system[2, 3] = 1.0
     step = exponential(system * dt_s)
     all_of_it = step[:2, 2].copy()
-    now = (step[:2, 3] / dt_s, np.zeros(2), all_of_it)[between]
+    now = step[:2, 3] / dt_s if between <= 0.0 else exponential(system * (dt_s * min(between, 1.0)))[:2, 2].copy()
     return second_order_run(np.ascontiguousarray(x), step[:2, :2].copy(), all_of_it - now, now)
 
 

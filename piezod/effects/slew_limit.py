@@ -12,7 +12,7 @@ Source     THEORY 3 C; |du/dt| <= I_max / C; the catching up inside an interval 
 import numba
 import numpy as np
 
-from piezod.effects.effect import HELD, HELD_BEFORE, Array, Context, Effect, Parameter, Seat, Values
+from piezod.effects.effect import Array, Context, Effect, Parameter, Seat, Values
 
 
 @numba.njit(cache=True)
@@ -28,14 +28,17 @@ def slew_step(y: float, before: float, now: float, most: float) -> float:
 
 
 @numba.njit(cache=True)
-def _run(x: Array, most: float, between: int) -> Array:
+def _run(x: Array, most: float, between: float) -> Array:
     out = np.empty(x.size)
     y = x[0]
     out[0] = y
+    late = min(between, 1.0)
     for k in range(1, x.size):
-        before = x[k] if between == HELD_BEFORE else x[k - 1]
-        now = x[k - 1] if between == HELD else x[k]
-        y = slew_step(y, before, now, most)
+        if between > 0.0:
+            y = slew_step(y, x[k - 1], x[k - 1], most * (1.0 - late)) if late < 1.0 else y
+            y = slew_step(y, x[k], x[k], most * late)
+        else:
+            y = slew_step(y, x[k - 1], x[k], most)
         out[k] = y
     return out
 

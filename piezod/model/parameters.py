@@ -180,8 +180,8 @@ class EffectValues(Section):
 class Model(Section):
     """A whole model file.
 
-    `sampling` says how the command runs between two samples and when the reading is taken: straight, held and read
-    after a new command, or held and read just before it.
+    `sampling` says how the command runs between two samples and when the reading is taken: straight; held, and read
+    `read_after` parts of a sample after it; or held, and read just before the next one.
     """
 
     schema_: Annotated[Literal["piezod.model/1"], Field(alias="schema")] = "piezod.model/1"
@@ -191,6 +191,7 @@ class Model(Section):
     hysteresis: Hysteresis
     effects: Annotated[tuple[EffectValues, ...], Field(strict=False)] = ()
     sampling: Literal["straight", "held", "held_before"] = "straight"
+    read_after: Annotated[float, Field(ge=0, le=1)] = 0.0
     start: Start = Start()
     provenance: Provenance
     statistics: Statistics | None = None
@@ -240,6 +241,8 @@ def dump_model(model: Model) -> str:
         del content["effects"]
     if model.sampling == "straight":
         del content["sampling"]
+    if model.sampling != "held":
+        del content["read_after"]
     return yaml.dump(content, Dumper=_Dumper, sort_keys=False, width=120, allow_unicode=True)
 
 

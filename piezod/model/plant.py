@@ -7,13 +7,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from piezod.effects import EFFECTS, Context, Effect, Seat
-from piezod.effects.effect import HELD, HELD_BEFORE, STRAIGHT
+from piezod.effects.effect import HELD_BEFORE, STRAIGHT
 from piezod.model.parameters import Model
 from piezod.operators import PrandtlIshlinskii
 
 Array = NDArray[np.float64]
 
-BETWEEN = {"straight": STRAIGHT, "held": HELD, "held_before": HELD_BEFORE}
 
 
 class Plant:
@@ -102,7 +101,7 @@ def run_chain(
         float(seconds[-1]),
         model.output.high - model.output.low,
         temperature_C,
-        BETWEEN[model.sampling],
+        between_of(model),
     )
     signal = command_V
     for effect, values in _seated(effects, Seat.AMPLIFIER, Seat.AMPLIFIER):
@@ -118,6 +117,11 @@ def run_chain(
         signal = effect.forward(signal, context, values)
         context = behind(effect, context)
     return signal
+
+
+def between_of(model: Model) -> float:
+    """How the command runs between samples, as `Context` has it."""
+    return {"straight": STRAIGHT, "held": max(model.read_after, 1e-6), "held_before": HELD_BEFORE}[model.sampling]
 
 
 def widened(effects: Sequence[tuple[Effect, dict[str, float]]], context: Context) -> tuple[Array | None, Array | None]:

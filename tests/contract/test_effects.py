@@ -14,7 +14,9 @@ from numba.core.registry import CPUDispatcher
 
 import piezod.effects
 from piezod.effects import EFFECTS, Context, Seat
-from piezod.effects.effect import HELD, HELD_BEFORE, STRAIGHT
+from piezod.effects.effect import HELD_BEFORE, STRAIGHT
+
+HELD = 1e-9  # read at once after its command
 
 CATALOGUE = {
     "voltage_clamp": ["limit_V"],

@@ -3,9 +3,10 @@
 import numpy as np
 import pytest
 
-from piezod.effects.effect import HELD
 
 from .records import forward, opening, triangle
+
+HELD = 1e-9  # read at once after its command
 
 DT_s = 1e-3
 

@@ -5,10 +5,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from piezod.effects.effect import HELD
 from piezod.effects.friction import dahl_step
 
 from .records import forward, opening, triangle
+
+HELD = 1e-9  # read at once after its command
 
 DT_s = 1e-3
 exponents = pytest.mark.parametrize("exponent", [0.5, 1.0, 1.5])
