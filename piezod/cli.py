@@ -323,6 +323,30 @@ def simulate(
             print(f"note: {note}")
 
 
+@app.command(epilog="Example: piezod diagnose work.csv --model model.yaml -o diagnosis")
+def diagnose(
+    recordings: Annotated[list[Path], typer.Argument(metavar="REC...", help="Recordings to explain.")],
+    model: Annotated[Path, typer.Option("--model", metavar="MODEL")],
+    output: Annotated[Path, typer.Option("-o", metavar="DIR", help="findings.json, model.yaml and report.html.")],
+    input_column: Annotated[
+        str | None, typer.Option("--input", metavar="COLUMN", help="The model's if left out.")
+    ] = None,
+    output_column: Annotated[str | None, typer.Option("--output", metavar="COLUMN", help="As above.")] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Find out what a model leaves out of recordings: where, which physics, how sure, and the model that has it."""
+    from piezod.diagnose.command import diagnose_files
+    from piezod.report.diagnosis import print_findings
+    from piezod.report.progress import steps
+
+    with steps() as show:
+        diagnosis = diagnose_files(recordings, model, output, input_column, output_column, show)
+    if as_json:
+        print(json.dumps(diagnosis.findings.as_dict(), indent=2))
+    else:
+        print_findings(diagnosis.findings, output)
+
+
 @app.command(epilog="Example: piezod validate config/bench.yaml --model a.yaml --model b.yaml --report validation.html")
 def validate(
     config: ConfigArgument,

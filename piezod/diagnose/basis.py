@@ -2,9 +2,10 @@
 
     v = u + sum_k c_k B_k(u),   B_k = sum_i h_k(i) (z_i - u) dr_i / R,        F = sum_j d_j N_j(v)
 
-z_i are forty plays, h_k eleven hat functions over their index, N_j quadratic B-splines. The plays enter by what they lag
-behind u (less a stop, |z_i - u| <= r_i), so v stays about as large as u, which fixes the scale between plays and force law. A coarse density or a force law of few straight pieces leaves errors that look
-like friction or like a curved force law; this one is as smooth as a stack is.
+z_i are forty plays, h_k eleven hat functions over their index, N_j quadratic B-splines. The plays enter by what they
+lag behind u (less a stop, |z_i - u| <= r_i), so v stays about as large as u, which fixes the scale between plays and
+force law. A coarse density or a force law of few straight pieces leaves errors that look like friction or like a curved
+force law; this one is as smooth as a stack is.
 """
 
 from dataclasses import dataclass
@@ -127,12 +128,17 @@ class ForceLaw:
         _splines(v, self.low_V, (SPLINES - 2) / (self.high_V - self.low_V), values, slopes)
         return values, slopes
 
+    def value(self, v: Array, coefficients: Array) -> Array:
+        """sum_j d_j N_j(v), shape (N,) [N]."""
+        out = np.empty(v.size)
+        _law(v, self.low_V, (SPLINES - 2) / (self.high_V - self.low_V), coefficients, out)
+        return out
+
     def straight(self, offset: float, slope: float) -> Array:
         """Coefficients of offset + slope v: the splines' own places are the interval's middles."""
         step = (self.high_V - self.low_V) / (SPLINES - 2)
         middles = self.low_V + step * (np.arange(SPLINES) - 0.5)
-        result: Array = offset + slope * middles
-        return result
+        return np.asarray(offset + slope * middles, dtype=np.float64)
 
 
 @numba.njit(cache=True)
@@ -154,3 +160,18 @@ def _splines(v: Array, low: float, per_V: float, values: Array, slopes: Array) -
         slopes[k, j] = s0 * per_V
         slopes[k, j + 1] = s1 * per_V
         slopes[k, j + 2] = s2 * per_V
+
+
+@numba.njit(cache=True)
+def _law(v: Array, low: float, per_V: float, d: Array, out: Array) -> None:
+    for k in range(v.size):
+        x = (v[k] - low) * per_V
+        inside = min(max(x, 0.0), d.size - 2.0)
+        j = min(int(inside), d.size - 3)
+        t = inside - j
+        beyond = x - inside
+        out[k] = (
+            (0.5 * (1.0 - t) ** 2 + beyond * (t - 1.0)) * d[j]
+            + (0.5 + t - t * t + beyond * (1.0 - 2.0 * t)) * d[j + 1]
+            + (0.5 * t * t + beyond * t) * d[j + 2]
+        )

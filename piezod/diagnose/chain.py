@@ -1,6 +1,6 @@
 """The whole forward chain of a hypothesis over the recordings, and how it changes with every parameter.
 
-    command -> amplifier -> plays (density) -> creep, gain -> force law -> mechanics -> load cell -> acquisition -> reading
+    command -> amplifier -> plays (density) -> creep, gain -> force law -> mechanics -> load cell -> acquisition
 
 Effects act where they sit. The base's columns are carried through whatever lies behind them.
 """
@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from piezod.diagnose.basis import HATS, SPLINES, ForceLaw, PlayDensity
 from piezod.diagnose.series import Series
-from piezod.effects.effect import HELD_BEFORE, STRAIGHT, Context, Effect, Seat
 from piezod.effects import EFFECTS
+from piezod.effects.effect import HELD_BEFORE, STRAIGHT, Context, Effect, Seat
 
 Array = NDArray[np.float64]
 
@@ -114,7 +114,7 @@ class Chain:
     def __init__(self, series: Sequence[Series], density: PlayDensity, law: ForceLaw, force_span_N: float) -> None:
         self.series = list(series)
         self.density, self.law, self.force_span_N = density, law, force_span_N
-        self._cache: list[dict[tuple[object, ...], tuple[Array, Array, int]]] = [{} for _ in self.series]
+        self._cache: list[dict[tuple[object, ...], tuple[Array, Array, float]]] = [{} for _ in self.series]
 
     def terms_of(self, number: int, terms: Sequence[Term], point: Point) -> list[tuple[Term, Mapping[str, float]]]:
         """Terms that act on a recording, in the order of the chain, with their values."""
@@ -174,7 +174,7 @@ class Chain:
             if term.effect.seat == Seat.STACK:
                 stroke_V = term.effect.forward(stroke_V, context, values)
                 context = replace(context, between=_behind(term, context))
-        signal_N = self.law.columns(stroke_V)[0] @ point.law
+        signal_N = self.law.value(stroke_V, point.law)
         for term, values in here:
             if term.effect.seat >= Seat.MECHANICS:
                 signal_N = term.effect.forward(signal_N, context, values)
@@ -202,7 +202,7 @@ class Chain:
         return tangents
 
 
-def _behind(term: Term, context: Context) -> int:
+def _behind(term: Term, context: Context) -> float:
     return STRAIGHT if term.effect.smooths else context.between
 
 

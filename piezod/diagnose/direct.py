@@ -1,5 +1,6 @@
 """Tests of their own for what leaves a mark in the readings: frozen stretches, a lattice, lines, sharp steps."""
 
+import itertools
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,7 +15,7 @@ FROZEN_SAMPLES = 8  # equal readings in a row that noise does not make, while th
 FROZEN_MOVES = 6.0  # by how many noises the model moves meanwhile
 LINE_OVER_MEDIAN = 30.0  # power of a line over the median of its surroundings; exponential noise reaches 18 in 1e6 bins
 SURROUNDINGS = 101  # bins
-EDGE_NOISES = 8.0  # jump of the means on both sides of an edge, in standard errors
+EDGE_NOISES = 5.0  # jump of the means on both sides of an edge, in standard errors
 
 
 @dataclass(frozen=True)
@@ -107,7 +108,7 @@ def _running_median(power: Array) -> Array:
     """Median over neighbouring bins, from medians of chunks."""
     chunks = max(power.size // SURROUNDINGS, 1)
     edges = np.linspace(0, power.size, chunks + 1).astype(int)
-    medians = np.array([np.median(power[a:b]) for a, b in zip(edges[:-1], edges[1:], strict=True)])
+    medians = np.array([np.median(power[a:b]) for a, b in itertools.pairwise(edges)])
     result: Array = np.interp(np.arange(power.size), 0.5 * (edges[:-1] + edges[1:]), medians)
     return result
 

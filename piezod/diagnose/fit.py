@@ -59,10 +59,12 @@ class Layout:
         self.size = self.effects + len(self.searched)
 
     def vector(self, point: Point) -> Array:
+        """All parameters of a point."""
         searched = [_scaled(one, point.values[number][one.name]) for number, one in self.searched]
         return np.concatenate((point.density, point.law, point.offsets_N[1:], searched))
 
     def point(self, vector: Array, like: Point) -> Point:
+        """The point of a vector, with what is not searched as in another."""
         values = [dict(one) for one in like.values]
         for place, (number, one) in enumerate(self.searched):
             values[number][one.name] = _unscaled(one, float(vector[self.effects + place]))
@@ -74,6 +76,7 @@ class Layout:
         )
 
     def clipped(self, vector: Array) -> Array:
+        """The same within every parameter's range."""
         result = vector.copy()
         for place, (_, one) in enumerate(self.searched, start=self.effects):
             result[place] = np.clip(result[place], _scaled(one, one.low), _scaled(one, one.high))

@@ -8,19 +8,25 @@ from numpy.typing import NDArray
 
 from piezod.diagnose.chain import Chain, Point, Scope, Term
 from piezod.diagnose.direct import edges_of_step, lines
-from piezod.diagnose.fit import Fitted, Normal, fit
+from piezod.diagnose.fit import MOST_STEPS, Fitted, Normal, fit
 from piezod.diagnose.ideas import Idea, screened
 from piezod.effects import EFFECTS
-from piezod.effects.effect import HELD, HELD_BEFORE, STRAIGHT
+from piezod.effects.effect import HELD_BEFORE, STRAIGHT
 
 Array = NDArray[np.float64]
 OnProgress = Callable[[str], None]
 
 MOST_EFFECTS = 5
-TRIED = 6  # effects that are really fitted in a round
-PROMISING = 0.1  # of the best idea's gain, below which an idea is not tried
+TRIED = 7  # effects that are really fitted in a round, first coarsely
+REFINED = 3  # of them thoroughly
+COARSE_STEPS = 4
+NOTHING = 0.003  # of the loss: an idea that promises less is not tried
+PROMISING = 0.03  # of the best idea's gain, below which an idea is not tried
 WORTH = 0.04  # of the loss that is left: what an effect must gain at least
 FAIR_SHARE = 0.02  # of the largest gain so far: more effects than that are the plant's own shape
+HELD_PARTS = (0.3, 0.7)  # of a sample after its command, where the search for the moment of reading begins
+SMALLEST_PART = 0.04
+SAME = 0.005  # of the loss
 MAINS_HZ = (50.0, 60.0)
 
 
@@ -108,36 +114,65 @@ def worth(before: Fitted, after: Fitted, largest: float) -> bool:
 def _best_course(
     chain: Chain, terms: Sequence[Term], point: Point, known: Fitted | None = None
 ) -> tuple[Chain, Fitted]:
-    """The course of the command between samples under which a hypothesis fits best."""
-    results = []
-    for between in (STRAIGHT, HELD, HELD_BEFORE):
-        if known is not None and chain.series[0].between == between:
-            results.append((chain, known))
-            continue
-        other = Chain(
-            [replace(one, between=between) for one in chain.series], chain.density, chain.law, chain.force_span_N
-        )
-        results.append((other, fit(other, terms, point)))
-    return min(results, key=lambda one: one[1].loss)
+    """The course of the command between samples under which a hypothesis fits best.
+
+    Held commands differ from each other only where something smooths them.
+    """
+    smooth = any(term.effect.smooths for term in terms)
+    results: dict[float, tuple[Chain, Fitted]] = {}
+    if known is not None:
+        results[chain.series[0].between] = (chain, known)
+
+    def best() -> float:
+        found = min(results, key=lambda between: results[between][1].loss)
+        straight = results.get(STRAIGHT)
+        if straight is not None and straight[1].loss <= (1.0 + SAME) * results[found][1].loss:
+            return STRAIGHT  # a held command read late and a delay are the same
+        return found
+
+    def judged(between: float) -> None:
+        if between not in results:
+            series = [replace(one, between=between) for one in chain.series]
+            other = Chain(series, chain.density, chain.law, chain.force_span_N)
+            results[between] = (other, fit(other, terms, point, most_steps=MOST_STEPS if known is None else 6))
+
+    for between in (STRAIGHT, *(HELD_PARTS if smooth else ()), HELD_BEFORE):
+        judged(between)
+    width = 0.5 * (HELD_PARTS[1] - HELD_PARTS[0])
+    while STRAIGHT < best() < HELD_BEFORE and width > SMALLEST_PART:
+        middle = best()
+        for between in (middle - width, middle + width):
+            if 0.0 < between <= 1.0:
+                judged(between)
+        width *= 0.5
+    return results[best()]
 
 
 def _tried(chain: Chain, found: Fitted) -> list[Fitted]:
-    """Hypotheses with one more effect, really fitted."""
+    """Hypotheses with one more effect: all promising ones fitted coarsely, the best of them thoroughly."""
     ideas = screened(chain, found.terms, found.point)
+    enough = NOTHING * found.loss * found.samples.sum()
     chosen: dict[str, list[Idea]] = {}
     for idea in ideas:
-        if idea.gain >= PROMISING * ideas[0].gain and (len(chosen) < TRIED or idea.term.effect.name in chosen):
+        if idea.gain < max(PROMISING * ideas[0].gain, enough):
+            break
+        if len(chosen) < TRIED or idea.term.effect.name in chosen:
             chosen.setdefault(idea.term.effect.name, []).append(idea)
-    results = [_fitted_best(chain, found, some) for some in chosen.values()]
-    results += [_extended(chain, found, idea) for idea in suggested(chain, found)]
-    return [one for one in results if one is not None]
+    coarse = [(_extended(chain, found, some[0], most_steps=COARSE_STEPS), some) for some in chosen.values()]
+    coarse.sort(key=lambda one: one[0].loss)
+    fine = [_refined(chain, found, first, some) for first, some in coarse[:REFINED]]
+    direct = [_extended(chain, found, idea) for idea in suggested(chain, found)]
+    return [*fine, *(first for first, _ in coarse[REFINED:]), *direct]
 
 
-def _fitted_best(chain: Chain, found: Fitted, ideas: Sequence[Idea]) -> Fitted:
-    """The best fit of one effect: its two best starts, both scopes, every choice."""
-    starts = [ideas[0], *[one for one in ideas[1:] if one.values != ideas[0].values][:1]]
-    best = min((_extended(chain, found, idea) for idea in starts), key=lambda one: one.loss)
-    for scope in ("since", "already"):
+def _refined(chain: Chain, found: Fitted, first: Fitted, ideas: Sequence[Idea]) -> Fitted:
+    """The best fit of one effect: from its second start too, in both scopes, with every choice."""
+    best = fit(chain, first.terms, first.point)
+    others = [idea for idea in ideas[1:] if idea.values != ideas[0].values and idea.gain > 0.3 * ideas[0].gain]
+    for idea in others[:2]:
+        best = min(best, _extended(chain, found, idea), key=lambda one: one.loss)
+    scopes: tuple[Scope, ...] = ("since", "already")
+    for scope in scopes:
         if scope != best.terms[-1].scope:
             best = min(best, _again(chain, best, scope=scope), key=lambda one: one.loss)
     for parameter in best.terms[-1].effect.parameters:
@@ -147,9 +182,9 @@ def _fitted_best(chain: Chain, found: Fitted, ideas: Sequence[Idea]) -> Fitted:
     return best
 
 
-def _extended(chain: Chain, found: Fitted, idea: Idea) -> Fitted:
-    point = found.point
-    return fit(chain, (*found.terms, idea.term), replace(point, values=(*point.values, idea.values)))
+def _extended(chain: Chain, found: Fitted, idea: Idea, most_steps: int = MOST_STEPS) -> Fitted:
+    point = replace(found.point, values=(*found.point.values, idea.values))
+    return fit(chain, (*found.terms, idea.term), point, most_steps=most_steps)
 
 
 def _again(
@@ -161,7 +196,7 @@ def _again(
         last = replace(last, scope=scope)
     if choice is not None:
         last = replace(last, choices=tuple(choice if one[0] == choice[0] else one for one in last.choices))
-    return fit(chain, (*fitted.terms[:-1], last), fitted.point, most_steps=8)
+    return fit(chain, (*fitted.terms[:-1], last), fitted.point, most_steps=6)
 
 
 def suggested(chain: Chain, found: Fitted) -> list[Idea]:

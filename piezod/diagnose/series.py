@@ -1,5 +1,6 @@
 """A recording made ready to be fitted: equal steps, what is believed, how it starts, and its blocks."""
 
+import itertools
 from dataclasses import dataclass, field
 from typing import Literal
 
@@ -52,14 +53,14 @@ class Series:
     path_V: tuple[float, ...] = ()
     temperature_C: Array | None = None
     start_s: float = 0.0
-    between: int = STRAIGHT
+    between: float = STRAIGHT
     blocks: tuple[slice, ...] = field(init=False)
 
     def __post_init__(self) -> None:
         size = self.time_s.size
         count = int(np.clip(self.duration_s / BLOCK_S, FEWEST_BLOCKS, MOST_BLOCKS))
         edges = np.linspace(0, size, min(count, size) + 1).astype(int)
-        blocks = tuple(slice(int(a), int(b)) for a, b in zip(edges[:-1], edges[1:], strict=True))
+        blocks = tuple(slice(int(a), int(b)) for a, b in itertools.pairwise(edges))
         object.__setattr__(self, "blocks", blocks)
 
     @property

@@ -95,9 +95,9 @@ class Context:
     temperature_C
         Where it was recorded, shape (N,) [degC].
     between
-        How the signal at hand runs between two samples. STRAIGHT (0). Above 0 up to 1: it is held until the next sample,
-        and sample k shows it so many parts of a sample after it began. HELD_BEFORE (2): it is held, and sample k shows
-        it just before it ends.
+        How the signal at hand runs between two samples. STRAIGHT (0). Above 0 up to 1: it is held until the next
+        sample, and sample k shows it so many parts of a sample after it began. HELD_BEFORE (2): it is held, and
+        sample k shows it just before it ends.
     """
 
     dt_s: float

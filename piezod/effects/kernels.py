@@ -24,7 +24,7 @@ def first_order_step(y: float, before: float, now: float, keep: float, ramp: flo
 
 @numba.njit(cache=True)
 def first_order_coefficients(time_constant_s: float, dt_s: float, between: float = 0.0) -> tuple[float, float]:
-    """`keep` and `ramp` of `first_order_step`; of an input that is held `ramp` is what its last part of a sample adds."""
+    """`keep` and `ramp` of `first_order_step`; of a held input `ramp` is what its last part of a sample adds."""
     part = dt_s / time_constant_s
     keep = math.exp(-part)
     if between > 0.0:

@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-
 from .records import forward, opening, triangle
 
 HELD = 1e-9  # read at once after its command

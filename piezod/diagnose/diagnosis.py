@@ -1,0 +1,333 @@
+"""From recordings and a model to findings: prepare, search, judge, and say how sure."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from piezod.diagnose.chain import Chain, Term
+from piezod.diagnose.direct import lattice_step_N
+from piezod.diagnose.extended import extended_model
+from piezod.diagnose.findings import Finding, Findings, Place, Rival, Value, Verdict
+from piezod.diagnose.fit import Fitted, Normal, fit
+from piezod.diagnose.guard import Guard, explainable
+from piezod.diagnose.locate import locate
+from piezod.diagnose.places import place_of
+from piezod.diagnose.prepare import Source, chain_of, even, stand_in, started, without_frozen
+from piezod.diagnose.search import Search, search
+from piezod.diagnose.series import Series
+from piezod.effects import EFFECTS
+from piezod.errors import ModelError
+from piezod.identify.scores import nrmse_percent
+from piezod.model import Model
+
+Array = NDArray[np.float64]
+OnProgress = Callable[[str], None]
+
+STILL_EXPLAINABLE = 0.1  # share of what is left, from which a verdict says that something is missing
+SURE = 0.01  # p below which that share is believed
+CLOSED = 0.9  # part of what could be explained, from which it counts as explained
+RIVAL = 0.8  # part of the winner's gain, from which another effect is a rival
+NORMAL_95 = 1.96
+MOST_SPREAD = 20.0  # of an interval on its scale: beyond it a parameter is not determined
+COARSE = 0.5  # of the other noise: a converter's step / sqrt(12) beyond it is a finding
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """Findings and what they rest on.
+
+    Parameters
+    ----------
+    findings
+        The verdict.
+    model
+        The given model with what was found; the given one where nothing was.
+    series
+        All recordings, made ready.
+    base, extended
+        Simulated readings of every recording, the given model's and the extended one's.
+    """
+
+    findings: Findings
+    model: Model
+    series: list[Series]
+    base: list[Array]
+    extended: list[Array]
+
+
+def diagnose(
+    model: Model, asked: Sequence[Source], past: Sequence[Source], notes: Sequence[str], progress: OnProgress
+) -> Diagnosis:
+    """Find what the model leaves out of the recordings.
+
+    Parameters
+    ----------
+    model
+        As it was identified.
+    asked
+        Recordings to explain.
+    past
+        Recordings that the model was identified on; none: its statistics stand for them.
+    notes
+        What was noticed so far.
+    progress
+        Told what is being done.
+
+    Raises
+    ------
+    RecordingError
+        A recording cannot be used.
+    """
+    progress("reading")
+    said = list(notes)
+    series: list[Series] = []
+    frozen: dict[int, list[tuple[int, int]]] = {}
+    for source in (*past, *asked):
+        one, more = even(source, model)
+        one, stretches = without_frozen(started(one, model), model)
+        if stretches:
+            frozen[len(series)] = stretches
+        said += more
+        series.append(one)
+    if not past:
+        series.insert(0, stand_in(model))
+        frozen = {number + 1: stretches for number, stretches in frozen.items()}
+    given = [_given(model, one) for one in series]
+    chain, start = chain_of(series, model)
+    result = search(chain, start, progress)
+    progress("judging what is left")
+    return _judged(model, [*past, *asked], result, given, frozen, said, stand_ins=0 if past else 1)
+
+
+def _given(model: Model, series: Series) -> Array:
+    """Readings that the given model expects, its offset adapted: a tare is no mismatch."""
+    operator = model.hysteresis.operator()
+    operator.run(np.array(series.path_V))
+    expected = operator.run(series.command_V)
+    return expected + float(np.mean((series.reading_N - expected)[series.counts]))
+
+
+def _judged(
+    model: Model,
+    sources: Sequence[Source],
+    result: Search,
+    given: list[Array],
+    frozen: dict[int, list[tuple[int, int]]],
+    notes: list[str],
+    *,
+    stand_ins: int,
+) -> Diagnosis:
+    chain, found = result.chain, result.found
+    normal = Normal.at(chain, found.terms, found.point)
+    residuals = [one.reading_N - modelled for one, modelled in zip(chain.series, normal.readings, strict=True)]
+    left = explainable(chain.series, residuals, normal.readings)
+    before = _rms([one.reading_N - given[k] for k, one in enumerate(chain.series)], chain.series)
+    after = _held_out_rms(chain, found)
+    floor, floor_from = _floor(chain.series, residuals, left)
+    effects = [_finding(result, place) for place in range(len(found.terms))]
+    effects += _read_off(chain.series, frozen, residuals, before)
+    hashes = [""] * stand_ins + [source.sha256 for source in sources]
+    verdict = _verdict(result, left, effects)
+    extended, said = model, list(notes)
+    if found.terms or verdict != "matches":
+        try:
+            extended = extended_model(model, chain, found, hashes)
+        except ModelError as error:
+            said.append(f"no extended model: {error}")
+    asked = [k for k, one in enumerate(chain.series) if one.role == "recording"]
+    measured = np.concatenate([chain.series[k].reading_N[chain.series[k].counts] for k in asked])
+    by_given = np.concatenate([given[k][chain.series[k].counts] for k in asked])
+    by_found = np.concatenate([normal.readings[k][chain.series[k].counts] for k in asked])
+    base_residuals = [one.reading_N - given[k] for k, one in enumerate(chain.series)]
+    findings = Findings(
+        verdict=verdict,
+        words="",
+        unit=model.output.unit,
+        floor=floor,
+        floor_from=floor_from,
+        where=tuple(
+            Place(one.axis, one.low, one.high, one.share, one.p) for one in locate(chain.series, base_residuals, given)
+        ),
+        effects=tuple(effects),
+        before=before,
+        after=min(after, before) if not found.terms else after,
+        nrmse_before=nrmse_percent(measured, by_given),
+        nrmse_after=nrmse_percent(measured, by_found),
+        explainable=left.share,
+        notes=tuple(said),
+        recordings=tuple(
+            {"path": s.recording.source, "sha256": s.sha256, "samples": int(s.recording.time_s.size)} for s in sources
+        ),
+    )
+    findings = replace(findings, words=words_of(findings))
+    return Diagnosis(findings, extended, chain.series, given, normal.readings)
+
+
+def _rms(residuals: Sequence[Array], series: Sequence[Series]) -> float:
+    """Over the recordings asked about."""
+    squares = [np.square(r[s.counts]) for r, s in zip(residuals, series, strict=True) if s.role == "recording"]
+    return float(np.sqrt(np.mean(np.concatenate(squares))))
+
+
+def _held_out_rms(chain: Chain, fitted: Fitted) -> float:
+    """Of blocks left out, over the recordings asked about [output unit]."""
+    powers, samples, first = 0.0, 0.0, 0
+    for series in chain.series:
+        part = slice(first, first + len(series.blocks))
+        first += len(series.blocks)
+        if series.role == "recording":
+            powers += float(fitted.losses[part] @ fitted.samples[part]) * series.noise_N**2
+            samples += float(fitted.samples[part].sum())
+    return float(np.sqrt(powers / samples))
+
+
+def _floor(series: Sequence[Series], residuals: Sequence[Array], left: Guard) -> tuple[float, str]:
+    """What no model could explain: quiet holds where there are some, else the spectrum's high end or the absorber's."""
+    quiet = [
+        value for one, r in zip(series, residuals, strict=True) if one.role == "recording" for value in _holds(one, r)
+    ]
+    rms = _rms(residuals, series)
+    if len(quiet) >= 3:
+        return min(float(np.sqrt(np.mean(np.square(quiet)))), rms), "quiet"
+    return rms * float(np.sqrt(max(1.0 - left.share, 0.0))), "spectrum"
+
+
+def _holds(series: Series, residual: Array) -> list[float]:
+    """Standard deviation of the residual in every stretch of half a second in which the command rests."""
+    size = max(int(0.5 / series.dt_s), 20)
+    found = []
+    for first in range(0, series.command_V.size - size, size):
+        part = slice(first, first + size)
+        if np.ptp(series.command_V[part]) == 0.0 and series.counts[part].all():
+            found.append(float(np.std(residual[part])))
+    return found
+
+
+def _finding(result: Search, place: int) -> Finding:
+    chain, found = result.chain, result.found
+    term, values = found.terms[place], found.point.values[place]
+    terms = [*found.terms[:place], *found.terms[place + 1 :]]
+    others = [*found.point.values[:place], *found.point.values[place + 1 :]]
+    without = fit(chain, terms, replace(found.point, values=tuple(others))) if terms else result.base
+    parameters = {}
+    for one in term.effect.catalogued:
+        value = values[one.name]
+        error = min(NORMAL_95 * found.spread[place].get(one.name, 0.0), MOST_SPREAD)
+        low, high = (
+            (value * np.exp(-error), value * np.exp(error)) if one.logarithmic else (value - error, value + error)
+        )
+        parameters[one.name] = Value(value, one.unit, float(max(low, one.low)), float(min(high, one.high)))
+    rivals = _rivals(result, term)
+    gain = float(np.log(without.loss / found.loss))
+    return Finding(
+        term.effect.name,
+        term.effect.title,
+        _confidence(gain, rivals),
+        term.scope,
+        place_of(term, values, chain),
+        parameters,
+        _held_out_rms(chain, without),
+        _held_out_rms(chain, found),
+        rivals,
+        term.effect.handling,
+        term.effect.why,
+    )
+
+
+def _rivals(result: Search, term: Term) -> tuple[Rival, ...]:
+    """Other effects that came near when this one was accepted, by how far they stay behind in noises."""
+    rivals: list[Rival] = []
+    for round_ in result.rounds:
+        if round_.accepted.terms[-1].effect is not term.effect:
+            continue
+        reached = round_.before.loss - round_.accepted.loss
+        for other in round_.others:
+            effect = other.terms[-1].effect
+            if round_.before.loss - other.loss > RIVAL * reached and effect.name not in {r.name for r in rivals}:
+                behind = max(other.loss - round_.accepted.loss, 0.0)
+                rivals.append(Rival(effect.name, float(np.sqrt(behind)), term.effect.separate_by))
+    return tuple(sorted(rivals, key=lambda rival: rival.separation)[:3])
+
+
+def _confidence(gain: float, rivals: Sequence[Rival]) -> float:
+    """From how much the loss falls and how near the closest rival comes."""
+    nearest = min((rival.separation for rival in rivals), default=3.0)
+    return float(np.clip(0.99 - 0.35 * np.exp(-gain / 0.1) - 0.4 * np.exp(-nearest / 0.15), 0.05, 0.99))
+
+
+def _read_off(
+    series: Sequence[Series], frozen: dict[int, list[tuple[int, int]]], residuals: Sequence[Array], before: float
+) -> list[Finding]:
+    """What the readings show without a fit: frozen stretches, a coarse lattice."""
+    found = []
+    places = tuple(
+        Place("time_s", series[k].start_s + a * series[k].dt_s, series[k].start_s + b * series[k].dt_s)
+        for k, stretches in frozen.items()
+        for a, b in stretches
+        if series[k].role == "recording"
+    )
+    if places:
+        effect = EFFECTS["sensor_dropout"]
+        parameters = {"from_s": places[0].low, "to_s": places[0].high}
+        values = {name: Value(value, "s", value, value) for name, value in parameters.items()}
+        found.append(
+            Finding(
+                effect.name, effect.title, 0.97, "once", places, values, before, before, (), effect.handling, effect.why
+            )
+        )
+    step, rest = _coarsest(series, residuals)
+    if step > 0.0 and step / np.sqrt(12.0) > COARSE * rest:
+        effect = EFFECTS["quantisation"]
+        values = {"step_N": Value(step, "N", 0.99 * step, 1.01 * step)}
+        found.append(
+            Finding(
+                effect.name, effect.title, 0.95, "since", (), values, before, before, (), effect.handling, effect.why
+            )
+        )
+    return found
+
+
+def _coarsest(series: Sequence[Series], residuals: Sequence[Array]) -> tuple[float, float]:
+    """The coarsest lattice among the recordings asked about, and the noise besides it."""
+    steps = [(lattice_step_N(one), k) for k, one in enumerate(series) if one.role == "recording"]
+    step, k = max(steps)
+    spread = float(np.std(residuals[k][series[k].counts]))
+    return step, float(np.sqrt(max(spread**2 - step**2 / 12.0, 0.0)))
+
+
+def _verdict(result: Search, left: Guard, effects: Sequence[Finding]) -> Verdict:
+    missing = left.share > STILL_EXPLAINABLE and left.p < SURE
+    if missing and result.found.terms:
+        gained = result.base.loss - result.found.loss
+        missing = gained < CLOSED * (result.base.loss - (1.0 - left.share) * result.found.loss)
+    if effects:
+        return "partly_explained" if missing else "explained"
+    return "unexplained" if missing else "matches"
+
+
+def words_of(findings: Findings) -> str:
+    """The verdict in a few sentences."""
+    unit = findings.unit
+    parts = []
+    for one in findings.effects:
+        values = ", ".join(
+            f"{name} {value.value:.4g} ({value.low:.4g} to {value.high:.4g}) {value.unit}".rstrip(" 1")
+            for name, value in one.parameters.items()
+        )
+        parts.append(f"{one.title}: {values}")
+    fell = f"held-out error {findings.before:.3g} -> {findings.after:.3g} {unit}, noise {findings.floor:.3g} {unit}"
+    opening = {
+        "matches": "The model matches the recordings; nothing is missing",
+        "explained": "; ".join(parts),
+        "partly_explained": "; ".join(parts),
+        "unexplained": "Something is missing that no effect of the catalogue explains",
+        "not_testable": "The recordings do not excite the bench enough to tell",
+    }[findings.verdict]
+    rest = {
+        "explained": "nothing else is left",
+        "partly_explained": f"a flexible model could still explain {100 * findings.explainable:.0f} % of what is left",
+        "unexplained": f"a flexible model could explain {100 * findings.explainable:.0f} % of what is left",
+    }.get(findings.verdict)
+    return "; ".join(one for one in (opening, fell, rest) if one)

@@ -1,0 +1,101 @@
+"""The model with everything that was found, as a model file holds it."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from piezod.diagnose.chain import Chain
+from piezod.diagnose.fit import Fitted
+from piezod.effects.effect import HELD_BEFORE, STRAIGHT
+from piezod.errors import ModelError
+from piezod.model import Model
+from piezod.model.parameters import EffectValues, Hysteresis, Superposition
+from piezod.operators import EPS
+
+Array = NDArray[np.float64]
+
+PIECES = 30  # of the force law
+SAMPLING = {STRAIGHT: "straight", HELD_BEFORE: "held_before"}
+
+
+def extended_model(model: Model, chain: Chain, found: Fitted, hashes: list[str]) -> Model:
+    """The given model with refitted plays and force law, and the effects.
+
+    Parameters
+    ----------
+    model
+        As it was given.
+    chain, found
+        What the search found.
+    hashes
+        SHA-256 of every recording: effects that belong to one name it.
+
+    Raises
+    ------
+    ModelError
+        The refitted operators have no inverse.
+    """
+    effects = tuple(
+        EffectValues(
+            name=term.effect.name,
+            parameters={key: float(f"{value:.8g}") for key, value in {**values, **dict(term.choices)}.items()},
+            recording=hashes[term.series] if term.scope == "once" else None,
+        )
+        for term, values in zip(found.terms, found.point.values, strict=True)
+    )
+    changed = {
+        "hysteresis": hysteresis_of(chain, found),
+        "effects": effects,
+        "sampling": SAMPLING.get(chain.series[0].between, "held"),
+        "read_after": min(chain.series[0].between, 1.0),
+        "statistics": None,
+    }
+    extended = model.model_copy(update=changed)
+    extended.operator()
+    return extended
+
+
+def hysteresis_of(chain: Chain, found: Fitted) -> Hysteresis:
+    """Density and splines as plays and dead zones."""
+    weights = chain.density.weights(found.point.density)
+    thresholds = np.concatenate(([0.0], chain.density.thresholds_V))
+    low_V, high_V = _stroke_range(chain, found)
+    zones, slopes, offset = _pieces(chain, found, low_V, high_V)
+    slopes = np.maximum(slopes, 2.0 * EPS * slopes.max())
+    if np.cumsum(weights).min() < EPS:
+        raise ModelError(
+            f"the refitted plays fold: their smallest slope is {np.cumsum(weights).min():.3g}, must be at least {EPS}; "
+            "record triangles over the whole range besides"
+        )
+    return Hysteresis(
+        plays=Superposition(thresholds=tuple(thresholds.tolist()), weights=tuple(weights.tolist())),
+        dead_zones=Superposition(thresholds=tuple(zones.tolist()), weights=_outwards(zones, slopes)),
+        offset=offset,
+    )
+
+
+def _stroke_range(chain: Chain, found: Fitted) -> tuple[float, float]:
+    strokes = [chain.run(k, found.terms, found.point).stroke_V for k in range(len(chain.series))]
+    return min(float(one.min()) for one in strokes), max(float(one.max()) for one in strokes)
+
+
+def _pieces(chain: Chain, found: Fitted, low_V: float, high_V: float) -> tuple[Array, Array, float]:
+    """Thresholds with 0 among them, the slope outwards of each, and the output at 0.
+
+    The piece around 0 has one slope; where the strokes begin above 0 the first piece is continued down to it.
+    """
+    knots = np.linspace(low_V, high_V, PIECES + 1)
+    values = chain.law.value(knots, found.point.law)
+    rises = np.diff(values) / np.diff(knots)
+    centre = int(np.clip(np.searchsorted(knots, 0.0, side="right") - 1, 0, PIECES - 1))
+    below, above = np.arange(1, centre + 1), np.arange(centre + 1, PIECES)
+    below = below[knots[below] < 0.0]
+    zones = np.concatenate((knots[below], [0.0], knots[above]))
+    slopes = np.concatenate((rises[below - 1], [rises[centre]], rises[above]))
+    return zones, slopes, float(values[centre] - rises[centre] * knots[centre])
+
+
+def _outwards(zones: Array, slopes: Array) -> tuple[float, ...]:
+    """Weights whose partial sums from the centre outwards are these slopes."""
+    centre = int(np.flatnonzero(zones == 0.0)[0])
+    lower = np.diff(slopes[centre::-1])[::-1]
+    return tuple(np.concatenate((lower, [slopes[centre]], np.diff(slopes[centre:]))).tolist())

@@ -1,0 +1,197 @@
+"""What a diagnosis says, as the rest of the program and other programs read it (`findings.json`)."""
+
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+Verdict = Literal["matches", "explained", "partly_explained", "unexplained", "not_testable"]
+SCHEMA = "piezod.findings/1"
+
+
+@dataclass(frozen=True)
+class Place:
+    """Where something is.
+
+    Parameters
+    ----------
+    axis
+        time_s, frequency_Hz, voltage_V, rate_V_per_s, force_N, amplitude_V, history_s, temperature_C or direction.
+    low, high
+        On that axis; equal for a line.
+    share
+        Part of the unexplained energy.
+    p
+        Family-wise, 1 where it was not tested.
+    """
+
+    axis: str
+    low: float
+    high: float
+    share: float = 0.0
+    p: float = 1.0
+
+    def as_dict(self) -> dict[str, Any]:
+        """For JSON."""
+        return {"axis": self.axis, "low": self.low, "high": self.high, "share": self.share, "p": self.p}
+
+
+@dataclass(frozen=True)
+class Value:
+    """A parameter with its interval (95 %)."""
+
+    value: float
+    unit: str
+    low: float
+    high: float
+
+    def as_dict(self) -> dict[str, Any]:
+        """For JSON."""
+        return {"value": self.value, "unit": self.unit, "low": self.low, "high": self.high}
+
+
+@dataclass(frozen=True)
+class Rival:
+    """An effect that would explain the same almost as well.
+
+    Parameters
+    ----------
+    name
+        Of the catalogue.
+    separation
+        Root mean square difference of what both say about these recordings, in units of the noise.
+    separate_by
+        The experiment that would tell them apart.
+    """
+
+    name: str
+    separation: float
+    separate_by: str
+
+    def as_dict(self) -> dict[str, Any]:
+        """For JSON."""
+        return {"name": self.name, "separation": self.separation, "separate_by": self.separate_by}
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One effect that was found.
+
+    Parameters
+    ----------
+    name, title
+        Of the catalogue.
+    confidence
+        Share of such findings that are right, from concealed cases.
+    scope
+        "already" there when the model was identified, "since", or "once" in one recording.
+    where
+        Its places.
+    parameters
+        By name.
+    before, after
+        Root mean square error on data left out, without it and with it [output unit].
+    rivals
+        Closest first.
+    handling, why
+        What the compensator does about it.
+    """
+
+    name: str
+    title: str
+    confidence: float
+    scope: str
+    where: tuple[Place, ...]
+    parameters: dict[str, Value]
+    before: float
+    after: float
+    rivals: tuple[Rival, ...] = ()
+    handling: str = ""
+    why: str = ""
+
+    def as_dict(self, unit: str) -> dict[str, Any]:
+        """For JSON."""
+        return {
+            "name": self.name,
+            "confidence": self.confidence,
+            "scope": self.scope,
+            "where": [place.as_dict() for place in self.where],
+            "parameters": {name: value.as_dict() for name, value in self.parameters.items()},
+            "held_out": {"before": self.before, "after": self.after, "unit": unit},
+            "rivals": [rival.as_dict() for rival in self.rivals],
+            "handling": self.handling,
+        }
+
+
+@dataclass(frozen=True)
+class Findings:
+    """The whole verdict.
+
+    Parameters
+    ----------
+    verdict
+        In one word.
+    words
+        In one or two sentences.
+    unit
+        Of the output.
+    floor, floor_from
+        Noise [output unit], and what it was read from: repeats, quiet or spectrum.
+    where
+        Where the given model is wrong.
+    effects
+        What was found, the largest first.
+    before, after
+        Root mean square error of given and extended model on data left out [output unit].
+    nrmse_before, nrmse_after
+        Fit as MATLAB's `compare` defines it [%].
+    explainable
+        Share of what is left that a flexible model could still explain.
+    notes
+        What was noticed on the way.
+    recordings
+        Path, SHA-256 and samples of each.
+    """
+
+    verdict: Verdict
+    words: str
+    unit: str
+    floor: float
+    floor_from: str
+    where: tuple[Place, ...]
+    effects: tuple[Finding, ...]
+    before: float
+    after: float
+    nrmse_before: float
+    nrmse_after: float
+    explainable: float
+    notes: tuple[str, ...] = ()
+    recordings: tuple[dict[str, Any], ...] = field(default_factory=tuple)
+
+    @property
+    def gap_closed(self) -> float | None:
+        """(e0^2 - e1^2) / (e0^2 - floor^2), None where there was no gap."""
+        gap = self.before**2 - self.floor**2
+        return (self.before**2 - self.after**2) / gap if gap > 0.02 * self.floor**2 else None
+
+    def as_dict(self) -> dict[str, Any]:
+        """For JSON (DESIGN.md, section 6)."""
+        return {
+            "schema": SCHEMA,
+            "verdict": self.verdict,
+            "words": self.words,
+            "noise_floor": {"value": self.floor, "unit": self.unit, "from": self.floor_from},
+            "where": [place.as_dict() for place in self.where],
+            "effects": [one.as_dict(self.unit) for one in self.effects],
+            "fit": {
+                "unit": self.unit,
+                "held_out": {
+                    "before": self.before,
+                    "after": self.after,
+                    "floor": self.floor,
+                    "gap_closed": self.gap_closed,
+                },
+                "nrmse_percent": {"before": self.nrmse_before, "after": self.nrmse_after},
+            },
+            "unexplained": {"explainable_share": self.explainable},
+            "notes": list(self.notes),
+            "recordings": list(self.recordings),
+        }

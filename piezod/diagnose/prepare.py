@@ -1,0 +1,226 @@
+"""Recordings and the given model made ready: equal steps, noise, starts, frozen readings, a stand-in for the past."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from piezod.diagnose.basis import ForceLaw, PlayDensity
+from piezod.diagnose.chain import Chain, Point, empty_point
+from piezod.diagnose.direct import frozen_stretches, lattice_step_N
+from piezod.diagnose.series import Role, Series
+from piezod.errors import RecordingError
+from piezod.excitation import varying_triangles
+from piezod.identify.start import estimate_path, start_at_zero, starts_at_rest
+from piezod.model import Model, file_sha256
+from piezod.recording import Recording, read_recording
+
+Array = NDArray[np.float64]
+
+FEWEST_SAMPLES = 500
+UNEVEN = 0.01  # of a step; beyond it a recording is resampled
+STAND_IN_SAMPLES = 6000  # of the excitation that stands for recordings which are no longer there
+START_LOOKED_AT_S = 20.0
+
+
+@dataclass(frozen=True)
+class Source:
+    """A recording as it was given.
+
+    Parameters
+    ----------
+    recording
+        Its channels.
+    sha256
+        Of the file.
+    role
+        Whether the model was identified on it.
+    """
+
+    recording: Recording
+    sha256: str
+    role: Role
+
+    @property
+    def name(self) -> str:
+        """Its file's name."""
+        return Path(self.recording.source).name or self.recording.source
+
+
+def read_source(path: Path, role: Role) -> Source:
+    """Read a recording whole.
+
+    Raises
+    ------
+    RecordingError
+        It cannot be read.
+    """
+    return Source(read_recording(path), file_sha256(path), role)
+
+
+def past_sources(model: Model, folder: Path, given: Sequence[Source]) -> tuple[list[Source], list[str]]:
+    """The recordings that the model was identified on, where they are still there and the same.
+
+    Parameters
+    ----------
+    model
+        Its provenance names them.
+    folder
+        Of the model file; relative paths start there too.
+    given
+        Recordings asked about; one that the model was identified on is not taken twice.
+
+    Returns
+    -------
+    sources, notes
+        What was found, and a line for each that was not.
+    """
+    found, notes = [], []
+    asked = {one.sha256 for one in given}
+    for source in model.provenance.recordings:
+        places = (Path(source.path), folder / source.path, folder / Path(source.path).name)
+        path = next((one for one in places if one.is_file() and file_sha256(one) == source.sha256), None)
+        if source.sha256 in asked:
+            continue
+        if path is None:
+            notes.append(f"{source.path}, which the model was identified on, is not there or not the same any more")
+        else:
+            found.append(read_source(path, "identification"))
+    return found, notes
+
+
+def even(source: Source, model: Model) -> tuple[Series, list[str]]:
+    """A recording on equal steps.
+
+    Raises
+    ------
+    RecordingError
+        It has not the model's columns, too few samples, or an input that is not known.
+    """
+    recording, notes = source.recording, []
+    u, y = recording.channel(model.input.channel), recording.channel(model.output.channel)
+    if u.size < FEWEST_SAMPLES:
+        raise RecordingError(
+            f"{recording.source}: has {u.size} samples, needs at least {FEWEST_SAMPLES} to be diagnosed"
+        )
+    steps = np.diff(recording.time_s)
+    dt_s = float(np.median(steps))
+    if np.max(np.abs(steps - dt_s)) > UNEVEN * dt_s:
+        recording = recording.resampled(dt_s)
+        u, y = recording.channel(model.input.channel), recording.channel(model.output.channel)
+        notes.append(f"{source.name}: samples are not evenly spaced; resampled to {dt_s:.6g} s")
+    if not np.isfinite(u).all():
+        raise RecordingError(
+            f"{recording.source}: {model.input.channel} has {np.count_nonzero(~np.isfinite(u))} missing samples: "
+            "the memory cannot be followed across them; cut the recording there"
+        )
+    temperature = next(
+        (recording.channels[n] for n in ("temperature_C", "temperature_degC") if n in recording.channels), None
+    )
+    time_s = recording.time_s - recording.time_s[0]
+    good = np.isfinite(y)
+    if np.count_nonzero(good) < FEWEST_SAMPLES:
+        raise RecordingError(
+            f"{recording.source}: {model.output.channel} has {np.count_nonzero(good)} readings, needs {FEWEST_SAMPLES}"
+        )
+    readings = np.nan_to_num(y)
+    noise = noise_of(u, readings, good)
+    series = Series(
+        source.name,
+        source.role,
+        time_s,
+        np.ascontiguousarray(u),
+        readings,
+        good,
+        noise,
+        temperature_C=None if temperature is None else np.nan_to_num(temperature, nan=float(np.nanmedian(temperature))),
+        start_s=float(recording.time_s[0]),
+    )
+    return series, notes
+
+
+def noise_of(u: Array, y: Array, good: NDArray[np.bool_]) -> float:
+    """Standard deviation of a recording's noise, from second differences where the drive moves least."""
+    bends, drive = np.diff(y, 2), np.abs(np.diff(u, 2))
+    usable = good[2:] & good[1:-1] & good[:-2]
+    if np.count_nonzero(usable) < 100:
+        return max(1e-4 * float(np.ptp(y[good])), 1e-12)
+    quiet = usable & (drive <= np.percentile(drive[usable], 50))
+    spread = 1.4826 * float(np.median(np.abs(bends[quiet]))) / float(np.sqrt(6.0))
+    return max(spread, 2e-5 * float(np.ptp(y[good])), 1e-12)
+
+
+def stand_in(model: Model) -> Series:
+    """A recording simulated from the model, for those it was identified on when they are gone.
+
+    It weighs as the samples behind the model's statistics do.
+    """
+    peak = model.input.high
+    rate_Hz = STAND_IN_SAMPLES / 150.0
+    u = varying_triangles(peak - min(model.input.low, 0.0), 0.1, 15, rate_Hz) + min(model.input.low, 0.0)
+    operator = model.operator()
+    y = operator.run(u)
+    noise = model.provenance.fit.rms_fit or 1e-3 * float(np.ptp(y))
+    return Series(
+        "the model's own statistics", "identification", np.arange(u.size) / rate_Hz, u, y, np.ones(u.size, bool), noise
+    )
+
+
+def started(series: Series, model: Model) -> Series:
+    """The same with the voltages that led to its start, under the model as it was given."""
+    u, y = series.command_V, series.reading_N
+    window = int(min(max(START_LOOKED_AT_S / series.dt_s, 0.2 * u.size), u.size))
+    counts = series.counts[:window]
+    if starts_at_rest(u):
+
+        def loss(path: tuple[float, ...]) -> float:
+            operator = model.hysteresis.operator()
+            operator.run(np.array(path))
+            error = (y[:window] - operator.run(u[:window]))[counts]
+            return float(np.mean((error - np.median(error)) ** 2))
+
+        return replace(series, path_V=start_at_zero(u[:window], model.input.unit, loss).path)
+    operator = model.hysteresis.operator()
+    known = np.where(series.counts, y, np.nan)
+    return replace(series, path_V=estimate_path(operator, u, known - np.nanmedian(known - operator.run(u)), window))
+
+
+def without_frozen(series: Series, model: Model) -> tuple[Series, list[tuple[int, int]]]:
+    """The same without readings that are frozen, and where they are."""
+    operator = model.hysteresis.operator()
+    operator.run(np.array(series.path_V))
+    expected = operator.run(series.command_V)
+    stretches = frozen_stretches(series, expected)
+    counts = series.counts.copy()
+    for first, end in stretches:
+        counts[first + 1 : end] = False
+    return replace(series, counts=counts), stretches
+
+
+def chain_of(series: Sequence[Series], model: Model) -> tuple[Chain, Point]:
+    """Recordings and a base to begin from."""
+    low = min(float(one.command_V.min()) for one in series)
+    high = max(float(one.command_V.max()) for one in series)
+    swing = high - low
+    virgin = any(not one.path_V and starts_at_rest(one.command_V) for one in series)
+    reach = 0.995 * (max(abs(low), abs(high)) if virgin else 0.5 * swing)
+    law = ForceLaw(low - 0.03 * swing, high)
+    chain = Chain(series, PlayDensity.up_to(reach), law, model.output.high - model.output.low)
+    gain = (model.output.high - model.output.low) / (model.input.high - model.input.low)
+    return chain, empty_point(chain, gain, model.output.low - gain * model.input.low)
+
+
+__all__ = [
+    "Source",
+    "chain_of",
+    "even",
+    "lattice_step_N",
+    "noise_of",
+    "past_sources",
+    "read_source",
+    "stand_in",
+    "started",
+    "without_frozen",
+]
