@@ -25,6 +25,7 @@ from piezod.operators.dead_zone import inverse_dead_zone, shifted
 Array = NDArray[np.float64]
 
 MOST_STEPS = 12
+MOST_RESCALED = 3
 SMALLEST_GAIN = 1e-8  # share of the squared error that a further step must promise
 
 
@@ -81,8 +82,14 @@ def fit_hysteresis(
     inverse_weights = zone_weights_of(structure.zone_thresholds, slopes[free:])
     zones, zone_weights = inverse_dead_zone(structure.zone_thresholds, inverse_weights)
     parameters = np.concatenate((slopes[:free], zone_slopes_of(zones, zone_weights)))
-    direct = constraints.for_direct(zones.size, eps * float(parameters[free:].max()))
-    parameters = _refine(structure, zones, parameters, recordings, direct)
+    for _ in range(MOST_RESCALED):  # the smallest slope is a part of the steepest, which the fit may raise
+        steepest = float(parameters[free:].max())
+        direct = constraints.for_direct(zones.size, eps * steepest)
+        parameters[free:] = np.maximum(parameters[free:], eps * steepest)
+        parameters = _refine(structure, zones, parameters, recordings, direct)
+        if parameters[free:].min() >= eps * parameters[free:].max():
+            break
+    parameters[free:] = np.maximum(parameters[free:], (1.0 + 1e-9) * eps * parameters[free:].max())
     statistics = _statistics(structure, zones, parameters, recordings)
     return Fit(structure, _as_hysteresis(structure, zones, parameters, eps), gram, _condition(gram), statistics)
 

@@ -12,7 +12,7 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
-from piezod.errors import RecordingError
+from piezod.errors import ModelError, RecordingError
 from piezod.operators import PrandtlIshlinskii
 
 Array = NDArray[np.float64]
@@ -22,7 +22,7 @@ AT_REST = 0.02  # share of the input's swing around zero that counts as a drive 
 REVERSALS_TRIED = 41
 PEAKS_TRIED = (0.15, 0.3, 0.45, 0.6, 0.75, 0.9, 1.0)  # of the largest input, old peaks before a start at zero
 REFINEMENTS = 5  # of the old peak, each halves the distance between two that are tried
-CLEARLY = 0.9  # share of the squared error below which a used stack is believed rather than a virgin one
+CLEARLY = 0.8  # share of the squared error below which a used stack is believed rather than a virgin one
 
 
 def starts_at_rest(u: Array) -> bool:
@@ -72,7 +72,7 @@ def start_at_zero(u: Array, unit: str, loss: Callable[[Path], float]) -> Start:
     def tried(path: Path) -> float:
         try:
             return loss(path)
-        except RecordingError:
+        except (RecordingError, ModelError):
             return float("inf")
 
     extreme = max(float(u.max()), -float(u.min()), key=abs)

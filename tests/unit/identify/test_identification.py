@@ -78,6 +78,18 @@ def test_a_tenth_of_a_percent_of_noise_costs_less_than_a_twentieth_of_itself_on_
     assert np.sqrt(np.mean(error**2)) <= 1.05 * noise
 
 
+@pytest.mark.parametrize(("plays", "zones"), [(7, 3), (20, 4), (30, 8)])
+def test_variant_a_finds_a_known_model_without_negative_weights_to_1e_8(plays, zones):
+    operator, structure = known_operator(plays, zones, two_sided=False, seed=plays)
+    weights = np.abs(operator.plays[1])
+    weights /= np.sum(weights * (1.0 - operator.plays[0] / U_MAX))
+    operator = PrandtlIshlinskii(operator.plays[0], weights, *operator.dead_zones)
+    u = excitation(two_sided=False)
+    fit = fit_hysteresis(structure, all_samples(u, operator.run(u)), variant="A")
+    np.testing.assert_allclose(fit.hysteresis.plays.weights, weights, rtol=0, atol=1e-8)
+    np.testing.assert_allclose(fit.hysteresis.dead_zones.weights, operator.dead_zones[1], rtol=0, atol=1e-8)
+
+
 def test_variant_a_gives_no_negative_weight_where_variant_b_finds_the_true_one():
     operator, structure = known_operator(7, 0, False, seed=3)
     weights = operator.plays[1].copy()
