@@ -1,16 +1,28 @@
 """What must hold before a voltage is written, and the first step that is: it must raise the force."""
 
+import time
+from collections.abc import Callable
 from math import ceil, isfinite, isnan
 
 from piezod.config import ArmingConfig, BenchConfig, SignCheckConfig
 from piezod.errors import CheckFailedError
 from piezod.transport import ExchangeResult, Link, verify_identity
 
+MOST_LOOKS = 20  # for one new sample
 FEWEST_SAMPLES = 4  # that a force is averaged over, whatever the rate
 
 
-def check_ready(bench: BenchConfig, link: Link) -> None:
+def check_ready(bench: BenchConfig, link: Link, sleep: Callable[[float], None] = time.sleep) -> None:
     """Identity, map version, two readings that agree, rest, and a device watchdog that reads back; writes no voltage.
+
+    Parameters
+    ----------
+    bench
+        What must hold.
+    link
+        Opened.
+    sleep
+        Lets seconds pass.
 
     Raises
     ------
@@ -24,6 +36,7 @@ def check_ready(bench: BenchConfig, link: Link) -> None:
     check_named(bench)
     verify_identity(link)
     first_N = _force_at_rest(bench, link)
+    _await_another_sample(bench, link, sleep)
     second_N = _force_at_rest(bench, link)
     span_N = bench.limits.force_trip_N - bench.limits.force_min_N
     within_N = bench.arming.agree_within_N or 0.05 * span_N
@@ -61,6 +74,20 @@ def check_named(bench: BenchConfig) -> None:
             "arming: limits.device_watchdog_ms is 0, must be above 0: the output would stay on when this machine dies; "
             "set it, or list device_watchdog in arming.without"
         )
+
+
+def _await_another_sample(bench: BenchConfig, link: Link, sleep: Callable[[float], None]) -> None:
+    """Two readings of the same sample agree however broken the load cell is."""
+    before = link.reading.heartbeat
+    for _ in range(MOST_LOOKS):
+        sleep(bench.dt_s)
+        if not link.has("heartbeat"):
+            return
+        if link.poll() == ExchangeResult.OK and link.reading.heartbeat != before:
+            return
+    raise CheckFailedError(
+        f"arming: {link.description}: heartbeat stands at {before} for {MOST_LOOKS} ticks; does the device sample?"
+    )
 
 
 def _check_at_rest(arming: ArmingConfig, readback_V: float, safe_V: float) -> None:

@@ -15,7 +15,7 @@ from piezod.daemon.lock import BenchLock
 from piezod.errors import CheckFailedError, UnreachableError
 from piezod.transport import ExchangeResult, Link
 
-LOCK_WITHIN_S = 15.0  # a control process whose parent was killed ramps down by itself, and holds the lock until then
+LOCK_WITHIN_S = 2.0  # and the time of a ramp: a control process whose parent was killed holds the lock until its end
 LOOKS = 5
 LOOK_AGAIN_S = 0.05
 
@@ -38,7 +38,9 @@ def stop_directly(path: Path) -> str:
         The output is not known, or did not come to rest.
     """
     bench = load_without_model(path)
-    lock = BenchLock(bench.lock_path, wait_s=LOCK_WITHIN_S)
+    limits = bench.limits
+    ramp_s = (limits.voltage_max_V - limits.voltage_min_V) / limits.ramp_down_V_per_s
+    lock = BenchLock(bench.lock_path, wait_s=LOCK_WITHIN_S + ramp_s)
     try:
         with opened_link(bench) as link:
             return _bring_to_rest(bench, link)

@@ -1,6 +1,6 @@
 """An emulated bench inside the test: its time is turned by hand, its wire has faults, its output is judged.
 
-What is judged is the output of `firmware_sim`'s amplifier, physics step by physics step, never what the daemon believes.
+What is judged is the output of the emulated amplifier, physics step by physics step, never what the daemon believes.
 """
 
 import struct
@@ -131,25 +131,29 @@ class FaultyWire:
             self.broken = self.connected = False
             return ExchangeResult.DISCONNECTED
         fault, amount = self.faults.pop(0) if self.faults else ("", 0)
-        if fault == "late":
-            self.clock.time_ns += amount * MS
+        self.clock.time_ns += MS // 20 + (amount * MS if fault == "late" else 0)
         if fault == "lost":
             return self.time_out()
         if fault == "refused":
             return ExchangeResult.DEVICE_EXCEPTION
-        _, unit_id, transaction, frame = self.framer.decode(bytes(request.frame))
-        reply = self.framer.buildFrame(self.unit.reply(frame, unit_id, transaction))
+        reply = self.answer(bytes(request.frame))
         if fault == "unanswered":
             return self.time_out()
         if fault == "garbled":
             self.connected = False
             return ExchangeResult.MALFORMED
+        return self.take(reply, request)
+
+    def answer(self, sent):
+        _, unit_id, transaction, frame = self.framer.decode(sent)
+        return self.framer.buildFrame(self.unit.reply(frame, unit_id, transaction))
+
+    def take(self, reply, request):
         self.buffer[: len(reply)] = reply
         if len(reply) != request.reply_size or not reply.startswith(bytes(request.reply_head)):
             return classify(self.buffer, request, len(reply))[0]
         if self.lie is not None and request.reads and len(reply) > 30:
             self.buffer[FORCE_AT : FORCE_AT + 4] = struct.pack(">f", self.lie(self.force_N()))
-        self.clock.time_ns += MS // 20
         return ExchangeResult.OK
 
     def force_N(self):

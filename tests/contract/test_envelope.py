@@ -1,4 +1,4 @@
-"""In no sequence of faults, commands and ticks does the amplifier leave its range or its slew: judged at the amplifier."""
+"""In no sequence of faults, commands and ticks does the amplifier leave its range or its slew."""
 
 import contextlib
 import os
@@ -122,6 +122,10 @@ class Envelope(RuleBasedStateMachine):
             self.clock.wait()
         self.device.catch_up()
 
+    def sleep(self, duration_s):
+        self.clock.time_ns += round(1e9 * duration_s)
+        self.device.catch_up()
+
     @rule(ticks=st.integers(1, 400))
     def tick(self, ticks):
         self.run(ticks)
@@ -152,7 +156,7 @@ class Envelope(RuleBasedStateMachine):
         reference = TableReference(values, ramp_down_on_lapse=not hold)
         if self.state is State.DISARMED:
             with contextlib.suppress(PiezodError):
-                check_ready(self.config, self.link)
+                check_ready(self.config, self.link, self.sleep)
                 self.loop.arm(Segment(kind, reference, compensator, reset))
                 self.was_driving = self.loop.supervisor.driving
 
