@@ -26,13 +26,22 @@ class Firmware(Section):
     fault_bits: Literal[0, 8, 16, 24, 32, 40, 48, 56] = 0
 
 
+class Tls(Section):
+    """Modbus/TCP Security: PEM files of the device's certificate and key, and of who signs its clients'."""
+
+    certificate: Annotated[str, Field(min_length=1)]
+    key: Annotated[str, Field(min_length=1)]
+    ca: Annotated[str, Field(min_length=1)]
+
+
 class Tcp(Section):
-    """Modbus TCP; port 0 takes a free one."""
+    """Modbus TCP; port 0 takes a free one. With `tls` nobody is answered in plain, or without a certificate."""
 
     host: str = "127.0.0.1"
     port: PortNumber = 15020
     unit_id: UnitId = 1
     one_client: bool = False
+    tls: Tls | None = None
 
 
 class Rtu(Section):

@@ -1,12 +1,13 @@
 """Modbus TCP: pymodbus' socket framer on an asyncio protocol."""
 
 import asyncio
+import ssl
 
 from pymodbus.framer import FramerSocket
 from pymodbus.pdu import ExceptionResponse
 
-from firmware_sim.config import Tcp
-from firmware_sim.errors import PortBusyError
+from firmware_sim.config import Tcp, Tls
+from firmware_sim.errors import ConfigurationError, PortBusyError
 from firmware_sim.modbus import ModbusUnit
 
 LONGEST_ADU = 260
@@ -89,12 +90,28 @@ async def serve_tcp(unit: ModbusUnit, settings: Tcp) -> asyncio.Server:
     ------
     PortBusyError
         Another program holds it.
+    ConfigurationError
+        Certificate, key or CA cannot be used.
     """
     loop = asyncio.get_running_loop()
     clients: set[asyncio.Transport] = set()
+    context = None if settings.tls is None else _context(settings.tls)
     try:
         return await loop.create_server(
-            lambda: ModbusTcpProtocol(unit, settings, clients), settings.host, settings.port
+            lambda: ModbusTcpProtocol(unit, settings, clients), settings.host, settings.port, ssl=context
         )
     except OSError as error:
         raise PortBusyError(f"{settings.host}:{settings.port} cannot be served: {error.strerror}") from None
+
+
+def _context(tls: Tls) -> ssl.SSLContext:
+    """Build what shows the device's certificate and asks every client for one."""
+    context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
+    context.minimum_version = ssl.TLSVersion.TLSv1_2
+    context.verify_mode = ssl.CERT_REQUIRED
+    try:
+        context.load_cert_chain(tls.certificate, tls.key)
+        context.load_verify_locations(cafile=tls.ca)
+    except (OSError, ssl.SSLError) as error:
+        raise ConfigurationError(f"tcp.tls: {tls.certificate}, {tls.key} or {tls.ca} cannot be used: {error}") from None
+    return context

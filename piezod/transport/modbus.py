@@ -250,6 +250,8 @@ class ModbusLink:
         if result is ExchangeResult.DEVICE_EXCEPTION:
             name = TRANSIENT_EXCEPTIONS.get(code, "unknown")
             raise TemporaryError(f"{where}: exception {code}, {name}: try again")
+        if result is ExchangeResult.DISCONNECTED and self._wire.framing == "tcp" and self._wire.hint:
+            raise ConfigurationError(f"{where}: {self._wire.hint}")
         if result is ExchangeResult.DISCONNECTED and self._wire.framing == "tcp" and not self._wire.answered:
             raise BusyError(f"{where}: connection closed without a reply: another client may hold the device")
         if result in (ExchangeResult.TIMEOUT, ExchangeResult.DISCONNECTED):

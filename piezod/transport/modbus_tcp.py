@@ -11,6 +11,7 @@ import contextlib
 import os
 import select
 import socket
+import ssl
 from time import monotonic
 from typing import Any
 
@@ -18,6 +19,8 @@ from piezod.config.link import ModbusTcpLink
 from piezod.errors import BusyError, ConfigurationError, UnreachableError
 from piezod.transport.frames import MBAP_BYTES, Framing, Request, classify
 from piezod.transport.link import ExchangeResult
+from piezod.transport.tls import REFUSAL_S as TLS_REFUSAL_S
+from piezod.transport.tls import TlsStream, make_context, refusal
 
 RECONNECT_S = 0.05  # between two attempts to connect; a tick is no place to hammer a dead device
 REFUSAL_S = 0.01  # a device that serves one client closes a second connection at once
@@ -27,6 +30,9 @@ MOST_STALE_BYTES = 65536  # a peer that sends more unasked is no Modbus device
 _OK = ExchangeResult.OK
 _TIMEOUT = ExchangeResult.TIMEOUT
 _DISCONNECTED = ExchangeResult.DISCONNECTED
+
+
+Connection = socket.socket | TlsStream
 
 
 class TcpWire:
@@ -42,6 +48,7 @@ class TcpWire:
         "_address",
         "_buffer",
         "_config",
+        "_context",
         "_family",
         "_not_before_s",
         "_poll",
@@ -58,8 +65,9 @@ class TcpWire:
 
     def __init__(self, config: ModbusTcpLink) -> None:
         self._config = config
-        self._socket: socket.socket | None = None
-        self._poll = select.poll()
+        self._socket: Connection | None = None
+        self._poll: select.poll | TlsStream = select.poll()
+        self._context: ssl.SSLContext | None = None
         self._family = socket.AF_INET
         self._address: Any = None
         self._buffer = bytearray(RECEIVE_BYTES)
@@ -73,7 +81,8 @@ class TcpWire:
     @property
     def description(self) -> str:
         """Kind and address, for people."""
-        return f"modbus_tcp {self._config.host}:{self._config.port} unit {self._config.unit_id}"
+        kind = "modbus_tcp" if self._config.tls is None else "modbus_tcp with tls"
+        return f"{kind} {self._config.host}:{self._config.port} unit {self._config.unit_id}"
 
     def open(self) -> None:
         """Resolve the host and connect.
@@ -88,7 +97,7 @@ class TcpWire:
         self.close()
         host, port = self._config.host, self._config.port
         if self._config.tls is not None:
-            raise ConfigurationError("link.tls is set, but this version speaks plain Modbus only; nothing was sent")
+            self._context = make_context(self._config.tls)
         try:
             found = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)
         except (OSError, UnicodeError) as error:
@@ -102,6 +111,8 @@ class TcpWire:
         failure = OSError("no address")
         for family, _, _, _, address in found:
             self._family, self._address = family, address
+            if words := self._config.refusal_of(address[0]):
+                raise ConfigurationError(f"link.{words}")
             try:
                 self._connect(deadline_s)
                 turned_away = self._is_turned_away()
@@ -115,9 +126,12 @@ class TcpWire:
                 return
             self.close()
             where = f"link: {self._config.host}:{self._config.port}"
-            raise BusyError(f"{where} closed the connection at once: another client may hold the device; stop it first")
+            doubt = "" if self._context is None else ", or it refuses link.tls.certificate"
+            raise BusyError(
+                f"{where} closed the connection at once: another client may hold the device{doubt}; stop it first"
+            )
         self.close()
-        raise UnreachableError(self._explain(failure)) from failure
+        raise refusal(self._config, failure) or UnreachableError(self._explain(failure)) from failure
 
     def _explain(self, error: OSError) -> str:
         """Say why there is no connection."""
@@ -172,7 +186,7 @@ class TcpWire:
             self._after_failure(result)
         return result
 
-    def _receive(self, connection: socket.socket, request: Request, deadline_s: float) -> ExchangeResult:
+    def _receive(self, connection: Connection, request: Request, deadline_s: float) -> ExchangeResult:
         """Wait for the reply; the good one, whole and alone, takes the first branch."""
         buffer, view, head, size = self._buffer, self.payload, request.reply_head, request.reply_size
         received, strangers, space = 0, 0, view
@@ -223,7 +237,7 @@ class TcpWire:
         self.exception_code = code or self.exception_code
         return result, 0
 
-    def _drain(self, connection: socket.socket) -> bool:
+    def _drain(self, connection: Connection) -> bool:
         """Discard what came unasked; False when the other side has closed or does not stop."""
         most = self.stale_bytes + MOST_STALE_BYTES
         while self.stale_bytes < most:
@@ -235,7 +249,7 @@ class TcpWire:
                 return True
         return False
 
-    def _send_rest(self, connection: socket.socket, frame: bytearray, sent: int, deadline_s: float) -> None:
+    def _send_rest(self, connection: Connection, frame: bytearray, sent: int, deadline_s: float) -> None:
         """Send what the kernel did not take at once; raises TimeoutError."""
         waiter = select.poll()
         waiter.register(connection, select.POLLOUT)
@@ -248,6 +262,8 @@ class TcpWire:
         """Close what can no longer be trusted; after one late reply the next attempt to connect need not wait."""
         if result is ExchangeResult.DEVICE_EXCEPTION or self._socket is None:
             return
+        if isinstance(self._socket, TlsStream) and self._socket.reason:
+            self.hint = f"the device ended TLS: {self._socket.reason}; check both certificates"
         if result in (_TIMEOUT, _DISCONNECTED, ExchangeResult.WRONG_TRANSACTION, ExchangeResult.MALFORMED):
             if result is _TIMEOUT and self.answered:
                 self._not_before_s = 0.0
@@ -268,7 +284,12 @@ class TcpWire:
         error = connection.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR)
         if error:
             raise OSError(error, os.strerror(error))
-        self._poll.register(connection, select.POLLIN)
+        if self._context is not None:
+            name = self._config.tls.server_name if self._config.tls is not None else None
+            self._socket = self._poll = TlsStream(connection, self._context, name or self._config.host, deadline_s)
+        else:
+            self._poll = select.poll()
+            self._poll.register(connection, select.POLLIN)
         self.generation += 1
         self.answered = False
 
@@ -276,12 +297,14 @@ class TcpWire:
         """Whether the device closes the connection at once, as one that serves a single client does to a second."""
         connection = self._socket
         assert connection is not None
+        if isinstance(connection, TlsStream):
+            if connection.poll(1e3 * TLS_REFUSAL_S) and connection.reason:
+                raise ssl.SSLError(1, connection.reason)
+            return connection.ended
         return bool(self._poll.poll(1e3 * REFUSAL_S)) and not connection.recv(1, socket.MSG_PEEK)
 
     def _disconnect(self) -> None:
         if self._socket is None:
             return
-        with contextlib.suppress(KeyError, ValueError, OSError):
-            self._poll.unregister(self._socket)
         self._socket.close()
         self._socket = None

@@ -15,10 +15,10 @@ EMULATOR = ROOT / "config" / "emulator.yaml"
 
 
 @contextlib.contextmanager
-def emulator(*arguments):
+def emulator(*arguments, config=EMULATOR):
     """Start it, yield what it serves, end it by its id."""
     process = subprocess.Popen(
-        [sys.executable, "-m", "firmware_sim", str(EMULATOR), "--until-stdin-closes", *arguments],
+        [sys.executable, "-m", "firmware_sim", str(config), "--until-stdin-closes", *arguments],
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         text=True,

@@ -371,3 +371,11 @@ def test_another_word_order_is_named(tcp):
     server.bench.memory[4:8] = big[2:] + big[:2]
     with pytest.raises(IdentityError, match="sends it in order CDAB, configured is ABCD; set order: CDAB"):
         verify_identity(link)
+
+
+def test_a_name_that_stands_for_a_routable_address_is_not_spoken_to_in_plain(monkeypatch):
+    found = [(socket.AF_INET, socket.SOCK_STREAM, 6, "", ("8.8.8.8", 502))]
+    monkeypatch.setattr(socket, "getaddrinfo", lambda *_, **__: found)
+    link = make_link(tcp_config(502, host="bench.example.org"))
+    with pytest.raises(ConfigurationError, match="routable address 8.8.8.8"):
+        link.open()
