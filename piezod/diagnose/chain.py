@@ -21,6 +21,7 @@ Array = NDArray[np.float64]
 
 Scope = Literal["already", "since", "once"]
 ORDER = {name: place for place, name in enumerate(EFFECTS)}
+MOST_ROWS = 25_000
 CACHED = 6  # results of the plays that are kept a recording
 
 
@@ -109,11 +110,22 @@ class Chain:
         Plays and splines.
     force_span_N
         Of the identified range.
+    most_rows
+        Samples of a recording that are compared, evenly spread; the simulation always runs over all.
     """
 
-    def __init__(self, series: Sequence[Series], density: PlayDensity, law: ForceLaw, force_span_N: float) -> None:
+    def __init__(
+        self,
+        series: Sequence[Series],
+        density: PlayDensity,
+        law: ForceLaw,
+        force_span_N: float,
+        most_rows: int = MOST_ROWS,
+    ) -> None:
         self.series = list(series)
         self.density, self.law, self.force_span_N = density, law, force_span_N
+        self.most_rows = most_rows
+        self.rows = [slice(None, None, max(1, -(-one.time_s.size // most_rows))) for one in self.series]
         self._cache: list[dict[tuple[object, ...], tuple[Array, Array, float]]] = [{} for _ in self.series]
 
     def terms_of(self, number: int, terms: Sequence[Term], point: Point) -> list[tuple[Term, Mapping[str, float]]]:
@@ -182,7 +194,7 @@ class Chain:
         return Trace(columns, stroke_V, signal_N + point.offsets_N[number])
 
     def base_tangents(self, number: int, terms: Sequence[Term], point: Point) -> Array:
-        """How the reading changes with density and force law, shape (N, HATS + SPLINES)."""
+        """How the readings that are compared change with density and force law, shape (rows, HATS + SPLINES)."""
         here = self.terms_of(number, terms, point)
         applied_V, columns, context = self.played(number, here)
         stroke_V, tangents = applied_V + columns @ point.density, columns
@@ -191,14 +203,19 @@ class Chain:
                 tangents = _carried(term.effect, tangents, stroke_V, context, values)
                 stroke_V = term.effect.forward(stroke_V, context, values)
                 context = replace(context, between=_behind(term, context))
-        splines, slopes = self.law.columns(stroke_V)
-        tangents = np.hstack(((slopes @ point.law)[:, None] * tangents, splines))
-        signal_N = splines @ point.law
-        for term, values in here:
-            if term.effect.seat >= Seat.MECHANICS:
-                tangents = _carried(term.effect, tangents, signal_N, context, values)
-                signal_N = term.effect.forward(signal_N, context, values)
-                context = replace(context, between=_behind(term, context))
+        behind = [one for one in here if one[0].effect.seat >= Seat.MECHANICS]
+        remembers = [place for place, (term, _) in enumerate(behind) if term.effect.form == "linear"]
+        signal_N, thinned = self.law.value(stroke_V, point.law), not remembers
+        rows = self.rows[number]
+        kept = rows if thinned else slice(None)
+        splines, slopes = self.law.columns(stroke_V[kept])
+        tangents = np.hstack(((slopes @ point.law)[:, None] * tangents[kept], splines))
+        for place, (term, values) in enumerate(behind):
+            tangents = _carried(term.effect, tangents, signal_N, context, values, rows if thinned else slice(None))
+            if not thinned and place == remembers[-1]:
+                tangents, thinned = tangents[rows], True
+            signal_N = term.effect.forward(signal_N, context, values)
+            context = replace(context, between=_behind(term, context))
         return tangents
 
 
@@ -206,8 +223,15 @@ def _behind(term: Term, context: Context) -> float:
     return STRAIGHT if term.effect.smooths else context.between
 
 
-def _carried(effect: Effect, tangents: Array, signal: Array, context: Context, values: Mapping[str, float]) -> Array:
-    """The same columns behind an effect."""
+def _carried(
+    effect: Effect,
+    tangents: Array,
+    signal: Array,
+    context: Context,
+    values: Mapping[str, float],
+    rows: slice = slice(None),  # a slice is not mutable
+) -> Array:
+    """The same columns behind an effect; `rows` are those that the columns have of the signal's."""
     if effect.form == "linear":
         passed = np.empty_like(tangents, order="F")
         for k in range(tangents.shape[1]):
@@ -216,7 +240,7 @@ def _carried(effect: Effect, tangents: Array, signal: Array, context: Context, v
     if effect.form == "memoryless":
         step = 1e-5 * (float(np.ptp(signal)) + 1e-12)
         above, below = effect.forward(signal + step, context, values), effect.forward(signal - step, context, values)
-        return tangents * ((above - below) / (2.0 * step))[:, None]
+        return tangents * ((above - below)[rows] / (2.0 * step))[:, None]
     return tangents
 
 

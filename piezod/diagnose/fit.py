@@ -155,8 +155,10 @@ class Normal:
         hessian, gradient, squares, samples = [], [], [], []
         for number, series in enumerate(chain.series):
             reading, jacobian = _jacobian(chain, terms, point, layout, number)
-            residual = np.where(series.counts, series.reading_N - reading, 0.0) / series.noise_N
-            scale = max(1.4826 * float(np.median(np.abs(residual[series.counts]))), 1e-6)
+            rows = chain.rows[number]
+            counts = series.counts[rows]
+            residual = np.where(counts, (series.reading_N - reading)[rows], 0.0) / series.noise_N
+            scale = max(1.4826 * float(np.median(np.abs(residual[counts]))), 1e-6)
             weight = np.minimum(1.0, HUBER * scale / np.maximum(np.abs(residual), 1e-12))
             made.loss += _robust(residual, scale)
             made.scales.append(scale)
@@ -164,12 +166,12 @@ class Normal:
             made.jacobians.append(jacobian)
             made.weighted.append(weight * residual)
             made.weights.append(weight)
-            for block in series.blocks:
+            for block in _thinned(series.blocks, rows.step):
                 part = jacobian[block]
                 hessian.append(part.T @ (weight[block, None] * part))
                 gradient.append(part.T @ made.weighted[-1][block])
                 squares.append(float(residual[block] @ residual[block]))
-                samples.append(float(series.counts[block].sum()))
+                samples.append(float(counts[block].sum()))
         made.hessian, made.gradient = np.array(hessian), np.array(gradient)
         made.squares, made.samples = np.array(squares), np.array(samples)
         made.ridge = _ridge(made.hessian)
@@ -180,8 +182,8 @@ class Normal:
         """The robust loss alone."""
         loss = 0.0
         for number, series in enumerate(chain.series):
-            reading = chain.run(number, terms, point).reading_N
-            residual = np.where(series.counts, series.reading_N - reading, 0.0) / series.noise_N
+            reading, rows = chain.run(number, terms, point).reading_N, chain.rows[number]
+            residual = np.where(series.counts[rows], (series.reading_N - reading)[rows], 0.0) / series.noise_N
             loss += _robust(residual, scales[number])
         return loss if np.isfinite(loss) else np.inf
 
@@ -202,8 +204,8 @@ class Normal:
         for number, change in enumerate(changes):
             if change is None:
                 continue
-            series = self.chain.series[number]
-            scaled = np.where(series.counts, change, 0.0) / series.noise_N
+            series, rows = self.chain.series[number], self.chain.rows[number]
+            scaled = np.where(series.counts[rows], change[rows], 0.0) / series.noise_N
             weighted = self.weights[number] * scaled
             across += self.jacobians[number].T @ weighted
             length += float(scaled @ weighted)
@@ -234,9 +236,9 @@ class Normal:
 
 def _jacobian(chain: Chain, terms: Sequence[Term], point: Point, layout: Layout, number: int) -> tuple[Array, Array]:
     """Simulated reading of a recording, and how it changes with every parameter in units of the noise."""
-    series = chain.series[number]
+    series, rows = chain.series[number], chain.rows[number]
     reading = chain.run(number, terms, point).reading_N
-    jacobian = np.zeros((series.time_s.size, layout.size))
+    jacobian = np.zeros((series.counts[rows].size, layout.size))
     jacobian[:, : layout.offsets] = chain.base_tangents(number, terms, point)
     if number:
         jacobian[:, layout.offsets + number - 1] = 1.0
@@ -245,10 +247,15 @@ def _jacobian(chain: Chain, terms: Sequence[Term], point: Point, layout: Layout,
             scaled = _scaled(one, point.values[term][one.name])
             size = _step_of(one, scaled)
             moved = _moved(point, term, one.name, _unscaled(one, scaled + size))
-            jacobian[:, place] = (chain.run(number, terms, moved).reading_N - reading) / size
+            jacobian[:, place] = (chain.run(number, terms, moved).reading_N - reading)[rows] / size
     jacobian /= series.noise_N
-    jacobian[~series.counts] = 0.0
+    jacobian[~series.counts[rows]] = 0.0
     return reading, jacobian
+
+
+def _thinned(blocks: Sequence[slice], step: int) -> list[slice]:
+    """The same blocks among every `step`-th sample."""
+    return [slice(-(-block.start // step), -(-block.stop // step)) for block in blocks]
 
 
 def _robust(residual: Array, scale: float) -> float:

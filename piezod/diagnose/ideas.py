@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from piezod.diagnose.chain import Chain, Point, Term
 from piezod.diagnose.fit import Normal
 from piezod.effects import EFFECTS
-from piezod.effects.effect import Effect
+from piezod.effects.effect import Effect, Parameter
 
 Array = NDArray[np.float64]
 
@@ -38,17 +38,47 @@ class Idea:
 
 
 def catalogue_ideas(
-    channels: Sequence[str],
+    chain: Chain, channels: Sequence[str]
 ) -> Iterator[tuple[Effect, dict[str, float], tuple[tuple[str, float], ...]]]:
-    """Every effect at each of its starts, nuisances at their first one; choices at their first value too."""
+    """Every effect at each of its starts, nuisances at their first one; choices at their first value too.
+
+    Starts in volts, volts a second and newtons are parts of what the recordings reach.
+    """
+    scales = _scales(chain)
     for effect in EFFECTS.values():
         if effect.name in DIRECT or (effect.needs is not None and effect.needs not in channels):
             continue
         searched = [one for one in effect.parameters if not one.choices]
         choices = tuple((one.name, one.choices[0]) for one in effect.parameters if one.choices)
-        starts = [one.starts if not one.nuisance else one.starts[:1] for one in searched]
+        starts = [_starts(effect.name, one, scales) for one in searched]
         for values in product(*starts):
             yield effect, dict(zip((one.name for one in searched), values, strict=True)), choices
+
+
+def _scales(chain: Chain) -> dict[str, tuple[float, ...]]:
+    """Where searches in these units begin: for limits near the top, for others small parts of the range."""
+    asked = [one for one in chain.series if one.role == "recording"]
+    top_V = max(float(one.command_V.max()) for one in asked)
+    rates = np.concatenate([np.abs(np.diff(one.command_V)) / one.dt_s for one in asked])
+    moving = rates[rates > 0.0]
+    usual, fast, fastest = (float(x) for x in np.percentile(moving, (50, 90, 99.5))) if moving.size else (1.0, 1.0, 1.0)
+    span_N = chain.force_span_N
+    return {
+        "limit_V": tuple(part * top_V for part in (0.5, 0.7, 0.85, 0.95)),
+        "knee_V": (0.003 * top_V,),
+        "limit_V_per_s": tuple(np.geomspace(0.3 * usual, 0.8 * max(fastest, usual), 7).tolist()),
+        "reference_V_per_s": (0.1 * usual, usual, fast),
+        "gap_N": (0.01 * span_N, 0.05 * span_N, 0.2 * span_N),
+        "softness_N": (0.002 * span_N,),
+        "force_N": (0.005 * span_N,),
+        "presliding_N": (0.01 * span_N, 0.05 * span_N, 0.3 * span_N),
+    }
+
+
+def _starts(effect: str, one: Parameter, scales: dict[str, tuple[float, ...]]) -> tuple[float, ...]:
+    known = scales.get(one.name) if effect not in DIRECT else None
+    starts = one.starts if known is None else tuple(float(np.clip(value, one.low, one.high)) for value in known)
+    return starts[:1] if one.nuisance else starts
 
 
 def screened(chain: Chain, terms: Sequence[Term], point: Point) -> list[Idea]:
@@ -59,7 +89,7 @@ def screened(chain: Chain, terms: Sequence[Term], point: Point) -> list[Idea]:
     normal = Normal.at(chain, terms, point)
     channels = ["temperature_C"] if all(one.temperature_C is not None for one in chain.series) else []
     ideas = []
-    for effect, values, choices in catalogue_ideas(channels):
+    for effect, values, choices in catalogue_ideas(chain, channels):
         if any(term.effect is effect for term in terms):
             continue
         once = tuple({**dict(one)} for one in point.values)

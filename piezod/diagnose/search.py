@@ -10,6 +10,7 @@ from piezod.diagnose.chain import Chain, Point, Scope, Term
 from piezod.diagnose.direct import edges_of_step, lines
 from piezod.diagnose.fit import MOST_STEPS, Fitted, Normal, fit
 from piezod.diagnose.ideas import Idea, screened
+from piezod.diagnose.series import Series
 from piezod.effects import EFFECTS
 from piezod.effects.effect import HELD_BEFORE, STRAIGHT
 
@@ -93,7 +94,20 @@ def search(chain: Chain, start: Point, progress: OnProgress) -> Search:
     progress("trying to swap and to drop")
     _swap(result)
     _drop(result, largest)
+    _polish(result)
     return result
+
+
+def _polish(result: Search) -> None:
+    """Base and hypothesis once more on all samples."""
+    chain = result.chain
+    result.chain = Chain(chain.series, chain.density, chain.law, chain.force_span_N, max(map(_length, chain.series)))
+    result.found = fit(result.chain, result.found.terms, result.found.point, most_steps=4)
+    result.base = fit(result.chain, (), result.base.point, most_steps=4)
+
+
+def _length(series: Series) -> int:
+    return int(series.time_s.size)
 
 
 def worth(before: Fitted, after: Fitted, largest: float) -> bool:
@@ -133,7 +147,7 @@ def _best_course(
     def judged(between: float) -> None:
         if between not in results:
             series = [replace(one, between=between) for one in chain.series]
-            other = Chain(series, chain.density, chain.law, chain.force_span_N)
+            other = Chain(series, chain.density, chain.law, chain.force_span_N, chain.most_rows)
             results[between] = (other, fit(other, terms, point, most_steps=MOST_STEPS if known is None else 6))
 
     for between in (STRAIGHT, *(HELD_PARTS if smooth else ()), HELD_BEFORE):
