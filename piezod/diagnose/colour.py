@@ -12,7 +12,7 @@ ORDER = 12  # of the autoregression
 MEDIAN_SPREAD = 1.4826  # standard deviation over median absolute deviation of a Gaussian
 WIDEST, NARROWEST, GROWTH = 101, 16, 0.25  # bins of a line's surroundings; their growth with frequency
 SLOWEST_LINE = 16  # cycles a record
-DRIVEN = 20.0  # power of a bin over its surroundings from which the drive is said to be in it
+DRIVEN, DRIVEN_PART = 50.0, 1e-5  # power of a bin over its surroundings, and of all, for the drive to be in it
 
 
 def spread(values: Array) -> float:
@@ -77,12 +77,12 @@ def _chunks(bins: int) -> NDArray[np.int64]:
     return np.array(edges)
 
 
-def prominence(spectrum: NDArray[np.complex128]) -> Array:
+def prominence(spectrum: NDArray[np.complex128], slowest: int = SLOWEST_LINE) -> Array:
     """Power of every bin over its surroundings; exponential with mean up to 1 for a smooth spectrum."""
     power: Array = np.abs(spectrum) ** 2
     around = surroundings(power)
     result: Array = power / np.maximum(around, 1e-300)
-    result[..., :SLOWEST_LINE] = 0.0
+    result[..., :slowest] = 0.0
     result[..., -1] = 0.0
     return result
 
@@ -109,7 +109,7 @@ def driven_bins(*drives: Array) -> NDArray[np.bool_]:
     driven = np.zeros(bins, bool)
     for one in drives:
         spectrum = windowed_spectrum(one)
-        strong = np.abs(spectrum) ** 2 > 1e-9 * np.sum(np.abs(spectrum) ** 2)
+        strong = np.abs(spectrum) ** 2 > DRIVEN_PART * np.sum(np.abs(spectrum) ** 2)
         driven |= (prominence(spectrum) > DRIVEN) & strong
     wide = driven.copy()
     for shift in (1, 2):

@@ -1,0 +1,149 @@
+"""Ridge regression from Gram matrices, every block predicted by the others, its strength chosen by the others alone."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+Index = NDArray[np.int64]
+
+STRENGTHS = (1e-8, 1e-6, 1e-4, 1e-2, 1.0)  # parts of a column's own square
+FOLDS = 8
+FLIPS = 999
+
+
+@dataclass(frozen=True)
+class Blocks:
+    """Sums over every block.
+
+    Parameters
+    ----------
+    gram
+        Columns with columns, shape (B, P, P).
+    product
+        Columns with residual, shape (B, P).
+    square
+        Of the residual, shape (B,).
+    samples
+        That count, shape (B,).
+    """
+
+    gram: Array
+    product: Array
+    square: Array
+    samples: Array
+
+    @property
+    def folds(self) -> Index:
+        """Which fold every block is left out with, shape (B,)."""
+        return np.arange(self.square.size) % min(FOLDS, self.square.size)
+
+    def only(self, columns: Mask) -> "Blocks":
+        """The same with some of the columns."""
+        return Blocks(self.gram[:, columns][:, :, columns], self.product[:, columns], self.square, self.samples)
+
+
+@dataclass(frozen=True)
+class LeftOut:
+    """What every block says when it is left out.
+
+    Parameters
+    ----------
+    before, after
+        Squared residual of every block under the levels alone and under all columns, shape (B,).
+    weights
+        Of the columns, with each fold left out, shape (K, P).
+    """
+
+    before: Array
+    after: Array
+    weights: Array
+
+    def p(self, rng: np.random.Generator) -> float:
+        """Chance of such a fall of log loss when its sign in every block is as likely as not."""
+        gains = np.log(np.maximum(self.before, 1e-300) / np.maximum(self.after, 1e-300))
+        if not np.any(gains):
+            return 1.0
+        signs = rng.choice((-1.0, 1.0), (FLIPS, gains.size))
+        return float((1 + np.count_nonzero(signs @ gains >= gains.sum())) / (1 + FLIPS))
+
+
+def left_out(blocks: Blocks, levels: Mask) -> LeftOut:
+    """Predict every block from the others.
+
+    Parameters
+    ----------
+    blocks
+        Sums over every block.
+    levels
+        Columns that are not penalised, shape (P,).
+    """
+    folds = blocks.folds
+    count = int(folds.max()) + 1
+    gram = np.stack([blocks.gram[folds == k].sum(axis=0) for k in range(count)])
+    product = np.stack([blocks.product[folds == k].sum(axis=0) for k in range(count)])
+    problem = _Problem(gram, product, levels)
+    strengths = problem.strengths()
+    weights = np.stack([problem.solved([k], strengths[k]) for k in range(count)])
+    level = np.stack([problem.solved([k], np.inf) for k in range(count)])
+    return LeftOut(_losses(blocks, level[folds]), _losses(blocks, weights[folds]), weights)
+
+
+def _losses(blocks: Blocks, weights: Array) -> Array:
+    curved = np.einsum("bi,bij,bj->b", weights, blocks.gram, weights, optimize=True)
+    result: Array = blocks.square - 2.0 * np.einsum("bi,bi->b", weights, blocks.product) + curved
+    return np.maximum(result, 1e-9 * blocks.square)
+
+
+class _Problem:
+    """Folds' sums, scaled so that every column has the same square."""
+
+    def __init__(self, gram: Array, product: Array, levels: Mask) -> None:
+        total = gram.sum(axis=0)
+        self.scale = 1.0 / np.sqrt(np.maximum(np.diag(total), 1e-12 * np.diag(total).max()))
+        self.gram = gram * np.outer(self.scale, self.scale)
+        self.product = product * self.scale
+        self.levels = levels
+        self.total, self.total_product = self.gram.sum(axis=0), self.product.sum(axis=0)
+        self.penalty = np.where(levels, 1e-9, self._variance() + 1e-9)
+
+    def _variance(self) -> Array:
+        """Square of every column about its mean in each recording."""
+        at = np.flatnonzero(self.levels)
+        means = self.total[at] ** 2 / np.maximum(np.diag(self.total)[at], 1e-12)[:, None]
+        variance: Array = np.maximum(np.diag(self.total) - means.sum(axis=0), 0.0)
+        return variance
+
+    def solved(self, without: list[int], strength: float) -> Array:
+        """Weights of the unscaled columns with some folds left out."""
+        weights: Array = self.scale * self._scaled(without, strength)
+        return weights
+
+    def _scaled(self, without: list[int], strength: float) -> Array:
+        gram = self.total - self.gram[without].sum(axis=0)
+        product = self.total_product - self.product[without].sum(axis=0)
+        if np.isinf(strength):
+            weights = np.zeros(product.size)
+            at = self.levels
+            weights[at] = product[at] / np.maximum(np.diag(gram)[at], 1e-12)
+            return weights
+        gram[np.diag_indices_from(gram)] += strength * self.penalty + 1e-11
+        result: Array = np.linalg.solve(gram, product)
+        return result
+
+    def strengths(self) -> list[float]:
+        """The strength for each fold, chosen on the others: pairs of folds are left out together."""
+        count, tried = self.gram.shape[0], (*STRENGTHS, np.inf)
+        losses = np.zeros((count, len(tried)))
+        for i in range(count):
+            for j in range(i + 1, count):
+                for s, strength in enumerate(tried):
+                    weights = self._scaled([i, j], strength)
+                    losses[i, s] += self._loss(j, weights)
+                    losses[j, s] += self._loss(i, weights)
+        return [float(tried[int(np.argmin(row))]) for row in losses]
+
+    def _loss(self, fold: int, weights: Array) -> float:
+        return float(weights @ self.gram[fold] @ weights - 2.0 * weights @ self.product[fold])
