@@ -126,6 +126,7 @@ def _judged(
     before = _rms([one.reading_N - given[k] for k, one in enumerate(chain.series)], chain.series)
     after = _held_out_rms(chain, found)
     floor, floor_from = _floor(chain.series, residuals, left)
+    floor = min(floor, after)
     effects = [_finding(result, place) for place in range(len(found.terms))]
     effects += _read_off(chain.series, frozen, residuals, before)
     hashes = [""] * stand_ins + [source.sha256 for source in sources]

@@ -113,6 +113,24 @@ def _running_median(power: Array) -> Array:
     return result
 
 
+def peaks_Hz(series: Series, residual_N: Array, most: int = 3) -> list[float]:
+    """Frequencies at which a residual's smoothed spectrum stands out most from its surroundings: modes that ring."""
+    size = int(min(residual_N.size // 8, max(256, 4.0 / series.dt_s)))
+    if size < 64:
+        return []
+    values = np.where(series.counts, residual_N, 0.0)
+    window = np.hanning(size)
+    parts = np.lib.stride_tricks.sliding_window_view(values, size)[:: size // 2]
+    power = np.mean(np.abs(np.fft.rfft((parts - parts.mean(axis=1, keepdims=True)) * window, axis=1)) ** 2, axis=0)
+    level = np.log(np.maximum(power, 1e-300))
+    wide = np.convolve(np.pad(level, 20, mode="edge"), np.ones(41) / 41.0, mode="valid")
+    above = level - wide
+    inner = np.arange(3, level.size - 3)
+    tops = inner[(level[inner] >= level[inner - 1]) & (level[inner] > level[inner + 1]) & (above[inner] > 1.0)]
+    frequency_Hz = np.fft.rfftfreq(size, series.dt_s)
+    return [float(frequency_Hz[k]) for k in sorted(tops, key=lambda j: -above[j])[:most]]
+
+
 def edges_of_step(series: Series, residual_N: Array) -> tuple[float, int, int] | None:
     """The load step that explains a residual best: its height and the samples where it comes and goes.
 

@@ -13,6 +13,7 @@ Array = NDArray[np.float64]
 
 MOST_STEPS = 14
 DONE = 1e-5  # relative fall of the loss below which a fit ends
+FIRST_DAMPING, MOST_DAMPING = 1e-4, 1e4  # after a step that did not help
 HUBER = 3.0  # residuals beyond so many standard deviations count less
 SMOOTH = 1e-10  # weight of the density's and the law's bends, in parts of the mean diagonal
 
@@ -114,20 +115,32 @@ def fit(chain: Chain, terms: Sequence[Term], start: Point, *, most_steps: int = 
     layout = Layout(chain, terms)
     vector, damping = layout.vector(start), 1e-8
     current = Normal.at(chain, terms, layout.point(vector, start))
-    for _ in range(most_steps):
-        trial = layout.clipped(vector + current.step(damping))
+    steps = 0
+    while steps < most_steps and damping < MOST_DAMPING:
+        trial = _within(layout, vector, current, damping)
         beyond = Normal.loss_at(chain, terms, layout.point(trial, start), current.scales)
         if beyond < current.loss:
             fell = (current.loss - beyond) / current.loss
-            vector, damping = trial, max(damping * 0.1, 1e-12)
+            vector, damping, steps = trial, max(damping * 0.1, 1e-12), steps + 1
             current = Normal.at(chain, terms, layout.point(vector, start))
             if fell < DONE:
                 break
         else:
-            damping *= 10.0
-            if damping > 1e4:
-                break
+            damping = max(10.0 * damping, FIRST_DAMPING)
     return current.fitted(tuple(terms), layout.point(vector, start))
+
+
+def _within(layout: Layout, vector: Array, current: "Normal", damping: float) -> Array:
+    """A step that stays in every range: what would leave it stops at its end, and the others are solved for anew."""
+    held = np.full(vector.size, np.nan)
+    for _ in range(vector.size - layout.effects + 1):
+        trial: Array = vector + current.step(damping, held)
+        inside = layout.clipped(trial)
+        leaving = np.abs(inside - trial) > 1e-12 * (1.0 + np.abs(inside))
+        if not leaving.any():
+            break
+        held[leaving] = (inside - vector)[leaving]
+    return layout.clipped(trial)
 
 
 @dataclass
@@ -187,10 +200,14 @@ class Normal:
             loss += _robust(residual, scales[number])
         return loss if np.isfinite(loss) else np.inf
 
-    def step(self, damping: float) -> Array:
-        """Levenberg's and Marquardt's step."""
+    def step(self, damping: float, held: Array) -> Array:
+        """Levenberg's and Marquardt's step; parameters that are `held` (not nan) move by just that."""
         hessian = self.hessian.sum(axis=0) + self.ridge
-        return _solved(hessian + damping * np.diag(np.diag(hessian)), self.gradient.sum(axis=0))
+        hessian += damping * np.diag(np.diag(hessian))
+        free, step = np.isnan(held), np.nan_to_num(held)
+        side = self.gradient.sum(axis=0) - hessian @ step
+        step[free] = _solved(hessian[np.ix_(free, free)], side[free])
+        return step
 
     def gain_of(self, changes: Sequence[Array | None]) -> tuple[float, float]:
         """Fall of the squared residual when a multiple of a change is fitted with everything else, and the multiple.

@@ -1,6 +1,6 @@
 """Where a search may begin: every effect of the catalogue at its starts, and what direct tests suggest."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
 
@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piezod.diagnose.chain import Chain, Point, Term
+from piezod.diagnose.direct import peaks_Hz
 from piezod.diagnose.fit import Normal
 from piezod.effects import EFFECTS
 from piezod.effects.effect import Effect, Parameter
@@ -38,13 +39,13 @@ class Idea:
 
 
 def catalogue_ideas(
-    chain: Chain, channels: Sequence[str]
+    chain: Chain, channels: Sequence[str], known: Mapping[str, tuple[float, ...]]
 ) -> Iterator[tuple[Effect, dict[str, float], tuple[tuple[str, float], ...]]]:
     """Every effect at each of its starts, nuisances at their first one; choices at their first value too.
 
-    Starts in volts, volts a second and newtons are parts of what the recordings reach.
+    Starts in volts, volts a second and newtons are parts of what the recordings reach; `known` has further ones.
     """
-    scales = _scales(chain)
+    scales = {**_scales(chain), **known}
     for effect in EFFECTS.values():
         if effect.name in DIRECT or (effect.needs is not None and effect.needs not in channels):
             continue
@@ -76,7 +77,7 @@ def _scales(chain: Chain) -> dict[str, tuple[float, ...]]:
 
 
 def _starts(effect: str, one: Parameter, scales: dict[str, tuple[float, ...]]) -> tuple[float, ...]:
-    known = scales.get(one.name) if effect not in DIRECT else None
+    known = scales.get(f"{effect} {one.name}", scales.get(one.name)) if effect not in DIRECT else None
     starts = one.starts if known is None else tuple(float(np.clip(value, one.low, one.high)) for value in known)
     return starts[:1] if one.nuisance else starts
 
@@ -88,8 +89,15 @@ def screened(chain: Chain, terms: Sequence[Term], point: Point) -> list[Idea]:
     """
     normal = Normal.at(chain, terms, point)
     channels = ["temperature_C"] if all(one.temperature_C is not None for one in chain.series) else []
+    tops_Hz = [
+        top
+        for number, one in enumerate(chain.series)
+        if one.role == "recording"
+        for top in peaks_Hz(one, one.reading_N - normal.readings[number])
+    ]
+    ringing = {"resonance frequency_Hz": (*tops_Hz, *EFFECTS["resonance"].parameter("frequency_Hz").starts)}
     ideas = []
-    for effect, values, choices in catalogue_ideas(chain, channels):
+    for effect, values, choices in catalogue_ideas(chain, channels, ringing):
         if any(term.effect is effect for term in terms):
             continue
         once = tuple({**dict(one)} for one in point.values)

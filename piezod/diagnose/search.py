@@ -19,8 +19,9 @@ OnProgress = Callable[[str], None]
 
 MOST_EFFECTS = 5
 TRIED = 7  # effects that are really fitted in a round, first coarsely
-REFINED = 3  # of them thoroughly
-COARSE_STEPS = 4
+FINALISTS = 3  # of them that are tried with every course of the command between samples
+REFINED = 4  # of them thoroughly
+COARSE_STEPS = 7
 NOTHING = 0.003  # of the loss: an idea that promises less is not tried
 PROMISING = 0.03  # of the best idea's gain, below which an idea is not tried
 WORTH = 0.04  # of the loss that is left: what an effect must gain at least
@@ -84,9 +85,10 @@ def search(chain: Chain, start: Point, progress: OnProgress) -> Search:
         better = [one for one in tried if worth(result.found, one, largest)]
         if not better:
             break
-        best = min(better, key=lambda one: one.loss)
         before = result.found
-        result.chain, best = _best_course(result.chain, best.terms, best.point, best)
+        finalists = sorted(better, key=lambda one: one.loss)[:FINALISTS]
+        courses = [_best_course(result.chain, one.terms, one.point, one) for one in finalists]
+        result.chain, best = min(courses, key=lambda one: one[1].loss)
         largest = max(largest, before.loss - best.loss)
         others = tuple(one for one in tried if one.terms[-1].effect is not best.terms[-1].effect)
         result.rounds.append(Round(before, best, others))

@@ -22,12 +22,12 @@ FIRST_EXTRA, LAST_EXTRA = 0.596, 1.260  # what the end elements stand for beside
 PLAYS, VOLTAGE = 0, 1  # what drives it
 
 
-def spectrum(from_s: float, to_s: float, slope: float = 0.0) -> tuple[Array, Array]:
+def spectrum(from_s: float, to_s: float, slope: float = 0.0, seen_s: float = math.inf) -> tuple[Array, Array]:
     """Time constants [s] and weights (1) of the chain whose step response climbs by 1 a decade from `from_s` to `to_s`.
 
-    Weights go with tau^slope. With slope 0 the response is straight up to the ends: a flat density from one to the
-    other would come short there by E1(1) = 0.219 and Ein(1) = 0.797 in all, so the first and the last element weigh
-    0.219 / (1 / e) and 0.797 / (1 - 1 / e) more.
+    Weights go with tau^slope about the middle of what a record of `seen_s` shows of that span. With slope 0 the response
+    is straight up to the ends: a flat density from one to the other would come short there by E1(1) = 0.219 and
+    Ein(1) = 0.797 in all, so the first and the last element weigh 0.219 / (1 / e) and 0.797 / (1 - 1 / e) more.
     """
     to_s = max(to_s, NARROWEST * from_s)
     decades = math.log10(to_s / from_s)
@@ -36,14 +36,14 @@ def spectrum(from_s: float, to_s: float, slope: float = 0.0) -> tuple[Array, Arr
     weights = np.full(count, math.log(to_s / from_s) / (count - 1))
     weights[0] = 0.5 * weights[0] + FIRST_EXTRA
     weights[-1] = 0.5 * weights[-1] + LAST_EXTRA
-    weights *= (tau_s / tau_s[0]) ** slope
     climbed = float(weights @ (np.exp(-from_s / tau_s) - np.exp(-to_s / tau_s)))
-    return tau_s, weights * decades / climbed
+    middle_s = math.sqrt(from_s * max(min(to_s, seen_s), NARROWEST * from_s))
+    return tau_s, weights * decades / climbed * (tau_s / middle_s) ** slope
 
 
 def forward(signal: Array, context: Context, values: Values) -> Array:
     """What the plays give and what crept since the first sample, shape (N,) [V]."""
-    tau_s, weights = spectrum(values["from_s"], values["to_s"], values.get("slope", 0.0))
+    tau_s, weights = spectrum(values["from_s"], values["to_s"], values.get("slope", 0.0), context.duration_s)
     driver = signal
     if round(values.get("driven_by", PLAYS)) == VOLTAGE:
         driver = _as_large_as(signal, context.applied_V)

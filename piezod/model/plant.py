@@ -14,7 +14,6 @@ from piezod.operators import PrandtlIshlinskii
 Array = NDArray[np.float64]
 
 
-
 class Plant:
     """A model made to run forwards.
 
