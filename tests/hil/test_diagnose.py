@@ -91,4 +91,4 @@ def test_an_effect_that_has_come_since_is_named_measured_and_modelled(identified
     before = held_out_rms(tmp_path, identified / "model.yaml")
     after = held_out_rms(tmp_path, tmp_path / "out" / "model.yaml")
     assert before > 3 * NOISE_N
-    assert (before**2 - after**2) / (before**2 - NOISE_N**2) > 0.98  # of the gap, on a record that nothing was fitted to
+    assert (before**2 - after**2) / (before**2 - NOISE_N**2) > 0.98  # of the gap, nothing fitted
