@@ -26,8 +26,8 @@ def spectrum(from_s: float, to_s: float, slope: float = 0.0, seen_s: float = mat
     """Time constants [s] and weights (1) of the chain whose step response climbs by 1 a decade from `from_s` to `to_s`.
 
     Weights go with tau^slope about the middle of what a record of `seen_s` shows of that span. With slope 0 the
-    response is straight up to the ends: a flat density from one to the other would come short there by E1(1) = 0.219 and
-    Ein(1) = 0.797 in all, so the first and the last element weigh 0.219 / (1 / e) and 0.797 / (1 - 1 / e) more.
+    response is straight up to the ends: a flat density from one to the other would come short there by E1(1) = 0.219
+    and Ein(1) = 0.797 in all, so the first and the last element weigh 0.219 / (1 / e) and 0.797 / (1 - 1 / e) more.
     """
     to_s = max(to_s, NARROWEST * from_s)
     decades = math.log10(to_s / from_s)
