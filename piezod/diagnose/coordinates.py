@@ -94,9 +94,12 @@ def faded_columns(x: Array, dt_s: float, times_s: Array) -> Array:
     return out
 
 
-def quantile_edges(values: Array, cells: int) -> Array:
-    """Edges of cells that hold about as many values each, shape (C + 1,), C <= cells; equal edges fall together."""
-    edges = np.unique(np.quantile(values, np.linspace(0.0, 1.0, cells + 1)))
+def quantile_edges(values: Array, cells: int, also: tuple[float, ...] = ()) -> Array:
+    """Edges of cells that hold about as many values each, shape (C + 1,), C <= cells; equal edges fall together.
+
+    `also` are quantiles at which there are edges too.
+    """
+    edges = np.unique(np.quantile(values, np.append(np.linspace(0.0, 1.0, cells + 1), also)))
     return edges if edges.size > 1 else np.array([edges[0], edges[0]])
 
 

@@ -111,7 +111,7 @@ def bursts(values: Array, counts: Mask, lattice: float) -> Bursts:
     for samples in BURST_SAMPLES:
         edges = np.arange(0, values.size + 1, samples)
         n, power = np.diff(known[edges]), np.diff(total[edges])
-        p = _tail(power, n, samples)
+        p = _tail(power, n, samples, 1.0 if coarse else 0.0)
         p = np.minimum(p * np.count_nonzero(n) * len(BURST_SAMPLES), 1.0)
         smallest = min(smallest, float(p.min()))
         for k in np.flatnonzero(p < SURE):
@@ -121,14 +121,18 @@ def bursts(values: Array, counts: Mask, lattice: float) -> Bursts:
     return Bursts(max(float(np.sum(values[struck] ** 2)) - usual_power * np.count_nonzero(struck), 0.0), smallest)
 
 
-def _tail(power: Array, n: Array, samples: int) -> Array:
-    """Chance of so much power in so many samples; cube roots are nearly Gaussian, as uneven as the record shows."""
+def _tail(power: Array, n: Array, samples: int, least: float) -> Array:
+    """Chance of so much power in so many samples; cube roots are nearly Gaussian, as uneven as the record shows.
+
+    `least` is a mean square that is usual anyway.
+    """
     full = n > 0.5 * samples
     width = 2.0 / (9.0 * samples)
     root = np.cbrt(power / np.maximum(n, 1.0))
     middle = float(np.median(root[full])) if full.any() else 1.0
     if samples < 8:
-        middle = float(np.cbrt(1.0)) * (1.0 - width)
+        middle = 1.0 - width
+    middle = max(middle, least)
     uneven = max(np.sqrt(width) * max(middle, 1e-12), colour.spread(root[full]) if samples >= 8 else 0.0)
     z = np.where(full, (root - middle) / uneven, 0.0)
     if samples == 1:

@@ -21,6 +21,7 @@ Mask = NDArray[np.bool_]
 
 SHORTEST_BLOCK_S, MOST_BLOCKS = 2.0, 40
 FEWEST_BLOCKS = 6
+BELIEVED = 0.05  # chance up to which the absorber's part is taken off before tones, jumps and bursts are looked for
 GAP = 0.05  # of a block at either end that neither teaches nor tests
 
 
@@ -121,6 +122,14 @@ class _Told:
             inside[end - gap : end] = False
         return inside
 
+    @property
+    def beyond_seams(self) -> Mask:
+        """What counts and is not just behind a block's first sample, where leftovers of other weights begin."""
+        beyond = self.counts.copy()
+        for edge in self.edges[1:-1]:
+            beyond[edge : edge + 1 + colour.ORDER] = False
+        return beyond
+
 
 def _block_edges(series: Series) -> tuple[int, ...]:
     """The series' blocks, taken together to some seconds each."""
@@ -151,7 +160,12 @@ class _Look:
         return cls(told, columns, blocks, left_out(blocks, columns.of_kinds()))
 
     def leftovers(self) -> list[Array]:
-        """Residuals less what the absorber makes of each block without it, each shape (N,)."""
+        """Residuals less what the absorber makes of each block without it, each shape (N,).
+
+        What it makes of nothing is left in: it would put its own edges there.
+        """
+        if self.all.p(np.random.default_rng(0)) > BELIEVED:
+            return [one.residual for one in self.told]
         folds, block = self.blocks.folds, 0
         result = []
         for number, one in enumerate(self.told):
@@ -181,14 +195,15 @@ def _suggested(told: Sequence[_Told], leftovers: Sequence[Array]) -> list[Event]
     """Tones, tones of the gain, and jumps that the leftovers show."""
     found: list[Event] = []
     for number, (one, left) in enumerate(zip(told, leftovers, strict=True)):
-        dt_s = one.series.dt_s
-        driven = _driven(one)
+        dt_s, bin_Hz = one.series.dt_s, 1.0 / (left.size * one.series.dt_s)
+        driven, lattice = _driven(one), lattice_step_N(one.series) / one.series.noise_N
         gain = (one.modelled_N - one.modelled_N.mean()) / max(float(one.modelled_N.std()), 1e-12)
-        bin_Hz = 1.0 / (left.size * dt_s)
         tones_Hz = events.tones_Hz(left, dt_s)
-        found += [Event("beat" if driven[round(f / bin_Hz)] else "tone", number, f) for f in tones_Hz]
-        found += [Event("gain", number, at_Hz) for at_Hz in events.tones_Hz(left * gain, dt_s)]
-        lattice = lattice_step_N(one.series) / one.series.noise_N
+        own = [f for f in tones_Hz if not driven[round(f / bin_Hz)]]
+        found += [Event("tone", number, f) for f in own]
+        if lattice <= events.COARSE * colour.spread(left[one.counts]):  # a coarse lattice beats with a periodic drive
+            found += [Event("beat", number, f) for f in tones_Hz if f not in own]
+            found += [Event("gain", number, f) for f in events.tones_Hz(left * gain, dt_s)]
         found += [Event("jump", number, k * dt_s) for k in events.jumps(left, dt_s, lattice)]
     return found
 
@@ -205,7 +220,7 @@ def _judged(told: Sequence[_Told], look: _Look, suggested: Sequence[Event], rng:
     absorbed = float(look.all.after.sum()) / n
     slow, drive = _part(look, "time"), _part(look, "drive")
     local = [
-        events.bursts(left, one.counts, lattice_step_N(one.series) / one.series.noise_N)
+        events.bursts(left, one.beyond_seams, lattice_step_N(one.series) / one.series.noise_N)
         for one, left in zip(told, look.leftovers(), strict=True)
     ]
     energy = sum(float(one.residual @ one.residual) for one in told)
@@ -218,7 +233,7 @@ def _judged(told: Sequence[_Told], look: _Look, suggested: Sequence[Event], rng:
         slow.p(rng),
         1.0 - float(drive.after.sum()) / (n * loss),
         drive.p(rng),
-        sum(one.energy for one in local) / energy,
+        float(sum(one.energy for one in local)) / energy,
         min(1.0, len(local) * min(one.p for one in local)),
         tuple(one.at for one in suggested if one.kind == "tone"),
         tuple(one.at for one in suggested if one.kind == "gain"),
