@@ -49,8 +49,8 @@ class RealRateKeeper:
         self._deadline_ns = time.monotonic_ns()
 
     def now_ns(self) -> int:
-        """Monotonic time [ns]."""
-        return time.monotonic_ns()
+        """Monotonic time [ns], a suspended machine's included: what it slept through is a pause like any other."""
+        return time.clock_gettime_ns(time.CLOCK_BOOTTIME)
 
     def wait(self) -> None:
         """Sleep until the next deadline that is still ahead; `tick` counts the skipped ones too."""

@@ -2,10 +2,12 @@
 
 import os
 import resource
+import stat
 import time
 import warnings
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from ipaddress import ip_address
 from math import isnan
 from pathlib import Path
 from typing import Literal, TypeVar
@@ -13,8 +15,9 @@ from typing import Literal, TypeVar
 import numpy as np
 
 from piezod.config import BenchConfig, load_bench, model_path
+from piezod.config.link import ModbusTcpLink
 from piezod.config.reference import RegisterReference, StreamReference
-from piezod.control import RealTimeWarning, TableReference, make_reference, real_time
+from piezod.control import RealTimeWarning, TableReference, check_named, make_reference, real_time
 from piezod.daemon.assembly import check_units, check_wire, opened_link
 from piezod.daemon.history import percentiles
 from piezod.errors import PiezodError
@@ -59,7 +62,9 @@ def check_bench(path: Path) -> list[Check]:
         check_units(model, model_path(bench, path))
         checks.append(_reach(bench, model))
         checks.extend(_reference(bench, model, path.parent))
-    checks.extend(_watchdog(bench))
+    checks.extend(_file(path))
+    checks.extend(_arming(bench))
+    checks.extend(_network(bench))
     checks.extend(_clock())
     checks.extend(_rights(bench))
     checks.extend(_device(bench))
@@ -112,14 +117,51 @@ def _reference(bench: BenchConfig, model: Model, folder: Path) -> Iterator[Check
         yield Check("reference", "OK", found)
 
 
-def _watchdog(bench: BenchConfig) -> Iterator[Check]:
-    if bench.limits.device_watchdog_ms == 0:
-        yield Check(
-            "device watchdog",
-            "WARN",
-            "off",
-            "the output stays on when this machine dies; set limits.device_watchdog_ms if the device has one",
-        )
+_UNNOTICED = {
+    "identity": "another device would not be noticed",
+    "map_version": "another firmware would not be noticed",
+    "device_watchdog": "the output stays on when this machine dies; set the device's own by hand if it has one",
+    "voltage_readback": "a wrong output would not be noticed",
+    "sign_check": "a reversed sensor or stack would be noticed only at a limit",
+}
+
+
+def _arming(bench: BenchConfig) -> Iterator[Check]:
+    """What is asked before a voltage is written, and what the configuration says that this device goes without."""
+    try:
+        check_named(bench)
+    except PiezodError as error:
+        yield Check("arming", "FAIL", str(error))
+    for name in bench.arming.without:
+        yield Check("arming", "WARN", f"without {name}", _UNNOTICED[name])
+    if not bench.arming.without:
+        yield Check("arming", "OK", "needs identity, map version, watchdog, rest and a step that raises the force")
+
+
+def _network(bench: BenchConfig) -> Iterator[Check]:
+    """Whether the bench could be commanded by others on the way."""
+    for name, link in (("link", bench.link), ("load_cell_link", bench.load_cell_link)):
+        if isinstance(link, ModbusTcpLink) and link.tls is None and not _is_loopback(link.host):
+            found = f"{name} is plain Modbus to {link.host}"
+            yield Check(
+                "network", "WARN", found, "anybody on that network can read and write; set tls, or keep it apart"
+            )
+
+
+def _is_loopback(host: str) -> bool:
+    try:
+        return ip_address(host).is_loopback
+    except ValueError:
+        return host == "localhost"
+
+
+def _file(path: Path) -> Iterator[Check]:
+    """Whoever can write the configuration sets the limits."""
+    found = path.stat()
+    if found.st_mode & stat.S_IWOTH:
+        yield Check("configuration", "WARN", f"{path} can be written by everybody", "chmod o-w it")
+    if found.st_uid not in (0, os.getuid()):
+        yield Check("configuration", "WARN", f"{path} belongs to uid {found.st_uid}", "let root or the service own it")
 
 
 def _clock() -> Iterator[Check]:

@@ -87,8 +87,9 @@ class ControlSocket:
                 listener.bind(str(self._path))
             finally:
                 os.umask(before)
-            if self._group is not None:
-                os.chown(self._path, -1, _gid_of(self._group))
+            group = None if self._group is None else _gid_of(self._group)
+            if group not in (None, self._path.lstat().st_gid):  # inside the sandbox nothing may be given away
+                os.chown(self._path, -1, group)
             self._path.chmod(self._mode)
             listener.setblocking(False)
             self._server = await asyncio.start_unix_server(self._serve, sock=listener, limit=LONGEST_LINE)

@@ -11,7 +11,7 @@ from pathlib import Path
 from piezod.errors import PiezodError
 from tests.benchmarks.table import NotMeasuredError, Row, header
 
-BENCHMARKS = ("chain", "batch", "wakeup", "exchange", "whole_tick", "memory", "solvers", "identification")
+BENCHMARKS = ("chain", "batch", "wakeup", "exchange", "whole_tick", "service", "memory", "solvers", "identification")
 
 
 def run(name: str, *, quick: bool) -> Iterator[Row]:
