@@ -337,10 +337,13 @@ def diagnose(
     """Find out what a model leaves out of recordings: where, which physics, how sure, and the model that has it."""
     from piezod.diagnose.command import diagnose_files
     from piezod.report.diagnosis import print_findings
+    from piezod.report.diagnosis_page import write_diagnosis_page
     from piezod.report.progress import steps
 
     with steps() as show:
         diagnosis = diagnose_files(recordings, model, output, input_column, output_column, show)
+        show("drawing the report", None)
+        write_diagnosis_page(output / "report.html", diagnosis)
     if as_json:
         print(json.dumps(diagnosis.findings.as_dict(), indent=2))
     else:

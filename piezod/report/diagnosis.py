@@ -20,7 +20,7 @@ def print_findings(findings: Findings, folder: Path) -> None:
         _print_effect(one, findings.unit)
     for note in findings.notes:
         print(f"note: {note}")
-    print(f"{folder / 'findings.json'}, {folder / 'model.yaml'}")
+    print(f"{folder / 'findings.json'}, {folder / 'model.yaml'}, {folder / 'report.html'}")
 
 
 def _print_effect(one: Finding, unit: str) -> None:

@@ -57,7 +57,17 @@ def write_page(path: Path, title: str, layout: LayoutDOM) -> None:
     ConfigurationError
         The file cannot be written.
     """
-    text = file_html(layout, INLINE, title, template=_TEMPLATE)
+    write_text(path, file_html(layout, INLINE, title, template=_TEMPLATE))
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write a text file, whole or not at all; its folder is made.
+
+    Raises
+    ------
+    ConfigurationError
+        It cannot be written.
+    """
     temporary = path.with_name(f".{path.name}.{os.getpid()}")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)

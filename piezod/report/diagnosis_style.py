@@ -1,0 +1,108 @@
+"""What a diagnosis page looks like: on a screen, on a telephone, and on A4."""
+
+from piezod.report.page import BLUE, GREEN, GREY, ORANGE, RED
+
+A4_ZOOM = 0.58  # 186 mm between the margins over the 1200 pixels that figures are drawn at
+
+STYLE = f"""
+:root {{ --line: #d9d9d9; --soft: #f5f6f7; --dim: #555; }}
+* {{ box-sizing: border-box; }}
+body {{ font: 14px/1.4 system-ui, "Segoe UI", Helvetica, Arial, sans-serif; color: #1c1c1c; background: #fff;
+  margin: 0 auto; max-width: 1240px; padding: 14px 20px 40px; }}
+h1 {{ font-size: 26px; line-height: 1.2; margin: 2px 0 2px; text-wrap: balance; }}
+h2 {{ font-size: 19px; margin: 30px 0 4px; padding-top: 10px; border-top: 1px solid var(--line); }}
+h3 {{ font-size: 15px; margin: 14px 0 4px; }}
+p {{ margin: 4px 0 8px; }} .lead {{ font-size: 15.5px; }} .dim, small {{ color: var(--dim); }}
+code {{ font-size: 0.85em; color: var(--dim); font-weight: normal; }}
+a {{ color: {BLUE}; }}
+.chip {{ display: inline-block; padding: 1px 10px; border-radius: 10px; color: #fff; font-weight: 600; font-size: 13px;
+  background: {BLUE}; }}
+.chip.matches {{ background: #00775a; }} .chip.partly_explained {{ background: {ORANGE}; color: #000; }}
+.chip.unexplained {{ background: #b84e00; }} .chip.not_testable {{ background: #666; }}
+.chain {{ list-style: none; display: grid; grid-template-columns: repeat(6, 1fr); gap: 18px; margin: 10px 0 12px;
+  padding: 0; }}
+.chain li {{ position: relative; border: 1px solid var(--line); border-radius: 6px; padding: 4px 10px;
+  background: var(--soft); }}
+.chain li + li::before {{ content: "\\2192"; position: absolute; left: -17px; top: 8px; color: {GREY}; }}
+.chain span, .chain b, .chain i {{ display: block; }} .chain span {{ color: var(--dim); font-size: 12px; }}
+.chain i {{ color: #6b6b6b; font-size: 12px; }} .chain b {{ font-size: 13.5px; line-height: 1.25; }}
+.chain li.hit {{ border: 2px solid {RED}; background: #fdf1ea; padding: 3px 9px; }}
+.chain li.hit span::after {{ content: " \\25CF"; color: {RED}; }}
+.first {{ display: grid; grid-template-columns: minmax(0, 1fr) 390px; gap: 22px; align-items: start; }}
+table {{ border-collapse: collapse; width: 100%; font-size: 13px; }}
+th, td {{ text-align: left; vertical-align: top; padding: 5px 10px 5px 0; border-bottom: 1px solid var(--line); }}
+th {{ color: var(--dim); font-weight: 600; font-size: 12px; }}
+td small {{ display: block; font-size: 12px; line-height: 1.3; }}
+.effects td:first-child {{ min-width: 190px; }} .effects td:nth-child(3) {{ min-width: 100px; }}
+.effects th {{ white-space: nowrap; }}
+.parameter {{ display: block; margin-bottom: 2px; }} .parameter small {{ display: block; }}
+.bar {{ display: block; width: 84px; height: 9px; background: #e4e4e4; border-radius: 5px; overflow: hidden;
+  margin: 4px 0 2px; }}
+.bar span {{ display: block; height: 100%; background: {BLUE}; }}
+.where {{ margin-top: 10px; }} .places {{ max-width: 620px; }}
+.files td:last-child {{ font-family: ui-monospace, monospace; font-size: 11px; word-break: break-all; }}
+.card table + table {{ margin-top: 10px; }}
+.card {{ border: 1px solid var(--line); border-left: 4px solid {RED}; border-radius: 6px; padding: 2px 16px 10px;
+  margin: 12px 0; }}
+.two {{ display: grid; grid-template-columns: minmax(0, 3fr) minmax(0, 2fr); gap: 26px; }}
+.pair {{ display: grid; grid-template-columns: repeat(2, minmax(0, 1fr)); gap: 14px; }}
+.three {{ display: grid; grid-template-columns: repeat(3, minmax(0, 1fr)); gap: 14px 16px; }}
+dl {{ display: grid; grid-template-columns: max-content 1fr; gap: 3px 14px; margin: 4px 0; }}
+dt {{ color: var(--dim); }} dd {{ margin: 0; }}
+dd.Forward {{ font-family: ui-monospace, monospace; font-size: 12.5px; }}
+.remains {{ background: var(--soft); border-left: 4px solid {GREEN}; border-radius: 6px; padding: 4px 16px 8px; }}
+.remains.open {{ border-left-color: {RED}; }}
+.remains li {{ margin: 3px 0; }} ul {{ margin: 6px 0; padding-left: 20px; }}
+figure {{ margin: 6px 0 2px; min-width: 0; }}
+figcaption {{ color: var(--dim); font-size: 12px; }}
+@media screen and (max-width: 1080px) {{ .first {{ grid-template-columns: minmax(0, 1fr); }} }}
+@media screen and (max-width: 860px) {{
+  body {{ padding: 10px 12px 30px; }} h1 {{ font-size: 21px; }}
+  .first, .two, .pair, .three {{ grid-template-columns: minmax(0, 1fr); }}
+  .chain {{ grid-template-columns: 1fr; gap: 0; }}
+  .chain li {{ display: grid; grid-template-columns: 96px 1fr; border-radius: 0; padding: 3px 8px; }}
+  .chain li + li::before {{ content: none; }} .chain b, .chain i {{ grid-column: 2; }} .chain span {{ grid-row: 1; }}
+  .chain li.hit {{ padding: 3px 8px; }}
+  dl {{ grid-template-columns: 1fr; gap: 0; }} dd {{ margin-bottom: 6px; }}
+  table, tbody, tr, td {{ display: block; }} thead {{ display: none; }}
+  tr {{ border-bottom: 2px solid var(--line); padding: 6px 0; }} td {{ border: 0; padding: 2px 0; }}
+  td[data-label]:not([data-label=""])::before {{ content: attr(data-label) ": "; color: var(--dim); font-size: 12px; }}
+  td:first-child::before {{ content: none !important; }} td:empty {{ display: none; }}
+}}
+@page {{ size: A4; margin: 12mm; }}
+@media print {{
+  body {{ zoom: {A4_ZOOM}; padding: 0; max-width: none; -webkit-print-color-adjust: exact; print-color-adjust: exact; }}
+  figure, .card, tr, .remains {{ break-inside: avoid; }} h2, h3 {{ break-after: avoid; }}
+}}
+"""
+
+TOUCH = """
+// a finger scrolls the page: figures zoom only where a mouse can drag
+if (matchMedia("(pointer: coarse)").matches) {
+  const timer = setInterval(() => {
+    for (const one of Bokeh.documents) {
+      for (const model of one._all_models.values()) if (model.type === "BoxZoomTool") model.active = false;
+      clearInterval(timer);
+    }
+  }, 300);
+}
+"""
+
+PAGE = """<!DOCTYPE html>
+<html lang="en">
+<head>
+<meta charset="utf-8">
+<meta http-equiv="Content-Security-Policy" content="default-src 'none'; script-src 'unsafe-inline' 'unsafe-eval';
+  style-src 'unsafe-inline'; img-src data: blob:">
+<meta name="viewport" content="width=device-width, initial-scale=1">
+<title>{title}</title>
+<style>{style}</style>
+</head>
+<body>
+{body}
+{library}
+{script}
+<script>{touch}</script>
+</body>
+</html>
+"""
