@@ -110,6 +110,8 @@ class Chain:
         Plays and splines.
     force_span_N
         Of the identified range.
+    voltage_span_V
+        Of the identified range; None: of the recordings.
     most_rows
         Samples of a recording that are compared, evenly spread; the simulation always runs over all.
     """
@@ -121,8 +123,10 @@ class Chain:
         law: ForceLaw,
         force_span_N: float,
         most_rows: int = MOST_ROWS,
+        voltage_span_V: float | None = None,
     ) -> None:
         self.series = list(series)
+        self.voltage_span_V = voltage_span_V or max(float(np.ptp(one.command_V)) for one in series)
         self.density, self.law, self.force_span_N = density, law, force_span_N
         self.most_rows = most_rows
         self.rows = [slice(None, None, max(1, -(-one.time_s.size // most_rows))) for one in self.series]
@@ -152,6 +156,8 @@ class Chain:
             self.force_span_N,
             one.temperature_C,
             one.between,
+            self.voltage_span_V,
+            one.path_V,
         )
 
     def played(self, number: int, here: Sequence[tuple[Term, Mapping[str, float]]]) -> tuple[Array, Array, Context]:

@@ -214,12 +214,14 @@ def _finding(result: Search, place: int) -> Finding:
     without = fit(chain, terms, replace(found.point, values=tuple(others))) if terms else result.base
     parameters = {}
     for one in term.effect.catalogued:
-        value = values[one.name]
+        value = {**values, **dict(term.choices)}[one.name]
         error = min(NORMAL_95 * found.spread[place].get(one.name, 0.0), MOST_SPREAD)
         low, high = (
             (value * np.exp(-error), value * np.exp(error)) if one.logarithmic else (value - error, value + error)
         )
         parameters[one.name] = Value(value, one.unit, float(max(low, one.low)), float(min(high, one.high)))
+    if term.effect.name == "noncongruent_minor_loops":
+        parameters["share"] = _share(result, place)
     rivals = _rivals(result, term)
     gain = float(np.log(without.loss / found.loss))
     return Finding(
@@ -235,6 +237,26 @@ def _finding(result: Search, place: int) -> Finding:
         term.effect.handling,
         term.effect.why,
     )
+
+
+def _share(result: Search, place: int) -> Value:
+    """Part of what the plays lag behind that depends on the bias, by rms over the recordings asked about."""
+    chain, found = result.chain, result.found
+    others = tuple(
+        {**values, "share": 0.0} if number == place else values for number, values in enumerate(found.point.values)
+    )
+    term = replace(found.terms[place], choices=())
+    terms = tuple(term if number == place else one for number, one in enumerate(found.terms))
+    shares = []
+    for k, series in enumerate(chain.series):
+        if series.role == "recording":
+            with_it = chain.run(k, found.terms, found.point)
+            without = chain.run(k, terms, replace(found.point, values=others))
+            added = with_it.stroke_V - without.stroke_V
+            lags = without.columns @ found.point.density
+            shares.append(float(np.std(added) / max(np.std(lags), 1e-12)))
+    value = float(np.clip(np.mean(shares), 0.0, 1.0))
+    return Value(value, "1", 0.8 * value, min(1.2 * value, 1.0))
 
 
 def _rivals(result: Search, term: Term) -> tuple[Rival, ...]:

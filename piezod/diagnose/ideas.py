@@ -111,6 +111,6 @@ def screened(chain: Chain, terms: Sequence[Term], point: Point) -> list[Idea]:
             term = Term(effect, scope, choices=choices)
             acting = [c if term.acts_on(k, chain.series[k]) else None for k, c in enumerate(changes)]
             gain, size = normal.gain_of(acting)
-            if size > 0.0 or effect.parameters[0].low < 0.0:
+            if size > 0.0 or effect.parameters[0].low < 0.0 or effect.parameters[0].choices:
                 ideas.append(Idea(term, values, gain))
     return sorted(ideas, key=lambda idea: -idea.gain)

@@ -207,7 +207,8 @@ def chain_of(series: Sequence[Series], model: Model) -> tuple[Chain, Point]:
     virgin = any(not one.path_V and starts_at_rest(one.command_V) for one in series)
     reach = 0.995 * (max(abs(low), abs(high)) if virgin else 0.5 * swing)
     law = ForceLaw(low - 0.03 * swing, high)
-    chain = Chain(series, PlayDensity.up_to(reach), law, model.output.high - model.output.low)
+    spans = model.output.high - model.output.low, model.input.high - model.input.low
+    chain = Chain(series, PlayDensity.up_to(reach), law, spans[0], voltage_span_V=spans[1])
     gain = (model.output.high - model.output.low) / (model.input.high - model.input.low)
     return chain, empty_point(chain, gain, model.output.low - gain * model.input.low)
 

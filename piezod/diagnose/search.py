@@ -103,7 +103,14 @@ def search(chain: Chain, start: Point, progress: OnProgress) -> Search:
 def _polish(result: Search) -> None:
     """Base and hypothesis once more on all samples."""
     chain = result.chain
-    result.chain = Chain(chain.series, chain.density, chain.law, chain.force_span_N, max(map(_length, chain.series)))
+    result.chain = Chain(
+        chain.series,
+        chain.density,
+        chain.law,
+        chain.force_span_N,
+        max(map(_length, chain.series)),
+        chain.voltage_span_V,
+    )
     result.found = fit(result.chain, result.found.terms, result.found.point, most_steps=4)
     result.base = fit(result.chain, (), result.base.point, most_steps=4)
 
@@ -149,7 +156,7 @@ def _best_course(
     def judged(between: float) -> None:
         if between not in results:
             series = [replace(one, between=between) for one in chain.series]
-            other = Chain(series, chain.density, chain.law, chain.force_span_N, chain.most_rows)
+            other = Chain(series, chain.density, chain.law, chain.force_span_N, chain.most_rows, chain.voltage_span_V)
             results[between] = (other, fit(other, terms, point, most_steps=MOST_STEPS if known is None else 6))
 
     for between in (STRAIGHT, *(HELD_PARTS if smooth else ()), HELD_BEFORE):

@@ -98,6 +98,10 @@ class Context:
         How the signal at hand runs between two samples. STRAIGHT (0). Above 0 up to 1: it is held until the next
         sample, and sample k shows it so many parts of a sample after it began. HELD_BEFORE (2): it is held, and
         sample k shows it just before it ends.
+    voltage_span_V
+        Range of the voltage that the model was identified over [V].
+    path_V
+        Voltages since the de-energised state, before the first sample.
     """
 
     dt_s: float
@@ -108,6 +112,8 @@ class Context:
     force_span_N: float
     temperature_C: Array | None = None
     between: float = STRAIGHT
+    voltage_span_V: float = 100.0
+    path_V: tuple[float, ...] = ()
 
 
 Forward = Callable[[Array, Context, Values], Array]

@@ -347,10 +347,12 @@ def simulate(model: Model, recording: Recording, window: int, sha256: str | None
     """
     operator, start = model.operator(), f"start of the model ({model.start.kind})"
     u, y = recording.channel(model.input.channel), recording.channels.get(model.output.channel)
+    path: tuple[float, ...] = () if model.start.peak is None else (model.start.peak, 0.0)
     if not starts_at_rest(u) and y is not None and window > 0:
         path = estimate_path(operator, u, y, window)
         operator.set_states(np.zeros(operator.plays[0].size))
         operator.run(np.array(path))
         start = f"start found from the first {window} samples"
     temperature_C = recording.channels.get("temperature_C")
-    return run_chain(model, operator, recording.time_s, u, temperature_C=temperature_C, sha256=sha256), start
+    readings = run_chain(model, operator, recording.time_s, u, temperature_C=temperature_C, sha256=sha256, path_V=path)
+    return readings, start

@@ -70,6 +70,7 @@ def run_chain(
     *,
     temperature_C: Array | None = None,
     sha256: str | None = None,
+    path_V: tuple[float, ...] = (),
 ) -> Array:
     """Readings that the whole model expects over a recording, shape (N,).
 
@@ -85,6 +86,8 @@ def run_chain(
         Where it was recorded, shape (N,).
     sha256
         Of the recording's file.
+    path_V
+        Voltages that led the operator to its state.
     """
     effects = effects_in(model, sha256)
     if not effects and model.sampling != "held_before":
@@ -101,6 +104,8 @@ def run_chain(
         model.output.high - model.output.low,
         temperature_C,
         between_of(model),
+        model.input.high - model.input.low,
+        path_V,
     )
     signal = command_V
     for effect, values in _seated(effects, Seat.AMPLIFIER, Seat.AMPLIFIER):

@@ -1,0 +1,74 @@
+"""Minor loops that differ with bias: plays whose weight depends on where they stand, as a Preisach plane has it.
+
+Forward    v = x + share s sum_i [a(r_i) (x_i^2 - y^2) / 2 + b(r_i) (x_i^3 - y^3) / 3] / n, with x_i = 2 z_i / s - 1 and
+           y = 2 u / s - 1
+Inverse    solved sample by sample as that of the plays is, while the sum stays monotone
+Signature  equal minor loops open differently at different biases; flat in frequency, nothing at rest; look-alike
+           output_nonlinearity (the same on both branches)
+Seat       hysteresis
+Valid      any Preisach operator is a sum of functions of play states (Krejci 1996); here of degree 3
+Source     THEORY 3 R; s is the identified voltage range, z_i the states of n plays up to it, a and b hats over r
+"""
+
+import numba
+import numpy as np
+
+from piezod.effects.effect import Array, Context, Effect, Parameter, Seat, Values
+
+PLAYS = 24
+HATS = 4
+
+
+@numba.njit(cache=True)
+def _run(u: Array, path: Array, span: float, square: Array, cube: Array) -> Array:
+    """What the plays add besides their plain weights, shape (N,)."""
+    n = square.size
+    z, out = np.zeros(n), np.empty(u.size)
+    r = span * ((np.arange(n) + 0.5) / n) ** 1.5
+    for k in range(path.size):
+        for i in range(n):
+            z[i] = max(path[k] - r[i], min(path[k] + r[i], z[i]))
+    for k in range(u.size):
+        y = (2.0 * u[k] - span) / span
+        total = 0.0
+        for i in range(n):
+            z[i] = max(u[k] - r[i], min(u[k] + r[i], z[i]))
+            x = (2.0 * z[i] - span) / span
+            total += square[i] * (x * x - y * y) / 2.0 + cube[i] * (x * x * x - y * y * y) / 3.0
+        out[k] = span * total / n
+    return out
+
+
+def _hats(values: Values, name: str) -> Array:
+    places = np.linspace(0.0, PLAYS - 1.0, HATS)
+    result: Array = np.interp(np.arange(PLAYS), places, [values.get(f"{name}_{k}", 0.0) for k in range(HATS)])
+    return result
+
+
+def forward(signal: Array, context: Context, values: Values) -> Array:
+    """What the plays give with those whose weight depends on the bias, shape (N,) [V]."""
+    path = np.array(context.path_V, dtype=np.float64)
+    added = _run(context.applied_V, path, context.voltage_span_V, _hats(values, "square"), _hats(values, "cube"))
+    result: Array = signal + values.get("share", 1.0) * added
+    return result
+
+
+EFFECT = Effect(
+    name="noncongruent_minor_loops",
+    title="minor loops that depend on the bias",
+    seat=Seat.STACK,
+    form="additive",
+    parameters=(
+        Parameter("share", "1", 0.0, 1.0, starts=(1.0,), choices=(1.0,)),
+        *(
+            Parameter(f"{name}_{k}", "1", -3.0, 3.0, starts=(0.1 if name == "square" else 0.0,), nuisance=True)
+            for name in ("square", "cube")
+            for k in range(HATS)
+        ),
+    ),
+    forward=forward,
+    handling="refused",
+    docstring=__doc__,
+    why="its inverse is not a play operator; a model identified on the biases that are driven comes closest",
+    separate_by="equal minor loops at three biases, each from the same end of the range",
+)
