@@ -1,13 +1,14 @@
 """The control process: one thread that reads, plans and writes; it hears commands in the pause after a tick.
 
-Commands come through the pipe as (number, name, argument), announced by SIGUSR1, so that a tick neither asks nor waits
-for them. SIGTERM asks for a ramp down and the end, a second one for haste.
+Commands come through the pipe as (number, time, name, argument), announced by SIGUSR1, so that a tick neither asks nor
+waits for them. SIGTERM asks for a ramp down and the end, a second one for haste.
 """
 
 import contextlib
 import ctypes
 import os
 import signal
+import time
 import warnings
 from multiprocessing.connection import Connection
 from pathlib import Path
@@ -29,6 +30,8 @@ from piezod.daemon.task import Outcome, Task
 from piezod.errors import CheckFailedError, PiezodError
 from piezod.transport import ExchangeResult, Link
 
+ENERGISING = ("arm",)
+OBEYS_WITHIN_S = 5.0  # half of what the parent waits for the answer
 _PR_SET_PDEATHSIG = 1  # prctl(2): the signal that comes when the parent has died
 
 
@@ -144,8 +147,12 @@ class Desk:
             return
         self._rung = False
         while self._pipe.poll():
-            number, name, argument = self._pipe.recv()
+            number, sent_ns, name, argument = self._pipe.recv()
             try:
+                if name in ENERGISING and time.monotonic_ns() - sent_ns > OBEYS_WITHIN_S * 1e9:
+                    raise CheckFailedError(
+                        f"{name}: came {OBEYS_WITHIN_S:g} s late; nobody may be waiting for it any more"
+                    )
                 kind, text = "ok", self._obey(name, argument)
             except PiezodError as error:
                 kind, text = type(error).__name__, str(error)

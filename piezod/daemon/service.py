@@ -201,8 +201,12 @@ class Service:
 
     async def _follow(self, session: Session) -> None:
         """Look at the ring log until the control process ends."""
+        begun_s = time.monotonic()
         while self._messages.empty():
-            if self._look(session):
+            starting = (
+                self.tally.last is None and time.monotonic() - begun_s < READY_WITHIN_S
+            )  # steps are compiled once
+            if self._look(session) or starting:
                 self._notifier.alive()
             if self._arm and self.tally.was_driving and self.tally.state in (State.DISARMED, State.FAULT):
                 session.stop()

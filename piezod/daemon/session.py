@@ -7,6 +7,7 @@ import contextlib
 import multiprocessing
 import os
 import signal
+import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -159,7 +160,7 @@ class Session:
         assert self._pipe is not None
         self._commands += 1
         with contextlib.suppress(BrokenPipeError):
-            self._pipe.send((self._commands, name, argument))
+            self._pipe.send((self._commands, time.monotonic_ns(), name, argument))
         self._signal(signal.SIGUSR1)
         return self._commands
 

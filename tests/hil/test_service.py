@@ -219,6 +219,7 @@ def test_systemd_hears_of_the_ticks_and_of_nothing_when_they_stop(bench):
     with daemon(bench) as service:
         service.connected()
         service.ready()
+        service.wait_until(lambda: service.status()["ticks"] > 10, "some ticks")
         service.wait_until(lambda: sum(line == "WATCHDOG=1" for _, line in service.told) > 10, "ten signs of life")
         child = service.control_pid()
         os.kill(child, signal.SIGSTOP)
@@ -307,7 +308,7 @@ def test_metrics_are_scraped_from_the_loopback(serves, tmp_path):
         service.connected()
         address = next(line.split()[1] for line in service.said if line.startswith("metrics: "))
         assert address.startswith("http://127.0.0.1:")
-        time.sleep(0.5)
+        service.wait_until(lambda: service.status()["ticks"] > 10, "some ticks")
         with urllib.request.urlopen(address, timeout=5) as page:
             text = page.read().decode()
     assert 'piezod_state{bench="emulator",state="disarmed"} 1.0' in text
