@@ -254,7 +254,7 @@ def _share(result: Search, place: int) -> Value:
             without = chain.run(k, terms, replace(found.point, values=others))
             added = with_it.stroke_V - without.stroke_V
             lags = without.columns @ found.point.density
-            shares.append(float(np.std(added) / max(np.std(lags), 1e-12)))
+            shares.append(float(np.std(added)) / max(float(np.std(lags)), 1e-12))
     value = float(np.clip(np.mean(shares), 0.0, 1.0))
     return Value(value, "1", 0.8 * value, min(1.2 * value, 1.0))
 
