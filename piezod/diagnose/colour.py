@@ -9,6 +9,8 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 ORDER = 12  # of the autoregression
+SHORTEST_STRETCH, MOST_STRETCHES = 1000, 24  # samples; stretches that it is taken from
+USUAL = 0.75  # of the stretches, those with least power
 MEDIAN_SPREAD = 1.4826  # standard deviation over median absolute deviation of a Gaussian
 WIDEST, NARROWEST, GROWTH = 101, 16, 0.25  # bins of a line's surroundings; their growth with frequency
 SLOWEST_LINE = 16  # cycles a record
@@ -23,17 +25,19 @@ def spread(values: Array) -> float:
 def autoregression(residual: Array) -> Array:
     """Coefficients that predict a residual from its past, shape (ORDER,) [1].
 
-    Autocovariances are medians over thirty-two stretches, so a burst or a step does not decide.
+    Autocovariances are means over stretches of usual power, so a burst or a step does not decide.
     """
-    stretches = max(min(32, residual.size // (8 * ORDER)), 1)
+    stretches = int(np.clip(residual.size // SHORTEST_STRETCH, 1, MOST_STRETCHES))
     size = residual.size // stretches
     parts = residual[: stretches * size].reshape(stretches, size)
     parts = parts - parts.mean(axis=1, keepdims=True)
-    lags = np.array([np.median(np.mean(parts[:, k:] * parts[:, : size - k], axis=1)) for k in range(ORDER + 1)])
+    power = np.mean(parts**2, axis=1)
+    usual = parts[power <= np.quantile(power, USUAL)]
+    lags = np.array([np.sum(usual[:, k:] * usual[:, : size - k]) for k in range(ORDER + 1)])
     if not lags[0] > 0.0:
         return np.zeros(ORDER)
     index = np.abs(np.arange(ORDER)[:, None] - np.arange(ORDER))
-    matrix = lags[index] + 1e-6 * lags[0] * np.eye(ORDER)
+    matrix = lags[index] + 1e-9 * lags[0] * np.eye(ORDER)
     result: Array = np.linalg.lstsq(matrix, lags[1:], rcond=None)[0]
     return result
 

@@ -166,12 +166,12 @@ class _Look:
         """
         if self.all.p(np.random.default_rng(0)) > BELIEVED:
             return [one.residual for one in self.told]
-        folds, block = self.blocks.folds, 0
+        block = 0
         result = []
         for number, one in enumerate(self.told):
             left = one.residual.copy()
             for stretch, columns in self.columns.stretches(number, one.edges):
-                left[stretch] -= columns @ self.all.weights[folds[block]]
+                left[stretch] -= columns @ self.all.weights[block]
                 block += 1
             result.append(np.where(one.counts, left, 0.0))
         return result

@@ -12,6 +12,7 @@ Index = NDArray[np.int64]
 STRENGTHS = (1e-8, 1e-6, 1e-4, 1e-2, 1.0)  # parts of a column's own square
 FOLDS = 8
 FLIPS = 999
+FAILED = 2.0  # of a block's loss: beyond it the columns have not learnt from the other blocks what this one does
 
 
 @dataclass(frozen=True)
@@ -54,7 +55,7 @@ class LeftOut:
     before, after
         Squared residual of every block under the levels alone and under all columns, shape (B,).
     weights
-        Of the columns, with each fold left out, shape (K, P).
+        For every block, from the others, shape (B, P); the levels alone for a block of which the others tell nothing.
     """
 
     before: Array
@@ -88,7 +89,10 @@ def left_out(blocks: Blocks, levels: Mask) -> LeftOut:
     strengths = problem.strengths()
     weights = np.stack([problem.solved([k], strengths[k]) for k in range(count)])
     level = np.stack([problem.solved([k], np.inf) for k in range(count)])
-    return LeftOut(_losses(blocks, level[folds]), _losses(blocks, weights[folds]), weights)
+    before, after = _losses(blocks, level[folds]), _losses(blocks, weights[folds])
+    failed = after > FAILED * before
+    chosen = np.where(failed[:, None], level[folds], weights[folds])
+    return LeftOut(before, np.minimum(after, FAILED * before), chosen)
 
 
 def _losses(blocks: Blocks, weights: Array) -> Array:

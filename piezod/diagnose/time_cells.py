@@ -17,7 +17,7 @@ Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
 FEWEST_TIME_CELLS, TIME_CELLS, FINE_CELLS = 12, 48, 480
-MEMORIES = 12.0  # that a cell of time is long at least
+MEMORIES = 16.0  # that a cell of time is long at least
 TEMPERATURE_CELLS = 12
 LINE_BANDS = 200
 SURE_LINE = 12.0  # power over the surroundings from which a line's frequency is refined
@@ -29,20 +29,17 @@ def cells_of_time_and_temperature(told: Sequence[Told], shifts: int, rng: np.ran
     cells, means, temperatures, raw = [], [], [], []
     for one in told:
         memory = colour.memory(one.residual)
-        cellscells_of_time_and_temperature = int(
-            np.clip(one.residual.size / (MEMORIES * memory), FEWEST_TIME_CELLS, TIME_CELLS)
-        )
-        coarse = _Stretches.of(one, one.residual, cellscells_of_time_and_temperature)
+        long = int(np.clip(one.residual.size / (MEMORIES * memory), FEWEST_TIME_CELLS, TIME_CELLS))
+        coarse = _Stretches.of(one, one.residual, long)
         level = np.vstack((coarse.mean, rng.standard_normal((shifts, coarse.mean.size))))
         level = _uneven(level)
         cells.append(_level_cells(one, coarse, level))
-        cells.append(_power_cells(one, coarse, memory, shifts, rng))
-        fine = _Stretches.of(one, colour.innovations(one.residual), FINE_CELLS)
-        cells.append(_power_cells(one, fine, 1.0, shifts, rng))
+        news = colour.innovations(one.residual)
+        cells += [_power_cells(one, _Stretches.of(one, news, many), shifts, rng) for many in (TIME_CELLS, FINE_CELLS)]
         if one.series.temperature_C is not None:
             means.append(level)
             raw.append(np.vstack((coarse.n, coarse.n * (coarse.mean - np.median(coarse.mean)))).T)
-            temperatures.append(_Stretches.of(one, one.series.temperature_C, cellscells_of_time_and_temperature).mean)
+            temperatures.append(_Stretches.of(one, one.series.temperature_C, long).mean)
     if means and float(np.ptp(np.concatenate(temperatures))) > 0.0:
         cells.append(_temperature_cells(np.hstack(means), np.concatenate(temperatures), np.concatenate(raw)))
     return cells
@@ -91,10 +88,10 @@ def _level_cells(one: Told, stretches: _Stretches, level: Array) -> Cells:
     return Cells("time_s", low, high, np.abs(level), energy, (level[0] > 0.0).astype(np.int64))
 
 
-def _power_cells(one: Told, stretches: _Stretches, memory: float, shifts: int, rng: np.random.Generator) -> Cells:
+def _power_cells(one: Told, stretches: _Stretches, shifts: int, rng: np.random.Generator) -> Cells:
     """Cells with more power than others; a cube root makes mean squares nearly Gaussian (Wilson, Hilferty 1931)."""
     low, high = stretches.times_s(one)
-    degrees = max(float(np.diff(stretches.edges).mean()) / memory, 1.0)
+    degrees = float(np.diff(stretches.edges).mean())
     reference = rng.chisquare(degrees, (shifts, low.size)) / degrees
     score = _uneven(np.cbrt(np.vstack((stretches.power / max(float(np.median(stretches.power)), 1e-300), reference))))
     energy = stretches.n * np.maximum(stretches.power - np.median(stretches.power), 0.0)
