@@ -96,7 +96,10 @@ class Daemon:
     def control_pid(self):
         """The process that this one started and that drives: the one that is not a resource tracker."""
         children = subprocess.run(
-            ["ps", "-o", "pid=,args=", "--ppid", str(self.process.pid)], capture_output=True, text=True, check=True
+            ["ps", "-ww", "-o", "pid=,args=", "--ppid", str(self.process.pid)],
+            capture_output=True,
+            text=True,
+            check=True,
         ).stdout.splitlines()
         return next(int(line.split()[0]) for line in children if "spawn_main" in line)
 
