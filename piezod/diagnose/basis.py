@@ -80,7 +80,7 @@ class PlayDensity:
         return np.concatenate(([1.0 - plays.sum()], plays))
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, nogil=True)
 def _columns(r: Array, hats: Array, path: Array, u: Array, factor: Array, offset: Array, out: Array) -> None:
     plays, count = hats.shape
     first = np.zeros(plays, np.int64)  # a play belongs to two neighbouring hats at most
@@ -141,7 +141,7 @@ class ForceLaw:
         return np.asarray(offset + slope * middles, dtype=np.float64)
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, nogil=True)
 def _splines(v: Array, low: float, per_V: float, values: Array, slopes: Array) -> None:
     count = values.shape[1]
     for k in range(v.size):
@@ -162,7 +162,7 @@ def _splines(v: Array, low: float, per_V: float, values: Array, slopes: Array) -
         slopes[k, j + 2] = s2 * per_V
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, nogil=True)
 def _law(v: Array, low: float, per_V: float, d: Array, out: Array) -> None:
     for k in range(v.size):
         x = (v[k] - low) * per_V

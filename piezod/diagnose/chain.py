@@ -5,6 +5,7 @@
 Effects act where they sit. The base's columns are carried through whatever lies behind them.
 """
 
+import threading
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
@@ -15,7 +16,7 @@ from numpy.typing import NDArray
 from piezod.diagnose.basis import HATS, SPLINES, ForceLaw, PlayDensity
 from piezod.diagnose.series import Series
 from piezod.effects import EFFECTS
-from piezod.effects.effect import HELD_BEFORE, STRAIGHT, Context, Effect, Seat
+from piezod.effects.effect import HELD_BEFORE, STRAIGHT, Context, Effect, Parameter, Seat
 
 Array = NDArray[np.float64]
 
@@ -130,7 +131,33 @@ class Chain:
         self.density, self.law, self.force_span_N = density, law, force_span_N
         self.most_rows = most_rows
         self.rows = [slice(None, None, max(1, -(-one.time_s.size // most_rows))) for one in self.series]
-        self._cache: list[dict[tuple[object, ...], tuple[Array, Array, float]]] = [{} for _ in self.series]
+        self._rates = _rates(self.series)
+        slow, _, _, fastest = self._rates
+        self._ranges = {  # effect parameters in these units, by name
+            "presliding_N": (1e-3 * force_span_N, force_span_N),
+            "gap_N": (0.0, 0.9 * force_span_N),
+            "reference_V_per_s": (0.03 * slow, 3.0 * fastest),
+            "limit_V_per_s": (0.1 * slow, fastest),
+        }
+        self._lock = threading.Lock()
+        self._cache: list[dict[tuple[object, ...], tuple[Array, Array, float, dict[str, Array]]]] = [
+            {} for _ in self.series
+        ]
+
+    def parameter(self, effect: Effect, name: str) -> Parameter:
+        """A parameter in the range that these recordings can show."""
+        one = effect.parameter(name)
+        if name not in self._ranges:
+            return one
+        low, high = (float(np.clip(value, one.low, one.high)) for value in self._ranges[name])
+        if not low < high:
+            return one
+        return replace(one, low=low, high=high, starts=tuple(float(np.clip(x, low, high)) for x in one.starts))
+
+    @property
+    def rates_V_per_s(self) -> tuple[float, float, float, float]:
+        """How fast the command moves in the recordings asked about: lowest tenth, median, highest tenth, fastest."""
+        return self._rates
 
     def terms_of(self, number: int, terms: Sequence[Term], point: Point) -> list[tuple[Term, Mapping[str, float]]]:
         """Terms that act on a recording, in the order of the chain, with their values."""
@@ -165,23 +192,26 @@ class Chain:
         front = [(term, values) for term, values in here if term.effect.seat <= Seat.HYSTERESIS]
         key = (self.series[number].between, *((t.effect.name, tuple(v.items())) for t, v in front))
         context, cache = self.context(number), self._cache[number]
-        if key not in cache:
+        known = cache.get(key)
+        if known is None:
             applied_V, factor, offset_V = context.command_V, None, None
             for term, values in front:
                 if term.effect.seat == Seat.AMPLIFIER:
                     applied_V = term.effect.forward(applied_V, context, values)
-                    context = replace(context, applied_V=applied_V, between=_behind(term, context))
+                    context = replace(context, applied_V=applied_V, between=_behind(term, context), memo={})
                 elif term.effect.widening is not None:
                     more, add_V = term.effect.widening(context, values)
                     factor = more if factor is None else factor * more
                     offset_V = add_V if offset_V is None else offset_V + add_V
             path_V = np.array(self.series[number].path_V)
             columns = self.density.columns(applied_V, path_V, factor, offset_V)
-            while len(cache) >= CACHED:
-                cache.pop(next(iter(cache)))
-            cache[key] = (applied_V, columns, context.between)
-        applied_V, columns, between = cache[key]
-        return applied_V, columns, replace(context, applied_V=applied_V, between=between)
+            known = (applied_V, columns, context.between, context.memo)
+            with self._lock:
+                while len(cache) >= CACHED:
+                    cache.pop(next(iter(cache)))
+                cache[key] = known
+        applied_V, columns, between, memo = known
+        return applied_V, columns, replace(context, applied_V=applied_V, between=between, memo=memo)
 
     def run(self, number: int, terms: Sequence[Term], point: Point) -> Trace:
         """Simulate a recording."""
@@ -223,6 +253,16 @@ class Chain:
             signal_N = term.effect.forward(signal_N, context, values)
             context = replace(context, between=_behind(term, context))
         return tangents
+
+
+def _rates(series: Sequence[Series]) -> tuple[float, float, float, float]:
+    asked = [one for one in series if one.role == "recording"] or list(series)
+    rates = np.concatenate([np.abs(np.diff(one.command_V)) / one.dt_s for one in asked])
+    moving = rates[rates > 0.0]
+    if not moving.size:
+        return 1.0, 1.0, 1.0, 1.0
+    slow, usual, fast = (float(x) for x in np.percentile(moving, (10, 50, 90)))
+    return slow, usual, fast, float(moving.max())
 
 
 def _behind(term: Term, context: Context) -> float:

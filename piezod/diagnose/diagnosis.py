@@ -13,6 +13,8 @@ from piezod.diagnose.findings import Finding, Findings, Place, Rival, Value, Ver
 from piezod.diagnose.fit import Fitted, Normal, fit
 from piezod.diagnose.guard import Guard, explainable
 from piezod.diagnose.locate import locate
+from piezod.diagnose.motion import Motion, motion
+from piezod.diagnose.parallel import each
 from piezod.diagnose.places import place_of
 from piezod.diagnose.prepare import Source, chain_of, even, stand_in, started, without_frozen
 from piezod.diagnose.search import Search, search
@@ -127,10 +129,11 @@ def _judged(
     after = _held_out_rms(chain, found)
     floor, floor_from = _floor(chain.series, residuals, left)
     floor = min(floor, after)
-    effects = [_finding(result, place) for place in range(len(found.terms))]
+    effects = each(lambda place: _finding(result, place), range(len(found.terms)))
     effects += _read_off(chain.series, frozen, residuals, before)
     hashes = [""] * stand_ins + [source.sha256 for source in sources]
-    verdict = _verdict(result, left, effects)
+    moving = motion(chain.series, residuals, normal.readings)
+    verdict = _verdict(result, left, moving, effects)
     extended, said = model, list(notes)
     if found.terms or verdict != "matches":
         try:
@@ -320,11 +323,12 @@ def _coarsest(series: Sequence[Series], residuals: Sequence[Array]) -> tuple[flo
     return step, float(np.sqrt(max(spread**2 - step**2 / 12.0, 0.0)))
 
 
-def _verdict(result: Search, left: Guard, effects: Sequence[Finding]) -> Verdict:
-    missing = left.share > STILL_EXPLAINABLE and left.p < SURE
+def _verdict(result: Search, left: Guard, moving: Motion, effects: Sequence[Finding]) -> Verdict:
+    share = max(left.share if left.p < SURE else 0.0, moving.share)
+    missing = share > STILL_EXPLAINABLE
     if missing and result.found.terms:
         gained = result.base.loss - result.found.loss
-        missing = gained < CLOSED * (result.base.loss - (1.0 - left.share) * result.found.loss)
+        missing = gained < CLOSED * (result.base.loss - (1.0 - share) * result.found.loss)
     if effects:
         return "partly_explained" if missing else "explained"
     return "unexplained" if missing else "matches"

@@ -54,7 +54,7 @@ class Layout:
         self.offsets = HATS + SPLINES
         self.recordings = len(chain.series)
         self.searched: list[tuple[int, Parameter]] = [
-            (number, term.effect.parameter(name)) for number, term in enumerate(terms) for name in term.searched
+            (number, chain.parameter(term.effect, name)) for number, term in enumerate(terms) for name in term.searched
         ]
         self.effects = self.offsets + self.recordings - 1
         self.size = self.effects + len(self.searched)
@@ -85,7 +85,7 @@ class Layout:
 
 
 def _scaled(one: Parameter, value: float) -> float:
-    return float(np.log(max(value, one.low))) if one.logarithmic else value
+    return float(np.log(np.clip(value, one.low, one.high))) if one.logarithmic else value
 
 
 def _unscaled(one: Parameter, value: float) -> float:

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from piezod.diagnose.chain import Chain, Point, Term
 from piezod.diagnose.direct import peaks_Hz
 from piezod.diagnose.fit import Normal
+from piezod.diagnose.parallel import each
 from piezod.effects import EFFECTS
 from piezod.effects.effect import Effect, Parameter
 
@@ -58,16 +59,13 @@ def catalogue_ideas(
 
 def _scales(chain: Chain) -> dict[str, tuple[float, ...]]:
     """Where searches in these units begin: for limits near the top, for others small parts of the range."""
-    asked = [one for one in chain.series if one.role == "recording"]
-    top_V = max(float(one.command_V.max()) for one in asked)
-    rates = np.concatenate([np.abs(np.diff(one.command_V)) / one.dt_s for one in asked])
-    moving = rates[rates > 0.0]
-    usual, fast, fastest = (float(x) for x in np.percentile(moving, (50, 90, 99.5))) if moving.size else (1.0, 1.0, 1.0)
+    top_V = max(float(one.command_V.max()) for one in chain.series if one.role == "recording")
+    _, usual, fast, fastest = chain.rates_V_per_s
     span_N = chain.force_span_N
     return {
         "limit_V": tuple(part * top_V for part in (0.5, 0.7, 0.85, 0.95)),
         "knee_V": (0.003 * top_V,),
-        "limit_V_per_s": tuple(np.geomspace(0.3 * usual, 0.8 * max(fastest, usual), 7).tolist()),
+        "limit_V_per_s": tuple(np.geomspace(0.3 * usual, 0.8 * max(fastest, usual), 10).tolist()),
         "reference_V_per_s": (0.1 * usual, usual, fast),
         "gap_N": (0.01 * span_N, 0.05 * span_N, 0.2 * span_N),
         "softness_N": (0.002 * span_N,),
@@ -96,21 +94,23 @@ def screened(chain: Chain, terms: Sequence[Term], point: Point) -> list[Idea]:
         for top in peaks_Hz(one, one.reading_N - normal.readings[number])
     ]
     ringing = {"resonance frequency_Hz": (*tops_Hz, *EFFECTS["resonance"].parameter("frequency_Hz").starts)}
-    ideas = []
-    for effect, values, choices in catalogue_ideas(chain, channels, ringing):
-        if any(term.effect is effect for term in terms):
-            continue
-        once = tuple({**dict(one)} for one in point.values)
+
+    def looked_at(one: tuple[Effect, dict[str, float], tuple[tuple[str, float], ...]]) -> list[Idea]:
+        effect, values, choices = one
         term = Term(effect, "already", choices=choices)
-        changed = Point(point.density, point.law, point.offsets_N, (*once, values))
+        changed = Point(point.density, point.law, point.offsets_N, (*point.values, values))
         changes = [
             chain.run(number, (*terms, term), changed).reading_N - normal.readings[number]
             for number in range(len(chain.series))
         ]
+        ideas = []
         for scope in ("since", "already"):
             term = Term(effect, scope, choices=choices)
             acting = [c if term.acts_on(k, chain.series[k]) else None for k, c in enumerate(changes)]
             gain, size = normal.gain_of(acting)
             if size > 0.0 or effect.parameters[0].low < 0.0 or effect.parameters[0].choices:
                 ideas.append(Idea(term, values, gain))
-    return sorted(ideas, key=lambda idea: -idea.gain)
+        return ideas
+
+    new = [one for one in catalogue_ideas(chain, channels, ringing) if not any(term.effect is one[0] for term in terms)]
+    return sorted((idea for ideas in each(looked_at, new) for idea in ideas), key=lambda idea: -idea.gain)

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,6 +11,7 @@ from piezod.diagnose.chain import Chain, Point, Scope, Term
 from piezod.diagnose.direct import edges_of_step, lines
 from piezod.diagnose.fit import MOST_STEPS, Fitted, Normal, fit
 from piezod.diagnose.ideas import Idea, screened
+from piezod.diagnose.parallel import each
 from piezod.diagnose.series import Series
 from piezod.effects import EFFECTS
 from piezod.effects.effect import HELD_BEFORE, STRAIGHT
@@ -28,8 +30,10 @@ WORTH = 0.04  # of the loss that is left: what an effect must gain at least
 FAIR_SHARE = 0.02  # of the largest gain so far: more effects than that are the plant's own shape
 HELD_PARTS = (0.3, 0.7)  # of a sample after its command, where the search for the moment of reading begins
 SMALLEST_PART = 0.04
+SLIDES = 0.5  # of the force's range: friction with a longer presliding never slides
 SAME = 0.005  # of the loss
 MAINS_HZ = (50.0, 60.0)
+HARMONICS, HARMONIC_HZ = 20, 0.3  # of a hum that was found: none of them is another machine
 
 
 @dataclass(frozen=True)
@@ -82,12 +86,12 @@ def search(chain: Chain, start: Point, progress: OnProgress) -> Search:
     while len(result.found.terms) < MOST_EFFECTS:
         progress(f"looking for effect {len(result.found.terms) + 1}")
         tried = _tried(result.chain, result.found)
-        better = [one for one in tried if worth(result.found, one, largest)]
+        better = [one for one in tried if worth(result.found, one, largest) and not _degenerate(result.chain, one)]
         if not better:
             break
         before = result.found
         finalists = sorted(better, key=lambda one: one.loss)[:FINALISTS]
-        courses = [_best_course(result.chain, one.terms, one.point, one) for one in finalists]
+        courses = each(partial(_best_of, result.chain), finalists)
         result.chain, best = min(courses, key=lambda one: one[1].loss)
         largest = max(largest, before.loss - best.loss)
         others = tuple(one for one in tried if one.terms[-1].effect is not best.terms[-1].effect)
@@ -134,6 +138,14 @@ def worth(before: Fitted, after: Fitted, largest: float) -> bool:
     return float(np.sum(touched)) > 2.5 * float(np.sqrt(np.sum(weights**2)))
 
 
+def _degenerate(chain: Chain, fitted: Fitted) -> bool:
+    """Whether the last effect is friction that never slides: a spring in parallel, which is a gain."""
+    term, values = fitted.terms[-1], fitted.point.values[-1]
+    if term.effect.name != "friction":
+        return False
+    return values["presliding_N"] > SLIDES * chain.parameter(term.effect, "presliding_N").high
+
+
 def _best_course(
     chain: Chain, terms: Sequence[Term], point: Point, known: Fitted | None = None
 ) -> tuple[Chain, Fitted]:
@@ -171,6 +183,10 @@ def _best_course(
     return results[best()]
 
 
+def _best_of(chain: Chain, one: Fitted) -> tuple[Chain, Fitted]:
+    return _best_course(chain, one.terms, one.point, one)
+
+
 def _tried(chain: Chain, found: Fitted) -> list[Fitted]:
     """Hypotheses with one more effect: all promising ones fitted coarsely, the best of them thoroughly."""
     ideas = screened(chain, found.terms, found.point)
@@ -181,10 +197,10 @@ def _tried(chain: Chain, found: Fitted) -> list[Fitted]:
             break
         if len(chosen) < TRIED or idea.term.effect.name in chosen:
             chosen.setdefault(idea.term.effect.name, []).append(idea)
-    coarse = [(_extended(chain, found, some[0], most_steps=COARSE_STEPS), some) for some in chosen.values()]
+    coarse = each(lambda some: (_extended(chain, found, some[0], most_steps=COARSE_STEPS), some), list(chosen.values()))
     coarse.sort(key=lambda one: one[0].loss)
-    fine = [_refined(chain, found, first, some) for first, some in coarse[:REFINED]]
-    direct = [_extended(chain, found, idea) for idea in suggested(chain, found)]
+    fine = each(lambda one: _refined(chain, found, *one), coarse[:REFINED])
+    direct = each(lambda idea: _extended(chain, found, idea), suggested(chain, found))
     return [*fine, *(first for first, _ in coarse[REFINED:]), *direct]
 
 
@@ -230,7 +246,13 @@ def suggested(chain: Chain, found: Fitted) -> list[Idea]:
         if series.role == "identification":
             continue
         residual_N = series.reading_N - normal.readings[number]
-        for line in lines(series, residual_N)[:2]:
+        hums_Hz = [
+            values["frequency_Hz"]
+            for term, values in zip(found.terms, found.point.values, strict=True)
+            if term.effect.name == "mains_hum" and term.acts_on(number, series)
+        ]
+        strange = [one for one in lines(series, residual_N) if not _harmonic(one.frequency_Hz, hums_Hz, series.dt_s)]
+        for line in strange[:2]:
             near = min(MAINS_HZ, key=lambda mains: abs(line.frequency_Hz - mains))
             name = "mains_hum" if abs(line.frequency_Hz - near) < 0.6 else "vibration"
             ideas.append(
@@ -246,6 +268,13 @@ def suggested(chain: Chain, found: Fitted) -> list[Idea]:
             places = {"step_N": height_N, "on_s": first * series.dt_s, "off_s": end * series.dt_s}
             ideas.append(_idea("load_step", number, places))
     return [idea for idea in ideas if not any(term.effect is idea.term.effect for term in found.terms)]
+
+
+def _harmonic(frequency_Hz: float, of_Hz: Sequence[float], dt_s: float) -> bool:
+    """Whether it is a multiple of one of some frequencies, as sampling folds them."""
+    multiples = np.outer(of_Hz, np.arange(1, HARMONICS + 1))
+    folded = np.abs(multiples - np.rint(multiples * dt_s) / dt_s)
+    return bool(np.any(np.abs(folded - frequency_Hz) < HARMONIC_HZ))
 
 
 def _idea(name: str, number: int, known: dict[str, float]) -> Idea:

@@ -15,7 +15,7 @@ import numpy as np
 from piezod.effects.effect import Array, Context, Effect, Parameter, Seat, Values
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, nogil=True)
 def contact_step(force: float, gap: float, softness: float) -> float:
     """Force that arrives behind the gap; softness 0 is a sharp kink [N]."""
     beyond = force - gap
@@ -25,7 +25,7 @@ def contact_step(force: float, gap: float, softness: float) -> float:
     return max(beyond, 0.0)
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, nogil=True)
 def _run(force: Array, gap: float, softness: float) -> Array:
     out = np.empty(force.size)
     for k in range(force.size):

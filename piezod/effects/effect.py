@@ -102,6 +102,8 @@ class Context:
         Range of the voltage that the model was identified over [V].
     path_V
         Voltages since the de-energised state, before the first sample.
+    memo
+        What an effect computed from `applied_V` alone and may want again; of this `applied_V` and no other.
     """
 
     dt_s: float
@@ -114,6 +116,7 @@ class Context:
     between: float = STRAIGHT
     voltage_span_V: float = 100.0
     path_V: tuple[float, ...] = ()
+    memo: dict[str, Array] = field(default_factory=dict)
 
 
 Forward = Callable[[Array, Context, Values], Array]

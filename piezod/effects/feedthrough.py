@@ -17,13 +17,13 @@ import numpy as np
 from piezod.effects.effect import Array, Context, Effect, Parameter, Seat, Values
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, nogil=True)
 def coupling_step(y: float, slope: float, keep: float) -> float:
     """Advance rise y' + y = slope by a sample of constant slope; keep = exp(-T / rise)."""
     return keep * y + (1.0 - keep) * slope
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, nogil=True)
 def _run(u: Array, dt_s: float, keep: float) -> Array:
     out = np.empty(u.size)
     y = 0.0

@@ -17,7 +17,7 @@ import numpy as np
 from piezod.effects.effect import Array, Context, Effect, Parameter, Seat, Values
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, nogil=True)
 def dahl_step(z: float, travel: float, exponent: float) -> float:
     """Friction in parts of its limit after a travel in parts of `presliding_N`; -1 <= z <= 1.
 
@@ -38,7 +38,7 @@ def dahl_step(z: float, travel: float, exponent: float) -> float:
     return sign * (1.0 - min(q, 2.0))
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, nogil=True)
 def _run(force: Array, limit: float, presliding: float, exponent: float) -> Array:
     out = np.empty(force.size)
     z = 0.0

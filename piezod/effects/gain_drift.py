@@ -19,7 +19,7 @@ from piezod.effects.effect import Array, Context, Effect, Parameter, Seat, Value
 STRAIGHT_ON = 1e-3  # bends below it
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, nogil=True)
 def course(part: float, bend: float) -> float:
     """Share of the change that has come about at a part of the record; 0 before it, 1 behind it."""
     part = min(max(part, 0.0), 1.0)
@@ -28,7 +28,7 @@ def course(part: float, bend: float) -> float:
     return math.expm1(-bend * part) / math.expm1(-bend)
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, nogil=True)
 def _run(x: Array, time_s: Array, duration_s: float, change: float, bend: float) -> Array:
     out = np.empty(x.size)
     for k in range(x.size):

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, nogil=True)
 def first_order_step(y: float, before: float, now: float, keep: float, ramp: float) -> float:
     """Advance tau y' = x - y by a sample while x runs straight from `before` to `now`.
 
@@ -22,7 +22,7 @@ def first_order_step(y: float, before: float, now: float, keep: float, ramp: flo
     return y + (1.0 - keep) * (before - y) + ramp * (now - before)
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, nogil=True)
 def first_order_coefficients(time_constant_s: float, dt_s: float, between: float = 0.0) -> tuple[float, float]:
     """`keep` and `ramp` of `first_order_step`; of a held input `ramp` is what its last part of a sample adds."""
     part = dt_s / time_constant_s
@@ -33,7 +33,7 @@ def first_order_coefficients(time_constant_s: float, dt_s: float, between: float
     return keep, ramp
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, nogil=True)
 def first_order_run(x: Array, time_constant_s: float, dt_s: float, between: float = 0.0) -> Array:
     """`first_order_step` over a record, from rest at its first sample; `between` as in `Context`."""
     keep, ramp = first_order_coefficients(time_constant_s, dt_s, between)
@@ -46,7 +46,7 @@ def first_order_run(x: Array, time_constant_s: float, dt_s: float, between: floa
     return out
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, nogil=True)
 def chain_step(states: Array, keep: Array, ramp: Array, weights: Array, before: float, now: float) -> float:
     """`first_order_step` of several states beside each other, in place; their weighted sum."""
     total = 0.0
@@ -56,7 +56,7 @@ def chain_step(states: Array, keep: Array, ramp: Array, weights: Array, before: 
     return total
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, nogil=True)
 def chain_run(x: Array, time_constants_s: Array, weights: Array, dt_s: float, between: float = 0.0) -> Array:
     """`chain_step` over a record, counted from rest at its first sample."""
     count = time_constants_s.size
@@ -70,7 +70,7 @@ def chain_run(x: Array, time_constants_s: Array, weights: Array, dt_s: float, be
     return out
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, nogil=True)
 def second_order_run(x: Array, matrix: Array, before: Array, now: Array) -> Array:
     """State space of two states over a record, from rest: s <- M s + before x(k-1) + now x(k); the output is s[0]."""
     out = np.empty(x.size)

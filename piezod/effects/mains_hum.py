@@ -1,6 +1,6 @@
 """Mains hum in the load cell's signal, with its harmonics.
 
-Forward    F + amplitude (sin(a) + sum over h = 2, 3, 5 of sine_h sin(h a) + cosine_h cos(h a)), a = 2 pi f t + phase
+Forward    F + amplitude (sin(a) + sum over h = 2 to 7 of sine_h sin(h a) + cosine_h cos(h a)), a = 2 pi f t + phase
 Inverse    subtract it from the reading, its phase followed
 Signature  narrow lines at 50 or 60 Hz and multiples, folded at half the sampling rate, at rest too; look-alike
            vibration has a frequency of its own
@@ -16,7 +16,7 @@ import numpy as np
 from piezod.effects.effect import Array, Context, Effect, Parameter, Seat, Values
 
 TURN = 2.0 * math.pi
-HARMONICS = (2, 3, 5)
+HARMONICS = (2, 3, 4, 5, 6, 7)
 
 
 def forward(signal: Array, context: Context, values: Values) -> Array:

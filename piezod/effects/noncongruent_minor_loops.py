@@ -19,37 +19,43 @@ PLAYS = 24
 HATS = 4
 
 
-@numba.njit(cache=True)
-def _run(u: Array, path: Array, span: float, square: Array, cube: Array) -> Array:
-    """What the plays add besides their plain weights, shape (N,)."""
-    n = square.size
-    z, out = np.zeros(n), np.empty(u.size)
+@numba.njit(cache=True, nogil=True)
+def _columns(u: Array, path: Array, span: float, hats: Array) -> Array:
+    """What the plays of every hat add, by the square and by the cube of their places, shape (2 HATS, N) [V]."""
+    n, count = hats.shape
+    z, out = np.zeros(n), np.zeros((2 * count, u.size))
     r = span * ((np.arange(n) + 0.5) / n) ** 1.5
     for k in range(path.size):
         for i in range(n):
             z[i] = max(path[k] - r[i], min(path[k] + r[i], z[i]))
     for k in range(u.size):
         y = (2.0 * u[k] - span) / span
-        total = 0.0
         for i in range(n):
             z[i] = max(u[k] - r[i], min(u[k] + r[i], z[i]))
             x = (2.0 * z[i] - span) / span
-            total += square[i] * (x * x - y * y) / 2.0 + cube[i] * (x * x * x - y * y * y) / 3.0
-        out[k] = span * total / n
+            square, cube = span / n * (x * x - y * y) / 2.0, span / n * (x * x * x - y * y * y) / 3.0
+            for j in range(count):
+                if hats[i, j] > 0.0:
+                    out[j, k] += hats[i, j] * square
+                    out[count + j, k] += hats[i, j] * cube
     return out
 
 
-def _hats(values: Values, name: str) -> Array:
+def _hats() -> Array:
+    """Weight of play i in hat j, shape (PLAYS, HATS)."""
     places = np.linspace(0.0, PLAYS - 1.0, HATS)
-    result: Array = np.interp(np.arange(PLAYS), places, [values.get(f"{name}_{k}", 0.0) for k in range(HATS)])
-    return result
+    return np.array([np.interp(np.arange(PLAYS), places, one) for one in np.eye(HATS)]).T.copy()
 
 
 def forward(signal: Array, context: Context, values: Values) -> Array:
     """What the plays give with those whose weight depends on the bias, shape (N,) [V]."""
-    path = np.array(context.path_V, dtype=np.float64)
-    added = _run(context.applied_V, path, context.voltage_span_V, _hats(values, "square"), _hats(values, "cube"))
-    result: Array = signal + values.get("share", 1.0) * added
+    columns = context.memo.get("noncongruent_minor_loops")
+    if columns is None:
+        path = np.array(context.path_V, dtype=np.float64)
+        columns = _columns(context.applied_V, path, context.voltage_span_V, _hats())
+        context.memo["noncongruent_minor_loops"] = columns
+    weights = np.array([values.get(f"{name}_{k}", 0.0) for name in ("square", "cube") for k in range(HATS)])
+    result: Array = signal + (values.get("share", 1.0) * weights) @ columns
     return result
 
 

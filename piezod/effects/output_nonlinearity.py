@@ -19,14 +19,14 @@ from piezod.effects.effect import Array, Context, Effect, Parameter, Seat, Value
 LEAST_SLOPE = 0.05
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, nogil=True)
 def law_step(part: float, curvature: float, cubic: float, low: float, high: float) -> float:
     """Law at a force, both in parts of the span; `low` to `high` is where the polynomial rises enough."""
     inside = min(max(part, low), high)
     return inside + inside * inside * (curvature + cubic * inside) + LEAST_SLOPE * (part - inside)
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, nogil=True)
 def _run(force: Array, span: float, curvature: float, cubic: float, low: float, high: float) -> Array:
     out = np.empty(force.size)
     for k in range(force.size):

@@ -17,13 +17,13 @@ import numpy as np
 from piezod.effects.effect import Array, Context, Effect, Parameter, Seat, Values
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, nogil=True)
 def lattice_step(force: float, step: float, offset: float) -> float:
     """Nearest point of the lattice, upwards from the middle [N]."""
     return offset + step * math.floor((force - offset) / step + 0.5)
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, nogil=True)
 def _run(force: Array, step: float, offset: float) -> Array:
     out = np.empty(force.size)
     for k in range(force.size):

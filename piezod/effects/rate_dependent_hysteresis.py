@@ -21,7 +21,7 @@ OFFSET_SHARE = 0.1  # of the voltage range: what growth is measured in where all
 PAUSE = 2.0  # times rate_time_s: a shorter rest belongs to the movement (a held command), a longer one is a hold
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, nogil=True)
 def rate_step(rate: float, rested_s: float, moved_V: float, dt_s: float, rate_time_s: float) -> tuple[float, float]:
     """Advance the smoothed rate [V/s] and the time since the voltage last moved [s] by a sample of |du| = `moved_V`."""
     rested_s += dt_s
@@ -31,7 +31,7 @@ def rate_step(rate: float, rested_s: float, moved_V: float, dt_s: float, rate_ti
     return rate - (moved_V / taken - rate) * math.expm1(-taken / rate_time_s), 0.0
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, nogil=True)
 def _rates(u: Array, dt_s: float, rate_time_s: float) -> Array:
     out = np.empty(u.size)
     rate, rested = 0.0, 0.0

@@ -15,7 +15,7 @@ import numpy as np
 from piezod.effects.effect import Array, Context, Effect, Parameter, Seat, Values
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, nogil=True)
 def slew_step(y: float, before: float, now: float, most: float) -> float:
     """Advance by a sample while the command runs straight from `before` to `now` and y can move by `most`."""
     gap, rise = before - y, now - before
@@ -27,7 +27,7 @@ def slew_step(y: float, before: float, now: float, most: float) -> float:
     return before + rise * (1.0 - left) + min(most * left, max(-most * left, rise * left))
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, nogil=True)
 def _run(x: Array, most: float, between: float) -> Array:
     out = np.empty(x.size)
     y = x[0]

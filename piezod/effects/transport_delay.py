@@ -15,7 +15,7 @@ import numpy as np
 from piezod.effects.effect import Array, Context, Effect, Parameter, Seat, Values
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, nogil=True)
 def earlier(x: Array, k: int, samples: float) -> float:
     """Value of `x` `samples` before sample k, straight between samples; the first one before the record."""
     place = max(k - samples, 0.0)
@@ -26,7 +26,7 @@ def earlier(x: Array, k: int, samples: float) -> float:
     return float(x[whole] + part * (x[whole + 1] - x[whole]))
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, nogil=True)
 def _run(x: Array, samples: float) -> Array:
     out = np.empty(x.size)
     for k in range(x.size):

@@ -15,7 +15,7 @@ import numpy as np
 from piezod.effects.effect import Array, Context, Effect, Parameter, Seat, Values
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, nogil=True)
 def clamp_step(u: float, limit: float, knee: float) -> float:
     """Voltage that the output stage can give where `u` is asked for; the knee may be 0 [V]."""
     if abs(u - limit) < knee:
@@ -23,7 +23,7 @@ def clamp_step(u: float, limit: float, knee: float) -> float:
     return min(u, limit)
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, nogil=True)
 def _run(u: Array, limit: float, knee: float) -> Array:
     out = np.empty(u.size)
     for k in range(u.size):

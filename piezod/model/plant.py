@@ -110,7 +110,7 @@ def run_chain(
     signal = command_V
     for effect, values in _seated(effects, Seat.AMPLIFIER, Seat.AMPLIFIER):
         signal = effect.forward(signal, context, values)
-        context = behind(effect, replace(context, applied_V=signal))
+        context = behind(effect, replace(context, applied_V=signal, memo={}))
     factor, offset_V = widened(effects, context)
     signal = operator.stroke(signal, factor, offset_V)
     for effect, values in _seated(effects, Seat.STACK, Seat.STACK):
