@@ -1,0 +1,1 @@
+"""The concealed study: cases whose truth is sealed are drawn, diagnosed without looking, and scored."""
