@@ -480,10 +480,10 @@ def blind_run(
 
     if jobs is not None and scheduler is not None:
         raise UsageError("--jobs is for this machine, --scheduler for a cluster: give one of them")
-    with steps() as show:
+    with steps(patience_s=0.0) as show:
 
-        def tell(verdict: Verdict, done: int, of: int) -> None:
-            if verdict.failed is not None:
+        def tell(verdict: Verdict | None, done: int, of: int) -> None:
+            if verdict is not None and verdict.failed is not None:
                 print(f"{verdict.name} failed: {verdict.failed}", flush=True)
             show(f"{done} of {of} cases", done / of)
 

@@ -10,7 +10,7 @@ from piezod.blind.cluster import judge_there
 from piezod.blind.here import cores, judge_here
 from piezod.blind.verdict import Verdict, Verdicts
 
-OnVerdict = Callable[[Verdict, int, int], None]
+OnVerdict = Callable[[Verdict | None, int, int], None]
 
 
 @dataclass(frozen=True)
@@ -52,7 +52,7 @@ def run_study(
     only
         Names of the cases wanted; none: all.
     on_verdict
-        Called with each verdict, how many are done and how many there are to do.
+        Called with each verdict, how many are done and how many there are to do; with None before the first.
 
     Raises
     ------
@@ -67,6 +67,8 @@ def run_study(
     verdicts = Verdicts(folder, study)
     left = [one for one in folders if not verdicts.has(one.name)]
     failed = 0
+    if left:
+        on_verdict(None, 0, len(left))
     ready = judge_here(left, jobs or cores()) if scheduler is None else judge_there(left, scheduler)
     with closing(ready):
         for done, verdict in enumerate(ready, 1):

@@ -15,10 +15,15 @@ PATIENCE_S = 2.0
 
 
 @contextlib.contextmanager
-def steps() -> Iterator[Callable[[str, float | None], None]]:
+def steps(patience_s: float = PATIENCE_S) -> Iterator[Callable[[str, float | None], None]]:
     """Yield a function to be called with what is done and the share of it that is done, None where nobody knows.
 
-    The bar appears once that has taken longer than two seconds, and is gone at the end.
+    The bar appears at the first call after some patience, and is gone at the end.
+
+    Parameters
+    ----------
+    patience_s
+        0 where the first call already knows that it will take long [s].
     """
     if not (sys.stdout.isatty() and sys.stderr.isatty()):
         yield lambda *_: None
@@ -29,7 +34,7 @@ def steps() -> Iterator[Callable[[str, float | None], None]]:
     task = bar.add_task("", total=None)
 
     def show(what: str, share: float | None) -> None:
-        if time.monotonic() - begun_s > PATIENCE_S:
+        if time.monotonic() - begun_s >= patience_s:
             bar.start()
             bar.update(task, description=what, total=None if share is None else 1.0, completed=share or 0.0)
 
