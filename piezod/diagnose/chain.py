@@ -144,6 +144,12 @@ class Chain:
             {} for _ in self.series
         ]
 
+    def like(self, series: Sequence[Series], most_rows: int | None = None) -> "Chain":
+        """The same operators over other series."""
+        return Chain(
+            series, self.density, self.law, self.force_span_N, most_rows or self.most_rows, self.voltage_span_V
+        )
+
     def parameter(self, effect: Effect, name: str) -> Parameter:
         """A parameter in the range that these recordings can show."""
         one = effect.parameter(name)
@@ -190,7 +196,11 @@ class Chain:
     def played(self, number: int, here: Sequence[tuple[Term, Mapping[str, float]]]) -> tuple[Array, Array, Context]:
         """Applied voltage and play columns of a recording."""
         front = [(term, values) for term, values in here if term.effect.seat <= Seat.HYSTERESIS]
-        key = (self.series[number].between, *((t.effect.name, tuple(v.items())) for t, v in front))
+        key = (
+            self.series[number].between,
+            self.series[number].path_V,
+            *((t.effect.name, tuple(v.items())) for t, v in front),
+        )
         context, cache = self.context(number), self._cache[number]
         known = cache.get(key)
         if known is None:

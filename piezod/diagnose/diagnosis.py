@@ -17,7 +17,7 @@ from piezod.diagnose.motion import Motion, motion
 from piezod.diagnose.parallel import each
 from piezod.diagnose.places import place_of
 from piezod.diagnose.prepare import Source, chain_of, even, stand_in, started, without_frozen
-from piezod.diagnose.search import Search, search
+from piezod.diagnose.search import Search, search, without
 from piezod.diagnose.series import Series
 from piezod.effects import EFFECTS
 from piezod.errors import ModelError
@@ -129,7 +129,7 @@ def _judged(
     after = _held_out_rms(chain, found)
     floor, floor_from = _floor(chain.series, residuals, left)
     floor = min(floor, after)
-    effects = each(lambda place: _finding(result, place), range(len(found.terms)))
+    effects = each(lambda name: _finding(result, name), found.effects)
     effects += _read_off(chain.series, frozen, residuals, before)
     hashes = [""] * stand_ins + [source.sha256 for source in sources]
     moving = motion(chain.series, residuals, normal.readings)
@@ -209,12 +209,12 @@ def _holds(series: Series, residual: Array) -> list[float]:
     return found
 
 
-def _finding(result: Search, place: int) -> Finding:
+def _finding(result: Search, name: str) -> Finding:
     chain, found = result.chain, result.found
+    place = next(k for k, term in enumerate(found.terms) if term.effect.name == name)
     term, values = found.terms[place], found.point.values[place]
-    terms = [*found.terms[:place], *found.terms[place + 1 :]]
-    others = [*found.point.values[:place], *found.point.values[place + 1 :]]
-    without = fit(chain, terms, replace(found.point, values=tuple(others))) if terms else result.base
+    terms, others = without(found, name)
+    fewer = fit(chain, terms, replace(found.point, values=tuple(others))) if terms else result.base
     parameters = {}
     for one in term.effect.catalogued:
         value = {**values, **dict(term.choices)}[one.name]
@@ -226,7 +226,7 @@ def _finding(result: Search, place: int) -> Finding:
     if term.effect.name == "noncongruent_minor_loops":
         parameters["share"] = _share(result, place)
     rivals = _rivals(result, term)
-    gain = float(np.log(without.loss / found.loss))
+    gain = float(np.log(fewer.loss / found.loss))
     return Finding(
         term.effect.name,
         term.effect.title,
@@ -234,7 +234,7 @@ def _finding(result: Search, place: int) -> Finding:
         term.scope,
         place_of(term, values, chain),
         parameters,
-        _held_out_rms(chain, without),
+        _held_out_rms(chain, fewer),
         _held_out_rms(chain, found),
         rivals,
         term.effect.handling,
@@ -254,9 +254,9 @@ def _share(result: Search, place: int) -> Value:
     for k, series in enumerate(chain.series):
         if series.role == "recording":
             with_it = chain.run(k, found.terms, found.point)
-            without = chain.run(k, terms, replace(found.point, values=others))
-            added = with_it.stroke_V - without.stroke_V
-            lags = without.columns @ found.point.density
+            without_it = chain.run(k, terms, replace(found.point, values=others))
+            added = with_it.stroke_V - without_it.stroke_V
+            lags = without_it.columns @ found.point.density
             shares.append(float(np.std(added)) / max(float(np.std(lags)), 1e-12))
     value = float(np.clip(np.mean(shares), 0.0, 1.0))
     return Value(value, "1", 0.8 * value, min(1.2 * value, 1.0))
@@ -327,8 +327,8 @@ def _verdict(result: Search, left: Guard, moving: Motion, effects: Sequence[Find
     share = max(left.share if left.p < SURE else 0.0, moving.share)
     missing = share > STILL_EXPLAINABLE
     if missing and result.found.terms:
-        gained = result.base.loss - result.found.loss
-        missing = gained < CLOSED * (result.base.loss - (1.0 - share) * result.found.loss)
+        before, after = (_held_out_rms(result.chain, one) ** 2 for one in (result.base, result.found))
+        missing = before - after < CLOSED * (before - (1.0 - share) * after)
     if effects:
         return "partly_explained" if missing else "explained"
     return "unexplained" if missing else "matches"

@@ -1,4 +1,4 @@
-"""Tests of their own for what leaves a mark in the readings: frozen stretches, a lattice, lines, sharp steps."""
+"""Tests of their own for what leaves a mark in the readings: frozen stretches, a lattice, lines."""
 
 import itertools
 from dataclasses import dataclass
@@ -15,7 +15,6 @@ FROZEN_SAMPLES = 8  # equal readings in a row that noise does not make, while th
 FROZEN_MOVES = 6.0  # by how many noises the model moves meanwhile
 LINE_OVER_MEDIAN = 30.0  # power of a line over the median of its surroundings; exponential noise reaches 18 in 1e6 bins
 SURROUNDINGS = 101  # bins
-EDGE_NOISES = 5.0  # jump of the means on both sides of an edge, in standard errors
 
 
 @dataclass(frozen=True)
@@ -129,57 +128,3 @@ def peaks_Hz(series: Series, residual_N: Array, most: int = 3) -> list[float]:
     tops = inner[(level[inner] >= level[inner - 1]) & (level[inner] > level[inner + 1]) & (above[inner] > 1.0)]
     frequency_Hz = np.fft.rfftfreq(size, series.dt_s)
     return [float(frequency_Hz[k]) for k in sorted(tops, key=lambda j: -above[j])[:most]]
-
-
-def edges_of_step(series: Series, residual_N: Array) -> tuple[float, int, int] | None:
-    """The load step that explains a residual best: its height and the samples where it comes and goes.
-
-    Both edges must be sharp: the means of a short time before and after differ by the height.
-    """
-    values = np.where(series.counts, residual_N, 0.0)
-    total = np.concatenate(([0.0], np.cumsum(values - values.mean())))
-    stride = max(1, values.size // 1500)
-    coarse = total[::stride]
-    size, best = values.size, (0.0, 0, 0)
-    for a in range(coarse.size - 1):
-        length = (np.arange(a + 1, coarse.size) - a) * float(stride)
-        inside = coarse[a + 1 :] - coarse[a]
-        gain = inside**2 * size / np.maximum(length * (size - length), 1.0)
-        k = int(np.argmax(gain))
-        if gain[k] > best[0]:
-            best = (float(gain[k]), a * stride, (a + 1 + k) * stride)
-    _, first, end = best
-    first, end = _sharpened(values, first, 3 * stride), _sharpened(values, end, 3 * stride)
-    inside = values[first:end]
-    outside = np.concatenate((values[:first], values[end:]))
-    if inside.size < 10 or outside.size < 10:
-        return None
-    height = float(inside.mean() - outside.mean())
-    near = max(20, int(0.1 / series.dt_s))
-    jumps = [_jump(values, place, near) for place in (first, end) if near < place < size - near]
-    if not jumps or any(abs(abs(jump) - abs(height)) > 0.4 * abs(height) for jump, _ in jumps):
-        return None
-    if any(abs(jump) < EDGE_NOISES * error for jump, error in jumps):
-        return None
-    return height, first, end
-
-
-def _sharpened(values: Array, place: int, reach: int) -> int:
-    """The sample near a place where the means before and after differ most."""
-    if place <= 0 or place >= values.size:
-        return int(np.clip(place, 0, values.size))
-    low, high = max(1, place - reach), min(values.size - 1, place + reach)
-    total = np.concatenate(([0.0], np.cumsum(values)))
-    places = np.arange(low, high)
-    near = max(5, reach)
-    before = np.maximum(places - near, 0)
-    after = np.minimum(places + near, values.size)
-    means = (total[after] - total[places]) / (after - places) - (total[places] - total[before]) / (places - before)
-    return int(places[np.argmax(np.abs(means))])
-
-
-def _jump(values: Array, place: int, near: int) -> tuple[float, float]:
-    """Difference of the means after and before a place, and its standard error."""
-    before, after = values[place - near : place - 2], values[place + 2 : place + near]
-    error = float(np.sqrt(before.var() / before.size + after.var() / after.size))
-    return float(after.mean() - before.mean()), max(error, 1e-12)

@@ -42,6 +42,11 @@ class Fitted:
     spread: tuple[dict[str, float], ...]
 
     @property
+    def effects(self) -> tuple[str, ...]:
+        """Their names, each once, in the order of the search."""
+        return tuple(dict.fromkeys(term.effect.name for term in self.terms))
+
+    @property
     def loss(self) -> float:
         """Mean over all samples."""
         return float(self.losses @ self.samples / self.samples.sum())

@@ -1,6 +1,6 @@
 """The search: grow a hypothesis by the effect that explains most of what is left, then try to swap and to drop."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 
@@ -8,13 +8,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piezod.diagnose.chain import Chain, Point, Scope, Term
-from piezod.diagnose.direct import edges_of_step, lines
+from piezod.diagnose.direct import Line, lines
 from piezod.diagnose.fit import MOST_STEPS, Fitted, Normal, fit
 from piezod.diagnose.ideas import Idea, screened
 from piezod.diagnose.parallel import each
 from piezod.diagnose.series import Series
+from piezod.diagnose.steps import NEVER_S, Step, likely_steps, sharp
 from piezod.effects import EFFECTS
 from piezod.effects.effect import HELD_BEFORE, STRAIGHT
+from piezod.identify.start import CLEARLY, start_at_zero, starts_at_rest
 
 Array = NDArray[np.float64]
 OnProgress = Callable[[str], None]
@@ -27,12 +29,16 @@ COARSE_STEPS = 7
 NOTHING = 0.003  # of the loss: an idea that promises less is not tried
 PROMISING = 0.03  # of the best idea's gain, below which an idea is not tried
 WORTH = 0.04  # of the loss that is left: what an effect must gain at least
+MUCH = 0.3  # of the loss: where a few blocks hold nearly all of it, an effect may gain in these alone,
+NOTICED, FEW = 0.05, 0.25  # if not more than so many blocks grow worse
 FAIR_SHARE = 0.02  # of the largest gain so far: more effects than that are the plant's own shape
 HELD_PARTS = (0.3, 0.7)  # of a sample after its command, where the search for the moment of reading begins
 SMALLEST_PART = 0.04
 SLIDES = 0.5  # of the force's range: friction with a longer presliding never slides
+START_LOOKED_AT_S = 20.0
 SAME = 0.005  # of the loss
 MAINS_HZ = (50.0, 60.0)
+MAINS_WITHIN_HZ, LINES_WITHIN_HZ = 0.6, 0.1
 HARMONICS, HARMONIC_HZ = 20, 0.3  # of a hum that was found: none of them is another machine
 
 
@@ -83,8 +89,8 @@ def search(chain: Chain, start: Point, progress: OnProgress) -> Search:
     chain, base = _best_course(chain, (), start)
     result = Search(chain, base, base)
     largest = 0.0
-    while len(result.found.terms) < MOST_EFFECTS:
-        progress(f"looking for effect {len(result.found.terms) + 1}")
+    while len(result.found.effects) < MOST_EFFECTS:
+        progress(f"looking for effect {len(result.found.effects) + 1}")
         tried = _tried(result.chain, result.found)
         better = [one for one in tried if worth(result.found, one, largest) and not _degenerate(result.chain, one)]
         if not better:
@@ -92,7 +98,7 @@ def search(chain: Chain, start: Point, progress: OnProgress) -> Search:
         before = result.found
         finalists = sorted(better, key=lambda one: one.loss)[:FINALISTS]
         courses = each(partial(_best_of, result.chain), finalists)
-        result.chain, best = min(courses, key=lambda one: one[1].loss)
+        result.chain, best = restarted(*min(courses, key=lambda one: one[1].loss))
         largest = max(largest, before.loss - best.loss)
         others = tuple(one for one in tried if one.terms[-1].effect is not best.terms[-1].effect)
         result.rounds.append(Round(before, best, others))
@@ -104,17 +110,34 @@ def search(chain: Chain, start: Point, progress: OnProgress) -> Search:
     return result
 
 
+def restarted(chain: Chain, fitted: Fitted) -> tuple[Chain, Fitted]:
+    """The same with what led to each start estimated anew: under the given model an effect may have passed for it."""
+    series = list(chain.series)
+    for number, one in enumerate(chain.series):
+        if starts_at_rest(one.command_V):
+            loss = partial(_loss_of_start, chain, fitted, number)
+            path = start_at_zero(one.command_V, "V", loss).path
+            if loss(path) < CLEARLY * loss(one.path_V):
+                series[number] = replace(one, path_V=path)
+    if all(new is old for new, old in zip(series, chain.series, strict=True)):
+        return chain, fitted
+    other = chain.like(series)
+    again = fit(other, fitted.terms, fitted.point)
+    return (other, again) if again.loss < fitted.loss else (chain, fitted)
+
+
+def _loss_of_start(chain: Chain, fitted: Fitted, number: int, path_V: tuple[float, ...]) -> float:
+    series = list(chain.series)
+    series[number] = replace(series[number], path_V=path_V)
+    one = series[number]
+    error = one.reading_N - chain.like(series).run(number, fitted.terms, fitted.point).reading_N
+    window = slice(0, int(START_LOOKED_AT_S / one.dt_s))
+    return float(np.mean(np.square(error[window][one.counts[window]])))
+
+
 def _polish(result: Search) -> None:
     """Base and hypothesis once more on all samples."""
-    chain = result.chain
-    result.chain = Chain(
-        chain.series,
-        chain.density,
-        chain.law,
-        chain.force_span_N,
-        max(map(_length, chain.series)),
-        chain.voltage_span_V,
-    )
+    result.chain = result.chain.like(result.chain.series, max(map(_length, result.chain.series)))
     result.found = fit(result.chain, result.found.terms, result.found.point, most_steps=4)
     result.base = fit(result.chain, (), result.base.point, most_steps=4)
 
@@ -124,26 +147,34 @@ def _length(series: Series) -> int:
 
 
 def worth(before: Fitted, after: Fitted, largest: float) -> bool:
-    """Whether an effect gains enough on blocks left out, and in most of them."""
+    """Whether an effect gains enough on blocks left out, and in most of them or very much."""
     gain = before.loss - after.loss
-    if gain < max(WORTH * after.loss, FAIR_SHARE * largest):
+    if gain < WORTH * after.loss:
         return False
     if after.terms[-1].scope == "once":
         return True
+    if gain < FAIR_SHARE * largest:
+        return False
     gains = np.log(before.losses / after.losses)
+    if gain > MUCH * before.loss and np.mean(gains < -NOTICED) < FEW:
+        return True
     touched = gains[np.abs(gains) > 1e-3]
     if touched.size < 4:
         return False
-    weights = np.abs(touched)
-    return float(np.sum(touched)) > 2.5 * float(np.sqrt(np.sum(weights**2)))
+    return float(np.sum(touched)) > 2.5 * float(np.sqrt(np.sum(touched**2)))
 
 
 def _degenerate(chain: Chain, fitted: Fitted) -> bool:
-    """Whether the last effect is friction that never slides: a spring in parallel, which is a gain."""
+    """Whether the last effect is not what its name says: friction that never slides (a gain), a step without edges."""
     term, values = fitted.terms[-1], fitted.point.values[-1]
-    if term.effect.name != "friction":
-        return False
-    return values["presliding_N"] > SLIDES * chain.parameter(term.effect, "presliding_N").high
+    if term.effect.name == "friction":
+        return values["presliding_N"] > SLIDES * chain.parameter(term.effect, "presliding_N").high
+    if term.effect.name == "load_step":
+        series = chain.series[term.series]
+        residual_N = series.reading_N - chain.run(term.series, fitted.terms, fitted.point).reading_N
+        first, end = (round(values[name] / series.dt_s) for name in ("on_s", "off_s"))
+        return not sharp(series, residual_N, Step(values["step_N"], first, min(end, series.time_s.size)))
+    return False
 
 
 def _best_course(
@@ -168,7 +199,7 @@ def _best_course(
     def judged(between: float) -> None:
         if between not in results:
             series = [replace(one, between=between) for one in chain.series]
-            other = Chain(series, chain.density, chain.law, chain.force_span_N, chain.most_rows, chain.voltage_span_V)
+            other = chain.like(series)
             results[between] = (other, fit(other, terms, point, most_steps=MOST_STEPS if known is None else 6))
 
     for between in (STRAIGHT, *(HELD_PARTS if smooth else ()), HELD_BEFORE):
@@ -222,8 +253,9 @@ def _refined(chain: Chain, found: Fitted, first: Fitted, ideas: Sequence[Idea]) 
 
 
 def _extended(chain: Chain, found: Fitted, idea: Idea, most_steps: int = MOST_STEPS) -> Fitted:
-    point = replace(found.point, values=(*found.point.values, idea.values))
-    return fit(chain, (*found.terms, idea.term), point, most_steps=most_steps)
+    point = replace(found.point, values=(*found.point.values, *(values for _, values in idea.more), idea.values))
+    terms = (*found.terms, *(term for term, _ in idea.more), idea.term)
+    return fit(chain, terms, point, most_steps=most_steps)
 
 
 def _again(
@@ -241,33 +273,56 @@ def _again(
 def suggested(chain: Chain, found: Fitted) -> list[Idea]:
     """What the direct tests say of the residuals."""
     normal = Normal.at(chain, found.terms, found.point)
+    seen: dict[str, list[tuple[int, Line]]] = {"mains_hum": [], "vibration": []}
     ideas = []
     for number, series in enumerate(chain.series):
         if series.role == "identification":
             continue
-        residual_N = series.reading_N - normal.readings[number]
         hums_Hz = [
             values["frequency_Hz"]
             for term, values in zip(found.terms, found.point.values, strict=True)
             if term.effect.name == "mains_hum" and term.acts_on(number, series)
         ]
-        strange = [one for one in lines(series, residual_N) if not _harmonic(one.frequency_Hz, hums_Hz, series.dt_s)]
-        for line in strange[:2]:
+        for line in lines(series, series.reading_N - normal.readings[number]):
             near = min(MAINS_HZ, key=lambda mains: abs(line.frequency_Hz - mains))
-            name = "mains_hum" if abs(line.frequency_Hz - near) < 0.6 else "vibration"
-            ideas.append(
-                _idea(
-                    name,
-                    number,
-                    {"amplitude_N": line.amplitude_N, "frequency_Hz": line.frequency_Hz, "phase_rad": line.phase_rad},
-                )
-            )
-        step = edges_of_step(series, residual_N)
-        if step is not None:
-            height_N, first, end = step
-            places = {"step_N": height_N, "on_s": first * series.dt_s, "off_s": end * series.dt_s}
+            if abs(line.frequency_Hz - near) < MAINS_WITHIN_HZ:
+                seen["mains_hum"].append((number, line))
+            elif not _harmonic(line.frequency_Hz, hums_Hz, series.dt_s):
+                seen["vibration"].append((number, line))
+        for step in likely_steps(normal, number):
+            end_s = NEVER_S if step.end == series.time_s.size else step.end * series.dt_s
+            places = {"step_N": step.height_N, "on_s": step.first * series.dt_s, "off_s": end_s}
             ideas.append(_idea("load_step", number, places))
-    return [idea for idea in ideas if not any(term.effect is idea.term.effect for term in found.terms)]
+    for name, some in seen.items():
+        ideas += [_together(name, group) for group in _alike(some)[:2]]
+    return [idea for idea in ideas if idea.term.effect.name not in found.effects]
+
+
+def _alike(seen: Sequence[tuple[int, Line]]) -> list[list[tuple[int, Line]]]:
+    """Lines of one frequency, one a recording at most, those with the most power first."""
+    groups: list[list[tuple[int, Line]]] = []
+    for number, line in seen:
+        for group in groups:
+            first = group[0][1]
+            if abs(first.frequency_Hz - line.frequency_Hz) < LINES_WITHIN_HZ and number not in (k for k, _ in group):
+                group.append((number, line))
+                break
+        else:
+            groups.append([(number, line)])
+    return sorted(groups, key=lambda group: -sum(line.amplitude_N**2 for _, line in group))
+
+
+def _together(name: str, group: Sequence[tuple[int, Line]]) -> Idea:
+    """One line in all recordings that show it, in each with an amplitude and a phase of its own."""
+    ideas = [
+        _idea(
+            name,
+            number,
+            {"amplitude_N": line.amplitude_N, "frequency_Hz": line.frequency_Hz, "phase_rad": line.phase_rad},
+        )
+        for number, line in group
+    ]
+    return replace(ideas[0], more=tuple((one.term, one.values) for one in ideas[1:]))
 
 
 def _harmonic(frequency_Hz: float, of_Hz: Sequence[float], dt_s: float) -> bool:
@@ -292,38 +347,47 @@ def _idea(name: str, number: int, known: dict[str, float]) -> Idea:
 
 def _swap(result: Search) -> None:
     """Put a rival in an effect's place where the whole fits better with it."""
-    for place in range(len(result.found.terms)):
-        name = result.found.terms[place].effect.name
+    for name in result.found.effects:
         rivals = [
             one
             for round_ in result.rounds
-            if round_.accepted.terms and round_.accepted.terms[-1].effect.name == name
+            if round_.accepted.effects[-1] == name
             for one in round_.others
+            if one.effects[-1] not in result.found.effects
         ]
-        for rival in sorted(rivals, key=lambda one: one.loss)[:2]:
-            term, values = rival.terms[-1], rival.point.values[-1]
-            if any(term.effect is other.effect for other in result.found.terms) or len(result.found.terms) == 1:
-                continue
-            terms, all_values = list(result.found.terms), list(result.found.point.values)
-            terms[place], all_values[place] = term, values
-            swapped = fit(result.chain, terms, replace(result.found.point, values=tuple(all_values)))
-            if swapped.loss < 0.98 * result.found.loss:
-                result.found = swapped
+        if len(result.found.effects) == 1:
+            continue
+        best = sorted(rivals, key=lambda one: one.loss)[:2]
+        swapped = each(partial(_with_instead, result.chain, result.found, name), best)
+        fitting = [one for one in swapped if not _degenerate(result.chain, one)]
+        if fitting and min(one.loss for one in fitting) < 0.98 * result.found.loss:
+            result.found = min(fitting, key=lambda one: one.loss)
+
+
+def _with_instead(chain: Chain, found: Fitted, name: str, rival: Fitted) -> Fitted:
+    terms, values = without(found, name)
+    last = [k for k, term in enumerate(rival.terms) if term.effect.name == rival.effects[-1]]
+    terms += [rival.terms[k] for k in last]
+    values += [rival.point.values[k] for k in last]
+    return fit(chain, terms, replace(found.point, values=tuple(values)))
+
+
+def without(found: Fitted, name: str) -> tuple[list[Term], list[Mapping[str, float]]]:
+    """Terms of all other effects, and their values."""
+    kept = [k for k, term in enumerate(found.terms) if term.effect.name != name]
+    return [found.terms[k] for k in kept], [found.point.values[k] for k in kept]
 
 
 def _drop(result: Search, largest: float) -> None:
     """Leave out effects that the others have made needless."""
-    place = 0
-    while place < len(result.found.terms) and len(result.found.terms) > 1:
+    left = list(result.found.effects)
+    while left and len(result.found.effects) > 1:
         found = result.found
-        terms = [*found.terms[:place], *found.terms[place + 1 :]]
-        values = [*found.point.values[:place], *found.point.values[place + 1 :]]
-        without = fit(result.chain, terms, replace(found.point, values=tuple(values)))
-        if without.loss - found.loss < max(WORTH * found.loss, FAIR_SHARE * largest):
-            result.found = without
-            place = 0
-        else:
-            place += 1
+        terms, values = without(found, left.pop(0))
+        fewer = fit(result.chain, terms, replace(found.point, values=tuple(values)))
+        if fewer.loss - found.loss < max(WORTH * found.loss, FAIR_SHARE * largest):
+            result.found = fewer
+            left = list(fewer.effects)
 
 
-__all__ = ["Round", "Search", "search", "suggested", "worth"]
+__all__ = ["Round", "Search", "search", "suggested", "without", "worth"]

@@ -1,0 +1,162 @@
+"""Steps of the load: the span of time that, shifted, explains most of what is left, and whether its edges are sharp."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from piezod.diagnose.fit import Normal
+from piezod.diagnose.series import Series
+
+Array = NDArray[np.float64]
+
+NEVER_S = 1e7  # where a step that stays ends
+CELLS = 400  # of a recording, at whose edges a step may come or go at first
+APART = 4  # cells between one proposal's edges and the next one's
+SHORTEST = 2  # cells
+WINDOWS_S = (0.1, 0.3, 1.0, 3.0)  # before and after an edge
+CLEAR = 5.0  # jump of the means on both sides of an edge, in the standard deviations that such jumps have elsewhere
+LIKE_THE_STEP = 0.4  # by how much of the height a jump may differ from it,
+CHANCE = 2.0  # and by how many such standard deviations besides
+
+
+@dataclass(frozen=True)
+class Step:
+    """A shift of the reading for a while.
+
+    Parameters
+    ----------
+    height_N
+        By how much [N].
+    first, end
+        Samples; `end` is the number of samples where it stays.
+    """
+
+    height_N: float
+    first: int
+    end: int
+
+
+def likely_steps(normal: Normal, number: int, most: int = 2) -> list[Step]:
+    """Spans whose shift would lower the squared residual most, everything else refitted to first order.
+
+    Parameters
+    ----------
+    normal
+        At the hypothesis so far.
+    number
+        Of the recording.
+    most
+        Spans that share no edge.
+    """
+    series, rows = normal.chain.series[number], normal.chain.rows[number]
+    weights, step = normal.weights[number] * series.counts[rows], rows.step or 1
+    sums = _Sums.of(normal, number, weights)
+    edges = np.unique(np.linspace(0, weights.size, CELLS + 1).astype(int))
+    gains = sums.gains(edges[:, None], edges[None, :])
+    index = np.arange(edges.size)
+    gains[index[None, :] - index[:, None] < SHORTEST] = 0.0
+    found: list[Step] = []
+    while len(found) < most:
+        a, b = (int(x) for x in np.unravel_index(int(np.argmax(gains)), gains.shape))
+        if gains[a, b] <= 0.0:
+            break
+        first, end = _sharpest(sums, edges, a, b)
+        height_N = sums.height_N(first, end)
+        size = series.time_s.size
+        found.append(Step(height_N, first * step, size if end == weights.size else min(end * step, size)))
+        gains[max(a - APART, 0) : a + APART + 1, :] = 0.0
+        gains[:, max(b - APART, 0) : b + APART + 1] = 0.0
+    return found
+
+
+def _sharpest(sums: "_Sums", edges: Array, a: int, b: int) -> tuple[int, int]:
+    """Sample by sample near both edges, the one after the other, twice."""
+    first, end = int(edges[a]), int(edges[b])
+    starts = np.arange(edges[max(a - 1, 0)], edges[min(a + 1, edges.size - 1)] + 1)
+    ends = np.arange(edges[max(b - 1, 0)], edges[min(b + 1, edges.size - 1)] + 1)
+    for _ in range(2):
+        if a > 0:
+            first = int(starts[np.argmax(np.where(starts < end, sums.gains(starts, np.array(end)), 0.0))])
+        if b < edges.size - 1:
+            end = int(ends[np.argmax(np.where(ends > first, sums.gains(np.array(first), ends), 0.0))])
+    return first, end
+
+
+@dataclass(frozen=True)
+class _Sums:
+    """Running sums, so that a span's are differences."""
+
+    along: Array  # (N + 1,)
+    length: Array  # (N + 1,)
+    across: Array  # (N + 1, P), whitened by the normal equations
+    gradient: Array  # (P,), whitened
+
+    @classmethod
+    def of(cls, normal: Normal, number: int, weights: Array) -> "_Sums":
+        hessian = normal.hessian.sum(axis=0) + normal.ridge
+        scale = 1.0 / np.sqrt(np.maximum(np.diag(hessian), 1e-300))
+        values, vectors = np.linalg.eigh(hessian * np.outer(scale, scale))
+        whiten = (scale[:, None] * vectors) / np.sqrt(np.maximum(values, 1e-12))
+        noise_N = normal.chain.series[number].noise_N
+        columns = weights[:, None] / noise_N * normal.jacobians[number]
+        return cls(
+            np.concatenate(([0.0], np.cumsum(normal.weighted[number]))) / noise_N,
+            np.concatenate(([0.0], np.cumsum(weights))) / noise_N**2,
+            np.vstack((np.zeros(whiten.shape[1]), np.cumsum(columns, axis=0))) @ whiten,
+            normal.gradient.sum(axis=0) @ whiten,
+        )
+
+    def _parts(self, first: NDArray[np.int64], end: NDArray[np.int64]) -> tuple[Array, Array]:
+        across = self.across[end] - self.across[first]
+        along = self.along[end] - self.along[first] - across @ self.gradient
+        length = self.length[end] - self.length[first]
+        return along, np.maximum(length - np.sum(across * across, axis=-1), 1e-6 * length + 1e-300)
+
+    def gains(self, first: NDArray[np.int64], end: NDArray[np.int64]) -> Array:
+        along, free = self._parts(first, end)
+        gains: Array = along * along / free
+        return gains
+
+    def height_N(self, first: int, end: int) -> float:
+        along, free = self._parts(np.array(first), np.array(end))
+        return float(along / free)
+
+
+def sharp(series: Series, residual_N: Array, step: Step) -> bool:
+    """Whether the reading jumps by the step's height at each of its edges, clearly beyond what it does elsewhere.
+
+    Parameters
+    ----------
+    series
+        The recording.
+    residual_N
+        Reading less simulation with the step, shape (N,) [N].
+    step
+        As it was fitted.
+    """
+    values = np.where(series.counts, residual_N, 0.0)
+    size = values.size
+    for place, height in ((step.first, step.height_N), (step.end, -step.height_N)):
+        if not 0 < place < size:
+            continue
+        told = []
+        for window_s in WINDOWS_S:
+            near = int(window_s / series.dt_s)
+            if near < 5 or place < near or place > size - near:
+                continue
+            total = np.concatenate(([0.0], np.cumsum(values)))
+            middles = np.arange(near, size - near)
+            jumps = (total[middles + near] - 2.0 * total[middles] + total[middles - near]) / near
+            told.append((height + float(jumps[place - near]) if place - near < jumps.size else height, _usual(jumps)))
+        if not told:
+            return False
+        if max(abs(jump) / usual for jump, usual in told) < CLEAR:
+            return False
+        if any(abs(jump - height) > LIKE_THE_STEP * abs(height) + CHANCE * usual for jump, usual in told):
+            return False
+    return 0 < step.first < size or 0 < step.end < size
+
+
+def _usual(jumps: Array) -> float:
+    return max(1.4826 * float(np.median(np.abs(jumps))), 1e-300)
