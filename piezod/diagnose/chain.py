@@ -6,9 +6,9 @@ Effects act where they sit. The base's columns are carried through whatever lies
 """
 
 import threading
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Generic, Literal, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,10 +20,12 @@ from piezod.effects.effect import HELD_BEFORE, STRAIGHT, Context, Effect, Parame
 
 Array = NDArray[np.float64]
 
+Key = tuple[object, ...]
+Value = TypeVar("Value")
 Scope = Literal["already", "since", "once"]
 ORDER = {name: place for place, name in enumerate(EFFECTS)}
 MOST_ROWS = 25_000
-CACHED = 6  # results of the plays that are kept a recording
+CACHED = 8  # results of every kind that are kept a recording
 
 
 @dataclass(frozen=True)
@@ -100,6 +102,29 @@ class Trace:
     reading_N: Array
 
 
+class Kept(Generic[Value]):
+    """The last few results of a computation by what they depend on; threads may share it."""
+
+    def __init__(self, most: int) -> None:
+        self._most, self._lock = most, threading.Lock()
+        self._known: dict[Key, Value] = {}
+
+    def get(self, key: Key, compute: Callable[[], Value]) -> Value:
+        """What was computed for a key, computed now where it is not known (any more)."""
+        known = self._known.get(key)
+        if known is None:
+            known = compute()
+            with self._lock:
+                while len(self._known) >= self._most:
+                    self._known.pop(next(iter(self._known)))
+                self._known[key] = known
+        return known
+
+
+def _named(some: Sequence[tuple[Term, Mapping[str, float]]]) -> Key:
+    return tuple((term.effect.name, tuple(values.items())) for term, values in some)
+
+
 class Chain:
     """The recordings with the operators that all hypotheses share.
 
@@ -139,10 +164,9 @@ class Chain:
             "reference_V_per_s": (0.03 * slow, 3.0 * fastest),
             "limit_V_per_s": (0.1 * slow, fastest),
         }
-        self._lock = threading.Lock()
-        self._cache: list[dict[tuple[object, ...], tuple[Array, Array, float, dict[str, Array]]]] = [
-            {} for _ in self.series
-        ]
+        self._plays: list[Kept[tuple[Array, Array, float, dict[str, Array]]]] = [Kept(CACHED) for _ in self.series]
+        self._strokes: list[Kept[tuple[Array, float]]] = [Kept(CACHED) for _ in self.series]
+        self._additions: list[Kept[Array]] = [Kept(CACHED) for _ in self.series]
 
     def like(self, series: Sequence[Series], most_rows: int | None = None) -> "Chain":
         """The same operators over other series."""
@@ -195,49 +219,96 @@ class Chain:
 
     def played(self, number: int, here: Sequence[tuple[Term, Mapping[str, float]]]) -> tuple[Array, Array, Context]:
         """Applied voltage and play columns of a recording."""
-        front = [(term, values) for term, values in here if term.effect.seat <= Seat.HYSTERESIS]
-        key = (
-            self.series[number].between,
-            self.series[number].path_V,
-            *((t.effect.name, tuple(v.items())) for t, v in front),
-        )
-        context, cache = self.context(number), self._cache[number]
-        known = cache.get(key)
-        if known is None:
-            applied_V, factor, offset_V = context.command_V, None, None
-            for term, values in front:
+        context = self.context(number)
+
+        def moved() -> tuple[Array, Array, float, dict[str, Array]]:
+            now, applied_V, factor, offset_V = context, context.command_V, None, None
+            for term, values in here:
                 if term.effect.seat == Seat.AMPLIFIER:
-                    applied_V = term.effect.forward(applied_V, context, values)
-                    context = replace(context, applied_V=applied_V, between=_behind(term, context), memo={})
-                elif term.effect.widening is not None:
-                    more, add_V = term.effect.widening(context, values)
+                    applied_V = term.effect.forward(applied_V, now, values)
+                    now = replace(now, applied_V=applied_V, between=_behind(term, now), memo={})
+                elif term.effect.seat == Seat.HYSTERESIS and term.effect.widening is not None:
+                    more, add_V = term.effect.widening(now, values)
                     factor = more if factor is None else factor * more
                     offset_V = add_V if offset_V is None else offset_V + add_V
             path_V = np.array(self.series[number].path_V)
-            columns = self.density.columns(applied_V, path_V, factor, offset_V)
-            known = (applied_V, columns, context.between, context.memo)
-            with self._lock:
-                while len(cache) >= CACHED:
-                    cache.pop(next(iter(cache)))
-                cache[key] = known
-        applied_V, columns, between, memo = known
+            return applied_V, self.density.columns(applied_V, path_V, factor, offset_V), now.between, now.memo
+
+        applied_V, columns, between, memo = self._plays[number].get(self._front(number, here), moved)
         return applied_V, columns, replace(context, applied_V=applied_V, between=between, memo=memo)
+
+    def _front(self, number: int, here: Sequence[tuple[Term, Mapping[str, float]]]) -> Key:
+        """What the plays of a recording depend on."""
+        front = [(term, values) for term, values in here if term.effect.seat <= Seat.HYSTERESIS]
+        return (self.series[number].between, self.series[number].path_V, _named(front))
+
+    def stroke(
+        self, number: int, here: Sequence[tuple[Term, Mapping[str, float]]], point: Point
+    ) -> tuple[Array, Context]:
+        """What stands in front of the force law of a recording, shape (N,) [V]."""
+        applied_V, columns, context = self.played(number, here)
+        stack = [(term, values) for term, values in here if term.effect.seat == Seat.STACK]
+        key = (self._front(number, here), point.density.tobytes(), _named(stack))
+
+        def strained() -> tuple[Array, float]:
+            stroke_V, now = applied_V + columns @ point.density, context
+            for term, values in stack:
+                stroke_V = term.effect.forward(stroke_V, now, values)
+                now = replace(now, between=_behind(term, now))
+            return stroke_V, now.between
+
+        stroke_V, between = self._strokes[number].get(key, strained)
+        return stroke_V, replace(context, between=between)
 
     def run(self, number: int, terms: Sequence[Term], point: Point) -> Trace:
         """Simulate a recording."""
         here = self.terms_of(number, terms, point)
-        applied_V, columns, context = self.played(number, here)
-        stroke_V = applied_V + columns @ point.density
-        for term, values in here:
-            if term.effect.seat == Seat.STACK:
-                stroke_V = term.effect.forward(stroke_V, context, values)
-                context = replace(context, between=_behind(term, context))
+        stroke_V, context = self.stroke(number, here, point)
         signal_N = self.law.value(stroke_V, point.law)
         for term, values in here:
             if term.effect.seat >= Seat.MECHANICS:
                 signal_N = term.effect.forward(signal_N, context, values)
                 context = replace(context, between=_behind(term, context))
-        return Trace(columns, stroke_V, signal_N + point.offsets_N[number])
+        return Trace(self.played(number, here)[1], stroke_V, signal_N + point.offsets_N[number])
+
+    def compared(self, number: int, terms: Sequence[Term], point: Point) -> Array:
+        """Simulated readings of the samples that are compared, shape (rows,) [N].
+
+        What remembers nothing is computed for these alone, what does not depend on the signal once.
+        """
+        here = self.terms_of(number, terms, point)
+        stroke_V, context = self.stroke(number, here, point)
+        behind = [(term, values) for term, values in here if term.effect.seat >= Seat.MECHANICS]
+        rows, thinned = self.rows[number], False
+        signal_N: Array = stroke_V
+        for place in range(len(behind) + 1):
+            if not thinned and all(term.effect.form == "additive" for term, _ in behind[place:]):
+                signal_N, thinned = signal_N[rows], True
+            if place == 0:
+                signal_N = self.law.value(np.ascontiguousarray(signal_N), point.law)
+            if place < len(behind):
+                term, values = behind[place]
+                if thinned:
+                    signal_N = signal_N + self._added(number, here, term, context, values)[rows]
+                else:
+                    signal_N = term.effect.forward(signal_N, context, values)
+                context = replace(context, between=_behind(term, context))
+        result: Array = signal_N + point.offsets_N[number]
+        return result
+
+    def _added(
+        self,
+        number: int,
+        here: Sequence[tuple[Term, Mapping[str, float]]],
+        term: Term,
+        context: Context,
+        values: Mapping[str, float],
+    ) -> Array:
+        """What an effect adds to any signal."""
+        key = (self._front(number, here), context.between, _named([(term, values)]))
+        return self._additions[number].get(
+            key, lambda: term.effect.forward(np.zeros(context.time_s.size), context, values)
+        )
 
     def base_tangents(self, number: int, terms: Sequence[Term], point: Point) -> Array:
         """How the readings that are compared change with density and force law, shape (rows, HATS + SPLINES)."""

@@ -12,6 +12,7 @@ from piezod.effects.effect import Parameter
 Array = NDArray[np.float64]
 
 MOST_STEPS = 14
+REUSED, SETTLED = 2, 0.3  # how often the base's tangents serve again after steps that change the loss less than this
 DONE = 1e-5  # relative fall of the loss below which a fit ends
 FIRST_DAMPING, MOST_DAMPING = 1e-4, 1e4  # after a step that did not help
 HUBER = 3.0  # residuals beyond so many standard deviations count less
@@ -120,18 +121,25 @@ def fit(chain: Chain, terms: Sequence[Term], start: Point, *, most_steps: int = 
     layout = Layout(chain, terms)
     vector, damping = layout.vector(start), 1e-8
     current = Normal.at(chain, terms, layout.point(vector, start))
-    steps = 0
+    steps, age = 0, 0  # age: of the base's tangents, which change little from step to step
     while steps < most_steps and damping < MOST_DAMPING:
         trial = _within(layout, vector, current, damping)
         beyond = Normal.loss_at(chain, terms, layout.point(trial, start), current.scales)
         if beyond < current.loss:
             fell = (current.loss - beyond) / current.loss
             vector, damping, steps = trial, max(damping * 0.1, 1e-12), steps + 1
-            current = Normal.at(chain, terms, layout.point(vector, start))
+            age = age + 1 if age < REUSED and fell < SETTLED else 0
+            current = Normal.at(chain, terms, layout.point(vector, start), current if age else None)
             if fell < DONE:
-                break
+                if not age:
+                    break
+                age = REUSED
+        elif age:
+            age, current = 0, Normal.at(chain, terms, layout.point(vector, start))
         else:
             damping = max(10.0 * damping, FIRST_DAMPING)
+    if age:
+        current = Normal.at(chain, terms, layout.point(vector, start))
     return current.fitted(tuple(terms), layout.point(vector, start))
 
 
@@ -166,13 +174,13 @@ class Normal:
     ridge: Array
 
     @classmethod
-    def at(cls, chain: Chain, terms: Sequence[Term], point: Point) -> "Normal":
-        """Normal equations of a hypothesis at a point."""
+    def at(cls, chain: Chain, terms: Sequence[Term], point: Point, near: "Normal | None" = None) -> "Normal":
+        """Normal equations of a hypothesis at a point, with the base's tangents of one that is near or its own."""
         layout = Layout(chain, terms)
         made = cls(chain, [], [], [], [], *(np.empty(0),) * 4, 0.0, [], np.empty(0))
         hessian, gradient, squares, samples = [], [], [], []
         for number, series in enumerate(chain.series):
-            reading, jacobian = _jacobian(chain, terms, point, layout, number)
+            reading, jacobian = _jacobian(chain, terms, point, layout, number, near)
             rows = chain.rows[number]
             counts = series.counts[rows]
             residual = np.where(counts, (series.reading_N - reading)[rows], 0.0) / series.noise_N
@@ -200,8 +208,9 @@ class Normal:
         """The robust loss alone."""
         loss = 0.0
         for number, series in enumerate(chain.series):
-            reading, rows = chain.run(number, terms, point).reading_N, chain.rows[number]
-            residual = np.where(series.counts[rows], (series.reading_N - reading)[rows], 0.0) / series.noise_N
+            rows = chain.rows[number]
+            reading_N = chain.compared(number, terms, point)
+            residual = np.where(series.counts[rows], series.reading_N[rows] - reading_N, 0.0) / series.noise_N
             loss += _robust(residual, scales[number])
         return loss if np.isfinite(loss) else np.inf
 
@@ -256,21 +265,27 @@ class Normal:
         return Fitted(terms, point, np.maximum(losses, 1e-12) / np.maximum(self.samples, 1.0), self.samples, spread)
 
 
-def _jacobian(chain: Chain, terms: Sequence[Term], point: Point, layout: Layout, number: int) -> tuple[Array, Array]:
+def _jacobian(
+    chain: Chain, terms: Sequence[Term], point: Point, layout: Layout, number: int, near: Normal | None
+) -> tuple[Array, Array]:
     """Simulated reading of a recording, and how it changes with every parameter in units of the noise."""
     series, rows = chain.series[number], chain.rows[number]
     reading = chain.run(number, terms, point).reading_N
+    compared_N = reading[rows]
     jacobian = np.zeros((series.counts[rows].size, layout.size))
-    jacobian[:, : layout.offsets] = chain.base_tangents(number, terms, point)
+    if near is None:
+        jacobian[:, : layout.offsets] = chain.base_tangents(number, terms, point) / series.noise_N
+    else:
+        jacobian[:, : layout.offsets] = near.jacobians[number][:, : layout.offsets]
     if number:
-        jacobian[:, layout.offsets + number - 1] = 1.0
+        jacobian[:, layout.offsets + number - 1] = 1.0 / series.noise_N
     for place, (term, one) in enumerate(layout.searched, start=layout.effects):
         if terms[term].acts_on(number, series):
             scaled = _scaled(one, point.values[term][one.name])
             size = _step_of(one, scaled)
             moved = _moved(point, term, one.name, _unscaled(one, scaled + size))
-            jacobian[:, place] = (chain.run(number, terms, moved).reading_N - reading)[rows] / size
-    jacobian /= series.noise_N
+            change = chain.compared(number, terms, moved) - compared_N
+            jacobian[:, place] = change / (size * series.noise_N)
     jacobian[~series.counts[rows]] = 0.0
     return reading, jacobian
 

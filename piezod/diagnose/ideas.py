@@ -16,6 +16,7 @@ from piezod.effects.effect import Effect, Parameter
 
 Array = NDArray[np.float64]
 
+SHIFTED = 0.5  # of the squares: what a shift must bring for a recording to be shifted
 DIRECT = ("sensor_dropout", "quantisation", "load_step", "vibration", "mains_hum")  # found by tests of their own
 
 
@@ -70,7 +71,7 @@ def _scales(chain: Chain) -> dict[str, tuple[float, ...]]:
         "knee_V": (0.003 * top_V,),
         "limit_V_per_s": tuple(np.geomspace(0.3 * usual, 0.8 * max(fastest, usual), 10).tolist()),
         "reference_V_per_s": (0.1 * usual, usual, fast),
-        "gap_N": (0.01 * span_N, 0.05 * span_N, 0.2 * span_N),
+        "gap_N": tuple(part * span_N for part in (0.01, 0.03, 0.08, 0.16, 0.32, 0.64)),
         "softness_N": (0.002 * span_N,),
         "force_N": (0.005 * span_N,),
         "presliding_N": (0.01 * span_N, 0.05 * span_N, 0.3 * span_N),
@@ -81,6 +82,37 @@ def _starts(effect: str, one: Parameter, scales: dict[str, tuple[float, ...]]) -
     known = scales.get(f"{effect} {one.name}", scales.get(one.name)) if effect not in DIRECT else None
     starts = one.starts if known is None else tuple(float(np.clip(value, one.low, one.high)) for value in known)
     return starts[:1] if one.nuisance else starts
+
+
+def since(chain: Chain, past: Point) -> list[tuple[Idea, Point]]:
+    """Effects that may have come since the model was identified, each at its best start, the most promising first.
+
+    By what remains when the base of the past runs with them, the recordings shifted onto it or not.
+    """
+    channels = ["temperature_C"] if all(one.temperature_C is not None for one in chain.series) else []
+
+    def looked_at(one: tuple[Effect, dict[str, float], tuple[tuple[str, float], ...]]) -> tuple[Idea, Point]:
+        effect, values, choices = one
+        term = Term(effect, "since", choices=choices)
+        point = Point(past.density, past.law, past.offsets_N, (values,))
+        offsets_N, losses = past.offsets_N.copy(), [0.0, 0.0]
+        for number, series in enumerate(chain.series):
+            if series.role == "recording":
+                rows = chain.rows[number]
+                error = (series.reading_N[rows] - chain.compared(number, (term,), point)) / series.noise_N
+                error = error[series.counts[rows]]
+                losses[0] += float(error @ error)
+                losses[1] += float(error.var()) * error.size
+                offsets_N[number] = float(error.mean()) * series.noise_N
+        shifted = losses[1] < SHIFTED * losses[0]
+        return Idea(term, values, -losses[shifted]), Point(past.density, past.law, offsets_N) if shifted else past
+
+    best: dict[str, tuple[Idea, Point]] = {}
+    for idea, point in each(looked_at, catalogue_ideas(chain, channels, {})):
+        name = idea.term.effect.name
+        if name not in best or idea.gain > best[name][0].gain:
+            best[name] = idea, point
+    return sorted(best.values(), key=lambda one: -one[0].gain)
 
 
 def screened(chain: Chain, terms: Sequence[Term], point: Point) -> list[Idea]:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from piezod.diagnose.chain import Chain, Point, Scope, Term
 from piezod.diagnose.direct import Line, lines
 from piezod.diagnose.fit import MOST_STEPS, Fitted, Normal, fit
-from piezod.diagnose.ideas import Idea, screened
+from piezod.diagnose.ideas import Idea, screened, since
 from piezod.diagnose.parallel import each
 from piezod.diagnose.series import Series
 from piezod.diagnose.steps import NEVER_S, Step, likely_steps, sharp
@@ -23,9 +23,11 @@ OnProgress = Callable[[str], None]
 
 MOST_EFFECTS = 5
 TRIED = 7  # effects that are really fitted in a round, first coarsely
+TRIED_FROM_PAST = 4
 FINALISTS = 3  # of them that are tried with every course of the command between samples
 REFINED = 4  # of them thoroughly
-COARSE_STEPS = 7
+COMPARED = 6  # of all these on more samples
+COARSE_STEPS, COARSE_ROWS = 7, 6000
 NOTHING = 0.003  # of the loss: an idea that promises less is not tried
 PROMISING = 0.03  # of the best idea's gain, below which an idea is not tried
 WORTH = 0.04  # of the loss that is left: what an effect must gain at least
@@ -65,12 +67,15 @@ class Search:
         The hypothesis at the end.
     rounds
         In the order of the search.
+    past
+        The base as the recordings show it that the model was identified on.
     """
 
     chain: Chain
     base: Fitted
     found: Fitted
     rounds: list[Round] = field(default_factory=list)
+    past: Point | None = None
 
 
 def search(chain: Chain, start: Point, progress: OnProgress) -> Search:
@@ -87,20 +92,22 @@ def search(chain: Chain, start: Point, progress: OnProgress) -> Search:
     """
     progress("fitting the base")
     chain, base = _best_course(chain, (), start)
-    result = Search(chain, base, base)
+    result = Search(chain, base, base, past=_past(chain, start))
     largest = 0.0
     while len(result.found.effects) < MOST_EFFECTS:
         progress(f"looking for effect {len(result.found.effects) + 1}")
-        tried = _tried(result.chain, result.found)
-        better = [one for one in tried if worth(result.found, one, largest) and not _degenerate(result.chain, one)]
+        tried = _on_each_course(result.chain, result.found, None if result.found.terms else result.past)
+        better = [
+            (chain, one) for chain, one in tried if worth(result.found, one, largest) and not _degenerate(chain, one)
+        ]
         if not better:
             break
         before = result.found
-        finalists = sorted(better, key=lambda one: one.loss)[:FINALISTS]
-        courses = each(partial(_best_of, result.chain), finalists)
+        finalists = sorted(better, key=lambda one: one[1].loss)[:FINALISTS]
+        courses = each(lambda one: _best_course(one[0], one[1].terms, one[1].point, one[1]), finalists)
         result.chain, best = restarted(*min(courses, key=lambda one: one[1].loss))
         largest = max(largest, before.loss - best.loss)
-        others = tuple(one for one in tried if one.terms[-1].effect is not best.terms[-1].effect)
+        others = tuple(one for _, one in tried if one.terms[-1].effect is not best.terms[-1].effect)
         result.rounds.append(Round(before, best, others))
         result.found = best
     progress("trying to swap and to drop")
@@ -214,25 +221,71 @@ def _best_course(
     return results[best()]
 
 
-def _best_of(chain: Chain, one: Fitted) -> tuple[Chain, Fitted]:
-    return _best_course(chain, one.terms, one.point, one)
+def _past(chain: Chain, start: Point) -> Point:
+    """The base fitted to the recordings of the identification alone, the others shifted onto it."""
+    known = [k for k, one in enumerate(chain.series) if one.role == "identification"]
+    alone = chain.like([chain.series[k] for k in known])
+    point = fit(alone, (), replace(start, offsets_N=start.offsets_N[known])).point
+    offsets_N = np.zeros(len(chain.series))
+    offsets_N[known] = point.offsets_N
+    return replace(point, offsets_N=offsets_N)
 
 
-def _tried(chain: Chain, found: Fitted) -> list[Fitted]:
-    """Hypotheses with one more effect: all promising ones fitted coarsely, the best of them thoroughly."""
+def _on_each_course(chain: Chain, found: Fitted, past: Point | None) -> list[tuple[Chain, Fitted]]:
+    """Hypotheses with one more effect, with the chain that each was fitted on.
+
+    Where the command seems to be held although nothing smooths it, an effect that makes late may have passed for that:
+    all is tried with a straight course too.
+    """
+    chains = [(chain, found)]
+    if chain.series[0].between != STRAIGHT and not any(term.effect.smooths for term in found.terms):
+        straight = chain.like([replace(one, between=STRAIGHT) for one in chain.series])
+        chains.append((straight, fit(straight, found.terms, found.point, most_steps=6)))
+    return [(on, one) for on, known in chains for one in _fine(on, _tried(_coarse(on), known, past))]
+
+
+def _coarse(chain: Chain) -> Chain:
+    return chain.like(chain.series, COARSE_ROWS)
+
+
+def _fine(chain: Chain, tried: Sequence[Fitted]) -> list[Fitted]:
+    """The best of what was fitted on few samples, fitted on more."""
+    best = sorted(tried, key=lambda one: one.loss)[:COMPARED]
+    return each(lambda one: fit(chain, one.terms, one.point, most_steps=6), best)
+
+
+def _tried(chain: Chain, found: Fitted, past: Point | None) -> list[Fitted]:
+    """Hypotheses with one more effect: all promising ones fitted in few steps, the best of them thoroughly.
+
+    From the base so far, and those that came since from the base of the `past` too, where it is given: a strong effect
+    bends the base towards itself.
+    """
     ideas = screened(chain, found.terms, found.point)
-    enough = NOTHING * found.loss * found.samples.sum()
+    enough = (
+        NOTHING
+        * found.loss
+        * sum(float(one.counts[rows].sum()) for one, rows in zip(chain.series, chain.rows, strict=True))
+    )
     chosen: dict[str, list[Idea]] = {}
     for idea in ideas:
         if idea.gain < max(PROMISING * ideas[0].gain, enough):
             break
         if len(chosen) < TRIED or idea.term.effect.name in chosen:
             chosen.setdefault(idea.term.effect.name, []).append(idea)
-    coarse = each(lambda some: (_extended(chain, found, some[0], most_steps=COARSE_STEPS), some), list(chosen.values()))
-    coarse.sort(key=lambda one: one[0].loss)
-    fine = each(lambda one: _refined(chain, found, *one), coarse[:REFINED])
+    quick = each(lambda some: (_extended(chain, found, some[0], most_steps=COARSE_STEPS), some), list(chosen.values()))
+    quick.sort(key=lambda one: one[0].loss)
+    if past is not None:
+        quick += each(partial(_from_past, chain), since(chain, past)[:TRIED_FROM_PAST])
+        quick.sort(key=lambda one: one[0].loss)
+    thorough = each(lambda one: _refined(chain, found, *one), quick[:REFINED])
     direct = each(lambda idea: _extended(chain, found, idea), suggested(chain, found))
-    return [*fine, *(first for first, _ in coarse[REFINED:]), *direct]
+    return [*thorough, *(first for first, _ in quick[REFINED:]), *direct]
+
+
+def _from_past(chain: Chain, one: tuple[Idea, Point]) -> tuple[Fitted, list[Idea]]:
+    idea, past = one
+    point = replace(past, values=(idea.values,))
+    return fit(chain, (idea.term,), point, most_steps=COARSE_STEPS), [idea]
 
 
 def _refined(chain: Chain, found: Fitted, first: Fitted, ideas: Sequence[Idea]) -> Fitted:

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from piezod.diagnose.direct import lattice_step_N
 from piezod.diagnose.fit import Normal
 from piezod.diagnose.series import Series
 
@@ -17,6 +18,7 @@ SHORTEST = 2  # cells
 WINDOWS_S = (0.1, 0.3, 1.0, 3.0)  # before and after an edge
 CLEAR = 5.0  # jump of the means on both sides of an edge, in the standard deviations that such jumps have elsewhere
 LIKE_THE_STEP = 0.4  # by how much of the height a jump may differ from it,
+OF_LATTICE = 0.5  # of a coarse converter's step: a lower one is the lattice's own beat
 CHANCE = 2.0  # and by how many such standard deviations besides
 
 
@@ -137,6 +139,8 @@ def sharp(series: Series, residual_N: Array, step: Step) -> bool:
     """
     values = np.where(series.counts, residual_N, 0.0)
     size = values.size
+    if abs(step.height_N) < OF_LATTICE * lattice_step_N(series):
+        return False
     for place, height in ((step.first, step.height_N), (step.end, -step.height_N)):
         if not 0 < place < size:
             continue
