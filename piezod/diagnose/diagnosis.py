@@ -324,7 +324,8 @@ def _coarsest(series: Sequence[Series], residuals: Sequence[Array]) -> tuple[flo
 
 
 def _verdict(result: Search, left: Guard, moving: Motion, effects: Sequence[Finding]) -> Verdict:
-    share = max(left.share if left.p < SURE else 0.0, moving.share)
+    local = left.local_share if left.local_p < SURE else 0.0
+    share = max(left.share if left.p < SURE else 0.0, moving.share, moving.level_share, local)
     missing = share > STILL_EXPLAINABLE
     if missing and result.found.terms:
         before, after = (_held_out_rms(result.chain, one) ** 2 for one in (result.base, result.found))

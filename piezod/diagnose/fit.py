@@ -223,30 +223,36 @@ class Normal:
         step[free] = _solved(hessian[np.ix_(free, free)], side[free])
         return step
 
-    def gain_of(self, changes: Sequence[Array | None]) -> tuple[float, float]:
-        """Fall of the squared residual when a multiple of a change is fitted with everything else, and the multiple.
+    def gain_of(self, changes: Sequence[Sequence[Array | None]]) -> tuple[float, Array]:
+        """Fall of the squared residual when multiples of changes are fitted with everything else, and the multiples.
 
         Parameters
         ----------
         changes
-            Of the reading of every recording, shape (N,), or None where nothing changes [N].
+            Of the readings that are compared, for every recording, shape (rows,), or None where nothing changes [N].
         """
-        across, length, along = np.zeros(self.ridge.shape[0]), 0.0, 0.0
-        for number, change in enumerate(changes):
-            if change is None:
+        count = len(changes)
+        across, inner, along = np.zeros((self.ridge.shape[0], count)), np.zeros((count, count)), np.zeros(count)
+        for number, series in enumerate(self.chain.series):
+            acting = [(place, change[number]) for place, change in enumerate(changes)]
+            here = [place for place, change in acting if change is not None]
+            if not here:
                 continue
-            series, rows = self.chain.series[number], self.chain.rows[number]
-            scaled = np.where(series.counts[rows], change[rows], 0.0) / series.noise_N
-            weighted = self.weights[number] * scaled
-            across += self.jacobians[number].T @ weighted
-            length += float(scaled @ weighted)
-            along += float(scaled @ self.weighted[number])
-        solved = _solved(self.hessian.sum(axis=0) + self.ridge, across)
-        denominator = length - float(solved @ across)
-        numerator = along - float(solved @ self.gradient.sum(axis=0))
-        if not denominator > 1e-9 * length:
-            return 0.0, 0.0
-        return numerator**2 / denominator, numerator / denominator
+            counts = series.counts[self.chain.rows[number]]
+            scaled = np.array([change for _, change in acting if change is not None]).T * counts[:, None]
+            scaled /= series.noise_N
+            weighted = self.weights[number][:, None] * scaled
+            across[:, here] += self.jacobians[number].T @ weighted
+            inner[np.ix_(here, here)] += scaled.T @ weighted
+            along[here] += scaled.T @ self.weighted[number]
+        hessian, gradient = self.hessian.sum(axis=0) + self.ridge, self.gradient.sum(axis=0)
+        solved = np.array([_solved(hessian, column) for column in across.T]).T
+        free = inner - across.T @ solved
+        if not np.all(np.diag(free) > 1e-9 * np.diag(inner)):
+            return 0.0, np.zeros(count)
+        numerator = along - solved.T @ gradient
+        sizes = _solved(free, numerator)
+        return float(numerator @ sizes), sizes
 
     def fitted(self, terms: tuple[Term, ...], point: Point) -> Fitted:
         """What every block says when it is left out, by one linear step."""

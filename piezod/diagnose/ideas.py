@@ -1,7 +1,7 @@
 """Where a search may begin: every effect of the catalogue at its starts, and what direct tests suggest."""
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 
 import numpy as np
@@ -78,6 +78,13 @@ def _scales(chain: Chain) -> dict[str, tuple[float, ...]]:
     }
 
 
+def _inside(effect: Effect, values: Mapping[str, float]) -> dict[str, float]:
+    return {
+        name: float(np.clip(value, effect.parameter(name).low, effect.parameter(name).high))
+        for name, value in values.items()
+    }
+
+
 def _starts(effect: str, one: Parameter, scales: dict[str, tuple[float, ...]]) -> tuple[float, ...]:
     known = scales.get(f"{effect} {one.name}", scales.get(one.name)) if effect not in DIRECT else None
     starts = one.starts if known is None else tuple(float(np.clip(value, one.low, one.high)) for value in known)
@@ -133,17 +140,27 @@ def screened(chain: Chain, terms: Sequence[Term], point: Point) -> list[Idea]:
     def looked_at(one: tuple[Effect, dict[str, float], tuple[tuple[str, float], ...]]) -> list[Idea]:
         effect, values, choices = one
         term = Term(effect, "already", choices=choices)
-        changed = Point(point.density, point.law, point.offsets_N, (*point.values, values))
+        # An effect that is a sum is tried with all its parts at once, each of a size of its own.
+        parts = [{**dict.fromkeys(values, 0.0), name: value} for name, value in values.items()]
         changes = [
-            chain.run(number, (*terms, term), changed).reading_N - normal.readings[number]
-            for number in range(len(chain.series))
+            [
+                chain.compared(number, (*terms, term), replace(point, values=(*point.values, part)))
+                - normal.readings[number][chain.rows[number]]
+                for number in range(len(chain.series))
+            ]
+            for part in (parts if effect.parameters[0].choices else [values])
         ]
         ideas = []
         for scope in ("since", "already"):
             term = Term(effect, scope, choices=choices)
-            acting = [c if term.acts_on(k, chain.series[k]) else None for k, c in enumerate(changes)]
-            gain, size = normal.gain_of(acting)
-            if size > 0.0 or effect.parameters[0].low < 0.0 or effect.parameters[0].choices:
+            acting = [
+                [c if term.acts_on(k, chain.series[k]) else None for k, c in enumerate(change)] for change in changes
+            ]
+            gain, sizes = normal.gain_of(acting)
+            if len(acting) > 1:
+                sized = {name: size * value for (name, value), size in zip(values.items(), sizes, strict=True)}
+                ideas.append(Idea(term, {**values, **_inside(effect, sized)}, gain))
+            elif sizes[0] > 0.0 or effect.parameters[0].low < 0.0:
                 ideas.append(Idea(term, values, gain))
         return ideas
 

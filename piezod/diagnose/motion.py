@@ -1,4 +1,4 @@
-"""What is left while the bench moves, beside what is left while it rests: noise does not know the difference."""
+"""What is left while the bench moves or stands high, beside what is left while it rests: noise knows no difference."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -12,33 +12,31 @@ from piezod.diagnose.series import Series
 Array = NDArray[np.float64]
 
 WINDOW_S, FEWEST_IN_WINDOW = 0.25, 20
-QUIET, MOVING = 0.2, 0.5  # parts of the windows, by how far the force moves in them and just before
-FEWEST_QUIET = 8
-ALONE = 0.5  # part of the windows that count as told by themselves: neighbours are alike
-STILL = 0.02  # of the usual movement: a fifth of the windows that moves more is not at rest
-SURE = 4.0  # standard errors between the logarithms of both powers
+FEWEST_WINDOWS, FEWEST_QUIET = 30, 6
+STILL = 0.02  # of the usual movement: windows that move less are at rest
+LOWEST = 0.2  # of the windows, where fewer rest
+SHIFTS = 400  # that a chance is counted from
+BELIEVED = 0.01  # chance up to which it is
 
 
 @dataclass(frozen=True)
 class Motion:
-    """How much of a residual is there only while the bench moves.
+    """How much of a residual depends on how the bench stands or moves.
 
     Parameters
     ----------
     share
-        Of its power within windows of a quarter of a second, what lies above that of the quiet ones; 0 where they do
-        not differ.
-    quiet, moving
-        Powers within such windows, in units of each recording's noise.
+        Part of its power within short windows that lies above that of the windows at rest; 0 where that may be chance.
+    level_share
+        Part of its power that lies above that of the windows with the least force; 0 where that may be chance.
     """
 
     share: float
-    quiet: float
-    moving: float
+    level_share: float
 
 
-def motion(series: Sequence[Series], residuals: Sequence[Array], modelled: Sequence[Array]) -> Motion:
-    """Compare the windows in which a force rests with those in which it moves.
+def motion(series: Sequence[Series], residuals: Sequence[Array], modelled: Sequence[Array], *, seed: int = 0) -> Motion:
+    """Ask whether a residual's power follows movement or level of the force.
 
     Parameters
     ----------
@@ -46,40 +44,73 @@ def motion(series: Sequence[Series], residuals: Sequence[Array], modelled: Seque
         Only those with the role "recording" are looked at.
     residuals, modelled
         Reading less simulation, and simulation; each shape (N,) [N].
+    seed
+        Of the shifts.
     """
-    quiet, moving, power, total = [], [], 0.0, 0.0
-    for one, residual, model in zip(series, residuals, modelled, strict=True):
-        if one.role != "recording":
-            continue
-        powers, moves = _windows(one, residual / one.noise_N, model)
-        order = np.argsort(moves, kind="stable")
-        still, fast = order[: int(QUIET * order.size)], order[int((1.0 - MOVING) * order.size) :]
-        if still.size < FEWEST_QUIET or moves[still].max() > STILL * float(np.median(moves[fast])):
-            continue
-        quiet.append(powers[still])
-        moving.append(powers[fast])
-        power += float(np.sum(powers - powers[still].mean()))
-        total += float(powers.sum())
-    if not quiet or total <= 0.0:
-        return Motion(0.0, 0.0, 0.0)
-    low, high = np.concatenate(quiet), np.concatenate(moving)
-    logs = np.log(low), np.log(high)
-    error = float(np.sqrt(sum(one.var() / (ALONE * one.size) for one in logs)))
-    believed = float(logs[1].mean() - logs[0].mean()) > SURE * max(error, 1e-12)
-    return Motion(max(power / total, 0.0) if believed else 0.0, float(low.mean()), float(high.mean()))
+    rng = np.random.default_rng(seed)
+    told = [
+        _windows(one, residual / one.noise_N, model)
+        for one, residual, model in zip(series, residuals, modelled, strict=True)
+        if one.role == "recording"
+    ]
+    told = [one for one in told if one.within.size >= FEWEST_WINDOWS]
+    if not told:
+        return Motion(0.0, 0.0)
+    return Motion(
+        _share([(one.within, one.moves, one.moves <= STILL * float(np.median(one.moves))) for one in told], rng),
+        _share([(one.whole, one.level, np.zeros(one.level.size, bool)) for one in told], rng),
+    )
 
 
-def _windows(series: Series, residual: Array, model_N: Array) -> tuple[Array, Array]:
-    """Power of a residual about its mean in every window, and how far the model moves in it and the one before."""
+@dataclass(frozen=True)
+class _Windows:
+    within: Array  # power of the residual about its mean in the window
+    whole: Array  # the same about its mean in the record
+    moves: Array  # how far the force moves in the window and the one before [N]
+    level: Array  # force above the least [N]
+
+
+def _windows(series: Series, residual: Array, model_N: Array) -> _Windows:
     size = max(int(WINDOW_S / series.dt_s), FEWEST_IN_WINDOW)
     count = series.time_s.size // size
     cut = slice(0, count * size)
-    parts, there = residual[cut].reshape(count, size), series.counts[cut].reshape(count, size)
+    centred = residual - float(residual[series.counts].mean())
+    parts, there = centred[cut].reshape(count, size), series.counts[cut].reshape(count, size)
     model = model_N[cut].reshape(count, size)
     moves = np.ptp(model, axis=1)
     moves[1:] = np.maximum(moves[1:], moves[:-1])
-    whole = np.asarray(there.all(axis=1))
-    whole = whole & (np.arange(count) > 0)
+    complete = np.asarray(there.all(axis=1)) & (np.arange(count) > 0)
     lattice = lattice_step_N(series) / series.noise_N
-    powers = np.maximum(parts.var(axis=1), max(lattice**2 / 12.0, 1e-12))
-    return powers[whole], moves[whole]
+    least = max(lattice**2 / 12.0, 1e-12)
+    return _Windows(
+        np.maximum(parts.var(axis=1), least)[complete],
+        np.maximum(np.mean(parts**2, axis=1), least)[complete],
+        moves[complete],
+        (model.mean(axis=1) - float(model_N.min()))[complete],
+    )
+
+
+def _share(told: Sequence[tuple[Array, Array, NDArray[np.bool_]]], rng: np.random.Generator) -> float:
+    """Part of the power above that at the low end of a quantity, 0 where the order of both may be chance."""
+    ranks = [(_ranks(power), _ranks(quantity)) for power, quantity, _ in told]
+    found = sum(float(p @ q) for p, q in ranks)
+    by_chance = [sum(float(np.roll(p, int(rng.integers(1, p.size))) @ q) for p, q in ranks) for _ in range(SHIFTS)]
+    if np.mean(np.array(by_chance) >= found) > BELIEVED:
+        return 0.0
+    above, total = 0.0, 0.0
+    for power, quantity, low in told:
+        quiet = low
+        if np.count_nonzero(low) < FEWEST_QUIET:
+            quiet = quantity <= float(np.quantile(quantity, LOWEST))
+        above += float(np.sum(power - power[quiet].mean()))
+        total += float(power.sum())
+    return max(above / total, 0.0)
+
+
+def _ranks(values: Array) -> Array:
+    """Places in order, about 0, of length 1."""
+    order = np.empty(values.size)
+    order[np.argsort(values, kind="stable")] = np.arange(values.size)
+    order -= order.mean()
+    result: Array = order / max(float(np.linalg.norm(order)), 1e-300)
+    return result

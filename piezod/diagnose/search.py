@@ -104,8 +104,8 @@ def search(chain: Chain, start: Point, progress: OnProgress) -> Search:
             break
         before = result.found
         finalists = sorted(better, key=lambda one: one[1].loss)[:FINALISTS]
-        courses = each(lambda one: _best_course(one[0], one[1].terms, one[1].point, one[1]), finalists)
-        result.chain, best = restarted(*min(courses, key=lambda one: one[1].loss))
+        settled = each(_settled, finalists)
+        result.chain, best = min(settled, key=lambda one: one[1].loss)
         largest = max(largest, before.loss - best.loss)
         others = tuple(one for _, one in tried if one.terms[-1].effect is not best.terms[-1].effect)
         result.rounds.append(Round(before, best, others))
@@ -115,6 +115,12 @@ def search(chain: Chain, start: Point, progress: OnProgress) -> Search:
     _drop(result, largest)
     _polish(result)
     return result
+
+
+def _settled(one: tuple[Chain, Fitted]) -> tuple[Chain, Fitted]:
+    """A hypothesis with the course and the starts that suit it best."""
+    chain, fitted = one
+    return restarted(*_best_course(chain, fitted.terms, fitted.point, fitted))
 
 
 def restarted(chain: Chain, fitted: Fitted) -> tuple[Chain, Fitted]:

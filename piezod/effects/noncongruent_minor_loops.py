@@ -67,7 +67,7 @@ EFFECT = Effect(
     parameters=(
         Parameter("share", "1", 0.0, 1.0, starts=(1.0,), choices=(1.0,)),
         *(
-            Parameter(f"{name}_{k}", "1", -3.0, 3.0, starts=(0.1 if name == "square" else 0.0,), nuisance=True)
+            Parameter(f"{name}_{k}", "1", -3.0, 3.0, starts=(0.1,), nuisance=True)
             for name in ("square", "cube")
             for k in range(HATS)
         ),
