@@ -19,6 +19,7 @@ from piezod.diagnose.places import place_of
 from piezod.diagnose.prepare import Source, chain_of, even, stand_in, started, without_frozen
 from piezod.diagnose.search import Search, search, without
 from piezod.diagnose.series import Series
+from piezod.diagnose.tones import Tone, with_tones
 from piezod.effects import EFFECTS
 from piezod.errors import ModelError
 from piezod.identify.scores import nrmse_percent
@@ -28,6 +29,7 @@ Array = NDArray[np.float64]
 OnProgress = Callable[[str], None]
 
 STILL_EXPLAINABLE = 0.1  # share of what is left, from which a verdict says that something is missing
+BY_LEVEL = 0.25  # share of what is left that must lie above that at the lowest force
 SURE = 0.01  # p below which that share is believed
 CLOSED = 0.9  # part of what could be explained, from which it counts as explained
 RIVAL = 0.8  # part of the winner's gain, from which another effect is a rival
@@ -125,26 +127,29 @@ def _judged(
     normal = Normal.at(chain, found.terms, found.point)
     residuals = [one.reading_N - modelled for one, modelled in zip(chain.series, normal.readings, strict=True)]
     left = explainable(chain.series, residuals, normal.readings)
-    before = _rms([one.reading_N - given[k] for k, one in enumerate(chain.series)], chain.series)
+    series = with_tones(chain.series, result.tones)
+    simulated = [one.reading_N - left for one, left in zip(series, residuals, strict=True)]
+    before = _rms([one.reading_N - given[k] for k, one in enumerate(series)], series)
     after = _held_out_rms(chain, found)
     floor, floor_from = _floor(chain.series, residuals, left)
     floor = min(floor, after)
     effects = each(lambda name: _finding(result, name), found.effects)
+    effects += [_heard(result, name) for name in dict.fromkeys(tone.name for tone in result.tones)]
     effects += _read_off(chain.series, frozen, residuals, before)
     hashes = [""] * stand_ins + [source.sha256 for source in sources]
     moving = motion(chain.series, residuals, normal.readings)
     verdict = _verdict(result, left, moving, effects)
     extended, said = model, list(notes)
-    if found.terms or verdict != "matches":
+    if result.names or verdict != "matches":
         try:
-            extended = extended_model(model, chain, found, hashes)
+            extended = extended_model(model, chain, _with_tones(found, result.tones), hashes)
         except ModelError as error:
             said.append(f"no extended model: {error}")
-    asked = [k for k, one in enumerate(chain.series) if one.role == "recording"]
-    measured = np.concatenate([chain.series[k].reading_N[chain.series[k].counts] for k in asked])
-    by_given = np.concatenate([given[k][chain.series[k].counts] for k in asked])
-    by_found = np.concatenate([normal.readings[k][chain.series[k].counts] for k in asked])
-    base_residuals = [one.reading_N - given[k] for k, one in enumerate(chain.series)]
+    asked = [k for k, one in enumerate(series) if one.role == "recording"]
+    measured = np.concatenate([series[k].reading_N[series[k].counts] for k in asked])
+    by_given = np.concatenate([given[k][series[k].counts] for k in asked])
+    by_found = np.concatenate([simulated[k][series[k].counts] for k in asked])
+    base_residuals = [one.reading_N - given[k] for k, one in enumerate(series)]
     findings = Findings(
         verdict=verdict,
         words="",
@@ -152,11 +157,11 @@ def _judged(
         floor=floor,
         floor_from=floor_from,
         where=tuple(
-            Place(one.axis, one.low, one.high, one.share, one.p) for one in locate(chain.series, base_residuals, given)
+            Place(one.axis, one.low, one.high, one.share, one.p) for one in locate(series, base_residuals, given)
         ),
         effects=tuple(effects),
         before=before,
-        after=min(after, before) if not found.terms else after,
+        after=after if result.names else min(after, before),
         nrmse_before=nrmse_percent(measured, by_given),
         nrmse_after=nrmse_percent(measured, by_found),
         explainable=left.share,
@@ -166,7 +171,7 @@ def _judged(
         ),
     )
     findings = replace(findings, words=words_of(findings))
-    return Diagnosis(findings, extended, chain.series, given, normal.readings)
+    return Diagnosis(findings, extended, series, given, simulated)
 
 
 def _rms(residuals: Sequence[Array], series: Sequence[Series]) -> float:
@@ -240,6 +245,53 @@ def _finding(result: Search, name: str) -> Finding:
         term.effect.handling,
         term.effect.why,
     )
+
+
+def _with_tones(found: Fitted, tones: Sequence[Tone]) -> Fitted:
+    """The hypothesis with the tones as effects that happened once."""
+    terms = tuple(Term(EFFECTS[tone.name], "once", tone.number) for tone in tones)
+    values = (*found.point.values, *(tone.values for tone in tones))
+    return replace(found, terms=(*found.terms, *terms), point=replace(found.point, values=values))
+
+
+def _heard(result: Search, name: str) -> Finding:
+    """A tone as a finding."""
+    effect, after = EFFECTS[name], _held_out_rms(result.chain, result.found)
+    mine = [tone for tone in result.tones if tone.name == name]
+    asked = [one for one in result.chain.series if one.role == "recording"]
+    power = sum(float(tone.heard_N @ tone.heard_N) for tone in mine) / sum(one.time_s.size for one in asked)
+    parameters = {}
+    for one in effect.catalogued:
+        values = np.array([tone.values[one.name] for tone in mine])
+        error = _tone_error(one.name, float(values.mean()), mine, result.chain)
+        parameters[one.name] = Value(
+            float(values.mean()), one.unit, float(values.min()) - error, float(values.max()) + error
+        )
+    before = float(np.sqrt(after**2 + power))
+    return Finding(
+        effect.name,
+        effect.title,
+        _confidence(2.0 * float(np.log(before / after)), ()),
+        "once",
+        place_of(Term(effect, "once", mine[0].number), mine[0].values, result.chain),
+        parameters,
+        before,
+        after,
+        (),
+        effect.handling,
+        effect.why,
+    )
+
+
+def _tone_error(name: str, value: float, mine: Sequence[Tone], chain: Chain) -> float:
+    """Half of the 95 % interval of a tone's amplitude [N] or frequency [Hz] in white noise (Cramer and Rao)."""
+    tone = mine[0]
+    series = chain.series[tone.number]
+    count, duration_s = series.time_s.size, max(series.duration_s, 1e-9)
+    relative = series.noise_N / max(tone.values["amplitude_N"], 1e-300) * float(np.sqrt(2.0 / count))
+    if name == "amplitude_N":
+        return NORMAL_95 * relative * value
+    return NORMAL_95 * relative * float(np.sqrt(12.0)) / (2.0 * np.pi * duration_s)
 
 
 def _share(result: Search, place: int) -> Value:
@@ -325,14 +377,22 @@ def _coarsest(series: Sequence[Series], residuals: Sequence[Array]) -> tuple[flo
 
 def _verdict(result: Search, left: Guard, moving: Motion, effects: Sequence[Finding]) -> Verdict:
     local = left.local_share if left.local_p < SURE else 0.0
-    share = max(left.share if left.p < SURE else 0.0, moving.share, moving.level_share, local)
+    by_level = moving.level_share if moving.level_share > BY_LEVEL else 0.0
+    share = max(left.share if left.p < SURE else 0.0, moving.share, by_level, local)
     missing = share > STILL_EXPLAINABLE
-    if missing and result.found.terms:
+    if missing and result.names:
         before, after = (_held_out_rms(result.chain, one) ** 2 for one in (result.base, result.found))
+        before += _power(result)
         missing = before - after < CLOSED * (before - (1.0 - share) * after)
     if effects:
         return "partly_explained" if missing else "explained"
     return "unexplained" if missing else "matches"
+
+
+def _power(result: Search) -> float:
+    """Of the tones, over the recordings asked about."""
+    asked = [one for one in result.chain.series if one.role == "recording"]
+    return sum(float(tone.heard_N @ tone.heard_N) for tone in result.tones) / sum(one.time_s.size for one in asked)
 
 
 def words_of(findings: Findings) -> str:

@@ -27,6 +27,17 @@ class Line:
     over_median: float
 
 
+def noise_of(u: Array, y: Array, good: NDArray[np.bool_]) -> float:
+    """Standard deviation of a recording's noise, from second differences where the drive moves least."""
+    bends, drive = np.diff(y, 2), np.abs(np.diff(u, 2))
+    usable = good[2:] & good[1:-1] & good[:-2]
+    if np.count_nonzero(usable) < 100:
+        return max(1e-4 * float(np.ptp(y[good])), 1e-12)
+    quiet = usable & (drive <= np.percentile(drive[usable], 50))
+    spread = 1.4826 * float(np.median(np.abs(bends[quiet]))) / float(np.sqrt(6.0))
+    return max(spread, 2e-5 * float(np.ptp(y[good])), 1e-12)
+
+
 def frozen_stretches(series: Series, model_N: Array) -> list[tuple[int, int]]:
     """Stretches (first, end) in which the reading stands still to the last bit while the model moves."""
     same = np.concatenate(([False], np.diff(series.reading_N) == 0.0, [False]))

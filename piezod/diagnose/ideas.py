@@ -91,31 +91,33 @@ def _starts(effect: str, one: Parameter, scales: dict[str, tuple[float, ...]]) -
     return starts[:1] if one.nuisance else starts
 
 
-def since(chain: Chain, past: Point) -> list[tuple[Idea, Point]]:
+def since(chain: Chain, terms: Sequence[Term], past: Point) -> list[tuple[Idea, Point]]:
     """Effects that may have come since the model was identified, each at its best start, the most promising first.
 
-    By what remains when the base of the past runs with them, the recordings shifted onto it or not.
+    By what remains when a hypothesis runs with them, the recordings shifted onto it or not.
     """
     channels = ["temperature_C"] if all(one.temperature_C is not None for one in chain.series) else []
 
     def looked_at(one: tuple[Effect, dict[str, float], tuple[tuple[str, float], ...]]) -> tuple[Idea, Point]:
         effect, values, choices = one
         term = Term(effect, "since", choices=choices)
-        point = Point(past.density, past.law, past.offsets_N, (values,))
-        offsets_N, losses = past.offsets_N.copy(), [0.0, 0.0]
+        point = replace(past, values=(*past.values, values))
+        shifts_N, losses = np.zeros(len(chain.series)), [0.0, 0.0]
         for number, series in enumerate(chain.series):
             if series.role == "recording":
                 rows = chain.rows[number]
-                error = (series.reading_N[rows] - chain.compared(number, (term,), point)) / series.noise_N
+                error = (series.reading_N[rows] - chain.compared(number, (*terms, term), point)) / series.noise_N
                 error = error[series.counts[rows]]
                 losses[0] += float(error @ error)
                 losses[1] += float(error.var()) * error.size
-                offsets_N[number] = float(error.mean()) * series.noise_N
+                shifts_N[number] = float(error.mean()) * series.noise_N
         shifted = losses[1] < SHIFTED * losses[0]
-        return Idea(term, values, -losses[shifted]), Point(past.density, past.law, offsets_N) if shifted else past
+        start = replace(past, offsets_N=past.offsets_N + shifts_N) if shifted else past
+        return Idea(term, values, -losses[shifted]), start
 
     best: dict[str, tuple[Idea, Point]] = {}
-    for idea, point in each(looked_at, catalogue_ideas(chain, channels, {})):
+    new = (one for one in catalogue_ideas(chain, channels, {}) if all(term.effect is not one[0] for term in terms))
+    for idea, point in each(looked_at, new):
         name = idea.term.effect.name
         if name not in best or idea.gain > best[name][0].gain:
             best[name] = idea, point

@@ -15,8 +15,7 @@ WINDOW_S, FEWEST_IN_WINDOW = 0.25, 20
 FEWEST_WINDOWS, FEWEST_QUIET = 30, 6
 STILL = 0.02  # of the usual movement: windows that move less are at rest
 LOWEST = 0.2  # of the windows, where fewer rest
-SHIFTS = 400  # that a chance is counted from
-BELIEVED = 0.01  # chance up to which it is
+BELIEVED = 0.005  # part of all shifts that may order both as well by chance
 
 
 @dataclass(frozen=True)
@@ -94,8 +93,16 @@ def _share(told: Sequence[tuple[Array, Array, NDArray[np.bool_]]], rng: np.rando
     """Part of the power above that at the low end of a quantity, 0 where the order of both may be chance."""
     ranks = [(_ranks(power), _ranks(quantity)) for power, quantity, _ in told]
     found = sum(float(p @ q) for p, q in ranks)
-    by_chance = [sum(float(np.roll(p, int(rng.integers(1, p.size))) @ q) for p, q in ranks) for _ in range(SHIFTS)]
-    if np.mean(np.array(by_chance) >= found) > BELIEVED:
+    size = max(p.size for p, _ in ranks)
+    starts = [int(rng.integers(0, p.size)) for p, _ in ranks]
+    starts[0] = 0
+    by_chance = np.array(
+        [
+            sum(float(np.roll(p, first + k) @ q) for (p, q), first in zip(ranks, starts, strict=True))
+            for k in range(1, size)
+        ]
+    )
+    if np.mean(by_chance >= found) > BELIEVED:
         return 0.0
     above, total = 0.0, 0.0
     for power, quantity, low in told:

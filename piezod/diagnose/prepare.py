@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from piezod.diagnose.basis import ForceLaw, PlayDensity
 from piezod.diagnose.chain import Chain, Point, empty_point
-from piezod.diagnose.direct import frozen_stretches, lattice_step_N
+from piezod.diagnose.direct import frozen_stretches, lattice_step_N, noise_of
 from piezod.diagnose.series import Role, Series
 from piezod.errors import RecordingError
 from piezod.excitation import varying_triangles
@@ -139,17 +139,6 @@ def even(source: Source, model: Model) -> tuple[Series, list[str]]:
         start_s=float(recording.time_s[0]),
     )
     return series, notes
-
-
-def noise_of(u: Array, y: Array, good: NDArray[np.bool_]) -> float:
-    """Standard deviation of a recording's noise, from second differences where the drive moves least."""
-    bends, drive = np.diff(y, 2), np.abs(np.diff(u, 2))
-    usable = good[2:] & good[1:-1] & good[:-2]
-    if np.count_nonzero(usable) < 100:
-        return max(1e-4 * float(np.ptp(y[good])), 1e-12)
-    quiet = usable & (drive <= np.percentile(drive[usable], 50))
-    spread = 1.4826 * float(np.median(np.abs(bends[quiet]))) / float(np.sqrt(6.0))
-    return max(spread, 2e-5 * float(np.ptp(y[good])), 1e-12)
 
 
 def stand_in(model: Model) -> Series:

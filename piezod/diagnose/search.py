@@ -8,12 +8,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piezod.diagnose.chain import Chain, Point, Scope, Term
-from piezod.diagnose.direct import Line, lines
+from piezod.diagnose.direct import noise_of
 from piezod.diagnose.fit import MOST_STEPS, Fitted, Normal, fit
 from piezod.diagnose.ideas import Idea, screened, since
+from piezod.diagnose.motion import motion
 from piezod.diagnose.parallel import each
 from piezod.diagnose.series import Series
 from piezod.diagnose.steps import NEVER_S, Step, likely_steps, sharp
+from piezod.diagnose.tones import Tone, tones, without_tones
 from piezod.effects import EFFECTS
 from piezod.effects.effect import HELD_BEFORE, STRAIGHT
 from piezod.identify.start import CLEARLY, start_at_zero, starts_at_rest
@@ -33,15 +35,25 @@ PROMISING = 0.03  # of the best idea's gain, below which an idea is not tried
 WORTH = 0.04  # of the loss that is left: what an effect must gain at least
 MUCH = 0.3  # of the loss: where a few blocks hold nearly all of it, an effect may gain in these alone,
 NOTICED, FEW = 0.05, 0.25  # if not more than so many blocks grow worse
+NEAR_A_MODE = 0.05  # of its frequency: a line there is its own ringing
+DOMINANT = 0.3  # of the loss: a tone without which so little is left is taken off before anything else is tried
+STEADY = 2.5  # standard deviations of the blocks' gains
+WORTH_WHEN_SMALL, STEADY_WHEN_SMALL, LEFT_WHEN_SMALL = 0.08, 3.5, 0.05
+LOOSE = (
+    "friction",
+    "rate_dependent_hysteresis",
+    "noncongruent_minor_loops",
+    "gain_drift",
+    "creep",
+    "output_nonlinearity",
+    "contact_gap",
+)
 FAIR_SHARE = 0.02  # of the largest gain so far: more effects than that are the plant's own shape
 HELD_PARTS = (0.3, 0.7)  # of a sample after its command, where the search for the moment of reading begins
 SMALLEST_PART = 0.04
 SLIDES = 0.5  # of the force's range: friction with a longer presliding never slides
 START_LOOKED_AT_S = 20.0
 SAME = 0.005  # of the loss
-MAINS_HZ = (50.0, 60.0)
-MAINS_WITHIN_HZ, LINES_WITHIN_HZ = 0.6, 0.1
-HARMONICS, HARMONIC_HZ = 20, 0.3  # of a hum that was found: none of them is another machine
 
 
 @dataclass(frozen=True)
@@ -67,6 +79,8 @@ class Search:
         The hypothesis at the end.
     rounds
         In the order of the search.
+    tones
+        What was taken off the readings of the chain's series.
     past
         The base as the recordings show it that the model was identified on.
     """
@@ -76,6 +90,12 @@ class Search:
     found: Fitted
     rounds: list[Round] = field(default_factory=list)
     past: Point | None = None
+    tones: list[Tone] = field(default_factory=list)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Effects that were found, tones last."""
+        return tuple(dict.fromkeys((*self.found.effects, *(tone.name for tone in self.tones))))
 
 
 def search(chain: Chain, start: Point, progress: OnProgress) -> Search:
@@ -94,27 +114,71 @@ def search(chain: Chain, start: Point, progress: OnProgress) -> Search:
     chain, base = _best_course(chain, (), start)
     result = Search(chain, base, base, past=_past(chain, start))
     largest = 0.0
-    while len(result.found.effects) < MOST_EFFECTS:
-        progress(f"looking for effect {len(result.found.effects) + 1}")
-        tried = _on_each_course(result.chain, result.found, None if result.found.terms else result.past)
+    while len(result.names) < MOST_EFFECTS:
+        progress(f"looking for effect {len(result.names) + 1}")
+        heard = _heard(result)
+        if heard is not None and heard[1].loss < DOMINANT * result.found.loss:
+            _listen(result, heard)
+            largest = max(result.base.loss - result.found.loss, 0.0)
+            continue
+        tried = _on_each_course(result.chain, result.found, result.found.point if result.found.terms else result.past)
         better = [
-            (chain, one) for chain, one in tried if worth(result.found, one, largest) and not _degenerate(chain, one)
+            (chain, one)
+            for chain, one in tried
+            if worth(result.found, one) and not _degenerate(chain, one) and _fair(chain, result.found, one, largest)
         ]
-        if not better:
+        settled = each(_settled, sorted(better, key=lambda one: one[1].loss)[:FINALISTS])
+        best = min(settled, key=lambda one: one[1].loss, default=None)
+        if heard is not None and (best is None or heard[1].loss < best[1].loss):
+            _listen(result, heard)
+            largest = max(result.base.loss - result.found.loss, 0.0)
+            continue
+        if best is None:
             break
-        before = result.found
-        finalists = sorted(better, key=lambda one: one[1].loss)[:FINALISTS]
-        settled = each(_settled, finalists)
-        result.chain, best = min(settled, key=lambda one: one[1].loss)
-        largest = max(largest, before.loss - best.loss)
-        others = tuple(one for _, one in tried if one.terms[-1].effect is not best.terms[-1].effect)
-        result.rounds.append(Round(before, best, others))
-        result.found = best
+        before, (result.chain, result.found) = result.found, best
+        largest = max(largest, before.loss - result.found.loss)
+        others = tuple(one for _, one in tried if one.effects[-1] != result.found.effects[-1])
+        result.rounds.append(Round(before, result.found, others))
     progress("trying to swap and to drop")
     _swap(result)
     _drop(result, largest)
     _polish(result)
     return result
+
+
+Heard = tuple[Chain, Fitted, list[Tone]]
+
+
+def _heard(result: Search) -> Heard | None:
+    """The strongest tone taken off, where that lowers the loss enough."""
+    normal = Normal.at(result.chain, result.found.terms, result.found.point)
+    residuals = [one.reading_N - modelled for one, modelled in zip(result.chain.series, normal.readings, strict=True)]
+    modes_Hz = [
+        values["frequency_Hz"]
+        for term, values in zip(result.found.terms, result.found.point.values, strict=True)
+        if term.effect.name == "resonance"
+    ]
+    for group in tones(result.chain.series, residuals, result.tones)[:2]:
+        if any(abs(group[0].values["frequency_Hz"] / mode_Hz - 1.0) < NEAR_A_MODE for mode_Hz in modes_Hz):
+            continue
+        chain = result.chain.like(without_tones(result.chain.series, group))
+        fitted = fit(chain, result.found.terms, result.found.point, most_steps=6)
+        if result.found.loss - fitted.loss > WORTH * fitted.loss:
+            return chain, fitted, group
+    return None
+
+
+def _listen(result: Search, heard: Heard) -> None:
+    """Take a tone off; what was counted as noise before may have been the tone."""
+    chain, _, new = heard
+    series = list(chain.series)
+    for number in {tone.number for tone in new}:
+        one = series[number]
+        series[number] = replace(one, noise_N=noise_of(one.command_V, one.reading_N, one.counts))
+    result.chain = chain.like(series)
+    result.tones += new
+    result.found = fit(result.chain, result.found.terms, result.found.point)
+    result.base = fit(result.chain, (), result.base.point)
 
 
 def _settled(one: tuple[Chain, Fitted]) -> tuple[Chain, Fitted]:
@@ -159,22 +223,44 @@ def _length(series: Series) -> int:
     return int(series.time_s.size)
 
 
-def worth(before: Fitted, after: Fitted, largest: float) -> bool:
+def worth(before: Fitted, after: Fitted) -> bool:
     """Whether an effect gains enough on blocks left out, and in most of them or very much."""
     gain = before.loss - after.loss
     if gain < WORTH * after.loss:
         return False
     if after.terms[-1].scope == "once":
         return True
-    if gain < FAIR_SHARE * largest:
-        return False
     gains = np.log(before.losses / after.losses)
     if gain > MUCH * before.loss and np.mean(gains < -NOTICED) < FEW:
         return True
+    return _steadiness(before, after) > STEADY
+
+
+def _steadiness(before: Fitted, after: Fitted) -> float:
+    """Sum of the blocks' logarithmic gains over its standard deviation if their signs were chance."""
+    gains = np.log(before.losses / after.losses)
     touched = gains[np.abs(gains) > 1e-3]
     if touched.size < 4:
+        return 0.0
+    return float(np.sum(touched)) / float(np.sqrt(np.sum(touched**2)))
+
+
+def _fair(chain: Chain, before: Fitted, after: Fitted, largest: float) -> bool:
+    """Whether an effect is more than the remainder of a larger one that has not quite the plant's shape.
+
+    A small one must gain steadily; one that takes many shapes must leave nothing that depends on movement or level.
+    """
+    gain = before.loss - after.loss
+    if gain >= FAIR_SHARE * largest or after.terms[-1].scope == "once":
+        return True
+    if gain < WORTH_WHEN_SMALL * after.loss or _steadiness(before, after) < STEADY_WHEN_SMALL:
         return False
-    return float(np.sum(touched)) > 2.5 * float(np.sqrt(np.sum(touched**2)))
+    if after.effects[-1] not in LOOSE:
+        return True
+    modelled = [chain.run(k, after.terms, after.point).reading_N for k in range(len(chain.series))]
+    residuals = [one.reading_N - model for one, model in zip(chain.series, modelled, strict=True)]
+    left = motion(chain.series, residuals, modelled)
+    return max(left.share, left.level_share) < LEFT_WHEN_SMALL
 
 
 def _degenerate(chain: Chain, fitted: Fitted) -> bool:
@@ -263,7 +349,7 @@ def _fine(chain: Chain, tried: Sequence[Fitted]) -> list[Fitted]:
 def _tried(chain: Chain, found: Fitted, past: Point | None) -> list[Fitted]:
     """Hypotheses with one more effect: all promising ones fitted in few steps, the best of them thoroughly.
 
-    From the base so far, and those that came since from the base of the `past` too, where it is given: a strong effect
+    From what was found so far, and those that came since from their best start from the `past` too: a strong effect
     bends the base towards itself.
     """
     ideas = screened(chain, found.terms, found.point)
@@ -281,17 +367,17 @@ def _tried(chain: Chain, found: Fitted, past: Point | None) -> list[Fitted]:
     quick = each(lambda some: (_extended(chain, found, some[0], most_steps=COARSE_STEPS), some), list(chosen.values()))
     quick.sort(key=lambda one: one[0].loss)
     if past is not None:
-        quick += each(partial(_from_past, chain), since(chain, past)[:TRIED_FROM_PAST])
+        quick += each(partial(_from_past, chain, found.terms), since(chain, found.terms, past)[:TRIED_FROM_PAST])
         quick.sort(key=lambda one: one[0].loss)
     thorough = each(lambda one: _refined(chain, found, *one), quick[:REFINED])
     direct = each(lambda idea: _extended(chain, found, idea), suggested(chain, found))
     return [*thorough, *(first for first, _ in quick[REFINED:]), *direct]
 
 
-def _from_past(chain: Chain, one: tuple[Idea, Point]) -> tuple[Fitted, list[Idea]]:
+def _from_past(chain: Chain, terms: tuple[Term, ...], one: tuple[Idea, Point]) -> tuple[Fitted, list[Idea]]:
     idea, past = one
-    point = replace(past, values=(idea.values,))
-    return fit(chain, (idea.term,), point, most_steps=COARSE_STEPS), [idea]
+    point = replace(past, values=(*past.values, idea.values))
+    return fit(chain, (*terms, idea.term), point, most_steps=COARSE_STEPS), [idea]
 
 
 def _refined(chain: Chain, found: Fitted, first: Fitted, ideas: Sequence[Idea]) -> Fitted:
@@ -330,65 +416,19 @@ def _again(
 
 
 def suggested(chain: Chain, found: Fitted) -> list[Idea]:
-    """What the direct tests say of the residuals."""
+    """Steps of the load that the residuals suggest."""
+    if "load_step" in found.effects:
+        return []
     normal = Normal.at(chain, found.terms, found.point)
-    seen: dict[str, list[tuple[int, Line]]] = {"mains_hum": [], "vibration": []}
     ideas = []
     for number, series in enumerate(chain.series):
         if series.role == "identification":
             continue
-        hums_Hz = [
-            values["frequency_Hz"]
-            for term, values in zip(found.terms, found.point.values, strict=True)
-            if term.effect.name == "mains_hum" and term.acts_on(number, series)
-        ]
-        for line in lines(series, series.reading_N - normal.readings[number]):
-            near = min(MAINS_HZ, key=lambda mains: abs(line.frequency_Hz - mains))
-            if abs(line.frequency_Hz - near) < MAINS_WITHIN_HZ:
-                seen["mains_hum"].append((number, line))
-            elif not _harmonic(line.frequency_Hz, hums_Hz, series.dt_s):
-                seen["vibration"].append((number, line))
         for step in likely_steps(normal, number):
             end_s = NEVER_S if step.end == series.time_s.size else step.end * series.dt_s
             places = {"step_N": step.height_N, "on_s": step.first * series.dt_s, "off_s": end_s}
             ideas.append(_idea("load_step", number, places))
-    for name, some in seen.items():
-        ideas += [_together(name, group) for group in _alike(some)[:2]]
-    return [idea for idea in ideas if idea.term.effect.name not in found.effects]
-
-
-def _alike(seen: Sequence[tuple[int, Line]]) -> list[list[tuple[int, Line]]]:
-    """Lines of one frequency, one a recording at most, those with the most power first."""
-    groups: list[list[tuple[int, Line]]] = []
-    for number, line in seen:
-        for group in groups:
-            first = group[0][1]
-            if abs(first.frequency_Hz - line.frequency_Hz) < LINES_WITHIN_HZ and number not in (k for k, _ in group):
-                group.append((number, line))
-                break
-        else:
-            groups.append([(number, line)])
-    return sorted(groups, key=lambda group: -sum(line.amplitude_N**2 for _, line in group))
-
-
-def _together(name: str, group: Sequence[tuple[int, Line]]) -> Idea:
-    """One line in all recordings that show it, in each with an amplitude and a phase of its own."""
-    ideas = [
-        _idea(
-            name,
-            number,
-            {"amplitude_N": line.amplitude_N, "frequency_Hz": line.frequency_Hz, "phase_rad": line.phase_rad},
-        )
-        for number, line in group
-    ]
-    return replace(ideas[0], more=tuple((one.term, one.values) for one in ideas[1:]))
-
-
-def _harmonic(frequency_Hz: float, of_Hz: Sequence[float], dt_s: float) -> bool:
-    """Whether it is a multiple of one of some frequencies, as sampling folds them."""
-    multiples = np.outer(of_Hz, np.arange(1, HARMONICS + 1))
-    folded = np.abs(multiples - np.rint(multiples * dt_s) / dt_s)
-    return bool(np.any(np.abs(folded - frequency_Hz) < HARMONIC_HZ))
+    return ideas
 
 
 def _idea(name: str, number: int, known: dict[str, float]) -> Idea:
@@ -444,7 +484,9 @@ def _drop(result: Search, largest: float) -> None:
         found = result.found
         terms, values = without(found, left.pop(0))
         fewer = fit(result.chain, terms, replace(found.point, values=tuple(values)))
-        if fewer.loss - found.loss < max(WORTH * found.loss, FAIR_SHARE * largest):
+        gain = fewer.loss - found.loss
+        small = gain < FAIR_SHARE * largest and _steadiness(fewer, found) < STEADY_WHEN_SMALL
+        if gain < WORTH * found.loss or small:
             result.found = fewer
             left = list(fewer.effects)
 

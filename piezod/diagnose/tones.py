@@ -1,0 +1,176 @@
+"""Tones from outside, mains hum and vibration: followed through a recording as they wander, and taken off its readings.
+
+A mains frequency wanders and a machine swells, so a sine of constant frequency and amplitude leaves a remainder that
+hides what is weaker. What follows the tone is a band of a third of a hertz around it and nothing else.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from piezod.diagnose.direct import Line, lines
+from piezod.diagnose.series import Series
+from piezod.effects import EFFECTS
+from piezod.effects.mains_hum import HARMONICS
+
+Array = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+FOLLOWED_S = 3.0  # half as long a Hann window follows half as narrow a band
+SHORTEST_PART = 0.25  # of a recording at most
+MAINS_HZ, MAINS_WITHIN_HZ = (50.0, 60.0), 0.6
+ALIKE_HZ = 0.1  # lines of two recordings that belong to one machine
+LOWEST_HZ, APART_HZ = 2.0, 1.0  # of a harmonic as it appears, from zero and from the others
+MULTIPLES, MULTIPLE_HZ = 20, 0.3  # of the mains: none of them is another machine
+
+
+@dataclass(frozen=True)
+class Tone:
+    """One tone in one recording.
+
+    Parameters
+    ----------
+    name
+        mains_hum or vibration.
+    number
+        Of the recording.
+    values
+        Parameters of the effect, at the middle of what wanders.
+    heard_N
+        The tone with its harmonics as it wanders, shape (N,) [N].
+    """
+
+    name: str
+    number: int
+    values: dict[str, float]
+    heard_N: Array
+
+
+def without_tones(series: Sequence[Series], heard: Sequence[Tone]) -> list[Series]:
+    """The recordings with tones taken off their readings."""
+    result = list(series)
+    for tone in heard:
+        one = result[tone.number]
+        result[tone.number] = replace(one, reading_N=one.reading_N - tone.heard_N)
+    return result
+
+
+def with_tones(series: Sequence[Series], heard: Sequence[Tone]) -> list[Series]:
+    """The recordings with tones put back."""
+    return without_tones(series, [replace(tone, heard_N=-tone.heard_N) for tone in heard])
+
+
+def tones(series: Sequence[Series], residuals: Sequence[Array], known: Sequence[Tone]) -> list[list[Tone]]:
+    """Tones in the recordings asked about, those with the most power first; one machine's together.
+
+    Parameters
+    ----------
+    series, residuals
+        Reading less simulation, each shape (N,) [N].
+    known
+        Those that were taken off already: their effects are not proposed again.
+    """
+    names = {one.name for one in known}
+    found: list[Tone] = []
+    for number, (one, residual) in enumerate(zip(series, residuals, strict=True)):
+        if one.role == "recording":
+            found += [tone for tone in _of(number, one, residual) if tone.name not in names]
+    groups: list[list[Tone]] = []
+    for tone in found:
+        for group in groups:
+            if _same_machine(group, tone):
+                group.append(tone)
+                break
+        else:
+            groups.append([tone])
+    return sorted(groups, key=lambda group: -sum(float(tone.heard_N @ tone.heard_N) for tone in group))
+
+
+def _same_machine(group: Sequence[Tone], tone: Tone) -> bool:
+    first = group[0]
+    near = abs(first.values["frequency_Hz"] - tone.values["frequency_Hz"]) < ALIKE_HZ
+    return first.name == tone.name and near and tone.number not in {one.number for one in group}
+
+
+def _of(number: int, series: Series, residual_N: Array) -> list[Tone]:
+    seen = lines(series, residual_N)
+    mains = [one for one in seen if min(abs(one.frequency_Hz - f) for f in MAINS_HZ) < MAINS_WITHIN_HZ]
+    found = [_hum(number, series, residual_N, mains[0])] if mains else []
+    base_Hz = mains[0].frequency_Hz if mains else None
+    strange = [one for one in seen if base_Hz is None or not _multiple(one.frequency_Hz, base_Hz, series.dt_s)]
+    return found + [_vibration(number, series, residual_N, line) for line in strange]
+
+
+def _multiple(frequency_Hz: float, of_Hz: float, dt_s: float) -> bool:
+    """Whether it is a multiple of a frequency, as sampling folds them."""
+    return any(abs(_folded(k * of_Hz, dt_s) - frequency_Hz) < MULTIPLE_HZ for k in range(1, MULTIPLES + 1))
+
+
+def _folded(frequency_Hz: float, dt_s: float) -> float:
+    """Where a frequency appears in samples."""
+    return abs(frequency_Hz - round(frequency_Hz * dt_s) / dt_s)
+
+
+def _hum(number: int, series: Series, residual_N: Array, line: Line) -> Tone:
+    envelope, carrier = _followed(series, residual_N, line.frequency_Hz)
+    values = _steady("mains_hum", series, envelope, line)
+    heard = 2.0 * (envelope * carrier).real
+    unit = carrier * np.exp(1j * np.angle(envelope))
+    taken_Hz = [_folded(line.frequency_Hz, series.dt_s)]
+    for h in HARMONICS:
+        at_Hz = _folded(h * line.frequency_Hz, series.dt_s)
+        if at_Hz < LOWEST_HZ or any(abs(at_Hz - other) < APART_HZ for other in taken_Hz):
+            continue
+        taken_Hz.append(at_Hz)
+        part = _smoothed(series, residual_N * np.conj(unit**h))  # its phase goes with the fundamental's
+        heard += 2.0 * (part * unit**h).real
+        mean = complex(np.mean(part[series.counts])) * np.exp(-0.5j * np.pi * h) / (0.5 * values["amplitude_N"])
+        values[f"cosine_{h}"], values[f"sine_{h}"] = mean.real, -mean.imag
+    return Tone("mains_hum", number, _inside("mains_hum", values), heard)
+
+
+def _vibration(number: int, series: Series, residual_N: Array, line: Line) -> Tone:
+    envelope, carrier = _followed(series, residual_N, line.frequency_Hz)
+    values = _steady("vibration", series, envelope, line)
+    return Tone("vibration", number, _inside("vibration", values), 2.0 * (envelope * carrier).real)
+
+
+def _followed(series: Series, residual_N: Array, frequency_Hz: float) -> tuple[Complex, Complex]:
+    """Slow complex amplitude about a frequency, and the carrier that it belongs to."""
+    carrier = np.exp(2j * np.pi * frequency_Hz * series.time_s)
+    return _smoothed(series, residual_N * np.conj(carrier)), carrier
+
+
+def _smoothed(series: Series, values: Complex) -> Complex:
+    """Mean under a Hann window about every sample, over readings that count."""
+    length_s = min(FOLLOWED_S, SHORTEST_PART * series.duration_s)
+    window = np.hanning(max(int(length_s / series.dt_s), 3) + 2)
+    size = 1 << int(np.ceil(np.log2(values.size + window.size)))
+    kernel = np.fft.fft(window, size)
+    counts = series.counts.astype(np.float64)
+    sums = np.fft.ifft(np.fft.fft(np.where(series.counts, values, 0.0), size) * kernel)
+    norms = np.fft.ifft(np.fft.fft(counts, size) * kernel).real
+    middle = slice(window.size // 2, window.size // 2 + values.size)
+    result: Complex = sums[middle] / np.maximum(norms[middle], 1e-9 * window.sum())
+    return result
+
+
+def _steady(name: str, series: Series, envelope: Complex, line: Line) -> dict[str, float]:
+    """Frequency, amplitude and phase that come nearest, as the effect counts them."""
+    phase, weight = np.unwrap(np.angle(envelope)), np.abs(envelope)
+    slope, start = np.polyfit(series.time_s, phase, 1, w=weight)
+    values = {one.name: one.starts[0] for one in EFFECTS[name].parameters if not one.choices}
+    values["frequency_Hz"] = line.frequency_Hz + float(slope) / (2.0 * np.pi)
+    values["amplitude_N"] = 2.0 * float(np.mean(weight))
+    values["phase_rad"] = (float(start) + 0.5 * np.pi) % (2.0 * np.pi)  # a cosine's as a sine's
+    return values
+
+
+def _inside(name: str, values: dict[str, float]) -> dict[str, float]:
+    effect = EFFECTS[name]
+    return {
+        key: float(np.clip(value, effect.parameter(key).low, effect.parameter(key).high))
+        for key, value in values.items()
+    }
