@@ -16,6 +16,8 @@ REUSED, SETTLED = 2, 0.3  # how often the base's tangents serve again after step
 DONE = 1e-5  # relative fall of the loss below which a fit ends
 FIRST_DAMPING, MOST_DAMPING = 1e-4, 1e4  # after a step that did not help
 HUBER = 3.0  # residuals beyond so many standard deviations count less
+LAW_WITHIN = 0.02  # of the force's range; a part of the force law that one block alone tells
+FACTOR = 0.3  # of a parameter on a logarithmic scale
 SMOOTH = 1e-10  # weight of the density's and the law's bends, in parts of the mean diagonal
 
 
@@ -81,6 +83,17 @@ class Layout:
             np.concatenate(([0.0], vector[self.offsets : self.effects])),
             tuple(values),
         )
+
+    def reasonable(self, chain: Chain, point: Point) -> Array:
+        """By how much a parameter may differ where nothing tells, on its scale, shape (size,)."""
+        wide = np.empty(self.size)
+        wide[:HATS] = max(float(np.abs(point.density).max()), 0.1)
+        wide[HATS : self.offsets] = LAW_WITHIN * chain.force_span_N
+        wide[self.offsets : self.effects] = LAW_WITHIN * chain.force_span_N
+        for place, (number, one) in enumerate(self.searched, start=self.effects):
+            value = abs(float(point.values[number][one.name]))
+            wide[place] = FACTOR if one.logarithmic else max(value, 1e-3 * min(one.high - one.low, 1e3))
+        return wide
 
     def clipped(self, vector: Array) -> Array:
         """The same within every parameter's range."""
@@ -255,8 +268,13 @@ class Normal:
         return float(numerator @ sizes), sizes
 
     def fitted(self, terms: tuple[Term, ...], point: Point) -> Fitted:
-        """What every block says when it is left out, by one linear step."""
-        hessian, gradient = self.hessian.sum(axis=0) + self.ridge, self.gradient.sum(axis=0)
+        """What every block says when it is left out, by one linear step.
+
+        A parameter that one block alone determines stays within reason without it: a weak prior holds it.
+        """
+        layout = Layout(self.chain, terms)
+        hessian = self.hessian.sum(axis=0) + self.ridge + np.diag(layout.reasonable(self.chain, point) ** -2.0)
+        gradient = self.gradient.sum(axis=0)
         losses = np.empty(self.squares.size)
         moves = np.empty((self.squares.size, gradient.size))
         for b in range(losses.size):
@@ -264,7 +282,6 @@ class Normal:
             moves[b] = move
             losses[b] = self.squares[b] - 2.0 * move @ self.gradient[b] + move @ self.hessian[b] @ move
         jackknife = np.sqrt((losses.size - 1) / losses.size * np.sum((moves - moves.mean(axis=0)) ** 2, axis=0))
-        layout = Layout(self.chain, terms)
         spread: tuple[dict[str, float], ...] = tuple({} for _ in terms)
         for place, (term, one) in enumerate(layout.searched, start=layout.effects):
             spread[term][one.name] = float(jackknife[place])

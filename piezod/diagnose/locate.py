@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piezod.diagnose.cells import Cells, Told
+from piezod.diagnose.direct import lines
 from piezod.diagnose.drive_cells import cells_of_drive
 from piezod.diagnose.findings import Place
 from piezod.diagnose.series import Series
@@ -27,6 +28,7 @@ Mask = NDArray[np.bool_]
 Index = NDArray[np.int64]
 
 LEVEL = 0.05
+SAME_LINE_HZ = 0.1
 LEAST_SHARE = 0.005  # of the unexplained energy, below which a place is not told
 LEAST_EXCESS = 0.02  # of a residual's power, below which shares are not measured against less
 
@@ -74,7 +76,23 @@ def locate(
     ]
     total = sum(float(one.residual @ one.residual) for one in told)
     noise = sum(float(np.count_nonzero(one.series.counts)) for one in told)
-    return _places(cells, max(total - noise, LEAST_EXCESS * total))
+    unexplained = max(total - noise, LEAST_EXCESS * total)
+    places = _without_repeats([*_places(cells, unexplained), *_lines(told, unexplained)])
+    return sorted(places, key=lambda place: -place.share)
+
+
+def _lines(told: Sequence[Told], unexplained: float) -> list[Place]:
+    """Lines that stand out so far that no reference is needed, one place each however many recordings have it."""
+    found: dict[float, Place] = {}
+    for one in told:
+        for line in lines(one.series, one.residual):
+            energy = 0.5 * line.amplitude_N**2 * float(np.count_nonzero(one.series.counts))
+            share = float(np.clip(energy / unexplained, 0.0, 1.0))
+            chance = min(1.0, 0.5 * one.residual.size * 0.5**line.over_median)  # of exponential noise in all bins
+            near = next((f for f in found if abs(f - line.frequency_Hz) < SAME_LINE_HZ), None)
+            if share >= LEAST_SHARE and chance <= LEVEL and near is None:
+                found[line.frequency_Hz] = Place("frequency_Hz", line.frequency_Hz, line.frequency_Hz, share, chance)
+    return list(found.values())
 
 
 def _places(cells: Sequence[Cells], unexplained: float) -> list[Place]:
@@ -88,7 +106,7 @@ def _places(cells: Sequence[Cells], unexplained: float) -> list[Place]:
             places.append(
                 Place(one.axis, float(one.low[run].min()), float(one.high[run].max()), share, float(p[run].min()))
             )
-    return sorted(_without_repeats(places), key=lambda place: -place.share)
+    return places
 
 
 def _stepped_down(cells: Sequence[Cells]) -> list[Array]:
@@ -116,10 +134,11 @@ def _runs(hit: Mask, kin: Index) -> Iterator[Index]:
 
 
 def _without_repeats(places: Sequence[Place]) -> list[Place]:
-    """The same without a place that lies in a larger one of the same axis with more in it."""
+    """The same without a place that lies in a larger one of the same axis with more in it; a line is no such place."""
     kept: list[Place] = []
     for place in sorted(places, key=lambda one: (-one.share, one.low - one.high)):
-        if not any(one.axis == place.axis and one.low <= place.low and place.high <= one.high for one in kept):
+        beside = [one for one in kept if one.axis == place.axis and (place.low < place.high or one.low == one.high)]
+        if not any(one.low <= place.low and place.high <= one.high for one in beside):
             kept.append(place)
     return kept
 

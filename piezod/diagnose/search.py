@@ -121,7 +121,7 @@ def search(chain: Chain, start: Point, progress: OnProgress) -> Search:
             _listen(result, heard)
             largest = max(result.base.loss - result.found.loss, 0.0)
             continue
-        tried = _on_each_course(result.chain, result.found, result.found.point if result.found.terms else result.past)
+        tried = _on_each_course(result.chain, result.found, result.past)
         better = [
             (chain, one)
             for chain, one in tried
@@ -184,7 +184,13 @@ def _listen(result: Search, heard: Heard) -> None:
 def _settled(one: tuple[Chain, Fitted]) -> tuple[Chain, Fitted]:
     """A hypothesis with the course and the starts that suit it best."""
     chain, fitted = one
-    return restarted(*_best_course(chain, fitted.terms, fitted.point, fitted))
+    coarse = _coarse(chain)
+    known = fit(coarse, fitted.terms, fitted.point, most_steps=2)
+    settled, again = restarted(*_best_course(coarse, fitted.terms, fitted.point, known))
+    if again is known:
+        return one
+    fine = chain.like(settled.series)
+    return fine, fit(fine, again.terms, again.point, most_steps=6)
 
 
 def restarted(chain: Chain, fitted: Fitted) -> tuple[Chain, Fitted]:
@@ -365,10 +371,12 @@ def _tried(chain: Chain, found: Fitted, past: Point | None) -> list[Fitted]:
         if len(chosen) < TRIED or idea.term.effect.name in chosen:
             chosen.setdefault(idea.term.effect.name, []).append(idea)
     quick = each(lambda some: (_extended(chain, found, some[0], most_steps=COARSE_STEPS), some), list(chosen.values()))
-    quick.sort(key=lambda one: one[0].loss)
     if past is not None:
-        quick += each(partial(_from_past, chain, found.terms), since(chain, found.terms, past)[:TRIED_FROM_PAST])
-        quick.sort(key=lambda one: one[0].loss)
+        bases = [replace(past, values=found.point.values), *([found.point] if found.terms else [])]
+        starts = [one for base in bases for one in since(chain, found.terms, base)[:TRIED_FROM_PAST]]
+        quick += each(partial(_from_past, chain, found.terms), starts)
+    quick.sort(key=lambda one: one[0].loss)
+    quick = [one for k, one in enumerate(quick) if one[0].effects[-1] not in (o[0].effects[-1] for o in quick[:k])]
     thorough = each(lambda one: _refined(chain, found, *one), quick[:REFINED])
     direct = each(lambda idea: _extended(chain, found, idea), suggested(chain, found))
     return [*thorough, *(first for first, _ in quick[REFINED:]), *direct]

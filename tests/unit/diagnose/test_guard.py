@@ -1,0 +1,173 @@
+"""The guard: it explains nothing of noise, and something of whatever is not noise, known or foreign."""
+
+import numpy as np
+import pytest
+from unit.diagnose.residuals import (
+    crept,
+    lagged,
+    mixed_work,
+    model_of,
+    noise,
+    played,
+    series,
+    swapped,
+    time,
+    triangles,
+    yielded,
+)
+
+from piezod.diagnose.diagnosis import STILL_EXPLAINABLE
+from piezod.diagnose.guard import explainable
+
+SAMPLES = 30_000
+NOISE_N = 0.5
+MOST = 0.65  # a swing that is about as long as a block is the hardest: 0.69; all others 0.84 to 1
+
+
+def guard_of(u, missing_N, *, rho=0.0, noise_N=NOISE_N, seed=1, counts=None):
+    residual = missing_N + noise_N * noise(u.size, rho, np.random.default_rng(seed))
+    return explainable(
+        [series(time(u.size), u, model_of(u) + residual, noise_N, counts=counts)], [residual], [model_of(u)]
+    )
+
+
+def explainable_part(missing_N):
+    """Of the loss, when nothing but the noise is left."""
+    variance = float(np.var(missing_N))
+    return variance / (variance + NOISE_N**2)
+
+
+@pytest.mark.parametrize("drive", [mixed_work, triangles])
+@pytest.mark.parametrize("rho", [0.0, 0.9, 0.98])
+def test_nothing_of_a_noise_is_explainable_whatever_its_colour(drive, rho):
+    u = drive(time(20_000))
+    guards = [guard_of(u, 0.0, rho=rho, seed=seed) for seed in range(25)]
+    assert max(one.share for one in guards) < STILL_EXPLAINABLE
+    assert sum(one.p <= 0.01 for one in guards) == 0
+    assert sum(one.local_p <= 0.01 for one in guards) <= 1
+
+
+@pytest.mark.parametrize("drive", [mixed_work, triangles])
+@pytest.mark.parametrize("step", [1.0, 3.0, 5.0])
+def test_nothing_of_a_coarse_converter_is_explainable(drive, step):
+    time_s = time(20_000)
+    u = drive(time_s)
+    for seed in range(8):
+        reading = step * np.round((model_of(u) + noise(u.size, 0.0, np.random.default_rng(seed))) / step)
+        one = series(time_s, u, reading, np.hypot(1.0, step / np.sqrt(12.0)))
+        guard = explainable([one], [reading - model_of(u)], [model_of(u)])
+        assert guard.share < 0.03
+        assert guard.p > 0.01
+        assert guard.local_p > 0.01
+
+
+KNOWN = {
+    "lag": lambda u: 0.2 * (lagged(model_of(u), 0.02) - model_of(u)),
+    "creep": lambda u: 0.005 * crept(model_of(u)),
+    "clamp": lambda u: -0.2 * np.maximum(model_of(u) - 140.0, 0.0),
+    "curved force law": lambda u: 1e-4 * (model_of(u) - 90.0) ** 2,
+    "drift of the gain": lambda u: 0.01 * model_of(u) * (time(u.size) / time(u.size)[-1] - 0.5),
+}
+FOREIGN = {
+    "hysteresis in the sensor's cable": lambda u: 0.05 * (played(model_of(u), 12.0) - model_of(u)),
+    "a gain that swings every 3.3 s": lambda u: 0.01 * model_of(u) * np.sin(2.0 * np.pi * time(u.size) / 3.3),
+    "a gain that swings every 0.21 s": lambda u: 0.01 * model_of(u) * np.sin(2.0 * np.pi * time(u.size) / 0.21),
+    "a mount that slips once": lambda u: 1.0 * (time(u.size) > 17.0),
+    "a memory of the last peak": lambda u: 0.02 * np.maximum(lagged(np.maximum(model_of(u) - 100.0, 0.0), 2.0), 0.0),
+    "a stiffness that depends on the speed": lambda u: (
+        4e-5 * model_of(u) * np.minimum(np.abs(np.gradient(u, 1e-3)), 150.0)
+    ),
+}
+
+
+@pytest.mark.parametrize("drive", [mixed_work, triangles])
+@pytest.mark.parametrize("name", [*KNOWN, *FOREIGN])
+def test_most_of_what_is_missing_is_explainable_known_or_foreign(drive, name):
+    u = drive(time(SAMPLES))
+    missing = {**KNOWN, **FOREIGN}[name](u)
+    guard = guard_of(u, missing)
+    assert guard.share > MOST * explainable_part(missing)
+    assert guard.share < explainable_part(missing) + 0.03
+    assert guard.p < 0.01
+
+
+def test_a_spring_that_yields_is_explainable():
+    u = mixed_work(time(SAMPLES))
+    missing = yielded(model_of(u), 100.0)
+    guard = guard_of(u, missing)
+    assert guard.p < 0.01
+    assert guard.share > 0.7 * explainable_part(missing)
+
+
+@pytest.mark.parametrize("name", ["lag", "creep", "clamp"])
+def test_what_the_drive_explains_is_told_from_what_time_explains(name):
+    u = mixed_work(time(SAMPLES))
+    guard = guard_of(u, KNOWN[name](u))
+    assert guard.drive_share > 0.9 * guard.share
+    assert guard.slow_share < 0.5 * guard.share
+
+
+def test_a_slip_is_explained_by_time_and_its_instant_is_told():
+    u = triangles(time(SAMPLES))
+    guard = guard_of(u, FOREIGN["a mount that slips once"](u))
+    assert guard.slow_share > 0.9 * guard.share
+    assert min(abs(at_s - 17.0) for at_s in guard.jumps_s) < 0.05
+
+
+def test_a_tone_and_a_swinging_gain_are_told_by_their_frequencies():
+    time_s = time(SAMPLES)
+    u = triangles(time_s)
+    tone = guard_of(u, 0.3 * np.sin(2.0 * np.pi * 61.37 * time_s))
+    assert tone.tones_Hz == pytest.approx([61.37], abs=0.01)
+    swinging = guard_of(u, 0.005 * (model_of(u) - 108.0) * np.sin(2.0 * np.pi * 7.13 * time_s))
+    assert swinging.gains_Hz[0] == pytest.approx(7.13, abs=0.01)
+
+
+def test_samples_that_changed_places_are_seen_although_no_function_explains_them():
+    u = mixed_work(time(SAMPLES)) * 1.0
+    quick = u + 8.0 * np.sin(2.0 * np.pi * 40.0 * time(SAMPLES))
+    force = model_of(quick)
+    places = np.random.default_rng(2).integers(0, SAMPLES - 4, 60)
+    guard = guard_of(quick, swapped(force, places) - force)
+    assert guard.local_p < 0.001
+    assert guard.local_share > 0.0
+
+
+def test_a_burst_of_a_fiftieth_of_a_second_is_seen():
+    time_s = time(SAMPLES)
+    burst = 3.0 * np.random.default_rng(3).standard_normal(SAMPLES) * ((time_s > 12.0) & (time_s < 12.02))
+    guard = guard_of(mixed_work(time_s), burst)
+    assert guard.local_p < 0.001
+    assert guard.p > 0.01
+
+
+def test_a_level_is_no_mismatch():
+    guard = guard_of(mixed_work(time(SAMPLES)), 7.0)
+    assert guard.loss == pytest.approx(1.0, abs=0.05)
+    assert guard.share < 0.03
+
+
+def test_readings_that_do_not_count_do_not_matter():
+    time_s = time(SAMPLES)
+    wrong = (time_s > 5.0) & (time_s < 6.0)
+    guard = guard_of(mixed_work(time_s), 50.0 * wrong, counts=~wrong)
+    assert guard.loss == pytest.approx(1.0, abs=0.05)
+    assert guard.p > 0.01
+    assert guard.local_p > 0.01
+
+
+def test_recordings_of_unlike_noise_weigh_by_it():
+    time_s = time(12_000)
+    u = mixed_work(time_s)
+    loud, quiet = (size * noise(u.size, 0.0, np.random.default_rng(k)) for k, size in enumerate((5.0, 0.1)))
+    quiet = quiet + 0.02 * (lagged(model_of(u), 0.02) - model_of(u))
+    told = [series(time_s, u, model_of(u) + loud, 5.0), series(time_s, u, model_of(u) + quiet, 0.1)]
+    guard = explainable(told, [loud, quiet], [model_of(u)] * 2)
+    assert guard.p < 0.01
+    assert guard.absorbed == pytest.approx(1.0, abs=0.1)
+
+
+def test_a_recording_that_the_model_was_identified_on_is_not_looked_at():
+    u = mixed_work(time(SAMPLES))
+    one = series(time(SAMPLES), u, model_of(u), role="identification")
+    assert explainable([one], [u], [model_of(u)]).loss == 0.0
