@@ -25,7 +25,7 @@ Value = TypeVar("Value")
 Scope = Literal["already", "since", "once"]
 ORDER = {name: place for place, name in enumerate(EFFECTS)}
 MOST_ROWS = 25_000
-CACHED = 8  # results of every kind that are kept a recording
+CACHED = 4  # results of every kind that are kept a recording
 
 
 @dataclass(frozen=True)

@@ -12,6 +12,7 @@ from piezod.diagnose.extended import extended_model
 from piezod.diagnose.findings import Finding, Findings, Place, Rival, Value, Verdict
 from piezod.diagnose.fit import Fitted, Normal, fit
 from piezod.diagnose.guard import Guard, explainable
+from piezod.diagnose.ideas import DIRECT
 from piezod.diagnose.locate import locate
 from piezod.diagnose.motion import Motion, motion
 from piezod.diagnose.parallel import each
@@ -19,6 +20,7 @@ from piezod.diagnose.places import place_of
 from piezod.diagnose.prepare import Source, chain_of, even, stand_in, started, without_frozen
 from piezod.diagnose.search import Search, search, without
 from piezod.diagnose.series import Series
+from piezod.diagnose.testable import untestable
 from piezod.diagnose.tones import Tone, with_tones
 from piezod.effects import EFFECTS
 from piezod.errors import ModelError
@@ -32,6 +34,8 @@ STILL_EXPLAINABLE = 0.1  # share of what is left, from which a verdict says that
 BY_LEVEL = 0.25  # share of what is left that must lie above that at the lowest force
 SURE = 0.01  # p below which that share is believed
 CLOSED = 0.9  # part of what could be explained, from which it counts as explained
+PARTLY = 0.9  # most that a name is believed whose effect leaves much to explain
+MOSTLY = 0.8  # of the catalogue: recordings that could not have shown so much of it tell nothing
 RIVAL = 0.8  # part of the winner's gain, from which another effect is a rival
 NORMAL_95 = 1.96
 MOST_SPREAD = 20.0  # of an interval on its scale: beyond it a parameter is not determined
@@ -138,7 +142,13 @@ def _judged(
     effects += _read_off(chain.series, frozen, residuals, before)
     hashes = [""] * stand_ins + [source.sha256 for source in sources]
     moving = motion(chain.series, residuals, normal.readings)
-    verdict = _verdict(result, left, moving, effects)
+    share, closed = _remaining(result, left, moving)
+    verdict = _verdict(share, closed, effects)
+    blind = untestable(chain, found.terms, found.point)
+    if verdict == "matches" and len(blind) > MOSTLY * (len(EFFECTS) - len(DIRECT)):
+        verdict = "not_testable"
+    if verdict == "partly_explained":
+        effects = [replace(one, confidence=one.confidence * PARTLY * closed) for one in effects]
     extended, said = model, list(notes)
     if result.names or verdict != "matches":
         try:
@@ -164,7 +174,8 @@ def _judged(
         after=after if result.names else min(after, before),
         nrmse_before=nrmse_percent(measured, by_given),
         nrmse_after=nrmse_percent(measured, by_found),
-        explainable=left.share,
+        explainable=share,
+        not_testable=blind,
         notes=tuple(said),
         recordings=tuple(
             {"path": s.recording.source, "sha256": s.sha256, "samples": int(s.recording.time_s.size)} for s in sources
@@ -375,17 +386,21 @@ def _coarsest(series: Sequence[Series], residuals: Sequence[Array]) -> tuple[flo
     return step, float(np.sqrt(max(spread**2 - step**2 / 12.0, 0.0)))
 
 
-def _verdict(result: Search, left: Guard, moving: Motion, effects: Sequence[Finding]) -> Verdict:
+def _remaining(result: Search, left: Guard, moving: Motion) -> tuple[float, float]:
+    """Share of what is left that something could still explain, and how much of all that could be explained was."""
     local = left.local_share if left.local_p < SURE else 0.0
     by_level = moving.level_share if moving.level_share > BY_LEVEL else 0.0
     share = max(left.share if left.p < SURE else 0.0, moving.share, by_level, local)
+    before, after = (_held_out_rms(result.chain, one) ** 2 for one in (result.base, result.found))
+    before += _power(result)
+    explainable_N2 = before - (1.0 - share) * after
+    return share, float(np.clip((before - after) / explainable_N2, 0.0, 1.0)) if explainable_N2 > 0.0 else 1.0
+
+
+def _verdict(share: float, closed: float, effects: Sequence[Finding]) -> Verdict:
     missing = share > STILL_EXPLAINABLE
-    if missing and result.names:
-        before, after = (_held_out_rms(result.chain, one) ** 2 for one in (result.base, result.found))
-        before += _power(result)
-        missing = before - after < CLOSED * (before - (1.0 - share) * after)
     if effects:
-        return "partly_explained" if missing else "explained"
+        return "partly_explained" if missing and closed < CLOSED else "explained"
     return "unexplained" if missing else "matches"
 
 
@@ -413,9 +428,10 @@ def words_of(findings: Findings) -> str:
         "unexplained": "Something is missing that no effect of the catalogue explains",
         "not_testable": "The recordings do not excite the bench enough to tell",
     }[findings.verdict]
+    more = f"{100 * findings.explainable:.0f} % of what is left is no noise"
     rest = {
-        "explained": "nothing else is left",
-        "partly_explained": f"a flexible model could still explain {100 * findings.explainable:.0f} % of what is left",
-        "unexplained": f"a flexible model could explain {100 * findings.explainable:.0f} % of what is left",
+        "explained": "nothing else is left" if findings.explainable <= STILL_EXPLAINABLE else more,
+        "partly_explained": more,
+        "unexplained": more,
     }.get(findings.verdict)
     return "; ".join(one for one in (opening, fell, rest) if one)

@@ -7,8 +7,9 @@ from piezod.diagnose.chain import Chain
 from piezod.diagnose.fit import Fitted
 from piezod.effects.effect import HELD_BEFORE, STRAIGHT
 from piezod.errors import ModelError
+from piezod.identify.start import starts_at_rest
 from piezod.model import Model
-from piezod.model.parameters import EffectValues, Hysteresis, Superposition
+from piezod.model.parameters import EffectValues, Hysteresis, Start, Superposition
 from piezod.operators import EPS
 
 Array = NDArray[np.float64]
@@ -48,10 +49,20 @@ def extended_model(model: Model, chain: Chain, found: Fitted, hashes: list[str])
         "sampling": SAMPLING.get(chain.series[0].between, "held"),
         "read_after": min(chain.series[0].between, 1.0),
         "statistics": None,
+        "start": _start(model, chain),
     }
     extended = model.model_copy(update=changed)
     extended.operator()
     return extended
+
+
+def _start(model: Model, chain: Chain) -> Start:
+    """As the recordings asked about started, where they agree and started at rest."""
+    paths = {one.path_V for one in chain.series if one.role == "recording" and starts_at_rest(one.command_V)}
+    if len(paths) != 1 or any(len(path) not in (0, 2) for path in paths):
+        return model.start
+    path = paths.pop()
+    return Start(kind="reset", peak=path[0]) if path else Start(kind="virgin")
 
 
 def hysteresis_of(chain: Chain, found: Fitted) -> Hysteresis:

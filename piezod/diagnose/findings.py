@@ -144,9 +144,11 @@ class Findings:
     nrmse_before, nrmse_after
         Fit as MATLAB's `compare` defines it [%].
     explainable
-        Share of what is left that a flexible model could still explain.
+        Share of what is left that is no noise: a flexible model explains it, or it follows movement or level.
     notes
         What was noticed on the way.
+    not_testable
+        Effects that these recordings would not have shown in their usual size.
     recordings
         Path, SHA-256 and samples of each.
     """
@@ -164,6 +166,7 @@ class Findings:
     nrmse_after: float
     explainable: float
     notes: tuple[str, ...] = ()
+    not_testable: tuple[str, ...] = ()
     recordings: tuple[dict[str, Any], ...] = field(default_factory=tuple)
 
     @property
@@ -192,6 +195,7 @@ class Findings:
                 "nrmse_percent": {"before": self.nrmse_before, "after": self.nrmse_after},
             },
             "unexplained": {"explainable_share": self.explainable},
+            "not_testable": list(self.not_testable),
             "notes": list(self.notes),
             "recordings": list(self.recordings),
         }

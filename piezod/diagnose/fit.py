@@ -267,6 +267,24 @@ class Normal:
         sizes = _solved(free, numerator)
         return float(numerator @ sizes), sizes
 
+    def free_energy(self, change: Sequence[Array | None]) -> float:
+        """Square of a change of the readings, in units of the noise, that nothing which is fitted can follow.
+
+        Parameters
+        ----------
+        change
+            Of every recording, shape (rows,), or None where nothing changes [N].
+        """
+        across, inner = np.zeros(self.ridge.shape[0]), 0.0
+        for number, one in enumerate(change):
+            if one is not None:
+                series = self.chain.series[number]
+                scaled = one * series.counts[self.chain.rows[number]] / series.noise_N
+                weighted = self.weights[number] * scaled
+                across += self.jacobians[number].T @ weighted
+                inner += float(scaled @ weighted)
+        return inner - float(_solved(self.hessian.sum(axis=0) + self.ridge, across) @ across)
+
     def fitted(self, terms: tuple[Term, ...], point: Point) -> Fitted:
         """What every block says when it is left out, by one linear step.
 

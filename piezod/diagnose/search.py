@@ -196,12 +196,16 @@ def _settled(one: tuple[Chain, Fitted]) -> tuple[Chain, Fitted]:
 def restarted(chain: Chain, fitted: Fitted) -> tuple[Chain, Fitted]:
     """The same with what led to each start estimated anew: under the given model an effect may have passed for it."""
     series = list(chain.series)
-    for number, one in enumerate(chain.series):
-        if starts_at_rest(one.command_V):
-            loss = partial(_loss_of_start, chain, fitted, number)
-            path = start_at_zero(one.command_V, "V", loss).path
-            if loss(path) < CLEARLY * loss(one.path_V):
-                series[number] = replace(one, path_V=path)
+    resting = [k for k, one in enumerate(chain.series) if starts_at_rest(one.command_V)]
+    for number in resting:
+        one = chain.series[number]
+        loss = partial(_loss_of_start, chain, fitted, number)
+        path = start_at_zero(one.command_V, "V", loss).path
+        usual = chain.series[resting[0]].path_V  # a bench that is not used between its recordings starts them alike
+        if loss(path) >= CLEARLY * loss(usual):
+            path = usual
+        if loss(path) < (1.0 if path == usual else CLEARLY) * loss(one.path_V):
+            series[number] = replace(one, path_V=path)
     if all(new is old for new, old in zip(series, chain.series, strict=True)):
         return chain, fitted
     other = chain.like(series)

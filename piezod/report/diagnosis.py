@@ -18,6 +18,8 @@ def print_findings(findings: Findings, folder: Path) -> None:
     print(f"{findings.verdict.replace('_', ' ')}: {findings.words}")
     for one in findings.effects:
         _print_effect(one, findings.unit)
+    if findings.not_testable:
+        print(f"could not have been seen in these recordings: {', '.join(findings.not_testable)}")
     for note in findings.notes:
         print(f"note: {note}")
     print(f"{folder / 'findings.json'}, {folder / 'model.yaml'}, {folder / 'report.html'}")

@@ -10,8 +10,7 @@ import pytest
 PROGRAM = """
 import time
 from piezod.report import progress
-progress.PATIENCE_S = {patience}
-with progress.steps() as show:
+with progress.steps({patience}) as show:
     time.sleep(0.05)
     show("reading rec.csv, 1.0 million samples", None)
     show("fitting", 0.5)
