@@ -164,7 +164,9 @@ class Chain:
             "reference_V_per_s": (0.03 * slow, 3.0 * fastest),
             "limit_V_per_s": (0.1 * slow, fastest),
         }
-        self._plays: list[Kept[tuple[Array, Array, float, dict[str, Array]]]] = [Kept(CACHED) for _ in self.series]
+        self._plays: list[Kept[tuple[Array, Array, float, dict[str, tuple[Array, Array]]]]] = [
+            Kept(CACHED) for _ in self.series
+        ]
         self._strokes: list[Kept[tuple[Array, float]]] = [Kept(CACHED) for _ in self.series]
         self._additions: list[Kept[Array]] = [Kept(CACHED) for _ in self.series]
 
@@ -221,7 +223,7 @@ class Chain:
         """Applied voltage and play columns of a recording."""
         context = self.context(number)
 
-        def moved() -> tuple[Array, Array, float, dict[str, Array]]:
+        def moved() -> tuple[Array, Array, float, dict[str, tuple[Array, Array]]]:
             now, applied_V, factor, offset_V = context, context.command_V, None, None
             for term, values in here:
                 if term.effect.seat == Seat.AMPLIFIER:

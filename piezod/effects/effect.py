@@ -103,7 +103,7 @@ class Context:
     path_V
         Voltages since the de-energised state, before the first sample.
     memo
-        What an effect computed from `applied_V` alone and may want again; of this `applied_V` and no other.
+        What an effect computed from an `applied_V`, which comes first, and may want again for the same one.
     """
 
     dt_s: float
@@ -116,7 +116,7 @@ class Context:
     between: float = STRAIGHT
     voltage_span_V: float = 100.0
     path_V: tuple[float, ...] = ()
-    memo: dict[str, Array] = field(default_factory=dict)
+    memo: dict[str, tuple[Array, Array]] = field(default_factory=dict)
 
 
 Forward = Callable[[Array, Context, Values], Array]

@@ -49,13 +49,13 @@ def _hats() -> Array:
 
 def forward(signal: Array, context: Context, values: Values) -> Array:
     """What the plays give with those whose weight depends on the bias, shape (N,) [V]."""
-    columns = context.memo.get("noncongruent_minor_loops")
-    if columns is None:
+    known = context.memo.get("noncongruent_minor_loops")
+    if known is None or known[0] is not context.applied_V:
         path = np.array(context.path_V, dtype=np.float64)
-        columns = _columns(context.applied_V, path, context.voltage_span_V, _hats())
-        context.memo["noncongruent_minor_loops"] = columns
+        known = context.applied_V, _columns(context.applied_V, path, context.voltage_span_V, _hats())
+        context.memo["noncongruent_minor_loops"] = known
     weights = np.array([values.get(f"{name}_{k}", 0.0) for name in ("square", "cube") for k in range(HATS)])
-    result: Array = signal + (values.get("share", 1.0) * weights) @ columns
+    result: Array = signal + (values.get("share", 1.0) * weights) @ known[1]
     return result
 
 

@@ -1,6 +1,7 @@
 """The force law stiffens or saturates beyond the one that was identified.
 
-Forward    F + curvature F^2 / span + cubic F^3 / span^2; straight where the slope would fall below a twentieth
+Forward    F + curvature F^2 / span + cubic F^2 (F - span) / span^2: curvature is by how much of the span the force at
+           its upper end differs; straight where the slope would fall below a twentieth
 Inverse    exact: the root of the polynomial
 Signature  an error that depends on the force alone, the same on both branches; look-alikes voltage_clamp (flat at one
            voltage), contact_gap (flat at the bottom)
@@ -20,29 +21,30 @@ LEAST_SLOPE = 0.05
 
 
 @numba.njit(cache=True, nogil=True)
-def law_step(part: float, curvature: float, cubic: float, low: float, high: float) -> float:
+def law_step(part: float, square: float, cube: float, low: float, high: float) -> float:
     """Law at a force, both in parts of the span; `low` to `high` is where the polynomial rises enough."""
     inside = min(max(part, low), high)
-    return inside + inside * inside * (curvature + cubic * inside) + LEAST_SLOPE * (part - inside)
+    return inside + inside * inside * (square + cube * inside) + LEAST_SLOPE * (part - inside)
 
 
 @numba.njit(cache=True, nogil=True)
-def _run(force: Array, span: float, curvature: float, cubic: float, low: float, high: float) -> Array:
+def _run(force: Array, span: float, square: float, cube: float, low: float, high: float) -> Array:
     out = np.empty(force.size)
     for k in range(force.size):
-        out[k] = span * law_step(force[k] / span, curvature, cubic, low, high)
+        out[k] = span * law_step(force[k] / span, square, cube, low, high)
     return out
 
 
 def forward(signal: Array, context: Context, values: Values) -> Array:
     """Force behind the changed law, shape (N,) [N]."""
-    curvature, cubic = values["curvature"], values.get("cubic", 0.0)
-    return _run(signal, context.force_span_N, curvature, cubic, *rising(curvature, cubic))
+    cube = values.get("cubic", 0.0)
+    square = values["curvature"] - cube
+    return _run(signal, context.force_span_N, square, cube, *rising(square, cube))
 
 
-def rising(curvature: float, cubic: float) -> tuple[float, float]:
-    """Where 1 + 2 curvature x + 3 cubic x^2 stays above `LEAST_SLOPE`: the interval around zero."""
-    a, b, c = 3.0 * cubic, 2.0 * curvature, 1.0 - LEAST_SLOPE
+def rising(square: float, cube: float) -> tuple[float, float]:
+    """Where 1 + 2 square x + 3 cube x^2 stays above `LEAST_SLOPE`: the interval around zero."""
+    a, b, c = 3.0 * cube, 2.0 * square, 1.0 - LEAST_SLOPE
     roots: list[float] = []
     if b * b >= 4.0 * a * c and (a != 0.0 or b != 0.0):
         q = -0.5 * (b + math.copysign(math.sqrt(b * b - 4.0 * a * c), b))  # both roots without cancellation
