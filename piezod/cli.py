@@ -332,6 +332,10 @@ def diagnose(
         str | None, typer.Option("--input", metavar="COLUMN", help="The model's if left out.")
     ] = None,
     output_column: Annotated[str | None, typer.Option("--output", metavar="COLUMN", help="As above.")] = None,
+    hold_out: Annotated[
+        list[Path] | None,
+        typer.Option(metavar="REC", help="Compare both models on it and fit nothing to it; repeatable."),
+    ] = None,
     as_json: JsonOption = False,
 ) -> None:
     """Find out what a model leaves out of recordings: where, which physics, how sure, and the model that has it."""
@@ -341,7 +345,7 @@ def diagnose(
     from piezod.report.progress import steps
 
     with steps() as show:
-        diagnosis = diagnose_files(recordings, model, output, input_column, output_column, show)
+        diagnosis = diagnose_files(recordings, model, output, input_column, output_column, show, hold_out or ())
         show("drawing the report", None)
         write_diagnosis_page(output / "report.html", diagnosis)
     if as_json:

@@ -2,13 +2,19 @@
 
 import json
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
+
 from piezod.diagnose.diagnosis import Diagnosis, diagnose
-from piezod.diagnose.prepare import past_sources, read_source
+from piezod.diagnose.findings import HeldOut
+from piezod.diagnose.prepare import Source, past_sources, read_source
 from piezod.errors import ConfigurationError, UsageError
+from piezod.identify.simulation import simulate_recording
 from piezod.model import Model, load_model, save_model
 
+START_WINDOW_S = 1.0  # of a recording that does not start at rest, where its start is found
 OnStep = Callable[[str, float | None], None]
 
 
@@ -19,6 +25,7 @@ def diagnose_files(
     input_column: str | None,
     output_column: str | None,
     on_step: OnStep,
+    hold_out: Sequence[Path] = (),
 ) -> Diagnosis:
     """Diagnose recordings and write `findings.json` and `model.yaml` into a folder.
 
@@ -34,6 +41,8 @@ def diagnose_files(
         Columns; None: the model's.
     on_step
         Told what is being done.
+    hold_out
+        Recordings that both models are compared on and nothing is fitted to.
 
     Raises
     ------
@@ -43,11 +52,17 @@ def diagnose_files(
         A recording is given twice.
     """
     model = _with_columns(load_model(model_path), input_column, output_column)
-    if len({path.resolve() for path in recordings}) < len(recordings):
-        raise UsageError(f"REC is {', '.join(map(str, recordings))}: one stands twice, must be different files")
+    files = [*recordings, *hold_out]
+    if len({path.resolve() for path in files}) < len(files):
+        raise UsageError(f"REC is {', '.join(map(str, files))}: one stands twice, must be different files")
+    apart = [read_source(path, "recording") for path in hold_out]
     asked = [read_source(path, "recording") for path in recordings]
     past, notes = past_sources(model, model_path.parent, asked)
     diagnosis = diagnose(model, asked, past, notes, lambda what: on_step(what, None))
+    if apart:
+        on_step("simulating what was held out", None)
+        told = tuple(_held_out(one, model, diagnosis.model) for one in apart)
+        diagnosis = replace(diagnosis, findings=replace(diagnosis.findings, held_out=told))
     try:
         output.mkdir(parents=True, exist_ok=True)
         text = json.dumps(diagnosis.findings.as_dict(), indent=2) + "\n"
@@ -56,6 +71,18 @@ def diagnose_files(
         raise ConfigurationError(f"{output}: cannot be written: {error.strerror}") from error
     save_model(diagnosis.model, output / "model.yaml")
     return diagnosis
+
+
+def _held_out(source: Source, given: Model, extended: Model) -> HeldOut:
+    """Both models over a recording that neither has seen."""
+    before, after = (_tared_rms(source, model) for model in (given, extended))
+    return HeldOut(source.recording.source, source.sha256, before, after)
+
+
+def _tared_rms(source: Source, model: Model) -> float:
+    simulated = simulate_recording(model, source.recording, START_WINDOW_S, sha256=source.sha256).recording
+    error = source.recording.channel(model.output.channel) - simulated.channel(model.output.channel)
+    return float(np.nanstd(error))
 
 
 def _with_columns(model: Model, input_column: str | None, output_column: str | None) -> Model:

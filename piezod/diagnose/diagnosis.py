@@ -410,16 +410,30 @@ def _power(result: Search) -> float:
     return sum(float(tone.heard_N @ tone.heard_N) for tone in result.tones) / sum(one.time_s.size for one in asked)
 
 
+def _said(one: Finding) -> str:
+    """An effect with its first parameter and where it is seen, as a person would say it."""
+    said = one.title
+    for name, value in list(one.parameters.items())[:1]:
+        scale, unit = (100.0, "%") if value.unit == "1" else (1.0, value.unit)
+        what = (
+            ""
+            if name == "per_decade"
+            else f" {name.removesuffix('_' + value.unit.replace('/', '_per_')).replace('_', ' ')}"
+        )
+        numbers = f"{scale * value.value:.3g} {unit}{' per decade' if name == 'per_decade' else ''}"
+        said += f",{what} {numbers} ({scale * value.low:.3g} to {scale * value.high:.3g})"
+    if one.where:
+        place = one.where[0]
+        axis, _, unit = place.axis.partition("_")
+        span = f"{place.low:.3g}" if place.low == place.high else f"{place.low:.3g} to {place.high:.3g}"
+        said += f", seen at {axis} {span} {unit.replace('_per_', '/')}".rstrip()
+    return said
+
+
 def words_of(findings: Findings) -> str:
     """The verdict in a few sentences."""
     unit = findings.unit
-    parts = []
-    for one in findings.effects:
-        values = ", ".join(
-            f"{name} {value.value:.4g} ({value.low:.4g} to {value.high:.4g}) {value.unit}".rstrip(" 1")
-            for name, value in one.parameters.items()
-        )
-        parts.append(f"{one.title}: {values}")
+    parts = [_said(one) for one in findings.effects]
     fell = f"held-out error {findings.before:.3g} -> {findings.after:.3g} {unit}, noise {findings.floor:.3g} {unit}"
     opening = {
         "matches": "The model matches the recordings; nothing is missing",

@@ -122,6 +122,28 @@ class Finding:
 
 
 @dataclass(frozen=True)
+class HeldOut:
+    """A recording that nothing was fitted to.
+
+    Parameters
+    ----------
+    path, sha256
+        Of the file.
+    before, after
+        Root mean square error of the given and of the extended model, each adapted to its tare [output unit].
+    """
+
+    path: str
+    sha256: str
+    before: float
+    after: float
+
+    def as_dict(self) -> dict[str, Any]:
+        """For JSON."""
+        return {"path": self.path, "sha256": self.sha256, "before": self.before, "after": self.after}
+
+
+@dataclass(frozen=True)
 class Findings:
     """The whole verdict.
 
@@ -149,6 +171,8 @@ class Findings:
         What was noticed on the way.
     not_testable
         Effects that these recordings would not have shown in their usual size.
+    held_out
+        Recordings that nothing was fitted to.
     recordings
         Path, SHA-256 and samples of each.
     """
@@ -167,6 +191,7 @@ class Findings:
     explainable: float
     notes: tuple[str, ...] = ()
     not_testable: tuple[str, ...] = ()
+    held_out: tuple[HeldOut, ...] = ()
     recordings: tuple[dict[str, Any], ...] = field(default_factory=tuple)
 
     @property
@@ -192,6 +217,7 @@ class Findings:
                     "floor": self.floor,
                     "gap_closed": self.gap_closed,
                 },
+                "held_out_recordings": [one.as_dict() for one in self.held_out],
                 "nrmse_percent": {"before": self.nrmse_before, "after": self.nrmse_after},
             },
             "unexplained": {"explainable_share": self.explainable},

@@ -38,7 +38,7 @@ NOTICED, FEW = 0.05, 0.25  # if not more than so many blocks grow worse
 NEAR_A_MODE = 0.05  # of its frequency: a line there is its own ringing
 DOMINANT = 0.3  # of the loss: a tone without which so little is left is taken off before anything else is tried
 STEADY = 2.5  # standard deviations of the blocks' gains
-WORTH_WHEN_SMALL, STEADY_WHEN_SMALL, LEFT_WHEN_SMALL = 0.08, 3.5, 0.05
+WORTH_WHEN_SMALL, STEADY_WHEN_SMALL, LEFT_WHEN_SMALL = 0.08, 3.0, 0.05
 LOOSE = (
     "friction",
     "rate_dependent_hysteresis",

@@ -18,6 +18,8 @@ def print_findings(findings: Findings, folder: Path) -> None:
     print(f"{findings.verdict.replace('_', ' ')}: {findings.words}")
     for one in findings.effects:
         _print_effect(one, findings.unit)
+    for held in findings.held_out:
+        print(f"  {held.path}, held out: {held.before:.4g} -> {held.after:.4g} {findings.unit}")
     if findings.not_testable:
         print(f"could not have been seen in these recordings: {', '.join(findings.not_testable)}")
     for note in findings.notes:
