@@ -188,13 +188,16 @@ def record(
         str,
         typer.Option(
             metavar="NAME",
-            help="constant-triangles, varying-triangles or staircase-minor-loops-multisine.",
+            help="constant-triangles, varying-triangles, staircase-minor-loops-multisine, or a recording whose voltage "
+            "is driven again.",
         ),
     ],
     output: Annotated[
         Path, typer.Option("--output", "-o", metavar="REC", help="The recording to write; its suffix says how.")
     ],
-    peak: Annotated[float | None, typer.Option(metavar="V", help="Highest voltage; the limit's when left out.")] = None,
+    peak: Annotated[
+        float | None, typer.Option(metavar="V", help="Highest voltage; the limit's, or the recording's, when left out.")
+    ] = None,
     frequency: Annotated[float, typer.Option(metavar="HZ", min=1e-4, help="Of one full triangle.")] = 0.1,
     periods: Annotated[
         int | None, typer.Option(min=1, max=1000, help="Triangles: 5, or repeats of the whole: 1, when left out.")
@@ -202,14 +205,15 @@ def record(
     reset_cycle: Annotated[bool, typer.Option(help="Drive 0 -> highest -> 0 first.")] = False,
 ) -> None:
     """Drive an excitation through the bench and record what it answers."""
+    from piezod.daemon.record import excitation_s
     from piezod.daemon.record import record as record_excitation
-    from piezod.excitation import duration_s, usual_periods
+    from piezod.excitation import usual_periods
     from piezod.recording import check_target, write_recording
     from piezod.report.progress import progress
 
     check_target(output)
     periods = periods or usual_periods(excitation)
-    with progress(f"recording {excitation}", duration_s(excitation, frequency, periods)) as show:
+    with progress(f"recording {excitation}", excitation_s(excitation, frequency, periods)) as show:
         recording, outcome = record_excitation(
             config,
             excitation,

@@ -172,7 +172,8 @@ def _phase(frequency_Hz: float, periods: float, rate_Hz: float) -> Array:
 
 
 IDENTIFICATION = "staircase-minor-loops-multisine"
-EXCITATIONS = ("constant-triangles", "varying-triangles", IDENTIFICATION)
+TRIANGLES = ("constant-triangles", "varying-triangles")
+EXCITATIONS = (*TRIANGLES, IDENTIFICATION)
 
 
 def excitation(name: str, peak_V: float, frequency_Hz: float, periods: int, rate_Hz: float) -> Array:
@@ -187,7 +188,7 @@ def excitation(name: str, peak_V: float, frequency_Hz: float, periods: int, rate
 
 def usual_periods(name: str) -> int:
     """How often an excitation is repeated unless one says so: five triangles; what tells all in one run, once."""
-    return 1 if name == IDENTIFICATION else 5
+    return 5 if name in TRIANGLES else 1
 
 
 def duration_s(name: str, frequency_Hz: float, periods: int) -> float:

@@ -82,6 +82,23 @@ def test_a_bench_records_into_any_format_and_repeats_what_tells_all_in_one_run_o
     assert recording.time_s[-1] == pytest.approx(duration_s(IDENTIFICATION, 2.0, 1), abs=0.05)
 
 
+def test_the_voltage_of_a_recording_is_driven_again_scaled_and_repeated(tmp_path):
+    time_s = np.arange(200) / 100.0
+    drive_V = 40.0 * np.sin(2 * np.pi * time_s) ** 2
+    write_csv(Recording(time_s, {"voltage_V": drive_V}), tmp_path / "drive.csv")
+    with emulator("--time", "virtual", "--port", "0") as serves:
+        bench = bench_file(tmp_path, serves, rate_Hz=100, limits={"stale_after_ms": 20}, model="none.yaml")
+        again = ["--excitation", tmp_path / "drive.csv", "--peak", 80, "--periods", 2, "-o", tmp_path / "rec.csv"]
+        done = piezod("record", bench, *again)
+        too_high = piezod("record", bench, *again[:2], "--peak", 200, *again[4:])
+    assert done.returncode == 0, done.stderr
+    driven_V = read_csv(tmp_path / "rec.csv").channel("voltage_V")
+    np.testing.assert_allclose(driven_V, np.tile(2.0 * drive_V, 2)[: driven_V.size], atol=1e-3)
+    assert driven_V.size >= 2 * drive_V.size - 2
+    assert (too_high.returncode, too_high.stderr.count("\n")) == (2, 1)
+    assert "at most 140 V" in too_high.stderr
+
+
 @pytest.mark.parametrize("command", ["identify", "simulate"])
 def test_a_result_never_overwrites_the_recording(recorded, tmp_path, command):
     copy = tmp_path / "rec.csv"
