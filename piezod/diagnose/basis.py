@@ -81,27 +81,38 @@ class PlayDensity:
 
 
 @numba.njit(cache=True, nogil=True)
-def _columns(r: Array, hats: Array, path: Array, u: Array, factor: Array, offset: Array, out: Array) -> None:
+def _columns(  # noqa: C901  # one pass over the record: to split it costs a copy of all states
+    r: Array, hats: Array, path: Array, u: Array, factor: Array, offset: Array, out: Array
+) -> None:
     plays, count = hats.shape
     first = np.zeros(plays, np.int64)  # a play belongs to two neighbouring hats at most
     for i in range(plays):
         while first[i] < count - 2 and hats[i, first[i]] == 0.0:
             first[i] += 1
-    z = np.zeros(plays)
+    near, far = np.zeros(plays), np.zeros(plays)
+    for i in range(plays):
+        near[i], far[i] = hats[i, first[i]], hats[i, first[i] + 1]
+    z, lag, wide = np.zeros(plays), np.zeros(plays), r.copy()
     for k in range(path.size):
         for i in range(plays):
             z[i] = max(path[k] - r[i], min(path[k] + r[i], z[i]))
     for k in range(u.size):
-        scale = factor[k] if factor.size else 1.0
-        more = offset[k] if offset.size else 0.0
+        if factor.size:
+            for i in range(plays):
+                wide[i] = r[i] * factor[k] + offset[k]
+        now = u[k]
+        for i in range(plays):  # comparisons, not max and min: these become vector instructions
+            low, high, state = now - wide[i], now + wide[i], z[i]
+            state = max(state, low)
+            state = min(state, high)
+            z[i] = state
+            lag[i] = state - now
         for j in range(count):
             out[k, j] = 0.0
         for i in range(plays):
-            wide = r[i] * scale + more
-            z[i] = max(u[k] - wide, min(u[k] + wide, z[i]))
             j = first[i]
-            out[k, j] += hats[i, j] * (z[i] - u[k])
-            out[k, j + 1] += hats[i, j + 1] * (z[i] - u[k])
+            out[k, j] += near[i] * lag[i]
+            out[k, j + 1] += far[i] * lag[i]
 
 
 @dataclass(frozen=True)

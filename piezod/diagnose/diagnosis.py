@@ -147,8 +147,7 @@ def _judged(
     blind = untestable(chain, found.terms, found.point)
     if verdict == "matches" and len(blind) > MOSTLY * (len(EFFECTS) - len(DIRECT)):
         verdict = "not_testable"
-    if verdict == "partly_explained":
-        effects = [replace(one, confidence=one.confidence * PARTLY * closed) for one in effects]
+    effects = [_less_sure(one, share, closed if verdict == "partly_explained" else 1.0) for one in effects]
     extended, said = model, list(notes)
     if result.names or verdict != "matches":
         try:
@@ -384,6 +383,15 @@ def _coarsest(series: Sequence[Series], residuals: Sequence[Array]) -> tuple[flo
     step, k = max(steps)
     spread = float(np.std(residuals[k][series[k].counts]))
     return step, float(np.sqrt(max(spread**2 - step**2 / 12.0, 0.0)))
+
+
+def _less_sure(one: Finding, share: float, closed: float) -> Finding:
+    """The same, believed less where as much is left to explain as it explains."""
+    own, left = max(one.before**2 - one.after**2, 0.0), share * one.after**2
+    if one.before == one.after:  # read off the readings: no fit says anything
+        return one
+    alone = own / (own + left) if share > STILL_EXPLAINABLE else 1.0
+    return replace(one, confidence=one.confidence * alone * (PARTLY * closed if closed < 1.0 else 1.0))
 
 
 def _remaining(result: Search, left: Guard, moving: Motion) -> tuple[float, float]:

@@ -91,11 +91,13 @@ def _starts(effect: str, one: Parameter, scales: dict[str, tuple[float, ...]]) -
     return starts[:1] if one.nuisance else starts
 
 
-def since(chain: Chain, terms: Sequence[Term], past: Point) -> list[tuple[Idea, Point]]:
+def since(chain: Chain, terms: Sequence[Term], past: Point, lost_N: float) -> list[tuple[Idea, Point]]:
     """Effects that may have come since the model was identified, each at its best start, the most promising first.
 
-    By what remains when a hypothesis runs with them, the recordings shifted onto it or not.
+    By what remains when a hypothesis runs with them, the recordings shifted onto it or not. `lost_N` is by how much
+    their readings stand below: that may be a gap.
     """
+    gaps = {"gap_N": (*_scales(chain)["gap_N"], max(lost_N, 0.0))}
     channels = ["temperature_C"] if all(one.temperature_C is not None for one in chain.series) else []
 
     def looked_at(one: tuple[Effect, dict[str, float], tuple[tuple[str, float], ...]]) -> tuple[Idea, Point]:
@@ -116,7 +118,7 @@ def since(chain: Chain, terms: Sequence[Term], past: Point) -> list[tuple[Idea, 
         return Idea(term, values, -losses[shifted]), start
 
     best: dict[str, tuple[Idea, Point]] = {}
-    new = (one for one in catalogue_ideas(chain, channels, {}) if all(term.effect is not one[0] for term in terms))
+    new = (one for one in catalogue_ideas(chain, channels, gaps) if all(term.effect is not one[0] for term in terms))
     for idea, point in each(looked_at, new):
         name = idea.term.effect.name
         if name not in best or idea.gain > best[name][0].gain:

@@ -25,10 +25,12 @@ OnProgress = Callable[[str], None]
 
 MOST_EFFECTS = 5
 TRIED = 7  # effects that are really fitted in a round, first coarsely
-TRIED_FROM_PAST = 4
+TRIED_FROM_PAST = 3
 FINALISTS = 3  # of them that are tried with every course of the command between samples
 REFINED = 4  # of them thoroughly
 COMPARED = 6  # of all these on more samples
+NEAR = 0.4  # of the best one's gain, from which one is fitted thoroughly, or on more samples
+FEWEST_REFINED, FEWEST_COMPARED = 2, 3
 COARSE_STEPS, COARSE_ROWS = 7, 6000
 NOTHING = 0.003  # of the loss: an idea that promises less is not tried
 PROMISING = 0.03  # of the best idea's gain, below which an idea is not tried
@@ -343,17 +345,19 @@ def _on_each_course(chain: Chain, found: Fitted, past: Point | None) -> list[tup
     if chain.series[0].between != STRAIGHT and not any(term.effect.smooths for term in found.terms):
         straight = chain.like([replace(one, between=STRAIGHT) for one in chain.series])
         chains.append((straight, fit(straight, found.terms, found.point, most_steps=6)))
-    return [(on, one) for on, known in chains for one in _fine(on, _tried(_coarse(on), known, past))]
+    return [(on, one) for on, known in chains for one in _fine(on, known, _tried(_coarse(on), known, past))]
 
 
 def _coarse(chain: Chain) -> Chain:
     return chain.like(chain.series, COARSE_ROWS)
 
 
-def _fine(chain: Chain, tried: Sequence[Fitted]) -> list[Fitted]:
+def _fine(chain: Chain, before: Fitted, tried: Sequence[Fitted]) -> list[Fitted]:
     """The best of what was fitted on few samples, fitted on more."""
-    best = sorted(tried, key=lambda one: one.loss)[:COMPARED]
-    return each(lambda one: fit(chain, one.terms, one.point, most_steps=6), best)
+    best = sorted(tried, key=lambda one: one.loss)
+    enough = before.loss - NEAR * (before.loss - best[0].loss) if best else 0.0
+    near = sum(one.loss < enough for one in best[:COMPARED])
+    return each(lambda one: fit(chain, one.terms, one.point, most_steps=6), best[: max(near, FEWEST_COMPARED)])
 
 
 def _tried(chain: Chain, found: Fitted, past: Point | None) -> list[Fitted]:
@@ -377,13 +381,17 @@ def _tried(chain: Chain, found: Fitted, past: Point | None) -> list[Fitted]:
     quick = each(lambda some: (_extended(chain, found, some[0], most_steps=COARSE_STEPS), some), list(chosen.values()))
     if past is not None:
         bases = [replace(past, values=found.point.values), *([found.point] if found.terms else [])]
-        starts = [one for base in bases for one in since(chain, found.terms, base)[:TRIED_FROM_PAST]]
+        lost_N = -min(found.point.offsets_N[k] for k, one in enumerate(chain.series) if one.role == "recording")
+        starts = [one for base in bases for one in since(chain, found.terms, base, lost_N)[:TRIED_FROM_PAST]]
         quick += each(partial(_from_past, chain, found.terms), starts)
     quick.sort(key=lambda one: one[0].loss)
     quick = [one for k, one in enumerate(quick) if one[0].effects[-1] not in (o[0].effects[-1] for o in quick[:k])]
-    thorough = each(lambda one: _refined(chain, found, *one), quick[:REFINED])
+    enough = found.loss - NEAR * (found.loss - quick[0][0].loss) if quick else 0.0
+    near = sum(one.loss < enough for one, _ in quick[:REFINED])
+    refined = max(near, FEWEST_REFINED)
+    thorough = each(lambda one: _refined(chain, found, *one), quick[:refined])
     direct = each(lambda idea: _extended(chain, found, idea), suggested(chain, found))
-    return [*thorough, *(first for first, _ in quick[REFINED:]), *direct]
+    return [*thorough, *(first for first, _ in quick[refined:]), *direct]
 
 
 def _from_past(chain: Chain, terms: tuple[Term, ...], one: tuple[Idea, Point]) -> tuple[Fitted, list[Idea]]:
