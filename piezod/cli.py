@@ -340,6 +340,9 @@ def diagnose(
         list[Path] | None,
         typer.Option(metavar="REC", help="Compare both models on it and fit nothing to it; repeatable."),
     ] = None,
+    condition: Annotated[
+        str | None, typer.Option("--where", metavar="COLUMN=VALUE", help="Only the readings at which it holds.")
+    ] = None,
     as_json: JsonOption = False,
 ) -> None:
     """Find out what a model leaves out of recordings: where, which physics, how sure, and the model that has it."""
@@ -349,7 +352,9 @@ def diagnose(
     from piezod.report.progress import steps
 
     with steps() as show:
-        diagnosis = diagnose_files(recordings, model, output, input_column, output_column, show, hold_out or ())
+        diagnosis = diagnose_files(
+            recordings, model, output, input_column, output_column, show, hold_out or (), condition
+        )
         show("drawing the report", None)
         write_diagnosis_page(output / "report.html", diagnosis)
     if as_json:

@@ -26,6 +26,7 @@ def diagnose_files(
     output_column: str | None,
     on_step: OnStep,
     hold_out: Sequence[Path] = (),
+    condition: str | None = None,
 ) -> Diagnosis:
     """Diagnose recordings and write `findings.json` and `model.yaml` into a folder.
 
@@ -43,6 +44,8 @@ def diagnose_files(
         Told what is being done.
     hold_out
         Recordings that both models are compared on and nothing is fitted to.
+    condition
+        COLUMN=VALUE at which the readings of `recordings` count; the memory runs through all samples.
 
     Raises
     ------
@@ -56,7 +59,7 @@ def diagnose_files(
     if len({path.resolve() for path in files}) < len(files):
         raise UsageError(f"REC is {', '.join(map(str, files))}: one stands twice, must be different files")
     apart = [read_source(path, "recording") for path in hold_out]
-    asked = [read_source(path, "recording") for path in recordings]
+    asked = [read_source(path, "recording", condition) for path in recordings]
     past, notes = past_sources(model, model_path.parent, asked)
     diagnosis = diagnose(model, asked, past, notes, lambda what: on_step(what, None))
     if apart:

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,6 +37,7 @@ SURE = 0.01  # p below which that share is believed
 CLOSED = 0.9  # part of what could be explained, from which it counts as explained
 PARTLY = 0.9  # most that a name is believed whose effect leaves much to explain
 MOSTLY = 0.8  # of the catalogue: recordings that could not have shown so much of it tell nothing
+LEAST_CONFIDENCE = 0.3  # below which an effect beside others is not named
 RIVAL = 0.8  # part of the winner's gain, from which another effect is a rival
 NORMAL_95 = 1.96
 MOST_SPREAD = 20.0  # of an interval on its scale: beyond it a parameter is not determined
@@ -106,7 +108,30 @@ def diagnose(
     chain, start = chain_of(series, model)
     result = search(chain, start, progress)
     progress("judging what is left")
-    return _judged(model, [*past, *asked], result, given, frozen, said, stand_ins=0 if past else 1)
+    judged = partial(_judged, model, [*past, *asked], given=given, frozen=frozen, notes=said, stand_ins=not past)
+    diagnosis = judged(result)
+    doubtful = _doubtful(result, diagnosis.findings)
+    if doubtful:
+        progress("leaving out what is doubtful")
+        diagnosis = judged(_without(result, doubtful))
+    return diagnosis
+
+
+def _doubtful(result: Search, findings: Findings) -> list[str]:
+    """Effects that explain little beside what remains unexplained: more likely the shape of something else."""
+    fitted = [one for one in findings.effects if one.name in result.found.effects]
+    weak = [one for one in fitted if one.confidence < LEAST_CONFIDENCE]
+    strongest = max(fitted, key=lambda one: one.confidence, default=None)
+    return [one.name for one in weak if one is not strongest]
+
+
+def _without(result: Search, names: Sequence[str]) -> Search:
+    """The same search with some effects left out of what it found."""
+    found = result.found
+    for name in names:
+        terms, values = without(found, name)
+        found = replace(found, terms=tuple(terms), point=replace(found.point, values=tuple(values)))
+    return replace(result, found=fit(result.chain, found.terms, found.point))
 
 
 def _given(model: Model, series: Series) -> Array:
@@ -121,10 +146,10 @@ def _judged(
     model: Model,
     sources: Sequence[Source],
     result: Search,
+    *,
     given: list[Array],
     frozen: dict[int, list[tuple[int, int]]],
     notes: list[str],
-    *,
     stand_ins: int,
 ) -> Diagnosis:
     chain, found = result.chain, result.found

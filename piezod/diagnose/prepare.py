@@ -13,6 +13,7 @@ from piezod.diagnose.direct import frozen_stretches, lattice_step_N, noise_of
 from piezod.diagnose.series import Role, Series
 from piezod.errors import RecordingError
 from piezod.excitation import varying_triangles
+from piezod.identify.simulation import where
 from piezod.identify.start import estimate_path, start_at_zero, starts_at_rest
 from piezod.model import Model, file_sha256
 from piezod.recording import Recording, read_recording
@@ -37,11 +38,14 @@ class Source:
         Of the file.
     role
         Whether the model was identified on it.
+    condition
+        COLUMN=VALUE at which its readings count; None: everywhere.
     """
 
     recording: Recording
     sha256: str
     role: Role
+    condition: str | None = None
 
     @property
     def name(self) -> str:
@@ -49,7 +53,7 @@ class Source:
         return Path(self.recording.source).name or self.recording.source
 
 
-def read_source(path: Path, role: Role) -> Source:
+def read_source(path: Path, role: Role, condition: str | None = None) -> Source:
     """Read a recording whole.
 
     Raises
@@ -57,7 +61,7 @@ def read_source(path: Path, role: Role) -> Source:
     RecordingError
         It cannot be read.
     """
-    return Source(read_recording(path), file_sha256(path), role)
+    return Source(read_recording(path), file_sha256(path), role, condition)
 
 
 def past_sources(model: Model, folder: Path, given: Sequence[Source]) -> tuple[list[Source], list[str]]:
@@ -98,6 +102,8 @@ def even(source: Source, model: Model) -> tuple[Series, list[str]]:
     ------
     RecordingError
         It has not the model's columns, too few samples, or an input that is not known.
+    UsageError
+        The condition is none.
     """
     recording, notes = source.recording, []
     u, y = recording.channel(model.input.channel), recording.channel(model.output.channel)
@@ -121,6 +127,8 @@ def even(source: Source, model: Model) -> tuple[Series, list[str]]:
     )
     time_s = recording.time_s - recording.time_s[0]
     good = np.isfinite(y)
+    if source.condition is not None:
+        good = good & where(recording, source.condition)
     if np.count_nonzero(good) < FEWEST_SAMPLES:
         raise RecordingError(
             f"{recording.source}: {model.output.channel} has {np.count_nonzero(good)} readings, needs {FEWEST_SAMPLES}"
