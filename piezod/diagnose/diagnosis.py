@@ -37,6 +37,7 @@ SURE = 0.01  # p below which that share is believed
 CLOSED = 0.9  # part of what could be explained, from which it counts as explained
 PARTLY = 0.9  # most that a name is believed whose effect leaves much to explain
 MOSTLY = 0.8  # of the catalogue: recordings that could not have shown so much of it tell nothing
+FOLDED = 0.6  # of its confidence that an effect keeps when the plays fold that were refitted with it
 LEAST_CONFIDENCE = 0.3  # below which an effect beside others is not named
 RIVAL = 0.8  # part of the winner's gain, from which another effect is a rival
 NORMAL_95 = 1.96
@@ -110,16 +111,16 @@ def diagnose(
     progress("judging what is left")
     judged = partial(_judged, model, [*past, *asked], given=given, frozen=frozen, notes=said, stand_ins=not past)
     diagnosis = judged(result)
-    doubtful = _doubtful(result, diagnosis.findings)
-    if doubtful:
+    while doubtful := _doubtful(result, diagnosis.findings):
         progress("leaving out what is doubtful")
-        diagnosis = judged(_without(result, doubtful))
+        result = _without(result, doubtful)
+        diagnosis = judged(result)
     return diagnosis
 
 
 def _doubtful(result: Search, findings: Findings) -> list[str]:
     """Effects that explain little beside what remains unexplained: more likely the shape of something else."""
-    fitted = [one for one in findings.effects if one.name in result.found.effects]
+    fitted = [one for one in findings.effects if one.name in result.names]
     weak = [one for one in fitted if one.confidence < LEAST_CONFIDENCE]
     strongest = max(fitted, key=lambda one: one.confidence, default=None)
     return [one.name for one in weak if one is not strongest]
@@ -131,7 +132,10 @@ def _without(result: Search, names: Sequence[str]) -> Search:
     for name in names:
         terms, values = without(found, name)
         found = replace(found, terms=tuple(terms), point=replace(found.point, values=tuple(values)))
-    return replace(result, found=fit(result.chain, found.terms, found.point))
+    back = [tone for tone in result.tones if tone.name in names]
+    chain = result.chain.like(with_tones(result.chain.series, back))
+    kept = [tone for tone in result.tones if tone.name not in names]
+    return replace(result, chain=chain, tones=kept, found=fit(chain, found.terms, found.point))
 
 
 def _given(model: Model, series: Series) -> Array:
@@ -179,6 +183,9 @@ def _judged(
             extended = extended_model(model, chain, _with_tones(found, result.tones), hashes)
         except ModelError as error:
             said.append(f"no extended model: {error}")
+            # Plays that fold are no stack's: whatever they needed to fit is not understood yet.
+            verdict = "partly_explained" if effects else "unexplained"
+            effects = [replace(one, confidence=FOLDED * one.confidence) for one in effects]
     asked = [k for k, one in enumerate(series) if one.role == "recording"]
     measured = np.concatenate([series[k].reading_N[series[k].counts] for k in asked])
     by_given = np.concatenate([given[k][series[k].counts] for k in asked])

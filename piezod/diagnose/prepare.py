@@ -118,10 +118,14 @@ def even(source: Source, model: Model) -> tuple[Series, list[str]]:
         u, y = recording.channel(model.input.channel), recording.channel(model.output.channel)
         notes.append(f"{source.name}: samples are not evenly spaced; resampled to {dt_s:.6g} s")
     if not np.isfinite(u).all():
-        raise RecordingError(
-            f"{recording.source}: {model.input.channel} has {np.count_nonzero(~np.isfinite(u))} missing samples: "
-            "the memory cannot be followed across them; cut the recording there"
-        )
+        recording, cut = _longest_stretch(recording, model.input.channel)
+        u, y = recording.channel(model.input.channel), recording.channel(model.output.channel)
+        notes.append(f"{source.name}: {cut}")
+        if u.size < FEWEST_SAMPLES:
+            raise RecordingError(
+                f"{recording.source}: {model.input.channel} has {u.size} samples in its longest stretch without a "
+                f"missing one, needs at least {FEWEST_SAMPLES} to be diagnosed"
+            )
     temperature = next(
         (recording.channels[n] for n in ("temperature_C", "temperature_degC") if n in recording.channels), None
     )
@@ -147,6 +151,25 @@ def even(source: Source, model: Model) -> tuple[Series, list[str]]:
         start_s=float(recording.time_s[0]),
     )
     return series, notes
+
+
+def _longest_stretch(recording: Recording, channel: str) -> tuple[Recording, str]:
+    """The recording from one missing sample of a channel to the next, where that is farthest; and what was done."""
+    missing = np.flatnonzero(~np.isfinite(recording.channel(channel)))
+    edges = np.concatenate(([-1], missing, [recording.time_s.size]))
+    widest = int(np.argmax(np.diff(edges)))
+    part = slice(int(edges[widest]) + 1, int(edges[widest + 1]))
+    kept = Recording(
+        recording.time_s[part],
+        {name: one[part] for name, one in recording.channels.items()},
+        recording.metadata,
+        recording.source,
+    )
+    span_s = kept.time_s[-1] - kept.time_s[0]
+    return (
+        kept,
+        f"{channel} has {missing.size} missing samples; the longest stretch without one, {span_s:.3g} s, is used",
+    )
 
 
 def stand_in(model: Model) -> Series:
