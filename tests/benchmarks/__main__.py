@@ -12,6 +12,7 @@ from piezod.errors import PiezodError
 from tests.benchmarks.table import NotMeasuredError, Row, header
 
 BENCHMARKS = ("chain", "batch", "wakeup", "exchange", "whole_tick", "service", "memory", "solvers", "identification")
+SLOW = ("diagnose",)  # up to an hour: only when named
 
 
 def run(name: str, *, quick: bool) -> Iterator[Row]:
@@ -25,12 +26,17 @@ def run(name: str, *, quick: bool) -> Iterator[Row]:
 def main() -> None:
     """Parse, run, print."""
     parser = argparse.ArgumentParser(prog="python -m tests.benchmarks", description=__doc__)
-    parser.add_argument("names", nargs="*", metavar="NAME", help=f"one of {', '.join(BENCHMARKS)}; all when left out")
+    parser.add_argument(
+        "names",
+        nargs="*",
+        metavar="NAME",
+        help=f"one of {', '.join(BENCHMARKS)} (all of them when left out), {', '.join(SLOW)}",
+    )
     parser.add_argument("--json", type=Path, metavar="FILE", help="write the rows as JSON too")
     parser.add_argument("--quick", action="store_true", help="fewer and shorter rounds: under 20 s in all")
     options = parser.parse_args()
-    if unknown := sorted(set(options.names) - set(BENCHMARKS)):
-        parser.error(f"no benchmark is called {', '.join(unknown)}; there are {', '.join(BENCHMARKS)}")
+    if unknown := sorted(set(options.names) - {*BENCHMARKS, *SLOW}):
+        parser.error(f"no benchmark is called {', '.join(unknown)}; there are {', '.join((*BENCHMARKS, *SLOW))}")
     begun = time.monotonic()
     print(header(), flush=True)
     rows = []

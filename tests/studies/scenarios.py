@@ -1,0 +1,224 @@
+"""Every effect of the catalogue switched on at the emulated bench, recorded over its link, and diagnosed.
+
+The model is identified on a bench without any effect, which was recorded the same way: what the link itself adds, such
+as the tick for which a command is held before its answer is read, is then in both recordings. Every step is a command
+as a user gives it.
+
+Interlocks that would end a recording of the case they are there for are off: the read-back of a clamped amplifier, the
+stuck sensor, the rate of a jumping force, the sign check of a stack that has lost its contact.
+"""
+
+import contextlib
+import json
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import yaml
+
+from firmware_sim.bench import Bench
+from firmware_sim.scenario import load_scenario
+from piezod.excitation import IDENTIFICATION
+from piezod.recording import Recording, read_csv, write_csv
+from tests.studies.mixed_work import mixed_work
+from tests.studies.strengths import NOISE_N, SWITCHED, Switched
+from tests.studies.table import Row
+
+ROOT = Path(__file__).parents[2]
+PATIENT_s = 0.5  # a virtual machine may stand still for a tenth of a second
+WORK_SEED, BASE_NOISE, WORK_NOISE = 3, 1, 2
+WITHIN_s = 1800.0
+LIMITS = {
+    "stale_after_ms": 20,
+    "comm_loss_ms": 20_000,
+    "device_watchdog_ms": 10_000,
+    "missed_ticks_in_a_row": 5000,
+    "dissipation_max_W": None,
+    "loss_tangent": None,
+    "force_min_N": -400.0,
+    "force_trip_N": 900.0,
+    "force_rate_trip_N_per_s": None,
+    "readback_trip_V": None,
+    "stuck_samples": None,
+}
+
+
+@dataclass(frozen=True)
+class Size:
+    """How much is recorded.
+
+    Parameters
+    ----------
+    rate_Hz
+        Ticks a second.
+    work_s
+        Of mixed work.
+    identification_Hz
+        Frequency of the main triangle of the excitation that the model comes from.
+    orders
+        Plays and dead zones; None: judged on held-out data.
+    """
+
+    rate_Hz: float
+    work_s: float
+    identification_Hz: float
+    orders: tuple[int, int] | None
+
+
+LONG = Size(500.0, 60.0, 0.25, None)
+SHORT = Size(250.0, 30.0, 0.5, (14, 6))
+PEAK_V = 130.0  # of the work, within what the model was identified on
+
+
+class StepError(Exception):
+    """A command of the chain failed; the message is what it said."""
+
+
+def study(names: Sequence[str], size: Size, folder: Path, *, jobs: int) -> Iterator[Row]:
+    """Rows in the order of the names, each as soon as it and those before it are done."""
+    model = identified(folder, size)
+    work = folder / "drive.csv"
+    voltage_V = mixed_work(WORK_SEED, size.work_s, size.rate_Hz, PEAK_V)
+    write_csv(Recording(np.arange(voltage_V.size) / size.rate_Hz, {"voltage_V": voltage_V}), work)
+    with ThreadPoolExecutor(jobs) as pool:
+        threads = {"OMP_NUM_THREADS": "1"} if jobs > 1 else {}
+        yield from pool.map(lambda name: judged(name, SWITCHED[name], model, work, size, folder, threads), names)
+
+
+def identified(folder: Path, size: Size) -> Path:
+    """The model of a bench without any effect."""
+    model = folder / "model.yaml"
+    if not model.exists():
+        recorded(folder / "base", Switched(None), BASE_NOISE, size, IDENTIFICATION, folder / "identification.csv")
+        orders = () if size.orders is None else ("--plays", size.orders[0], "--dead-zones", size.orders[1])
+        run("identify", folder / "identification.csv", "-o", model, *orders)
+    return model
+
+
+def judged(
+    name: str, switched: Switched, model: Path, work: Path, size: Size, folder: Path, threads: dict[str, str]
+) -> Row:
+    """Record the work with what is switched on, diagnose it, compare."""
+    place = folder / name
+    try:
+        recorded(place, switched, WORK_NOISE, size, work, place / "work.csv")
+        begun_s = time.monotonic()
+        run("diagnose", place / "work.csv", "--model", model, "-o", place / "out", threads=threads)
+        seconds = time.monotonic() - begun_s
+    except StepError as error:
+        return Row(name, why=str(error))
+    findings = json.loads((place / "out" / "findings.json").read_text(encoding="utf-8"))
+    return row(name, switched, findings, noises(switched, place / "work.csv", size), seconds)
+
+
+def row(name: str, switched: Switched, findings: dict, size: float | None, seconds: float) -> Row:
+    """Findings beside the truth."""
+    named = tuple(one["name"] for one in findings["effects"])
+    mine = next((one for one in findings["effects"] if one["name"] == switched.effect), None)
+    found = None if mine is None or not switched.parameter else mine["parameters"][switched.parameter]["value"]
+    truth = {switched.effect} if switched.effect and switched.shows else set()
+    fit = findings["fit"]["held_out"]
+    return Row(
+        name,
+        size,
+        named,
+        set(named) == truth and (bool(truth) or findings["verdict"] == "matches"),
+        switched.parameter,
+        switched.truth,
+        found,
+        switched.alike,
+        findings["verdict"],
+        fit["before"],
+        fit["after"],
+        findings["noise_floor"]["value"],
+        seconds,
+        tuple(rival["name"] for one in findings["effects"] for rival in one["rivals"]),
+    )
+
+
+def noises(switched: Switched, work: Path, size: Size) -> float | None:
+    """What the effect changes in this work besides the mean (a tare), over the noise: two benches, no link."""
+    if switched.effect is None or not switched.shows:
+        return None
+    voltage_V = read_csv(work).channel("voltage_V")
+    effects = {switched.effect: switched.values}
+    with_it, without = (
+        Bench(load_scenario("stack", {"load_cell": {"white_noise_N": NOISE_N}, "effects": on}), seed=WORK_NOISE).run(
+            voltage_V, 1.0 / size.rate_Hz
+        )
+        for on in (effects, {})
+    )
+    return float(np.std(with_it - without)) / NOISE_N
+
+
+def recorded(folder: Path, switched: Switched, seed: int, size: Size, excitation: object, output: Path) -> None:
+    """Start the emulated bench with what is switched on, record through its link."""
+    folder.mkdir(parents=True, exist_ok=True)
+    emulator = yaml.safe_load((ROOT / "config" / "emulator.yaml").read_text(encoding="utf-8"))
+    emulator |= {"seed": seed, "time": switched.time, "physics": {"load_cell": {"white_noise_N": NOISE_N}}}
+    emulator["tcp"]["port"] = 0
+    emulator["effects"] = {} if switched.effect is None else {switched.effect: switched.values}
+    (folder / "emulator.yaml").write_text(yaml.safe_dump(emulator), encoding="utf-8")
+    with serving(folder / "emulator.yaml") as (host, port):
+        bench = yaml.safe_load((ROOT / "config" / "bench.yaml").read_text(encoding="utf-8"))
+        bench |= {"rate_Hz": size.rate_Hz, "model": "none.yaml"}
+        bench["link"] |= {"host": host, "port": port, "timeout_s": PATIENT_s}
+        bench["limits"] |= LIMITS
+        bench["arming"]["without"] = ["sign_check"]
+        bench["real_time"] = {"fifo_priority": 0, "lock_memory": False, "hold_cpu_latency": False}
+        bench["daemon"] = {"ring_log": str(folder / "ring"), "ring_seconds": 60}
+        (folder / "bench.yaml").write_text(yaml.safe_dump(bench), encoding="utf-8")
+        run(
+            "record", folder / "bench.yaml", "--excitation", excitation, "--frequency", size.identification_Hz,
+            "-o", output,
+        )  # fmt: skip
+
+
+@contextlib.contextmanager
+def serving(config: Path) -> Iterator[tuple[str, int]]:
+    """The emulated bench in a process of its own: where it listens."""
+    process = subprocess.Popen(
+        [sys.executable, "-m", "firmware_sim", str(config), "--until-stdin-closes"],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+        cwd=ROOT,
+    )
+    try:
+        line = process.stdout.readline()
+        if not line:
+            raise StepError(f"the emulator ended with {process.wait()}")
+        host, _, port = json.loads(line)["tcp"].rpartition(":")
+        yield host, int(port)
+    finally:
+        process.stdin.close()
+        process.wait(timeout=30)
+        process.stdout.close()
+
+
+def run(*arguments: object, threads: dict[str, str] | None = None) -> None:
+    """One command, as a user gives it.
+
+    Raises
+    ------
+    StepError
+        It failed; what it said last.
+    """
+    done = subprocess.run(
+        [sys.executable, "-m", "piezod", *map(str, arguments)],
+        capture_output=True,
+        text=True,
+        timeout=WITHIN_s,
+        check=False,
+        cwd=ROOT,
+        env=os.environ | (threads or {}),
+    )
+    if done.returncode != 0:
+        said = done.stderr.strip().splitlines() or ["nothing said"]
+        raise StepError(f"piezod {arguments[0]} ended with {done.returncode}: {said[-1]}")
