@@ -107,7 +107,8 @@ def judged(
     """Record the work with what is switched on, diagnose it, compare."""
     place = folder / name
     try:
-        recorded(place, switched, WORK_NOISE, size, work, place / "work.csv")
+        record = recorded if switched.over_link else logged
+        record(place, switched, WORK_NOISE, size, work, place / "work.csv")
         begun_s = time.monotonic()
         run("diagnose", place / "work.csv", "--model", model, "-o", place / "out", threads=threads)
         seconds = time.monotonic() - begun_s
@@ -122,7 +123,7 @@ def row(name: str, switched: Switched, findings: dict, size: float | None, secon
     named = tuple(one["name"] for one in findings["effects"])
     mine = next((one for one in findings["effects"] if one["name"] == switched.effect), None)
     found = None if mine is None or not switched.parameter else mine["parameters"][switched.parameter]["value"]
-    truth = {switched.effect} if switched.effect and switched.shows else set()
+    truth = {switched.effect} if switched.effect else set()
     fit = findings["fit"]["held_out"]
     return Row(
         name,
@@ -144,24 +145,38 @@ def row(name: str, switched: Switched, findings: dict, size: float | None, secon
 
 def noises(switched: Switched, work: Path, size: Size) -> float | None:
     """What the effect changes in this work besides the mean (a tare), over the noise: two benches, no link."""
-    if switched.effect is None or not switched.shows:
+    if switched.effect is None:
         return None
     voltage_V = read_csv(work).channel("voltage_V")
-    effects = {switched.effect: switched.values}
-    with_it, without = (
-        Bench(load_scenario("stack", {"load_cell": {"white_noise_N": NOISE_N}, "effects": on}), seed=WORK_NOISE).run(
-            voltage_V, 1.0 / size.rate_Hz
-        )
-        for on in (effects, {})
-    )
+    with_it, without = (without_link(one, WORK_NOISE, voltage_V, size) for one in (switched, Switched(None)))
     return float(np.std(with_it - without)) / NOISE_N
+
+
+def without_link(switched: Switched, seed: int, voltage_V: np.ndarray, size: Size) -> np.ndarray:
+    """What the bench reads just before each command acts [N]."""
+    effects = {} if switched.effect is None else {switched.effect: switched.values}
+    scenario = load_scenario("stack", {"load_cell": {"white_noise_N": NOISE_N}, "effects": effects})
+    return Bench(scenario, seed=seed).run(voltage_V, 1.0 / size.rate_Hz)
+
+
+def logged(folder: Path, switched: Switched, seed: int, size: Size, drive: Path, output: Path) -> None:
+    """Record by two loggers; as over the link, a row is a command and the reading at the end of its tick."""
+    folder.mkdir(parents=True, exist_ok=True)
+    most_V = yaml.safe_load((ROOT / "config" / "bench.yaml").read_text(encoding="utf-8"))["limits"]["slew_V_per_s"]
+    voltage_V = read_csv(drive).channel("voltage_V")
+    step_V = most_V / size.rate_Hz
+    for k in range(1, voltage_V.size):
+        voltage_V[k] = np.clip(voltage_V[k], voltage_V[k - 1] - step_V, voltage_V[k - 1] + step_V)
+    force_N = without_link(switched, seed, voltage_V, size)
+    rows = {"voltage_V": voltage_V[:-1], "force_N": force_N[1:]}
+    write_csv(Recording(np.arange(force_N.size - 1) / size.rate_Hz, rows), output)
 
 
 def recorded(folder: Path, switched: Switched, seed: int, size: Size, excitation: object, output: Path) -> None:
     """Start the emulated bench with what is switched on, record through its link."""
     folder.mkdir(parents=True, exist_ok=True)
     emulator = yaml.safe_load((ROOT / "config" / "emulator.yaml").read_text(encoding="utf-8"))
-    emulator |= {"seed": seed, "time": switched.time, "physics": {"load_cell": {"white_noise_N": NOISE_N}}}
+    emulator |= {"seed": seed, "time": "virtual", "physics": {"load_cell": {"white_noise_N": NOISE_N}}}
     emulator["tcp"]["port"] = 0
     emulator["effects"] = {} if switched.effect is None else {switched.effect: switched.values}
     (folder / "emulator.yaml").write_text(yaml.safe_dump(emulator), encoding="utf-8")
@@ -208,7 +223,7 @@ def run(*arguments: object, threads: dict[str, str] | None = None) -> None:
     Raises
     ------
     StepError
-        It failed; what it said last.
+        It failed; what it said at the end.
     """
     done = subprocess.run(
         [sys.executable, "-m", "piezod", *map(str, arguments)],
@@ -221,4 +236,4 @@ def run(*arguments: object, threads: dict[str, str] | None = None) -> None:
     )
     if done.returncode != 0:
         said = done.stderr.strip().splitlines() or ["nothing said"]
-        raise StepError(f"piezod {arguments[0]} ended with {done.returncode}: {said[-1]}")
+        raise StepError(f"piezod {arguments[0]} ended with {done.returncode}: {' | '.join(said[-3:])}")

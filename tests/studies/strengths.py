@@ -26,7 +26,7 @@ noise (rms); the study measures that for every case, on the bench without its li
 | sensor_dropout | two pauses of an overloaded converter, in movement |
 | quantisation | 12 bits over 4 kN |
 | transport_delay | 7 ms over USB; a command is held for a tick of 2 ms, so 6 to 8 ms read alike |
-| clock_skew | 0.2 %, a ceramic resonator; over a link every reading answers the command before it: nothing to see |
+| clock_skew | two crystals, 100 ppm; by two loggers: over a link every reading answers the command before it |
 """
 
 from dataclasses import dataclass, field
@@ -48,18 +48,15 @@ class Switched:
         Whose value is compared with what was switched on.
     alike
         Whether the emulated physics has that parameter in the catalogue's sense; else the law is another one.
-    time
-        Of the device: `virtual`, or `real` where the effect is one of its clock.
-    shows
-        Whether a recording over the link can show it; else there is nothing to be named.
+    over_link
+        Whether it is recorded over the link; else by two loggers, command and reading each with its own clock.
     """
 
     effect: str | None
     values: dict[str, object] = field(default_factory=dict)
     parameter: str = ""
     alike: bool = True
-    time: str = "virtual"
-    shows: bool = True
+    over_link: bool = True
 
     @property
     def truth(self) -> float | None:
@@ -100,5 +97,5 @@ SWITCHED = {
     "sensor_dropout": _one("sensor_dropout", "from_s", places_s=[[5.0, 5.4], [12.0, 13.0]]),
     "quantisation": _one("quantisation", "step_N", step_N=1.0),
     "transport_delay": _one("transport_delay", "delay_s", delay_s=0.007),
-    "clock_skew": Switched("clock_skew", {"skew_ppm": 2000.0}, "skew_ppm", time="real", shows=False),
+    "clock_skew": Switched("clock_skew", {"skew_ppm": 100.0}, "skew_ppm", over_link=False),
 }
