@@ -65,7 +65,7 @@ def measure(*, quick: bool) -> Iterator[Row]:
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         past = _make_model(folder)
-        _diagnosed(folder, LENGTHS[0] // 2, CATALOGUES[0], again=False)  # compiled and cached
+        _diagnosed(folder, LENGTHS[0], len(EFFECTS), again=False)  # compiled and cached
         first: Figures | None = None
         for samples in LENGTHS[: 1 if quick else None]:
             here = _diagnosed(folder, samples, len(EFFECTS), again=not quick)
