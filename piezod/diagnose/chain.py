@@ -24,6 +24,7 @@ Key = tuple[object, ...]
 Value = TypeVar("Value")
 Scope = Literal["already", "since", "once"]
 ORDER = {name: place for place, name in enumerate(EFFECTS)}
+FASTEST_MODE = 0.45  # of the sampling rate; a faster one is nothing but a delay
 MOST_ROWS = 25_000
 CACHED = 4  # results of every kind that are kept a recording
 
@@ -163,6 +164,7 @@ class Chain:
             "gap_N": (0.0, 0.9 * force_span_N),
             "reference_V_per_s": (0.03 * slow, 3.0 * fastest),
             "limit_V_per_s": (0.1 * slow, fastest),
+            "frequency_Hz": (0.0, FASTEST_MODE / min(one.dt_s for one in self.series)),
         }
         self._plays: list[Kept[tuple[Array, Array, float, dict[str, tuple[Array, Array]]]]] = [
             Kept(CACHED) for _ in self.series

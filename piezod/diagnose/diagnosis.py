@@ -31,6 +31,7 @@ from piezod.model import Model
 Array = NDArray[np.float64]
 OnProgress = Callable[[str], None]
 
+MUCH_EXPLAINABLE = 0.75  # the same, from which it is said whatever was explained: twice the noise is left
 STILL_EXPLAINABLE = 0.1  # share of what is left, from which a verdict says that something is missing
 BY_LEVEL = 0.25  # share of what is left that must lie above that at the lowest force
 SURE = 0.01  # p below which that share is believed
@@ -38,7 +39,7 @@ CLOSED = 0.9  # part of what could be explained, from which it counts as explain
 PARTLY = 0.9  # most that a name is believed whose effect leaves much to explain
 MOSTLY = 0.8  # of the catalogue: recordings that could not have shown so much of it tell nothing
 FOLDED = 0.6  # of its confidence that an effect keeps when the plays fold that were refitted with it
-LEAST_CONFIDENCE = 0.3  # below which an effect beside others is not named
+LEAST_CONFIDENCE, LEAST_ALONE = 0.3, 0.08  # below which an effect is not named, beside others or at all
 RIVAL = 0.8  # part of the winner's gain, from which another effect is a rival
 NORMAL_95 = 1.96
 MOST_SPREAD = 20.0  # of an interval on its scale: beyond it a parameter is not determined
@@ -123,7 +124,7 @@ def _doubtful(result: Search, findings: Findings) -> list[str]:
     fitted = [one for one in findings.effects if one.name in result.names]
     weak = [one for one in fitted if one.confidence < LEAST_CONFIDENCE]
     strongest = max(fitted, key=lambda one: one.confidence, default=None)
-    return [one.name for one in weak if one is not strongest]
+    return [one.name for one in weak if one is not strongest or one.confidence < LEAST_ALONE]
 
 
 def _without(result: Search, names: Sequence[str]) -> Search:
@@ -440,7 +441,7 @@ def _remaining(result: Search, left: Guard, moving: Motion) -> tuple[float, floa
 def _verdict(share: float, closed: float, effects: Sequence[Finding]) -> Verdict:
     missing = share > STILL_EXPLAINABLE
     if effects:
-        return "partly_explained" if missing and closed < CLOSED else "explained"
+        return "partly_explained" if share > MUCH_EXPLAINABLE or (missing and closed < CLOSED) else "explained"
     return "unexplained" if missing else "matches"
 
 

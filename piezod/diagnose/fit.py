@@ -17,6 +17,7 @@ DONE = 1e-5  # relative fall of the loss below which a fit ends
 FIRST_DAMPING, MOST_DAMPING = 1e-4, 1e4  # after a step that did not help
 HUBER = 3.0  # residuals beyond so many standard deviations count less
 LAW_WITHIN = 0.02  # of the force's range; a part of the force law that one block alone tells
+LAW_BENDS = 0.004  # of the force's range, from one spline to the next and the next
 FACTOR = 0.3  # of a parameter on a logarithmic scale
 SMOOTH = 1e-10  # weight of the density's and the law's bends, in parts of the mean diagonal
 
@@ -84,16 +85,23 @@ class Layout:
             tuple(values),
         )
 
-    def reasonable(self, chain: Chain, point: Point) -> Array:
-        """By how much a parameter may differ where nothing tells, on its scale, shape (size,)."""
+    def prior(self, chain: Chain, point: Point) -> Array:
+        """Curvature of a weak prior: by how much a parameter may differ where nothing tells, shape (size, size).
+
+        Density and law may bend only so much; what one block alone tells of them is continued from beside it.
+        """
+        span_N = chain.force_span_N
         wide = np.empty(self.size)
         wide[:HATS] = max(float(np.abs(point.density).max()), 0.1)
-        wide[HATS : self.offsets] = LAW_WITHIN * chain.force_span_N
-        wide[self.offsets : self.effects] = LAW_WITHIN * chain.force_span_N
+        wide[HATS : self.effects] = LAW_WITHIN * span_N
         for place, (number, one) in enumerate(self.searched, start=self.effects):
             value = abs(float(point.values[number][one.name]))
             wide[place] = FACTOR if one.logarithmic else max(value, 1e-3 * min(one.high - one.low, 1e3))
-        return wide
+        prior = np.diag(wide**-2.0)
+        for first, count, bend in ((0, HATS, 0.5 * wide[0]), (HATS, SPLINES, LAW_BENDS * span_N)):
+            bends = np.diff(np.eye(count), 2, axis=0) / bend
+            prior[first : first + count, first : first + count] += bends.T @ bends
+        return prior
 
     def clipped(self, vector: Array) -> Array:
         """The same within every parameter's range."""
@@ -291,7 +299,7 @@ class Normal:
         A parameter that one block alone determines stays within reason without it: a weak prior holds it.
         """
         layout = Layout(self.chain, terms)
-        hessian = self.hessian.sum(axis=0) + self.ridge + np.diag(layout.reasonable(self.chain, point) ** -2.0)
+        hessian = self.hessian.sum(axis=0) + self.ridge + layout.prior(self.chain, point)
         gradient = self.gradient.sum(axis=0)
         losses = np.empty(self.squares.size)
         moves = np.empty((self.squares.size, gradient.size))

@@ -53,6 +53,7 @@ LOOSE = (
 FAIR_SHARE = 0.02  # of the largest gain so far: more effects than that are the plant's own shape
 HELD_PARTS = (0.3, 0.7)  # of a sample after its command, where the search for the moment of reading begins
 SMALLEST_PART = 0.04
+RINGS = 0.6  # damping ratio beyond which nothing is seen to ring
 SLIDES = 0.5  # of the force's range: friction with a longer presliding never slides
 START_LOOKED_AT_S = 20.0
 SAME = 0.005  # of the loss
@@ -276,10 +277,15 @@ def _fair(chain: Chain, before: Fitted, after: Fitted, largest: float) -> bool:
 
 
 def _degenerate(chain: Chain, fitted: Fitted) -> bool:
-    """Whether the last effect is not what its name says: friction that never slides (a gain), a step without edges."""
+    """Whether the last effect is not what its name says.
+
+    Friction that never slides is a gain, a resonance that does not ring is a lag, a step without edges is a drift.
+    """
     term, values = fitted.terms[-1], fitted.point.values[-1]
     if term.effect.name == "friction":
         return values["presliding_N"] > SLIDES * chain.parameter(term.effect, "presliding_N").high
+    if term.effect.name == "resonance":
+        return values["damping_ratio"] > RINGS
     if term.effect.name == "load_step":
         series = chain.series[term.series]
         residual_N = series.reading_N - chain.run(term.series, fitted.terms, fitted.point).reading_N

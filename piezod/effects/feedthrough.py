@@ -1,6 +1,6 @@
 """The drive couples into the load cell's signal in proportion to its slope.
 
-Forward    F + y, rise y' + y = k du/dt, u the voltage at the stack; exact for a voltage that runs straight
+Forward    F + y, rise y' + y = k du/dt, u the voltage at the stack; exact for a straight or held voltage
 Inverse    subtract y from the reading
 Signature  on triangles a square wave that jumps at the corners and is there with nothing mounted; look-alike
            electrical_lag has the same plateau and reaches it slowly
@@ -14,7 +14,7 @@ import math
 import numba
 import numpy as np
 
-from piezod.effects.effect import Array, Context, Effect, Parameter, Seat, Values
+from piezod.effects.effect import STRAIGHT, Array, Context, Effect, Parameter, Seat, Values
 
 
 @numba.njit(cache=True, nogil=True)
@@ -34,11 +34,28 @@ def _run(u: Array, dt_s: float, keep: float) -> Array:
     return out
 
 
+@numba.njit(cache=True, nogil=True)
+def _run_held(u: Array, keep: float, jump: float) -> Array:
+    """A step of the voltage jumps by `jump` of itself in what is read after it, and fades by `keep` a sample."""
+    out = np.empty(u.size)
+    y = 0.0
+    out[0] = y
+    for k in range(1, u.size):
+        y = keep * y + jump * (u[k] - u[k - 1])
+        out[k] = y
+    return out
+
+
 def forward(signal: Array, context: Context, values: Values) -> Array:
     """Signal with what the drive adds, shape (N,) [N]."""
-    rise_s = values.get("rise_s", 0.0)
-    keep = math.exp(-context.dt_s / rise_s) if rise_s > 0.0 else 0.0
-    out: Array = signal + values["coefficient_N_s_per_V"] * _run(context.applied_V, context.dt_s, keep)
+    rise_s, dt_s = values.get("rise_s", 0.0), context.dt_s
+    keep = math.exp(-dt_s / rise_s) if rise_s > 0.0 else 0.0
+    if context.between > STRAIGHT:
+        jump = math.exp(-min(context.between, 1.0) * dt_s / rise_s) / rise_s if rise_s > 0.0 else 0.0
+        coupled = _run_held(context.applied_V, keep, jump)
+    else:
+        coupled = _run(context.applied_V, dt_s, keep)
+    out: Array = signal + values["coefficient_N_s_per_V"] * coupled
     return out
 
 

@@ -115,7 +115,9 @@ def judging(pid):
 
 
 def running(*arguments):
-    command = [sys.executable, "-m", "piezod", "blind", "run", *map(str, arguments)]
+    # A background job of a shell, as a test run may be, is started with SIGINT ignored, and so would be its children.
+    hears = ["env", "--default-signal=INT"]
+    command = [*hears, sys.executable, "-m", "piezod", "blind", "run", *map(str, arguments)]
     return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
 
 
