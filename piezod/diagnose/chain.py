@@ -117,9 +117,14 @@ class Kept(Generic[Value]):
             known = compute()
             with self._lock:
                 while len(self._known) >= self._most:
-                    self._known.pop(next(iter(self._known)))
+                    del self._known[next(iter(self._known))]
                 self._known[key] = known
         return known
+
+    def forget(self) -> None:
+        """Let go of everything."""
+        with self._lock:
+            self._known.clear()
 
 
 def _named(some: Sequence[tuple[Term, Mapping[str, float]]]) -> Key:
@@ -177,6 +182,13 @@ class Chain:
         return Chain(
             series, self.density, self.law, self.force_span_N, most_rows or self.most_rows, self.voltage_span_V
         )
+
+    def forget(self) -> None:
+        """Let go of what is only kept for speed: a recording's plays are a hundred bytes a sample."""
+        for plays, strokes, additions in zip(self._plays, self._strokes, self._additions, strict=True):
+            plays.forget()
+            strokes.forget()
+            additions.forget()
 
     def parameter(self, effect: Effect, name: str) -> Parameter:
         """A parameter in the range that these recordings can show."""

@@ -318,6 +318,7 @@ def _best_course(
             series = [replace(one, between=between) for one in chain.series]
             other = chain.like(series)
             results[between] = (other, fit(other, terms, point, most_steps=MOST_STEPS if known is None else 6))
+            other.forget()
 
     for between in (STRAIGHT, *(HELD_PARTS if smooth else ()), HELD_BEFORE):
         judged(between)
@@ -351,7 +352,13 @@ def _on_each_course(chain: Chain, found: Fitted, past: Point | None) -> list[tup
     if chain.series[0].between != STRAIGHT and not any(term.effect.smooths for term in found.terms):
         straight = chain.like([replace(one, between=STRAIGHT) for one in chain.series])
         chains.append((straight, fit(straight, found.terms, found.point, most_steps=6)))
-    return [(on, one) for on, known in chains for one in _fine(on, known, _tried(_coarse(on), known, past))]
+    found_on = []
+    for on, known in chains:
+        coarse = _coarse(on)
+        tried = _tried(coarse, known, past)
+        coarse.forget()
+        found_on += [(on, one) for one in _fine(on, known, tried)]
+    return found_on
 
 
 def _coarse(chain: Chain) -> Chain:
