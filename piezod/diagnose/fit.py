@@ -17,7 +17,7 @@ DONE = 1e-5  # relative fall of the loss below which a fit ends
 FIRST_DAMPING, MOST_DAMPING = 1e-4, 1e4  # after a step that did not help
 HUBER = 3.0  # residuals beyond so many standard deviations count less
 LAW_WITHIN = 0.02  # of the force's range; a part of the force law that one block alone tells
-LAW_BENDS = 0.004  # of the force's range, from one spline to the next and the next
+LAW_BENDS = 0.02  # of the force's range, from one spline to the next and the next
 FACTOR = 0.3  # of a parameter on a logarithmic scale
 SMOOTH = 1e-10  # weight of the density's and the law's bends, in parts of the mean diagonal
 
