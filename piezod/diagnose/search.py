@@ -39,6 +39,7 @@ MUCH = 0.3  # of the loss: where a few blocks hold nearly all of it, an effect m
 NOTICED, FEW = 0.05, 0.25  # if not more than so many blocks grow worse
 NEAR_A_MODE = 0.05  # of its frequency: a line there is its own ringing
 DOMINANT = 0.3  # of the loss: a tone without which so little is left is taken off before anything else is tried
+MOST_OF_A_BLOCK = 3.0  # times the median gain
 STEADY = 2.5  # standard deviations of the blocks' gains
 WORTH_WHEN_SMALL, STEADY_WHEN_SMALL, LEFT_WHEN_SMALL = 0.08, 3.0, 0.05
 LOOSE = (
@@ -250,11 +251,16 @@ def worth(before: Fitted, after: Fitted) -> bool:
 
 
 def _steadiness(before: Fitted, after: Fitted) -> float:
-    """Sum of the blocks' logarithmic gains over its standard deviation if their signs were chance."""
+    """Sum of the blocks' logarithmic gains over its standard deviation if their signs were chance.
+
+    A block that gains or loses far more than most counts no more than some of them: it would drown what they say.
+    """
     gains = np.log(before.losses / after.losses)
     touched = gains[np.abs(gains) > 1e-3]
     if touched.size < 4:
         return 0.0
+    most = MOST_OF_A_BLOCK * float(np.median(np.abs(touched)))
+    touched = np.clip(touched, -most, most)
     return float(np.sum(touched)) / float(np.sqrt(np.sum(touched**2)))
 
 
