@@ -51,9 +51,11 @@ LOOSE = (
     "output_nonlinearity",
     "contact_gap",
 )
+SMALLEST_SHARE = 5e-4  # of the largest gain: below it is what no form of the larger effect fits exactly
 FAIR_SHARE = 0.02  # of the largest gain so far: more effects than that are the plant's own shape
 HELD_PARTS = (0.3, 0.7)  # of a sample after its command, where the search for the moment of reading begins
 SMALLEST_PART = 0.04
+LATE = 0.05  # of a sample
 RINGS = 0.6  # damping ratio beyond which nothing is seen to ring
 SLIDES = 0.5  # of the force's range: friction with a longer presliding never slides
 START_LOOKED_AT_S = 20.0
@@ -272,6 +274,8 @@ def _fair(chain: Chain, before: Fitted, after: Fitted, largest: float) -> bool:
     gain = before.loss - after.loss
     if gain >= FAIR_SHARE * largest or after.terms[-1].scope == "once":
         return True
+    if gain < SMALLEST_SHARE * largest:
+        return False
     if gain < WORTH_WHEN_SMALL * after.loss or _steadiness(before, after) < STEADY_WHEN_SMALL:
         return False
     if after.effects[-1] not in LOOSE:
@@ -285,13 +289,22 @@ def _fair(chain: Chain, before: Fitted, after: Fitted, largest: float) -> bool:
 def _degenerate(chain: Chain, fitted: Fitted) -> bool:
     """Whether the last effect is not what its name says.
 
-    Friction that never slides is a gain, a resonance that does not ring is a lag, a step without edges is a drift.
+    Friction that never slides is a gain, a resonance that does not ring is a lag, a step without edges is a drift; what
+    is late by next to nothing of a sample is the moment of reading.
     """
     term, values = fitted.terms[-1], fitted.point.values[-1]
     if term.effect.name == "friction":
         return values["presliding_N"] > SLIDES * chain.parameter(term.effect, "presliding_N").high
     if term.effect.name == "resonance":
         return values["damping_ratio"] > RINGS
+    late_s = {
+        "electrical_lag": values.get("time_constant_s", 0.0),
+        "transport_delay": values.get("delay_s", 0.0),
+        "sensor_filter": 1.0 / (2.0 * np.pi * values.get("cutoff_Hz", np.inf)),
+        "clock_skew": 1e-6 * abs(values.get("skew_ppm", 0.0)) * max(one.duration_s for one in chain.series),
+    }.get(term.effect.name)
+    if late_s is not None:
+        return late_s < LATE * min(one.dt_s for one in chain.series)
     if term.effect.name == "load_step":
         series = chain.series[term.series]
         residual_N = series.reading_N - chain.run(term.series, fitted.terms, fitted.point).reading_N
