@@ -31,8 +31,8 @@ from piezod.model import Model
 Array = NDArray[np.float64]
 OnProgress = Callable[[str], None]
 
-MUCH_EXPLAINABLE = 0.75  # the same, from which it is said whatever was explained: twice the noise is left
 STILL_EXPLAINABLE = 0.1  # share of what is left, from which a verdict says that something is missing
+MUCH_EXPLAINABLE = 0.75  # the same, from which it is said whatever was explained: twice the noise is left
 BY_LEVEL = 0.25  # share of what is left that must lie above that at the lowest force
 SURE = 0.01  # p below which that share is believed
 CLOSED = 0.9  # part of what could be explained, from which it counts as explained
@@ -136,7 +136,8 @@ def _without(result: Search, names: Sequence[str]) -> Search:
     back = [tone for tone in result.tones if tone.name in names]
     chain = result.chain.like(with_tones(result.chain.series, back))
     kept = [tone for tone in result.tones if tone.name not in names]
-    return replace(result, chain=chain, tones=kept, found=fit(chain, found.terms, found.point))
+    base = fit(chain, (), result.base.point) if back else result.base
+    return replace(result, chain=chain, tones=kept, base=base, found=fit(chain, found.terms, found.point))
 
 
 def _given(model: Model, series: Series) -> Array:
@@ -162,13 +163,13 @@ def _judged(
     residuals = [one.reading_N - modelled for one, modelled in zip(chain.series, normal.readings, strict=True)]
     left = explainable(chain.series, residuals, normal.readings)
     series = with_tones(chain.series, result.tones)
-    simulated = [one.reading_N - left for one, left in zip(series, residuals, strict=True)]
+    simulated = [one.reading_N - residual for one, residual in zip(series, residuals, strict=True)]
     before = _rms([one.reading_N - given[k] for k, one in enumerate(series)], series)
     after = _held_out_rms(chain, found)
     floor, floor_from = _floor(chain.series, residuals, left)
     floor = min(floor, after)
     effects = each(lambda name: _finding(result, name), found.effects)
-    effects += [_heard(result, name) for name in dict.fromkeys(tone.name for tone in result.tones)]
+    effects += [_tone_finding(result, name) for name in dict.fromkeys(tone.name for tone in result.tones)]
     effects += _read_off(chain.series, frozen, residuals, before)
     hashes = [""] * stand_ins + [source.sha256 for source in sources]
     moving = motion(chain.series, residuals, normal.readings)
@@ -297,12 +298,10 @@ def _with_tones(found: Fitted, tones: Sequence[Tone]) -> Fitted:
     return replace(found, terms=(*found.terms, *terms), point=replace(found.point, values=values))
 
 
-def _heard(result: Search, name: str) -> Finding:
+def _tone_finding(result: Search, name: str) -> Finding:
     """A tone as a finding."""
     effect, after = EFFECTS[name], _held_out_rms(result.chain, result.found)
     mine = [tone for tone in result.tones if tone.name == name]
-    asked = [one for one in result.chain.series if one.role == "recording"]
-    power = sum(float(tone.heard_N @ tone.heard_N) for tone in mine) / sum(one.time_s.size for one in asked)
     parameters = {}
     for one in effect.catalogued:
         values = np.array([tone.values[one.name] for tone in mine])
@@ -310,7 +309,7 @@ def _heard(result: Search, name: str) -> Finding:
         parameters[one.name] = Value(
             float(values.mean()), one.unit, float(values.min()) - error, float(values.max()) + error
         )
-    before = float(np.sqrt(after**2 + power))
+    before = float(np.sqrt(after**2 + _power(result.chain, mine)))
     return Finding(
         effect.name,
         effect.title,
@@ -433,7 +432,7 @@ def _remaining(result: Search, left: Guard, moving: Motion) -> tuple[float, floa
     by_level = moving.level_share if moving.level_share > BY_LEVEL else 0.0
     share = max(left.share if left.p < SURE else 0.0, moving.share, by_level, local)
     before, after = (_held_out_rms(result.chain, one) ** 2 for one in (result.base, result.found))
-    before += _power(result)
+    before += _power(result.chain, result.tones)
     explainable_N2 = before - (1.0 - share) * after
     return share, float(np.clip((before - after) / explainable_N2, 0.0, 1.0)) if explainable_N2 > 0.0 else 1.0
 
@@ -445,10 +444,10 @@ def _verdict(share: float, closed: float, effects: Sequence[Finding]) -> Verdict
     return "unexplained" if missing else "matches"
 
 
-def _power(result: Search) -> float:
-    """Of the tones, over the recordings asked about."""
-    asked = [one for one in result.chain.series if one.role == "recording"]
-    return sum(float(tone.heard_N @ tone.heard_N) for tone in result.tones) / sum(one.time_s.size for one in asked)
+def _power(chain: Chain, tones: Sequence[Tone]) -> float:
+    """Of tones, over the recordings asked about."""
+    samples = sum(one.time_s.size for one in chain.series if one.role == "recording")
+    return sum(float(tone.heard_N @ tone.heard_N) for tone in tones) / samples
 
 
 def _said(one: Finding) -> str:

@@ -33,14 +33,11 @@ class Idea:
     gain
         By how much it would lower the squared residual in units of the noise, the base refitted; the effect's size
         free, everything to first order.
-    more
-        The same effect in other recordings, with values of their own.
     """
 
     term: Term
     values: dict[str, float]
     gain: float = 0.0
-    more: tuple[tuple[Term, dict[str, float]], ...] = ()
 
 
 def catalogue_ideas(

@@ -83,19 +83,19 @@ class Search:
         Nothing but the base.
     found
         The hypothesis at the end.
+    past
+        The base as the recordings show it that the model was identified on.
     rounds
         In the order of the search.
     tones
         What was taken off the readings of the chain's series.
-    past
-        The base as the recordings show it that the model was identified on.
     """
 
     chain: Chain
     base: Fitted
     found: Fitted
+    past: Point
     rounds: list[Round] = field(default_factory=list)
-    past: Point | None = None
     tones: list[Tone] = field(default_factory=list)
 
     @property
@@ -118,7 +118,7 @@ def search(chain: Chain, start: Point, progress: OnProgress) -> Search:
     """
     progress("fitting the base")
     chain, base = _best_course(chain, (), start)
-    result = Search(chain, base, base, past=_past(chain, start))
+    result = Search(chain, base, base, _past(chain, start))
     largest = 0.0
     while len(result.names) < MOST_EFFECTS:
         progress(f"looking for effect {len(result.names) + 1}")
@@ -361,7 +361,7 @@ def _past(chain: Chain, start: Point) -> Point:
     return replace(point, offsets_N=offsets_N)
 
 
-def _on_each_course(chain: Chain, found: Fitted, past: Point | None) -> list[tuple[Chain, Fitted]]:
+def _on_each_course(chain: Chain, found: Fitted, past: Point) -> list[tuple[Chain, Fitted]]:
     """Hypotheses with one more effect, with the chain that each was fitted on.
 
     Where the command seems to be held although nothing smooths it, an effect that makes late may have passed for that:
@@ -392,7 +392,7 @@ def _fine(chain: Chain, before: Fitted, tried: Sequence[Fitted]) -> list[Fitted]
     return each(lambda one: fit(chain, one.terms, one.point, most_steps=6), best[: max(near, FEWEST_COMPARED)])
 
 
-def _tried(chain: Chain, found: Fitted, past: Point | None) -> list[Fitted]:
+def _tried(chain: Chain, found: Fitted, past: Point) -> list[Fitted]:
     """Hypotheses with one more effect: all promising ones fitted in few steps, the best of them thoroughly.
 
     From what was found so far, and those that came since from their best start from the `past` too: a strong effect
@@ -411,11 +411,10 @@ def _tried(chain: Chain, found: Fitted, past: Point | None) -> list[Fitted]:
         if len(chosen) < TRIED or idea.term.effect.name in chosen:
             chosen.setdefault(idea.term.effect.name, []).append(idea)
     quick = each(lambda some: (_extended(chain, found, some[0], most_steps=COARSE_STEPS), some), list(chosen.values()))
-    if past is not None:
-        bases = [replace(past, values=found.point.values), *([found.point] if found.terms else [])]
-        lost_N = -min(found.point.offsets_N[k] for k, one in enumerate(chain.series) if one.role == "recording")
-        starts = [one for base in bases for one in since(chain, found.terms, base, lost_N)[:TRIED_FROM_PAST]]
-        quick += each(partial(_from_past, chain, found.terms), starts)
+    bases = [replace(past, values=found.point.values), *([found.point] if found.terms else [])]
+    lost_N = -min(found.point.offsets_N[k] for k, one in enumerate(chain.series) if one.role == "recording")
+    starts = [one for base in bases for one in since(chain, found.terms, base, lost_N)[:TRIED_FROM_PAST]]
+    quick += each(partial(_from_past, chain, found.terms), starts)
     quick.sort(key=lambda one: one[0].loss)
     quick = [one for k, one in enumerate(quick) if one[0].effects[-1] not in (o[0].effects[-1] for o in quick[:k])]
     enough = found.loss - NEAR * (found.loss - quick[0][0].loss) if quick else 0.0
@@ -450,9 +449,8 @@ def _refined(chain: Chain, found: Fitted, first: Fitted, ideas: Sequence[Idea]) 
 
 
 def _extended(chain: Chain, found: Fitted, idea: Idea, most_steps: int = MOST_STEPS) -> Fitted:
-    point = replace(found.point, values=(*found.point.values, *(values for _, values in idea.more), idea.values))
-    terms = (*found.terms, *(term for term, _ in idea.more), idea.term)
-    return fit(chain, terms, point, most_steps=most_steps)
+    point = replace(found.point, values=(*found.point.values, idea.values))
+    return fit(chain, (*found.terms, idea.term), point, most_steps=most_steps)
 
 
 def _again(
@@ -498,6 +496,8 @@ def _idea(name: str, number: int, known: dict[str, float]) -> Idea:
 
 def _swap(result: Search) -> None:
     """Put a rival in an effect's place where the whole fits better with it."""
+    if len(result.found.effects) == 1:
+        return
     for name in result.found.effects:
         rivals = [
             one
@@ -506,8 +506,6 @@ def _swap(result: Search) -> None:
             for one in round_.others
             if one.effects[-1] not in result.found.effects
         ]
-        if len(result.found.effects) == 1:
-            continue
         best = sorted(rivals, key=lambda one: one.loss)[:2]
         swapped = each(partial(_with_instead, result.chain, result.found, name), best)
         fitting = [one for one in swapped if not _degenerate(result.chain, one)]

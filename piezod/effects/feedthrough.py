@@ -18,44 +18,37 @@ from piezod.effects.effect import STRAIGHT, Array, Context, Effect, Parameter, S
 
 
 @numba.njit(cache=True, nogil=True)
-def coupling_step(y: float, slope: float, keep: float) -> float:
-    """Advance rise y' + y = slope by a sample of constant slope; keep = exp(-T / rise)."""
-    return keep * y + (1.0 - keep) * slope
+def coupling_step(y: float, change_V: float, keep: float, jump: float) -> float:
+    """Advance by a sample in which the voltage changes; keep = exp(-T / rise), `jump` by `coefficients`."""
+    return keep * y + jump * change_V
 
 
 @numba.njit(cache=True, nogil=True)
-def _run(u: Array, dt_s: float, keep: float) -> Array:
+def _run(u: Array, keep: float, jump: float) -> Array:
     out = np.empty(u.size)
     y = 0.0
     out[0] = y
     for k in range(1, u.size):
-        y = coupling_step(y, (u[k] - u[k - 1]) / dt_s, keep)
+        y = coupling_step(y, u[k] - u[k - 1], keep, jump)
         out[k] = y
     return out
 
 
-@numba.njit(cache=True, nogil=True)
-def _run_held(u: Array, keep: float, jump: float) -> Array:
-    """A step of the voltage jumps by `jump` of itself in what is read after it, and fades by `keep` a sample."""
-    out = np.empty(u.size)
-    y = 0.0
-    out[0] = y
-    for k in range(1, u.size):
-        y = keep * y + jump * (u[k] - u[k - 1])
-        out[k] = y
-    return out
+def coefficients(rise_s: float, dt_s: float, between: float) -> tuple[float, float]:
+    """How much of y is kept from sample to sample (1), and how much a change of the voltage adds to it [1/s].
+
+    A straight voltage pulls y towards its slope all the time; a held one jumps once, which fades until it is read.
+    """
+    keep = math.exp(-dt_s / rise_s) if rise_s > 0.0 else 0.0
+    if between <= STRAIGHT:
+        return keep, (1.0 - keep) / dt_s
+    return keep, math.exp(-min(between, 1.0) * dt_s / rise_s) / rise_s if rise_s > 0.0 else 0.0
 
 
 def forward(signal: Array, context: Context, values: Values) -> Array:
     """Signal with what the drive adds, shape (N,) [N]."""
-    rise_s, dt_s = values.get("rise_s", 0.0), context.dt_s
-    keep = math.exp(-dt_s / rise_s) if rise_s > 0.0 else 0.0
-    if context.between > STRAIGHT:
-        jump = math.exp(-min(context.between, 1.0) * dt_s / rise_s) / rise_s if rise_s > 0.0 else 0.0
-        coupled = _run_held(context.applied_V, keep, jump)
-    else:
-        coupled = _run(context.applied_V, dt_s, keep)
-    out: Array = signal + values["coefficient_N_s_per_V"] * coupled
+    keep, jump = coefficients(values.get("rise_s", 0.0), context.dt_s, context.between)
+    out: Array = signal + values["coefficient_N_s_per_V"] * _run(context.applied_V, keep, jump)
     return out
 
 
