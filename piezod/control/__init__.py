@@ -6,8 +6,8 @@ from piezod.control.loop import ControlLoop, LoopCounts
 from piezod.control.rate_keeper import RateKeeper, RealRateKeeper, VirtualRateKeeper
 from piezod.control.realtime import RealTimeWarning, real_time
 from piezod.control.references import Reference, TableReference, make_reference
-from piezod.control.ring_log import ROW_DTYPE, RingLog, RingReader
 from piezod.control.safety import CAUSE_TEXT, Cause, State
+from piezod.recording.ring_log import ROW_DTYPE, RingLog, RingReader
 
 __all__ = [
     "CAUSE_TEXT",

@@ -17,8 +17,8 @@ from piezod.control.course import Course, Segment
 from piezod.control.interlocks import STATUS_WATCHDOG
 from piezod.control.limits import Limiter
 from piezod.control.rate_keeper import RateKeeper
-from piezod.control.ring_log import RingLog
 from piezod.control.safety import Cause, State, Supervisor
+from piezod.recording.ring_log import RingLog
 from piezod.transport import ACKNOWLEDGED, ExchangeResult, Link
 
 __all__ = ["ControlLoop", "LoopCounts", "Segment"]

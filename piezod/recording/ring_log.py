@@ -95,6 +95,9 @@ class RingReader:
     ----------
     path
         The ring's file.
+    first
+        Number of the row to begin with, counted from the first that the writer wrote; what was overwritten before it
+        is read counts as dropped.
 
     Raises
     ------
@@ -102,7 +105,7 @@ class RingReader:
         There is no ring of this version there.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, first: int = 0) -> None:
         try:
             with path.open("rb") as file:
                 self._memory = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
@@ -112,13 +115,30 @@ class RingReader:
         if magic != MAGIC or row_size != _ROW.size:
             raise UnreachableError(f"{path}: not a ring log of this version")
         self._table = np.frombuffer(self._memory, ROW_DTYPE, self._capacity, _HEAD.size)
-        self._next = 0
+        self._next = first
         self.dropped = 0
 
-    def read(self) -> NDArray[np.void]:
-        """Rows written since the last call, oldest first; what was overwritten in between is counted in `dropped`."""
+    @property
+    def next(self) -> int:
+        """Number of the row that is read next, from 0."""
+        return self._next
+
+    def seek(self, row: int) -> None:
+        """Go on with this row: one that was read and could not be kept."""
+        self._next = row
+
+    def read(self, most: int | None = None) -> NDArray[np.void]:
+        """Rows written since the last call, oldest first; what was overwritten in between is counted in `dropped`.
+
+        Parameters
+        ----------
+        most
+            Rows that are wanted at once; the rest is for the next call. None: all.
+        """
         written = self._written()
         first = max(self._next, written - self._capacity + 1)
+        if most is not None:
+            written = min(written, first + most)
         rows = self._table[np.arange(first, written) % self._capacity]
         overwritten = min(max(0, self._written() - self._capacity + 1 - first), rows.size)
         self.dropped += first - self._next + overwritten

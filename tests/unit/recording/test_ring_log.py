@@ -5,8 +5,8 @@ import threading
 import numpy as np
 import pytest
 
-from piezod.control.ring_log import ROW_DTYPE, RingLog, RingReader
 from piezod.errors import UnreachableError
+from piezod.recording.ring_log import ROW_DTYPE, RingLog, RingReader
 
 
 def row(k):
@@ -35,6 +35,23 @@ def test_a_reader_that_comes_too_late_is_told_how_much_it_lost(tmp_path):
     assert ticks == list(range(25 - len(ticks), 25))
     assert reader.dropped == 25 - len(ticks)
     assert len(ticks) >= 9
+    ring.close()
+
+
+def test_rows_that_could_not_be_kept_are_read_again_and_so_many_at_once_as_are_wanted(tmp_path):
+    ring = RingLog(tmp_path / "ring", 10)
+    for k in range(8):
+        ring.append(*row(k))
+    reader = RingReader(tmp_path / "ring", 3)
+    assert list(reader.read(2)["tick"]) == [3, 4]
+    reader.seek(3)
+    assert reader.next == 3
+    assert list(reader.read(4)["tick"]) == [3, 4, 5, 6]
+    for k in range(8, 20):
+        ring.append(*row(k))
+    assert reader.dropped == 0
+    assert list(reader.read()["tick"]) == list(range(11, 20))
+    assert (reader.dropped, reader.next) == (4, 20)
     ring.close()
 
 
