@@ -17,6 +17,7 @@ from piezod.recording.names import TIME
 from piezod.recording.parquet import open_parquet, write_parquet
 from piezod.recording.recording import Recording, check_time
 from piezod.recording.source import Source, foreign, require, whole
+from piezod.recording.sqlite import open_sqlite, write_sqlite
 from piezod.recording.tdms import open_tdms, write_tdms
 
 
@@ -41,6 +42,7 @@ FORMATS = {
     ".tdms": Format("TDMS", (b"TDSm",), open_tdms, write_tdms, ("nptdms", "tdms")),
     ".parquet": Format("Parquet", (b"PAR1",), open_parquet, write_parquet, ("pyarrow.parquet", "parquet")),
     ".mf4": Format("MDF4", (b"MDF     4.", b"UnFinMF "), open_mdf4, write_mdf4, ("asammdf", "mdf")),
+    ".sqlite": Format("SQLite", (b"SQLite format 3\0",), open_sqlite, write_sqlite),
 }
 
 
@@ -50,8 +52,8 @@ def read_recording(path: Path) -> Recording:
     Parameters
     ----------
     path
-        `.csv .h5 .hdf5 .mat .tdms .parquet .mf4`. Units that the format keeps apart are joined to the names; parts
-        that hold no numbers are left out, `metadata["skipped"]` names them. Nothing in a file is ever executed.
+        `.csv .h5 .hdf5 .mat .tdms .parquet .mf4 .sqlite`. Units that the format keeps apart are joined to the names;
+        parts that hold no numbers are left out, `metadata["skipped"]` names them. Nothing in a file is ever executed.
 
     Raises
     ------

@@ -11,7 +11,7 @@ from hypothesis.extra.numpy import arrays
 from piezod.recording import Recording
 
 PACKAGES = {".csv": "", ".h5": "h5py", ".hdf5": "h5py", ".mat": "", ".tdms": "nptdms"}
-PACKAGES |= {".parquet": "pyarrow", ".mf4": "asammdf"}
+PACKAGES |= {".parquet": "pyarrow", ".mf4": "asammdf", ".sqlite": ""}
 
 REAL = Path(__file__).resolve().parents[4] / "shared" / "recordings"
 

@@ -84,7 +84,7 @@ def test_any_text_after_a_header_is_read_or_refused(tmp_path, text):
     reads_or_says_why(path)
 
 
-@pytest.mark.parametrize("suffix", suffixes(".h5", ".parquet", ".mat", ".tdms", ".mf4"))
+@pytest.mark.parametrize("suffix", suffixes(".h5", ".parquet", ".mat", ".tdms", ".mf4", ".sqlite"))
 @pytest.mark.parametrize(
     ("time_s", "message"), [([0.0, 1.0, 1.0], "must strictly increase"), ([0.0, np.nan, 1.0], "is not finite")]
 )

@@ -26,7 +26,7 @@ def test_every_suffix_is_tested():
     assert set(FORMATS) == set(PACKAGES)
 
 
-@pytest.mark.parametrize("suffix", suffixes(".h5", ".mat", ".tdms", ".parquet", ".mf4"))
+@pytest.mark.parametrize("suffix", suffixes(".h5", ".mat", ".tdms", ".parquet", ".mf4", ".sqlite"))
 @quick
 @given(recording=recordings())
 def test_a_binary_format_keeps_every_bit(tmp_path, suffix, recording):
@@ -122,7 +122,7 @@ def test_a_missing_package_is_named_with_the_extra_to_install(tmp_path, suffix, 
         write_recording(sample(3), tmp_path / f"rec{suffix}")
 
 
-@pytest.mark.parametrize("suffix", suffixes(".h5", ".mat", ".tdms", ".parquet", ".mf4"))
+@pytest.mark.parametrize("suffix", suffixes(".h5", ".mat", ".tdms", ".parquet", ".mf4", ".sqlite"))
 def test_content_of_another_format_is_named(tmp_path, suffix):
     path = tmp_path / f"rec{suffix}"
     write_recording(sample(3), path)
@@ -146,7 +146,7 @@ def test_a_file_that_is_not_there_is_said_in_one_line(tmp_path, suffix):
 
 
 @pytest.mark.skipif(not REAL.exists(), reason=f"{REAL} is absent")
-@pytest.mark.parametrize("suffix", suffixes(".h5", ".mat", ".tdms", ".parquet", ".mf4"))
+@pytest.mark.parametrize("suffix", suffixes(".h5", ".mat", ".tdms", ".parquet", ".mf4", ".sqlite"))
 def test_a_measured_recording_survives_every_format(tmp_path, suffix):
     source = REAL / "pneumatic-friction" / "circle_5bar.csv"
     convert(source, tmp_path / f"rec{suffix}")
