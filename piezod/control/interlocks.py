@@ -10,7 +10,10 @@ from piezod.config import LimitsConfig
 from piezod.control.states import Cause
 
 STATUS_WATCHDOG = 2
-STATUS_FAULTS = 8 | 16 | 32  # amplifier fault, over-temperature, mains lost
+STATUS_AMPLIFIER_FAULT = 8
+STATUS_OVER_TEMPERATURE = 16
+STATUS_MAINS_LOST = 32
+STATUS_FAULTS = STATUS_AMPLIFIER_FAULT | STATUS_OVER_TEMPERATURE | STATUS_MAINS_LOST
 
 
 class ForceInterlock:

@@ -199,6 +199,7 @@ class ControlLoop:
         if self._stops_requested:
             supervisor.stop(hasty=self._stops_requested > 1)
         planned_V = self._course.wish(clock.tick, begun_ns, self._safe_V)
+        self._link.patience_s = supervisor.patience_s(begun_ns)
         if not supervisor.driving:
             result = self._link.poll()
         elif self._doubtful or begun_ns - self._acknowledged_ns >= self._look_after_ns:

@@ -7,11 +7,13 @@ DISARMED and FAULT only read. Nothing re-arms by itself. A fault after which the
 watchdog, a restart) goes straight to FAULT: whatever were written then would be a jump.
 """
 
-from math import nan
+from math import inf, nan
 
 from piezod.config import LimitsConfig
 from piezod.control.interlocks import (
     STATUS_FAULTS,
+    STATUS_MAINS_LOST,
+    STATUS_OVER_TEMPERATURE,
     STATUS_WATCHDOG,
     ForceInterlock,
     HeatInterlock,
@@ -25,6 +27,7 @@ from piezod.transport import Reading
 __all__ = ["CAUSE_TEXT", "Cause", "State", "Supervisor"]
 
 _DRIVING = (State.ARMING, State.RUNNING, State.HOLD)
+_OF_THE_AMPLIFIER = (Cause.DEVICE_FAULT, Cause.DEVICE_TOO_HOT, Cause.MAINS_LOST)
 
 
 class Supervisor:
@@ -80,7 +83,7 @@ class Supervisor:
     @property
     def in_haste(self) -> bool:
         """Whether the ramp down goes as fast as the slew limit allows."""
-        if self._hasty or self._fault is Cause.DEVICE_FAULT:
+        if self._hasty or self._fault in _OF_THE_AMPLIFIER:
             return True
         return self._fault is Cause.COMM_LOSS and self._limits.comm_loss_action == "zero"
 
@@ -98,6 +101,11 @@ class Supervisor:
     def dissipation_W(self) -> float:
         """Mean power that the stack turns into heat [W]."""
         return self._heat.power_W
+
+    def patience_s(self, now_ns: int) -> float:
+        """How long an exchange may last that begins now [s]: silence is judged when it has lasted `comm_loss_ms`."""
+        left_ns = self._last_good_ns + self._comm_loss_ns - now_ns
+        return 1e-9 * left_ns if left_ns > 0 and self.driving else inf
 
     @property
     def fault(self) -> Cause:
@@ -198,7 +206,8 @@ class Supervisor:
                 self.blind = True
         if silent_ns > self._comm_loss_ns:
             self.trip(Cause.COMM_LOSS)
-        if self._fault is Cause.COMM_LOSS and (self._holds_on_comm_loss or silent_ns > self._give_up_ns):
+        holds = self._holds_on_comm_loss and self._fault is Cause.COMM_LOSS
+        if self._fault is not Cause.NONE and (holds or silent_ns > self._give_up_ns):
             self.safe()
 
     def judge_reading(self, force_N: float, status: int, now_ns: int = 0, temperature_C: float = nan) -> None:
@@ -208,7 +217,7 @@ class Supervisor:
         if cause is not Cause.NONE:
             self.trip(cause)
         elif status & STATUS_FAULTS:
-            self.trip(Cause.DEVICE_FAULT)
+            self.trip(_named(status))
         elif status & STATUS_WATCHDOG and (self._watchdog_calm or self.state is not State.ARMING):
             self.trip(Cause.DEVICE_WATCHDOG)
         elif self._limits.temperature_trip_degC is not None and temperature_C > self._limits.temperature_trip_degC:
@@ -245,3 +254,10 @@ class Supervisor:
     def _go(self, state: State, cause: Cause) -> None:
         self.state = state
         self.cause = cause
+
+
+def _named(status: int) -> Cause:
+    """The cause behind a status that reports a fault: mains before heat before anything else."""
+    if status & STATUS_MAINS_LOST:
+        return Cause.MAINS_LOST
+    return Cause.DEVICE_TOO_HOT if status & STATUS_OVER_TEMPERATURE else Cause.DEVICE_FAULT

@@ -43,6 +43,8 @@ class Cause(IntEnum):
     STOOD_STILL = 23
     DEVICE_RESTARTED = 24
     CONTROLLER = 25
+    DEVICE_TOO_HOT = 26
+    MAINS_LOST = 27
 
 
 CAUSE_TEXT = {
@@ -73,6 +75,8 @@ CAUSE_TEXT = {
     Cause.STOOD_STILL: "the control process stood still for longer than the device waits; see who stopped it",
     Cause.DEVICE_RESTARTED: "the device was restarted, or is not where it was left; check its supply",
     Cause.CONTROLLER: "the controller failed; see the log",
+    Cause.DEVICE_TOO_HOT: "the amplifier reports over-temperature; let it cool, check its fan",
+    Cause.MAINS_LOST: "the amplifier reports that its mains are lost; check its supply",
 }
 
 DEVICE_HAS_TAKEN_OVER = frozenset({Cause.DEVICE_WATCHDOG, Cause.DEVICE_RESTARTED})

@@ -88,6 +88,9 @@ def _carry_out(task: Task, pipe: Connection) -> Outcome:
             fault="" if fault is Cause.NONE else _fault_text(fault, loop),
             stopped=loop.stopped,
             resident_kib=_resident_kib(),
+            stale_bytes=link.stale_bytes,
+            spikes=loop.supervisor.spikes,
+            hint=link.hint,
         )
 
 

@@ -50,6 +50,9 @@ class Outcome:
     stopped: bool = False
     warnings: list[str] = field(default_factory=list)
     resident_kib: int = 0
+    stale_bytes: int = 0
+    spikes: int = 0
+    hint: str = ""
 
 
 def control(task: Task, pipe: Connection, lock: BenchLock) -> None:

@@ -74,10 +74,13 @@ class Link(Protocol):
         What the last good exchange read.
     counts
         Exchanges by `ExchangeResult`.
+    patience_s
+        How long the next exchange may last [s], when that is less than the link's own timeout.
     """
 
     reading: Reading
     counts: list[int]
+    patience_s: float
 
     @property
     def written_V(self) -> float:

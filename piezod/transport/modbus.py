@@ -1,5 +1,6 @@
 """A Modbus device as a link: the block that the tick writes and reads, and the registers of set-up, over one wire."""
 
+from math import inf
 from time import monotonic, sleep
 from typing import NoReturn
 
@@ -50,6 +51,7 @@ class ModbusLink:
         "_write",
         "_written_generation",
         "counts",
+        "patience_s",
         "reading",
         "written_V",
     )
@@ -65,6 +67,7 @@ class ModbusLink:
         self._read = self._read_template(reads)
         self._write = self._write_template(writes)
         self._written_generation = -1
+        self.patience_s = inf
         self.counts = [0] * len(ExchangeResult)
         self.written_V = float("nan")
 
@@ -124,13 +127,13 @@ class ModbusLink:
 
     def exchange(self, voltage_V: float) -> ExchangeResult:
         """Write the voltage [V] and read the block; never raises, lasts at most the link's timeout."""
-        result = self._exchange(voltage_V, monotonic() + self._timeout_s)
+        result = self._exchange(voltage_V, monotonic() + min(self._timeout_s, self.patience_s))
         self.counts[result] += 1
         return result
 
     def poll(self) -> ExchangeResult:
         """Read the block without writing; the same checks, but a reconnected device may have been restarted."""
-        result = self._poll(monotonic() + self._timeout_s)
+        result = self._poll(monotonic() + min(self._timeout_s, self.patience_s))
         self.counts[result] += 1
         return result
 
@@ -258,5 +261,6 @@ class ModbusLink:
             raise UnreachableError(
                 f"{where}: {result.name.lower()}: check unit_id, cable, and whether another client holds it"
             )
-        advice = f": {self._wire.hint}" if self._wire.hint else ": check unit_id, address and function"
+        what = "baudrate and parity" if result is ExchangeResult.BAD_CRC else "unit_id, address and function"
+        advice = f": {self._wire.hint}" if self._wire.hint else f": check {what}"
         raise ConfigurationError(f"{where}: the reply is of the wrong kind, {result.name.lower()}{advice}")

@@ -1,6 +1,6 @@
 """A link to a device inside this process, for tests and simulation; no configuration file can name it."""
 
-from math import isfinite, nan
+from math import inf, isfinite, nan
 from typing import Protocol
 
 from piezod.errors import ConfigurationError
@@ -26,7 +26,7 @@ class NullLink:
         Set-up registers by role, read and written like memory.
     """
 
-    __slots__ = ("_device", "_registers", "counts", "reading", "written_V")
+    __slots__ = ("_device", "_registers", "counts", "patience_s", "reading", "written_V")
     description = "null"
     last_exception = 0
     stale_bytes = 0
@@ -38,6 +38,7 @@ class NullLink:
         self.reading = Reading()
         self.written_V = nan
         self.counts = [0] * len(ExchangeResult)
+        self.patience_s = inf
 
     def open(self) -> None:
         """Nothing to connect."""

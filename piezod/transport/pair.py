@@ -43,6 +43,15 @@ class PairLink:
         self.counts = [0] * len(ExchangeResult)
 
     @property
+    def patience_s(self) -> float:
+        """How long the next exchange with each of them may last [s]."""
+        return self._amplifier.patience_s
+
+    @patience_s.setter
+    def patience_s(self, value: float) -> None:
+        self._amplifier.patience_s = self._load_cell.patience_s = value
+
+    @property
     def description(self) -> str:
         """Kinds and addresses, for people."""
         return f"{self._amplifier.description} and {self._load_cell.description}"

@@ -201,3 +201,21 @@ def test_no_configuration_file_can_name_a_link_to_an_object(tmp_path, kind):
     (tmp_path / "bench.yaml").write_text(text, encoding="utf-8")
     with pytest.raises(ConfigurationError, match="must be one of 'modbus_tcp', 'modbus_rtu', 'serial_line'"):
         load_bench(tmp_path / "bench.yaml")
+
+
+@pytest.mark.parametrize(
+    ("server_class", "make_config"), [(ScriptedTcp, tcp_config), (ScriptedPty, rtu_config), (ScriptedLine, line_config)]
+)
+def test_an_exchange_lasts_no_longer_than_its_patience(server_class, make_config):
+    with server_class() as server:
+        link = make_link(make_config(server.port, timeout_s=5.0))
+        link.open()
+        try:
+            assert link.exchange(1.0) is ExchangeResult.OK
+            link.patience_s = 0.01
+            server.answer = lambda _frame, _number: []
+            begun_s = time.monotonic()
+            assert link.exchange(2.0) is ExchangeResult.TIMEOUT
+            assert time.monotonic() - begun_s < 2.0
+        finally:
+            link.close()

@@ -1,5 +1,6 @@
 """The state machine: what trips, what latches, what never happens by itself."""
 
+import pytest
 from unit.control.test_limits import limits
 
 from piezod.control.safety import Cause, State, Supervisor
@@ -78,13 +79,15 @@ def test_five_ticks_missed_in_a_row_trip():
 def test_amplifier_fault_bits_and_a_tripped_watchdog_trip():
     for status, cause in (
         (8, Cause.DEVICE_FAULT),
-        (16, Cause.DEVICE_FAULT),
-        (32, Cause.DEVICE_FAULT),
+        (16, Cause.DEVICE_TOO_HOT),
+        (32, Cause.MAINS_LOST),
+        (8 | 16 | 32, Cause.MAINS_LOST),
         (2, Cause.DEVICE_WATCHDOG),
     ):
         supervisor = running()
         supervisor.judge_reading(10.0, status)
         assert supervisor.cause is cause
+        assert supervisor.in_haste is (cause is not Cause.DEVICE_WATCHDOG)
 
 
 def test_nothing_trips_while_nothing_is_driven():
@@ -169,3 +172,22 @@ def test_tighter_limits_hold_at_once_and_neither_state_nor_fault_is_lost():
     supervisor.judge_reading(101.0, 1)
     supervisor.take_limits(limits())
     assert supervisor.fault is Cause.OVER_FORCE
+
+
+def test_a_fault_whose_device_never_says_anything_believable_again_ends_latched():
+    supervisor = running()
+    supervisor.judge_exchange(False, 6 * MS, answered=True)
+    supervisor.judge_exchange(False, 7 * MS, answered=True)
+    assert (supervisor.state, supervisor.cause) == (State.RAMP_DOWN, Cause.BAD_READING)
+    supervisor.judge_exchange(False, 549 * MS, answered=True)
+    assert supervisor.state is State.RAMP_DOWN
+    supervisor.judge_exchange(False, 551 * MS, answered=True)
+    assert (supervisor.state, supervisor.cause) == (State.FAULT, Cause.BAD_READING)
+
+
+def test_an_exchange_may_last_until_the_silence_is_a_loss_and_as_long_as_it_likes_when_nothing_is_driven():
+    supervisor = running()
+    supervisor.judge_exchange(True, 10 * MS)
+    assert supervisor.patience_s(150 * MS) == pytest.approx(0.06)
+    assert supervisor.patience_s(250 * MS) == float("inf")
+    assert Supervisor(limits()).patience_s(0) == float("inf")
