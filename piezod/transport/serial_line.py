@@ -6,7 +6,7 @@ r"""A device that speaks lines of ASCII over a serial port: one line sets the vo
 """
 
 import re
-from math import isfinite, nan
+from math import inf, isfinite, nan
 from time import monotonic
 
 from piezod.config.link import LineCommand, SerialLineLink
@@ -55,6 +55,7 @@ class SerialLineDevice:
         "_watchdog_reply",
         "counts",
         "hint",
+        "patience_s",
         "reading",
         "written_V",
     )
@@ -79,6 +80,7 @@ class SerialLineDevice:
         self._watchdog_ms = nan
         self.counts = [0] * len(ExchangeResult)
         self.written_V = nan
+        self.patience_s = inf
         self.hint = ""
 
     def _template(
@@ -124,14 +126,14 @@ class SerialLineDevice:
 
     def exchange(self, voltage_V: float) -> ExchangeResult:
         """Set the voltage [V] and read; never raises, lasts at most the link's timeout."""
-        result = self._exchange(voltage_V, monotonic() + self._config.timeout_s)
+        result = self._exchange(voltage_V, monotonic() + min(self._config.timeout_s, self.patience_s))
         self.counts[result] += 1
         return result
 
     def poll(self) -> ExchangeResult:
         """Read without setting anything; the same checks."""
         generation = self._port.generation
-        deadline_s = monotonic() + self._config.timeout_s
+        deadline_s = monotonic() + min(self._config.timeout_s, self.patience_s)
         result = self._ready(deadline_s)
         if self._port.generation != generation:
             self._plausibility.forget()
