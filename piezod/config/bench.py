@@ -8,6 +8,7 @@ from pydantic import Field, model_validator
 from piezod.config.checked import Section, check
 from piezod.config.limits import LimitsConfig
 from piezod.config.link import LinkConfig, ModbusRtuLink, ModbusTcpLink, Registers, SerialLineLink
+from piezod.config.recorder import RecorderConfig
 from piezod.config.reference import ReferenceConfig, RegisterReference
 from piezod.config.yaml_reader import read_document
 from piezod.errors import ConfigurationError
@@ -75,6 +76,7 @@ class BenchConfig(Section):
     reference: ReferenceConfig
     real_time: RealTimeConfig = RealTimeConfig()
     daemon: DaemonConfig = DaemonConfig()
+    recorder: RecorderConfig | None = None
 
     @property
     def dt_s(self) -> float:
@@ -97,6 +99,11 @@ class BenchConfig(Section):
         if self.daemon.socket is None:
             return self.ring_log_path.with_name(self.ring_log_path.name + ".sock")
         return Path(self.daemon.socket.replace("{name}", self.name))
+
+    @property
+    def recordings_path(self) -> Path | None:
+        """Folder that every tick is recorded in; None: nothing is."""
+        return None if self.recorder is None else Path(self.recorder.folder.replace("{name}", self.name))
 
     def names(self, role: str) -> bool:
         """Whether amplifier or load cell has something for this role."""
@@ -174,6 +181,16 @@ class BenchConfig(Section):
             raise ValueError(
                 f"limits.device_watchdog_ms is {self.limits.device_watchdog_ms}, but the link names no watchdog to be "
                 "set; name its register, or set 0 and set the device's own by hand"
+            )
+        return self
+
+    @model_validator(mode="after")
+    def _a_slow_disk_is_outlived(self) -> Self:
+        recorder = self.recorder
+        if recorder is not None and self.daemon.ring_seconds < 4 * recorder.sync_every_s:
+            raise ValueError(
+                f"daemon.ring_seconds is {self.daemon.ring_seconds:g}, must be at least four times "
+                f"recorder.sync_every_s, {4 * recorder.sync_every_s:g}: ticks would be lost between two looks"
             )
         return self
 

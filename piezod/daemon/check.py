@@ -2,6 +2,7 @@
 
 import os
 import resource
+import shutil
 import stat
 import time
 import warnings
@@ -20,6 +21,7 @@ from piezod.config.reference import RegisterReference, StreamReference
 from piezod.control import RealTimeWarning, TableReference, check_named, make_reference, real_time
 from piezod.daemon.assembly import check_units, check_wire, opened_link
 from piezod.daemon.history import percentiles
+from piezod.daemon.segment import segments, size_of
 from piezod.errors import PiezodError
 from piezod.model import Model, Plant, load_model
 from piezod.transport import ExchangeResult, Link, Reading
@@ -65,6 +67,7 @@ def check_bench(path: Path) -> list[Check]:
     checks.extend(_file(path))
     checks.extend(_arming(bench))
     checks.extend(_network(bench))
+    checks.extend(_recorder(bench))
     checks.extend(_clock())
     checks.extend(_rights(bench))
     checks.extend(_device(bench))
@@ -162,6 +165,31 @@ def _file(path: Path) -> Iterator[Check]:
         yield Check("configuration", "WARN", f"{path} can be written by everybody", "chmod o-w it")
     if found.st_uid not in (0, os.getuid()):
         yield Check("configuration", "WARN", f"{path} belongs to uid {found.st_uid}", "let root or the service own it")
+
+
+def _recorder(bench: BenchConfig) -> Iterator[Check]:
+    """Whether ticks could be kept where they are to be kept; nothing is written."""
+    config, folder = bench.recorder, bench.recordings_path
+    if config is None or folder is None:
+        yield Check("recorder", "OK", "off: no tick is kept; name recorder.folder to keep them")
+        return
+    place = folder if folder.exists() else folder.parent
+    if not place.is_dir():
+        yield Check(
+            "recorder", "FAIL", f"recorder.folder is {folder}: {place} is no folder", "make it, or name another"
+        )
+    elif not os.access(place, os.W_OK | os.X_OK):
+        owner = place.stat()
+        found = f"recorder.folder is {folder}: {place} may not be written by uid {os.getuid()}"
+        remedy = f"it belongs to uid {owner.st_uid}, gid {owner.st_gid}, mode {stat.S_IMODE(owner.st_mode):04o}"
+        yield Check("recorder", "FAIL", found, remedy)
+    else:
+        free_MB = 1e-6 * shutil.disk_usage(place).free + 1e-6 * sum(map(size_of, segments(place, bench.name)))
+        found = f"every tick into {folder}, at most {config.folder_MB:g} MB; {free_MB:.0f} MB are there for it"
+        full = free_MB < config.folder_MB
+        yield Check(
+            "recorder", "WARN" if full else "OK", found, "lower recorder.folder_MB, or make room" if full else ""
+        )
 
 
 def _clock() -> Iterator[Check]:

@@ -133,4 +133,13 @@ def status_text(status: dict[str, Any]) -> str:
         f"  {status['ticks']} ticks at {status['rate_Hz']:g} Hz, {status['missed']} missed, "
         f"{status['failed_exchanges']} failed exchanges; up {status['up_s']:.0f} s"
     )
+    if recorder := status.get("recorder"):
+        lines.append(f"  {_recorder_text(recorder)}")
     return "\n".join(lines)
+
+
+def _recorder_text(recorder: dict[str, Any]) -> str:
+    lost = f", {recorder['dropped']} lost" if recorder["dropped"] else ""
+    if recorder["degraded"]:
+        return f"recorder DEGRADED: {recorder['problem']}; {recorder['rows']} ticks kept{lost}"
+    return f"recorded {recorder['rows']} ticks{lost}; {recorder['file'] or 'no file yet'}"

@@ -12,6 +12,7 @@ from prometheus_client.exposition import CONTENT_TYPE_LATEST, generate_latest
 from prometheus_client.registry import Collector
 
 from piezod.control import State
+from piezod.daemon.recording import RecorderWatch
 from piezod.daemon.tally import BOUNDS_S, Durations, Tally
 from piezod.errors import BusyError
 from piezod.transport import ExchangeResult
@@ -27,6 +28,18 @@ _GAUGES = {
     "readback_V": ("piezod_voltage_readback_volts", "Voltage read back last"),
     "temperature_C": ("piezod_temperature_celsius", "Temperature read last"),
 }
+_RECORDER_GAUGES = {
+    "degraded": ("1 while ticks do not come to the disk", "degraded"),
+    "last_tick": ("Number of the last tick on the disk", "last_tick"),
+    "bytes": ("What the recordings of this bench take", "bytes"),
+    "commit_seconds": ("How long the last commit took", "commit_s"),
+}
+_RECORDER_COUNTS = {
+    "rows": "Ticks brought to the disk",
+    "dropped": "Ticks overwritten before they came to the disk",
+    "failures": "Files given up because of an error",
+    "restarts": "Recorder processes started again",
+}
 
 
 class BenchMetrics(Collector):
@@ -38,11 +51,14 @@ class BenchMetrics(Collector):
         The bench's, a label of every metric.
     tally
         What the ring log told.
+    recorder
+        What keeps the ticks; None where nothing does.
     """
 
-    def __init__(self, name: str, tally: Tally) -> None:
+    def __init__(self, name: str, tally: Tally, recorder: RecorderWatch | None = None) -> None:
         self._labels = [name]
         self._tally = tally
+        self._recorder = recorder
 
     def collect(self) -> Iterable[Metric]:
         """Everything, as it is now."""
@@ -66,6 +82,17 @@ class BenchMetrics(Collector):
         yield faults
         yield self._histogram("piezod_tick_lateness_seconds", "Wake-up after the deadline", tally.lateness)
         yield self._histogram("piezod_tick_duration_seconds", "From wake-up to judged reading", tally.exchange)
+        if self._recorder is not None:
+            yield from self._recorded(self._recorder)
+
+    def _recorded(self, recorder: RecorderWatch) -> Iterable[Metric]:
+        said = recorder.as_dict()
+        for name, (text, key) in _RECORDER_GAUGES.items():
+            gauge = GaugeMetricFamily(f"piezod_recorder_{name}", text, labels=["bench"])
+            gauge.add_metric(self._labels, float(said[key]))
+            yield gauge
+        for key, text in _RECORDER_COUNTS.items():
+            yield self._count(f"piezod_recorder_{key}", text, said[key])
 
     def _states(self) -> Metric:
         gauge = GaugeMetricFamily("piezod_state", "1 for the state the bench is in", labels=["bench", "state"])

@@ -20,6 +20,7 @@ from piezod.daemon.assembly import load
 from piezod.daemon.control_socket import ControlSocket, Peer
 from piezod.daemon.lock import BenchLock
 from piezod.daemon.metrics import BenchMetrics, MetricsServer
+from piezod.daemon.recording import RecorderWatch
 from piezod.daemon.say import say
 from piezod.daemon.session import LOOK_EVERY_S, Session, deliberate_error
 from piezod.daemon.systemd import Notifier
@@ -65,17 +66,20 @@ class Service:
         self._connected = False
         self.outcome = Outcome()
         self.tally = Tally(self._tell)
+        self._recorder = None if bench.recorder is None else RecorderWatch(bench, say)
 
     async def run(self) -> None:
         """Answer, and follow one control process after the other, until told to end."""
         async with contextlib.AsyncExitStack() as stack:
             stack.callback(self._notifier.close)
             self._hear_signals()
+            if self._recorder is not None:
+                stack.push_async_callback(self._recorder.close)
             control_socket = ControlSocket(self._bench, self._answer, say)
             stack.push_async_callback(control_socket.close)
             await control_socket.open()
             if self._bench.daemon.metrics_port is not None:
-                metrics = MetricsServer(BenchMetrics(self._bench.name, self.tally), say)
+                metrics = MetricsServer(BenchMetrics(self._bench.name, self.tally, self._recorder), say)
                 stack.push_async_callback(metrics.close)
                 await metrics.open(self._bench.daemon.metrics_port)
             await self._sessions()
@@ -144,6 +148,8 @@ class Service:
             session.open_ring()
             self._connected = True
             self._problem = ""
+            if self._recorder is not None:
+                self._recorder.follow(self._bench.ring_log_path)
             self.tally.begin()
             self._notifier.ready()
             self._notifier.status(f"DISARMED, {content}")
@@ -211,6 +217,8 @@ class Service:
             if self._arm and self.tally.was_driving and self.tally.state in (State.DISARMED, State.FAULT):
                 session.stop()
                 self._arm = False
+            if self._recorder is not None:
+                self._recorder.look()
             await asyncio.sleep(LOOK_EVERY_S)
         self._look(session)
         kind, content = self._messages.get_nowait()
@@ -283,6 +291,7 @@ class Service:
             "problem": self._problem,
             "up_s": round(time.monotonic() - self._begun_s, 3),
             "rows_dropped": 0 if self._session is None else self._session.dropped,
+            "recorder": None if self._recorder is None else self._recorder.as_dict(),
             **self.tally.as_dict(),
         }
 
@@ -301,8 +310,10 @@ class Service:
         """Take the configuration file as it is now: all of it when disarmed, tighter limits only while armed."""
         bench, _ = load(self._path)
         old, model_text = self._bench, _text_of(model_path(bench, self._path))
-        if (bench.name, bench.daemon) != (old.name, old.daemon):
-            raise CheckFailedError("reload: name and daemon can only change with a restart; nothing was changed")
+        if (bench.name, bench.daemon, bench.recorder) != (old.name, old.daemon, old.recorder):
+            raise CheckFailedError(
+                "reload: name, daemon and recorder can only change with a restart; nothing was changed"
+            )
         if bench == old and model_text == self._model_text:
             return "nothing has changed"
         if self._session is None or not self._connected:

@@ -123,6 +123,11 @@ class RingReader:
         """Number of the row that is read next, from 0."""
         return self._next
 
+    @property
+    def waiting(self) -> int:
+        """Rows that were written and not read, overwritten or not."""
+        return max(0, self._written() - self._next)
+
     def seek(self, row: int) -> None:
         """Go on with this row: one that was read and could not be kept."""
         self._next = row

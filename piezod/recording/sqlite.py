@@ -155,7 +155,8 @@ def connect(path: Path) -> sqlite3.Connection:
     try:
         return _connected(f"file:{quote(str(path))}?mode=ro")
     except sqlite3.OperationalError as error:
-        if error.sqlite_errorname != "SQLITE_CANTOPEN" or path.with_name(path.name + "-wal").exists():
+        cannot_write = error.sqlite_errorname.startswith(("SQLITE_CANTOPEN", "SQLITE_READONLY"))
+        if not cannot_write or path.with_name(path.name + "-wal").exists():
             raise
         # Left by a crash and all of it in the file, in a folder where nothing may be made beside it.
         return _connected(f"file:{quote(str(path))}?mode=ro&immutable=1")

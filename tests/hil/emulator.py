@@ -51,7 +51,8 @@ def bench_file(folder, serves, **changes):
     content["daemon"] = {"ring_log": str(folder / "ring"), "ring_seconds": 60}
     content["real_time"] = {"fifo_priority": 0, "lock_memory": False, "hold_cpu_latency": False}
     for key, value in changes.items():
-        content[key] = content[key] | value if isinstance(value, dict) and "kind" not in value else value
+        merged = isinstance(value, dict) and "kind" not in value and content.get(key) is not None
+        content[key] = content[key] | value if merged else value
     path = folder / "bench.yaml"
     path.write_text(yaml.safe_dump(content), encoding="utf-8")
     return path

@@ -4,6 +4,7 @@ import os
 import pickle
 import resource
 import struct
+import tracemalloc
 import zlib
 
 import numpy as np
@@ -230,3 +231,20 @@ def test_tdms_channels_of_different_length_are_refused(tmp_path):
         file.write_segment([nptdms.ChannelObject("a", n, np.arange(m)) for n, m in (("time_s", 5.0), ("force_N", 4.0))])
     with pytest.raises(RecordingError, match="force_N has 4 samples, time_s has 5; must be the same"):
         read_recording(path)
+
+
+def test_a_tdms_name_that_claims_gigabytes_asks_for_no_more_than_the_file_has(tmp_path):
+    pytest.importorskip("nptdms", reason="nptdms is not installed")
+    path = tmp_path / "rec.tdms"
+    write_recording(sample(5), path)
+    content = bytearray(path.read_bytes())
+    at = content.index(b"/'recording'/'voltage_V'") - 4
+    content[at : at + 4] = struct.pack("<I", 2**32 - 1)
+    path.write_bytes(content)
+    tracemalloc.start()
+    try:
+        with pytest.raises(RecordingError):
+            read_recording(path)
+        assert tracemalloc.get_traced_memory()[1] < 2**24
+    finally:
+        tracemalloc.stop()
