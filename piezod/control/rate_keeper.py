@@ -64,7 +64,7 @@ class RealRateKeeper:
             self.tick += skipped
         else:
             self.missed_in_a_row = 0
-        time.sleep((deadline - time.monotonic_ns()) * 1e-9 if deadline > time.monotonic_ns() else 0.0)
+        time.sleep(max(0, deadline - time.monotonic_ns()) * 1e-9)
         self.lateness_ns = time.monotonic_ns() - deadline
         self._deadline_ns = deadline
         self.tick += 1

@@ -2,6 +2,8 @@
 
 import time
 
+import pytest
+
 from piezod.control import RealRateKeeper
 
 
@@ -25,3 +27,20 @@ def test_it_never_returns_before_its_deadline():
     for _ in range(50):
         keeper.wait()
         assert keeper.lateness_ns >= 0
+
+
+@pytest.mark.parametrize("reads_before", range(1, 6))
+def test_a_machine_that_stands_still_at_any_moment_of_the_wait_makes_no_negative_sleep(monkeypatch, reads_before):
+    slept, reads = [], []
+
+    def monotonic_ns():
+        reads.append(None)
+        return 1000 * len(reads) + (50_000_000 if len(reads) > reads_before else 0)
+
+    monkeypatch.setattr("piezod.control.rate_keeper.time.monotonic_ns", monotonic_ns)
+    monkeypatch.setattr("piezod.control.rate_keeper.time.sleep", slept.append)
+    keeper = RealRateKeeper(0.01)
+    keeper.start()
+    keeper.wait()
+    assert len(slept) == 1
+    assert slept[0] >= 0.0
