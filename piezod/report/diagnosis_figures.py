@@ -1,6 +1,7 @@
 """The figures of a diagnosis: measured against both models, what is left over every driver, and its map."""
 
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from typing import Literal
 
 import numpy as np
@@ -20,7 +21,8 @@ from bokeh.plotting import figure
 from numpy.typing import NDArray
 
 from piezod.diagnose.findings import Findings, Place
-from piezod.report.diagnosis_words import read_off, rounded
+from piezod.diagnose.words import rounded, unit_words
+from piezod.report.diagnosis_words import read_off
 from piezod.report.page import BLUE, GREEN, GREY, ORANGE, RED
 from piezod.report.residual_views import Memory, Residuals, State, View
 from piezod.report.spectra import Map
@@ -37,6 +39,8 @@ INK = "#333333"
 HEAT = ("#ffffff", "#fdd9a0", "#e8801a", "#a33a00", "#2b0c00")  # ever darker, so it needs no colour to be read
 FEWEST_DB, MOST_DB = 20.0, 60.0
 SHADED = 40  # places that one figure shows
+USUAL, MARGIN = 0.998, 0.5  # part of the residuals that an axis shows at least, and how much more room it has
+DECIMAL = "return String(Number(tick.toPrecision(3)))"  # 0.1 instead of a power of ten
 
 
 def error_bars(findings: Findings, extended: str) -> figure:
@@ -53,16 +57,27 @@ def error_bars(findings: Findings, extended: str) -> figure:
     }
     source = ColumnDataSource(columns)
     plot = figure(
-        title=f"Error on data left out [{findings.unit}]",
+        title=f"Error on data left out [{unit_words(findings.unit)}]",
         x_range=Range1d(start=0.0, end=1.15 * highest),
         y_range=Range1d(start=0.4 - len(rows), end=0.75),
         height=75 + 44 * len(rows),
         tools="save",
     )
+    floor = Span(location=findings.floor, dimension="height", line_color=GREEN, line_dash="dashed", level="underlay")
+    plot.add_layout(floor)
     plot.hbar(y="row", right="error", height=0.42, color="colour", source=source)
     plot.text("error", "row", "said", source=source, x_offset=6, text_baseline="middle", text_font_size="13px")
-    plot.text("start", "row", "name", source=source, x_offset=2, y_offset=-12, text_font_size="13px", text_color=INK)
-    plot.add_layout(Span(location=findings.floor, dimension="height", line_color=GREEN, line_dash="dashed"))
+    plot.text(
+        "start",
+        "row",
+        "name",
+        source=source,
+        x_offset=2,
+        y_offset=-13,
+        text_font_size="13px",
+        text_color=INK,
+        background_fill_color="#ffffff",
+    )
     plot.yaxis.visible = False
     plot.ygrid.grid_line_color = None
     return _finish(plot)
@@ -102,6 +117,7 @@ def time_lines(
     _line(over, source, "given", "given model", GIVEN)
     _line(over, source, "extended", extended, EXTENDED)
     rest = _figure("Left over time: measured less model", "time [s]", f"residual [{unit}]", 240, along_x=True)
+    rest.y_range = _usual_range(one)
     rest.x_range = over.x_range
     _line(rest, source, "before", "given model", GIVEN)
     _line(rest, source, "after", extended, EXTENDED)
@@ -126,6 +142,7 @@ def loops(one: Residuals, points: int, units: tuple[str, str], extended: str) ->
     source = _source(columns)
     loop = _figure("Hysteresis loop", f"command [{units[0]}]", f"output [{units[1]}]", 340)
     rest = _figure("What is left of the loop", f"command [{units[0]}]", f"residual [{units[1]}]", 340)
+    rest.y_range = _usual_range(one)
     _line(loop, source, "measured", "measured", MEASURED, x="command", width=3, alpha=0.55)
     _line(loop, source, "given", "given model", GIVEN, x="command")
     _line(loop, source, "extended", extended, EXTENDED, x="command")
@@ -149,9 +166,9 @@ def driver_figure(view: View, places: Sequence[Place], unit: str, extended: str)
         else:
             _line(plot, source, f"{name}_mean", label, colour, x=view.name, width=2)
     shaded = _on(places, view.axis)
-    _shade(plot, shaded)
     if view.axis == "rate_V_per_s":
-        _shade(plot, [Place(one.axis, -one.high, -one.low) for one in shaded])
+        shaded += [Place(one.axis, -one.high, -one.low) for one in shaded]
+    _shade(plot, _within(shaded, view.at))
     return [_finish(plot)], columns
 
 
@@ -183,6 +200,8 @@ def spectrum_figure(
         tools="pan,wheel_zoom,box_zoom,reset,save",
         active_drag="box_zoom",
     )
+    plot.xaxis.formatter = CustomJSTickFormatter(code=DECIMAL)
+    plot.yaxis.formatter = CustomJSTickFormatter(code=DECIMAL)
     _line(plot, source, "before", "given model", GIVEN, x="frequency_Hz")
     _line(plot, source, "after", extended, EXTENDED, x="frequency_Hz")
     plot.line(
@@ -239,6 +258,8 @@ def _figure(title: str, x: str, y: str, height: int, *, along_x: bool = False, x
         active_scroll=None,
     )
     plot.add_tools(HoverTool(tooltips=[(x, "$x{0.0000}"), (y, "$y{0.0000}")]))
+    if x_axis == "log":
+        plot.xaxis.formatter = CustomJSTickFormatter(code=DECIMAL)
     return plot
 
 
@@ -256,6 +277,18 @@ def _finish(plot: figure) -> figure:
         plot.legend[0].update(margin=0, padding=2)
         plot.add_layout(plot.legend[0], "above")
     return plot
+
+
+def _usual_range(one: Residuals) -> Range1d:
+    """What nearly all residuals lie in, with a margin: a start that takes some samples does not flatten the rest."""
+    left = np.concatenate([values[one.series.counts] for values in (one.before, one.after)])
+    low, high = (float(end) for end in np.quantile(left, (1.0 - USUAL, USUAL)))
+    margin = MARGIN * max(high - low, 1e-12)
+    low, high = (
+        max(low - margin, float(left.min()) - 0.1 * margin),
+        min(high + margin, float(left.max()) + 0.1 * margin),
+    )
+    return Range1d(start=low, end=high)
 
 
 def _source(columns: Columns, exact: Sequence[str] = ()) -> ColumnDataSource:
@@ -300,13 +333,30 @@ def _on(places: Sequence[Place], axis: str) -> list[Place]:
     return [one for one in places if axis and one.axis == axis][:SHADED]
 
 
+def _within(places: Sequence[Place], at: Array) -> list[Place]:
+    """Places as far as a figure's curves go: wider ones would squeeze them."""
+    low, high = float(at.min()), float(at.max())
+    kept = [one for one in places if one.low <= high and one.high >= low]
+    return [replace(one, low=max(one.low, low), high=min(one.high, high)) for one in kept]
+
+
 def _shade(plot: figure, places: Sequence[Place]) -> None:
     """Where the given model is significantly wrong."""
     for one in places:
         if one.low == one.high:
             plot.add_layout(Span(location=one.low, dimension="height", line_color=SHADE, line_alpha=0.6))
         else:
-            box = BoxAnnotation(left=one.low, right=one.high, fill_color=SHADE, fill_alpha=0.1, line_color=None)
+            box = BoxAnnotation(
+                left=one.low,
+                right=one.high,
+                fill_color=SHADE,
+                fill_alpha=0.05,
+                line_color=None,
+                hatch_pattern="right_diagonal_line",
+                hatch_color=SHADE,
+                hatch_alpha=0.25,
+                hatch_scale=14,
+            )
             box.level = "underlay"
             plot.add_layout(box)
 

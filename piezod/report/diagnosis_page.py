@@ -19,10 +19,11 @@ from piezod import __version__
 from piezod.diagnose.diagnosis import Diagnosis
 from piezod.diagnose.findings import Place
 from piezod.diagnose.locate import locate
+from piezod.diagnose.words import Wording, unit_words
 from piezod.report import diagnosis_figures as figures
 from piezod.report import diagnosis_sections as sections
-from piezod.report.diagnosis_style import PAGE, STYLE, TOUCH
-from piezod.report.diagnosis_words import Wording, headline
+from piezod.report.diagnosis_style import PAGE, SCRIPT, STYLE
+from piezod.report.diagnosis_words import headline
 from piezod.report.page import write_text
 from piezod.report.residual_views import Residuals, memory, owners, views
 from piezod.report.spectra import Map, spectrum, time_frequency
@@ -63,7 +64,7 @@ def write_diagnosis_page(path: Path, diagnosis: Diagnosis) -> None:
         body = body.replace(_slot(name), div)
     library = Resources(mode="inline", components=["bokeh"]).render_js()
     title = html.escape(headline(diagnosis.findings))
-    parts = {"style": STYLE, "library": library, "script": script, "touch": TOUCH}
+    parts = {"style": STYLE, "library": library, "script": script, "own": SCRIPT}
     write_text(path, PAGE.format(title=title, body=body, **parts))
 
 
@@ -99,8 +100,8 @@ class _Page:
 
     @property
     def units(self) -> tuple[str, str]:
-        """Of command and output."""
-        return self.diagnosis.model.input.unit, self.diagnosis.model.output.unit
+        """Of command and output, as they are written."""
+        return unit_words(self.diagnosis.model.input.unit), unit_words(self.diagnosis.model.output.unit)
 
     @property
     def extended(self) -> str:
@@ -190,7 +191,8 @@ def _curves(page: _Page) -> str:
 
 _ZOOM = (
     "Drag to zoom into a span of time, click a name in the legend to hide its curve. Every stretch is drawn by its "
-    "smallest and largest value. Red: where the given model is significantly wrong; grey: readings not believed."
+    "smallest and largest value. Hatched: where the given model is significantly wrong; grey: readings not believed. "
+    "Axes of residuals leave out the rarest of them, which zooming out shows."
 )
 
 
@@ -209,8 +211,8 @@ def _drivers(page: _Page) -> str:
 
 _DRIVERS = (
     "Measured less model: mean in each cell, solid while the command rises, dashed while it falls; the band is one "
-    "standard deviation of all readings in the cell. A flat line at 0 with a narrow band is noise. Red: places in "
-    "which the given model is significantly wrong (family-wise 5 %)."
+    "standard deviation of all readings in the cell. A flat line at 0 with a narrow band is noise. Hatched: "
+    "places in which the given model is significantly wrong (false alarm at most 5 % over all places together)."
 )
 
 

@@ -2,9 +2,11 @@
 
 import html
 from collections.abc import Sequence
+from pathlib import Path
 
 from piezod.diagnose.findings import Finding, Findings, Place
 from piezod.diagnose.series import Series
+from piezod.diagnose.words import Wording, label_of, percent, place_words, rounded, unit_words, value_words
 from piezod.effects import EFFECTS
 from piezod.report import diagnosis_words as words
 
@@ -29,38 +31,45 @@ def chain_html(findings: Findings) -> str:
     return f"<ol class='chain' aria-label='signal chain from command to reading'>{''.join(boxes)}</ol>"
 
 
-def effects_html(findings: Findings, wording: words.Wording) -> str:
+def effects_html(findings: Findings, wording: Wording) -> str:
     """The effects in one compact table, below it where the model is wrong and what remains."""
     remains = f"<p><b>What remains:</b> {_escaped(words.left_over(findings)[-1])}</p>"
     if not findings.effects:
-        return remains + _places_table(findings, wording)
-    header = ["effect", "parameter, 95\u00a0%", "confidence", f"held-out error [{findings.unit}]", "compensator"]
+        unseen = "".join(f"<p>{_escaped(one)}</p>" for one in words.not_seen(findings))
+        return remains + _places_table(findings, wording) + unseen
+    unit = unit_words(findings.unit)
+    header = [
+        "effect",
+        "parameter (95\u00a0% interval)",
+        "confidence",
+        f"error without → with it [{unit}]",
+        "compensator",
+    ]
     head = "".join(f"<th>{_escaped(one)}</th>" for one in header)
     rows = "".join(_effect_row(one, findings, header, wording) for one in findings.effects)
     below = _places_line(findings, wording) + remains
     return f"<table class='effects'><thead><tr>{head}</tr></thead><tbody>{rows}</tbody></table>{below}"
 
 
-def _places_line(findings: Findings, wording: words.Wording) -> str:
+def _places_line(findings: Findings, wording: Wording) -> str:
     """Where the given model is wrong, the largest part on each axis."""
     said = "; ".join(
-        f"{words.place_words(one, wording)} ({words.percent(one.share)})"
-        for one in words.first_places(findings.where, PLACES_SAID)
+        f"{place_words(one, wording)} ({percent(one.share)})" for one in words.first_places(findings.where, PLACES_SAID)
     )
     heading = words.place_heading(findings)
     return f"<p class='where'><b>{heading}</b> (part of the error): {_escaped(said)}</p>" if said else ""
 
 
-def _places_table(findings: Findings, wording: words.Wording) -> str:
+def _places_table(findings: Findings, wording: Wording) -> str:
     """The same, as a table of more of them."""
     places = words.first_places(findings.where, PLACES_LISTED)
     if not places:
         return "<p>No place in time, frequency, voltage, rate or history shows more than noise.</p>"
-    rows = [[words.place_words(one, wording), words.percent(one.share), f"{one.p:.2g}"] for one in places]
-    return table([words.place_heading(findings), "part of the error", "chance (family-wise)"], rows, kind="places")
+    rows = [[place_words(one, wording), percent(one.share), f"{one.p:.2g}"] for one in places]
+    return table([words.place_heading(findings), "part of the error", "chance of a false alarm"], rows, kind="places")
 
 
-def card_html(finding: Finding, findings: Findings, wording: words.Wording) -> str:
+def card_html(finding: Finding, findings: Findings, wording: Wording) -> str:
     """An effect: its equation, its numbers, what it brings, and what else it might be."""
     effect = EFFECTS[finding.name]
     fields = (("Forward", "equation"), ("Signature", "seen by"), ("Seat", "sits in"), ("Valid", "valid for"))
@@ -71,15 +80,15 @@ def card_html(finding: Finding, findings: Findings, wording: words.Wording) -> s
     handling = words.HANDLINGS.get(finding.handling, finding.handling)
     facts = [
         ("confidence", f"{100 * finding.confidence:.0f} %, {words.sureness(finding.confidence)}"),
-        ("held-out error", _gain(finding, findings)),
+        ("error without it → with it", _gain(finding, findings)),
         ("when", words.SCOPES[finding.scope]),
-        ("where", "; ".join(words.place_words(one, wording) for one in finding.where) or "everywhere"),
+        ("where", "; ".join(place_words(one, wording) for one in finding.where) or "everywhere"),
         ("compensator", handling + (f": {finding.why}" if finding.why else "")),
     ]
     told += "".join(f"<dt>{label}</dt><dd>{_escaped(text)}</dd>" for label, text in facts)
     return (
         f"<article class='card'><h3>{_escaped(finding.title)} <code>{finding.name}</code></h3>"
-        f"<div class='two'><dl>{told}</dl><div>{_parameters_html(finding)}{_rivals_html(finding)}</div></div>"
+        f"<div class='two'><dl>{told}</dl><div>{_parameters_html(finding, wording)}{_rivals_html(finding)}</div></div>"
         "</article>"
     )
 
@@ -95,21 +104,31 @@ def held_out_html(findings: Findings, rows: Sequence[tuple[str, float, float]]) 
         Name and root mean square error of given and extended model, over each whole recording.
     """
     closed = "-" if findings.gap_closed is None else f"{100 * findings.gap_closed:.1f} %"
-    unit = findings.unit
+    unit = unit_words(findings.unit)
     first = [
         "data left out",
-        words.rounded(findings.before),
-        words.rounded(findings.after),
-        words.rounded(findings.floor),
+        rounded(findings.before),
+        rounded(findings.after),
+        rounded(findings.floor),
         closed,
         f"{findings.nrmse_before:.2f} → {findings.nrmse_after:.2f} %",
     ]
-    more = [[name, words.rounded(before), words.rounded(after), "", "", ""] for name, before, after in rows]
-    header = ["", f"given model [{unit}]", f"with what was found [{unit}]", f"noise floor [{unit}]", "gap closed"]
+    apart = [
+        (f"{Path(one.path).name}, held out: nothing was fitted to it", one.before, one.after)
+        for one in findings.held_out
+    ]
+    more = [[name, rounded(before), rounded(after), "", "", ""] for name, before, after in (*apart, *rows)]
+    header = [
+        "",
+        f"given model [{unit}]",
+        f"with what was found [{unit}]",
+        f"noise floor [{unit}]",
+        "gap to the noise closed",
+    ]
     return table([*header, "fit (NRMSE)"], [first, *more])
 
 
-def remains_html(findings: Findings, left: Sequence[Place], wording: words.Wording) -> str:
+def remains_html(findings: Findings, left: Sequence[Place], wording: Wording) -> str:
     """What remains unexplained, and what was noticed on the way."""
     said = "".join(f"<li>{_escaped(one)}</li>" for one in words.remains(findings, left, wording))
     notes = "".join(f"<li>{_escaped(one)}</li>" for one in findings.notes)
@@ -124,7 +143,7 @@ def recordings_html(findings: Findings, series: Sequence[Series]) -> str:
             str(one["path"]),
             "asked about" if made.role == "recording" else "the model was identified on it",
             str(one["samples"]),
-            f"{words.rounded(made.duration_s)} s at {words.rounded(1.0 / made.dt_s)} Hz",
+            f"{rounded(made.duration_s)} s at {rounded(1.0 / made.dt_s)} Hz",
             str(one["sha256"]),
         ]
         for one, made in zip(findings.recordings, known, strict=False)
@@ -146,7 +165,7 @@ def table(header: Sequence[str], rows: Sequence[Sequence[str]], kind: str = "") 
     return f"<table class='{kind}'><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"
 
 
-def _effect_row(finding: Finding, findings: Findings, header: Sequence[str], wording: words.Wording) -> str:
+def _effect_row(finding: Finding, findings: Findings, header: Sequence[str], wording: Wording) -> str:
     places = words.places_words(finding, wording)
     what = (
         f"<b>{_escaped(finding.title)}</b><small>{_escaped(words.seat_words(finding))}"
@@ -154,20 +173,23 @@ def _effect_row(finding: Finding, findings: Findings, header: Sequence[str], wor
     )
     cells = [
         what,
-        _numbers_html(finding),
+        _numbers_html(finding, wording),
         _confidence_html(finding),
-        f"{_escaped(words.gain_words(finding, findings.unit))}<small>noise {words.rounded(findings.floor)}</small>",
+        f"{_escaped(words.gain_words(finding, findings.unit))}<small>noise {rounded(findings.floor)}</small>",
         _escaped(words.HANDLINGS.get(finding.handling, finding.handling)),
     ]
     inside = "".join(f"<td data-label='{_escaped(k)}'>{cell}</td>" for k, cell in zip(header, cells, strict=True))
     return f"<tr>{inside}</tr>"
 
 
-def _numbers_html(finding: Finding) -> str:
-    said = []
+def _numbers_html(finding: Finding, wording: Wording) -> str:
+    """Parameters; instants are said as places already."""
+    said, effect = [], EFFECTS[finding.name]
     for name, value in finding.parameters.items():
-        middle, interval = words.value_words(value, name, finding.name)
-        label = _escaped(words.label_of(name, value.unit))
+        if finding.where and effect.parameter(name).place:
+            continue
+        middle, interval = value_words(value, name, finding.name, wording)
+        label = _escaped(label_of(name, value.unit))
         within = f"<small>{_escaped(interval)}</small>" if interval else ""
         said.append(f"<span class='parameter'>{label} <b>{_escaped(middle)}</b>{within}</span>")
     return "".join(said)
@@ -175,7 +197,7 @@ def _numbers_html(finding: Finding) -> str:
 
 def _gain(finding: Finding, findings: Findings) -> str:
     said = words.gain_words(finding, findings.unit)
-    return said if words.read_off(finding) else f"{said} (noise {words.rounded(findings.floor)})"
+    return said if words.read_off(finding) else f"{said} (noise {rounded(findings.floor)})"
 
 
 def _confidence_html(finding: Finding) -> str:
@@ -187,9 +209,9 @@ def _confidence_html(finding: Finding) -> str:
     )
 
 
-def _parameters_html(finding: Finding) -> str:
+def _parameters_html(finding: Finding, wording: Wording) -> str:
     rows = [
-        [words.label_of(name, value.unit), *words.value_words(value, name, finding.name)]
+        [label_of(name, value.unit), *value_words(value, name, finding.name, wording)]
         for name, value in finding.parameters.items()
     ]
     return table(["parameter", "value", "95 % interval"], rows)
@@ -201,7 +223,7 @@ def _rivals_html(finding: Finding) -> str:
         return "<p>Seen in the readings themselves; nothing was fitted.</p>"
     if not rivals:
         return "<p>No other effect of the catalogue comes near.</p>"
-    rows = [[EFFECTS[one.name].title, f"{words.rounded(one.separation, 2)} noises"] for one in rivals]
+    rows = [[EFFECTS[one.name].title, f"{rounded(one.separation, 2)} noises"] for one in rivals]
     told = dict.fromkeys(one.separate_by for one in rivals if one.separate_by)
     experiments = "".join(f"<p><b>To tell them apart:</b> {_escaped(one)}</p>" for one in told)
     return table(["rival: might be instead", "stays behind by"], rows) + experiments

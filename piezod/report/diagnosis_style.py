@@ -2,7 +2,7 @@
 
 from piezod.report.page import BLUE, GREEN, GREY, ORANGE, RED
 
-A4_ZOOM = 0.58  # 186 mm between the margins over the 1200 pixels that figures are drawn at
+A4_ZOOM, A4_PIXELS = 0.58, 1200  # 186 mm between the margins over the pixels that a printed page is laid out in
 
 STYLE = f"""
 :root {{ --line: #d9d9d9; --soft: #f5f6f7; --dim: #555; }}
@@ -68,6 +68,7 @@ figcaption {{ color: var(--dim); font-size: 12px; }}
   tr {{ border-bottom: 2px solid var(--line); padding: 6px 0; }} td {{ border: 0; padding: 2px 0; }}
   td[data-label]:not([data-label=""])::before {{ content: attr(data-label) ": "; color: var(--dim); font-size: 12px; }}
   td:first-child::before {{ content: none !important; }} td:empty {{ display: none; }}
+  .places td:not(:first-child) {{ display: inline-block; margin-right: 14px; }}
 }}
 @page {{ size: A4; margin: 12mm; }}
 @media print {{
@@ -76,7 +77,7 @@ figcaption {{ color: var(--dim); font-size: 12px; }}
 }}
 """
 
-TOUCH = """
+SCRIPT = """
 // a finger scrolls the page: figures zoom only where a mouse can drag
 if (matchMedia("(pointer: coarse)").matches) {
   const timer = setInterval(() => {
@@ -86,7 +87,19 @@ if (matchMedia("(pointer: coarse)").matches) {
     }
   }, 300);
 }
-"""
+// figures stay as large as the screen drew them: on paper each is scaled to its column
+const columns = {three: 3, pair: 2, first: 3};
+addEventListener("beforeprint", () => {
+  for (const one of document.querySelectorAll("figure [data-root-id] > *")) {
+    const within = one.closest("figure").parentElement.className;
+    const scale = PIXELS / (columns[within] ?? 1) / one.offsetWidth;
+    if (Math.abs(scale - 1) > 0.1) one.style.zoom = scale;
+  }
+});
+addEventListener("afterprint", () => {
+  for (const one of document.querySelectorAll("figure [data-root-id] > *")) one.style.zoom = "";
+});
+""".replace("PIXELS", str(0.97 * A4_PIXELS))
 
 PAGE = """<!DOCTYPE html>
 <html lang="en">
@@ -102,7 +115,7 @@ PAGE = """<!DOCTYPE html>
 {body}
 {library}
 {script}
-<script>{touch}</script>
+<script>{own}</script>
 </body>
 </html>
 """

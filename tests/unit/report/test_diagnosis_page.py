@@ -7,13 +7,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from bokeh.models import BoxAnnotation
 
 from piezod.diagnose.diagnosis import Diagnosis
-from piezod.diagnose.findings import Finding, Findings, Place, Rival, Value
+from piezod.diagnose.findings import Finding, Findings, HeldOut, Place, Rival, Value
 from piezod.diagnose.series import Series
-from piezod.effects import EFFECTS
 from piezod.model import load_model
-from piezod.report import diagnosis_words as words
+from piezod.report.diagnosis_figures import driver_figure, time_lines
 from piezod.report.diagnosis_page import write_diagnosis_page
 from piezod.report.residual_views import Residuals, memory, owners, since_reversal, views
 from piezod.report.spectra import spectrum, time_frequency
@@ -21,10 +21,7 @@ from piezod.report.thinning import envelope, envelope_times, extremes
 
 MODEL = load_model(Path(__file__).parents[3] / "config" / "model.yaml")
 DT_S = 0.002
-WORDING = words.Wording("V", "N")
 LIMIT_BYTES = 3_000_000
-
-RANGE = EFFECTS["transport_delay"].parameter("delay_s")
 
 DELAY = Finding(
     name="transport_delay",
@@ -330,34 +327,46 @@ def test_a_place_in_time_belongs_to_the_recording_with_most_left_there():
     assert owners([place, WHERE[0]], [one, two]) == {place: two}
 
 
-@pytest.mark.parametrize(
-    ("value", "said"),
-    [
-        (Value(0.0098831, "s", 0.009802, 0.009964), ("9.88\N{NO-BREAK SPACE}ms", "9.80 to 9.96")),
-        (Value(0.25, "s", 0.25, 0.25), ("0.2500\N{NO-BREAK SPACE}s", "")),
-        (Value(0.15, "s", RANGE.low, RANGE.high), ("0.150\N{NO-BREAK SPACE}s", "not determined by these recordings")),
-        (Value(0.2, "s", 0.05, 0.4), ("0.200\N{NO-BREAK SPACE}s", "0.0500 to 0.400")),
-    ],
-)
-def test_a_value_has_as_many_digits_as_its_interval_bears(value, said):
-    assert words.value_words(value, "delay_s", "transport_delay") == said
+def test_an_uncertain_effect_is_not_stated_as_a_fact_in_the_title(tmp_path):
+    said = first_screen(written(tmp_path, effects=(replace(DELAY, confidence=0.45), STEP)))
+    assert "Left out by the model: perhaps transport delay and step of the load" in said
 
 
-@pytest.mark.parametrize(
-    ("place", "said"),
-    [
-        (Place("frequency_Hz", 50.0, 50.0), "frequency 50.00 Hz"),
-        (Place("frequency_Hz", 0.4123, 250.0), "frequency 0.412 to 250 Hz"),
-        (Place("time_s", 53.81, 57.83), "time 53.8 to 57.8 s"),
-        (Place("direction", -1.0, 1.0), "rising and falling differ"),
-    ],
-)
-def test_a_place_is_said_in_words(place, said):
-    assert words.place_words(place, WORDING) == said
+def test_recordings_held_out_and_effects_that_could_not_be_seen_are_said(tmp_path):
+    made = diagnosis()
+    held = HeldOut("/data/later.csv", "ab" * 32, 3.21, 0.456)
+    findings = replace(made.findings, held_out=(held,), not_testable=("creep", "friction"))
+    write_diagnosis_page(tmp_path / "report.html", replace(made, findings=findings))
+    page = " ".join(re.sub("<[^>]*>", " ", (tmp_path / "report.html").read_text()).split())
+    assert "later.csv, held out: nothing was fitted to it 3.21 0.456" in page
+    assert "Nothing is said about creep of the stack and friction in the guide" in page
 
 
-@pytest.mark.parametrize(
-    ("number", "said"), [(0.0, "0"), (2.8213, "2.82"), (11.649, "11.6"), (1234.5, "1234"), (0.00012345, "1.23e-04")]
-)
-def test_numbers_keep_three_digits(number, said):
-    assert words.rounded(number) == said
+def test_units_are_those_of_the_recording_and_not_of_the_catalogue(tmp_path):
+    made = diagnosis(effects=(STEP,))
+    model = made.model.model_copy(update={"output": made.model.output.model_copy(update={"unit": "um"})})
+    findings = replace(made.findings, unit="um")
+    write_diagnosis_page(tmp_path / "report.html", replace(made, findings=findings, model=model))
+    said = first_screen((tmp_path / "report.html").read_text(encoding="utf-8"))
+    assert "step 3.00 \N{MICRO SIGN}m 2.90 to 3.10" in said
+    assert "2.82 \N{MICRO SIGN}m → 0.480 \N{MICRO SIGN}m" in said
+
+
+def test_one_wild_sample_does_not_flatten_the_residual():
+    one = series("work.csv")
+    spike = one.reading_N.copy()
+    spike[500] += 1000.0
+    left = Residuals(replace(one, reading_N=spike), one.reading_N, one.reading_N + 0.1)
+    rest = time_lines(left, 1000, [], ("V", "N"), "extended model")[0][1]
+    assert -5.0 < rest.y_range.start < -0.1
+    assert 0.0 < rest.y_range.end < 5.0
+
+
+def test_a_place_wider_than_the_data_does_not_squeeze_the_curves():
+    one = series("work.csv")
+    left = Residuals(one, 1.9 * one.command_V, 2.0 * one.command_V)
+    view = next(view for view in views([left], [(1, left)], ("V", "N")) if view.name == "rate_V_per_s")
+    plot = driver_figure(view, [Place("rate_V_per_s", 50.0, 1e5)], "N", "extended model")[0][0]
+    boxes = [box for box in plot.select(BoxAnnotation) if box.hatch_pattern]
+    assert boxes
+    assert max(abs(edge) for box in boxes for edge in (box.left, box.right)) <= np.abs(view.at).max()

@@ -1,0 +1,114 @@
+"""One wording of values, places and effects."""
+
+from dataclasses import replace
+
+import pytest
+
+from piezod.diagnose import words
+from piezod.diagnose.findings import Finding, Place, Value
+from piezod.effects import EFFECTS
+
+RANGE = EFFECTS["transport_delay"].parameter("delay_s")
+WORDING = words.Wording("V", "N")
+FLEXURE = words.Wording("V", "um")
+
+
+@pytest.mark.parametrize(
+    ("value", "said"),
+    [
+        (Value(0.0098831, "s", 0.009802, 0.009964), ("9.88\N{NO-BREAK SPACE}ms", "9.80 to 9.96")),
+        (Value(0.25, "s", 0.25, 0.25), ("0.2500\N{NO-BREAK SPACE}s", "")),
+        (Value(0.15, "s", RANGE.low, RANGE.high), ("0.150\N{NO-BREAK SPACE}s", "not determined by these recordings")),
+        (Value(0.2, "s", 0.05, 0.4), ("0.200\N{NO-BREAK SPACE}s", "0.0500 to 0.400")),
+    ],
+)
+def test_a_value_has_as_many_digits_as_its_interval_bears(value, said):
+    assert words.value_words(value, "delay_s", "transport_delay") == said
+
+
+@pytest.mark.parametrize(
+    ("place", "said"),
+    [
+        (Place("frequency_Hz", 50.0, 50.0), "frequency 50.00 Hz"),
+        (Place("frequency_Hz", 0.4123, 250.0), "frequency 0.412 to 250 Hz"),
+        (Place("time_s", 53.81, 57.83), "time 53.8 to 57.8 s"),
+        (Place("direction", -1.0, 1.0), "rising and falling differ"),
+    ],
+)
+def test_a_place_is_said_in_words(place, said):
+    assert words.place_words(place, WORDING) == said
+
+
+@pytest.mark.parametrize(
+    ("number", "said"), [(0.0, "0"), (2.8213, "2.82"), (11.649, "11.6"), (1234.5, "1234"), (0.00012345, "1.23e-04")]
+)
+def test_numbers_keep_three_digits(number, said):
+    assert words.rounded(number) == said
+
+
+@pytest.mark.parametrize(
+    ("place", "said"),
+    [
+        (Place("force_N", -115.56, -112.34), "output -115.6 to -112.3 \N{MICRO SIGN}m"),
+        (Place("amplitude_V", 0.0, 0.082417), "way since the last reversal 0 to 0.082 V"),
+        (Place("rate_V_per_s", 565.97, 15794.5), "rate of the command 566 to 15800 V/s"),
+    ],
+)
+def test_a_place_is_in_units_of_the_recording_with_no_more_digits_than_it_bears(place, said):
+    assert words.place_words(place, FLEXURE) == said
+
+
+@pytest.mark.parametrize(
+    ("unit", "said"),
+    [
+        ("N", "\N{MICRO SIGN}m"),
+        ("N s/V", "\N{MICRO SIGN}m s/V"),
+        ("N/K", "\N{MICRO SIGN}m/K"),
+        ("V/s", "V/s"),
+        ("Hz", "Hz"),
+        ("ppm", "ppm"),
+        ("s", "s"),
+    ],
+)
+def test_units_of_the_catalogue_become_those_of_the_recording(unit, said):
+    assert FLEXURE.unit(unit) == said
+
+
+CREEP = Finding(
+    name="creep",
+    title="creep of the stack",
+    confidence=0.9,
+    scope="since",
+    where=(Place("history_s", 0.1604, 30.0),),
+    parameters={"per_decade": Value(0.0127, "1", 0.0123, 0.0130), "from_s": Value(0.16, "s", 0.1, 0.2)},
+    before=1.0,
+    after=0.1,
+)
+
+
+def test_an_effect_is_said_in_one_clause():
+    assert words.effect_words(CREEP) == (
+        "creep of the stack, 1.270 % per decade (1.230 to 1.300), seen at memory 0.160 to 30.0 s"
+    )
+    everywhere = replace(
+        CREEP, name="transport_delay", title="transport delay", where=(), parameters={"delay_s": DELAY}
+    )
+    assert words.effect_words(everywhere) == "transport delay, delay 9.88 ms (9.80 to 9.96)"
+
+
+DELAY = Value(0.0098831, "s", 0.009802, 0.009964)
+
+
+def test_a_share_is_said_in_per_cent():
+    curvature = Value(-0.48998, "1", -0.492, -0.4879)
+    assert words.value_words(curvature, "curvature", "output_nonlinearity") == (
+        "-49.00\N{NO-BREAK SPACE}%",
+        "-49.20 to -48.79",
+    )
+
+
+@pytest.mark.parametrize(
+    ("titles", "said"), [([], ""), (["a"], "a"), (["a", "b"], "a and b"), (list("abc"), "a, b and c")]
+)
+def test_things_are_listed(titles, said):
+    assert words.listed(titles) == said
