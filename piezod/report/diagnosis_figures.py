@@ -15,7 +15,7 @@ from bokeh.models import (
     Range1d,
 )
 from bokeh.models.annotations import Band, BoxAnnotation, ColorBar, Span
-from bokeh.models.glyphs import Image
+from bokeh.models.glyphs import Image, Text
 from bokeh.palettes import interp_palette
 from bokeh.plotting import figure
 from numpy.typing import NDArray
@@ -67,17 +67,9 @@ def error_bars(findings: Findings, extended: str) -> figure:
     plot.add_layout(floor)
     plot.hbar(y="row", right="error", height=0.42, color="colour", source=source)
     plot.text("error", "row", "said", source=source, x_offset=6, text_baseline="middle", text_font_size="13px")
-    plot.text(
-        "start",
-        "row",
-        "name",
-        source=source,
-        x_offset=2,
-        y_offset=-13,
-        text_font_size="13px",
-        text_color=INK,
-        background_fill_color="#ffffff",
-    )
+    names = Text(x="start", y="row", text="name", x_offset=2, y_offset=-13, text_font_size="13px", text_color=INK)
+    names.background_fill_color = "#ffffff"
+    plot.add_glyph(source, names)
     plot.yaxis.visible = False
     plot.ygrid.grid_line_color = None
     return _finish(plot)
