@@ -26,7 +26,8 @@ Scope = Literal["already", "since", "once"]
 ORDER = {name: place for place, name in enumerate(EFFECTS)}
 FASTEST_MODE = 0.45  # of the sampling rate; a faster one is nothing but a delay
 MOST_ROWS = 25_000
-CACHED = 4  # results of every kind that are kept a recording
+CACHED, CACHED_WHEN_LONG = 4, 2  # results of every kind that are kept a recording
+LONG = 250_000  # samples of a recording
 
 
 @dataclass(frozen=True)
@@ -171,11 +172,10 @@ class Chain:
             "limit_V_per_s": (0.1 * slow, fastest),
             "frequency_Hz": (0.0, FASTEST_MODE / min(one.dt_s for one in self.series)),
         }
-        self._plays: list[Kept[tuple[Array, Array, float, dict[str, tuple[Array, Array]]]]] = [
-            Kept(CACHED) for _ in self.series
-        ]
-        self._strokes: list[Kept[tuple[Array, float]]] = [Kept(CACHED) for _ in self.series]
-        self._additions: list[Kept[Array]] = [Kept(CACHED) for _ in self.series]
+        kept = [CACHED if one.time_s.size < LONG else CACHED_WHEN_LONG for one in self.series]
+        self._plays: list[Kept[tuple[Array, Array, float, dict[str, tuple[Array, Array]]]]] = [*map(Kept, kept)]
+        self._strokes: list[Kept[tuple[Array, float]]] = [*map(Kept, kept)]
+        self._additions: list[Kept[Array]] = [*map(Kept, kept)]
 
     def like(self, series: Sequence[Series], most_rows: int | None = None) -> "Chain":
         """The same operators over other series."""

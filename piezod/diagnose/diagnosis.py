@@ -337,23 +337,27 @@ def _tone_error(name: str, value: float, mine: Sequence[Tone], chain: Chain) -> 
 
 
 def _share(result: Search, place: int) -> Value:
-    """Part of what the plays lag behind that depends on the bias, by rms over the recordings asked about."""
+    """Part of what the plays lag behind that depends on the bias, by rms over the recordings asked about.
+
+    From what no plays and no curve follow up to all of it: how much of another hysteresis is congruent, nothing tells.
+    """
     chain, found = result.chain, result.found
-    others = tuple(
-        {**values, "share": 0.0} if number == place else values for number, values in enumerate(found.point.values)
-    )
-    term = replace(found.terms[place], choices=())
-    terms = tuple(term if number == place else one for number, one in enumerate(found.terms))
+    bends = {name: x for name, x in found.point.values[place].items() if name.startswith(("degree_1", "curve"))}
+    others = tuple(bends if number == place else values for number, values in enumerate(found.point.values))
+    congruent = replace(found.point, values=others)
     shares = []
     for k, series in enumerate(chain.series):
         if series.role == "recording":
-            with_it = chain.run(k, found.terms, found.point)
-            without_it = chain.run(k, terms, replace(found.point, values=others))
-            added = with_it.stroke_V - without_it.stroke_V
-            lags = without_it.columns @ found.point.density
-            shares.append(float(np.std(added)) / max(float(np.std(lags)), 1e-12))
-    value = float(np.clip(np.mean(shares), 0.0, 1.0))
-    return Value(value, "1", 0.8 * value, min(1.2 * value, 1.0))
+            rows = chain.rows[k]
+            with_it, without_it = (chain.run(k, found.terms, point) for point in (found.point, congruent))
+            added_V, columns = (with_it.stroke_V - without_it.stroke_V)[rows], with_it.columns[rows]
+            curve = np.polynomial.chebyshev.chebvander(2.0 * series.command_V[rows] / chain.voltage_span_V - 1.0, 4)
+            followed = np.hstack((columns, curve))
+            left_V = added_V - followed @ np.linalg.lstsq(followed, added_V, rcond=None)[0]
+            lags_V = max(float(np.std(columns @ found.point.density)), 1e-12)
+            shares.append((float(np.std(left_V)) / lags_V, float(np.std(added_V)) / lags_V))
+    low, value = np.clip(np.mean(shares, axis=0), 0.0, 1.0).tolist()
+    return Value(value, "1", low, 1.0)
 
 
 def _rivals(result: Search, term: Term) -> tuple[Rival, ...]:

@@ -251,6 +251,7 @@ class Normal:
         ----------
         changes
             Of the readings that are compared, for every recording, shape (rows,), or None where nothing changes [N].
+            One that what is fitted follows by itself has the size 0.
         """
         count = len(changes)
         across, inner, along = np.zeros((self.ridge.shape[0], count)), np.zeros((count, count)), np.zeros(count)
@@ -269,11 +270,11 @@ class Normal:
         hessian, gradient = self.hessian.sum(axis=0) + self.ridge, self.gradient.sum(axis=0)
         solved = np.array([_solved(hessian, column) for column in across.T]).T
         free = inner - across.T @ solved
-        if not np.all(np.diag(free) > 1e-9 * np.diag(inner)):
-            return 0.0, np.zeros(count)
-        numerator = along - solved.T @ gradient
-        sizes = _solved(free, numerator)
-        return float(numerator @ sizes), sizes
+        told = np.diag(free) > 1e-9 * np.diag(inner)
+        numerator, sizes = (along - solved.T @ gradient)[told], np.zeros(count)
+        if told.any():
+            sizes[told] = _solved(free[np.ix_(told, told)], numerator)
+        return float(numerator @ sizes[told]), sizes
 
     def free_energy(self, change: Sequence[Array | None]) -> float:
         """Square of a change of the readings, in units of the noise, that nothing which is fitted can follow.

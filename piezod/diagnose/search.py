@@ -60,6 +60,7 @@ RINGS = 0.6  # damping ratio beyond which nothing is seen to ring
 SLIDES = 0.5  # of the force's range: friction with a longer presliding never slides
 START_LOOKED_AT_S = 20.0
 SAME = 0.005  # of the loss
+PLAINER = 0.002  # of the loss, that a parameter must bring for its effect to be chosen
 
 
 @dataclass(frozen=True)
@@ -134,7 +135,7 @@ def search(chain: Chain, start: Point, progress: OnProgress) -> Search:
             if worth(result.found, one) and not _degenerate(chain, one) and _fair(chain, result.found, one, largest)
         ]
         settled = each(_settled, sorted(better, key=lambda one: one[1].loss)[:FINALISTS])
-        best = min(settled, key=lambda one: one[1].loss, default=None)
+        best = min(settled, key=lambda one: _weighed(one[1]), default=None)
         if heard is not None and (best is None or heard[1].loss < best[1].loss):
             _listen(result, heard)
             largest = max(result.base.loss - result.found.loss, 0.0)
@@ -250,6 +251,11 @@ def worth(before: Fitted, after: Fitted) -> bool:
     if gain > MUCH * before.loss and np.mean(gains < -NOTICED) < FEW:
         return True
     return _steadiness(before, after) > STEADY
+
+
+def _weighed(fitted: Fitted) -> float:
+    """The loss, a little more of it for every parameter that the last effect is shaped by: of two alike the plainer."""
+    return fitted.loss * (1.0 + PLAINER * len(fitted.terms[-1].searched))
 
 
 def _steadiness(before: Fitted, after: Fitted) -> float:

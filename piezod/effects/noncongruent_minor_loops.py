@@ -1,13 +1,15 @@
 """Minor loops that differ with bias: plays whose weight depends on where they stand, as a Preisach plane has it.
 
-Forward    v = x + share s sum_i [a(r_i) (x_i^2 - y^2) / 2 + b(r_i) (x_i^3 - y^3) / 3] / n, with x_i = 2 z_i / s - 1 and
-           y = 2 u / s - 1
+Forward    v = x + share s/2 {sum_i sum_jd w_jd h_j(i) [T_d(x_i) - T_d(y)] / n + sum_d c_d T_d(y)}, with
+           x_i = 2 z_i / s - 1, y = 2 u / s - 1
 Inverse    solved sample by sample as that of the plays is, while the sum stays monotone
 Signature  equal minor loops open differently at different biases; flat in frequency, nothing at rest; look-alike
            output_nonlinearity (the same on both branches)
 Seat       hysteresis
-Valid      any Preisach operator is a sum of functions of play states (Krejci 1996); here of degree 3
-Source     THEORY 3 R; s is the identified voltage range, z_i the states of n plays up to it, a and b hats over r
+Valid      any Preisach operator is a sum of functions of play states (Krejci 1996); here up to degree 4
+Source     THEORY 3 R; s is the identified voltage range, z_i the states of n plays up to it, h_j hats over their
+           thresholds, T_d Chebyshev's polynomials. w_j1 alone is congruent, and c_d the same on both branches: a
+           share of another hysteresis changes both as well
 """
 
 import numba
@@ -16,28 +18,44 @@ import numpy as np
 from piezod.effects.effect import Array, Context, Effect, Parameter, Seat, Values
 
 PLAYS = 24
-HATS = 4
+HATS = 3
+DEGREES = 4
+NAMES = (
+    *(f"degree_{d}_{j}" for d in range(1, DEGREES + 1) for j in range(HATS)),
+    *(f"curve_{d}" for d in range(2, DEGREES + 1)),
+)
 
 
 @numba.njit(cache=True, nogil=True)
-def _columns(u: Array, path: Array, span: float, hats: Array) -> Array:
-    """What the plays of every hat add, by the square and by the cube of their places, shape (2 HATS, N) [V]."""
+def _polynomials(x: float, out: Array) -> None:
+    """T_1(x) to T_d(x) by their recurrence."""
+    before, now = 1.0, x
+    for d in range(out.size):
+        out[d] = now
+        before, now = now, 2.0 * x * now - before
+
+
+@numba.njit(cache=True, nogil=True)
+def _columns(u: Array, path: Array, span: float, hats: Array, degrees: int) -> Array:
+    """What every polynomial of the plays' places adds, hat by hat, and of the voltage's, shape (N, NAMES) [V]."""
     n, count = hats.shape
-    z, out = np.zeros(n), np.zeros((2 * count, u.size))
+    z, out = np.zeros(n), np.zeros((u.size, degrees * count + degrees - 1))
+    of_play, of_voltage = np.empty(degrees), np.empty(degrees)
     r = span * ((np.arange(n) + 0.5) / n) ** 1.5
     for k in range(path.size):
         for i in range(n):
             z[i] = max(path[k] - r[i], min(path[k] + r[i], z[i]))
     for k in range(u.size):
-        y = (2.0 * u[k] - span) / span
+        _polynomials((2.0 * u[k] - span) / span, of_voltage)
         for i in range(n):
             z[i] = max(u[k] - r[i], min(u[k] + r[i], z[i]))
-            x = (2.0 * z[i] - span) / span
-            square, cube = span / n * (x * x - y * y) / 2.0, span / n * (x * x * x - y * y * y) / 3.0
-            for j in range(count):
-                if hats[i, j] > 0.0:
-                    out[j, k] += hats[i, j] * square
-                    out[count + j, k] += hats[i, j] * cube
+            _polynomials((2.0 * z[i] - span) / span, of_play)
+            for d in range(degrees):
+                more = 0.5 * span / n * (of_play[d] - of_voltage[d])
+                for j in range(count):
+                    out[k, d * count + j] += hats[i, j] * more
+        for d in range(1, degrees):
+            out[k, degrees * count + d - 1] = 0.5 * span * of_voltage[d]
     return out
 
 
@@ -52,10 +70,11 @@ def forward(signal: Array, context: Context, values: Values) -> Array:
     known = context.memo.get("noncongruent_minor_loops")
     if known is None or known[0] is not context.applied_V:
         path = np.array(context.path_V, dtype=np.float64)
-        known = context.applied_V, _columns(context.applied_V, path, context.voltage_span_V, _hats())
+        columns = _columns(context.applied_V, path, context.voltage_span_V, _hats(), DEGREES)
+        known = context.applied_V, columns
         context.memo["noncongruent_minor_loops"] = known
-    weights = np.array([values.get(f"{name}_{k}", 0.0) for name in ("square", "cube") for k in range(HATS)])
-    result: Array = signal + (values.get("share", 1.0) * weights) @ known[1]
+    weights = np.array([values.get(name, 0.0) for name in NAMES])
+    result: Array = signal + known[1] @ (values.get("share", 1.0) * weights)
     return result
 
 
@@ -66,11 +85,7 @@ EFFECT = Effect(
     form="additive",
     parameters=(
         Parameter("share", "1", 0.0, 1.0, starts=(1.0,), choices=(1.0,)),
-        *(
-            Parameter(f"{name}_{k}", "1", -3.0, 3.0, starts=(0.1,), nuisance=True)
-            for name in ("square", "cube")
-            for k in range(HATS)
-        ),
+        *(Parameter(name, "1", -3.0, 3.0, starts=(0.1,), nuisance=True) for name in NAMES),
     ),
     forward=forward,
     handling="refused",

@@ -67,7 +67,9 @@ MIDDLE = {  # neither so weak nor so fast that nothing could be seen on a grid o
     "clock_skew": {"skew_ppm": -10_000.0},
     "sensor_dropout": {"from_s": 0.512, "to_s": 0.768},
     "vibration": {"breathing_depth": 0.5},
-    "noncongruent_minor_loops": dict.fromkeys((f"cube_{k}" for k in range(4)), 0.0),
+    "noncongruent_minor_loops": dict.fromkeys(
+        [f"degree_{d}_{j}" for d in (1, 3, 4) for j in range(3)] + ["curve_3", "curve_4"], 0.0
+    ),
     "mains_hum": {"sine_2": 0.3, "cosine_3": 0.2, "sine_5": 0.1},
 }
 every_effect = pytest.mark.parametrize("name", list(EFFECTS))
