@@ -166,12 +166,12 @@ class SerialLineDevice:
         values, counters = self._plausibility.values, self._plausibility.counters
         try:
             for name, slot in self._quantities:
-                value = float(match[name])
+                value = _decimal(match[name])
                 if not isfinite(value):
                     return ExchangeResult.NOT_FINITE
                 values[slot] = value
             for name, slot in self._counters:
-                counters[slot] = int(match[name])
+                counters[slot] = _whole(match[name])
         except (TypeError, ValueError):
             return ExchangeResult.MALFORMED
         return self._plausibility.accept(-1)
@@ -253,7 +253,13 @@ class SerialLineDevice:
         line, written = self._watchdog.fill(value)
         match = self._ask(line, self._watchdog_reply, "link.watchdog")
         told = match is not None and WATCHDOG in match.re.groupindex
-        self._watchdog_ms = float(match[WATCHDOG]) if match is not None and told else written
+        try:
+            self._watchdog_ms = _decimal(match[WATCHDOG]) if match is not None and told else written
+        except (TypeError, ValueError):
+            found = bytes(match[0][:60]) if match is not None else b""
+            raise CheckFailedError(
+                f"{self.description}: link.watchdog answered {found!r}, which names no time"
+            ) from None
 
     def identify(self) -> None:
         """Compare the answer to the identity's line with its pattern; raises IdentityError."""
@@ -284,3 +290,17 @@ class SerialLineDevice:
     def _require(self, role: str) -> None:
         if not self.has(role):
             raise ConfigurationError(f"{self.description}: no line of the configuration carries '{role}'")
+
+
+def _decimal(text: bytes) -> float:
+    """The number that a field says; raises ValueError, also for the underscores that Python would skip."""
+    if b"_" in text:
+        raise ValueError
+    return float(text)
+
+
+def _whole(text: bytes) -> int:
+    """The whole number that a field says; raises ValueError, as `_decimal`."""
+    if b"_" in text:
+        raise ValueError
+    return int(text)

@@ -3,7 +3,7 @@ import time
 import pytest
 
 from piezod.config.link import SerialLineLink
-from piezod.errors import ConfigurationError, IdentityError, UnreachableError
+from piezod.errors import CheckFailedError, ConfigurationError, IdentityError, UnreachableError
 from piezod.transport import ExchangeResult, make_link, verify_identity
 from tests.unit.transport.conftest import TIMEOUT_S, line_config, opened
 from tests.unit.transport.scripted import LINE, ScriptedLine, snapshot, until_good
@@ -26,6 +26,7 @@ GARBLED = {
     "an error": (lambda _good: b"ERR 5\n", ExchangeResult.MALFORMED),
     "words before": (lambda good: b"x" + good, ExchangeResult.MALFORMED),
     "not ascii": (lambda _good: b"\xff\xfe\n", ExchangeResult.MALFORMED),
+    "underscores": (lambda _good: b"F=4_1.5 V=1 N=5\n", ExchangeResult.MALFORMED),
     "no number": (lambda _good: b"F=abc V=1 N=5\n", ExchangeResult.MALFORMED),
     "not finite": (lambda _good: b"F=nan V=1 N=5\n", ExchangeResult.NOT_FINITE),
     "overflow": (lambda _good: b"F=1e999 V=1 N=5\n", ExchangeResult.NOT_FINITE),
@@ -174,3 +175,12 @@ def test_a_device_that_speaks_only_its_prompt_costs_one_timeout(line):
     assert link.exchange(1.0) is ExchangeResult.TIMEOUT
     assert time.monotonic() - begun_s < 10 * TIMEOUT_S
     assert LINE["terminator"] == "\n"
+
+
+@pytest.mark.parametrize("answer", [b"DOG ten\n", b"DOG 1_00\n"])
+def test_a_watchdog_time_that_is_no_number_is_refused_in_words(answer):
+    watchdog = {"send": "DOG {watchdog_ms:.0f}", "reply": r"DOG (?P<watchdog_ms>\S+)"}
+    with ScriptedLine() as server, opened(server, line_config(server.port, watchdog=watchdog)) as (link, _):
+        server.answer = lambda frame, _number: [answer if frame.startswith(b"DOG") else server.good(frame)]
+        with pytest.raises(CheckFailedError, match=r"link\.watchdog answered"):
+            link.write_register("watchdog_ms", 100.0)
