@@ -11,7 +11,8 @@
        |- IdentityError            the device is not the one the configuration names
        `- RecordingError           a recording that cannot be used
 
-A message is one line: what, where, the value, the limit, what to do.
+A message is one line: what, where, the value, the limit, what to do. Signs that a terminal or a log would obey (line
+ends, escape sequences) may come from a file or a device; they are shown as escapes.
 """
 
 
@@ -19,6 +20,11 @@ class PiezodError(Exception):
     """A failure that the user can do something about."""
 
     exit_code = 1
+
+    def __str__(self) -> str:
+        """The message on one line, every sign printable."""
+        text = super().__str__()
+        return text if text.isprintable() else "".join(map(_shown, text))
 
 
 class CheckFailedError(PiezodError):
@@ -61,3 +67,7 @@ class IdentityError(ConfigurationError):
 
 class RecordingError(ConfigurationError):
     """A recording that cannot be used."""
+
+
+def _shown(sign: str) -> str:
+    return sign if sign.isprintable() else sign.encode("unicode_escape").decode("ascii")

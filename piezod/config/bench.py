@@ -5,7 +5,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
-from piezod.config.checked import Section, check
+from piezod.config.checked import Section, check, shortened
 from piezod.config.limits import LimitsConfig
 from piezod.config.link import LinkConfig, ModbusRtuLink, ModbusTcpLink, Registers, SerialLineLink
 from piezod.config.recorder import RecorderConfig
@@ -253,7 +253,7 @@ def load_bench(path: Path) -> BenchConfig:
     document = read_document(path)
     schema = document.content.get("schema")
     if schema != SCHEMA:
-        raise ConfigurationError(f"{path}: schema is {schema!r}, must be '{SCHEMA}'")
+        raise ConfigurationError(f"{path}: schema is {shortened(schema)}, must be '{SCHEMA}'")
     return check(document, BenchConfig)
 
 

@@ -57,7 +57,7 @@ def _explain(detail: ErrorDetails, document: Document, section: type[BaseModel])
     keys = [key for key in detail["loc"] if not _is_union_tag(key, document, detail["loc"])]
     where = f"{document.path}:{document.line_of(keys)}"
     name = ".".join(str(key) for key in keys) or "the file"
-    value = _shorten(detail["input"])
+    value = shortened(detail["input"])
     kind, context = detail["type"], detail.get("ctx", {})
     if kind in _LIMIT_WORDS:
         bound, words = _LIMIT_WORDS[kind]
@@ -115,6 +115,7 @@ def _known_keys(section: type[BaseModel]) -> set[str]:
     return known
 
 
-def _shorten(value: object) -> str:
+def shortened(value: object) -> str:
+    """A value as it stands in a message: some sixty signs at most."""
     text = repr(value).replace("True", "true").replace("False", "false") if not isinstance(value, dict) else "a mapping"
     return text if len(text) <= 60 else text[:57] + "..."

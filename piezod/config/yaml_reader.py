@@ -1,8 +1,8 @@
 """Read YAML so strictly that what was written is what is meant.
 
 PyYAML's defaults let a duplicate key win silently, read `12:30` as 750, `0400` as 256 and `no` as false. Here a
-number is decimal, a truth value is `true` or `false`, a key stands once, aliases do not exist, and every error names
-file and line.
+number is decimal, a truth value is `true` or `false`, a key stands once, aliases and tags do not exist, and every
+error names file and line.
 """
 
 import re
@@ -20,6 +20,13 @@ MAX_DEPTH = 32
 
 class _StrictLoader(yaml.SafeLoader):
     """Safe loader with the scalars of YAML 1.2 and nothing that surprises."""
+
+    def compose_node(self, parent: yaml.Node | None, index: Any) -> yaml.Node | None:  # noqa: ANN401  as PyYAML has it
+        """Refuse tags: they make another value of what stands there, and PyYAML fails on one that does not fit."""
+        event = self.peek_event()  # type: ignore[no-untyped-call]
+        if getattr(event, "tag", None) is not None:
+            raise yaml.composer.ComposerError(None, None, "a tag (!name); write the plain value", event.start_mark)
+        return super().compose_node(parent, index)
 
 
 _StrictLoader.yaml_implicit_resolvers = {}
@@ -52,7 +59,10 @@ class Document:
 
     def __init__(self, path: Path, text: str) -> None:
         self.path = path
-        loader = _StrictLoader(text)
+        try:
+            loader = _StrictLoader(text)
+        except yaml.reader.ReaderError as error:
+            raise ConfigurationError(_sign_message(path, text, error)) from error
         try:
             self._root = loader.get_single_node()
             _refuse_surprises(self._root, path)
@@ -90,6 +100,8 @@ def read_document(path: Path) -> Document:
             raw = file.read(MAX_BYTES + 1)
     except OSError as error:
         raise ConfigurationError(f"{path}: cannot be read: {error.strerror}") from error
+    except ValueError as error:
+        raise ConfigurationError(f"{path}: cannot be read: {error}; no file has such a name") from error
     if len(raw) > MAX_BYTES:
         raise ConfigurationError(f"{path}: larger than {MAX_BYTES} bytes, not a configuration")
     try:
@@ -148,6 +160,11 @@ def _syntax_message(path: Path, error: yaml.YAMLError) -> str:
         mark = error.problem_mark
         return f"{path}:{mark.line + 1}:{mark.column + 1}: not valid YAML: {error.problem}"
     return f"{path}: not valid YAML: {' '.join(str(error).split())}"
+
+
+def _sign_message(path: Path, text: str, error: yaml.reader.ReaderError) -> str:
+    line = text.count("\n", 0, error.position) + 1
+    return f"{path}:{line}: character {error.character:#x} is not allowed in YAML; remove it, or save the file as text"
 
 
 def _kind(value: object) -> str:

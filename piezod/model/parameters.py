@@ -14,7 +14,7 @@ import numpy as np
 import yaml
 from pydantic import Field, model_validator
 
-from piezod.config import Section, check, read_document
+from piezod.config import Section, check, read_document, shortened
 from piezod.effects import EFFECTS
 from piezod.errors import ConfigurationError, ModelError
 from piezod.operators import EPS, PrandtlIshlinskii
@@ -225,7 +225,7 @@ def load_model(path: Path) -> Model:
     document = read_document(path)
     schema = document.content.get("schema")
     if schema != SCHEMA:
-        raise ModelError(f"{path}: schema is {schema!r}, must be '{SCHEMA}'; identify again with this version")
+        raise ModelError(f"{path}: schema is {shortened(schema)}, must be '{SCHEMA}'; identify again with this version")
     model = check(document, Model)
     try:
         model.operator()
