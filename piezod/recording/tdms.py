@@ -1,5 +1,7 @@
 """Recordings as TDMS (LabVIEW): one channel a column, its unit as `unit_string`, time as channel or waveform step."""
 
+import io
+import logging
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -31,7 +33,8 @@ def open_tdms(path: Path) -> Iterator[Source]:
         nptdms is missing, the channels differ in length or name no time.
     """
     nptdms = require("nptdms", "tdms", path)
-    with path.open("rb") as raw, nptdms.TdmsFile.open(raw) as file:
+    nptdms.log.log_manager.set_level(logging.ERROR)  # of damaged text it would print whole files
+    with _AsLongAsItIs(io.FileIO(path)) as raw, nptdms.TdmsFile.open(raw) as file:
         every = [channel for group in file.groups() for channel in group.channels()]
         channels = [channel for channel in every if channel.dtype.kind in "fiub" and len(channel)]
         left_out = [channel.path for channel in every if channel not in channels]
@@ -58,6 +61,19 @@ def write_tdms(recording: Recording, path: Path) -> None:
                 nptdms.ChannelObject(GROUP, name, np.asarray(values[start:stop], dtype=np.float64), units[name])
                 for name, values in columns.items()
             )
+
+
+class _AsLongAsItIs(io.BufferedReader):
+    """A file that is never asked for more than it has: a length in a damaged one may claim 4 GB, and get them."""
+
+    def read(self, size: int | None = -1) -> bytes:
+        """Read at most what is left."""
+        if size is None or size < 0:
+            return super().read()
+        here = self.tell()
+        left = self.seek(0, io.SEEK_END) - here
+        self.seek(here)
+        return super().read(min(size, max(left, 0)))
 
 
 def _source(path: Path, channels: list[Any], metadata: dict[str, str]) -> Source:
