@@ -1,0 +1,95 @@
+"""What may be sent to the control socket: any bytes, by any client that may connect."""
+
+import asyncio
+import json
+import socket
+import weakref
+from typing import Any
+
+from piezod.config import load_bench
+from piezod.daemon.control_socket import ControlSocket, Peer
+from piezod.daemon.shipped import shipped
+from tests.fuzz.target import Check, Target
+
+COMMANDS = ("status", "arm", "disarm", "stop", "reset", "reload")
+
+
+class Answered:
+    """Stands where the stream to the client stands."""
+
+    def __init__(self, ours: socket.socket) -> None:
+        self._socket = ours
+        self.lines = b""
+
+    def get_extra_info(self, _name: str) -> socket.socket:
+        return self._socket
+
+    def write(self, data: bytes) -> None:
+        self.lines += data
+
+    async def drain(self) -> None:
+        pass
+
+    def close(self) -> None:
+        pass
+
+    async def wait_closed(self) -> None:
+        pass
+
+
+def seeds() -> list[bytes]:
+    """Every command, several in a row, and what a shell user may try."""
+    lines = [json.dumps({"command": command}).encode() + b"\n" for command in COMMANDS]
+    return [*lines, b"".join(lines), b'{"command": "\\u0061rm", "x": [1, {"y": null}]}\n', b"status\n"]
+
+
+def check() -> Check:
+    """Send, and hold what was done against what was said: only a whole line of one key does anything."""
+    ours, theirs = socket.socketpair(socket.AF_UNIX)
+    done: list[str] = []
+
+    async def answer(command: str, _peer: Peer) -> dict[str, object]:
+        done.append(command)
+        return {"ok": command in COMMANDS, "error": f"command is {command!r}"}
+
+    control = ControlSocket(load_bench(shipped("bench.yaml")), answer, lambda _line: None)
+
+    async def serve(data: bytes) -> bytes:
+        reader = asyncio.StreamReader(limit=4096)
+        reader.feed_data(data)
+        reader.feed_eof()
+        writer: Any = Answered(ours)
+        await control._serve(reader, writer)
+        return writer.lines
+
+    runner = asyncio.Runner()
+
+    def send(data: bytes) -> None:
+        done.clear()
+        answers = runner.run(serve(data)).split(b"\n")
+        if answers.pop() != b"" or not all(isinstance(json.loads(line), dict) for line in answers):
+            raise AssertionError("an answer is no line of JSON")
+        if done != _asked(data):
+            raise AssertionError(f"{done} was done, {_asked(data)} was asked for")
+
+    for held in (runner, ours, theirs):
+        weakref.finalize(send, held.close)
+    return send
+
+
+def _asked(data: bytes) -> list[str]:
+    """The commands of whole lines, up to the first that is too long."""
+    commands = []
+    for line in data.split(b"\n")[:-1]:
+        if len(line) > 4096:
+            break
+        try:
+            said = json.loads(line)
+        except (ValueError, RecursionError):
+            continue
+        if isinstance(said, dict) and list(said) == ["command"] and isinstance(said["command"], str):
+            commands.append(said["command"])
+    return commands
+
+
+TARGETS = [Target("control_socket", "messages", seeds, check)]
