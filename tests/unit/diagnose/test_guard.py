@@ -16,7 +16,7 @@ from unit.diagnose.residuals import (
     yielded,
 )
 
-from piezod.diagnose.diagnosis import STILL_EXPLAINABLE
+from piezod.diagnose.verdict import STILL_EXPLAINABLE
 from piezod.diagnose.guard import explainable
 
 SAMPLES = 30_000

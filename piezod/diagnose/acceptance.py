@@ -1,0 +1,112 @@
+"""Whether one more effect is believed: what it gains, how steadily, beside what was found, and whether it is itself."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from piezod.diagnose.chain import Chain
+from piezod.diagnose.fit import Fitted
+from piezod.diagnose.motion import motion
+from piezod.diagnose.steps import Step, sharp
+
+Array = NDArray[np.float64]
+
+WORTH = 0.04  # of the loss that is left: what an effect must gain at least
+MUCH = 0.3  # of the loss: where a few blocks hold nearly all of it, an effect may gain in these alone,
+NOTICED, FEW = 0.05, 0.25  # if not more than so many blocks grow worse
+MOST_OF_A_BLOCK = 3.0  # times the median gain
+STEADY = 2.5  # standard deviations of the blocks' gains
+WORTH_WHEN_SMALL, STEADY_WHEN_SMALL, LEFT_WHEN_SMALL = 0.08, 3.0, 0.05
+LOOSE = (
+    "friction",
+    "rate_dependent_hysteresis",
+    "noncongruent_minor_loops",
+    "gain_drift",
+    "creep",
+    "output_nonlinearity",
+    "contact_gap",
+)
+SMALLEST_SHARE = 5e-4  # of the largest gain: below it is what no form of the larger effect fits exactly
+FAIR_SHARE = 0.02  # of the largest gain so far: more effects than that are the plant's own shape
+LATE = 0.05  # of a sample
+RINGS = 0.6  # damping ratio beyond which nothing is seen to ring
+SLIDES = 0.5  # of the force's range: friction with a longer presliding never slides
+PLAINER = 0.002  # of the loss, that a parameter must bring for its effect to be chosen
+
+
+def worth(before: Fitted, after: Fitted) -> bool:
+    """Whether an effect gains enough on blocks left out, and in most of them or very much."""
+    gain = before.loss - after.loss
+    if gain < WORTH * after.loss:
+        return False
+    if after.terms[-1].scope == "once":
+        return True
+    gains = np.log(before.losses / after.losses)
+    if gain > MUCH * before.loss and np.mean(gains < -NOTICED) < FEW:
+        return True
+    return steadiness(before, after) > STEADY
+
+
+def weighed(fitted: Fitted) -> float:
+    """The loss, a little more of it for every parameter that the last effect is shaped by: of two alike the plainer."""
+    return fitted.loss * (1.0 + PLAINER * len(fitted.terms[-1].searched))
+
+
+def steadiness(before: Fitted, after: Fitted) -> float:
+    """Sum of the blocks' logarithmic gains over its standard deviation if their signs were chance.
+
+    A block that gains or loses far more than most counts no more than some of them: it would drown what they say.
+    """
+    gains = np.log(before.losses / after.losses)
+    touched = gains[np.abs(gains) > 1e-3]
+    if touched.size < 4:
+        return 0.0
+    most = MOST_OF_A_BLOCK * float(np.median(np.abs(touched)))
+    touched = np.clip(touched, -most, most)
+    return float(np.sum(touched)) / float(np.sqrt(np.sum(touched**2)))
+
+
+def fair(chain: Chain, before: Fitted, after: Fitted, largest: float) -> bool:
+    """Whether an effect is more than the remainder of a larger one that has not quite the plant's shape.
+
+    A small one must gain steadily; one that takes many shapes must leave nothing that depends on movement or level.
+    """
+    gain = before.loss - after.loss
+    if gain >= FAIR_SHARE * largest or after.terms[-1].scope == "once":
+        return True
+    if gain < SMALLEST_SHARE * largest:
+        return False
+    if gain < WORTH_WHEN_SMALL * after.loss or steadiness(before, after) < STEADY_WHEN_SMALL:
+        return False
+    if after.effects[-1] not in LOOSE:
+        return True
+    modelled = [chain.run(k, after.terms, after.point).reading_N for k in range(len(chain.series))]
+    residuals = [one.reading_N - model for one, model in zip(chain.series, modelled, strict=True)]
+    left = motion(chain.series, residuals, modelled)
+    return max(left.share, left.level_share) < LEFT_WHEN_SMALL
+
+
+def degenerate(chain: Chain, fitted: Fitted) -> bool:
+    """Whether the last effect is not what its name says.
+
+    Friction that never slides is a gain, a resonance that does not ring is a lag, a step without edges is a drift; what
+    is late by next to nothing of a sample is the moment of reading.
+    """
+    term, values = fitted.terms[-1], fitted.point.values[-1]
+    if term.effect.name == "friction":
+        return values["presliding_N"] > SLIDES * chain.parameter(term.effect, "presliding_N").high
+    if term.effect.name == "resonance":
+        return values["damping_ratio"] > RINGS
+    late_s = {
+        "electrical_lag": values.get("time_constant_s", 0.0),
+        "transport_delay": values.get("delay_s", 0.0),
+        "sensor_filter": 1.0 / (2.0 * np.pi * values.get("cutoff_Hz", np.inf)),
+        "clock_skew": 1e-6 * abs(values.get("skew_ppm", 0.0)) * max(one.duration_s for one in chain.series),
+    }.get(term.effect.name)
+    if late_s is not None:
+        return late_s < LATE * min(one.dt_s for one in chain.series)
+    if term.effect.name == "load_step":
+        series = chain.series[term.series]
+        residual_N = series.reading_N - chain.run(term.series, fitted.terms, fitted.point).reading_N
+        first, end = (round(values[name] / series.dt_s) for name in ("on_s", "off_s"))
+        return not sharp(series, residual_N, Step(values["step_N"], first, min(end, series.time_s.size)))
+    return False

@@ -1,0 +1,103 @@
+"""How the command runs between samples, and what led to the start of a recording: settled for each hypothesis."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+
+from piezod.diagnose.chain import Chain, Point, Term
+from piezod.diagnose.fit import MOST_STEPS, Fitted, fit
+from piezod.effects.effect import HELD_BEFORE, STRAIGHT
+from piezod.identify.start import CLEARLY, start_at_zero, starts_at_rest
+
+Array = NDArray[np.float64]
+
+HELD_PARTS = (0.3, 0.7)  # of a sample after its command, where the search for the moment of reading begins
+SMALLEST_PART = 0.04
+START_LOOKED_AT_S = 20.0
+SAME = 0.005  # of the loss
+COARSE_ROWS = 6000  # samples of a recording that are compared while much is tried
+
+
+def settled(one: tuple[Chain, Fitted]) -> tuple[Chain, Fitted]:
+    """A hypothesis with the course and the starts that suit it best."""
+    chain, fitted = one
+    few = coarse(chain)
+    known = fit(few, fitted.terms, fitted.point, most_steps=2)
+    best, again = restarted(*best_course(few, fitted.terms, fitted.point, known))
+    if again is known:
+        return one
+    fine = chain.like(best.series)
+    return fine, fit(fine, again.terms, again.point, most_steps=6)
+
+
+def restarted(chain: Chain, fitted: Fitted) -> tuple[Chain, Fitted]:
+    """The same with what led to each start estimated anew: under the given model an effect may have passed for it."""
+    series = list(chain.series)
+    resting = [k for k, one in enumerate(chain.series) if starts_at_rest(one.command_V)]
+    for number in resting:
+        one = chain.series[number]
+        loss = partial(_loss_of_start, chain, fitted, number)
+        path = start_at_zero(one.command_V, "V", loss).path
+        usual = chain.series[resting[0]].path_V  # a bench that is not used between its recordings starts them alike
+        if loss(path) >= CLEARLY * loss(usual):
+            path = usual
+        if loss(path) < (1.0 if path == usual else CLEARLY) * loss(one.path_V):
+            series[number] = replace(one, path_V=path)
+    if all(new is old for new, old in zip(series, chain.series, strict=True)):
+        return chain, fitted
+    other = chain.like(series)
+    again = fit(other, fitted.terms, fitted.point)
+    return (other, again) if again.loss < fitted.loss else (chain, fitted)
+
+
+def _loss_of_start(chain: Chain, fitted: Fitted, number: int, path_V: tuple[float, ...]) -> float:
+    series = list(chain.series)
+    series[number] = replace(series[number], path_V=path_V)
+    one = series[number]
+    error = one.reading_N - chain.like(series).run(number, fitted.terms, fitted.point).reading_N
+    window = slice(0, int(START_LOOKED_AT_S / one.dt_s))
+    return float(np.mean(np.square(error[window][one.counts[window]])))
+
+
+def best_course(chain: Chain, terms: Sequence[Term], point: Point, known: Fitted | None = None) -> tuple[Chain, Fitted]:
+    """The course of the command between samples under which a hypothesis fits best.
+
+    Held commands differ from each other only where something smooths them.
+    """
+    smooth = any(term.effect.smooths for term in terms)
+    results: dict[float, tuple[Chain, Fitted]] = {}
+    if known is not None:
+        results[chain.series[0].between] = (chain, known)
+
+    def best() -> float:
+        found = min(results, key=lambda between: results[between][1].loss)
+        straight = results.get(STRAIGHT)
+        if straight is not None and straight[1].loss <= (1.0 + SAME) * results[found][1].loss:
+            return STRAIGHT  # a held command read late and a delay are the same
+        return found
+
+    def judged(between: float) -> None:
+        if between not in results:
+            series = [replace(one, between=between) for one in chain.series]
+            other = chain.like(series)
+            results[between] = (other, fit(other, terms, point, most_steps=MOST_STEPS if known is None else 6))
+            other.forget()
+
+    for between in (STRAIGHT, *(HELD_PARTS if smooth else ()), HELD_BEFORE):
+        judged(between)
+    width = 0.5 * (HELD_PARTS[1] - HELD_PARTS[0])
+    while STRAIGHT < best() < HELD_BEFORE and width > SMALLEST_PART:
+        middle = best()
+        for between in (middle - width, middle + width):
+            if 0.0 < between <= 1.0:
+                judged(between)
+        width *= 0.5
+    return results[best()]
+
+
+def coarse(chain: Chain) -> Chain:
+    """The same, few samples of it compared."""
+    return chain.like(chain.series, COARSE_ROWS)

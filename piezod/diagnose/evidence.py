@@ -1,0 +1,189 @@
+"""What speaks for each effect that was found: parameters, errors without it and with it, rivals, confidence."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from piezod.diagnose.chain import Chain, Term
+from piezod.diagnose.direct import lattice_step_N
+from piezod.diagnose.findings import Finding, Place, Rival, Value
+from piezod.diagnose.fit import Fitted, fit
+from piezod.diagnose.places import place_of
+from piezod.diagnose.search import Search, without
+from piezod.diagnose.series import Series
+from piezod.diagnose.tones import Tone
+from piezod.diagnose.verdict import held_out_rms, power_of
+from piezod.effects import EFFECTS
+
+Array = NDArray[np.float64]
+
+RIVAL = 0.8  # part of the winner's gain, from which another effect is a rival
+NORMAL_95 = 1.96
+MOST_SPREAD = 20.0  # of an interval on its scale: beyond it a parameter is not determined
+COARSE = 0.5  # of the other noise: a converter's step / sqrt(12) beyond it is a finding
+
+
+def finding_of(result: Search, name: str) -> Finding:
+    """An effect that was fitted: its parameters, and the errors on blocks left out without it and with it."""
+    chain, found = result.chain, result.found
+    place = next(k for k, term in enumerate(found.terms) if term.effect.name == name)
+    term, values = found.terms[place], found.point.values[place]
+    terms, others = without(found, name)
+    fewer = fit(chain, terms, replace(found.point, values=tuple(others))) if terms else result.base
+    parameters = {}
+    for one in term.effect.catalogued:
+        value = {**values, **dict(term.choices)}[one.name]
+        error = min(NORMAL_95 * found.spread[place].get(one.name, 0.0), MOST_SPREAD)
+        low, high = (
+            (value * np.exp(-error), value * np.exp(error)) if one.logarithmic else (value - error, value + error)
+        )
+        parameters[one.name] = Value(value, one.unit, float(max(low, one.low)), float(min(high, one.high)))
+    if term.effect.name == "noncongruent_minor_loops":
+        parameters["share"] = _share(result, place)
+    rivals = _rivals(result, term)
+    gain = float(np.log(fewer.loss / found.loss))
+    return Finding(
+        term.effect.name,
+        term.effect.title,
+        _confidence(gain, rivals),
+        term.scope,
+        place_of(term, values, chain),
+        parameters,
+        held_out_rms(chain, fewer),
+        held_out_rms(chain, found),
+        rivals,
+        term.effect.handling,
+        term.effect.why,
+    )
+
+
+def all_terms(found: Fitted, tones: Sequence[Tone]) -> Fitted:
+    """The hypothesis with the tones as effects that happened once."""
+    terms = tuple(Term(EFFECTS[tone.name], "once", tone.number) for tone in tones)
+    values = (*found.point.values, *(tone.values for tone in tones))
+    return replace(found, terms=(*found.terms, *terms), point=replace(found.point, values=values))
+
+
+def tone_finding(result: Search, name: str) -> Finding:
+    """A tone as a finding."""
+    effect, after = EFFECTS[name], held_out_rms(result.chain, result.found)
+    mine = [tone for tone in result.tones if tone.name == name]
+    parameters = {}
+    for one in effect.catalogued:
+        values = np.array([tone.values[one.name] for tone in mine])
+        error = _tone_error(one.name, float(values.mean()), mine, result.chain)
+        parameters[one.name] = Value(
+            float(values.mean()), one.unit, float(values.min()) - error, float(values.max()) + error
+        )
+    before = float(np.sqrt(after**2 + power_of(result.chain, mine)))
+    return Finding(
+        effect.name,
+        effect.title,
+        _confidence(2.0 * float(np.log(before / after)), ()),
+        "once",
+        place_of(Term(effect, "once", mine[0].number), mine[0].values, result.chain),
+        parameters,
+        before,
+        after,
+        (),
+        effect.handling,
+        effect.why,
+    )
+
+
+def _tone_error(name: str, value: float, mine: Sequence[Tone], chain: Chain) -> float:
+    """Half of the 95 % interval of a tone's amplitude [N] or frequency [Hz] in white noise (Cramer and Rao)."""
+    tone = mine[0]
+    series = chain.series[tone.number]
+    count, duration_s = series.time_s.size, max(series.duration_s, 1e-9)
+    relative = series.noise_N / max(tone.values["amplitude_N"], 1e-300) * float(np.sqrt(2.0 / count))
+    if name == "amplitude_N":
+        return NORMAL_95 * relative * value
+    return NORMAL_95 * relative * float(np.sqrt(12.0)) / (2.0 * np.pi * duration_s)
+
+
+def _share(result: Search, place: int) -> Value:
+    """Part of what the plays lag behind that depends on the bias, by rms over the recordings asked about.
+
+    From what no plays and no curve follow up to all of it: how much of another hysteresis is congruent, nothing tells.
+    """
+    chain, found = result.chain, result.found
+    bends = {name: x for name, x in found.point.values[place].items() if name.startswith(("degree_1", "curve"))}
+    others = tuple(bends if number == place else values for number, values in enumerate(found.point.values))
+    congruent = replace(found.point, values=others)
+    shares = []
+    for k, series in enumerate(chain.series):
+        if series.role == "recording":
+            rows = chain.rows[k]
+            with_it, without_it = (chain.run(k, found.terms, point) for point in (found.point, congruent))
+            added_V, columns = (with_it.stroke_V - without_it.stroke_V)[rows], with_it.columns[rows]
+            curve = np.polynomial.chebyshev.chebvander(2.0 * series.command_V[rows] / chain.voltage_span_V - 1.0, 4)
+            followed = np.hstack((columns, curve))
+            left_V = added_V - followed @ np.linalg.lstsq(followed, added_V, rcond=None)[0]
+            lags_V = max(float(np.std(columns @ found.point.density)), 1e-12)
+            shares.append((float(np.std(left_V)) / lags_V, float(np.std(added_V)) / lags_V))
+    low, value = np.clip(np.mean(shares, axis=0), 0.0, 1.0).tolist()
+    return Value(value, "1", low, 1.0)
+
+
+def _rivals(result: Search, term: Term) -> tuple[Rival, ...]:
+    """Other effects that came near when this one was accepted, by how far they stay behind in noises."""
+    rivals: list[Rival] = []
+    for round_ in result.rounds:
+        if round_.accepted.terms[-1].effect is not term.effect:
+            continue
+        reached = round_.before.loss - round_.accepted.loss
+        for other in round_.others:
+            effect = other.terms[-1].effect
+            if round_.before.loss - other.loss > RIVAL * reached and effect.name not in {r.name for r in rivals}:
+                behind = max(other.loss - round_.accepted.loss, 0.0)
+                rivals.append(Rival(effect.name, float(np.sqrt(behind)), term.effect.separate_by))
+    return tuple(sorted(rivals, key=lambda rival: rival.separation)[:3])
+
+
+def _confidence(gain: float, rivals: Sequence[Rival]) -> float:
+    """From how much the loss falls and how near the closest rival comes."""
+    nearest = min((rival.separation for rival in rivals), default=3.0)
+    return float(np.clip(0.99 - 0.35 * np.exp(-gain / 0.1) - 0.4 * np.exp(-nearest / 0.15), 0.05, 0.99))
+
+
+def read_off(
+    series: Sequence[Series], frozen: dict[int, list[tuple[int, int]]], residuals: Sequence[Array], before: float
+) -> list[Finding]:
+    """What the readings show without a fit: frozen stretches, a coarse lattice."""
+    found = []
+    places = tuple(
+        Place("time_s", series[k].start_s + a * series[k].dt_s, series[k].start_s + b * series[k].dt_s)
+        for k, stretches in frozen.items()
+        for a, b in stretches
+        if series[k].role == "recording"
+    )
+    if places:
+        effect = EFFECTS["sensor_dropout"]
+        parameters = {"from_s": places[0].low, "to_s": places[0].high}
+        values = {name: Value(value, "s", value, value) for name, value in parameters.items()}
+        found.append(
+            Finding(
+                effect.name, effect.title, 0.97, "once", places, values, before, before, (), effect.handling, effect.why
+            )
+        )
+    step, rest = _coarsest(series, residuals)
+    if step > 0.0 and step / np.sqrt(12.0) > COARSE * rest:
+        effect = EFFECTS["quantisation"]
+        values = {"step_N": Value(step, "N", 0.99 * step, 1.01 * step)}
+        found.append(
+            Finding(
+                effect.name, effect.title, 0.95, "since", (), values, before, before, (), effect.handling, effect.why
+            )
+        )
+    return found
+
+
+def _coarsest(series: Sequence[Series], residuals: Sequence[Array]) -> tuple[float, float]:
+    """The coarsest lattice among the recordings asked about, and the noise besides it."""
+    steps = [(lattice_step_N(one), k) for k, one in enumerate(series) if one.role == "recording"]
+    step, k = max(steps)
+    spread = float(np.std(residuals[k][series[k].counts]))
+    return step, float(np.sqrt(max(spread**2 - step**2 / 12.0, 0.0)))

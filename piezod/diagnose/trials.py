@@ -1,0 +1,158 @@
+"""One more effect: every one that promises something fitted, coarsely first, the best of them thoroughly."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+
+from piezod.diagnose.chain import Chain, Point, Scope, Term
+from piezod.diagnose.courses import coarse
+from piezod.diagnose.fit import MOST_STEPS, Fitted, Normal, fit
+from piezod.diagnose.ideas import Idea, screened, since
+from piezod.diagnose.parallel import each
+from piezod.diagnose.steps import NEVER_S, likely_steps
+from piezod.effects import EFFECTS
+from piezod.effects.effect import STRAIGHT
+
+Array = NDArray[np.float64]
+
+TRIED = 7  # effects that are really fitted in a round, first coarsely
+TRIED_FROM_PAST = 3
+REFINED = 4  # of them thoroughly
+COMPARED = 6  # of all these on more samples
+NEAR = 0.4  # of the best one's gain, from which one is fitted thoroughly, or on more samples
+FEWEST_REFINED, FEWEST_COMPARED = 2, 3
+COARSE_STEPS = 7
+NOTHING = 0.003  # of the loss: an idea that promises less is not tried
+PROMISING = 0.03  # of the best idea's gain, below which an idea is not tried
+
+
+def on_each_course(chain: Chain, found: Fitted, past: Point) -> list[tuple[Chain, Fitted]]:
+    """Hypotheses with one more effect, with the chain that each was fitted on.
+
+    Where the command seems to be held although nothing smooths it, an effect that makes late may have passed for that:
+    all is tried with a straight course too.
+    """
+    chains = [(chain, found)]
+    if chain.series[0].between != STRAIGHT and not any(term.effect.smooths for term in found.terms):
+        straight = chain.like([replace(one, between=STRAIGHT) for one in chain.series])
+        chains.append((straight, fit(straight, found.terms, found.point, most_steps=6)))
+    found_on = []
+    for on, known in chains:
+        few = coarse(on)
+        tried = _tried(few, known, past)
+        few.forget()
+        found_on += [(on, one) for one in _fine(on, known, tried)]
+    return found_on
+
+
+def _fine(chain: Chain, before: Fitted, tried: Sequence[Fitted]) -> list[Fitted]:
+    """The best of what was fitted on few samples, fitted on more."""
+    best = sorted(tried, key=lambda one: one.loss)
+    enough = before.loss - NEAR * (before.loss - best[0].loss) if best else 0.0
+    near = sum(one.loss < enough for one in best[:COMPARED])
+    return each(lambda one: fit(chain, one.terms, one.point, most_steps=6), best[: max(near, FEWEST_COMPARED)])
+
+
+def _tried(chain: Chain, found: Fitted, past: Point) -> list[Fitted]:
+    """Hypotheses with one more effect: all promising ones fitted in few steps, the best of them thoroughly.
+
+    From what was found so far, and those that came since from their best start from the `past` too: a strong effect
+    bends the base towards itself.
+    """
+    ideas = screened(chain, found.terms, found.point)
+    enough = (
+        NOTHING
+        * found.loss
+        * sum(float(one.counts[rows].sum()) for one, rows in zip(chain.series, chain.rows, strict=True))
+    )
+    chosen: dict[str, list[Idea]] = {}
+    for idea in ideas:
+        if idea.gain < max(PROMISING * ideas[0].gain, enough):
+            break
+        if len(chosen) < TRIED or idea.term.effect.name in chosen:
+            chosen.setdefault(idea.term.effect.name, []).append(idea)
+    quick = each(lambda some: (_extended(chain, found, some[0], most_steps=COARSE_STEPS), some), list(chosen.values()))
+    bases = [replace(past, values=found.point.values), *([found.point] if found.terms else [])]
+    lost_N = -min(found.point.offsets_N[k] for k, one in enumerate(chain.series) if one.role == "recording")
+    starts = [one for base in bases for one in since(chain, found.terms, base, lost_N)[:TRIED_FROM_PAST]]
+    quick += each(partial(_from_past, chain, found.terms), starts)
+    quick.sort(key=lambda one: one[0].loss)
+    quick = [one for k, one in enumerate(quick) if one[0].effects[-1] not in (o[0].effects[-1] for o in quick[:k])]
+    enough = found.loss - NEAR * (found.loss - quick[0][0].loss) if quick else 0.0
+    near = sum(one.loss < enough for one, _ in quick[:REFINED])
+    refined = max(near, FEWEST_REFINED)
+    thorough = each(lambda one: _refined(chain, found, *one), quick[:refined])
+    direct = each(lambda idea: _extended(chain, found, idea), suggested(chain, found))
+    return [*thorough, *(first for first, _ in quick[refined:]), *direct]
+
+
+def _from_past(chain: Chain, terms: tuple[Term, ...], one: tuple[Idea, Point]) -> tuple[Fitted, list[Idea]]:
+    idea, past = one
+    point = replace(past, values=(*past.values, idea.values))
+    return fit(chain, (*terms, idea.term), point, most_steps=COARSE_STEPS), [idea]
+
+
+def _refined(chain: Chain, found: Fitted, first: Fitted, ideas: Sequence[Idea]) -> Fitted:
+    """The best fit of one effect: from its second start too, in both scopes, with every choice."""
+    best = fit(chain, first.terms, first.point)
+    others = [idea for idea in ideas[1:] if idea.values != ideas[0].values and idea.gain > 0.3 * ideas[0].gain]
+    for idea in others[:2]:
+        best = min(best, _extended(chain, found, idea), key=lambda one: one.loss)
+    scopes: tuple[Scope, ...] = ("since", "already")
+    for scope in scopes:
+        if scope != best.terms[-1].scope:
+            best = min(best, _again(chain, best, scope=scope), key=lambda one: one.loss)
+    for parameter in best.terms[-1].effect.parameters:
+        for choice in parameter.choices:
+            if (parameter.name, choice) not in best.terms[-1].choices:
+                best = min(best, _again(chain, best, choice=(parameter.name, choice)), key=lambda one: one.loss)
+    return best
+
+
+def _extended(chain: Chain, found: Fitted, idea: Idea, most_steps: int = MOST_STEPS) -> Fitted:
+    point = replace(found.point, values=(*found.point.values, idea.values))
+    return fit(chain, (*found.terms, idea.term), point, most_steps=most_steps)
+
+
+def _again(
+    chain: Chain, fitted: Fitted, *, scope: Scope | None = None, choice: tuple[str, float] | None = None
+) -> Fitted:
+    """The same hypothesis with another scope or choice of its last effect."""
+    last = fitted.terms[-1]
+    if scope is not None:
+        last = replace(last, scope=scope)
+    if choice is not None:
+        last = replace(last, choices=tuple(choice if one[0] == choice[0] else one for one in last.choices))
+    return fit(chain, (*fitted.terms[:-1], last), fitted.point, most_steps=6)
+
+
+def suggested(chain: Chain, found: Fitted) -> list[Idea]:
+    """Steps of the load that the residuals suggest."""
+    if "load_step" in found.effects:
+        return []
+    normal = Normal.at(chain, found.terms, found.point)
+    ideas = []
+    for number, series in enumerate(chain.series):
+        if series.role == "identification":
+            continue
+        for step in likely_steps(normal, number):
+            end_s = NEVER_S if step.end == series.time_s.size else step.end * series.dt_s
+            places = {"step_N": step.height_N, "on_s": step.first * series.dt_s, "off_s": end_s}
+            ideas.append(_idea("load_step", number, places))
+    return ideas
+
+
+def _idea(name: str, number: int, known: dict[str, float]) -> Idea:
+    effect = EFFECTS[name]
+    values = {one.name: one.starts[0] for one in effect.parameters if not one.choices}
+    choices = tuple((one.name, one.choices[0]) for one in effect.parameters if one.choices)
+    values.update(
+        {
+            key: float(np.clip(value, effect.parameter(key).low, effect.parameter(key).high))
+            for key, value in known.items()
+        }
+    )
+    return Idea(Term(effect, "once", number, choices), values)

@@ -1,0 +1,124 @@
+"""The verdict: what is left beside what was explained, how sure the names are then, and all of it in words."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from piezod.diagnose.chain import Chain
+from piezod.diagnose.findings import Finding, Findings, Verdict
+from piezod.diagnose.fit import Fitted
+from piezod.diagnose.guard import Guard
+from piezod.diagnose.motion import Motion
+from piezod.diagnose.search import Search
+from piezod.diagnose.series import Series
+from piezod.diagnose.tones import Tone
+from piezod.diagnose.words import Wording, effect_words
+
+Array = NDArray[np.float64]
+
+STILL_EXPLAINABLE = 0.1  # share of what is left, from which a verdict says that something is missing
+MUCH_EXPLAINABLE = 0.75  # the same, from which it is said whatever was explained: twice the noise is left
+BY_LEVEL = 0.25  # share of what is left that must lie above that at the lowest force
+SURE = 0.01  # p below which that share is believed
+CLOSED = 0.97  # part of what could be explained, from which it counts as explained
+BELIEVED = 0.5  # confidence that one of the names must have where something is left
+PARTLY = 0.9  # most that a name is believed whose effect leaves much to explain
+
+
+def held_out_rms(chain: Chain, fitted: Fitted) -> float:
+    """Of blocks left out, over the recordings asked about [output unit]."""
+    powers, samples, first = 0.0, 0.0, 0
+    for series in chain.series:
+        part = slice(first, first + len(series.blocks))
+        first += len(series.blocks)
+        if series.role == "recording":
+            powers += float(fitted.losses[part] @ fitted.samples[part]) * series.noise_N**2
+            samples += float(fitted.samples[part].sum())
+    return float(np.sqrt(powers / samples))
+
+
+def noise_floor(series: Sequence[Series], residuals: Sequence[Array], left: Guard) -> tuple[float, str]:
+    """What no model could explain: quiet holds where there are some, else the spectrum's high end or the absorber's."""
+    quiet = [
+        value for one, r in zip(series, residuals, strict=True) if one.role == "recording" for value in _holds(one, r)
+    ]
+    rms = rms_of(residuals, series)
+    if len(quiet) >= 3:
+        return min(float(np.sqrt(np.mean(np.square(quiet)))), rms), "quiet"
+    return rms * float(np.sqrt(max(1.0 - left.share, 0.0))), "spectrum"
+
+
+def _holds(series: Series, residual: Array) -> list[float]:
+    """Standard deviation of the residual in every stretch of half a second in which the command rests."""
+    size = max(int(0.5 / series.dt_s), 20)
+    found = []
+    for first in range(0, series.command_V.size - size, size):
+        part = slice(first, first + size)
+        if np.ptp(series.command_V[part]) == 0.0 and series.counts[part].all():
+            found.append(float(np.std(residual[part])))
+    return found
+
+
+def less_sure(one: Finding, share: float, closed: float) -> Finding:
+    """The same, believed less where as much is left to explain as it explains."""
+    own, left = max(one.before**2 - one.after**2, 0.0), share * one.after**2
+    if one.before == one.after:  # read off the readings: no fit says anything
+        return one
+    alone = own / (own + left) if share > STILL_EXPLAINABLE else 1.0
+    return replace(one, confidence=one.confidence * alone * (PARTLY * closed if closed < 1.0 else 1.0))
+
+
+def remaining(result: Search, left: Guard, moving: Motion) -> tuple[float, float]:
+    """Share of what is left that something could still explain, and how much of all that could be explained was."""
+    local = left.local_share if left.local_p < SURE else 0.0
+    by_level = moving.level_share if moving.level_share > BY_LEVEL else 0.0
+    share = max(left.share if left.p < SURE else 0.0, moving.share, by_level, local)
+    before, after = (held_out_rms(result.chain, one) ** 2 for one in (result.base, result.found))
+    before += power_of(result.chain, result.tones)
+    explainable_N2 = before - (1.0 - share) * after
+    return share, float(np.clip((before - after) / explainable_N2, 0.0, 1.0)) if explainable_N2 > 0.0 else 1.0
+
+
+def verdict_of(share: float, closed: float, effects: Sequence[Finding]) -> Verdict:
+    """From what is left to explain, how much of all that could be was explained, and how far the names are believed."""
+    missing = share > STILL_EXPLAINABLE
+    if not effects:
+        return "unexplained" if missing else "matches"
+    doubted = missing and max(one.confidence for one in effects) < BELIEVED
+    partly = share > MUCH_EXPLAINABLE or (missing and closed < CLOSED) or doubted
+    return "partly_explained" if partly else "explained"
+
+
+def power_of(chain: Chain, tones: Sequence[Tone]) -> float:
+    """Of tones, over the recordings asked about."""
+    samples = sum(one.time_s.size for one in chain.series if one.role == "recording")
+    return sum(float(tone.heard_N @ tone.heard_N) for tone in tones) / samples
+
+
+def rms_of(residuals: Sequence[Array], series: Sequence[Series]) -> float:
+    """Over the recordings asked about."""
+    squares = [np.square(r[s.counts]) for r, s in zip(residuals, series, strict=True) if s.role == "recording"]
+    return float(np.sqrt(np.mean(np.concatenate(squares))))
+
+
+def words_of(findings: Findings, wording: Wording) -> str:
+    """The verdict in a few sentences."""
+    unit = findings.unit
+    parts = [effect_words(one, wording) for one in findings.effects]
+    fell = f"held-out error {findings.before:.3g} -> {findings.after:.3g} {unit}, noise {findings.floor:.3g} {unit}"
+    opening = {
+        "matches": "The model matches the recordings; nothing is missing",
+        "explained": "; ".join(parts),
+        "partly_explained": "; ".join(parts),
+        "unexplained": "Something is missing that no effect of the catalogue explains",
+        "not_testable": "The recordings do not excite the bench enough to tell",
+    }[findings.verdict]
+    more = f"{100 * findings.explainable:.0f} % of what is left is no noise"
+    rest = {
+        "explained": "nothing else is left" if findings.explainable <= STILL_EXPLAINABLE else more,
+        "partly_explained": more,
+        "unexplained": more,
+    }.get(findings.verdict)
+    return "; ".join(one for one in (opening, fell, rest) if one)
