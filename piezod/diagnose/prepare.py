@@ -22,6 +22,7 @@ Array = NDArray[np.float64]
 
 FEWEST_SAMPLES = 500
 UNEVEN = 0.01  # of a step; beyond it a recording is resampled
+MOST_MISSED = 1.5  # ticks a sample, beyond which the steps are no clock that skips a few
 STAND_IN_SAMPLES = 6000  # of the excitation that stands for recordings which are no longer there
 START_LOOKED_AT_S = 20.0
 
@@ -114,9 +115,15 @@ def even(source: Source, model: Model) -> tuple[Series, list[str]]:
     steps = np.diff(recording.time_s)
     dt_s = float(np.median(steps))
     if np.max(np.abs(steps - dt_s)) > UNEVEN * dt_s:
-        recording = recording.resampled(dt_s)
+        ticks = _ticks(recording.time_s, dt_s)
+        if ticks is None:
+            recording = recording.resampled(dt_s)
+            notes.append(f"{source.name}: samples are not evenly spaced; resampled to {dt_s:.6g} s")
+        else:
+            recording = _on_every_tick(recording, ticks, model.input.channel)
+            missed = recording.time_s.size - ticks.size
+            notes.append(f"{source.name}: {missed} of {recording.time_s.size} samples are missing; they do not count")
         u, y = recording.channel(model.input.channel), recording.channel(model.output.channel)
-        notes.append(f"{source.name}: samples are not evenly spaced; resampled to {dt_s:.6g} s")
     if not np.isfinite(u).all():
         recording, cut = _longest_stretch(recording, model.input.channel)
         u, y = recording.channel(model.input.channel), recording.channel(model.output.channel)
@@ -151,6 +158,26 @@ def even(source: Source, model: Model) -> tuple[Series, list[str]]:
         start_s=float(recording.time_s[0]),
     )
     return series, notes
+
+
+def _ticks(time_s: Array, dt_s: float) -> NDArray[np.int64] | None:
+    """Number of every sample on a clock that skipped a few; None where there is no such clock."""
+    steps = np.diff(time_s) / dt_s
+    skipped = np.round(steps).astype(np.int64)
+    numbers = np.concatenate(([0], np.cumsum(skipped)))
+    steady = bool(np.max(np.abs(steps - skipped)) <= UNEVEN) and int(skipped.min()) > 0
+    return numbers if steady and numbers[-1] < MOST_MISSED * numbers.size else None
+
+
+def _on_every_tick(recording: Recording, ticks: NDArray[np.int64], held: str) -> Recording:
+    """The same with every tick: where one was missed, the `held` channel stays as it was and all others are nan."""
+    count = int(ticks[-1]) + 1
+    time_s = np.linspace(recording.time_s[0], recording.time_s[-1], count)
+    channels = {name: np.full(count, np.nan) for name in recording.channels}
+    for name, values in recording.channels.items():
+        channels[name][ticks] = values
+    channels[held] = recording.channel(held)[np.searchsorted(ticks, np.arange(count), side="right") - 1]
+    return Recording(time_s, channels, dict(recording.metadata), recording.source)
 
 
 def _longest_stretch(recording: Recording, channel: str) -> tuple[Recording, str]:

@@ -16,8 +16,8 @@ from unit.diagnose.residuals import (
     yielded,
 )
 
-from piezod.diagnose.verdict import STILL_EXPLAINABLE
 from piezod.diagnose.guard import explainable
+from piezod.diagnose.verdict import STILL_EXPLAINABLE
 
 SAMPLES = 30_000
 NOISE_N = 0.5
