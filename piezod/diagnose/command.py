@@ -61,9 +61,9 @@ def diagnose_files(
     apart = [read_source(path, "recording") for path in hold_out]
     asked = [read_source(path, "recording", condition) for path in recordings]
     past, notes = past_sources(model, model_path.parent, asked)
-    diagnosis = diagnose(model, asked, past, notes, lambda what: on_step(what, None))
+    diagnosis = diagnose(model, asked, past, notes, on_step)
     if apart:
-        on_step("simulating what was held out", None)
+        on_step("simulating what was held out", 0.98)
         told = tuple(_held_out(one, model, diagnosis.model) for one in apart)
         diagnosis = replace(diagnosis, findings=replace(diagnosis.findings, held_out=told))
     try:

@@ -1,6 +1,6 @@
 """From recordings and a model to findings: prepare, search, judge, and say how sure."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -16,7 +16,7 @@ from piezod.diagnose.locate import locate
 from piezod.diagnose.motion import motion
 from piezod.diagnose.parallel import each
 from piezod.diagnose.prepare import Source, chain_of, even, stand_in, started, without_frozen
-from piezod.diagnose.search import Search, search, without
+from piezod.diagnose.search import OnProgress, Search, search, without
 from piezod.diagnose.series import Series
 from piezod.diagnose.testable import untestable
 from piezod.diagnose.tones import with_tones
@@ -36,7 +36,6 @@ from piezod.identify.scores import nrmse_percent
 from piezod.model import Model
 
 Array = NDArray[np.float64]
-OnProgress = Callable[[str], None]
 
 MOSTLY = 0.8  # of the catalogue: recordings that could not have shown so much of it tell nothing
 FOLDED = 0.6  # of its confidence that an effect keeps when the plays fold that were refitted with it
@@ -82,14 +81,14 @@ def diagnose(
     notes
         What was noticed so far.
     progress
-        Told what is being done.
+        Told what is being done, and what part of the work is behind it at least.
 
     Raises
     ------
     RecordingError
         A recording cannot be used.
     """
-    progress("reading")
+    progress("reading", 0.0)
     said = list(notes)
     series: list[Series] = []
     frozen: dict[int, list[tuple[int, int]]] = {}
@@ -106,11 +105,11 @@ def diagnose(
     given = [_given(model, one) for one in series]
     chain, start = chain_of(series, model)
     result = search(chain, start, progress)
-    progress("judging what is left")
+    progress("judging what is left", 0.9)
     asked_for = _Asked(model, [*past, *asked], given, frozen, said, stand_ins=int(not past))
     diagnosis = asked_for.judged(result)
     while doubtful := _doubtful(result, diagnosis.findings):
-        progress("leaving out what is doubtful")
+        progress("leaving out what is doubtful", 0.95)
         result = _without(result, doubtful)
         diagnosis = asked_for.judged(result)
     return diagnosis

@@ -27,9 +27,10 @@ from piezod.diagnose.tones import Tone, tones, without_tones
 from piezod.diagnose.trials import on_each_course
 
 Array = NDArray[np.float64]
-OnProgress = Callable[[str], None]
+OnProgress = Callable[[str, float], None]
 
 MOST_EFFECTS = 5
+SEARCHED, FURTHER = 0.85, 0.5  # part of the work behind the search; of what is before it, left after a round
 FINALISTS = 3  # of them that are tried with every course of the command between samples
 NEAR_A_MODE = 0.05  # of its frequency: a line there is its own ringing
 DOMINANT = 0.3  # of the loss: a tone without which so little is left is taken off before anything else is tried
@@ -87,14 +88,16 @@ def search(chain: Chain, start: Point, progress: OnProgress) -> Search:
     start
         Of the base.
     progress
-        Told what is being done.
+        Told what is being done, and what part of the work is behind it at least.
     """
-    progress("fitting the base")
+    progress("fitting the base", 0.02)
     chain, base = best_course(chain, (), start)
     result = Search(chain, base, base, _past(chain, start))
     largest = 0.0
     while len(result.names) < MOST_EFFECTS:
-        progress(f"looking for effect {len(result.names) + 1}")
+        progress(
+            f"looking for effect {len(result.names) + 1}", SEARCHED - (SEARCHED - 0.1) * FURTHER ** len(result.names)
+        )
         heard = _heard(result)
         if heard is not None and heard[1].loss < DOMINANT * result.found.loss:
             _listen(result, heard)
@@ -118,7 +121,7 @@ def search(chain: Chain, start: Point, progress: OnProgress) -> Search:
         largest = max(largest, before.loss - result.found.loss)
         others = tuple(one for _, one in tried if one.effects[-1] != result.found.effects[-1])
         result.rounds.append(Round(before, result.found, others))
-    progress("trying to swap and to drop")
+    progress("trying to swap and to drop", SEARCHED)
     _swap(result)
     _drop(result, largest)
     _polish(result)
