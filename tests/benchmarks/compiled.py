@@ -14,7 +14,7 @@ _FLAGS = ("-O2", "-fno-fast-math", "-Wall")  # what a careful C programmer would
 
 
 @contextlib.contextmanager
-def compiled(source: str, *flags: str) -> Iterator[Path]:
+def compiled(source: str | Path, *flags: str) -> Iterator[Path]:
     """Compile `source` with `flags` and yield what came out.
 
     Raises

@@ -164,7 +164,7 @@ class Watch:
     def _blame(self, board: Board, hung: bool, code: int, errors: str) -> None:
         """The case at which the worker was stopped, or died."""
         if not board.cases:
-            raise RuntimeError(f"the worker of {self._target} did not start: {errors}")
+            raise RuntimeError(f"the worker of {self._target} did not start, it ended with {code}: {errors}")
         if hung:
             self.result.hangs += 1
             self._found("does not end", board.data)
