@@ -26,7 +26,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from piezod.daemon.segment import Segment, make_room, segments, settle, size_of
+from piezod.daemon.segment import Segment, make_room, segments, settle, size_of, sync
 from piezod.errors import PiezodError
 from piezod.recording.blocks import Block
 from piezod.recording.ring_log import ROW_DTYPE, RingReader
@@ -90,8 +90,9 @@ class Report:
         Why nothing is recorded at the moment; empty when all is well.
     bytes
         What the files of this bench take.
-    commit_s
-        How long the last commit took [s].
+    commit_s, at_s
+        How long the longest commit since the report before took, and when the last one was over on the monotonic
+        clock [s].
     cpu_s
         Processor time of this process [s].
     """
@@ -107,6 +108,7 @@ class Report:
     problem: str = ""
     bytes: int = 0
     commit_s: float = 0.0
+    at_s: float = 0.0
     cpu_s: float = 0.0
 
 
@@ -150,6 +152,8 @@ class Recorder:
         if ring is None or time.monotonic() < self._retry_at_s:
             return
         first = None
+        if ring.waiting:
+            self.report.commit_s = 0.0
         try:
             self._place(ring)
             while (rows := ring.read(MOST_ROWS)).size:
@@ -173,11 +177,13 @@ class Recorder:
             self._ring = None
 
     def _place(self, ring: RingReader) -> None:
-        """Go on after what a recorder before has kept of this session."""
+        """Go on after what a recorder before has kept of this session.
+
+        Files are asked once only: after a sync that failed they show what the disk does not hold.
+        """
         if self._placed:
             return
-        with contextlib.suppress(FileExistsError):
-            self._folder.mkdir()
+        self._make_folder()
         settle(segments(self._folder, self._plan.bench))
         about, row = _end_of(segments(self._folder, self._plan.bench))
         if about is not None and about.session == self.report.session:
@@ -194,7 +200,8 @@ class Recorder:
         begun_s = time.monotonic()
         self._segment.commit(block)
         report = self.report
-        report.commit_s = round(time.monotonic() - begun_s, 6)
+        report.at_s = time.monotonic()
+        report.commit_s = max(report.commit_s, round(report.at_s - begun_s, 6))
         report.row, report.tick = first + rows.size, int(rows["tick"][-1])
         report.rows += rows.size
         report.file_rows += rows.size
@@ -206,6 +213,7 @@ class Recorder:
     def _begin(self) -> Segment:
         """Make room for a file, then begin it."""
         plan = self._plan
+        self._make_folder()
         existing = segments(self._folder, plan.bench)
         settle(existing)
         self._other_bytes = make_room(existing, plan.folder_bytes - plan.file_bytes)
@@ -218,11 +226,14 @@ class Recorder:
         self.report.file, self.report.file_rows = str(segment.path), 0
         return segment
 
+    def _make_folder(self) -> None:
+        with contextlib.suppress(FileExistsError):
+            self._folder.mkdir()
+
     def _fail(self, error: OSError | sqlite3.Error) -> None:
         """Give the file up: after a failed write nobody knows what the disk has of it; what is committed stays."""
         place = self._folder if self._segment is None else self._segment.path
         self._close()
-        self._placed = self._placed and self._folder.is_dir()
         pause_s = RETRY_S[min(self._failed_in_a_row, len(RETRY_S) - 1)]
         self._failed_in_a_row += 1
         self._retry_at_s = time.monotonic() + pause_s
@@ -236,8 +247,15 @@ class Recorder:
 
 
 def _end_of(paths: list[Path]) -> tuple[About | None, int]:
-    """The newest file that can be read: what it says about itself, and the row after its last one."""
+    """The newest file that can be read: what it says about itself, and the row after its last one.
+
+    Raises
+    ------
+    OSError
+        What was read may not be on the disk: a recorder that was killed may not have come to its sync.
+    """
     for path in reversed(paths):
+        sync(path)
         with contextlib.suppress(OSError, sqlite3.Error, PiezodError):
             return read_end(path)
     return None, 0

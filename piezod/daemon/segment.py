@@ -39,8 +39,6 @@ class Segment:
     """
 
     def __init__(self, folder: Path, bench: str, about: About) -> None:
-        with contextlib.suppress(FileExistsError):
-            folder.mkdir()
         self.path = _claimed(folder, bench)
         self._about: About | None = about
         try:
@@ -59,7 +57,7 @@ class Segment:
         self._connection.execute("PRAGMA synchronous = FULL")
         self._connection.execute(f"PRAGMA wal_autocheckpoint = {CHECKPOINT_PAGES}")
         self._places = [(self.path, _identity(self.path))]
-        _sync_folder(folder)
+        _sync(folder, os.O_RDONLY | os.O_DIRECTORY)
 
     def commit(self, block: Block) -> None:
         """Put a block on the disk; it counts when this returns.
@@ -144,6 +142,19 @@ def size_of(path: Path) -> int:
     return total
 
 
+def sync(path: Path) -> None:
+    """Bring a file that somebody else wrote, and its log, to the disk.
+
+    Raises
+    ------
+    OSError
+        They may not be there.
+    """
+    for name in (path.name, path.name + "-wal"):
+        with contextlib.suppress(FileNotFoundError):
+            _sync(path.with_name(name), os.O_RDONLY)
+
+
 def remove(path: Path) -> None:
     """Remove a file and what lies beside it, as far as that is possible."""
     for suffix in BESIDE:
@@ -175,8 +186,8 @@ def _identity(path: Path) -> tuple[int, int]:
     return found.st_dev, found.st_ino
 
 
-def _sync_folder(folder: Path) -> None:
-    descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
+def _sync(path: Path, flags: int) -> None:
+    descriptor = os.open(path, flags | os.O_CLOEXEC)
     try:
         os.fsync(descriptor)
     finally:

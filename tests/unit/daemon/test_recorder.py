@@ -134,6 +134,43 @@ def test_after_an_error_ticks_go_on_in_a_new_file_and_none_is_lost(bench, monkey
     assert len(segments(bench.folder, "b")) == 2
 
 
+def test_what_only_seems_to_be_there_after_a_failed_sync_is_written_again(bench, monkeypatch):
+    """A commit whose sync failed can be read, and is lost with the power all the same."""
+    bench.tick(100)
+    bench.step()
+    commit = Segment.commit
+
+    def unsynced(self, block):
+        commit(self, block)
+        raise OSError(errno.EIO, "Input/output error")
+
+    bench.tick(50)
+    monkeypatch.setattr(Segment, "commit", unsynced)
+    assert bench.step().row == 100
+    monkeypatch.setattr(Segment, "commit", failing(OSError(errno.EIO, "Input/output error")))
+    assert bench.step().row == 100
+    monkeypatch.undo()
+    report = bench.step()
+    assert (report.row, report.rows) == (150, 150)
+    assert [tick for path in segments(bench.folder, "b")[1:] for tick in ticks_of(path)] == list(range(100, 150))
+
+
+def ticks_of(path):
+    return [int(tick) for block in read_ticks(path)[1] for tick in block.rows["tick"]]
+
+
+def test_a_file_whose_rows_cannot_be_brought_to_the_disk_is_not_gone_on_from(bench, monkeypatch):
+    bench.tick(100)
+    bench.step()
+    bench.recorder.finish()
+    monkeypatch.setattr(room, "sync", failing(OSError(errno.EIO, "Input/output error")))
+    bench.start()
+    report = bench.step()
+    assert (report.row, report.problem) == (0, f"{bench.folder}: Input/output error")
+    monkeypatch.undo()
+    assert bench.step().row == 100
+
+
 def test_retries_become_rarer_and_begin_again_at_once_after_a_success(bench, monkeypatch):
     clock = [0.0]
     monkeypatch.setattr(room.time, "monotonic", lambda: clock[0])
@@ -257,7 +294,7 @@ def test_messages_come_in_pieces_and_reports_go_as_lines():
     os.close(ours)
     ours, theirs = os.pipe()
     tell = tell_on(theirs)
-    report = Report("s", 3, 2, "f", 3, 3, 0, 0, "", 4096, 0.5, 0.1)
+    report = Report("s", 3, 2, "f", 3, 3, 0, 0, "", 4096, 0.5, 1.5, 0.1)
     for _ in range(10_000):  # nobody reads: it does not wait
         tell(report)
     assert report_of(os.read(ours, 65536).splitlines()[0]) == report
