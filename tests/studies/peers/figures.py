@@ -53,7 +53,7 @@ class CaseFigures:
     diverged, failed
         Of the prediction.
     seconds
-        That it took.
+        That it took: of a peer processor time, of `piezod` the time that its verdict says.
     """
 
     case: str
@@ -189,7 +189,7 @@ def _of_piezod(judged: Sequence[Judgement], forces: dict[str, HeldOut], verdicts
         extended_N = read_simulation(verdicts / each.case.name / EXTENDED, held_out.true_N.size)
         names = tuple(sorted(each.verdict.names))
         seconds = each.verdict.elapsed_s or math.nan
-        lines.append(_line(each.case, held_out, extended_N, not each.alarm, names, Answer(elapsed_s=seconds)))
+        lines.append(_line(each.case, held_out, extended_N, not each.alarm, names, Answer(busy_s=seconds)))
     named = _count([each.exact for each in judged if each.case.effects and not each.case.foreign])
     return Row("piezod", f"exact set {_of(named)}", tuple(lines))
 
@@ -216,7 +216,7 @@ def _line(
     if predicted_N is not None and held_out.base_N is not None:
         worse = _rms(predicted_N - held_out.true_N) > WORSE * _rms(held_out.base_N - held_out.true_N)
     failed = predicted_N is None
-    return CaseFigures(case.name, case.kind, gap, worse, nothing, said, answer.diverged, failed, answer.elapsed_s)
+    return CaseFigures(case.name, case.kind, gap, worse, nothing, said, answer.diverged, failed, answer.busy_s)
 
 
 def _names(cases: Sequence[TrueCase], lines: Sequence[CaseFigures]) -> str:

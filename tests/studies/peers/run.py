@@ -71,8 +71,8 @@ class Answer:
         That was best on the last part of the recordings.
     settings
         How many it compared.
-    elapsed_s
-        Without its imports [s].
+    busy_s
+        Processor time without its imports, so that a busy machine does not count [s].
     diverged
         Its prediction left the identified model's by more than the measured range, and was cut there.
     failed
@@ -84,7 +84,7 @@ class Answer:
     terms: tuple[str, ...] = ()
     setting: str = ""
     settings: int = 0
-    elapsed_s: float = math.nan
+    busy_s: float = math.nan
     diverged: bool = False
     failed: str = ""
     version: str = ""
@@ -95,7 +95,7 @@ class Answer:
         if self.failed:
             return f"failed: {self.failed}"
         diverged = "; diverged, cut at the measured range" if self.diverged else ""
-        return f"{len(self.terms)} terms; {self.setting}; {self.elapsed_s:.1f} s{diverged}"
+        return f"{len(self.terms)} terms; {self.setting}; {self.busy_s:.1f} s{diverged}"
 
 
 def ask(peer: Peer, python: Path, case: Given, folder: Path) -> Answer:
@@ -127,13 +127,12 @@ def ask(peer: Peer, python: Path, case: Given, folder: Path) -> Answer:
 
 
 def read_answer(peer: Peer, folder: Path) -> Answer | None:
-    """What this version of a peer said before; None: nothing."""
-    path = folder / ANSWER
-    if not path.is_file():
+    """What this version of a peer said before; None: nothing, or not to its end."""
+    try:
+        said = json.loads((folder / ANSWER).read_text(encoding="utf-8"))
+        return Answer(**said | {"terms": tuple(said["terms"])}) if said["version"] == peer.version else None
+    except (OSError, ValueError, KeyError, TypeError):
         return None
-    said = json.loads(path.read_text(encoding="utf-8"))
-    answer = Answer(**said | {"terms": tuple(said["terms"])})
-    return answer if answer.version == peer.version else None
 
 
 def read_prediction(folder: Path) -> np.ndarray | None:
@@ -177,5 +176,5 @@ def _answer(scratch: Path, case: Given) -> tuple[Answer, np.ndarray | None]:
         return Answer(failed="its prediction is missing or has another length than the held-out record"), None
     change_N = np.nan_to_num(force_N - base_N, nan=np.inf, posinf=np.inf, neginf=-np.inf)
     diverged = bool(np.max(np.abs(change_N)) > case.span_N)
-    answer = Answer(tuple(said["terms"]), said["setting"], said["settings"], said["elapsed_s"], diverged)
+    answer = Answer(tuple(said["terms"]), said["setting"], said["settings"], said["busy_s"], diverged)
     return answer, base_N + np.clip(change_N, -case.span_N, case.span_N)

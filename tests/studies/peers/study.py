@@ -95,7 +95,7 @@ def compare(wanted: Wanted, folder: Path, cache: Path) -> Compared:
     rows = table(wanted.study, wanted.verdicts, folder, asked, wanted.peers)
     print("\n".join([header(), *(row.text() for row in rows)]))
     print(
-        f"{len(asked)} cases, {len(left_out)} left out; worse: than the identified model alone; s: median, one thread"
+        f"{len(asked)} cases, {len(left_out)} left out; worse: than the identified model alone; s: median, on one core"
     )
     return Compared(tuple(rows), tuple(left_out))
 
