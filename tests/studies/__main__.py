@@ -7,6 +7,7 @@ import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
+from tests.studies.peers import command as peers
 from tests.studies.scenarios import LONG, SHORT, study
 from tests.studies.strengths import SWITCHED
 from tests.studies.table import header, summary
@@ -24,7 +25,11 @@ def main() -> None:
     scenarios.add_argument("--short", action="store_true", help="short recordings")
     scenarios.add_argument("--json", type=Path, metavar="FILE", help="write the rows as JSON too")
     scenarios.add_argument("--folder", type=Path, metavar="DIR", help="keep recordings and findings there")
+    peers.add_options(studies.add_parser("peers", help="other methods on the cases of a concealed study"))
     options = parser.parse_args()
+    if options.study == "peers":
+        options.run(options, parser)
+        return
     names = options.only.split(",") if options.only else list(SWITCHED)
     if unknown := sorted(set(names) - set(SWITCHED)):
         parser.error(f"no scenario is called {', '.join(unknown)}; there are {', '.join(SWITCHED)}")
