@@ -1,15 +1,15 @@
 """What a worker is at, in memory that outlives it: the case's number, when it began, its input, and what it took."""
 
 import mmap
-import struct
 import time
 from pathlib import Path
 
 from tests.fuzz.mutation import LARGEST
 
-_HEAD = struct.Struct("<QdQ")  # cases begun, begun at (monotonic, the same for all processes) [s], bytes of the input
-_TOOK = struct.Struct("<ddqQ")  # peak of the resident memory, its growth [MiB], descriptors more, cases accepted
-_DATA = _HEAD.size + _TOOK.size
+# Whole numbers of 8 bytes, each written in one piece: the parent reads at any moment, struct would show it zeros.
+_CASES, _BEGUN_NS, _SIZE, _PEAK_KIB, _GROWN_KIB, _DESCRIPTORS, _ACCEPTED = range(7)
+_WORD, _WORDS = 8, 8
+_DATA = _WORD * _WORDS
 
 
 class Board:
@@ -26,44 +26,50 @@ class Board:
         with path.open("r+b" if path.exists() else "w+b") as file:
             file.truncate(size)
             self._memory = mmap.mmap(file.fileno(), size)
+        self._view = memoryview(self._memory)
+        self._words = self._view[:_DATA].cast("q")
 
     def begin(self, data: bytes) -> None:
         """Write down the case before it is tried."""
-        number, _, _ = _HEAD.unpack_from(self._memory)
-        kept = data[:LARGEST]
+        words, kept = self._words, data[:LARGEST]
         self._memory[_DATA : _DATA + len(kept)] = kept
-        _HEAD.pack_into(self._memory, 0, number + 1, time.monotonic(), len(kept))
+        words[_SIZE] = len(kept)
+        words[_CASES] += 1
+        words[_BEGUN_NS] = time.monotonic_ns()
 
     def idle(self) -> None:
         """Nothing is being tried: what takes long now is no case."""
-        number, _, size = _HEAD.unpack_from(self._memory)
-        _HEAD.pack_into(self._memory, 0, number, float("inf"), size)
+        self._words[_BEGUN_NS] = 0
 
-    def take(self, peak_MiB: float, grown_MiB: float, descriptors: int, accepted: int) -> None:
+    def take(self, peak_KiB: int, grown_KiB: int, descriptors: int, accepted: int) -> None:
         """Write down what the cases took so far, and how many the parser accepted."""
-        _TOOK.pack_into(self._memory, _HEAD.size, peak_MiB, grown_MiB, descriptors, accepted)
+        self._words[_PEAK_KIB], self._words[_GROWN_KIB] = peak_KiB, grown_KiB
+        self._words[_DESCRIPTORS], self._words[_ACCEPTED] = descriptors, accepted
 
     @property
     def took(self) -> tuple[float, float, int, int]:
         """Peak and growth of the resident memory [MiB], descriptors more than before, cases accepted."""
-        return _TOOK.unpack_from(self._memory, _HEAD.size)
+        words = self._words
+        return words[_PEAK_KIB] / 1024, words[_GROWN_KIB] / 1024, words[_DESCRIPTORS], words[_ACCEPTED]
 
     @property
     def cases(self) -> int:
         """How many were begun."""
-        return int(_HEAD.unpack_from(self._memory)[0])
+        return self._words[_CASES]
 
     @property
     def age_s(self) -> float:
-        """How long the present case has been tried [s]; negative when there is none."""
-        return time.monotonic() - float(_HEAD.unpack_from(self._memory)[1])
+        """How long the present case has been tried [s]; 0 when there is none."""
+        begun_ns = self._words[_BEGUN_NS]
+        return 1e-9 * (time.monotonic_ns() - begun_ns) if begun_ns else 0.0
 
     @property
     def data(self) -> bytes:
         """Its input."""
-        size = int(_HEAD.unpack_from(self._memory)[2])
-        return bytes(self._memory[_DATA : _DATA + size])
+        return bytes(self._view[_DATA : _DATA + self._words[_SIZE]])
 
     def close(self) -> None:
         """Let go of the memory."""
+        self._words.release()
+        self._view.release()
         self._memory.close()

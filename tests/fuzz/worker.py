@@ -118,7 +118,7 @@ class Worker:
         """Write down what the cases took."""
         peak_KiB = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
         grown_KiB = peak_KiB - self.resident_before_KiB
-        self.board.take(peak_KiB / 1024, grown_KiB / 1024, _descriptors() - self.descriptors_before, self.accepted)
+        self.board.take(peak_KiB, grown_KiB, _descriptors() - self.descriptors_before, self.accepted)
 
 
 def say(what: dict[str, Any]) -> None:
