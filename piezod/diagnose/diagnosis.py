@@ -20,6 +20,7 @@ from piezod.diagnose.search import OnProgress, Search, search, without
 from piezod.diagnose.series import Series
 from piezod.diagnose.testable import untestable
 from piezod.diagnose.tones import with_tones
+from piezod.diagnose.unfolded import unfolded
 from piezod.diagnose.verdict import (
     held_out_rms,
     less_sure,
@@ -38,6 +39,7 @@ from piezod.model import Model
 Array = NDArray[np.float64]
 
 MOSTLY = 0.8  # of the catalogue: recordings that could not have shown so much of it tell nothing
+COSTS = 0.1  # of what was gained, or of what is left: what plays that do not fold may cost
 FOLDED = 0.6  # of its confidence that an effect keeps when the plays fold that were refitted with it
 LEAST_CONFIDENCE, LEAST_ALONE = 0.3, 0.08  # below which an effect is not named, beside others or at all
 
@@ -104,15 +106,22 @@ def diagnose(
         frozen = {number + 1: stretches for number, stretches in frozen.items()}
     given = [_given(model, one) for one in series]
     chain, start = chain_of(series, model)
-    result = search(chain, start, progress)
+    result = _rising(search(chain, start, progress))
     progress("judging what is left", 0.9)
     asked_for = _Asked(model, [*past, *asked], given, frozen, said, stand_ins=int(not past))
     diagnosis = asked_for.judged(result)
     while doubtful := _doubtful(result, diagnosis.findings):
         progress("leaving out what is doubtful", 0.95)
-        result = _without(result, doubtful)
+        result = _rising(_without(result, doubtful))
         diagnosis = asked_for.judged(result)
     return diagnosis
+
+
+def _rising(result: Search) -> Search:
+    """The same with plays that do not fold, where that costs little of what was gained."""
+    found = unfolded(result.chain, result.found)
+    costs, gained = found.loss - result.found.loss, result.base.loss - result.found.loss
+    return replace(result, found=found) if costs <= COSTS * max(gained, result.found.loss) else result
 
 
 def _doubtful(result: Search, findings: Findings) -> list[str]:

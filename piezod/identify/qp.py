@@ -27,11 +27,11 @@ TOLERANCES = (1e-12, 1e-10, 1e-9)  # absolute, on the scaled program; the first 
 
 @dataclass(frozen=True)
 class Constraints:
-    """What the slopes must satisfy: `rows @ s >= low` (3.16, 3.18-3.21) and `equality @ s = 1` (3.17 over u_max)."""
+    """What the slopes must satisfy: `rows @ s >= low` (3.16, 3.18-3.21), and `equality @ s = 1` (3.17 over u_max)."""
 
     rows: Array
     low: Array
-    equality: Array
+    equality: Array | None = None
 
     @classmethod
     def of(cls, structure: Structure, clocks: int, *, variant: Variant, eps: float) -> Self:
@@ -102,13 +102,14 @@ def solve_step(hessian: Array, gradient: Array, constraints: Constraints, start:
     scale = 1.0 / np.sqrt(np.maximum(np.diag(hessian), np.finfo(float).tiny))
     scaled = hessian * np.outer(scale, scale)
     factor = size / np.trace(scaled)
-    equality, rows = constraints.equality * scale, constraints.rows * scale
-    length, span = np.linalg.norm(rows, axis=1), np.linalg.norm(equality)
+    equalities = np.empty((0, size)) if constraints.equality is None else constraints.equality[None, :]
+    equality, rows = equalities * scale, constraints.rows * scale
+    length, span = np.linalg.norm(rows, axis=1), np.linalg.norm(equality, axis=1)
     step = _proxqp(
         factor * scaled,
         -factor * scale * gradient,
-        equality[None, :] / span,
-        np.array([(1.0 - constraints.equality @ start) / span]),
+        equality / span[:, None],
+        (1.0 - equalities @ start) / span,
         rows / length[:, None],
         (constraints.low - constraints.rows @ start) / length,
     )
@@ -118,7 +119,7 @@ def solve_step(hessian: Array, gradient: Array, constraints: Constraints, start:
 
 def _proxqp(hessian: Array, gradient: Array, equality: Array, value: Array, rows: Array, low: Array) -> Array:
     """Minimise x' H x / 2 + g' x under A x = b and C x >= l, as exactly as rounding allows."""
-    solver = proxsuite.proxqp.dense.QP(hessian.shape[0], 1, rows.shape[0])
+    solver = proxsuite.proxqp.dense.QP(hessian.shape[0], equality.shape[0], rows.shape[0])
     solver.settings.eps_rel = 0.0
     solver.settings.max_iter = MOST_ITERATIONS
     solver.init(hessian, gradient, equality, value, rows, low)
