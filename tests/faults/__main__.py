@@ -1,0 +1,86 @@
+"""The command: run the list, the kills, or the replies, and print the table."""
+
+import argparse
+import faulthandler
+import json
+import sys
+import time
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).parents[1]))  # as pytest has it: hil and unit are found there
+
+from tests.faults import kills, replies, run
+from tests.faults.probe import Probe
+from tests.faults.stand import standing
+
+
+def main() -> int:
+    """Parse, run, print; 1 when something was not survived."""
+    faulthandler.enable()
+    parser = argparse.ArgumentParser(prog="python -m tests.faults", description=__doc__)
+    studies = parser.add_subparsers(dest="what", required=True)
+    listed = studies.add_parser("list", help="every fault of faults.yaml")
+    listed.add_argument("ids", nargs="*", metavar="ID", help="such as T3 V6; all when left out")
+    listed.add_argument("--json", type=Path, metavar="FILE", help="write what was seen as JSON too")
+    killed = studies.add_parser("kills", help="SIGKILL and SIGSTOP, over and over")
+    killed.add_argument("--times", type=int, default=100)
+    replied = studies.add_parser("replies", help="stale and forged replies against the links, and bare pymodbus")
+    replied.add_argument("--times", type=int, default=1000, help="of each kind")
+    options = parser.parse_args()
+    begun_s = time.monotonic()
+    code = {"list": _list, "kills": _kills, "replies": _replies}[options.what](options)
+    print(f"in {time.monotonic() - begun_s:.0f} s")
+    return code
+
+
+def _list(options) -> int:
+    faults = run.faults()
+    if unknown := sorted(set(options.ids) - {fault.id for fault in faults}):
+        print(f"no fault is called {', '.join(unknown)}", file=sys.stderr)
+        return 2
+    print(run.header(), flush=True)
+    probe, results = Probe(), []
+    try:
+        with standing() as stand:
+            for fault in faults:
+                if not options.ids or fault.id in options.ids:
+                    results.append(run.run(fault, stand, probe))
+                    print(results[-1].text(), flush=True)
+    finally:
+        probe.close()
+    print(run.summary(results))
+    if options.json:
+        rows = [
+            {"id": one.fault.id, "survived": one.survived, "skipped": one.skipped, "problems": one.problems,
+             "after_ms": one.seen and one.seen.after_ms, "figures": one.seen and one.seen.figures,
+             "tries": one.tries, "lasted_s": one.lasted_s}
+            for one in results
+        ]  # fmt: skip
+        options.json.write_text(json.dumps(rows, indent=2) + "\n", encoding="utf-8")
+    return 1 if any(result.problems for result in results) else 0
+
+
+def _kills(options) -> int:
+    print(kills.HEADER, flush=True)
+    found = [kills.kills(how, options.times, _progress) for how in ("SIGKILL", "SIGSTOP")]
+    for one in found:
+        print(kills.line(one))
+    problems = [f"{one.how}: {text}" for one in found for text in one.problems()]
+    print("\n".join(problems) or "the device was safe every time")
+    return 1 if problems else 0
+
+
+def _progress(found) -> None:
+    if sys.stderr.isatty():
+        print(f"\r{found.how} {found.times} ", end="", file=sys.stderr, flush=True)
+
+
+def _replies(options) -> int:
+    print(replies.HEADER, flush=True)
+    rows = list(replies.rows(options.times, show=lambda row: print(row.text(), flush=True)))
+    print(replies.summary(rows))
+    return 1 if any(row.accepted for row in rows) else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,137 @@
+"""SIGKILL and SIGSTOP of the process that drives, again and again: the device brings its output down by itself.
+
+The device is safe when its own dead-man's switch has taken the output over: from then on it ramps to zero, whoever
+writes. That must be within its watchdog and one tick of it, counted from the signal; `rest` is when the output is
+there. Both are taken at the emulated device, in its physics steps.
+"""
+
+import contextlib
+import os
+import signal
+import statistics
+import tempfile
+import time
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from tests.faults.live import TIMING, LiveBench
+from tests.faults.stand import served_first
+
+DEVICE_TICK_MS = 0.25  # of the emulated device: it samples four thousand times a second
+SAFE_WITHIN_MS = TIMING["device_watchdog_ms"] + DEVICE_TICK_MS
+READY_WITHIN_MS = 2000.0
+REST_WITHIN_MS = SAFE_WITHIN_MS + 1000.0 * 140 / 400  # from the top of the range, at the device's own ramp
+
+
+@dataclass
+class Kills:
+    """What came of one kind of end, over and over."""
+
+    how: str
+    safe_ms: list[float] = field(default_factory=list)
+    rest_ms: list[float] = field(default_factory=list)
+    ready_ms: list[float] = field(default_factory=list)
+    written_afterwards: int = 0
+    wrong: list[str] = field(default_factory=list)
+    armings: int = 0
+    disarmed: int = 0
+
+    @property
+    def times(self):
+        return len(self.safe_ms)
+
+    @property
+    def safe(self):
+        """How often the device was safe in time."""
+        return sum(one <= SAFE_WITHIN_MS for one in self.safe_ms)
+
+    def problems(self):
+        bad = [] if self.safe == self.times else [f"safe in time {self.safe} of {self.times}"]
+        bad += [f"output outside its envelope: {self.wrong[0]}"] if self.wrong else []
+        bad += [f"armed {self.armings} times by itself"] if self.armings else []
+        bad += [f"{self.written_afterwards} commands after it went on"] if self.written_afterwards else []
+        bad += [] if self.disarmed == self.times else [f"DISARMED or FAULT {self.disarmed} of {self.times}"]
+        bad += [f"at rest after {max(self.rest_ms):.0f} ms"] if max(self.rest_ms) > REST_WITHIN_MS else []
+        return bad
+
+
+def kill(bench, how, found):
+    """Once: arm, end or stop the process that drives, and look at the device."""
+    bench.heal()
+    bench.arm(settle_s=0.1)
+    victim, parent = bench.service.control_pid(), bench.service.process.pid
+    bench.stage.ask("mark")
+    begun_ns = time.monotonic_ns()
+    if how == "SIGKILL":  # both, or the one that drives would be told of the other's end and ramp down
+        os.kill(victim, signal.SIGKILL)
+        os.kill(parent, signal.SIGKILL)
+    else:
+        os.kill(victim, signal.SIGSTOP)
+    report = _await_rest(bench)
+    found.safe_ms.append((report["taken_over_ns"] - begun_ns) / 1e6 if report["taken_over_ns"] else float("inf"))
+    found.rest_ms.append((report["rest_ns"] - begun_ns) / 1e6 if report["rest_ns"] else float("inf"))
+    found.wrong += report["wrong"]
+    if how == "SIGKILL":
+        bench.service.process.wait()
+        bench.drop()
+        found.ready_ms.append(1e3 * bench.start())
+        found.disarmed += bench.wait_state("DISARMED") == "DISARMED"
+    else:
+        commands = report["commands"]
+        os.kill(victim, signal.SIGCONT)
+        found.disarmed += bench.wait_state("FAULT") == "FAULT"
+        found.written_afterwards += bench.stage.ask("report")["commands"] - commands
+
+
+def _await_rest(bench):
+    deadline_s = time.monotonic() + 5.0
+    while True:
+        report = bench.stage.ask("report")
+        if (report["rest_ns"] and report["taken_over_ns"]) or time.monotonic() > deadline_s:
+            return report
+        time.sleep(0.02)
+
+
+def kills(how, times, show=None):
+    """So many times, one bench."""
+    found = Kills(how)
+    with (
+        served_first(),
+        tempfile.TemporaryDirectory(prefix="piezod-kills-") as folder,
+        _bench(Path(folder) / "bench") as bench,
+    ):
+        for _ in range(times):
+            kill(bench, how, found)
+            if show is not None:
+                show(found)
+        found.armings = bench.rearms
+    return found
+
+
+@contextlib.contextmanager
+def _bench(folder):
+    bench = LiveBench(folder)
+    try:
+        yield bench
+    finally:
+        bench.close()
+
+
+def line(found):
+    """The figures in one line."""
+
+    def spread(values):
+        return f"{statistics.median(values):7.1f} {max(values):7.1f}" if values else f"{'-':>7} {'-':>7}"
+
+    in_time = sum(one <= READY_WITHIN_MS for one in found.ready_ms)
+    ready = f"{in_time} of {len(found.ready_ms)}" if found.ready_ms else "-"
+    return (
+        f"{found.how:<8} {found.safe:>3} of {found.times:<3} {spread(found.safe_ms)} {SAFE_WITHIN_MS:9.2f}  "
+        f"{spread(found.rest_ms)}  {spread(found.ready_ms)} {ready:>10}  {found.armings:>8}"
+    )
+
+
+HEADER = (
+    "signal   safe in time  safe after [ms]  limit  at rest after [ms]  READY after [ms]   within 2 s  re-arms\n"
+    f"{'':22}  median     max            median     max    median     max"
+)

@@ -1,0 +1,58 @@
+"""Says when this machine stood still: a sleeper of the highest priority that is woken late.
+
+`python -m tests.faults.probe` writes a line for each wake-up that was more than `STILL_MS` late, until it is ended.
+"""
+
+import contextlib
+import os
+import subprocess
+import sys
+import threading
+import time
+
+STILL_MS = 4.0
+SLEEP_S = 0.001
+
+
+def watch():
+    """Sleep a millisecond, and another."""
+    with contextlib.suppress(PermissionError):
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(99))
+    before_ns = time.monotonic_ns()
+    while True:
+        time.sleep(SLEEP_S)
+        now_ns = time.monotonic_ns()
+        late_ms = (now_ns - before_ns) / 1e6 - 1e3 * SLEEP_S
+        if late_ms > STILL_MS:
+            sys.stdout.write(f"{before_ns} {now_ns} {late_ms:.1f}\n")
+            sys.stdout.flush()
+        before_ns = time.monotonic_ns()
+
+
+class Probe:
+    """The sleeper in a process of its own."""
+
+    def __init__(self):
+        self.stills = []
+        self.process = subprocess.Popen([sys.executable, "-m", "tests.faults.probe"], stdout=subprocess.PIPE, text=True)
+        self._thread = threading.Thread(target=self._read)
+        self._thread.start()
+
+    def _read(self):
+        for line in self.process.stdout:
+            begun, ended, late_ms = line.split()
+            self.stills.append((int(begun), int(ended), float(late_ms)))
+
+    def worst_ms(self, begun_ns):
+        """The longest standstill since then [ms]; 0 when there was none."""
+        return max((late_ms for _, ended_ns, late_ms in self.stills if ended_ns >= begun_ns), default=0.0)
+
+    def close(self):
+        self.process.kill()
+        self.process.wait()
+        self._thread.join()
+        self.process.stdout.close()
+
+
+if __name__ == "__main__":
+    watch()

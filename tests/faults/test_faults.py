@@ -1,0 +1,82 @@
+"""The list of faults: each is injected, and what comes of it is as the list says."""
+
+import pytest
+
+from piezod.errors import ConfigurationError
+from tests.faults import run
+from tests.faults.catalogue import load_faults
+from tests.faults.probe import Probe
+from tests.faults.stand import standing
+
+FAULTS = run.faults()
+
+
+@pytest.fixture(scope="module")
+def stand():
+    with standing() as benches:
+        yield benches
+
+
+@pytest.fixture(scope="module")
+def probe():
+    sleeper = Probe()
+    yield sleeper
+    sleeper.close()
+
+
+@pytest.mark.parametrize("fault", FAULTS, ids=lambda fault: fault.id)
+def test_the_fault_is_survived_as_the_list_says(fault, stand, probe):
+    result = run.run(fault, stand, probe)
+    if result.skipped:
+        pytest.skip(f"{fault.id}: {result.skipped}")
+    assert not result.problems, result.text()
+
+
+def test_at_least_a_hundred_faults_are_injected_here_and_not_by_tests_of_their_own():
+    assert sum(fault.injector != "checked" for fault in FAULTS) >= 100
+
+
+ROW = """\
+schema: piezod.faults/1
+faults:
+  - id: T1
+    fault: something breaks
+    inject: {by: running, steps: []}
+    expect: {state: FAULT}
+    within: 10 ms
+"""
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "says"),
+    [
+        ("within: 10 ms", "within: 10 ms\n    color: red", "unknown key faults.0.color"),
+        ("within: 10 ms", "within: 10 minutes", "within"),
+        ("expect: {state: FAULT}", "expect: {}", "needs a state, an exit_code, says or figures"),
+        ("state: FAULT", "figures: {failed: {}}", "needs least, most, or both"),
+        ("", "", "missing"),
+    ],
+)
+def test_a_list_that_says_something_else_is_refused(tmp_path, old, new, says):
+    path = tmp_path / "faults.yaml"
+    path.write_text(ROW.replace(old, new, 1), encoding="utf-8")
+    with pytest.raises(ConfigurationError, match=says):
+        load_faults(run.INJECTORS, path)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "says"),
+    [
+        ("by: unreachable", "by: unreachible", "must be one of"),
+        ("by: unreachable, door: closed", "by: unreachable, window: closed", "unexpected keyword|missing a required"),
+    ],
+)
+def test_an_injector_that_does_not_exist_or_does_not_take_a_parameter_is_refused(tmp_path, old, new, says):
+    from tests.faults.catalogue import LIST
+
+    path = tmp_path / "faults.yaml"
+    text = LIST.read_text(encoding="utf-8")
+    assert old in text
+    path.write_text(text.replace(old, new, 1), encoding="utf-8")
+    with pytest.raises(ValueError, match=says):
+        load_faults(run.INJECTORS, path)
