@@ -176,7 +176,7 @@ class TcpWire:
             if self._poll.poll(0) and not self._drain(connection):
                 self._disconnect()
                 return _DISCONNECTED
-            sent = connection.send(frame)
+            sent = _send(connection, frame)
             if sent != len(frame):
                 self._send_rest(connection, frame, sent, deadline_s)
             result = self._receive(connection, request, deadline_s)
@@ -193,7 +193,10 @@ class TcpWire:
         while True:
             if not self._poll.poll(max(0.0, 1e3 * (deadline_s - monotonic()))):
                 return ExchangeResult.WRONG_TRANSACTION if strangers else _TIMEOUT
-            count = connection.recv_into(space)
+            try:
+                count = connection.recv_into(space)
+            except BlockingIOError:  # woken for nothing
+                continue
             if count == 0:
                 return _DISCONNECTED
             received += count
@@ -256,7 +259,7 @@ class TcpWire:
         while sent < len(frame):
             if not waiter.poll(max(0.0, 1e3 * (deadline_s - monotonic()))):
                 raise TimeoutError
-            sent += connection.send(frame[sent:])
+            sent += _send(connection, frame[sent:])
 
     def _after_failure(self, result: ExchangeResult) -> None:
         """Close what can no longer be trusted; after one late reply the next attempt to connect need not wait."""
@@ -308,3 +311,11 @@ class TcpWire:
             return
         self._socket.close()
         self._socket = None
+
+
+def _send(connection: Connection, frame: bytearray) -> int:
+    """How much of the frame the kernel takes now; none when its buffer is full."""
+    try:
+        return connection.send(frame)
+    except BlockingIOError:
+        return 0

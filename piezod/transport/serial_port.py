@@ -150,7 +150,9 @@ class SerialPort:
 
     def send(self, frame: bytearray | bytes, deadline_s: float) -> None:
         """Write a whole frame; raises OSError when the port is gone or takes nothing until `deadline_s`."""
-        sent = os.write(self._descriptor, frame)
+        sent = 0
+        with contextlib.suppress(BlockingIOError):
+            sent = os.write(self._descriptor, frame)
         if sent == len(frame):
             return
         waiter = select.poll()

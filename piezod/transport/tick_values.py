@@ -122,6 +122,8 @@ class Plausibility:
     def accept(self, expected_echo: int) -> ExchangeResult:
         """Check heartbeat and echo; believe all if good. A negative `expected_echo` is not compared."""
         heartbeat, echo, status, reference_counter = self.counters
+        if self._has_echo and expected_echo >= 0 and (echo - expected_echo) % _COUNTS:
+            return ExchangeResult.ECHO_MISMATCH
         if self._has_heartbeat and self._heartbeat_known:
             advance = (heartbeat - self._heartbeat) % _COUNTS
             now_s = monotonic()
@@ -129,8 +131,6 @@ class Plausibility:
                 return ExchangeResult.HEARTBEAT_STOOD
             if advance:
                 self._advanced_s = now_s
-        if self._has_echo and expected_echo >= 0 and (echo - expected_echo) % _COUNTS:
-            return ExchangeResult.ECHO_MISMATCH
         self._heartbeat, self._heartbeat_known = heartbeat, True
         reading = self.reading
         reading.force_N, reading.voltage_readback_V, reading.temperature_C, reading.reference_N = self.values

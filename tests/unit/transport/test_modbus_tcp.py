@@ -214,6 +214,38 @@ def test_a_request_that_the_kernel_takes_in_parts_is_finished(tcp):
     assert link.reading.force_N == 6.0
 
 
+class Busy:
+    """A socket that can neither send nor receive at the first attempt."""
+
+    def __init__(self, connection):
+        self.connection, self.refusals = connection, {"send", "recv_into"}
+
+    def refuse_once(self, name):
+        if name in self.refusals:
+            self.refusals.remove(name)
+            raise BlockingIOError
+
+    def send(self, data):
+        self.refuse_once("send")
+        return self.connection.send(data)
+
+    def recv_into(self, space):
+        self.refuse_once("recv_into")
+        return self.connection.recv_into(space)
+
+    def __getattr__(self, name):
+        return getattr(self.connection, name)
+
+
+def test_what_would_block_is_tried_again(tcp):
+    link, _ = tcp
+    link._wire._socket = busy = Busy(link._wire._socket)
+    generation = link._wire.generation
+    assert link.exchange(3.0) is ExchangeResult.OK
+    assert not busy.refusals
+    assert link._wire.generation == generation
+
+
 @pytest.mark.parametrize("voltage_V", [float("nan"), float("inf"), 1e39])
 def test_a_voltage_that_cannot_be_encoded_is_not_sent(tcp, voltage_V):
     link, server = tcp
