@@ -75,8 +75,10 @@ def _sum_up(outcome: Outcome, tracking: "TrackingError") -> None:
     say(
         f"{outcome.ticks} ticks, {outcome.missed} missed, {outcome.failed_exchanges} failed exchanges {failed}".rstrip()
     )
-    if outcome.stale_bytes or outcome.spikes:
-        say(f"{outcome.stale_bytes} bytes unasked or late, discarded; {outcome.spikes} spikes of the force, ignored")
+    if outcome.stale_bytes:
+        say(f"{outcome.stale_bytes} bytes unasked or late, discarded")
+    if outcome.spikes:
+        say(f"{outcome.spikes} spikes of the force, ignored")
     if outcome.hint:
         say(f"link: {outcome.hint}")
     if tracking.ticks:
