@@ -11,7 +11,7 @@ sys.path.insert(0, str(Path(__file__).parents[1]))  # as pytest has it: hil and 
 
 from tests.faults import kills, replies, run
 from tests.faults.probe import Probe
-from tests.faults.stand import standing
+from tests.faults.stand import served_first, standing
 
 
 def main() -> int:
@@ -77,7 +77,8 @@ def _progress(found) -> None:
 
 def _replies(options) -> int:
     print(replies.HEADER, flush=True)
-    rows = list(replies.rows(options.times, show=lambda row: print(row.text(), flush=True)))
+    with served_first():
+        rows = list(replies.rows(options.times, show=lambda row: print(row.text(), flush=True)))
     print(replies.summary(rows))
     return 1 if any(row.accepted for row in rows) else 0
 

@@ -169,24 +169,19 @@ class _Wire:
 
     def _changed(self, rule: Rule, frame: bytes, before: bytes) -> list[bytes]:
         """The segments that are sent instead of a frame."""
+        if rule.do == "forge" and before:
+            self._forged += 1
+            return [forged(rule.kind, frame, before, self._forged - 1, framing=self.framing)]
         at = len(frame) // 2
-        match rule.do:
-            case "duplicate":
-                return [frame + frame]
-            case "split":
-                return [frame[k : k + 1] for k in range(len(frame))]
-            case "corrupt":
-                return [frame[:at] + bytes((frame[at] ^ 0x10,)) + frame[at + 1 :]]
-            case "noise":
-                return [NOISE[0] + frame + NOISE[1]]
-            case "random":
-                return [self._random.randbytes(len(frame) + self._random.randrange(40))]
-            case "forge" if before:
-                self._forged += 1
-                return [forged(rule.kind, frame, before, self._forged - 1, framing=self.framing)]
-            case "drop":
-                return []
-        return [frame]
+        changes: dict[str, Callable[[], list[bytes]]] = {
+            "drop": list,
+            "duplicate": lambda: [frame + frame],
+            "split": lambda: [frame[k : k + 1] for k in range(len(frame))],
+            "corrupt": lambda: [frame[:at] + bytes((frame[at] ^ 0x10,)) + frame[at + 1 :]],
+            "noise": lambda: [NOISE[0] + frame + NOISE[1]],
+            "random": lambda: [self._random.randbytes(len(frame) + self._random.randrange(40))],
+        }
+        return changes.get(rule.do, lambda: [frame])()
 
 
 class _Line:
@@ -292,12 +287,12 @@ class TcpProxy(_Wire):
         except asyncio.CancelledError:  # the proxy is being closed
             pass
         finally:
+            self._lines.pop(line, None)
             for pump in pumps:
                 pump.cancel()
-            await asyncio.gather(*pumps, return_exceptions=True)
-            self._lines.pop(line, None)
             for end in ends.values():
                 end.transport.abort() if line.dead else end.close()
+            await asyncio.gather(*pumps, return_exceptions=True)
 
     async def _pump(self, reader: asyncio.StreamReader, way: Way, line: _Line) -> None:
         """Pass frames of one way; what is no frame passes as it comes."""

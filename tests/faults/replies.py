@@ -93,11 +93,14 @@ def against_link(server, config, kind, wire, times):
     link = make_link(config)
     link.open()
     try:
-        for k in range(times):
+        while forger.sent < times:
+            k, before = forger.sent, forger.sent
             _until_good(lambda k=k: link.exchange(1.0 + k % 7))
             forger.armed = True
             result = link.exchange(2.0 + k % 5)
-            assert not forger.armed, "nothing was asked of the device"
+            forger.armed = False
+            if forger.sent == before:  # the request came too late for a reply in time: once more
+                continue
             if result is ExchangeResult.OK or link.reading.force_N == MARK_N:
                 accepted += 1
             else:
