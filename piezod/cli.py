@@ -360,7 +360,7 @@ def diagnose(
     if as_json:
         print(json.dumps(diagnosis.findings.as_dict(), indent=2))
     else:
-        print_findings(diagnosis.findings, output)
+        print_findings(diagnosis, output)
 
 
 @app.command(epilog="Example: piezod validate config/bench.yaml --model a.yaml --model b.yaml --report validation.html")
