@@ -40,6 +40,7 @@ def test_ticks_lost_between_and_within_two_looks_are_counted_and_faults_by_name(
     table = np.zeros(6, ROW_DTYPE)
     table["tick"] = [10, 11, 14, 15, 16, 17]  # 12 and 13 are missing
     table["lateness_ns"] = [20_000, 20_500, 1_500_000, 20_000, 21_000, 20_000]
+    table["exchange_ns"] = [100_000, 2_500_000, 100_000, 100_000, 100_000, 100_000]
     table["state"] = [State.RUNNING] * 4 + [State.RAMP_DOWN, State.FAULT]
     table["cause"][5] = Cause.MISSED_TICKS
     following = _take(soaked, table, None)
@@ -47,6 +48,7 @@ def test_ticks_lost_between_and_within_two_looks_are_counted_and_faults_by_name(
     after["tick"] = 23  # 18 to 22 are missing
     assert _take(soaked, after, following) == 24
     assert (soaked.ticks, soaked.missed, soaked.stalls, soaked.longest_stall) == (7, 7, 2, 5)
+    assert soaked.late_answers == 1
     assert soaked.faults == {"MISSED_TICKS": 1}
     assert soaked.other_faults == {}
     assert soaked.lateness[20] == 4

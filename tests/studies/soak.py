@@ -85,6 +85,8 @@ class Soaked:
         Of the control loop while it drove.
     stalls, longest_stall
         How often ticks were missed, and most of them in a row.
+    late_answers
+        Exchanges that lasted longer than a period: the device, or the way to it, had not answered.
     lateness, cyclictest
         Wake-ups by lateness, classes of 1 us; of cyclictest None where it could not run.
     faults
@@ -97,6 +99,7 @@ class Soaked:
     missed: int = 0
     stalls: int = 0
     longest_stall: int = 0
+    late_answers: int = 0
     lateness: np.ndarray = field(default_factory=lambda: np.zeros(LONGEST_US + 1, dtype=np.int64))
     cyclictest: np.ndarray | None = None
     cyclictest_says: str = ""
@@ -209,6 +212,7 @@ def _timing(soaked: Soaked) -> Iterator[Row]:
         None if other is None else soaked.over_period(other),
         f"wake-ups over a period of cyclictest -m -p{PRIORITY}",
         most_ratio=MOST_MISSED_RATIO,
+        note=f"{soaked.late_answers} exchanges lasted longer than a period: there the emulated device was late, no wake-up",
     )
     for q in (50.0, 99.0, 99.9, 99.99):
         limit = None if other is None else _percentile_us(other, q)
@@ -275,6 +279,7 @@ def _take(soaked: Soaked, table: np.ndarray, next_tick: int | None) -> int | Non
     soaked.longest_stall = max(soaked.longest_stall, int(missing.max()))
     late_us = np.clip(table["lateness_ns"] // 1000, 0, LONGEST_US)
     soaked.lateness += np.bincount(late_us, minlength=LONGEST_US + 1)
+    soaked.late_answers += int(np.count_nonzero(table["exchange_ns"] > 1e3 * soaked.period_us))
     for row in table[1:][(np.diff(table["state"]) != 0) & (table["state"][1:] == State.FAULT)]:
         name = Cause(row["cause"]).name
         soaked.faults[name] = soaked.faults.get(name, 0) + 1
