@@ -20,8 +20,7 @@ from piezod.errors import ConfigurationError, UnreachableError
 
 MAGIC = b"PIEZRNG1"
 _HEAD = struct.Struct("<8sQQQ")
-_COUNT = struct.Struct("<Q")
-_COUNT_AT = 24
+_COUNT = slice(24, 32)
 _ROW = struct.Struct("<qqddddddqqiiii")
 
 ROW_DTYPE = np.dtype(
@@ -76,15 +75,17 @@ class RingLog:
         finally:
             os.close(descriptor)
         _HEAD.pack_into(self._memory, 0, MAGIC, _ROW.size, capacity, 0)
+        self._count = _count_of(self._memory)
 
     def append(self, *row: float) -> None:
         """Write one row: the fields of `ROW_DTYPE` in their order."""
         _ROW.pack_into(self._memory, _HEAD.size + self._rows % self._capacity * _ROW.size, *row)
         self._rows += 1
-        _COUNT.pack_into(self._memory, _COUNT_AT, self._rows)
+        self._count[0] = self._rows
 
     def close(self) -> None:
-        """Let go of the memory; the file stays for its readers."""
+        """Let go of the memory; the file stays for its readers. May be called twice."""
+        self._count.release()
         self._memory.close()
 
 
@@ -114,6 +115,7 @@ class RingReader:
         magic, row_size, self._capacity, _ = _HEAD.unpack_from(self._memory, 0)
         if magic != MAGIC or row_size != _ROW.size:
             raise UnreachableError(f"{path}: not a ring log of this version")
+        self._count = _count_of(self._memory)
         self._table = np.frombuffer(self._memory, ROW_DTYPE, self._capacity, _HEAD.size)
         self._next = first
         self.dropped = 0
@@ -152,4 +154,9 @@ class RingReader:
         return fresh
 
     def _written(self) -> int:
-        return int(_COUNT.unpack_from(self._memory, _COUNT_AT)[0])
+        return int(self._count[0])
+
+
+def _count_of(memory: mmap.mmap) -> memoryview:
+    """The count as one machine word: `struct` would clear it first, and another process could read that."""
+    return memoryview(memory)[_COUNT].cast("Q")

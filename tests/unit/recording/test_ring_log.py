@@ -1,5 +1,7 @@
 """The ring log: one writer, many readers, nothing torn."""
 
+import subprocess
+import sys
 import threading
 
 import numpy as np
@@ -75,6 +77,36 @@ def test_a_reader_racing_the_writer_never_sees_a_torn_row(tmp_path):
     writer.join()
     assert seen + reader.dropped == total
     ring.close()
+
+
+FOLLOW = """
+import sys
+from pathlib import Path
+import numpy as np
+from piezod.recording.ring_log import RingReader
+reader = RingReader(Path(sys.argv[1]))
+print("following", flush=True)
+at, total = 0, int(sys.argv[2])
+while at < total:
+    ticks = reader.read()["tick"]
+    if ticks.size:
+        assert ticks[0] == at and (np.diff(ticks) == 1).all(), f"{ticks[0]} after {at - 1}"
+        at = int(ticks[-1]) + 1
+print(reader.dropped)
+"""
+
+
+def test_a_reader_in_another_process_never_sees_a_count_half_written(tmp_path):
+    total = 300_000
+    ring = RingLog(tmp_path / "ring", total + 1)
+    command = [sys.executable, "-c", FOLLOW, str(tmp_path / "ring"), str(total)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as reader:
+        assert reader.stdout.readline() == "following\n"
+        for k in range(total):
+            ring.append(*row(k))
+        said, failed = reader.communicate(timeout=60)
+    ring.close()
+    assert (said, failed) == ("0\n", "")
 
 
 def test_rows_have_the_size_their_layout_says():
