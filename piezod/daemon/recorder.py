@@ -36,7 +36,6 @@ MOST_ROWS = 16_384  # of one block: what is caught up after a slow disk
 RETRY_S = (0.0, 0.5, 1.0, 2.0, 5.0)
 QUIET_S = 2.0  # without a tick: the control process, orphaned, has ended
 ORPHAN_WITHIN_S = 60.0
-NICENESS = 5
 _READ = 65536
 
 
@@ -345,8 +344,6 @@ def main() -> None:
     """Enter the recorder's process."""
     for number in (signal.SIGINT, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN)
-    with contextlib.suppress(OSError):
-        os.nice(NICENESS)
     plan = Plan(**json.loads(sys.argv[1]))
     run(Recorder(plan), Inbox(sys.stdin.fileno()), tell_on(sys.stdout.fileno()), plan.sync_every_s)
 

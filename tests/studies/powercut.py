@@ -31,6 +31,7 @@ class Disk:
 
     def __init__(self, folder: Path, megabytes: int = 64) -> None:
         self.image, self.root = folder / "image", folder / "disk"
+        self._cuts = 0
         self.root.mkdir()
         with self.image.open("wb") as file:
             file.truncate(megabytes * 1_000_000)
@@ -49,8 +50,16 @@ class Disk:
             os.close(descriptor)
 
     def restore(self) -> None:
-        """Mount again, as after a start of the machine; nobody may have a file open."""
+        """Mount again, as after a start of the machine; nobody may have a file open.
+
+        What is mounted is a copy: where another mount name space still holds the disk, its image stays without power.
+        """
         self.unmount()
+        self._cuts += 1
+        again = self.image.with_name(f"image{self._cuts}")
+        _run("cp", "--sparse=always", self.image, again)
+        self.image.unlink()
+        self.image = again
         self._mount()
 
     def unmount(self) -> None:
