@@ -180,15 +180,18 @@ def _read(path: Path, names: Sequence[str], wanted: Sequence[str], on_step: OnSt
     with ThreadPoolExecutor(1) as pool, foreign(path, "read"):
         sha256 = pool.submit(file_sha256, path)  # beside the reading: the file comes from the disk once
         columns = {name: _Column() for name in (TIME, *(name for name, _ in stored.values()))}
+        said: dict[str, str] = {}
         for piece in open_stream(path, list(columns), CHUNK):
             columns[TIME].add(piece.time_s)
             for name, values in piece.channels.items():
                 columns[name].add(values)
+            said = piece.metadata  # which knows what is damaged when the last piece was read
             on_step(f"reading {path.name}, {1e-6 * columns[TIME].size:.1f} million samples", None)
         if not columns[TIME].size:
             raise RecordingError(f"{path}: has no samples")
         channels = {column: _scaled(columns[name].values(), factor) for column, (name, factor) in stored.items()}
         notes = [f"{column}: is {name} times {factor:g}" for column, (name, factor) in stored.items() if factor != 1.0]
+        notes += [f"damaged: {said['damaged']}"] if "damaged" in said else []
         return Recording(columns[TIME].values(), channels, {}, str(path)), sha256.result(), notes
 
 

@@ -8,6 +8,7 @@ import os
 import shutil
 import signal
 import time
+import urllib.request
 from pathlib import Path
 
 import numpy as np
@@ -138,6 +139,34 @@ def test_a_recorder_that_dies_is_started_again_and_nothing_is_missing_or_twice(s
     ]
     assert len(ticks) == total
     assert ticks == sorted(set(ticks))
+
+
+def test_a_disk_that_does_not_answer_is_said_and_costs_nothing(serves, tmp_path):
+    with daemon(recording_bench(tmp_path, serves, tmp_path / "kept")) as service:
+        ticking(service)
+        assert service.tell("arm")["state"] == "RUNNING"
+        service.wait_until(lambda: recorder_of(service)["rows"] > 0, "rows")
+        os.kill(recorder_of(service)["pid"], signal.SIGSTOP)  # as a sync that does not come back
+        service.wait_until(lambda: "the disk has not answered for" in recorder_of(service)["problem"], "degraded")
+        metrics = fetch(service)
+        assert 'piezod_recorder_degraded{bench="emulator"} 1.0' in metrics
+        ticks = service.status()["ticks"]
+        time.sleep(1.0)
+        assert service.status()["state"] == "RUNNING"
+        assert service.status()["ticks"] - ticks > 50
+        os.kill(recorder_of(service)["pid"], signal.SIGCONT)
+        service.wait_until(lambda: not recorder_of(service)["degraded"], "going on")
+        metrics = fetch(service)
+        assert 'piezod_recorder_degraded{bench="emulator"} 0.0' in metrics
+        assert 'piezod_recorder_dropped_total{bench="emulator"} 0.0' in metrics
+        assert service.end() == 0
+    assert sum("recorder degraded: " in line for line in service.said) == 1, "said once, not every second"
+
+
+def fetch(service):
+    address = next(line for line in service.said if line.startswith("metrics: ")).split()[1]
+    with urllib.request.urlopen(address, timeout=10) as answer:
+        return answer.read().decode()
 
 
 @pytest.mark.skipif(bool(cannot_mount()), reason=cannot_mount())

@@ -232,8 +232,10 @@ def full(folder: Path, seconds: float, rounds: int) -> Iterator[Line]:
             failed = failed or bad
     for mode, missed in counted.items():
         names = {"off": "no recorder", "on": "recorder", "full": "recorder, its disk full"}
-        share = f"{1e6 * sum(missed) / max(ticks[mode] + sum(missed), 1):.0f} of a million"
-        note = f"missed {sum(missed)} of {ticks[mode] + sum(missed)} ticks ({share}; {missed}); {notes[mode]}"
+        note = (
+            f"missed {sum(missed)} of {ticks[mode] + sum(missed)} ticks, a round {min(missed)} to {max(missed)}, "
+            f"median {statistics.median(missed):g}; {notes[mode]}"
+        )
         yield Line(f"1 kHz, {names[mode]}", rounds, note=note, failed=failed and mode == "full")
 
 
@@ -297,7 +299,7 @@ PARTS = {
     "daemon_kills": (lambda folder, short: daemon_kills(folder, 1 if short else 10)),
     "cuts": (lambda folder, short: cuts(folder, 4 if short else 20)),
     "faults": (lambda folder, short: faults(folder, 8.0 if short else 30.0)),
-    "full": (lambda folder, short: full(folder, 5.0 if short else 20.0, 1 if short else 3)),
+    "full": (lambda folder, short: full(folder, 5.0 if short else 10.0, 1 if short else 10)),
     "cost": (lambda folder, short: cost(folder, 5.0 if short else 60.0)),
 }
 

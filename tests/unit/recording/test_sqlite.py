@@ -264,3 +264,15 @@ def test_somebody_who_may_only_read_the_folder_reads_the_file_in_every_state(ope
     connection.close()
     assert done.returncode == 0, done.stderr
     assert int(done.stdout) == 99
+
+
+def test_whoever_identifies_on_it_is_told_what_is_damaged(tmp_path):
+    from piezod.identify.intake import take_whole
+
+    path = tmp_path / "a.sqlite"
+    closed_file(path)
+    with sqlite3.connect(path) as connection:
+        connection.execute("UPDATE block SET crc = crc + 1 WHERE id IN (3, 4)")
+    connection.close()
+    taken = take_whole(path, "voltage_V", "force_N")
+    assert f"{path}: damaged: 2 of 40 blocks, left out" in taken.notes
