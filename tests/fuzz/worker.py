@@ -100,7 +100,8 @@ class Worker:
             random = Random(drawn)
             if random.random() < 0.5:
                 return bytes(atheris.Mutate(data, most))
-            return self.target.mutate(random, data, self.seeds)[:most]
+            begun = data if random.random() < 0.5 else random.choice(self.seeds)  # some changes from what is valid
+            return self.target.mutate(random, begun, self.seeds)[:most]
 
         largest = max(len(data) for data in self.seeds)
         options = [

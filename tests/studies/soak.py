@@ -212,7 +212,7 @@ def _timing(soaked: Soaked) -> Iterator[Row]:
         None if other is None else soaked.over_period(other),
         f"wake-ups over a period of cyclictest -m -p{PRIORITY}",
         most_ratio=MOST_MISSED_RATIO,
-        note=f"{soaked.late_answers} exchanges lasted longer than a period: there the emulated device was late, no wake-up",
+        note=f"{soaked.late_answers} exchanges lasted over a period: there the emulated device was late, no wake-up",
     )
     for q in (50.0, 99.0, 99.9, 99.99):
         limit = None if other is None else _percentile_us(other, q)
