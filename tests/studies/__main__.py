@@ -7,7 +7,7 @@ import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
-from tests.studies import recorder
+from tests.studies import recorder, soak
 from tests.studies.peers import command as peers
 from tests.studies.scenarios import LONG, SHORT, study
 from tests.studies.strengths import SWITCHED
@@ -28,8 +28,9 @@ def main() -> None:
     scenarios.add_argument("--folder", type=Path, metavar="DIR", help="keep recordings and findings there")
     peers.add_options(studies.add_parser("peers", help="other methods on the cases of a concealed study"))
     recorder.add_options(studies.add_parser("recorder", help="the recorder killed, without power, on a failing disk"))
+    soak.add_options(studies.add_parser("soak", help="the daemon for a long time on a busy machine, beside cyclictest"))
     options = parser.parse_args()
-    if options.study in ("peers", "recorder"):
+    if options.study in ("peers", "recorder", "soak"):
         options.run(options, parser)
         return
     names = options.only.split(",") if options.only else list(SWITCHED)
