@@ -299,7 +299,7 @@ PARTS = {
     "daemon_kills": (lambda folder, short: daemon_kills(folder, 1 if short else 10)),
     "cuts": (lambda folder, short: cuts(folder, 4 if short else 20)),
     "faults": (lambda folder, short: faults(folder, 8.0 if short else 30.0)),
-    "full": (lambda folder, short: full(folder, 5.0 if short else 10.0, 1 if short else 10)),
+    "full": (lambda folder, short: full(folder, 5.0 if short else 10.0, 1 if short else 6)),
     "cost": (lambda folder, short: cost(folder, 5.0 if short else 60.0)),
 }
 
