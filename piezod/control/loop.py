@@ -211,8 +211,16 @@ class ControlLoop:
         self._log(planned_V, result, begun_ns, done_ns)
 
     def _write(self, planned_V: float, begun_ns: int) -> ExchangeResult:
-        """Limit, write, commit: the one place where a voltage goes onto the wire."""
+        """Limit, write, commit: the one place where a voltage goes onto the wire.
+
+        A process that was stopped since the tick began does not write: the device may have taken over meanwhile.
+        """
         limiter, link, segment = self.limiter, self._link, self._course.segment
+        stopped_ns = self._clock.now_ns() - begun_ns
+        if stopped_ns >= self._look_after_ns:
+            self._doubtful = True
+            self.supervisor.judge_gap(stopped_ns)
+            return ExchangeResult.TIMEOUT
         elapsed_ns = begun_ns - self._sent_ns
         share = 1.0 if 10 * elapsed_ns >= 9 * self._dt_ns else elapsed_ns / self._dt_ns
         result = link.exchange(limiter.limit(planned_V, self._change_V(), share))

@@ -176,6 +176,8 @@ class TcpWire:
             if self._poll.poll(0) and not self._drain(connection):
                 self._disconnect()
                 return _DISCONNECTED
+            if monotonic() >= deadline_s:  # stopped meanwhile: what is sent now would be stale
+                raise TimeoutError  # answered below as any failure
             sent = _send(connection, frame)
             if sent != len(frame):
                 self._send_rest(connection, frame, sent, deadline_s)

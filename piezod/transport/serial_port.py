@@ -149,7 +149,9 @@ class SerialPort:
                 raise ConnectionError
 
     def send(self, frame: bytearray | bytes, deadline_s: float) -> None:
-        """Write a whole frame; raises OSError when the port is gone or takes nothing until `deadline_s`."""
+        """Write a whole frame; raises OSError when the port is gone, takes nothing in time, or `deadline_s` is past."""
+        if monotonic() >= deadline_s:
+            raise TimeoutError
         sent = 0
         with contextlib.suppress(BlockingIOError):
             sent = os.write(self._descriptor, frame)

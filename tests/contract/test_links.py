@@ -219,3 +219,21 @@ def test_an_exchange_lasts_no_longer_than_its_patience(server_class, make_config
             assert time.monotonic() - begun_s < 2.0
         finally:
             link.close()
+
+
+@pytest.mark.parametrize(
+    ("server_class", "make_config"), [(ScriptedTcp, tcp_config), (ScriptedPty, rtu_config), (ScriptedLine, line_config)]
+)
+def test_what_is_late_already_is_not_sent(server_class, make_config):
+    with server_class() as server:
+        link = make_link(make_config(server.port))
+        link.open()
+        try:
+            assert link.exchange(1.0) is ExchangeResult.OK
+            link.patience_s, sent = 0.0, len(server.bench.requests)
+            assert link.exchange(2.0) is not ExchangeResult.OK
+            time.sleep(0.05)
+            assert len(server.bench.requests) == sent
+            assert server.bench.voltage_V == 1.0
+        finally:
+            link.close()

@@ -337,6 +337,25 @@ def test_a_process_that_stood_still_writes_nothing_when_it_goes_on(ring):
     assert len(link.voltages) == written
 
 
+def test_a_process_that_was_stopped_within_its_tick_does_not_write_what_it_had_planned(ring):
+    link = FakeLink()
+    loop = armed_loop(link, ring)
+    run(loop, 300)
+    compensator, written = loop._course.segment.compensator, len(link.voltages)
+    plan = compensator.plan
+
+    def stopped_while_planning(reference):
+        loop._clock.tick += 2000
+        return plan(reference)
+
+    compensator.plan = stopped_while_planning
+    run(loop, 1)
+    compensator.plan = plan
+    run(loop, 50)
+    assert (loop.supervisor.state, loop.supervisor.fault) == (State.FAULT, Cause.STOOD_STILL)
+    assert len(link.voltages) == written
+
+
 def test_a_spike_lowers_the_voltage_by_one_tick_of_the_ramp_and_trips_nothing(ring):
     link = FakeLink()
     loop = armed_loop(link, ring, force_debounce_samples=2)
