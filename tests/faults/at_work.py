@@ -242,7 +242,8 @@ def _stop_and_go(bench, arguments):
 def _load(bench, arguments):
     """Busy processes on every core, ended by their ids."""
     count = 2 * (os.cpu_count() or 1)
-    busy = [subprocess.Popen([sys.executable, "-c", "while True: pass"]) for _ in range(count)]
+    program = "import os; os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))\nwhile True: pass"
+    busy = [subprocess.Popen([sys.executable, "-c", program]) for _ in range(count)]
     try:
         time.sleep(arguments["for_s"])
     finally:

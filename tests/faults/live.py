@@ -19,11 +19,12 @@ import yaml
 
 from piezod.control import RingReader, State
 from piezod.daemon.client import Client
-from piezod.errors import PiezodError, UnreachableError
+from piezod.errors import CheckFailedError, PiezodError, UnreachableError
 
 ROOT = Path(__file__).parents[2]
 BENCH = ROOT / "config" / "bench.yaml"
 WITHIN_S = 30.0  # for what is no figure: starting, healing, ending
+ARMING_TRIES = 3
 RATE_HZ = 200
 TICK_MS = 1000 / RATE_HZ
 SLEW_V_PER_S = 800.0
@@ -293,7 +294,14 @@ class LiveBench:
 
     def arm(self, settle_s=0.15):
         """Arm and follow the reference for a moment."""
-        self.tell("arm")
+        for tried in range(ARMING_TRIES):
+            try:
+                self.tell("arm")
+                break
+            except CheckFailedError:  # a line that was late a moment ago is distrusted for a while
+                if tried + 1 == ARMING_TRIES:
+                    raise
+                time.sleep(0.2)
         self.wait_state("RUNNING")
         time.sleep(settle_s)
 
