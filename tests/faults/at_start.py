@@ -163,7 +163,8 @@ def cable(stand, fault):
 
 
 def _pulled(stand, fault, name):
-    changes = {"link": {"allow_plaintext_remote": True}}
+    slow = {"timeout_s": 0.05}  # ten ticks: the loss must be told when it is due, not when the timeout is over
+    changes = {"link": {"allow_plaintext_remote": True} | slow, "limits": {"missed_ticks_in_a_row": 100}}
     with _bench_of(stand, {"host": f"{NETWORK}.2"}, changes, ("ip", "netns", "exec", name)) as bench:
         bench.heal()
         bench.arm()

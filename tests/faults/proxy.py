@@ -41,6 +41,7 @@ DOES = (
 )
 NOISE = (b"\x55\x00\xff", b"\xaa\x7e")
 READ_BYTES = 4096
+ROUNDED_S = 0.0015
 
 
 @dataclass
@@ -150,7 +151,7 @@ class _Wire:
             case "reset" | "close" | "half_open":
                 line.act(rule.do)
             case "delay" | "throttle":
-                await asyncio.sleep(rule.by if rule.do == "delay" else len(frame) / rule.by)
+                await _pause(rule.by if rule.do == "delay" else len(frame) / rule.by)
                 line.send(frame, way)
             case "stall":
                 self.stall(rule.by)
@@ -182,6 +183,15 @@ class _Wire:
             "random": lambda: [self._random.randbytes(len(frame) + self._random.randrange(40))],
         }
         return changes.get(rule.do, lambda: [frame])()
+
+
+async def _pause(duration_s: float) -> None:
+    """Let so much time pass: asyncio alone rounds up to whole milliseconds, which is a good part of a tick."""
+    end_s = time.monotonic() + duration_s
+    if duration_s > ROUNDED_S:
+        await asyncio.sleep(duration_s - ROUNDED_S)
+    while time.monotonic() < end_s:  # noqa: ASYNC110  # nothing sets an event for the passing of time
+        await asyncio.sleep(0)
 
 
 class _Line:
