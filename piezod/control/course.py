@@ -1,5 +1,6 @@
 """The course of one segment: sign check, reset cycle, approach, then the reference; what is wished, tick by tick."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from math import isnan, nan
 
@@ -26,6 +27,8 @@ class Segment:
         Voltages [V] driven before the first reference is approached, one a tick; None: straight to the reference.
     follows_force
         Whether the reference is a force; a direct drive's is not.
+    feel
+        Takes every temperature that is read [degC]; None where nothing depends on it.
     """
 
     name: str
@@ -33,6 +36,7 @@ class Segment:
     compensator: Compensator
     reset_cycle: TableReference | None = None
     follows_force: bool = True
+    feel: Callable[[float], None] | None = None
 
 
 class Course:
@@ -144,7 +148,7 @@ class Course:
         if reference.freshness is Freshness.LIVE:
             supervisor.resume()
             self.reference = value
-            planned_V = segment.compensator.plan(value)
+            planned_V = segment.compensator.plan(reference.ahead)
             if supervisor.state is State.ARMING and self._is_reached(planned_V):
                 supervisor.reached()
             if segment.follows_force and supervisor.state is State.RUNNING:

@@ -233,6 +233,8 @@ class ControlLoop:
         self._acknowledged_ns = begun_ns
         if segment is not None and self.supervisor.fault is not Cause.CONTROLLER:
             segment.compensator.commit(link.written_V)
+            if segment.feel is not None:
+                segment.feel(link.reading.temperature_C)
         return result
 
     def _change_V(self) -> float:

@@ -2,13 +2,14 @@
 
 import socket
 import struct
+from collections.abc import Callable
 from enum import IntEnum
 from math import isfinite
 from pathlib import Path
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from piezod.config.reference import (
     FileReference,
@@ -38,6 +39,8 @@ class Reference(Protocol):
 
     freshness: Freshness
     ramp_down_on_lapse: bool
+    ahead: float
+    """What to plan for, so that the readings follow the value read last; the value itself where no more is known."""
 
     def start(self, tick: int) -> None:
         """The first sample belongs to `tick`."""
@@ -75,14 +78,22 @@ class TableReference:
         if table.ndim != 1 or table.size == 0 or not np.isfinite(table).all():
             raise ConfigurationError("reference: needs at least one value, all finite")
         self._values: memoryview[float] = memoryview(table.tobytes()).cast("d")
+        self._ahead = self._values
         self._loop = loop
         self._first = 0
+        self.ahead = self._values[0]
         self.ramp_down_on_lapse = ramp_down_on_lapse
         self.freshness = Freshness.LIVE
 
     def __len__(self) -> int:
         """Ticks of one pass."""
         return len(self._values)
+
+    def plan_ahead(self, shaped: Callable[..., NDArray[np.float64]]) -> None:
+        """Plan for `shaped(values, loop=...)` in place of the values, which a delay or a mode would bring late."""
+        values = shaped(np.asarray(self._values), loop=self._loop)
+        assert values.shape == (len(self._values),)
+        self._ahead = memoryview(np.ascontiguousarray(values).tobytes()).cast("d")
 
     def span(self) -> tuple[float, float]:
         """Smallest and largest value."""
@@ -99,8 +110,9 @@ class TableReference:
         if k >= len(self._values):
             if not self._loop:
                 self.freshness = Freshness.ENDED
-                return self._values[-1]
+                k = len(self._values) - 1
             k %= len(self._values)
+        self.ahead = self._ahead[k]
         return self._values[k]
 
     def close(self) -> None:
@@ -126,7 +138,7 @@ class LiveReading:
         self._counted = counted
         self._counter = -1
         self._heard_ns = 0
-        self._value = 0.0
+        self.ahead = 0.0
         self.ramp_down_on_lapse = config.when_stale == "ramp_down"
         self.freshness = Freshness.STALE
 
@@ -140,10 +152,10 @@ class LiveReading:
         if not self._counted or reading.reference_counter != self._counter:
             self._counter = reading.reference_counter
             if isfinite(reading.reference_N):
-                self._value = reading.reference_N
+                self.ahead = reading.reference_N
                 self._heard_ns = now_ns
         self.freshness = Freshness.LIVE if now_ns - self._heard_ns < self._stale_ns else Freshness.STALE
-        return self._value
+        return self.ahead
 
     def close(self) -> None:
         """Nothing was opened."""
@@ -168,7 +180,7 @@ class DatagramStream:
         self._buffer = bytearray(64)
         self._sequence = -1
         self._heard_ns: int | None = None
-        self._value = 0.0
+        self.ahead = 0.0
         self._path: Path | None = None
         self.rejected = 0
         self.ramp_down_on_lapse = config.when_stale == "ramp_down"
@@ -205,7 +217,7 @@ class DatagramStream:
         heard = self._heard_ns
         live = heard is not None and now_ns - heard < self._stale_ns
         self.freshness = Freshness.LIVE if live else Freshness.STALE
-        return self._value
+        return self.ahead
 
     def _take(self, size: int, now_ns: int) -> None:
         if size != self._DATAGRAM.size:
@@ -215,7 +227,7 @@ class DatagramStream:
         if sequence <= self._sequence or not isfinite(value):
             self.rejected += 1
             return
-        self._sequence, self._value, self._heard_ns = sequence, value, now_ns
+        self._sequence, self.ahead, self._heard_ns = sequence, value, now_ns
 
     def close(self) -> None:
         """Close the socket and remove a unix socket's path."""

@@ -22,7 +22,7 @@ from piezod.control import (
 )
 from piezod.errors import ConfigurationError, ModelError
 from piezod.excitation import triangle_ramp
-from piezod.model import DirectDrive, Model, load_model, make_compensator
+from piezod.model import DirectDrive, ExtendedCompensator, Model, load_model, make_compensator
 from piezod.transport import (
     Link,
     check_encodable,
@@ -178,7 +178,12 @@ def make_segment(work: Work, bench: BenchConfig, model: Model | None, link: Link
     config = work.reference or bench.reference
     counted = link.has("reference_counter")
     reference = make_reference(config, bench.rate_Hz, folder, link.reading, counted=counted)
-    return Segment(work.name, reference, make_compensator(work.compensation, model), reset_cycle)
+    compensator = make_compensator(work.compensation, model, bench.dt_s)
+    if not isinstance(compensator, ExtendedCompensator):
+        return Segment(work.name, reference, compensator, reset_cycle)
+    if isinstance(reference, TableReference):
+        reference.plan_ahead(compensator.ahead)
+    return Segment(work.name, reference, compensator, reset_cycle, feel=compensator.feel)
 
 
 def _reset_cycle(bench: BenchConfig) -> TableReference:

@@ -2,6 +2,7 @@
 
 from typing import Protocol
 
+from piezod.model.extended_compensator import ExtendedCompensator, acting_effects
 from piezod.model.parameters import Model
 from piezod.model.plant import Plant
 from piezod.operators import ImplicitInverse
@@ -88,16 +89,25 @@ class DirectDrive:
         """Nothing is kept."""
 
 
-def make_compensator(kind: str, model: Model) -> Compensator:
+def make_compensator(kind: str, model: Model, dt_s: float) -> Compensator:
     """Build the compensation that the bench configuration names: `inverse` or `gain`.
+
+    Parameters
+    ----------
+    kind
+        `inverse`: of the hysteresis and of the effects that the model has.
+    model
+        What was identified, or diagnosed.
+    dt_s
+        Tick period [s].
 
     Raises
     ------
     ModelError
-        The model has no inverse.
+        The model, or an effect of it, has no inverse.
     """
     if kind == "gain":
         return GainCompensator(model)
     if kind == "inverse":
-        return InverseCompensator(model)
+        return ExtendedCompensator(model, dt_s) if acting_effects(model) else InverseCompensator(model)
     raise ValueError(f"no compensation is called {kind!r}")

@@ -18,6 +18,7 @@ from piezod.errors import ModelError
 Array = NDArray[np.float64]
 
 THRESHOLD, WEIGHT, STATE = 0, 1, 2  # which third of the block
+MOST_NEWTON = 60  # steps; as many as pieces at the most, and some to close in
 
 
 @numba.njit(cache=True)
@@ -65,6 +66,63 @@ def play_solve(packed: Array, base: int, count: int, v: float) -> float:
         position = kink
         slope += packed[weights + i]
     return position + sign * missing / slope
+
+
+@numba.njit(cache=True)
+def play_wider_step(packed: Array, base: int, count: int, u: float, factor: float, more: float) -> float:
+    """`play_step` with thresholds above 0 multiplied by `factor` and widened by `more` (THEORY 1.9)."""
+    v = 0.0
+    weights, states = base + WEIGHT * count, base + STATE * count
+    for i in range(count):
+        r = packed[base + i]
+        r = r * factor + more if r > 0.0 else 0.0
+        z = max(u - r, min(u + r, packed[states + i]))
+        packed[states + i] = z
+        v += packed[weights + i] * z
+    return v
+
+
+@numba.njit(cache=True)
+def play_wider_solve(packed: Array, base: int, count: int, v: float, factor: float, more: float) -> float:
+    """Input u at which the plays with such thresholds would sum to `v`, moving no state.
+
+    After a change of the thresholds the plays need not join in their order, so the scan of `play_solve` does not serve:
+    Newton's steps on the rising, piecewise linear sum, kept between bounds that close in. Ends on the piece that holds
+    the solution, hence exact.
+    """
+    weights, states = base + WEIGHT * count, base + STATE * count
+    u: float = packed[states]
+    low, high = -np.inf, np.inf
+    for _ in range(MOST_NEWTON):
+        total, slope = 0.0, 0.0
+        for i in range(count):
+            r = packed[base + i]
+            r = r * factor + more if r > 0.0 else 0.0
+            z = packed[states + i]
+            if z < u - r:
+                total += packed[weights + i] * (u - r)
+                slope += packed[weights + i]
+            elif z > u + r:
+                total += packed[weights + i] * (u + r)
+                slope += packed[weights + i]
+            else:
+                total += packed[weights + i] * z
+                if r == 0.0:
+                    slope += packed[weights + i]
+        missing = v - total
+        if missing > 0.0:
+            low = u
+        elif missing < 0.0:
+            high = u
+        else:
+            return u
+        trial = u + missing / slope if slope > 0.0 else np.nan
+        if not low < trial < high:
+            trial = 0.5 * (low + high)
+        if trial == u or not np.isfinite(trial):
+            return u
+        u = trial
+    return u
 
 
 @numba.njit(cache=True)

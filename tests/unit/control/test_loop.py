@@ -176,7 +176,8 @@ def test_a_live_reference_that_falls_silent_is_held_and_followed_again_when_it_r
     class Intermittent(TableReference):
         def read(self, tick, now_ns):
             self.freshness = Freshness.STALE if 100 <= tick < 150 else Freshness.LIVE
-            return 20.0 if tick < 150 else 22.0
+            self.ahead = 20.0 if tick < 150 else 22.0
+            return self.ahead
 
     link = FakeLink()
     loop = make_loop(link, ring)

@@ -14,7 +14,7 @@ def model():
 
 
 def test_the_inverse_brings_the_plant_to_every_reachable_reference(model):
-    plant, compensator = Plant(model), make_compensator("inverse", model)
+    plant, compensator = Plant(model), make_compensator("inverse", model, 1e-3)
     rng = np.random.default_rng(3)
     bottom, top = plant.steady_range()
     for reference in rng.uniform(bottom + 0.2 * (top - bottom), bottom + 0.8 * (top - bottom), 500):
@@ -24,19 +24,19 @@ def test_the_inverse_brings_the_plant_to_every_reachable_reference(model):
 
 
 def test_planning_moves_no_state(model):
-    compensator = make_compensator("inverse", model)
+    compensator = make_compensator("inverse", model, 1e-3)
     assert len({compensator.plan(100.0) for _ in range(5)}) == 1
 
 
 def test_the_gain_passes_through_both_ends_of_the_steady_loop(model):
-    gain = make_compensator("gain", model)
+    gain = make_compensator("gain", model, 1e-3)
     bottom, top = Plant(model).steady_range()
     assert gain.plan(bottom) == pytest.approx(model.input.low, abs=1e-9)
     assert gain.plan(top) == pytest.approx(model.input.high, abs=1e-9)
 
 
 def test_a_reset_forgets_what_was_committed(model):
-    compensator = make_compensator("inverse", model)
+    compensator = make_compensator("inverse", model, 1e-3)
     before = compensator.plan(50.0)
     compensator.commit(120.0)
     assert compensator.plan(50.0) != before

@@ -1,0 +1,150 @@
+"""The extended inverse against the forward chain: what is planned, driven and simulated comes back as the reference."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from piezod.effects import EFFECTS
+from piezod.errors import ModelError
+from piezod.model import load_model
+from piezod.model.extended_compensator import ExtendedCompensator, before_mode
+from piezod.model.parameters import EffectValues
+from piezod.model.plant import run_chain
+
+DT_S = 1e-3
+FOUND = {
+    "creep": {"per_decade": 0.02, "from_s": 0.01, "to_s": 100.0},
+    "electrical_lag": {"time_constant_s": 0.02},
+    "rate_dependent_hysteresis": {"growth": 0.05, "reference_V_per_s": 30.0},
+    "output_nonlinearity": {"curvature": -0.08, "cubic": 0.02},
+    "voltage_clamp": {"limit_V": 130.0, "knee_V": 10.0},
+}
+FROM_START = ("rate_dependent_hysteresis", "creep", "electrical_lag", "output_nonlinearity", "voltage_clamp")
+
+
+@pytest.fixture(scope="module")
+def model():
+    return load_model(Path(__file__).parents[3] / "config" / "model.yaml").model_copy(
+        update={"sampling": "held", "read_after": 1.0}
+    )
+
+
+def extended(model, *names, **changed):
+    effects = tuple(
+        EffectValues(
+            name=name,
+            parameters={one.name: (one.choices or one.starts)[0] for one in EFFECTS[name].parameters}
+            | FOUND.get(name, {})
+            | changed,
+        )
+        for name in names
+    )
+    return model.model_copy(update={"effects": effects})
+
+
+def reference_N(model, seconds=6.0):
+    """Rises smoothly from the force at rest, then moves at several rates with a hold."""
+    t = np.arange(0.0, seconds, DT_S)
+    span = model.output.high - model.output.low
+    rest = float(model.operator().run(np.zeros(1))[0])
+    moving = np.where(t < 4.0, t, 4.0)
+    shape = 0.35 * (1.0 - np.cos(2.0 * np.pi * 0.5 * moving)) + 0.06 * np.sin(2.0 * np.pi * 7.0 * moving) ** 2
+    return t, rest + span * shape
+
+
+def driven(model, reference, low_V=0.0, high_V=1e3):
+    compensator = ExtendedCompensator(model, DT_S)
+    voltage_V = np.empty(reference.size)
+    for k, value in enumerate(reference):
+        voltage_V[k] = min(max(compensator.plan(value), low_V), high_V)
+        compensator.commit(voltage_V[k])
+    return voltage_V
+
+
+@pytest.mark.parametrize("name", FROM_START)
+def test_what_is_planned_with_an_effect_gives_the_reference(model, name):
+    with_it = extended(model, name)
+    t, reference = reference_N(model)
+    voltage_V = driven(with_it, reference, low_V=-1e3)
+    reading = run_chain(with_it, with_it.operator(), t, voltage_V)
+    span = model.output.high - model.output.low
+    assert np.max(np.abs(reading - reference)) < 1e-8 * span
+
+
+def test_all_of_them_at_once_and_within_limits(model):
+    with_them = extended(model, *FROM_START)
+    t, reference = reference_N(model)
+    voltage_V = driven(with_them, reference)
+    reading = run_chain(with_them, with_them.operator(), t, voltage_V)
+    free = (voltage_V > 0.0) & (voltage_V < 140.0) & (t > 0.5)  # the record begins at rest, the drive a little above it
+    assert np.mean(free) > 0.5
+    assert voltage_V.max() > 120.0  # into the knee
+    assert np.max(np.abs(reading - reference)[free]) < 1e-8 * (model.output.high - model.output.low)
+
+
+def test_states_follow_what_was_applied_and_not_what_was_planned(model):
+    with_them = extended(model, "creep", "electrical_lag")
+    t, reference = reference_N(model)
+    limit_V = 0.6 * driven(with_them, reference).max()
+    voltage_V = driven(with_them, reference, high_V=limit_V)
+    reading = run_chain(with_them, with_them.operator(), t, voltage_V)
+    assert np.any(voltage_V == limit_V)
+    free = (voltage_V > 0.0) & (voltage_V < limit_V)
+    span = model.output.high - model.output.low
+    assert np.max(np.abs(reading - reference)[free]) < 1e-8 * span
+
+
+def test_a_gap_is_closed_before_force_is_asked_for(model):
+    with_it = extended(model, "contact_gap", gap_N=20.0, softness_N=2.0)
+    t, reference = reference_N(model)
+    reference = reference - reference[0] + np.linspace(0.0, 5.0, t.size)
+    voltage_V = driven(with_it, reference)
+    reading = run_chain(with_it, with_it.operator(), t, voltage_V)
+    free = voltage_V > 0.0
+    assert np.max(np.abs(reading - reference)[free]) < 1e-6
+
+
+def test_what_has_no_inverse_is_refused_with_its_reason(model):
+    with pytest.raises(ModelError, match=r"friction cannot be compensated: .*; take it out"):
+        ExtendedCompensator(extended(model, "friction"), DT_S)
+
+
+def test_a_delay_and_a_mode_are_met_by_a_reference_that_is_known_ahead(model):
+    for name, changed in (
+        ("transport_delay", {"delay_s": 0.0123}),
+        ("resonance", {"frequency_Hz": 60.0, "damping_ratio": 0.05}),
+    ):
+        with_it = extended(model, name, **changed)
+        t, reference = reference_N(model)
+        planned = ExtendedCompensator(with_it, DT_S).ahead(reference, loop=False)
+        reading = run_chain(with_it, with_it.operator(), t, driven(with_it, planned, low_V=-1e3))
+        unshaped = run_chain(with_it, with_it.operator(), t, driven(with_it, reference, low_V=-1e3))
+        inside = slice(50, -50)
+        error, before = (np.sqrt(np.mean((one - reference)[inside] ** 2)) for one in (reading, unshaped))
+        assert error < 0.03 * before, name
+
+
+def test_the_inverse_of_a_mode_against_its_own_recursion():
+    """The mode's recursion with the force that was made for it, computed here by a fine-stepped integration."""
+    f_Hz, zeta, fine = 40.0, 0.02, 200
+    t = np.arange(0.0, 2.0, DT_S)
+    wished = 10.0 * (1.0 - np.cos(2.0 * np.pi * 3.0 * t))
+    force = before_mode(wished, f_Hz, zeta, DT_S)
+    w, y, speed = 2.0 * np.pi * f_Hz, 0.0, 0.0
+    got = np.empty(t.size)
+    for k in range(t.size):
+        for _ in range(fine):
+            speed += DT_S / fine * (w * w * (force[k] - y) - 2.0 * zeta * w * speed)
+            y += DT_S / fine * speed
+        got[k] = y
+    assert np.max(np.abs(got - wished)[:-5]) < 0.01 * np.ptp(wished)
+
+
+def test_temperature_is_taken_off_and_a_broken_channel_leaves_the_last_value(model):
+    with_it = extended(model, "thermal_drift", coefficient_N_per_K=2.0, lag_s=0.0)
+    compensator = ExtendedCompensator(with_it, DT_S)
+    cold = compensator.plan(50.0)
+    for temperature_C in (20.0, 21.5, np.nan, 900.0):
+        compensator.feel(temperature_C)
+    assert compensator.plan(50.0 + 2.0 * 1.5) == pytest.approx(cold, rel=1e-12)
