@@ -23,10 +23,10 @@ from numpy.typing import NDArray
 from piezod.diagnose.findings import Findings, Place
 from piezod.diagnose.words import rounded, unit_words
 from piezod.report.diagnosis_words import read_off
-from piezod.report.page import BLUE, GREEN, GREY, ORANGE, RED
 from piezod.report.residual_views import Memory, Residuals, State, View
 from piezod.report.spectra import Map
-from piezod.report.thinning import envelope, envelope_times, extremes
+from piezod.report.style import BLUE, GREEN, GREY, ORANGE, RED
+from piezod.report.thinning import envelope, envelope_times, extremes, usual_range
 
 Array = NDArray[np.float64]
 Columns = dict[str, Array]
@@ -39,7 +39,6 @@ INK = "#333333"
 HEAT = ("#ffffff", "#fdd9a0", "#e8801a", "#a33a00", "#2b0c00")  # ever darker, so it needs no colour to be read
 FEWEST_DB, MOST_DB = 20.0, 60.0
 SHADED = 40  # places that one figure shows
-USUAL, MARGIN = 0.998, 0.5  # part of the residuals that an axis shows at least, and how much more room it has
 DECIMAL = "return String(Number(tick.toPrecision(3)))"  # 0.1 instead of a power of ten
 
 
@@ -109,7 +108,7 @@ def time_lines(
     _line(over, source, "given", "given model", GIVEN)
     _line(over, source, "extended", extended, EXTENDED)
     rest = _figure("Left over time: measured less model", "time [s]", f"residual [{unit}]", 240, along_x=True)
-    rest.y_range = _usual_range(one)
+    rest.y_range = usual_range(*(values[one.series.counts] for values in (one.before, one.after)))
     rest.x_range = over.x_range
     _line(rest, source, "before", "given model", GIVEN)
     _line(rest, source, "after", extended, EXTENDED)
@@ -134,7 +133,7 @@ def loops(one: Residuals, points: int, units: tuple[str, str], extended: str) ->
     source = _source(columns)
     loop = _figure("Hysteresis loop", f"command [{units[0]}]", f"output [{units[1]}]", 340)
     rest = _figure("What is left of the loop", f"command [{units[0]}]", f"residual [{units[1]}]", 340)
-    rest.y_range = _usual_range(one)
+    rest.y_range = usual_range(*(values[one.series.counts] for values in (one.before, one.after)))
     _line(loop, source, "measured", "measured", MEASURED, x="command", width=3, alpha=0.55)
     _line(loop, source, "given", "given model", GIVEN, x="command")
     _line(loop, source, "extended", extended, EXTENDED, x="command")
@@ -269,18 +268,6 @@ def _finish(plot: figure) -> figure:
         plot.legend[0].update(margin=0, padding=2)
         plot.add_layout(plot.legend[0], "above")
     return plot
-
-
-def _usual_range(one: Residuals) -> Range1d:
-    """What nearly all residuals lie in, with a margin: a start that takes some samples does not flatten the rest."""
-    left = np.concatenate([values[one.series.counts] for values in (one.before, one.after)])
-    low, high = (float(end) for end in np.quantile(left, (1.0 - USUAL, USUAL)))
-    margin = MARGIN * max(high - low, 1e-12)
-    low, high = (
-        max(low - margin, float(left.min()) - 0.1 * margin),
-        min(high + margin, float(left.max()) + 0.1 * margin),
-    )
-    return Range1d(start=low, end=high)
 
 
 def _source(columns: Columns, exact: Sequence[str] = ()) -> ColumnDataSource:

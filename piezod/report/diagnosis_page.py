@@ -8,11 +8,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
-from bokeh.document import Document
-from bokeh.embed import components
 from bokeh.model import Model
 from bokeh.plotting import figure
-from bokeh.resources import Resources
 from numpy.typing import NDArray
 
 from piezod import __version__
@@ -22,9 +19,8 @@ from piezod.diagnose.locate import locate
 from piezod.diagnose.words import Wording, unit_words
 from piezod.report import diagnosis_figures as figures
 from piezod.report import diagnosis_sections as sections
-from piezod.report.diagnosis_style import PAGE, SCRIPT, STYLE
 from piezod.report.diagnosis_words import headline
-from piezod.report.page import write_text
+from piezod.report.page import slot, write_html, write_text
 from piezod.report.residual_views import Residuals, memory, owners, views
 from piezod.report.spectra import Map, spectrum, time_frequency
 
@@ -55,17 +51,7 @@ def write_diagnosis_page(path: Path, diagnosis: Diagnosis) -> None:
     body = _body(page)
     for name, text in page.tables.items():
         write_text(path.parent / FIGURES / name, text)
-    document = Document()
-    with document.models.freeze():  # adding them one by one walks through all of them each time
-        for one in page.figures.values():
-            document.add_root(one)
-    script, divs = components(page.figures)
-    for name, div in divs.items():
-        body = body.replace(_slot(name), div)
-    library = Resources(mode="inline", components=["bokeh"]).render_js()
-    title = html.escape(headline(diagnosis.findings))
-    parts = {"style": STYLE, "library": library, "script": script, "own": SCRIPT}
-    write_text(path, PAGE.format(title=title, body=body, **parts))
+    write_html(path, headline(page.diagnosis.findings), body, page.figures)
 
 
 @dataclass
@@ -128,7 +114,7 @@ class _Page:
             key = f"{name}_{number}"
             self.figures[key] = plot
             told = f"<figcaption>{html.escape(caption)} {self._link(name)}</figcaption>"
-            slots.append(f"<figure>{_slot(key)}{told if number == len(plots) - 1 else ''}</figure>")
+            slots.append(f"<figure>{slot(key)}{told if number == len(plots) - 1 else ''}</figure>")
         return "".join(slots)
 
     def _link(self, name: str) -> str:
@@ -321,7 +307,3 @@ def _csv(header: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
     writer.writerow(header)
     writer.writerows([f"{cell:.9g}" if isinstance(cell, float) else cell for cell in row] for row in rows)
     return out.getvalue()
-
-
-def _slot(name: str) -> str:
-    return f"<!--{name}-->"

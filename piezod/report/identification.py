@@ -1,21 +1,23 @@
 """What identification found, as text for a terminal and as one page."""
 
+import html
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from bokeh.layouts import column, row
-from bokeh.models.widgets import Div
 from bokeh.plotting import figure
 from numpy.typing import NDArray
 
+from piezod.diagnose.words import unit_words
 from piezod.identify.identification import Identification, simulate
 from piezod.identify.order import Candidate
 from piezod.identify.scores import max_hysteresis_percent
 from piezod.identify.tables import OperatorRow, dead_zone_rows, play_rows
 from piezod.recording import Recording
-from piezod.report.page import BLUE, GREY, ORANGE, STYLE, table_html, write_page
+from piezod.report.page import Part, axis_label, head_html, table_html, write_page
+from piezod.report.style import BLUE, GREY, ORANGE
+from piezod.report.thinning import usual_range
 from piezod.report.tracking import finish, thin
 
 Array = NDArray[np.float64]
@@ -67,47 +69,62 @@ def print_identification(identification: Identification) -> None:
 def write_identification_page(path: Path, identification: Identification, recordings: Sequence[Recording]) -> None:
     """One page: verdict, figures, orders, tables, and the curves of every recording."""
     model, chosen = identification.model, identification.chosen
-    span = model.output.high - model.output.low
+    span, unit = model.output.high - model.output.low, unit_words(model.output.unit)
     verdict = (
-        f"{chosen.plays} plays and {chosen.zones} dead zones; held-out rms error {chosen.rms_held_out:.3g} "
-        f"{model.output.unit}, {100 * chosen.rms_held_out / span:.2f} % of range"
+        f"Error on data held out: {chosen.rms_held_out:.3g} {unit} rms, {100 * chosen.rms_held_out / span:.2f} % of "
+        f"range; {chosen.plays} plays and {chosen.zones} dead zones."
     )
-    header = ["", "fit", "held out"]
-    parts: list[object] = [
-        Div(text=f"{STYLE}<h1>Identification</h1><p class='verdict'>{verdict}</p>"),
-        Div(text=table_html(header, [list(line) for line in _figure_rows(identification)])),
+    parts: list[Part] = [
+        head_html(f"Identification: {_plain(model.input.channel)} to {_plain(model.output.channel)}", verdict),
+        table_html(["", "fit", "held out"], _figure_rows(identification)),
     ]
+    if identification.notes:
+        noticed = "".join(f"<li>{html.escape(note)}</li>" for note in identification.notes)
+        parts.append(f"<h2>Noticed on the way</h2><ul>{noticed}</ul>")
     for recording in recordings:
         parts.extend(_curves(identification, recording))
     orders = _order_rows(identification.candidates, identification.taken)
-    parts.append(
-        Div(text=f"<h2>Held-out rms error [{model.output.unit}] by orders</h2>{table_html(orders[0], orders[1:])}")
-    )
-    for title, rows in (("Plays", play_rows(model.hysteresis)), ("Dead zones", dead_zone_rows(model.hysteresis))):
-        parts.append(Div(text=f"<h2>{title}</h2>" + _parameter_table(rows)))
-    write_page(path, "Identification", column(*parts, sizing_mode="stretch_width"))
+    parts.append(f"<h2>Held-out rms error [{unit}] by number of plays n and dead zones m; *: taken</h2>")
+    parts.append(table_html(orders[0], orders[1:]))
+    command = unit_words(model.input.unit)
+    for title, rows, units in (
+        ("Plays", play_rows(model.hysteresis), (command, "1", command, "1")),
+        ("Dead zones", dead_zone_rows(model.hysteresis), (command, f"{unit}/{command}", unit, f"{command}/{unit}")),
+    ):
+        parts.append(f"<h2>{title}</h2>{_parameter_table(rows, units)}")
+    write_page(path, "Identification", parts)
 
 
-def _curves(identification: Identification, recording: Recording) -> list[object]:
+def _plain(channel: str) -> str:
+    return channel.rpartition("_")[0].replace("_", " ") or channel
+
+
+def _curves(identification: Identification, recording: Recording) -> list[Part]:
     """Input and output over time, the loop measured and modelled, and what is left."""
     model = identification.model
     u, y = recording.channel(model.input.channel), recording.channel(model.output.channel)
     modelled, start = simulate(model, recording, START_WINDOW)
     time_s = recording.time_s
-    over_time = figure(title="Output over time", x_axis_label="time [s]", y_axis_label=model.output.channel, height=300)
+    command, output = axis_label(model.input.channel), axis_label(model.output.channel)
+    over_time = figure(title="Output over time", x_axis_label="time [s]", y_axis_label=output, height=300)
     over_time.line(thin(time_s), thin(y), color=GREY, line_width=3, legend_label="measured")
     over_time.line(thin(time_s), thin(modelled), color=BLUE, legend_label="modelled")
-    inputs = figure(title="Input over time", x_axis_label="time [s]", y_axis_label=model.input.channel, height=200)
+    inputs = figure(title="Input over time", x_axis_label="time [s]", y_axis_label=command, height=200)
     inputs.line(thin(time_s), thin(u), color=ORANGE, legend_label="input")
-    loop = figure(
-        title="Hysteresis curve", x_axis_label=model.input.channel, y_axis_label=model.output.channel, height=300
-    )
+    loop = figure(title="Hysteresis curve", x_axis_label=command, y_axis_label=output, height=300)
     loop.line(thin(u), thin(y), color=GREY, line_width=3, legend_label="measured")
     loop.line(thin(u), thin(modelled), color=BLUE, legend_label="modelled")
-    left = figure(title="Measured minus modelled", x_axis_label="time [s]", y_axis_label=model.output.unit, height=200)
+    left = figure(
+        title="Measured less modelled",
+        x_axis_label="time [s]",
+        y_axis_label=f"residual [{unit_words(model.output.unit)}]",
+        height=200,
+        y_range=usual_range(y - modelled),
+    )
     left.line(thin(time_s), thin(y - modelled), color=ORANGE, legend_label="residual")
-    head = Div(text=f"<h2>{recording.source}</h2><p>max hysteresis {_opening(u, y)}; {start}</p>")
-    return [head, row(finish(over_time), finish(loop), sizing_mode="stretch_width"), finish(inputs), finish(left)]
+    said = f"max hysteresis of all samples {_opening(u, y)}; {start}; axis of the residual without its rarest values"
+    head = f"<h2>{html.escape(recording.source)}</h2><p class='dim'>{html.escape(said)}</p>"
+    return [head, [finish(over_time), finish(loop)], [finish(inputs)], [finish(left)]]
 
 
 def _opening(u: Array, y: Array) -> str:
@@ -116,7 +133,7 @@ def _opening(u: Array, y: Array) -> str:
 
 
 def _figure_rows(identification: Identification) -> list[tuple[str, ...]]:
-    fit, unit = identification.model.provenance.fit, identification.model.output.unit
+    fit, unit = identification.model.provenance.fit, unit_words(identification.model.output.unit)
     span = identification.model.output.high - identification.model.output.low
     pairs = (
         (f"rms error [{unit}]", fit.rms_fit, fit.rms_held_out),
@@ -156,15 +173,16 @@ def _order_rows(candidates: Sequence[Candidate], chosen: Candidate) -> list[list
     return rows
 
 
-def _parameter_table(rows: Sequence[OperatorRow]) -> str:
-    header = ["i", "threshold r", "weight w", "inverse r'", "inverse w'", ""]
+def _parameter_table(rows: Sequence[OperatorRow], units: tuple[str, str, str, str]) -> str:
+    names = ("threshold r", "weight w", "inverse r'", "inverse w'")
+    header = ["i", *(f"{name} [{unit}]" for name, unit in zip(names, units, strict=True)), ""]
     cells = [
         [
             str(one.index),
-            f"{one.threshold:.6g}",
-            f"{one.weight:.6g}",
-            f"{one.inverse_threshold:.6g}",
-            f"{one.inverse_weight:.6g}",
+            f"{one.threshold:.4g}",
+            f"{one.weight:.4g}",
+            f"{one.inverse_threshold:.4g}",
+            f"{one.inverse_weight:.4g}",
             "" if one.matters else "hardly matters",
         ]
         for one in rows

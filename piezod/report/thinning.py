@@ -1,9 +1,12 @@
-"""Long curves for a screen: every stretch by its smallest and its largest value, so that no spike is lost."""
+"""Long curves for a screen: every stretch by its smallest and its largest value, and the range that shows them."""
 
 import numpy as np
+from bokeh.models import Range1d
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
+
+USUAL, MARGIN = 0.998, 0.5  # part of the residuals that an axis shows at least, and how much more room it has
 
 
 def envelope(values: Array, points: int) -> Array:
@@ -52,6 +55,16 @@ def extremes(values: Array, points: int) -> NDArray[np.int64]:
     both = np.concatenate((rows + table.argmin(axis=1), rows + table.argmax(axis=1)))
     result: NDArray[np.int64] = np.unique(np.minimum(both, values.size - 1))
     return result
+
+
+def usual_range(*residuals: Array) -> Range1d:
+    """What nearly all residuals lie in, with a margin: a start that takes some samples does not flatten the rest."""
+    left = np.concatenate(residuals)
+    left = left[np.isfinite(left)]
+    low, high = (float(end) for end in np.quantile(left, (1.0 - USUAL, USUAL)))
+    margin = MARGIN * max(high - low, 1e-12)
+    least, most = float(left.min()) - 0.1 * margin, float(left.max()) + 0.1 * margin
+    return Range1d(start=max(low - margin, least), end=min(high + margin, most))
 
 
 def _stretches(values: Array, points: int) -> Array:

@@ -1,19 +1,20 @@
 """How well a force reference was followed: the figures, and the page that shows them."""
 
+import html
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
-from bokeh.layouts import column, row
-from bokeh.models import HoverTool
-from bokeh.models.widgets import Div
+from bokeh.models import BasicTicker, HoverTool
 from bokeh.plotting import figure
 from numpy.typing import NDArray
 
 from piezod.identify.scores import largest, max_hysteresis_percent, rms
 from piezod.recording import Recording
-from piezod.report.page import BLUE, GREY, ORANGE, write_page
+from piezod.report.page import Part, head_html, write_page
+from piezod.report.style import BLUE, GREY, ORANGE
 
+MOST_TICKS = 5  # whose numbers stay apart on a telephone
 SHOWN_SAMPLES = 1500  # a curve needs no more on a screen; the figures of the table use all samples
 
 
@@ -82,13 +83,13 @@ def write_tracking_page(
     table_html
         Shown below the verdict.
     """
-    rows: list[object] = [Div(text=f"<h1>{title}</h1><p class='verdict'>{verdict}</p>{table_html}")]
+    parts: list[Part] = [head_html(title, verdict), table_html]
     for reference in dict.fromkeys(key[0] for key in recordings):
         chosen = {key[1]: value for key, value in recordings.items() if key[0] == reference}
-        rows.append(Div(text=f"<h2>{reference}</h2>"))
-        rows.append(row(_over_time(chosen), loop_figure(chosen, COLOURS, LABELS), sizing_mode="stretch_width"))
-        rows.append(_errors(chosen))
-    write_page(path, title, column(*rows, sizing_mode="stretch_width"))
+        parts.append(f"<h2>{html.escape(reference)}</h2>")
+        parts.append([_over_time(chosen), loop_figure(chosen, COLOURS, LABELS)])
+        parts.append([_errors(chosen)])
+    write_page(path, title, parts)
 
 
 COLOURS = {"gain": ORANGE, "inverse": BLUE}
@@ -113,7 +114,9 @@ def _over_time(recordings: dict[str, Recording]) -> figure:
     return finish(plot)
 
 
-def loop_figure(recordings: dict[str, Recording], colours: dict[str, str], labels: dict[str, str]) -> figure:
+def loop_figure(
+    recordings: dict[str, Recording], colours: dict[str, str], labels: dict[str, str], *, downwards: bool = False
+) -> figure:
     """Force over reference, one curve a compensation."""
     plot = figure(title="Force over reference", x_axis_label="reference [N]", y_axis_label="force [N]", height=320)
     for name, recording in recordings.items():
@@ -123,7 +126,7 @@ def loop_figure(recordings: dict[str, Recording], colours: dict[str, str], label
             color=colours[name],
             legend_label=labels[name],
         )
-    return finish(plot)
+    return finish(plot, downwards=downwards)
 
 
 def _errors(recordings: dict[str, Recording]) -> figure:
@@ -134,14 +137,17 @@ def _errors(recordings: dict[str, Recording]) -> figure:
     return finish(plot)
 
 
-def finish(plot: figure) -> figure:
-    """Legend, tools and width that all figures share."""
+def finish(plot: figure, *, downwards: bool = False) -> figure:
+    """Legend, tools and width that all figures share; a legend of long names had better run downwards."""
     plot.sizing_mode = "stretch_width"
     plot.toolbar.autohide = True
     plot.toolbar.logo = None
-    plot.legend.orientation = "horizontal"
+    plot.legend.orientation = "vertical" if downwards else "horizontal"
     plot.legend.border_line_color = None
     plot.legend.click_policy = "hide"
+    plot.legend.label_text_font_size = "11px"
+    plot.legend[0].update(margin=0, padding=2, spacing=0, glyph_height=14, label_height=14)
     plot.add_layout(plot.legend[0], "above")
+    plot.xaxis.ticker = BasicTicker(desired_num_ticks=MOST_TICKS)
     plot.add_tools(HoverTool(tooltips=[("x", "$x{0.000}"), ("y", "$y{0.00}")]))
     return plot

@@ -7,14 +7,13 @@ from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
-from bokeh.layouts import column, row
-from bokeh.models.widgets import Div
 from bokeh.plotting import figure
 
 from piezod.identify.scores import max_hysteresis_percent
 from piezod.recording import Recording
 from piezod.report.demo import SessionOutcome
-from piezod.report.page import BLUE, GREEN, GREY, ORANGE, RED, table_html, write_page
+from piezod.report.page import Part, head_html, table_html, write_page
+from piezod.report.style import BLUE, GREEN, GREY, ORANGE, RED
 from piezod.report.tracking import TrackingFigures, finish, loop_figure, thin, tracking_figures
 
 MODEL_COLOURS = (BLUE, GREEN, RED, GREY)
@@ -182,12 +181,14 @@ def write_validation_page(path: Path, verdict: ValidationVerdict, recordings: di
         The file cannot be written.
     """
     title = "Which model a force follows better"
-    parts = ("max hysteresis [%]", "rms error [N] (%)", "max error [N] (%)")
-    header = ["reference", *(f"{name}: {part}" for name in verdict.compensations for part in parts)]
-    rows_html = [[cells[0].replace(" ", "\u00a0"), *cells[1:]] for cells in _rows(verdict)]
-    table = table_html(header, rows_html)
-    text = f"<h1>{title}</h1><p class='verdict'>{html.escape(verdict.words)}</p>{table}<p>{_common_range(verdict)}</p>"
-    rows: list[object] = [Div(text=text)]
+    parts = ["max hysteresis [%]", "rms error [N] (%)", "max error [N] (%)"]
+    groups = [("", 1), *((name, len(parts)) for name in verdict.compensations)]
+    table = table_html(["reference", *parts * len(verdict.compensations)], _rows(verdict), groups)
+    shown: list[Part] = [
+        head_html(title, verdict.words),
+        table,
+        f"<p class='dim'>{html.escape(_common_range(verdict))}</p>",
+    ]
     colours = {
         name: ORANGE if number == 0 else MODEL_COLOURS[(number - 1) % len(MODEL_COLOURS)]
         for number, name in enumerate(verdict.compensations)
@@ -196,10 +197,9 @@ def write_validation_page(path: Path, verdict: ValidationVerdict, recordings: di
     for reference in verdict.references:
         chosen = {key[1]: recording for key, recording in recordings.items() if key[0] == reference}
         if chosen:
-            rows.append(Div(text=f"<h2>{reference}</h2>"))
-            loops = loop_figure(chosen, colours, labels)
-            rows.append(row(loops, _error_loops(chosen, colours), sizing_mode="stretch_width"))
-    write_page(path, title, column(*rows, sizing_mode="stretch_width"))
+            shown.append(f"<h2>{html.escape(reference)}</h2>")
+            shown.append([loop_figure(chosen, colours, labels, downwards=True), _error_loops(chosen, colours)])
+    write_page(path, title, shown)
 
 
 def _common_range(verdict: ValidationVerdict) -> str:
@@ -241,4 +241,4 @@ def _error_loops(recordings: dict[str, Recording], colours: dict[str, str]) -> f
         reference = recording.channel("reference_N")
         error = recording.channel("force_N") - reference
         plot.line(thin(reference), thin(error), color=colours[name], legend_label=name)
-    return finish(plot)
+    return finish(plot, downwards=True)

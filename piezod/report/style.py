@@ -1,6 +1,7 @@
-"""What a diagnosis page looks like: on a screen, on a telephone, and on A4."""
+"""What every page looks like: on a screen, on a telephone, and on A4."""
 
-from piezod.report.page import BLUE, GREEN, GREY, ORANGE, RED
+# Okabe and Ito's palette (2008) stays apart for colour-blind eyes.
+BLUE, ORANGE, GREEN, GREY, RED = "#0072B2", "#E69F00", "#009E73", "#999999", "#D55E00"
 
 A4_ZOOM, A4_PIXELS = 0.58, 1200  # 186 mm between the margins over the pixels that a printed page is laid out in
 
@@ -47,6 +48,10 @@ td small {{ display: block; font-size: 12px; line-height: 1.3; }}
 .two {{ display: grid; grid-template-columns: minmax(0, 3fr) minmax(0, 2fr); gap: 26px; }}
 .pair {{ display: grid; grid-template-columns: repeat(2, minmax(0, 1fr)); gap: 14px; }}
 .three {{ display: grid; grid-template-columns: repeat(3, minmax(0, 1fr)); gap: 14px 16px; }}
+.scroll {{ overflow-x: auto; margin: 8px 0; }} .numbers {{ width: auto; font-variant-numeric: tabular-nums; }}
+.numbers th, .numbers td {{ text-align: right; padding: 4px 14px 4px 0; }} .numbers td {{ white-space: nowrap; }}
+.numbers th:first-child, .numbers td:first-child {{ text-align: left; white-space: nowrap; }}
+.numbers .group {{ text-align: center; border-left: 12px solid transparent; }}
 dl {{ display: grid; grid-template-columns: max-content 1fr; gap: 3px 14px; margin: 4px 0; }}
 dt {{ color: var(--dim); }} dd {{ margin: 0; }}
 dd.Forward {{ font-family: ui-monospace, monospace; font-size: 12.5px; }}
@@ -64,11 +69,15 @@ figcaption {{ color: var(--dim); font-size: 12px; }}
   .chain li + li::before {{ content: none; }} .chain b, .chain i {{ grid-column: 2; }} .chain span {{ grid-row: 1; }}
   .chain li.hit {{ padding: 3px 8px; }}
   dl {{ grid-template-columns: 1fr; gap: 0; }} dd {{ margin-bottom: 6px; }}
-  table, tbody, tr, td {{ display: block; }} thead {{ display: none; }}
-  tr {{ border-bottom: 2px solid var(--line); padding: 6px 0; }} td {{ border: 0; padding: 2px 0; }}
+  table:not(.numbers), table:not(.numbers) > tbody, table:not(.numbers) > tbody > tr,
+  table:not(.numbers) > tbody > tr > td {{ display: block; }}
+  table:not(.numbers) > thead {{ display: none; }}
+  table:not(.numbers) > tbody > tr {{ border-bottom: 2px solid var(--line); padding: 6px 0; }}
+  table:not(.numbers) > tbody > tr > td {{ border: 0; padding: 2px 0; }}
+  table.places > tbody > tr > td:not(:first-child) {{ display: inline-block; margin-right: 14px; }}
+  .numbers th, .numbers td {{ padding-right: 10px; font-size: 12px; }}
   td[data-label]:not([data-label=""])::before {{ content: attr(data-label) ": "; color: var(--dim); font-size: 12px; }}
-  td:first-child::before {{ content: none !important; }} td:empty {{ display: none; }}
-  .places td:not(:first-child) {{ display: inline-block; margin-right: 14px; }}
+  td:first-child::before {{ content: none !important; }} table:not(.numbers) td:empty {{ display: none; }}
 }}
 @page {{ size: A4; margin: 12mm; }}
 @media print {{
