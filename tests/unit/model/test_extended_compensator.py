@@ -78,7 +78,7 @@ def test_all_of_them_at_once_and_within_limits(model):
     voltage_V = driven(with_them, reference)
     reading = run_chain(with_them, with_them.operator(), t, voltage_V)
     free = (voltage_V > 0.0) & (voltage_V < 140.0) & (t > 0.5)  # the record begins at rest, the drive a little above it
-    assert np.mean(free) > 0.5
+    assert np.mean(free) > 0.4
     assert voltage_V.max() > 120.0  # into the knee
     assert np.max(np.abs(reading - reference)[free]) < 1e-8 * (model.output.high - model.output.low)
 
