@@ -4,47 +4,90 @@ import argparse
 import contextlib
 import json
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
-from tests.studies import recorder, soak
+from tests.studies import overlay, recorder, scenarios, soak, table
+from tests.studies.laid_over import LAID_OVER, NOT_LAID_OVER
 from tests.studies.peers import command as peers
-from tests.studies.scenarios import LONG, SHORT, study
 from tests.studies.strengths import SWITCHED
-from tests.studies.table import header, summary
 
 
 def main() -> None:
     """Parse, run, print."""
     parser = argparse.ArgumentParser(prog="python -m tests.studies", description=__doc__)
     studies = parser.add_subparsers(dest="study", required=True)
-    scenarios = studies.add_parser(
-        "scenarios", help="every effect of the catalogue on the emulated bench, over its link"
-    )
-    scenarios.add_argument("--only", metavar="NAME,...", help=f"of {', '.join(SWITCHED)}; all when left out")
-    scenarios.add_argument("--jobs", type=int, default=2, metavar="N", help="cases at a time, a core each")
-    scenarios.add_argument("--short", action="store_true", help="short recordings")
-    scenarios.add_argument("--json", type=Path, metavar="FILE", help="write the rows as JSON too")
-    scenarios.add_argument("--folder", type=Path, metavar="DIR", help="keep recordings and findings there")
+    _scenarios(studies.add_parser("scenarios", help="every effect on the emulated bench, over its link"))
+    _overlay(studies.add_parser("overlay", help="effects laid over real recordings"))
     peers.add_options(studies.add_parser("peers", help="other methods on the cases of a concealed study"))
     recorder.add_options(studies.add_parser("recorder", help="the recorder killed, without power, on a failing disk"))
     soak.add_options(studies.add_parser("soak", help="the daemon for a long time on a busy machine, beside cyclictest"))
     options = parser.parse_args()
-    if options.study in ("peers", "recorder", "soak"):
-        options.run(options, parser)
-        return
-    names = options.only.split(",") if options.only else list(SWITCHED)
-    if unknown := sorted(set(names) - set(SWITCHED)):
-        parser.error(f"no scenario is called {', '.join(unknown)}; there are {', '.join(SWITCHED)}")
-    print(header(), flush=True)
-    rows = []
-    with _folder(options.folder) as folder:
-        for row in study(names, SHORT if options.short else LONG, folder, jobs=options.jobs):
-            print(row.text(), flush=True)
-            rows.append(row)
-    print(summary(rows))
-    if options.json:
-        options.json.write_text(json.dumps([row.as_dict() for row in rows], indent=2) + "\n", encoding="utf-8")
+    options.run(options, parser)
+
+
+def _scenarios(parser: argparse.ArgumentParser) -> None:
+    _shared(parser, SWITCHED)
+
+    def run(options: argparse.Namespace, parser: argparse.ArgumentParser) -> None:
+        names = _picked(parser, "scenario", options.only, SWITCHED)
+        size = scenarios.SHORT if options.short else scenarios.LONG
+        with _folder(options.folder) as folder:
+            rows = scenarios.study(names, size, folder, jobs=options.jobs)
+            _told(rows, table.header(), table.summary, options.json)
+
+    parser.set_defaults(run=run)
+
+
+def _overlay(parser: argparse.ArgumentParser) -> None:
+    _shared(parser, LAID_OVER)
+    parser.epilog = f"Not laid over, as the real stack never got these voltages: {NOT_LAID_OVER}."
+    parser.add_argument("--bench", metavar="NAME,...", help=f"of {', '.join(overlay.BENCHES)}; all when left out")
+    parser.add_argument(
+        "--strength", type=float, default=overlay.STRENGTH, metavar="X", help="change over what is left, %(default)g"
+    )
+
+    def run(options: argparse.Namespace, parser: argparse.ArgumentParser) -> None:
+        effects = _picked(parser, "effect that can be laid over", options.only, LAID_OVER)
+        benches = _picked(parser, "bench", options.bench, overlay.BENCHES)
+        if not overlay.REAL.is_dir():
+            parser.error(f"{overlay.REAL} is not here: the real recordings are not part of the project")
+        with _folder(options.folder) as folder:
+            rows = overlay.overlay_study(
+                benches, effects, folder, short=options.short, strength=options.strength, jobs=options.jobs
+            )
+            _told(rows, overlay.header(), overlay.summary, options.json)
+
+    parser.set_defaults(run=run)
+
+
+def _shared(parser: argparse.ArgumentParser, names: Sequence[str]) -> None:
+    """Options that all studies have."""
+    parser.add_argument("--only", metavar="NAME,...", help=f"of {', '.join(names)}; all when left out")
+    parser.add_argument("--jobs", type=int, default=2, metavar="N", help="cases at a time, a core each")
+    parser.add_argument("--short", action="store_true", help="short recordings")
+    parser.add_argument("--json", type=Path, metavar="FILE", help="write the rows as JSON too")
+    parser.add_argument("--folder", type=Path, metavar="DIR", help="keep recordings and findings there")
+
+
+def _picked(parser: argparse.ArgumentParser, what: str, wanted: str | None, known: Sequence[str]) -> list[str]:
+    """Names of a list with commas, all of them when there is none."""
+    names = wanted.split(",") if wanted else list(known)
+    if unknown := sorted(set(names) - set(known)):
+        parser.error(f"no {what} is called {', '.join(unknown)}; there are {', '.join(known)}")
+    return names
+
+
+def _told(rows: Iterator, header: str, summary: Callable[[list], str], to_json: Path | None) -> None:
+    """Print rows as they come, what they say together, and write them."""
+    print(header, flush=True)
+    kept = []
+    for row in rows:
+        print(row.text(), flush=True)
+        kept.append(row)
+    print(summary(kept))
+    if to_json:
+        to_json.write_text(json.dumps([row.as_dict() for row in kept], indent=2) + "\n", encoding="utf-8")
 
 
 @contextlib.contextmanager

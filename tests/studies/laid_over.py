@@ -1,0 +1,304 @@
+"""An effect laid over a real recording: what the record would show had the bench had it.
+
+The recorded output takes the place of the emulated stack: it runs through the emulator's own laws of creep, mechanics,
+load cell and converter, at `FINER` steps a sample, between samples along a cubic spline. An electrical lag acts in
+front of the stack: the voltage that the real stack got stands for the lagged one, and the command that would have led
+to it is recorded instead. What a clamp, a slew limit, a rate or a bias-dependent loop would have made of voltages that
+the stack never got cannot be laid over.
+
+An effect is made as strong as is asked: the root mean square of what it changes, besides the mean, is a multiple of
+what the diagnosis leaves of the recording as it is.
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+from scipy.interpolate import CubicSpline
+
+from firmware_sim.acquisition import acquire
+from firmware_sim.layout import Record, Records
+from firmware_sim.load_cell import sense
+from firmware_sim.mechanics import load
+from firmware_sim.parameters import initial_state, parameter_record
+from firmware_sim.scenario import load_scenario
+from firmware_sim.stack import deform
+from piezod.recording import Recording
+
+FINER = 40  # steps a sample
+SEED = 11  # of phases: mains, machine, room
+WIDE = 1e6  # of the output: no converter ends there
+CLOSE = 0.02  # to the strength that was asked for
+WIDER, HALVINGS = 3.0, 14  # of the factor on the way to it
+TEMPERATURE = "temperature_C"
+LAG = "electrical_lag"
+
+
+@dataclass(frozen=True)
+class LaidOver:
+    """How an effect is laid over a recording.
+
+    Parameters
+    ----------
+    values
+        As `firmware_sim` takes them, for a recording and a factor of strength.
+    parameter
+        Whose value is compared.
+    start
+        Factor to begin with; None: its strength is what it is.
+    inverse
+        Whether the parameter falls as the effect grows: a cut-off, a time constant.
+    alike
+        Whether the emulated law has the parameter in the catalogue's sense.
+    """
+
+    values: Callable[["Bare", float], dict[str, object]]
+    parameter: str
+    start: float | None
+    inverse: bool = False
+    alike: bool = True
+
+
+@dataclass(frozen=True)
+class Bare:
+    """A recording as it is, and what an effect is measured by.
+
+    Parameters
+    ----------
+    recording
+        Evenly sampled; with the made temperature of the room.
+    command, output
+        Its channels.
+    residual
+        What its diagnosis leaves on blocks left out [output unit].
+    """
+
+    recording: Recording
+    command: str
+    output: str
+    residual: float
+
+    @property
+    def dt_s(self) -> float:
+        """Spacing of the samples [s]."""
+        return float(np.median(np.diff(self.recording.time_s)))
+
+    @property
+    def duration_s(self) -> float:
+        """Of the record [s]."""
+        return float(np.ptp(self.recording.time_s))
+
+    @property
+    def span(self) -> float:
+        """Of the output [output unit]."""
+        return float(np.ptp(self.recording.channel(self.output)))
+
+
+def _part(of: float) -> Callable[[Bare], float]:
+    return lambda bare: of * bare.duration_s
+
+
+def _simple(
+    effect: str,
+    parameter: str,
+    of: Callable[[Bare], float],
+    start: float,
+    *,
+    inverse: bool = False,
+    alike: bool = True,
+    **others: object,
+) -> tuple[str, LaidOver]:
+    """An effect of one strength: `of` a recording times the factor, or over it."""
+
+    def values(bare: Bare, factor: float) -> dict[str, object]:
+        rest = {name: value(bare) if callable(value) else value for name, value in others.items()}
+        return {parameter: of(bare) / factor if inverse else of(bare) * factor, **rest}
+
+    return effect, LaidOver(values, parameter, start, inverse, alike)
+
+
+def _residual(bare: Bare) -> float:
+    return bare.residual
+
+
+def _sample(bare: Bare) -> float:
+    return bare.dt_s
+
+
+def _per_speed(bare: Bare) -> float:
+    """Residual over the rate of the command [output unit s / command unit]."""
+    return bare.residual / float(np.std(np.gradient(bare.recording.channel(bare.command), bare.dt_s)))
+
+
+def _dropped(bare: Bare, factor: float) -> dict[str, object]:  # it is there or not
+    places = [[part * bare.duration_s, part * bare.duration_s + 40.0 * bare.dt_s] for part in (0.21, 0.47, 0.74)]
+    return {"places_s": places}
+
+
+LAID_OVER = dict(
+    (
+        _simple(LAG, "time_constant_s", _sample, 4.0),
+        _simple("creep", "per_decade", lambda _: 1.0, 0.02, from_s=0.1, to_s=1000.0),
+        _simple("gain_drift", "relative_change", lambda _: -1.0, 0.05, over_s=lambda bare: bare.duration_s),
+        _simple("output_nonlinearity", "curvature", lambda _: 1.0, 0.1),
+        _simple("contact_gap", "gap_N", _residual, 5.0, alike=False, touch_N=lambda bare: 0.1 * bare.residual),
+        _simple("friction", "force_N", _residual, 3.0, presliding_N=lambda bare: 0.1 * bare.span),
+        _simple("resonance", "frequency_Hz", lambda bare: 0.1 / bare.dt_s, 1.0, inverse=True, damping_ratio=0.05),
+        _simple("thermal_drift", "coefficient_N_per_K", _residual, 3.0),
+        _simple("load_step", "step_N", _residual, 6.0, on_s=_part(0.4), off_s=_part(0.65)),
+        _simple("vibration", "amplitude_N", _residual, 4.0, frequency_Hz=lambda bare: 0.1187 / bare.dt_s),
+        _simple("charge_leakage", "time_constant_s", lambda bare: 10.0 * bare.duration_s, 1.0, inverse=True),
+        _simple("sensor_filter", "cutoff_Hz", lambda bare: 0.05 / bare.dt_s, 1.0, inverse=True),
+        _simple("feedthrough", "coefficient_N_s_per_V", _per_speed, 3.0, bandwidth_Hz=lambda bare: 0.25 / bare.dt_s),
+        _simple("mains_hum", "amplitude_N", _residual, 4.0, frequency_Hz=50.0),
+        ("sensor_dropout", LaidOver(_dropped, "from_s", None)),
+        _simple("quantisation", "step_N", _residual, 10.0),
+        _simple("transport_delay", "delay_s", _sample, 3.0),
+        _simple("clock_skew", "skew_ppm", lambda bare: 1e6 * bare.dt_s / bare.duration_s, 6.0),
+    )
+)
+NOT_LAID_OVER = "slew_limit, voltage_clamp, rate_dependent_hysteresis, noncongruent_minor_loops"
+
+
+def as_strong_as(name: str, bare: Bare, strength: float) -> tuple[Recording, dict[str, object], float]:
+    """A recording with an effect that changes it by so many residuals.
+
+    Parameters
+    ----------
+    name
+        Of the catalogue.
+    bare
+        The recording as it is.
+    strength
+        Root mean square of the change besides its mean, over the residual.
+
+    Returns
+    -------
+    recording, values, size
+        The record, what was switched on, and the strength reached.
+    """
+    how = LAID_OVER[name]
+
+    def made(factor: float) -> tuple[Recording, dict[str, object], float]:
+        values = how.values(bare, factor)
+        recording = laid_over(bare, {name: values})
+        return recording, values, _change(bare, recording, name) / bare.residual
+
+    if how.start is None:
+        return made(1.0)
+    low = high = how.start
+    while made(low)[2] > strength:
+        low /= WIDER
+    while made(high)[2] < strength:
+        high *= WIDER
+    for _ in range(HALVINGS):
+        middle = float(np.sqrt(low * high))
+        found = made(middle)
+        if abs(found[2] / strength - 1.0) < CLOSE:
+            break
+        low, high = (middle, high) if found[2] < strength else (low, middle)
+    return found
+
+
+def with_room(recording: Recording) -> Recording:
+    """The same with the made temperature of the room that every record of a study has."""
+    time_s = recording.time_s - recording.time_s[0]
+    temperature_C, _ = _run(time_s, np.zeros(time_s.size), np.zeros(time_s.size), {}, 1.0)
+    return Recording(
+        recording.time_s, dict(recording.channels) | {TEMPERATURE: temperature_C}, recording.metadata, recording.source
+    )
+
+
+def laid_over(bare: Bare, effects: Mapping[str, Mapping[str, object]]) -> Recording:
+    """The record that shows what the emulated laws make of the real output; the temperature stays the room's."""
+    recording = bare.recording
+    time_s = recording.time_s - recording.time_s[0]
+    command, output = recording.channel(bare.command), recording.channel(bare.output)
+    if lag := effects.get(LAG):
+        command = _before_lag(time_s, command, float(lag["time_constant_s"]))
+    else:
+        _, changed = _run(time_s, output - output[0], command, effects, bare.span)
+        output = output[0] + changed
+    channels = dict(recording.channels) | {bare.command: command, bare.output: output}
+    return Recording(recording.time_s, channels, recording.metadata, recording.source)
+
+
+def _change(bare: Bare, made: Recording, name: str) -> float:
+    """Root mean square of what an effect changes besides the mean; of a lag, by the output's own slope."""
+    if name != LAG:
+        return float(np.std(made.channel(bare.output) - bare.recording.channel(bare.output)))
+    earlier = made.channel(bare.command) - bare.recording.channel(bare.command)
+    u, y = bare.recording.channel(bare.command), bare.recording.channel(bare.output)
+    return float(np.std(earlier) * np.std(y) / np.std(u))
+
+
+def _before_lag(time_s: np.ndarray, voltage: np.ndarray, time_constant_s: float) -> np.ndarray:
+    """Commands that a first-order lag makes these voltages of; `tau du/dt = command - u` on the fine steps."""
+    step_s = float(np.median(np.diff(time_s))) / FINER
+    spline = CubicSpline(time_s, voltage)
+    middle_s = time_s + 0.5 * step_s
+    earlier, later = spline(middle_s - step_s), spline(middle_s)
+    return 0.5 * (earlier + later) + time_constant_s * (later - earlier) / step_s
+
+
+def _run(
+    time_s: np.ndarray, output: np.ndarray, drive: np.ndarray, effects: Mapping[str, Mapping[str, object]], span: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Temperature [degC] and readings of the emulated chain behind a stack that does what was recorded."""
+    step_s = float(np.median(np.diff(time_s))) / FINER
+    scenario = load_scenario(
+        "stack",
+        {
+            "step_s": step_s,
+            "sample_rate_Hz": 1.0 / step_s,
+            "stack": {"irreversible": 0.0, "full_V": span},
+            "mechanics": {"full_N": span, "stiffening": 0.0, "softening": 0.0},
+            "load_cell": {"white_noise_N": 0.0, "converter_step_N": 0.0, "low_N": -WIDE, "high_N": WIDE},
+            "effects": {name: dict(values) for name, values in effects.items() if name != LAG},
+        },
+    )
+    generator = np.random.Generator(np.random.PCG64(SEED))
+    parameters = parameter_record(scenario, generator)
+    state = initial_state(parameters, generator)
+    state[0]["feedthrough_V"] = drive[0]
+    fine_s = np.arange(round(time_s[-1] / step_s) + 1) * step_s
+    skew = scenario.effects.clock_skew
+    ends = np.rint(time_s * (1.0 + 1e-6 * skew.skew_ppm if skew else 1.0) / step_s).astype(np.int64)
+    rows = np.zeros((2, time_s.size))
+    _pass(
+        state,
+        parameters,
+        CubicSpline(time_s, output)(fine_s),
+        np.interp(fine_s, time_s, drive),
+        np.minimum(ends, fine_s.size - 1),
+        rows,
+    )
+    return rows[0], rows[1]
+
+
+@njit(cache=True)
+def _pass(
+    states: Records, parameter_sets: Records, output: np.ndarray, drive: np.ndarray, ends: np.ndarray, rows: np.ndarray
+) -> None:
+    """Let a recorded output through what comes behind a stack; rows of temperature and reading at steps `ends`."""
+    state, parameters = states[0], parameter_sets[0]
+    step = 0
+    for row in range(ends.size):
+        while step <= ends[row]:
+            _step(state, parameters, output[step], drive[step])
+            step += 1
+        rows[0, row] = state.temperature_reading_C
+        rows[1, row] = state.reading_N
+
+
+@njit(cache=True)
+def _step(state: Record, parameters: Record, output: float, drive: float) -> None:
+    """One physics step; the stack's voltage stands for what it does, then for what couples into the signal."""
+    state.steps += 1
+    state.output_V = output
+    deform(state, parameters)
+    load(state, parameters)
+    state.output_V = drive
+    sense(state, parameters)
+    acquire(state, parameters)
