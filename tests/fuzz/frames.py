@@ -33,6 +33,7 @@ VARIANT, POLL, SET_UP_READ, REPAIR, ENDS = 0b11, 1 << 2, 1 << 3, 1 << 4, 1 << 5
 PIECES = (4096, 1, 3, 7)
 UNIT, TRANSACTION, SEQUENCE, HEARTBEAT = 1, 0x0102, 42, 5
 VOLTAGE_V = 20.0
+PATIENCE_S = 10.0  # nothing here waits, but a process may be stopped, and then a link sends nothing any more
 
 Values = tuple[float, ...]
 
@@ -211,11 +212,11 @@ class Dialogue:
         self.set_up = [Asked(3, b"", 2)]
 
     def _tcp(self) -> TcpWire:
-        where = {"kind": "modbus_tcp", "host": "127.0.0.1", "timeout_s": 0.05}
+        where = {"kind": "modbus_tcp", "host": "127.0.0.1", "timeout_s": PATIENCE_S}
         return TcpWire(ModbusTcpLink.model_validate(where | {"registers": self.map.registers}))
 
     def _rtu(self) -> RtuWire:
-        where = {"kind": "modbus_rtu", "port": "none", "baudrate": 12_000_000, "timeout_s": 0.05}
+        where = {"kind": "modbus_rtu", "port": "none", "baudrate": 12_000_000, "timeout_s": PATIENCE_S}
         config = ModbusRtuLink.model_validate(where | {"registers": self.map.registers})
         wire = RtuWire(config)
         wire._port = ScriptedPort(config, self.script)
@@ -312,7 +313,7 @@ class LineDialogue:
     def __init__(self) -> None:
         self.script = Script()
         watchdog = {"send": "DOG {watchdog_ms:.0f}", "reply": r"DOG (?P<watchdog_ms>\S+)"}
-        where = {"kind": "serial_line", "port": "none", "watchdog": watchdog}
+        where = {"kind": "serial_line", "port": "none", "timeout_s": PATIENCE_S, "watchdog": watchdog}
         config = SerialLineLink.model_validate(LINE | where)
         self.link = SerialLineDevice(config)
         self.link._port = ScriptedPort(config, self.script)
