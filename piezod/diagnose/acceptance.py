@@ -30,7 +30,7 @@ FAIR_SHARE = 0.02  # of the largest gain so far: more effects than that are the 
 LATE = 0.05  # of a sample
 RINGS = 0.6  # damping ratio beyond which nothing is seen to ring
 SLIDES = 0.5  # of the force's range: friction with a longer presliding never slides
-PLAINER = 0.002  # of the loss, that a parameter must bring for its effect to be chosen
+PLAINER = 0.01  # of the loss, that a parameter must bring
 
 
 def worth(before: Fitted, after: Fitted) -> bool:
@@ -40,6 +40,8 @@ def worth(before: Fitted, after: Fitted) -> bool:
         return False
     if after.terms[-1].scope == "once":
         return True
+    if gain < PLAINER * len(after.terms[-1].searched) * after.loss:
+        return False
     gains = np.log(before.losses / after.losses)
     if gain > MUCH * before.loss and np.mean(gains < -NOTICED) < FEW:
         return True

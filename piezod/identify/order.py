@@ -185,14 +185,19 @@ def prune(
 
 
 def _without_the_least(fit: Fit, share: float) -> Structure | None:
-    """The structure without a share of the operators that hardly matter; None where all matter."""
+    """The structure without a share of the operators that hardly matter; None where all matter.
+
+    The linear parts stay. A direct table whose zero was moved may have its linear part in another place than the
+    structure, so both are asked.
+    """
     plays, zones = play_rows(fit.hysteresis), dead_zone_rows(fit.hysteresis)
+    linear = 0, int(np.flatnonzero(fit.structure.zone_thresholds == 0.0)[0])
     steepest = [float(np.abs(np.cumsum([row.weight for row in rows])).max()) for rows in (plays, zones)]
     weak = [
         (abs(row.weight) / steepest[table], table, place)
         for table, rows in enumerate((plays, zones))
         for place, row in enumerate(rows)
-        if not row.matters and row.index != 0
+        if not row.matters and row.index != 0 and place != linear[table]
     ]
     if not weak:
         return None
