@@ -38,7 +38,7 @@ class Structure:
     degree
         Of the polynomial.
     terms
-        How many are kept.
+        How many are kept, of those that there are.
     """
 
     target: str
@@ -145,7 +145,7 @@ def _free_run(model: FROLS, structure: Structure, series: Series, record: exchan
 
 
 def _kept(model: FROLS, structure: Structure, names: tuple[str, ...]) -> list[str]:
-    rows = results(model.final_model, model.theta, model.err, model.n_terms)
+    rows = results(model.final_model, model.theta, model.err, len(model.final_model))
     terms = [_named(row[0], names, structure.target) for row in rows]
     alone = structure.target == "missing" and all(re.fullmatch(r"(r\(k-\d+\)(\^\d)?)+", term) for term in terms)
     return [] if alone or set(terms) == NOTHING else terms
