@@ -12,6 +12,7 @@ from piezod.diagnose.findings import Findings, Place
 from piezod.diagnose.fit import Normal, fit
 from piezod.diagnose.guard import explainable
 from piezod.diagnose.ideas import DIRECT
+from piezod.diagnose.lattice import unrounded
 from piezod.diagnose.locate import locate
 from piezod.diagnose.motion import motion
 from piezod.diagnose.parallel import each
@@ -100,7 +101,7 @@ def diagnose(
         if stretches:
             frozen[len(series)] = stretches
         said += more
-        series.append(one)
+        series.append(unrounded(one))
     if not past:
         series.insert(0, stand_in(model))
         frozen = {number + 1: stretches for number, stretches in frozen.items()}

@@ -48,7 +48,7 @@ def frozen_stretches(series: Series, model_N: Array) -> list[tuple[int, int]]:
         (first, end)
         for first, end in stretches
         if end - first >= max(FROZEN_SAMPLES, 4 * usual)
-        and np.ptp(model_N[first:end]) > FROZEN_MOVES * max(series.noise_N, lattice_step_N(series))
+        and np.ptp(model_N[first:end]) > FROZEN_MOVES * max(series.noise_N, series.lattice_N)
     ]
 
 
@@ -56,25 +56,6 @@ def _usual_run(stretches: list[tuple[int, int]]) -> int:
     """Length that runs of equal readings have on a coarse lattice anyway."""
     lengths = np.array([end - first for first, end in stretches if end - first > 1])
     return int(np.percentile(lengths, 90)) if lengths.size > 50 else 1
-
-
-def lattice_step_N(series: Series) -> float:
-    """Step of the readings' lattice, 0 where there is none that is coarser than a millionth of their range [N]."""
-    readings = series.reading_N[series.counts]
-    values = np.unique(readings)
-    if values.size < 3 or values.size > readings.size // 3:
-        return 0.0
-    steps = np.diff(values)
-    smallest = float(np.percentile(steps, 20))
-    if smallest < 1e-6 * float(np.ptp(readings)):
-        return 0.0
-    places = (values - values[0]) / smallest
-    on_lattice = np.abs(places - np.rint(places)) < 0.02 * np.maximum(1.0, np.rint(places) * 1e-3)
-    return (
-        smallest
-        if np.mean(np.abs(steps / smallest - np.rint(steps / smallest)) < 0.05) > 0.95 and on_lattice.size
-        else 0.0
-    )
 
 
 def lines(series: Series, residual_N: Array, most: int = 6) -> list[Line]:

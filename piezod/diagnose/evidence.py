@@ -7,7 +7,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piezod.diagnose.chain import Chain, Term
-from piezod.diagnose.direct import lattice_step_N
 from piezod.diagnose.findings import Finding, Place, Rival, Value
 from piezod.diagnose.fit import Fitted, fit
 from piezod.diagnose.places import place_of
@@ -183,7 +182,7 @@ def read_off(
 
 def _coarsest(series: Sequence[Series], residuals: Sequence[Array]) -> tuple[float, float]:
     """The coarsest lattice among the recordings asked about, and the noise besides it."""
-    steps = [(lattice_step_N(one), k) for k, one in enumerate(series) if one.role == "recording"]
+    steps = [(one.lattice_N, k) for k, one in enumerate(series) if one.role == "recording"]
     step, k = max(steps)
     spread = float(np.std(residuals[k][series[k].counts]))
     return step, float(np.sqrt(max(spread**2 - step**2 / 12.0, 0.0)))

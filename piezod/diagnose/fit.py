@@ -34,7 +34,7 @@ class Fitted:
         Mean square residual of every block in units of its recording's noise, the block left out of the fit (by one
         linear step), shape (B,).
     samples
-        How many samples of every block count, shape (B,).
+        How many samples of every block count, each as far as it is trusted, shape (B,).
     spread
         Standard errors of the searched parameters on their scale, from the curvature and the blocks' scatter.
     """
@@ -203,8 +203,9 @@ class Normal:
         for number, series in enumerate(chain.series):
             reading, jacobian = _jacobian(chain, terms, point, layout, number, near)
             rows = chain.rows[number]
-            counts = series.counts[rows]
-            residual = np.where(counts, (series.reading_N - reading)[rows], 0.0) / series.noise_N
+            trusted = series.weights[rows]
+            counts = trusted > 0.0
+            residual = np.where(counts, trusted * (series.told_N - reading)[rows], 0.0) / series.noise_N
             scale = max(1.4826 * float(np.median(np.abs(residual[counts]))), 1e-6)
             weight = np.minimum(1.0, HUBER * scale / np.maximum(np.abs(residual), 1e-12))
             made.loss += _robust(residual, scale)
@@ -218,7 +219,7 @@ class Normal:
                 hessian.append(part.T @ (weight[block, None] * part))
                 gradient.append(part.T @ made.weighted[-1][block])
                 squares.append(float(residual[block] @ residual[block]))
-                samples.append(float(counts[block].sum()))
+                samples.append(float(trusted[block] @ trusted[block]))
         made.hessian, made.gradient = np.array(hessian), np.array(gradient)
         made.squares, made.samples = np.array(squares), np.array(samples)
         made.ridge = _ridge(made.hessian)
@@ -231,7 +232,8 @@ class Normal:
         for number, series in enumerate(chain.series):
             rows = chain.rows[number]
             reading_N = chain.compared(number, terms, point)
-            residual = np.where(series.counts[rows], series.reading_N[rows] - reading_N, 0.0) / series.noise_N
+            error_N = series.weights[rows] * (series.told_N[rows] - reading_N)
+            residual = np.where(series.counts[rows], error_N, 0.0) / series.noise_N
             loss += _robust(residual, scales[number])
         return loss if np.isfinite(loss) else np.inf
 
@@ -260,8 +262,8 @@ class Normal:
             here = [place for place, change in acting if change is not None]
             if not here:
                 continue
-            counts = series.counts[self.chain.rows[number]]
-            scaled = np.array([change for _, change in acting if change is not None]).T * counts[:, None]
+            trusted = series.weights[self.chain.rows[number]]
+            scaled = np.array([change for _, change in acting if change is not None]).T * trusted[:, None]
             scaled /= series.noise_N
             weighted = self.weights[number][:, None] * scaled
             across[:, here] += self.jacobians[number].T @ weighted
@@ -288,7 +290,7 @@ class Normal:
         for number, one in enumerate(change):
             if one is not None:
                 series = self.chain.series[number]
-                scaled = one * series.counts[self.chain.rows[number]] / series.noise_N
+                scaled = one * series.weights[self.chain.rows[number]] / series.noise_N
                 weighted = self.weights[number] * scaled
                 across += self.jacobians[number].T @ weighted
                 inner += float(scaled @ weighted)
@@ -323,8 +325,9 @@ def _jacobian(
     reading = chain.run(number, terms, point).reading_N
     compared_N = reading[rows]
     jacobian = np.zeros((series.counts[rows].size, layout.size))
+    trusted = series.weights[rows][:, None]
     if near is None:
-        jacobian[:, : layout.offsets] = chain.base_tangents(number, terms, point) / series.noise_N
+        jacobian[:, : layout.offsets] = trusted * chain.base_tangents(number, terms, point) / series.noise_N
     else:
         jacobian[:, : layout.offsets] = near.jacobians[number][:, : layout.offsets]
     if number:
@@ -336,7 +339,7 @@ def _jacobian(
             moved = _moved(point, term, one.name, _unscaled(one, scaled + size))
             change = chain.compared(number, terms, moved) - compared_N
             jacobian[:, place] = change / (size * series.noise_N)
-    jacobian[~series.counts[rows]] = 0.0
+    jacobian[:, layout.offsets :] *= trusted
     return reading, jacobian
 
 

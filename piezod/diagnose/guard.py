@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 
 from piezod.diagnose import colour, coordinates, events
 from piezod.diagnose.absorber import Columns, Event
-from piezod.diagnose.direct import lattice_step_N
 from piezod.diagnose.ridge import Blocks, LeftOut, left_out
 from piezod.diagnose.series import Series
 
@@ -196,7 +195,7 @@ def _suggested(told: Sequence[_Told], leftovers: Sequence[Array]) -> list[Event]
     found: list[Event] = []
     for number, (one, left) in enumerate(zip(told, leftovers, strict=True)):
         dt_s, bin_Hz = one.series.dt_s, 1.0 / (left.size * one.series.dt_s)
-        driven, lattice = _driven(one), lattice_step_N(one.series) / one.series.noise_N
+        driven, lattice = _driven(one), one.series.lattice_N / one.series.noise_N
         gain = (one.modelled_N - one.modelled_N.mean()) / max(float(one.modelled_N.std()), 1e-12)
         tones_Hz = events.tones_Hz(left, dt_s)
         own = [f for f in tones_Hz if not driven[round(f / bin_Hz)]]
@@ -220,7 +219,7 @@ def _judged(told: Sequence[_Told], look: _Look, suggested: Sequence[Event], rng:
     absorbed = float(look.all.after.sum()) / n
     slow, drive = _part(look, "time"), _part(look, "drive")
     local = [
-        events.bursts(left, one.beyond_seams, lattice_step_N(one.series) / one.series.noise_N)
+        events.bursts(left, one.beyond_seams, one.series.lattice_N / one.series.noise_N)
         for one, left in zip(told, look.leftovers(), strict=True)
     ]
     energy = sum(float(one.residual @ one.residual) for one in told)

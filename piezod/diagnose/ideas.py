@@ -105,8 +105,8 @@ def since(chain: Chain, terms: Sequence[Term], past: Point, lost_N: float) -> li
         for number, series in enumerate(chain.series):
             if series.role == "recording":
                 rows = chain.rows[number]
-                error = (series.reading_N[rows] - chain.compared(number, (*terms, term), point)) / series.noise_N
-                error = error[series.counts[rows]]
+                error = (series.told_N[rows] - chain.compared(number, (*terms, term), point)) / series.noise_N
+                error = (series.weights[rows] * error)[series.weights[rows] > 0.0]
                 losses[0] += float(error @ error)
                 losses[1] += float(error.var()) * error.size
                 shifts_N[number] = float(error.mean()) * series.noise_N

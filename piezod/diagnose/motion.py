@@ -6,7 +6,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from piezod.diagnose.direct import lattice_step_N
 from piezod.diagnose.series import Series
 
 Array = NDArray[np.float64]
@@ -79,7 +78,7 @@ def _windows(series: Series, residual: Array, model_N: Array) -> _Windows:
     moves = np.ptp(model, axis=1)
     moves[1:] = np.maximum(moves[1:], moves[:-1])
     complete = np.asarray(there.all(axis=1)) & (np.arange(count) > 0)
-    lattice = lattice_step_N(series) / series.noise_N
+    lattice = series.lattice_N / series.noise_N
     least = max(lattice**2 / 12.0, 1e-12)
     return _Windows(
         np.maximum(parts.var(axis=1), least)[complete],

@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 
 from piezod.diagnose.basis import ForceLaw, PlayDensity
 from piezod.diagnose.chain import Chain, Point, empty_point
-from piezod.diagnose.direct import frozen_stretches, lattice_step_N, noise_of
+from piezod.diagnose.direct import frozen_stretches, noise_of
+from piezod.diagnose.lattice import lattice_step_N
 from piezod.diagnose.series import Role, Series
 from piezod.errors import RecordingError
 from piezod.excitation import varying_triangles
@@ -156,6 +157,7 @@ def even(source: Source, model: Model) -> tuple[Series, list[str]]:
         noise,
         temperature_C=None if temperature is None else np.nan_to_num(temperature, nan=float(np.nanmedian(temperature))),
         start_s=float(recording.time_s[0]),
+        lattice_N=lattice_step_N(readings[good]),
     )
     return series, notes
 
@@ -264,7 +266,6 @@ __all__ = [
     "Source",
     "chain_of",
     "even",
-    "lattice_step_N",
     "noise_of",
     "past_sources",
     "read_source",

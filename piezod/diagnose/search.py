@@ -156,7 +156,8 @@ def _listen(result: Search, heard: Heard) -> None:
     series = list(chain.series)
     for number in {tone.number for tone in new}:
         one = series[number]
-        series[number] = replace(one, noise_N=noise_of(one.command_V, one.reading_N, one.counts))
+        if one.trust is None:
+            series[number] = replace(one, noise_N=noise_of(one.command_V, one.reading_N, one.counts))
     result.chain = chain.like(series)
     result.tones += new
     result.found = fit(result.chain, result.found.terms, result.found.point)

@@ -41,6 +41,13 @@ class Series:
         Time of the first sample in the recording's own time [s].
     between
         How the command runs between samples.
+    lattice_N
+        Step of a converter's lattice on which all readings stand; 0 where there is none [N].
+    rounding_N
+        What the converter seems to have added to the readings, shape (N,); None where they are taken as they are [N].
+    trust
+        How much less than `noise_N` each reading is off, as a factor, shape (N,), 0 where it tells nothing; None where
+        all are alike.
     """
 
     name: str
@@ -54,6 +61,9 @@ class Series:
     temperature_C: Array | None = None
     start_s: float = 0.0
     between: float = STRAIGHT
+    lattice_N: float = 0.0
+    rounding_N: Array | None = None
+    trust: Array | None = None
     blocks: tuple[slice, ...] = field(init=False)
 
     def __post_init__(self) -> None:
@@ -62,6 +72,17 @@ class Series:
         edges = np.linspace(0, size, min(count, size) + 1).astype(int)
         blocks = tuple(slice(int(a), int(b)) for a, b in itertools.pairwise(edges))
         object.__setattr__(self, "blocks", blocks)
+
+    @property
+    def told_N(self) -> Array:
+        """What is fitted: the readings, a coarse converter's rounding undone, shape (N,) [N]."""
+        return self.reading_N if self.rounding_N is None else self.reading_N - self.rounding_N
+
+    @property
+    def weights(self) -> Array:
+        """Of the residuals: 0 where a reading does not count, shape (N,)."""
+        counts = self.counts.astype(np.float64)
+        return counts if self.trust is None else self.trust * counts
 
     @property
     def dt_s(self) -> float:

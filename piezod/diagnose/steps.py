@@ -5,7 +5,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from piezod.diagnose.direct import lattice_step_N
 from piezod.diagnose.fit import Normal
 from piezod.diagnose.series import Series
 
@@ -52,9 +51,9 @@ def likely_steps(normal: Normal, number: int, most: int = 2) -> list[Step]:
         Spans that share no edge.
     """
     series, rows = normal.chain.series[number], normal.chain.rows[number]
-    weights, step = normal.weights[number] * series.counts[rows], rows.step or 1
-    sums = _Sums.of(normal, number, weights)
-    edges = np.unique(np.linspace(0, weights.size, CELLS + 1).astype(int))
+    size, step = normal.weights[number].size, rows.step or 1
+    sums = _Sums.of(normal, number)
+    edges = np.unique(np.linspace(0, size, CELLS + 1).astype(int))
     gains = sums.gains(edges[:, None], edges[None, :])
     index = np.arange(edges.size)
     gains[index[None, :] - index[:, None] < SHORTEST] = 0.0
@@ -65,8 +64,8 @@ def likely_steps(normal: Normal, number: int, most: int = 2) -> list[Step]:
             break
         first, end = _sharpest(sums, edges, a, b)
         height_N = sums.height_N(first, end)
-        size = series.time_s.size
-        found.append(Step(height_N, first * step, size if end == weights.size else min(end * step, size)))
+        whole = series.time_s.size
+        found.append(Step(height_N, first * step, whole if end == size else min(end * step, whole)))
         gains[max(a - APART, 0) : a + APART + 1, :] = 0.0
         gains[:, max(b - APART, 0) : b + APART + 1] = 0.0
     return found
@@ -95,16 +94,17 @@ class _Sums:
     gradient: Array  # (P,), whitened
 
     @classmethod
-    def of(cls, normal: Normal, number: int, weights: Array) -> "_Sums":
+    def of(cls, normal: Normal, number: int) -> "_Sums":
         hessian = normal.hessian.sum(axis=0) + normal.ridge
         scale = 1.0 / np.sqrt(np.maximum(np.diag(hessian), 1e-300))
         values, vectors = np.linalg.eigh(hessian * np.outer(scale, scale))
         whiten = (scale[:, None] * vectors) / np.sqrt(np.maximum(values, 1e-12))
-        noise_N = normal.chain.series[number].noise_N
-        columns = weights[:, None] / noise_N * normal.jacobians[number]
+        series, rows = normal.chain.series[number], normal.chain.rows[number]
+        change = series.weights[rows] / series.noise_N  # of the residuals with a step's height
+        columns = (normal.weights[number] * change)[:, None] * normal.jacobians[number]
         return cls(
-            np.concatenate(([0.0], np.cumsum(normal.weighted[number]))) / noise_N,
-            np.concatenate(([0.0], np.cumsum(weights))) / noise_N**2,
+            np.concatenate(([0.0], np.cumsum(normal.weighted[number] * change))),
+            np.concatenate(([0.0], np.cumsum(normal.weights[number] * change**2))),
             np.vstack((np.zeros(whiten.shape[1]), np.cumsum(columns, axis=0))) @ whiten,
             normal.gradient.sum(axis=0) @ whiten,
         )
@@ -139,7 +139,7 @@ def sharp(series: Series, residual_N: Array, step: Step) -> bool:
     """
     values = np.where(series.counts, residual_N, 0.0)
     size = values.size
-    if abs(step.height_N) < OF_LATTICE * lattice_step_N(series):
+    if abs(step.height_N) < OF_LATTICE * series.lattice_N:
         return False
     for place, height in ((step.first, step.height_N), (step.end, -step.height_N)):
         if not 0 < place < size:

@@ -5,6 +5,7 @@ from collections.abc import Mapping
 from math import isfinite, nan
 from string import Formatter
 
+from piezod.config.checked import shortened
 from piezod.config.link import LineCommand
 from piezod.errors import ConfigurationError
 
@@ -46,10 +47,10 @@ class LineTemplate:
         try:
             parts = list(Formatter().parse(template))
         except ValueError as error:
-            raise ConfigurationError(f"{where} is {template!r}: {error}; {expected}") from error
+            raise ConfigurationError(f"{where} is {shortened(template)}: {error}; {expected}") from error
         fields = [(name, spec or "", conversion) for _, name, spec, conversion in parts if name is not None]
         if len(fields) != 1 or fields[0][0] != field or fields[0][2]:
-            raise ConfigurationError(f"{where} is {template!r}, {expected}")
+            raise ConfigurationError(f"{where} is {shortened(template)}, {expected}")
         number_at = next(k for k, part in enumerate(parts) if part[1] is not None)
         self._before = "".join(part[0] for part in parts[: number_at + 1])
         self._after = "".join(part[0] for part in parts[number_at + 1 :])
@@ -59,9 +60,11 @@ class LineTemplate:
             try:
                 _, read_back = self.fill(value)
             except (ValueError, TypeError) as error:
-                raise ConfigurationError(f"{where} is {template!r}: {error}; {expected}") from error
+                raise ConfigurationError(f"{where} is {shortened(template)}: {error}; {expected}") from error
             if abs(read_back - value) > 1.0:
-                raise ConfigurationError(f"{where} is {template!r}: {value:g} becomes {read_back:g}; {expected}")
+                raise ConfigurationError(
+                    f"{where} is {shortened(template)}: {value:g} becomes {read_back:g}; {expected}"
+                )
 
     def fill(self, value: float) -> tuple[bytes, float]:
         """The line with its terminator, and the number that it says; nan when `value` is not finite."""
@@ -82,7 +85,7 @@ def plain_line(command: LineCommand, terminator: str, where: str) -> bytes:
     try:
         return (command.send + terminator).encode("ascii")
     except UnicodeEncodeError as error:
-        raise ConfigurationError(f"{where}.send is {command.send!r}, must be ASCII") from error
+        raise ConfigurationError(f"{where}.send is {shortened(command.send)}, must be ASCII") from error
 
 
 def compile_reply(
@@ -101,10 +104,10 @@ def compile_reply(
         pattern = re.compile(command.reply.encode("ascii"))
     except (re.error, UnicodeEncodeError) as error:
         raise ConfigurationError(
-            f"{where}.reply is {command.reply!r}, must be a regular expression: {error}"
+            f"{where}.reply is {shortened(command.reply)}, must be a regular expression: {str(error)[:100]}"
         ) from error
     unknown = set(pattern.groupindex) - set(groups or ())
     if unknown:
         allowed = ", ".join(groups or ()) or "none"
-        raise ConfigurationError(f"{where}.reply names the group {min(unknown)}, must be one of: {allowed}")
+        raise ConfigurationError(f"{where}.reply names the group {shortened(min(unknown))}, must be one of: {allowed}")
     return pattern

@@ -9,6 +9,7 @@ import re
 from math import inf, isfinite, nan
 from time import monotonic
 
+from piezod.config.checked import shortened
 from piezod.config.link import LineCommand, SerialLineLink
 from piezod.errors import CheckFailedError, ConfigurationError, IdentityError, UnreachableError
 from piezod.transport.line_template import ROLES, LineTemplate, compile_reply, plain_line
@@ -258,7 +259,7 @@ class SerialLineDevice:
         except (TypeError, ValueError):
             found = bytes(match[0][:60]) if match is not None else b""
             raise CheckFailedError(
-                f"{self.description}: link.watchdog answered {found!r}, which names no time"
+                f"{self.description}: link.watchdog answered {shortened(found)}, which names no time"
             ) from None
 
     def identify(self) -> None:
@@ -280,7 +281,9 @@ class SerialLineDevice:
         result, match = self._converse(line, pattern, deadline_s)
         if result is ExchangeResult.MALFORMED and pattern is not None:
             found = bytes(self._port.view[:60]).split(self._terminator)[0]
-            raise CheckFailedError(f"{self.description}: {where} answered {found!r}, expected {pattern.pattern!r}")
+            raise CheckFailedError(
+                f"{self.description}: {where} answered {shortened(found)}, expected {shortened(pattern.pattern)}"
+            )
         if result is not _OK:
             raise UnreachableError(
                 f"{self.description}: {where}: {result.name.lower()}: check cable, baudrate, terminator"

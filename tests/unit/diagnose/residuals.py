@@ -3,6 +3,7 @@
 import numpy as np
 from scipy.signal import lfilter
 
+from piezod.diagnose.lattice import lattice_step_N
 from piezod.diagnose.series import Series
 
 RATE_HZ = 1000.0
@@ -42,7 +43,8 @@ def noise(samples, rho, rng):
 
 def series(time_s, u, reading_N, noise_N=1.0, *, counts=None, temperature_C=None, role="recording", start_s=0.0):
     counts = np.ones(time_s.size, bool) if counts is None else counts
-    return Series("by hand", role, time_s, u, reading_N, counts, noise_N, temperature_C=temperature_C, start_s=start_s)
+    more = {"temperature_C": temperature_C, "start_s": start_s, "lattice_N": lattice_step_N(reading_N[counts])}
+    return Series("by hand", role, time_s, u, reading_N, counts, noise_N, **more)
 
 
 def lagged(values, tau_s, rate_Hz=RATE_HZ):
