@@ -77,8 +77,9 @@ class TableReference:
         table = np.asarray(values, dtype=float)
         if table.ndim != 1 or table.size == 0 or not np.isfinite(table).all():
             raise ConfigurationError("reference: needs at least one value, all finite")
-        self._values: memoryview[float] = memoryview(table.tobytes()).cast("d")
+        self._values = _packed(table)
         self._ahead = self._values
+        self._run_in = self._ahead[:0]
         self._loop = loop
         self._first = 0
         self.ahead = self._values[0]
@@ -89,11 +90,20 @@ class TableReference:
         """Ticks of one pass."""
         return len(self._values)
 
-    def plan_ahead(self, shaped: Callable[..., NDArray[np.float64]]) -> None:
-        """Plan for `shaped(values, loop=...)` in place of the values, which a delay or a mode would bring late."""
-        values = shaped(np.asarray(self._values), loop=self._loop)
-        assert values.shape == (len(self._values),)
-        self._ahead = memoryview(np.ascontiguousarray(values).tobytes()).cast("d")
+    def plan_ahead(self, shaped: Callable[..., NDArray[np.float64]], ticks: int) -> None:
+        """Plan for `shaped(values, loop=...)` in place of the values, which a delay or a mode would bring late.
+
+        The first value is held for `ticks` more, in which the plan runs in; the last one too, until it has arrived.
+        """
+        values = np.asarray(self._values)
+        begun = shaped(np.pad(values, (ticks, 0), mode="edge"), loop=False)
+        self._run_in = _packed(begun[:ticks])
+        if not self._loop:
+            values = np.pad(values, (0, ticks), mode="edge")
+            self._values = _packed(values)
+        ahead = shaped(values, loop=self._loop)
+        assert ahead.shape == values.shape
+        self._ahead = _packed(ahead)
 
     def span(self) -> tuple[float, float]:
         """Smallest and largest value."""
@@ -106,7 +116,10 @@ class TableReference:
 
     def read(self, tick: int, now_ns: int) -> float:  # noqa: ARG002  # the same call for every reference
         """Value of this tick."""
-        k = tick - self._first
+        k = tick - self._first - len(self._run_in)
+        if k < 0:
+            self.ahead = self._run_in[k]
+            return self._values[0]
         if k >= len(self._values):
             if not self._loop:
                 self.freshness = Freshness.ENDED
@@ -117,6 +130,10 @@ class TableReference:
 
     def close(self) -> None:
         """Nothing was opened."""
+
+
+def _packed(values: NDArray[np.float64]) -> "memoryview[float]":
+    return memoryview(np.ascontiguousarray(values).tobytes()).cast("d")
 
 
 class LiveReading:

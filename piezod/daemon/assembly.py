@@ -182,7 +182,7 @@ def make_segment(work: Work, bench: BenchConfig, model: Model | None, link: Link
     if not isinstance(compensator, ExtendedCompensator):
         return Segment(work.name, reference, compensator, reset_cycle)
     if isinstance(reference, TableReference):
-        reference.plan_ahead(compensator.ahead)
+        reference.plan_ahead(compensator.ahead, compensator.preview_ticks)
     return Segment(work.name, reference, compensator, reset_cycle, feel=compensator.feel)
 
 

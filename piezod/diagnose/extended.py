@@ -48,6 +48,7 @@ def extended_model(model: Model, chain: Chain, found: Fitted, hashes: list[str])
         "effects": effects,
         "sampling": SAMPLING.get(chain.series[0].between, "held"),
         "read_after": min(chain.series[0].between, 1.0),
+        "seen_s": max((one.duration_s for one in chain.series if one.role == "recording"), default=None),
         "statistics": None,
         "start": _start(model, chain),
     }

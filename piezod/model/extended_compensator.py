@@ -2,10 +2,12 @@
 
 import math
 from collections.abc import Mapping
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from piezod import effects
 from piezod.effects import EFFECTS
 from piezod.effects.creep import PLAYS, spectrum
 from piezod.effects.kernels import exponential, first_order_coefficients
@@ -16,13 +18,14 @@ from piezod.model import inverse_chain as at
 from piezod.model.inverse_chain import commit_chain_step, plan_chain_step, start_chain
 from piezod.model.parameters import Model
 from piezod.operators import ImplicitInverse
-from piezod.operators.compiled_cache import forget_outdated_steps
+from piezod.operators.compiled_cache import OPERATORS, forget_outdated_steps
 
 Array = NDArray[np.float64]
 Found = Mapping[str, Mapping[str, float]]
 
 MOST_WARMER_K = 50.0  # beyond it a temperature is a fault of its sensor, not the weather
 AHEAD_OF_MODE = np.array([-0.125, 0.625, 0.625, -0.125])  # half a sample ahead, flat to second order: derived here
+CALLED = (OPERATORS, Path(effects.__file__).parent)  # whose steps the chain's call
 MEMORY_S = 1e5  # of the slowest creep that is driven against
 
 
@@ -46,10 +49,11 @@ class ExtendedCompensator:
         self._model = model
         found = acting_effects(model)
         refuse(found)
-        forget_outdated_steps(plan_chain_step.stats.cache_path)
+        forget_outdated_steps(plan_chain_step.stats.cache_path, CALLED)
         self._chain = chain_constants(model, found, dt_s)
         self._packed = ImplicitInverse(model.operator()).packed
         self._delay_s = found.get("transport_delay", {}).get("delay_s", 0.0)
+        self._lag_s = found.get("electrical_lag", {}).get("time_constant_s", 0.0)
         self._mode = found.get("resonance")
         thermal = found.get("thermal_drift", {})
         self._per_K = thermal.get("coefficient_N_per_K", 0.0)
@@ -87,6 +91,11 @@ class ExtendedCompensator:
         """How far ahead a reference must be known for all of it [s]."""
         return self._delay_s + (2.0 * self.dt_s if self._mode else 0.0)
 
+    @property
+    def preview_ticks(self) -> int:
+        """The same in whole ticks."""
+        return math.ceil(self.preview_s / self.dt_s)
+
     def ahead(self, values: Array, *, loop: bool) -> Array:
         """What to plan for, so that readings follow `values`: earlier by the delay, the inverse of the mode.
 
@@ -99,14 +108,28 @@ class ExtendedCompensator:
         """
         if self.preview_s == 0.0:
             return values
-        margin = math.ceil(self.preview_s / self.dt_s) + 3
+        margin = self.preview_ticks + 3
         wide = np.pad(values, margin, mode="wrap" if loop else "edge")
         ticks = np.arange(wide.size, dtype=np.float64)
         if self._delay_s > 0.0:
-            wide = np.interp(ticks + self._delay_s / self.dt_s, ticks, wide)
+            wide = np.interp(ticks + ticks_late(self._delay_s, self._lag_s, self.dt_s), ticks, wide)
         if self._mode is not None:
             wide = before_mode(wide, self._mode["frequency_Hz"], self._mode["damping_ratio"], self.dt_s)
         return wide[margin:-margin]
+
+
+def ticks_late(delay_s: float, lag_s: float, dt_s: float) -> float:
+    """By how many ticks a force that rises evenly is read late, when every tick holds its voltage.
+
+    A reading at the end of a tick shows the force a whole number of ticks and the part f of a tick after one began. By
+    then a step has risen to w = (1 - exp(-f T / lag)) / (1 - exp(-T / lag)) of what it reaches at the tick's end, at
+    once without a lag: what is missing, 1 - w, is late by a tick (derived here).
+    """
+    late = delay_s / dt_s
+    whole = math.floor(late)
+    into = 1.0 - (late - whole)
+    risen = math.expm1(-into * dt_s / lag_s) / math.expm1(-dt_s / lag_s) if lag_s > 0.0 else 1.0
+    return whole + 1.0 - risen
 
 
 def acting_effects(model: Model) -> dict[str, Mapping[str, float]]:
@@ -132,7 +155,7 @@ def refuse(found: Found) -> None:
 
 def chain_constants(model: Model, found: Found, dt_s: float) -> Array:
     """The constants of the chain, with its states at 0, shape (FIRST + 4 elements,)."""
-    keeps, ramps, weights = _creep(found, dt_s)
+    keeps, ramps, weights = _creep(found, dt_s, model.seen_s or math.inf)
     chain = np.zeros(at.FIRST + 4 * weights.size)
     count = weights.size
     for place, values in enumerate((keeps, ramps, weights)):
@@ -163,13 +186,13 @@ def chain_constants(model: Model, found: Found, dt_s: float) -> Array:
     return chain
 
 
-def _creep(found: Found, dt_s: float) -> tuple[Array, Array, Array]:
+def _creep(found: Found, dt_s: float, seen_s: float) -> tuple[Array, Array, Array]:
     """Keep, ramp and weight of every element; a voltage that a lag or a limit smooths runs on through the tick."""
     creep = found.get("creep")
     if creep is None:
         return np.empty(0), np.empty(0), np.empty(0)
     to_s = min(creep["to_s"], MEMORY_S)
-    tau_s, weights = spectrum(creep["from_s"], to_s, creep.get("slope", 0.0))
+    tau_s, weights = spectrum(creep["from_s"], to_s, creep.get("slope", 0.0), seen_s)
     between = 0.0 if "electrical_lag" in found or "slew_limit" in found else 1.0
     keep, ramp = np.array([first_order_coefficients(one, dt_s, between) for one in tau_s]).T
     return keep, ramp, creep["per_decade"] * weights

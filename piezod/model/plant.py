@@ -100,7 +100,7 @@ def run_chain(
         seconds,
         command_V,
         command_V,
-        float(seconds[-1]),
+        model.seen_s or float(seconds[-1]),
         model.output.high - model.output.low,
         temperature_C,
         between_of(model),

@@ -8,17 +8,21 @@ import contextlib
 import functools
 from pathlib import Path
 
+OPERATORS = Path(__file__).parent
+
 
 @functools.cache
-def forget_outdated_steps(cache_path: str) -> None:
-    """Once a process: remove every cached step that is older than the newest source of this room.
+def forget_outdated_steps(cache_path: str, called: tuple[Path, ...] = (OPERATORS,)) -> None:
+    """Once a process: remove every cached step that is older than the newest source of the steps that are called.
 
     Parameters
     ----------
     cache_path
         Where numba keeps the compiled steps (`step.stats.cache_path`).
+    called
+        Folders whose steps they call.
     """
-    newest_s = max(source.stat().st_mtime for source in Path(__file__).parent.glob("*.py"))
+    newest_s = max(source.stat().st_mtime for folder in called for source in folder.glob("*.py"))
     for index in Path(cache_path).glob("*.nbi"):
         with contextlib.suppress(OSError):  # another process was quicker, or the cache is not ours
             if index.stat().st_mtime < newest_s:

@@ -197,3 +197,25 @@ def test_make_reference_builds_what_the_configuration_names():
     }
     for config, expected in kinds.values():
         assert isinstance(make_reference(config, 1000.0, Path(), Reading(), counted=True), expected)
+
+
+def test_a_table_that_is_planned_ahead_holds_its_ends_until_all_of_it_has_arrived():
+    reference = TableReference([1.0, 2.0, 3.0])
+    reference.plan_ahead(lambda values, *, loop: np.append(values, [values[-1]] * 2)[2:], 2)
+    reference.start(10)
+    read = []
+    for tick in range(10, 17):
+        read.append((reference.read(tick, 0), reference.ahead))
+        live = reference.freshness is Freshness.LIVE
+    assert read == [(1, 1), (1, 2), (1, 3), (2, 3), (3, 3), (3, 3), (3, 3)]
+    assert live
+    reference.read(17, 0)
+    assert reference.freshness is Freshness.ENDED
+
+
+def test_a_loop_that_is_planned_ahead_runs_in_once_and_then_never_stands():
+    reference = TableReference([1.0, 2.0, 3.0], loop=True)
+    reference.plan_ahead(lambda values, *, loop: np.roll(values, -1) if loop else np.append(values, values[-1])[1:], 1)
+    reference.start(0)
+    read = [(reference.read(tick, 0), reference.ahead) for tick in range(8)]
+    assert read == [(1, 1), (1, 2), (2, 3), (3, 1), (1, 2), (2, 3), (3, 1), (1, 2)]

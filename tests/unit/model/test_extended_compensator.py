@@ -8,7 +8,7 @@ import pytest
 from piezod.effects import EFFECTS
 from piezod.errors import ModelError
 from piezod.model import load_model
-from piezod.model.extended_compensator import ExtendedCompensator, before_mode
+from piezod.model.extended_compensator import ExtendedCompensator, before_mode, ticks_late
 from piezod.model.parameters import EffectValues
 from piezod.model.plant import run_chain
 
@@ -125,6 +125,18 @@ def test_a_delay_and_a_mode_are_met_by_a_reference_that_is_known_ahead(model):
         assert error < 0.03 * before, name
 
 
+@pytest.mark.parametrize(("delay_s", "lag_s"), [(0.0123, 0.0), (0.0123, 0.0008), (0.0045, 0.004), (0.003, 0.002)])
+def test_a_delay_of_no_whole_ticks_is_met_on_ramps_whatever_the_lag(delay_s, lag_s):
+    """The force within a tick as the lag's own exponential, computed here on a grid of a hundredth of a tick."""
+    ramp = np.arange(200.0)
+    ends = np.interp(ramp + ticks_late(delay_s, lag_s, DT_S), ramp, ramp)
+    inside = np.arange(1, 101) / 100.0
+    risen = 1.0 - np.exp(-inside * DT_S / lag_s) if lag_s else np.ones(100)
+    within = np.concatenate([ends[:1], (ends[:-1, None] + np.diff(ends)[:, None] * risen / risen[-1]).ravel()])
+    late = round(100 * delay_s / DT_S)
+    assert all(abs(within[100 * k - late] - k) < 1e-9 for k in range(50, 150))
+
+
 def test_the_inverse_of_a_mode_against_its_own_recursion():
     """The mode's recursion with the force that was made for it, computed here by a fine-stepped integration."""
     f_Hz, zeta, fine = 40.0, 0.02, 200
@@ -139,6 +151,17 @@ def test_the_inverse_of_a_mode_against_its_own_recursion():
             y += DT_S / fine * speed
         got[k] = y
     assert np.max(np.abs(got - wished)[:-5]) < 0.01 * np.ptp(wished)
+
+
+def test_the_slope_of_a_creep_refers_to_the_recording_that_it_was_found_in(model):
+    """Its weights go with tau^slope about the middle of what that recording showed, whatever is driven later."""
+    with_it = extended(model, "creep", slope=0.1, per_decade=0.02).model_copy(update={"seen_s": 20.0})
+    t, reference = reference_N(model)
+    reading = run_chain(with_it, with_it.operator(), t, driven(with_it, reference, low_V=-1e3))
+    assert np.max(np.abs(reading - reference)) < 1e-8 * (model.output.high - model.output.low)
+    elsewhere = with_it.model_copy(update={"seen_s": 2000.0})
+    other = run_chain(elsewhere, elsewhere.operator(), t, driven(with_it, reference, low_V=-1e3))
+    assert np.max(np.abs(other - reference)) > 1e-4 * (model.output.high - model.output.low)
 
 
 def test_temperature_is_taken_off_and_a_broken_channel_leaves_the_last_value(model):

@@ -3,6 +3,7 @@
 import os
 from pathlib import Path
 
+from piezod.model.extended_compensator import CALLED
 from piezod.operators import compiled_cache
 from piezod.operators.compiled_cache import forget_outdated_steps
 
@@ -15,3 +16,21 @@ def test_a_step_older_than_any_source_is_forgotten_and_a_newer_one_is_kept(tmp_p
         os.utime(path, (newest_s + age_s, newest_s + age_s))
     forget_outdated_steps(str(tmp_path))
     assert [path.name for path in tmp_path.iterdir()] == ["new.nbi"]
+
+
+def test_a_step_is_forgotten_when_a_step_that_it_calls_in_another_room_is_newer(tmp_path):
+    called, cache = tmp_path / "called", tmp_path / "cache"
+    for folder in (called, cache):
+        folder.mkdir()
+    step, source = cache / "chain.nbi", called / "play.py"
+    for path, modified_s in ((step, 100.0), (source, 200.0)):
+        path.touch()
+        os.utime(path, (modified_s, modified_s))
+    forget_outdated_steps(str(cache), (called,))
+    assert not step.exists()
+
+
+def test_the_inverse_chain_watches_the_operators_and_the_effects():
+    rooms = {path.name for path in CALLED}
+    assert rooms == {"operators", "effects"}
+    assert all(any(path.glob("*.py")) for path in CALLED)
