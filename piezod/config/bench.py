@@ -62,13 +62,18 @@ class DaemonConfig(Section):
 
 
 class BenchConfig(Section):
-    """One bench."""
+    """One bench.
+
+    `compensation_without` names effects of the model that are knowingly not driven against: those that have no
+    inverse, or whose inverse is not wanted.
+    """
 
     schema_: Annotated[Literal["piezod.bench/1"], Field(alias="schema")]
     name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]{0,63}$")]
     rate_Hz: Annotated[float, Field(gt=0, le=20_000)]
     model: Annotated[str, Field(min_length=1)]
     compensation: Literal["inverse", "gain"] = "inverse"
+    compensation_without: Annotated[tuple[str, ...], Field(strict=False)] = ()
     link: LinkConfig
     load_cell_link: LinkConfig | None = None
     limits: LimitsConfig

@@ -20,9 +20,10 @@ from piezod.control import (
     VirtualRateKeeper,
     make_reference,
 )
+from piezod.effects import EFFECTS
 from piezod.errors import ConfigurationError, ModelError
 from piezod.excitation import triangle_ramp
-from piezod.model import DirectDrive, ExtendedCompensator, Model, load_model, make_compensator
+from piezod.model import DirectDrive, ExtendedCompensator, Model, acting_effects, load_model, make_compensator, refuse
 from piezod.transport import (
     Link,
     check_encodable,
@@ -67,9 +68,42 @@ def load(path: Path) -> tuple[BenchConfig, Model]:
     ------
     ConfigurationError
         A file says something impossible, or the wire cannot carry the rate.
+    ModelError
+        The model has other units, no inverse, or an effect without one.
     """
     bench = load_without_model(path)
-    return bench, load_drivable(model_path(bench, path))
+    model = load_drivable(model_path(bench, path))
+    check_effects(bench, model, path)
+    return bench, model
+
+
+def check_effects(bench: BenchConfig, model: Model, path: Path) -> None:
+    """Refuse effects that have no inverse and were not left out, and names in the bench file that are no effect's.
+
+    Parameters
+    ----------
+    bench, path
+        The bench and its file.
+    model
+        What compensates.
+
+    Raises
+    ------
+    ConfigurationError
+        `compensation_without` names what is not in the catalogue.
+    ModelError
+        Names the effect, the reason and the remedy.
+    """
+    for name in bench.compensation_without:
+        if name not in EFFECTS:
+            raise ConfigurationError(
+                f"{path}: compensation_without is {name!r}, must be one of {', '.join(EFFECTS)}; see piezod effects"
+            )
+    if bench.compensation == "inverse":
+        try:
+            refuse(acting_effects(model, bench.compensation_without))
+        except ModelError as error:
+            raise ModelError(f"{model_path(bench, path)}: {error}") from None
 
 
 def load_drivable(path: Path) -> Model:
@@ -178,7 +212,7 @@ def make_segment(work: Work, bench: BenchConfig, model: Model | None, link: Link
     config = work.reference or bench.reference
     counted = link.has("reference_counter")
     reference = make_reference(config, bench.rate_Hz, folder, link.reading, counted=counted)
-    compensator = make_compensator(work.compensation, model, bench.dt_s)
+    compensator = make_compensator(work.compensation, model, bench.dt_s, bench.compensation_without)
     if not isinstance(compensator, ExtendedCompensator):
         return Segment(work.name, reference, compensator, reset_cycle)
     if isinstance(reference, TableReference):
@@ -211,6 +245,7 @@ def make_loop(bench: BenchConfig, link: Link, clock: RateKeeper, ring: RingLog) 
 
 __all__ = [
     "Work",
+    "check_effects",
     "check_units",
     "load",
     "load_drivable",

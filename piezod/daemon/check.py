@@ -19,11 +19,12 @@ from piezod.config import BenchConfig, load_bench, model_path
 from piezod.config.link import ModbusTcpLink
 from piezod.config.reference import RegisterReference, StreamReference
 from piezod.control import RealTimeWarning, TableReference, check_named, make_reference, real_time
-from piezod.daemon.assembly import check_units, check_wire, opened_link
+from piezod.daemon.assembly import check_effects, check_units, check_wire, opened_link
 from piezod.daemon.history import percentiles
 from piezod.daemon.segment import segments, size_of
+from piezod.effects import EFFECTS
 from piezod.errors import PiezodError
-from piezod.model import Model, Plant, load_model
+from piezod.model import Model, Plant, acting_effects, load_model
 from piezod.transport import ExchangeResult, Link, Reading
 
 Level = Literal["OK", "WARN", "FAIL"]
@@ -62,6 +63,7 @@ def check_bench(path: Path) -> list[Check]:
     )
     if model is not None:
         check_units(model, model_path(bench, path))
+        checks.extend(_effects(bench, model, path))
         checks.append(_reach(bench, model))
         checks.extend(_reference(bench, model, path.parent))
     checks.extend(_file(path))
@@ -86,6 +88,31 @@ def _try(checks: list[Check], name: str, look: Callable[[], Found], say: Callabl
         return None
     checks.append(Check(name, "OK", say(found)))
     return found
+
+
+def _effects(bench: BenchConfig, model: Model, path: Path) -> Iterator[Check]:
+    """What is done about every effect of the model."""
+    try:
+        check_effects(bench, model, path)
+    except PiezodError as error:
+        yield Check("effects", "FAIL", str(error))
+        return
+    if bench.compensation != "inverse":
+        return
+    acting = acting_effects(model)
+    for handling in ("compensated", "corrected in the reading"):
+        names = [
+            name for name in acting if EFFECTS[name].handling == handling and name not in bench.compensation_without
+        ]
+        if names:
+            yield Check("effects", "OK", f"{', '.join(names)}: {handling}")
+    for name in bench.compensation_without:
+        if name not in acting:
+            yield Check(
+                "effects", "WARN", f"{name}: left out, but the model has none", "compensation_without: remove it"
+            )
+        else:
+            yield Check("effects", "WARN", f"{name}: not driven against, by compensation_without", EFFECTS[name].why)
 
 
 def _reach(bench: BenchConfig, model: Model) -> Check:

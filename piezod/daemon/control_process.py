@@ -18,6 +18,7 @@ from piezod.config import BenchConfig, LimitsConfig, model_path
 from piezod.control import CAUSE_TEXT, Cause, ControlLoop, RingLog, Segment, State, check_ready, real_time
 from piezod.daemon.assembly import (
     Work,
+    check_effects,
     check_wire,
     load_drivable,
     make_loop,
@@ -59,6 +60,7 @@ def _carry_out(task: Task, pipe: Connection) -> Outcome:
     if task.serves is not None:
         check_wire(bench)
         model = load_drivable(model_path(bench, task.serves))
+        check_effects(bench, model, task.serves)
         works = (Work("bench reference", bench.compensation, reset_cycle=bench.arming.reset_cycle),)
     with opened_link(bench) as link, contextlib.ExitStack() as stack:
         clock = make_rate_keeper(bench, link)

@@ -43,12 +43,14 @@ def extended_model(model: Model, chain: Chain, found: Fitted, hashes: list[str])
         )
         for term, values in zip(found.terms, found.point.values, strict=True)
     )
+    asked = [one for one in chain.series if one.role == "recording"] or list(chain.series)
     changed = {
         "hysteresis": hysteresis_of(chain, found),
         "effects": effects,
         "sampling": SAMPLING.get(chain.series[0].between, "held"),
         "read_after": min(chain.series[0].between, 1.0),
-        "seen_s": max((one.duration_s for one in chain.series if one.role == "recording"), default=None),
+        "seen_s": max(one.duration_s for one in asked),
+        "sample_s": asked[0].dt_s,
         "statistics": None,
         "start": _start(model, chain),
     }

@@ -1,5 +1,6 @@
 """The inverse chain: from the force wanted to the voltage, planned first and committed with what was applied."""
 
+from collections.abc import Collection
 from typing import Protocol
 
 from piezod.model.extended_compensator import ExtendedCompensator, acting_effects
@@ -89,7 +90,7 @@ class DirectDrive:
         """Nothing is kept."""
 
 
-def make_compensator(kind: str, model: Model, dt_s: float) -> Compensator:
+def make_compensator(kind: str, model: Model, dt_s: float, without: Collection[str] = ()) -> Compensator:
     """Build the compensation that the bench configuration names: `inverse` or `gain`.
 
     Parameters
@@ -100,6 +101,8 @@ def make_compensator(kind: str, model: Model, dt_s: float) -> Compensator:
         What was identified, or diagnosed.
     dt_s
         Tick period [s].
+    without
+        Effects of the model that are knowingly not driven against.
 
     Raises
     ------
@@ -109,5 +112,7 @@ def make_compensator(kind: str, model: Model, dt_s: float) -> Compensator:
     if kind == "gain":
         return GainCompensator(model)
     if kind == "inverse":
-        return ExtendedCompensator(model, dt_s) if acting_effects(model) else InverseCompensator(model)
+        if acting_effects(model, without):
+            return ExtendedCompensator(model, dt_s, without)
+        return InverseCompensator(model)
     raise ValueError(f"no compensation is called {kind!r}")

@@ -1,7 +1,7 @@
 """The inverse of a model with effects: what of them is driven against, what is refused, what shapes the reference."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from pathlib import Path
 
 import numpy as np
@@ -38,6 +38,8 @@ class ExtendedCompensator:
         With its effects; those that belong to one recording do not act.
     dt_s
         Tick period [s].
+    without
+        Effects that are knowingly not driven against.
 
     Raises
     ------
@@ -45,14 +47,14 @@ class ExtendedCompensator:
         The model has no inverse, or an effect that has none: its name, the reason and what to do are said.
     """
 
-    def __init__(self, model: Model, dt_s: float) -> None:
+    def __init__(self, model: Model, dt_s: float, without: Collection[str] = ()) -> None:
         self._model = model
-        found = acting_effects(model)
+        found = acting_effects(model, without)
         refuse(found)
         forget_outdated_steps(plan_chain_step.stats.cache_path, CALLED)
         self._chain = chain_constants(model, found, dt_s)
         self._packed = ImplicitInverse(model.operator()).packed
-        self._delay_s = found.get("transport_delay", {}).get("delay_s", 0.0)
+        self._delay_s = _delay_s(model, found, without)
         self._lag_s = found.get("electrical_lag", {}).get("time_constant_s", 0.0)
         self._mode = found.get("resonance")
         thermal = found.get("thermal_drift", {})
@@ -87,6 +89,11 @@ class ExtendedCompensator:
         self._chain[at.THERMAL_N] = self._per_K * (self._felt_C - self._first_C)
 
     @property
+    def elements(self) -> int:
+        """Of the creep."""
+        return (self._chain.size - at.FIRST) // 4
+
+    @property
     def preview_s(self) -> float:
         """How far ahead a reference must be known for all of it [s]."""
         return self._delay_s + (2.0 * self.dt_s if self._mode else 0.0)
@@ -118,6 +125,17 @@ class ExtendedCompensator:
         return wide[margin:-margin]
 
 
+def _delay_s(model: Model, found: Found, without: Collection[str]) -> float:
+    """From the end of a tick, until which its voltage is held, to the reading that shows it [s].
+
+    Where the recording was read some time after each command, a part of the delay is in how it was sampled.
+    """
+    if "transport_delay" in without:
+        return 0.0
+    sampled = {"held_before": 1.0, "held": 1.0 - model.read_after, "straight": 0.0}[model.sampling]
+    return found.get("transport_delay", {}).get("delay_s", 0.0) + sampled * (model.sample_s or 0.0)
+
+
 def ticks_late(delay_s: float, lag_s: float, dt_s: float) -> float:
     """By how many ticks a force that rises evenly is read late, when every tick holds its voltage.
 
@@ -132,9 +150,9 @@ def ticks_late(delay_s: float, lag_s: float, dt_s: float) -> float:
     return whole + 1.0 - risen
 
 
-def acting_effects(model: Model) -> dict[str, Mapping[str, float]]:
-    """Effects that act on every drive, by name."""
-    return {one.name: one.parameters for one in model.effects if one.recording is None}
+def acting_effects(model: Model, without: Collection[str] = ()) -> dict[str, Mapping[str, float]]:
+    """Effects that act on every drive, by name; `without` leaves some out."""
+    return {one.name: one.parameters for one in model.effects if one.recording is None and one.name not in without}
 
 
 def refuse(found: Found) -> None:
@@ -148,8 +166,8 @@ def refuse(found: Found) -> None:
     for name in found:
         if EFFECTS[name].handling == "refused":
             raise ModelError(
-                f"{name} cannot be compensated: {EFFECTS[name].why}; take it out of the model's effects, or drive "
-                "with the model that was identified"
+                f"{name} cannot be compensated: {EFFECTS[name].why}; drive without it knowingly (bench file: "
+                f"compensation_without: [{name}]), or with the model that was identified"
             )
 
 

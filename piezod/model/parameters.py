@@ -182,7 +182,8 @@ class Model(Section):
 
     `sampling` says how the command runs between two samples and when the reading is taken: straight; held, and read
     `read_after` parts of a sample after it; or held, and read just before the next one. `seen_s` is how long the
-    recording lasted that the effects were found in [s]: the slope of a creep and the course of a gain refer to it.
+    recording lasted that the effects were found in [s]: the slope of a creep and the course of a gain refer to it;
+    `sample_s` is the spacing of its samples [s], which `sampling` refers to.
     """
 
     schema_: Annotated[Literal["piezod.model/1"], Field(alias="schema")] = "piezod.model/1"
@@ -194,6 +195,7 @@ class Model(Section):
     sampling: Literal["straight", "held", "held_before"] = "straight"
     read_after: Annotated[float, Field(ge=0, le=1)] = 0.0
     seen_s: Annotated[float, Field(gt=0)] | None = None
+    sample_s: Annotated[float, Field(gt=0)] | None = None
     start: Start = Start()
     provenance: Provenance
     statistics: Statistics | None = None
