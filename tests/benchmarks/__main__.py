@@ -11,7 +11,18 @@ from pathlib import Path
 from piezod.errors import PiezodError
 from tests.benchmarks.table import NotMeasuredError, Row, header
 
-BENCHMARKS = ("chain", "batch", "wakeup", "exchange", "whole_tick", "service", "memory", "solvers", "identification")
+BENCHMARKS = (
+    "chain",
+    "extended",
+    "batch",
+    "wakeup",
+    "exchange",
+    "whole_tick",
+    "service",
+    "memory",
+    "solvers",
+    "identification",
+)
 SLOW = ("diagnose",)  # up to an hour: only when named
 
 

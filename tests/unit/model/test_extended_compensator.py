@@ -106,7 +106,7 @@ def test_a_gap_is_closed_before_force_is_asked_for(model):
 
 
 def test_what_has_no_inverse_is_refused_with_its_reason(model):
-    with pytest.raises(ModelError, match=r"friction cannot be compensated: .*; take it out"):
+    with pytest.raises(ModelError, match=r"friction cannot be compensated: .*; drive without it"):
         ExtendedCompensator(extended(model, "friction"), DT_S)
 
 
@@ -135,6 +135,16 @@ def test_a_delay_of_no_whole_ticks_is_met_on_ramps_whatever_the_lag(delay_s, lag
     within = np.concatenate([ends[:1], (ends[:-1, None] + np.diff(ends)[:, None] * risen / risen[-1]).ravel()])
     late = round(100 * delay_s / DT_S)
     assert all(abs(within[100 * k - late] - k) < 1e-9 for k in range(50, 150))
+
+
+def test_what_was_read_a_sample_after_its_command_is_a_delay_of_a_sample(model):
+    held = extended(model, "creep").model_copy(update={"sampling": "held_before", "sample_s": 5 * DT_S})
+    _, reference = reference_N(model)
+    planned = ExtendedCompensator(held, DT_S).ahead(reference, loop=False)
+    np.testing.assert_allclose(planned[:-5], reference[5:])
+    part = held.model_copy(update={"sampling": "held", "read_after": 0.6})
+    planned = ExtendedCompensator(part, DT_S).ahead(reference, loop=False)
+    np.testing.assert_allclose(planned[:-2], reference[2:])
 
 
 def test_the_inverse_of_a_mode_against_its_own_recursion():

@@ -8,9 +8,11 @@ from itertools import repeat
 import numpy as np
 import pytest
 
-from piezod.model import Model, Plant
+from piezod.control import TableReference
+from piezod.model import ExtendedCompensator, Model, Plant
 from piezod.model.compensator import InverseCompensator
 from piezod.model.parameters import Channel, Hysteresis, Provenance, Start, Superposition
+from tests.benchmarks.extended import extended_model
 
 PASS = 1000  # ticks over one list of references
 
@@ -98,6 +100,21 @@ def test_a_million_ticks_of_the_compensator_hold_no_more_blocks_than_before(mode
 @pytest.mark.usefixtures("_idle_collector", "_tracing")
 def test_a_million_ticks_of_the_compensator_hold_no_more_bytes_than_before(model, forces_N):
     assert growth(tick_of(model), forces_N, 1_000_000 // PASS, traced_bytes) == 0
+
+
+@pytest.mark.usefixtures("_idle_collector", "_tracing")
+@pytest.mark.parametrize("count", [sys.getallocatedblocks, traced_bytes])
+def test_a_million_ticks_with_creep_lag_delay_and_a_mode_leave_nothing_either(count):
+    model = extended_model()
+    compensator, reference = ExtendedCompensator(model, 1e-3), TableReference(np.linspace(0.0, 200.0, PASS), loop=True)
+    reference.plan_ahead(compensator.ahead, compensator.preview_ticks)
+    reference.start(0)
+
+    def tick(number):
+        reference.read(number, 0)
+        compensator.commit(compensator.plan(reference.ahead))
+
+    assert growth(tick, range(PASS), 1_000_000 // PASS, count) == 0
 
 
 @pytest.mark.usefixtures("_idle_collector", "_tracing")
