@@ -7,7 +7,7 @@ import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
-from tests.studies import overlay, recorder, scenarios, soak, table
+from tests.studies import compensation, overlay, recorder, scenarios, soak, table
 from tests.studies.laid_over import LAID_OVER, NOT_LAID_OVER
 from tests.studies.peers import command as peers
 from tests.studies.strengths import SWITCHED
@@ -19,6 +19,9 @@ def main() -> None:
     studies = parser.add_subparsers(dest="study", required=True)
     _scenarios(studies.add_parser("scenarios", help="every effect on the emulated bench, over its link"))
     _overlay(studies.add_parser("overlay", help="effects laid over real recordings"))
+    _compensation(
+        studies.add_parser("compensation", help="plain gain, static and extended inverse on the emulated bench")
+    )
     peers.add_options(studies.add_parser("peers", help="other methods on the cases of a concealed study"))
     recorder.add_options(studies.add_parser("recorder", help="the recorder killed, without power, on a failing disk"))
     soak.add_options(studies.add_parser("soak", help="the daemon for a long time on a busy machine, beside cyclictest"))
@@ -57,6 +60,21 @@ def _overlay(parser: argparse.ArgumentParser) -> None:
                 benches, effects, folder, short=options.short, strength=options.strength, jobs=options.jobs
             )
             _told(rows, overlay.header(), overlay.summary, options.json)
+
+    parser.set_defaults(run=run)
+
+
+def _compensation(parser: argparse.ArgumentParser) -> None:
+    _shared(parser, compensation.HIDDEN)
+    parser.add_argument("--rates", metavar="HZ,...", default="200,1000", help="of the loop, %(default)s")
+
+    def run(options: argparse.Namespace, parser: argparse.ArgumentParser) -> None:
+        benches = _picked(parser, "bench", options.only or compensation.FIRST, compensation.HIDDEN)
+        rates_Hz = [float(one) for one in options.rates.split(",")]
+        extent = compensation.SHORT if options.short else compensation.LONG
+        with _folder(options.folder) as folder:
+            rows = compensation.study(benches, rates_Hz, extent, folder)
+            _told(rows, compensation.header(), compensation.summary, options.json)
 
     parser.set_defaults(run=run)
 

@@ -174,11 +174,19 @@ def logged(folder: Path, switched: Switched, seed: int, size: Size, drive: Path,
 
 def recorded(folder: Path, switched: Switched, seed: int, size: Size, excitation: object, output: Path) -> None:
     """Start the emulated bench with what is switched on, record through its link."""
+    effects = {} if switched.effect is None else {switched.effect: switched.values}
+    recorded_with(folder, effects, seed, size, excitation, output)
+
+
+def recorded_with(
+    folder: Path, effects: dict[str, dict[str, object]], seed: int, size: Size, excitation: object, output: Path
+) -> None:
+    """The same with several effects at once."""
     folder.mkdir(parents=True, exist_ok=True)
     emulator = yaml.safe_load((ROOT / "config" / "emulator.yaml").read_text(encoding="utf-8"))
     emulator |= {"seed": seed, "time": "virtual", "physics": {"load_cell": {"white_noise_N": NOISE_N}}}
     emulator["tcp"]["port"] = 0
-    emulator["effects"] = {} if switched.effect is None else {switched.effect: switched.values}
+    emulator["effects"] = effects
     (folder / "emulator.yaml").write_text(yaml.safe_dump(emulator), encoding="utf-8")
     with serving(folder / "emulator.yaml") as (host, port):
         bench = yaml.safe_load((ROOT / "config" / "bench.yaml").read_text(encoding="utf-8"))
