@@ -104,7 +104,7 @@ def test_the_shipped_configuration_is_accepted():
         ("stale_after_ms: 5 ", "stale_after_ms: 0.5 ", "stale_after_ms is 0.5, must be at least one tick, 1 ms"),
         ("step_V: 2.0", "step_V: 200.0", "arming.sign_check.step_V is 200, must be at most 140"),
         ("force_debounce_samples: 2", "force_debounce_samples: 0", "force_debounce_samples is 0, must be at least 1"),
-        ("without: []", "without: [watchdog]", "arming.without.0 is 'watchdog', must be 'identity'"),
+        ("  without: []", "  without: [watchdog]", "arming.without.0 is 'watchdog', must be 'identity'"),
         ("socket_mode: '0660'", "socket_mode: '999'", "daemon.socket_mode is '999'"),
         ("host: 127.0.0.1", "host: 8.8.8.8", "set tls, or say allow_plaintext_remote: true"),
         ("host: 127.0.0.1", "host: '2001:4860:4860::8888'", "is the routable address 2001:4860:4860::8888"),
