@@ -167,6 +167,31 @@ def _command_daemon(
     raise typer.Exit(1 if settled and answer["state"] not in wanted else 0)
 
 
+@app.command(epilog="Example: piezod watch config/bench.yaml --port 5006")
+def watch(
+    config: ConfigArgument,
+    port: Annotated[int, typer.Option(min=0, max=65535, help="On 127.0.0.1; 0 takes a free one.")] = 5006,
+    token_file: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Whoever types what it holds may arm, disarm, stop, reset; else read only."),
+    ] = None,
+) -> None:
+    """Serve a live page of the running daemon; it reads shared memory, and no tick knows of it."""
+    from piezod.config import load_bench
+    from piezod.daemon.client import command_and_wait
+    from piezod.report.live.server import read_token, serve_live_page
+
+    bench = load_bench(config)
+    token = None if token_file is None else read_token(token_file)
+    serve_live_page(
+        bench,
+        lambda name: command_and_wait(bench.socket_path, name, wait=False),
+        port,
+        token,
+        lambda line: print(line, flush=True),
+    )
+
+
 @app.command(epilog="Example: piezod check config/bench.yaml")
 def check(config: ConfigArgument, as_json: JsonOption = False) -> None:
     """Check configuration, model, link, device, clock and rights; never energises."""

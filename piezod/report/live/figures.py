@@ -1,0 +1,172 @@
+"""The figures of the live page, in the colours and with the axes of the reports."""
+
+import numpy as np
+from bokeh.models import (
+    ColumnDataSource,
+    DatetimeTicker,
+    DatetimeTickFormatter,
+    HoverTool,
+    LogTicker,
+    Range1d,
+)
+from bokeh.models.annotations import Span, Title
+from bokeh.plotting import figure
+from numpy.typing import NDArray
+
+from piezod.config import BenchConfig
+from piezod.report.live.curves import LOOP, OVER_TIME
+from piezod.report.live.durations import EDGES_us
+from piezod.report.live.feed import WINDOW_s
+from piezod.report.style import BLUE, GREEN, GREY, ORANGE, RED
+
+HALF_A_TICK_COUNT = 0.5  # where the bars of a logarithmic axis begin
+_CLOCK = "%H:%M:%S"
+
+
+class Figures:
+    """One viewer's figures and what they are drawn from.
+
+    Parameters
+    ----------
+    bench
+        Its limits are drawn.
+    """
+
+    def __init__(self, bench: BenchConfig) -> None:
+        self.over_time = ColumnDataSource({name: [] for name in OVER_TIME})
+        self.loop = ColumnDataSource({name: [] for name in LOOP})
+        self.now = ColumnDataSource({name: [] for name in LOOP})
+        self.durations = {name: _bars() for name in ("lateness", "exchange")}
+        self.words = {name: Title(text="", text_font_style="normal") for name in self.durations}
+        limits = bench.limits
+        self.force_range, self.loop_range = (_with_margin(limits.force_min_N, limits.force_trip_N) for _ in range(2))
+        self.error_range = Range1d(start=-1.0, end=1.0)
+        self.window = Range1d(start=0.0, end=1000.0 * WINDOW_s)
+        self.force = self._force()
+        self.error = self._error()
+        self.voltage = self._voltage(bench)
+        self.curve = self._loop(bench)
+        self.lateness = _histogram("How late the ticks were", self.durations["lateness"], bench, BLUE)
+        self.lateness.add_layout(self.words["lateness"], "above")
+        self.exchange = _histogram("How long an exchange took", self.durations["exchange"], bench, GREEN)
+        self.exchange.add_layout(self.words["exchange"], "above")
+
+    def roots(self) -> dict[str, figure]:
+        """Every figure by its place in the page."""
+        names = ("force", "error", "voltage", "curve", "lateness", "exchange")
+        return {name: getattr(self, name) for name in names}
+
+    def _force(self) -> figure:
+        plot = self._timed("Force and reference", "force [N]", 260, self.force_range)
+        plot.line("time_ms", "reference_N", source=self.over_time, color=GREY, line_width=3, legend_label="reference")
+        plot.line("time_ms", "force_N", source=self.over_time, color=BLUE, legend_label="force")
+        return _finish(plot, "{0.00} N", {"reference": "@reference_N", "force": "@force_N"})
+
+    def _error(self) -> figure:
+        plot = self._timed("Error: force minus reference", "error [N]", 190, self.error_range)
+        plot.line("time_ms", "error_N", source=self.over_time, color=ORANGE)
+        plot.add_layout(Span(location=0.0, dimension="width", line_color=GREY, line_width=1))
+        return _finish(plot, "{0.000} N", {"error": "@error_N"})
+
+    def _voltage(self, bench: BenchConfig) -> figure:
+        limits = bench.limits
+        shown = _with_margin(limits.voltage_min_V, limits.voltage_max_V)
+        plot = self._timed("Voltage and its limits", "voltage [V]", 220, shown)
+        for limit_V in (limits.voltage_min_V, limits.voltage_max_V):
+            plot.add_layout(Span(location=limit_V, dimension="width", line_color=RED, line_dash="dashed"))
+        plot.line("time_ms", "voltage_V", source=self.over_time, color=BLUE)
+        return _finish(plot, "{0.00} V", {"voltage": "@voltage_V"})
+
+    def _loop(self, bench: BenchConfig) -> figure:
+        limits = bench.limits
+        plot = figure(
+            title="Force over voltage",
+            x_axis_label="voltage [V]",
+            y_axis_label="force [N]",
+            height=330,
+            x_range=_with_margin(limits.voltage_min_V, limits.voltage_max_V),
+            y_range=self.loop_range,
+            tools="",
+        )
+        plot.line("voltage_V", "force_N", source=self.loop, color=BLUE, line_alpha=0.75)
+        plot.scatter("voltage_V", "force_N", source=self.now, color=RED, size=10)
+        return _finish(plot, "{0.00}", {"voltage [V]": "@voltage_V", "force [N]": "@force_N"})
+
+    def _timed(self, title: str, label: str, height: int, shown: Range1d) -> figure:
+        plot = figure(
+            title=title,
+            y_axis_label=label,
+            height=height,
+            x_range=self.window,
+            y_range=shown,
+            tools="",
+        )
+        plot.xaxis.formatter = DatetimeTickFormatter(
+            milliseconds=_CLOCK, seconds=_CLOCK, minsec=_CLOCK, minutes=_CLOCK, hourmin=_CLOCK, hours=_CLOCK
+        )
+        plot.xaxis.ticker = DatetimeTicker(desired_num_ticks=4)
+        return plot
+
+
+def _with_margin(low: float, high: float) -> Range1d:
+    margin = 0.05 * (high - low)
+    return Range1d(start=low - margin, end=high + margin)
+
+
+def show_all(shown: Range1d, *curves: NDArray[np.float64]) -> None:
+    """Move an axis so that all values are seen, and some room about them; it stays where there are none."""
+    values = np.concatenate(curves)
+    values = values[np.isfinite(values)]
+    if values.size:
+        low, high = float(values.min()), float(values.max())
+        margin = max(0.08 * (high - low), 1e-3 * max(abs(low), abs(high)), 1e-6)
+        shown.update(start=low - margin, end=high + margin)
+
+
+def _bars() -> ColumnDataSource:
+    return ColumnDataSource(
+        {"left": EDGES_us[:-1], "right": EDGES_us[1:], "top": np.full(EDGES_us.size - 1, HALF_A_TICK_COUNT)}
+    )
+
+
+def bar_heights(counts: NDArray[np.int64]) -> NDArray[np.float64]:
+    """Counts as a logarithmic axis can show them: none is where the bars begin."""
+    heights: NDArray[np.float64] = np.maximum(counts, HALF_A_TICK_COUNT)
+    return heights
+
+
+def _histogram(title: str, source: ColumnDataSource, bench: BenchConfig, colour: str) -> figure:
+    plot = figure(
+        title=title,
+        x_axis_label="time [\N{MICRO SIGN}s]",
+        y_axis_label="ticks",
+        height=240,
+        x_axis_type="log",
+        y_axis_type="log",
+        x_range=Range1d(start=1.0, end=max(2e5, 2e6 * bench.dt_s)),
+        y_range=Range1d(start=HALF_A_TICK_COUNT, end=2.0 * WINDOW_s * bench.rate_Hz),
+        tools="",
+    )
+    plot.quad(
+        left="left", right="right", bottom=HALF_A_TICK_COUNT, top="top", source=source, color=colour, line_color="#fff"
+    )
+    period = Span(location=1e6 * bench.dt_s, dimension="height", line_color=RED, line_dash="dashed")
+    plot.add_layout(period)
+    plot.xaxis.ticker = LogTicker(desired_num_ticks=6)
+    return _finish(plot, "", {"from, to [\N{MICRO SIGN}s]": "@left{0.0}, @right{0.0}", "ticks": "@top{0}"})
+
+
+def _finish(plot: figure, number: str, shown: dict[str, str]) -> figure:
+    """Legend, tools and width that all figures share."""
+    plot.sizing_mode = "stretch_width"
+    plot.toolbar.autohide = True
+    plot.toolbar.logo = None
+    if plot.legend:
+        plot.legend.orientation = "horizontal"
+        plot.legend.border_line_color = None
+        plot.legend.label_text_font_size = "11px"
+        plot.legend[0].update(margin=0, padding=2, spacing=6, glyph_height=14, label_height=14)
+        plot.add_layout(plot.legend[0], "above")
+    tips = [(name, value if "{" in value else f"{value}{number}") for name, value in shown.items()]
+    plot.add_tools(HoverTool(tooltips=tips))
+    return plot
