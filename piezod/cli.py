@@ -464,6 +464,99 @@ def effects(
         print(effects_table() if chosen is None else effect_page(chosen))
 
 
+@app.command(epilog="Example: piezod init --profile labjack_t7 --host 192.168.1.207 --name press --yes")
+def init(
+    output: Annotated[Path, typer.Option("-o", metavar="FILE", help="The bench file to write.")] = Path("bench.yaml"),
+    profile: Annotated[
+        str | None, typer.Option(metavar="NAME", help="Device it starts from; asked for, or listed, when left out.")
+    ] = None,
+    name: Annotated[str | None, typer.Option(help="Of the bench.")] = None,
+    host: Annotated[str | None, typer.Option(help="Modbus TCP: address of the device.")] = None,
+    port: Annotated[int | None, typer.Option(min=1, max=65535, help="Modbus TCP: its port.")] = None,
+    unit_id: Annotated[int | None, typer.Option(min=0, max=255, help="Modbus TCP: its unit.")] = None,
+    serial: Annotated[str | None, typer.Option(metavar="PORT", help="Serial: such as /dev/serial/by-id/...")] = None,
+    load_cell_host: Annotated[
+        str | None, typer.Option(metavar="HOST", help="Of the device that reads the load cell, if that is another one.")
+    ] = None,
+    rate: Annotated[float | None, typer.Option(metavar="HZ", help="Ticks per second.")] = None,
+    voltage_max: Annotated[float | None, typer.Option(metavar="V", help="Highest voltage of the stack.")] = None,
+    force_trip: Annotated[float | None, typer.Option(metavar="N", help="Force above which it trips.")] = None,
+    yes: Annotated[bool, typer.Option("--yes", "-y", help="Ask nothing; else the profile's values are kept.")] = False,
+    probe: Annotated[bool, typer.Option(help="Look whether the device answers; reads only.")] = True,
+    force: Annotated[bool, typer.Option("--force", help="Replace the file.")] = False,
+    as_json: JsonOption = False,
+) -> None:
+    """Make a commented bench file from a device profile and a few answers."""
+    from piezod.daemon.init import Answers, draft, look, profiles, write
+    from piezod.daemon.wizard import ask
+
+    if output.exists() and not force:
+        raise UsageError(f"{output} is there already; name another with -o, or replace it with --force")
+    answers = Answers(name, host, port, unit_id, serial, load_cell_host, rate, voltage_max, force_trip)
+    if not yes and sys.stdin.isatty():
+        profile, answers = ask(profile, answers)
+    if profile is None:
+        raise UsageError(f"--profile is missing, one of {', '.join(profiles())}")
+    made = draft(profile, answers, output)
+    found = look(made.bench) if probe else []
+    write(made, force=force)
+    if as_json:
+        said = {"schema": "piezod.init/1", "file": str(output), "profile": profile, "found": found}
+        print(json.dumps(said, indent=2))
+        return
+    for line in found:
+        print(line)
+    print(f"{output}: bench '{made.bench.name}', from profile {profile}")
+    print("its limits are placeholders until every one is set from the data sheets of stack, amplifier and load cell")
+    print(f"then: piezod config check {output}, piezod check {output}")
+
+
+configuration = typer.Typer(
+    no_args_is_help=True, rich_markup_mode=None, help="A bench file: its schema, what it comes to, whether it is one."
+)
+app.add_typer(configuration, name="config")
+
+
+@configuration.command("schema", epilog="Example: piezod config schema > bench.schema.json")
+def config_schema() -> None:
+    """Print the JSON schema of a bench file, for completion in an editor."""
+    from piezod.config import bench_schema, comments_of
+    from piezod.daemon.shipped import shipped
+
+    comments = comments_of(shipped("bench.yaml").read_text(encoding="utf-8"))
+    print(json.dumps(bench_schema(comments), indent=2))
+
+
+@configuration.command("show", epilog="Example: piezod config show config/bench.yaml")
+def config_show(config: ConfigArgument, as_json: JsonOption = False) -> None:
+    """Print every key with its value, its unit, and whether it is a default; as YAML that can be read again."""
+    from piezod.config import effective_text, entries, load_bench, read_document
+
+    bench, content = load_bench(config), read_document(config).content
+    if not as_json:
+        print(effective_text(bench, content), end="")
+        return
+    defaults = [".".join(one.path) for one in entries(bench, content) if one.default]
+    effective = bench.model_dump(by_alias=True, mode="json")
+    print(json.dumps({"schema": "piezod.config/1", "effective": effective, "defaults": defaults}, indent=2))
+
+
+@configuration.command("check", epilog="Example: piezod config check config/bench.yaml")
+def config_check(config: ConfigArgument, as_json: JsonOption = False) -> None:
+    """Validate a bench file; no device is asked."""
+    from piezod.config import load_bench, model_path
+
+    bench = load_bench(config)
+    model = model_path(bench, config)
+    if as_json:
+        said = {"schema": "piezod.config_check/1", "file": str(config), "bench": bench.name, "model": str(model)}
+        print(json.dumps(said | {"model_there": model.exists()}, indent=2))
+        return
+    print(f"{config}: bench '{bench.name}', {bench.rate_Hz:g} Hz over {bench.link.kind}")
+    if not model.exists():
+        print(f"its model {model} is not there yet: piezod record, then piezod identify")
+
+
 blind = typer.Typer(no_args_is_help=True, rich_markup_mode=None, help="The concealed study: make, run, score.")
 app.add_typer(blind, name="blind")
 

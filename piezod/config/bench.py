@@ -10,7 +10,7 @@ from piezod.config.limits import LimitsConfig
 from piezod.config.link import LinkConfig, ModbusRtuLink, ModbusTcpLink, Registers, SerialLineLink
 from piezod.config.recorder import RecorderConfig
 from piezod.config.reference import ReferenceConfig, RegisterReference
-from piezod.config.yaml_reader import read_document
+from piezod.config.yaml_reader import Document, read_document
 from piezod.errors import ConfigurationError
 
 SCHEMA = "piezod.bench/1"
@@ -255,10 +255,20 @@ def load_bench(path: Path) -> BenchConfig:
     ConfigurationError
         One line with file, line, key, value and limit.
     """
-    document = read_document(path)
+    return bench_of(read_document(path))
+
+
+def bench_of(document: Document) -> BenchConfig:
+    """Check what was read from a bench file.
+
+    Raises
+    ------
+    ConfigurationError
+        One line with file, line, key, value and limit.
+    """
     schema = document.content.get("schema")
     if schema != SCHEMA:
-        raise ConfigurationError(f"{path}: schema is {shortened(schema)}, must be '{SCHEMA}'")
+        raise ConfigurationError(f"{document.path}: schema is {shortened(schema)}, must be '{SCHEMA}'")
     return check(document, BenchConfig)
 
 

@@ -86,6 +86,15 @@ class Document:
             line, node = child
         return line
 
+    def span_of(self, keys: Sequence[str]) -> tuple[int, int] | None:
+        """Where the single value at `keys` begins and ends in the text; None where there is none."""
+        node = self._root
+        for key in keys:
+            if not isinstance(node, yaml.MappingNode):
+                return None
+            node = next((value for name, value in node.value if name.value == key), None)
+        return (node.start_mark.index, node.end_mark.index) if isinstance(node, yaml.ScalarNode) else None
+
 
 def read_document(path: Path) -> Document:
     """Read one YAML file.

@@ -1,0 +1,48 @@
+"""What the commented bench file says about each key: the words for editors, `config show` and the wizard."""
+
+import re
+
+_KEY = re.compile(r"^(?P<indent>(?:# )?\s*)(?P<key>[A-Za-z_][A-Za-z0-9_]*):(?P<rest>.*)$")
+_COMMENT = re.compile(r"(?:^|\s)#\s*(?P<words>.*)$")
+_CONTINUED = re.compile(r"^\s{8,}#\s*(?P<words>.*)$")
+
+
+def comments_of(text: str) -> dict[str, str]:
+    """Comments behind the keys of a YAML text, by dotted path.
+
+    Parameters
+    ----------
+    text
+        A bench file in the manner of `config/bench.yaml`: one key a line, its comment behind it, continued on lines of
+        their own. A section that is commented out counts as if it were not.
+
+    Returns
+    -------
+    dict
+        Such as `{"limits.slew_V_per_s": "at most current_max_A / capacitance_F"}`; keys without a comment are left out.
+    """
+    found: dict[str, str] = {}
+    above: list[tuple[int, str]] = []
+    path = ""
+    for line in text.splitlines():
+        continued = _CONTINUED.match(line)
+        if continued and path in found:
+            found[path] += " " + continued["words"].strip()
+            continue
+        match = _KEY.match(line)
+        if match is None:
+            path = ""
+            continue
+        indent = len(match["indent"].removeprefix("# "))
+        above = [(depth, key) for depth, key in above if depth < indent]
+        path = ".".join([*(key for _, key in above), match["key"]])
+        above.append((indent, match["key"]))
+        comment = _COMMENT.search(_outside_quotes(match["rest"]))
+        if comment and path not in found:
+            found[path] = comment["words"].strip()
+    return found
+
+
+def _outside_quotes(rest: str) -> str:
+    """The rest of a line with every quoted text blanked: a # inside it begins no comment."""
+    return re.sub(r"'[^']*'|\"[^\"]*\"", lambda quoted: "_" * len(quoted[0]), rest)

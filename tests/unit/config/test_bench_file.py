@@ -1,0 +1,112 @@
+"""What is made of the readers: the schema for editors, the effective configuration, a file changed in place."""
+
+from pathlib import Path
+
+import jsonschema
+import pytest
+import yaml
+
+from piezod.config import BenchConfig, Document, bench_of, bench_schema, comments_of, edited, effective_text, load_bench
+from piezod.config.units import unit_of
+from piezod.errors import ConfigurationError
+
+CONFIG = Path(__file__).parents[3] / "config"
+BENCH = CONFIG / "bench.yaml"
+BENCHES = [path for path in sorted(CONFIG.glob("*.yaml")) if "piezod.bench/1" in path.read_text(encoding="utf-8")]
+COMMENTS = comments_of(BENCH.read_text(encoding="utf-8"))
+
+
+@pytest.fixture(scope="module")
+def validator():
+    schema = bench_schema(COMMENTS)
+    jsonschema.Draft202012Validator.check_schema(schema)
+    return jsonschema.Draft202012Validator(schema)
+
+
+def changed(**changes):
+    content = yaml.safe_load(BENCH.read_text(encoding="utf-8"))
+    for path, value in changes.items():
+        *above, key = path.split("__")
+        section = content
+        for name in above:
+            section = section[name]
+        section[key] = value
+    return content
+
+
+@pytest.mark.parametrize("path", BENCHES, ids=lambda path: path.stem)
+def test_every_shipped_bench_fits_the_schema(validator, path):
+    validator.validate(yaml.safe_load(path.read_text(encoding="utf-8")))
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"limits__slew_V_per_s": -3.0},
+        {"limits__slew": 3.0},
+        {"rate_Hz": "fast"},
+        {"link__kind": "modbus_ascii"},
+        {"link__registers__force": {"address": 70000}},
+        {"arming__without": ["identitiy"]},
+        {"schema": "piezod.bench/2"},
+    ],
+)
+def test_the_schema_refuses_what_the_readers_refuse(validator, changes):
+    content = changed(**changes)
+    assert list(validator.iter_errors(content))
+    with pytest.raises(ConfigurationError):
+        bench_of(Document(BENCH, yaml.safe_dump(content)))
+
+
+def test_keys_are_described_in_the_words_of_the_commented_file():
+    limits = bench_schema(COMMENTS)["$defs"]["LimitsConfig"]["properties"]
+    assert limits["slew_V_per_s"]["description"] == "[V/s] at most current_max_A / capacitance_F"
+    assert [name for name in limits if name != "voltage_max_V" and "description" not in limits[name]] == []
+
+
+def test_comments_are_found_behind_their_keys_continued_and_commented_out():
+    text = (
+        "a: 1  # first\nb:\n  c: 'x # y'   # second\n                # goes on\n# r:\n#   s: 0.5   # third\nd: '#no'\n"
+    )
+    assert comments_of(text) == {"a": "first", "b.c": "second goes on", "r.s": "third"}
+
+
+@pytest.mark.parametrize("path", BENCHES, ids=lambda path: path.stem)
+def test_the_effective_configuration_read_again_is_the_same(path):
+    bench = load_bench(path)
+    content = yaml.safe_load(path.read_text(encoding="utf-8"))
+    text = effective_text(bench, content)
+    assert bench_of(Document(path, text)) == bench
+
+
+def test_defaults_and_units_stand_beside_the_values():
+    content = yaml.safe_load(BENCH.read_text(encoding="utf-8"))
+    del content["limits"]["stuck_travel_V"]
+    lines = effective_text(BenchConfig.model_validate(content), content).splitlines()
+    assert "  stuck_travel_V: 5.0                       # V, default" in lines
+    assert "  slew_V_per_s: 4000.0                      # V/s" in lines
+
+
+@pytest.mark.parametrize(
+    ("key", "unit"),
+    [("slew_V_per_s", "V/s"), ("timeout_s", "s"), ("name", ""), ("low", ""), ("file_MB", "MB"), ("rate_Hz", "Hz")],
+)
+def test_the_unit_of_a_key_is_what_its_name_ends_with(key, unit):
+    assert unit_of(key) == unit
+
+
+def test_a_value_is_changed_and_comments_stay_in_their_column():
+    text = "a: 1            # one\nlink:\n  host: 10.0.0.1  # here\n  n: {m: 5}\n"
+    made = edited(Path("x.yaml"), text, {("link", "host"): "bench.example", ("a",): 20, ("link", "n", "m"): 7})
+    assert made == "a: 20           # one\nlink:\n  host: bench.example # here\n  n: {m: 7}\n"
+
+
+@pytest.mark.parametrize("value", ["true", "12", "a: b", "null", "1e3", "#x"])
+def test_a_text_that_looks_like_something_else_is_quoted(value):
+    made = edited(Path("x.yaml"), "a: b\n", {("a",): value})
+    assert Document(Path("x.yaml"), made).content == {"a": value}
+
+
+def test_a_key_that_is_not_there_cannot_be_changed():
+    with pytest.raises(ConfigurationError, match=r"has no value link\.host"):
+        edited(Path("x.yaml"), "link: {port: 5}\n", {("link", "host"): "x"})
