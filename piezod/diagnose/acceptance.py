@@ -25,6 +25,8 @@ LOOSE = (
     "output_nonlinearity",
     "contact_gap",
 )
+LOCAL = ("contact_gap", "voltage_clamp")  # act at an end of the range alone: most blocks do not come there
+FEWEST_TOUCHED = 2  # blocks that such an effect must improve, and none may grow worse
 SMALLEST_SHARE = 5e-4  # of the largest gain: below it is what no form of the larger effect fits exactly
 FAIR_SHARE = 0.02  # of the largest gain so far: more effects than that are the plant's own shape
 LATE = 0.05  # of a sample
@@ -43,6 +45,8 @@ def worth(before: Fitted, after: Fitted) -> bool:
     if gain < PLAINER * len(after.terms[-1].searched) * after.loss:
         return False
     gains = np.log(before.losses / after.losses)
+    if after.effects[-1] in LOCAL and gain > WORTH_WHEN_SMALL * after.loss and gains.min() > -NOTICED:
+        return bool(np.sum(gains > NOTICED) >= FEWEST_TOUCHED)
     if gain > MUCH * before.loss and np.mean(gains < -NOTICED) < FEW:
         return True
     return steadiness(before, after) > STEADY

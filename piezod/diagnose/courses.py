@@ -33,6 +33,27 @@ def settled(one: tuple[Chain, Fitted]) -> tuple[Chain, Fitted]:
     return fine, fit(fine, again.terms, again.point, most_steps=6)
 
 
+def started_anew(one: tuple[Chain, Fitted]) -> tuple[Chain, Fitted] | None:
+    """A hypothesis with the starts that suit it; None where they are those that it has."""
+    chain, fitted = one
+    few = coarse(chain)
+    known = fit(few, fitted.terms, fitted.point, most_steps=2)
+    best, again = restarted(few, known)
+    if again is known:
+        return None
+    fine = chain.like(best.series)
+    return fine, fit(fine, again.terms, again.point, most_steps=6)
+
+
+def started_alike(chain: Chain) -> Chain | None:
+    """The same with recordings that start at rest started as the first of the identification; None where they are."""
+    resting = [k for k, one in enumerate(chain.series) if starts_at_rest(one.command_V)]
+    if all(chain.series[k].path_V == chain.series[resting[0]].path_V for k in resting):
+        return None
+    usual = chain.series[resting[0]].path_V
+    return chain.like([replace(one, path_V=usual) if k in resting else one for k, one in enumerate(chain.series)])
+
+
 def restarted(chain: Chain, fitted: Fitted) -> tuple[Chain, Fitted]:
     """The same with what led to each start estimated anew: under the given model an effect may have passed for it."""
     series = list(chain.series)

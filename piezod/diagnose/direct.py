@@ -39,16 +39,22 @@ def noise_of(u: Array, y: Array, good: NDArray[np.bool_]) -> float:
 
 
 def frozen_stretches(series: Series, model_N: Array) -> list[tuple[int, int]]:
-    """Stretches (first, end) in which the reading stands still to the last bit while the model moves."""
+    """Stretches (first, end) in which the reading stands still to the last bit while the model moves.
+
+    On a coarse lattice not those at the lowest or highest reading: there the force itself may have met a limit.
+    """
     same = np.concatenate(([False], np.diff(series.reading_N) == 0.0, [False]))
     edges = np.flatnonzero(np.diff(same.astype(np.int8)))
     stretches = [(int(a), int(b) + 1) for a, b in zip(edges[::2], edges[1::2], strict=True)]
     usual = _usual_run(stretches)
+    readings = series.reading_N[series.counts]
+    limits = float(readings.min()), float(readings.max())
     return [
         (first, end)
         for first, end in stretches
         if end - first >= max(FROZEN_SAMPLES, 4 * usual)
         and np.ptp(model_N[first:end]) > FROZEN_MOVES * max(series.noise_N, series.lattice_N)
+        and not (series.lattice_N > series.noise_N and series.reading_N[first] in limits)
     ]
 
 

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piezod.diagnose.chain import HATS, SPLINES, Chain, Point, Term
+from piezod.diagnose.series import Series
 from piezod.effects.effect import Parameter
 
 Array = NDArray[np.float64]
@@ -184,6 +185,8 @@ class Normal:
     chain: Chain
     readings: list[Array]  # simulated, one a recording
     jacobians: list[Array]  # (N, P), 0 where a reading does not count
+    tangents: list[Array]  # (N, base), as they are simulated
+    told: list[Array]  # weights of the readings that tell
     weighted: list[Array]  # residuals times the robust weights
     weights: list[Array]
     hessian: Array  # (B, P, P)
@@ -198,20 +201,23 @@ class Normal:
     def at(cls, chain: Chain, terms: Sequence[Term], point: Point, near: "Normal | None" = None) -> "Normal":
         """Normal equations of a hypothesis at a point, with the base's tangents of one that is near or its own."""
         layout = Layout(chain, terms)
-        made = cls(chain, [], [], [], [], *(np.empty(0),) * 4, 0.0, [], np.empty(0))
+        made = cls(chain, [], [], [], [], [], [], *(np.empty(0),) * 4, 0.0, [], np.empty(0))
         hessian, gradient, squares, samples = [], [], [], []
         for number, series in enumerate(chain.series):
             reading, jacobian = _jacobian(chain, terms, point, layout, number, near)
             rows = chain.rows[number]
+            residual, told = residual_of(series, rows, reading[rows])
+            tangents = jacobian[:, : layout.offsets].copy()
+            jacobian *= told[:, None] / series.noise_N
             trusted = series.weights[rows]
-            counts = trusted > 0.0
-            residual = np.where(counts, trusted * (series.told_N - reading)[rows], 0.0) / series.noise_N
-            scale = max(1.4826 * float(np.median(np.abs(residual[counts]))), 1e-6)
+            made.told.append(told)
+            scale = max(1.4826 * float(np.median(np.abs(residual[told > 0.0]))), 1e-6)
             weight = np.minimum(1.0, HUBER * scale / np.maximum(np.abs(residual), 1e-12))
             made.loss += _robust(residual, scale)
             made.scales.append(scale)
             made.readings.append(reading)
             made.jacobians.append(jacobian)
+            made.tangents.append(tangents)
             made.weighted.append(weight * residual)
             made.weights.append(weight)
             for block in _thinned(series.blocks, rows.step):
@@ -230,10 +236,7 @@ class Normal:
         """The robust loss alone."""
         loss = 0.0
         for number, series in enumerate(chain.series):
-            rows = chain.rows[number]
-            reading_N = chain.compared(number, terms, point)
-            error_N = series.weights[rows] * (series.told_N[rows] - reading_N)
-            residual = np.where(series.counts[rows], error_N, 0.0) / series.noise_N
+            residual, _ = residual_of(series, chain.rows[number], chain.compared(number, terms, point))
             loss += _robust(residual, scales[number])
         return loss if np.isfinite(loss) else np.inf
 
@@ -262,8 +265,8 @@ class Normal:
             here = [place for place, change in acting if change is not None]
             if not here:
                 continue
-            trusted = series.weights[self.chain.rows[number]]
-            scaled = np.array([change for _, change in acting if change is not None]).T * trusted[:, None]
+            told = self.told[number]
+            scaled = np.array([change for _, change in acting if change is not None]).T * told[:, None]
             scaled /= series.noise_N
             weighted = self.weights[number][:, None] * scaled
             across[:, here] += self.jacobians[number].T @ weighted
@@ -272,11 +275,11 @@ class Normal:
         hessian, gradient = self.hessian.sum(axis=0) + self.ridge, self.gradient.sum(axis=0)
         solved = np.array([_solved(hessian, column) for column in across.T]).T
         free = inner - across.T @ solved
-        told = np.diag(free) > 1e-9 * np.diag(inner)
-        numerator, sizes = (along - solved.T @ gradient)[told], np.zeros(count)
-        if told.any():
-            sizes[told] = _solved(free[np.ix_(told, told)], numerator)
-        return float(numerator @ sizes[told]), sizes
+        own = np.diag(free) > 1e-9 * np.diag(inner)
+        numerator, sizes = (along - solved.T @ gradient)[own], np.zeros(count)
+        if own.any():
+            sizes[own] = _solved(free[np.ix_(own, own)], numerator)
+        return float(numerator @ sizes[own]), sizes
 
     def free_energy(self, change: Sequence[Array | None]) -> float:
         """Square of a change of the readings, in units of the noise, that nothing which is fitted can follow.
@@ -290,7 +293,7 @@ class Normal:
         for number, one in enumerate(change):
             if one is not None:
                 series = self.chain.series[number]
-                scaled = one * series.weights[self.chain.rows[number]] / series.noise_N
+                scaled = one * self.told[number] / series.noise_N
                 weighted = self.weights[number] * scaled
                 across += self.jacobians[number].T @ weighted
                 inner += float(scaled @ weighted)
@@ -320,27 +323,34 @@ class Normal:
 def _jacobian(
     chain: Chain, terms: Sequence[Term], point: Point, layout: Layout, number: int, near: Normal | None
 ) -> tuple[Array, Array]:
-    """Simulated reading of a recording, and how it changes with every parameter in units of the noise."""
+    """Simulated reading of a recording, and how it changes with every parameter."""
     series, rows = chain.series[number], chain.rows[number]
     reading = chain.run(number, terms, point).reading_N
     compared_N = reading[rows]
     jacobian = np.zeros((series.counts[rows].size, layout.size))
-    trusted = series.weights[rows][:, None]
     if near is None:
-        jacobian[:, : layout.offsets] = trusted * chain.base_tangents(number, terms, point) / series.noise_N
+        jacobian[:, : layout.offsets] = chain.base_tangents(number, terms, point)
     else:
-        jacobian[:, : layout.offsets] = near.jacobians[number][:, : layout.offsets]
+        jacobian[:, : layout.offsets] = near.tangents[number]
     if number:
-        jacobian[:, layout.offsets + number - 1] = 1.0 / series.noise_N
+        jacobian[:, layout.offsets + number - 1] = 1.0
     for place, (term, one) in enumerate(layout.searched, start=layout.effects):
         if terms[term].acts_on(number, series):
             scaled = _scaled(one, point.values[term][one.name])
             size = _step_of(one, scaled)
             moved = _moved(point, term, one.name, _unscaled(one, scaled + size))
             change = chain.compared(number, terms, moved) - compared_N
-            jacobian[:, place] = change / (size * series.noise_N)
-    jacobian[:, layout.offsets :] *= trusted
+            jacobian[:, place] = change / size
     return reading, jacobian
+
+
+def residual_of(series: Series, rows: slice, reading_N: Array) -> tuple[Array, Array]:
+    """What is not simulated of the readings that are compared, in units of the noise; and how far each tells of it."""
+    error_N, told = series.told_N[rows] - reading_N, series.weights[rows]
+    if series.within_N is not None:
+        beyond_N = error_N - np.clip(error_N, -series.within_N[rows], series.within_N[rows])
+        error_N, told = beyond_N, told * (beyond_N != 0.0)
+    return np.where(told > 0.0, told * error_N, 0.0) / series.noise_N, told
 
 
 def _thinned(blocks: Sequence[slice], step: int) -> list[slice]:

@@ -41,8 +41,8 @@ def unrounded(series: Series) -> Series:
     """The same with the rounding of a coarse lattice undone and every reading trusted as far as it tells.
 
     The force is interpolated between the instants at which readings change. A reading within a run of r equal ones is
-    off by step / (r sqrt(12)) and the noise; in long runs, and where the force turns, only the ends tell. Where it
-    leaps over several steps a reading is what it is.
+    off by step / (r sqrt(12)) and the noise; within long runs only a force beyond the step is told of. Where it leaps
+    over several steps a reading is what it is.
     """
     step_N, size = series.lattice_N, series.time_s.size
     changes = np.flatnonzero(np.diff(series.reading_N))  # between k and k + 1
@@ -68,11 +68,11 @@ def unrounded(series: Series) -> Series:
     told_N = np.where(between, ways_N, series.reading_N)
     carried = np.where(short, 1.0, CARRIED)
     off_N = np.hypot(carried * noise_N, step_N / np.where(between, lengths, 1) / np.sqrt(12.0))
-    tells = between | short
-    unit_N = float(np.mean(off_N[series.counts & tells] ** -2.0)) ** -0.5
-    return replace(
-        series, noise_N=unit_N, rounding_N=series.reading_N - told_N, trust=np.where(tells, unit_N / off_N, 0.0)
-    )
+    off_N[~between] = step_N / np.sqrt(12.0)
+    within_N = np.where(between | short, 0.0, 0.5 * step_N + CARRIED * noise_N)
+    unit_N = float(np.mean(off_N[series.counts & (within_N == 0.0)] ** -2.0)) ** -0.5
+    rounding_N = series.reading_N - told_N
+    return replace(series, noise_N=unit_N, rounding_N=rounding_N, trust=unit_N / off_N, within_N=within_N)
 
 
 def _noise_N(series: Series) -> float:

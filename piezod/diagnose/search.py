@@ -18,7 +18,7 @@ from piezod.diagnose.acceptance import (
     worth,
 )
 from piezod.diagnose.chain import Chain, Point, Term
-from piezod.diagnose.courses import best_course, settled
+from piezod.diagnose.courses import best_course, settled, started_anew
 from piezod.diagnose.direct import noise_of
 from piezod.diagnose.fit import Fitted, Normal, fit
 from piezod.diagnose.parallel import each
@@ -32,6 +32,7 @@ OnProgress = Callable[[str, float], None]
 MOST_EFFECTS = 5
 SEARCHED, FURTHER = 0.85, 0.5  # part of the work behind the search; of what is before it, left after a round
 FINALISTS = 3  # of them that are tried with every course of the command between samples
+DOUBTED = 3  # of those that fit better and are not believed that are fitted from other starts
 NEAR_A_MODE = 0.05  # of its frequency: a line there is its own ringing
 DOMINANT = 0.3  # of the loss: a tone without which so little is left is taken off before anything else is tried
 
@@ -104,12 +105,7 @@ def search(chain: Chain, start: Point, progress: OnProgress) -> Search:
             largest = max(result.base.loss - result.found.loss, 0.0)
             continue
         tried = on_each_course(result.chain, result.found, result.past)
-        better = [
-            (chain, one)
-            for chain, one in tried
-            if worth(result.found, one) and not degenerate(chain, one) and fair(chain, result.found, one, largest)
-        ]
-        finalists = each(settled, sorted(better, key=lambda one: one[1].loss)[:FINALISTS])
+        finalists = _finalists(result, tried, largest)
         best = min(finalists, key=lambda one: weighed(one[1]), default=None)
         if heard is not None and (best is None or heard[1].loss < best[1].loss):
             _listen(result, heard)
@@ -126,6 +122,24 @@ def search(chain: Chain, start: Point, progress: OnProgress) -> Search:
     _drop(result, largest)
     _polish(result)
     return result
+
+
+def _finalists(result: Search, tried: list[tuple[Chain, Fitted]], largest: float) -> list[tuple[Chain, Fitted]]:
+    """The best of those that are believed, each with the course and the starts that suit it best.
+
+    What fits better than they do but is not believed may have been fitted from a start that was estimated without it.
+    """
+
+    def believed(one: tuple[Chain, Fitted]) -> bool:
+        on, after = one
+        return worth(result.found, after) and not degenerate(on, after) and fair(on, result.found, after, largest)
+
+    tried = sorted(tried, key=lambda one: one[1].loss)
+    better = [one for one in tried if believed(one)]
+    limit = better[0][1].loss if better else result.found.loss
+    doubted = [one for one in tried if one[1].loss < limit and not degenerate(*one)][:DOUBTED]
+    anew = [one for one in each(started_anew, doubted) if one is not None and believed(one)]
+    return each(settled, sorted(better + anew, key=lambda one: one[1].loss)[:FINALISTS])
 
 
 Heard = tuple[Chain, Fitted, list[Tone]]

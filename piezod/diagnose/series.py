@@ -48,6 +48,8 @@ class Series:
     trust
         How much less than `noise_N` each reading is off, as a factor, shape (N,), 0 where it tells nothing; None where
         all are alike.
+    within_N
+        How far from it the force may be without a reading telling, shape (N,); None: not at all [N].
     """
 
     name: str
@@ -64,6 +66,7 @@ class Series:
     lattice_N: float = 0.0
     rounding_N: Array | None = None
     trust: Array | None = None
+    within_N: Array | None = None
     blocks: tuple[slice, ...] = field(init=False)
 
     def __post_init__(self) -> None:

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piezod.diagnose.chain import Chain, Point, Scope, Term
-from piezod.diagnose.courses import coarse
+from piezod.diagnose.courses import coarse, started_alike
 from piezod.diagnose.fit import MOST_STEPS, Fitted, Normal, fit
 from piezod.diagnose.ideas import Idea, screened, since
 from piezod.diagnose.parallel import each
@@ -33,7 +33,8 @@ def on_each_course(chain: Chain, found: Fitted, past: Point) -> list[tuple[Chain
     """Hypotheses with one more effect, with the chain that each was fitted on.
 
     Where the command seems to be held although nothing smooths it, an effect that makes late may have passed for that:
-    all is tried with a straight course too.
+    all is tried with a straight course too. Where a recording seems to start unlike those of the identification,
+    an effect that came since may have passed for that.
     """
     chains = [(chain, found)]
     if chain.series[0].between != STRAIGHT and not any(term.effect.smooths for term in found.terms):
@@ -45,6 +46,12 @@ def on_each_course(chain: Chain, found: Fitted, past: Point) -> list[tuple[Chain
         tried = _tried(few, known, past)
         few.forget()
         found_on += [(on, one) for one in _fine(on, known, tried)]
+    alike = started_alike(chain)
+    if alike is not None:
+        few = coarse(alike)
+        quick = _since_past(few, found, past)
+        few.forget()
+        found_on += [(alike, one) for one in _fine(alike, found, quick)]
     return found_on
 
 
@@ -75,10 +82,7 @@ def _tried(chain: Chain, found: Fitted, past: Point) -> list[Fitted]:
         if len(chosen) < TRIED or idea.term.effect.name in chosen:
             chosen.setdefault(idea.term.effect.name, []).append(idea)
     quick = each(lambda some: (_extended(chain, found, some[0], most_steps=COARSE_STEPS), some), list(chosen.values()))
-    bases = [replace(past, values=found.point.values), *([found.point] if found.terms else [])]
-    lost_N = -min(found.point.offsets_N[k] for k, one in enumerate(chain.series) if one.role == "recording")
-    starts = [one for base in bases for one in since(chain, found.terms, base, lost_N)[:TRIED_FROM_PAST]]
-    quick += each(partial(_from_past, chain, found.terms), starts)
+    quick += [(one, []) for one in _since_past(chain, found, past)]
     quick.sort(key=lambda one: one[0].loss)
     quick = [one for k, one in enumerate(quick) if one[0].effects[-1] not in (o[0].effects[-1] for o in quick[:k])]
     enough = found.loss - NEAR * (found.loss - quick[0][0].loss) if quick else 0.0
@@ -89,10 +93,18 @@ def _tried(chain: Chain, found: Fitted, past: Point) -> list[Fitted]:
     return [*thorough, *(first for first, _ in quick[refined:]), *direct]
 
 
-def _from_past(chain: Chain, terms: tuple[Term, ...], one: tuple[Idea, Point]) -> tuple[Fitted, list[Idea]]:
+def _since_past(chain: Chain, found: Fitted, past: Point) -> list[Fitted]:
+    """Hypotheses with one more effect that came since, fitted from the base as it was."""
+    bases = [replace(past, values=found.point.values), *([found.point] if found.terms else [])]
+    lost_N = -min(found.point.offsets_N[k] for k, one in enumerate(chain.series) if one.role == "recording")
+    starts = [one for base in bases for one in since(chain, found.terms, base, lost_N)[:TRIED_FROM_PAST]]
+    return each(partial(_from_past, chain, found.terms), starts)
+
+
+def _from_past(chain: Chain, terms: tuple[Term, ...], one: tuple[Idea, Point]) -> Fitted:
     idea, past = one
     point = replace(past, values=(*past.values, idea.values))
-    return fit(chain, (*terms, idea.term), point, most_steps=COARSE_STEPS), [idea]
+    return fit(chain, (*terms, idea.term), point, most_steps=COARSE_STEPS)
 
 
 def _refined(chain: Chain, found: Fitted, first: Fitted, ideas: Sequence[Idea]) -> Fitted:

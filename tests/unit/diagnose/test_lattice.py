@@ -44,16 +44,27 @@ def test_a_lattice_finer_than_the_noise_reads_between_its_steps() -> None:
 def test_what_is_told_is_as_near_to_the_force_as_is_claimed(force_N: Array) -> None:
     one = unrounded(recorded(force_N, STEP_N, NOISE_N))
     assert one.trust is not None
-    tells = one.trust > 0.0
+    assert one.within_N is not None
+    tells = one.within_N == 0.0
     claimed_N = one.noise_N / one.trust[tells]
     in_claims = (one.told_N - force_N)[tells] / claimed_N
     assert np.sqrt(np.mean(in_claims**2)) < 1.3
     assert claimed_N.min() < 2.0 * NOISE_N or not np.any(np.abs(np.diff(force_N)) < 0.2)
 
 
+@pytest.mark.parametrize("force_N", [MOVING_N, STAIRCASE_N], ids=["moving", "steps"])
+def test_the_force_is_hardly_ever_farther_off_than_a_long_run_allows(force_N: Array) -> None:
+    one = unrounded(recorded(force_N, STEP_N, NOISE_N))
+    assert one.within_N is not None
+    long = one.within_N > 0.0
+    assert long.any()
+    assert np.mean((np.abs(one.told_N - force_N) > one.within_N)[long]) < 0.01
+    assert np.all(one.within_N[long] < 0.75 * STEP_N)
+
+
 def test_a_moving_force_is_told_better_than_by_the_readings() -> None:
     one = unrounded(recorded(MOVING_N, STEP_N, NOISE_N))
-    weights = one.weights
+    weights = np.where(one.within_N == 0.0, one.weights, 0.0)
     error_N = np.sqrt(np.mean((weights * (one.told_N - MOVING_N)) ** 2) / np.mean(weights**2))
     assert error_N < 0.5 * STEP_N / np.sqrt(12.0)
 
