@@ -352,6 +352,84 @@ def simulate(
             print(f"note: {note}")
 
 
+@app.command(epilog="Example: piezod convert varying.csv -o varying.mat")
+def convert(
+    recording: Annotated[Path, typer.Argument(metavar="IN", help="csv, sqlite, h5, mat, tdms, parquet, mf4.")],
+    output: Annotated[Path, typer.Option("-o", metavar="OUT", help="As above; its suffix says how.")],
+    as_json: JsonOption = False,
+) -> None:
+    """Rewrite a recording in another format."""
+    from piezod.identify.intake import check_result
+    from piezod.recording import check_target, read_recording, write_recording
+
+    check_target(output)
+    check_result(output, [recording])
+    read = read_recording(recording)
+    write_recording(read, output)
+    if as_json:
+        said = {"schema": "piezod.convert/1", "file": str(output), "samples": read.time_s.size}
+        print(json.dumps(said | {"columns": ["time_s", *read.channels]}, indent=2))
+    else:
+        print(f"{output}: {read.time_s.size} samples of time_s, {', '.join(read.channels)}")
+
+
+@app.command(epilog="Example: piezod compare work.csv simulated.csv --model model.yaml --report comparison.html")
+def compare(
+    recordings: Annotated[
+        list[Path], typer.Argument(metavar="REC [REC...]", help="What was measured, then outputs to compare with it.")
+    ],
+    model: Annotated[
+        list[Path] | None, typer.Option(metavar="MODEL", help="Simulated over the first recording's input; repeatable.")
+    ] = None,
+    output_column: Annotated[
+        str | None, typer.Option("--output", metavar="COLUMN", help="The model's, or force_N, if left out.")
+    ] = None,
+    start_window: Annotated[
+        float, typer.Option(metavar="S", min=0.0, help="First seconds that may tell what a model's memory starts with.")
+    ] = 1.0,
+    report: Annotated[Path | None, typer.Option(metavar="FILE", help="Write a page.")] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Compare a measured output with simulated ones and with models in free run: fit as MATLAB's compare defines it."""
+    from piezod.report.compared import compare_files
+    from piezod.report.comparison import comparison_as_dict, comparison_text, write_comparison_page
+
+    comparison = compare_files(recordings[0], recordings[1:], model or (), output_column, start_window)
+    if report is not None:
+        write_comparison_page(report, comparison)
+    print(json.dumps(comparison_as_dict(comparison), indent=2) if as_json else comparison_text(comparison))
+
+
+@app.command(epilog="Example: piezod resid work.csv --model model.yaml --report residual.html")
+def resid(
+    recording: Annotated[Path, typer.Argument(metavar="REC", help="What was measured.")],
+    model: Annotated[Path, typer.Option("--model", metavar="MODEL")],
+    lags: Annotated[int, typer.Option(min=1, max=10_000, help="How many, in samples.")] = 25,
+    start_window: Annotated[
+        float, typer.Option(metavar="S", min=0.0, help="First seconds that may tell what the memory starts with.")
+    ] = 1.0,
+    report: Annotated[Path | None, typer.Option(metavar="FILE", help="Write a page.")] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Test whether what a model leaves is white and independent of the input, with the bounds of MATLAB's resid."""
+    from piezod.identify.intake import take_whole
+    from piezod.model import load_model
+    from piezod.report.comparison import residual_as_dict, residual_text, write_residual_page
+    from piezod.report.residual_test import residual_of, residual_test
+
+    loaded = load_model(model)
+    taken = take_whole(recording, loaded.input.channel, loaded.output.channel)
+    left = residual_of(loaded, taken.recording, start_window, taken.sha256)
+    test = residual_test(taken.recording, left, loaded.input.channel, lags)
+    unit = loaded.output.unit
+    if report is not None:
+        write_residual_page(report, test, taken.recording, left, unit)
+    if as_json:
+        print(json.dumps(residual_as_dict(test, taken.recording, loaded.name, unit), indent=2))
+    else:
+        print(residual_text(test, unit))
+
+
 @app.command(epilog="Example: piezod diagnose work.csv --model model.yaml -o diagnosis")
 def diagnose(
     recordings: Annotated[list[Path], typer.Argument(metavar="REC...", help="Recordings to explain.")],
@@ -464,6 +542,25 @@ def effects(
         print(effects_table() if chosen is None else effect_page(chosen))
 
 
+@app.command("support-bundle", epilog="Example: piezod support-bundle config/bench.yaml -o support.zip")
+def support_bundle(
+    config: ConfigArgument,
+    output: Annotated[Path, typer.Option("-o", metavar="FILE.zip", help="The file to write.")],
+    force: Annotated[bool, typer.Option("--force", help="Replace the file.")] = False,
+    as_json: JsonOption = False,
+) -> None:
+    """Pack what somebody elsewhere needs to help: configuration without secrets, versions, machine, last ticks."""
+    from piezod.daemon.support import write_bundle
+
+    about = write_bundle(config, output, force=force)
+    if as_json:
+        print(json.dumps(about | {"file": str(output)}, indent=2))
+        return
+    print(f"{output}: look it over before it is sent; names, addresses and lines are replaced, numbers are not")
+    for name, why in about["left_out"].items():
+        print(f"without {name}: {why}")
+
+
 @app.command(epilog="Example: piezod init --profile labjack_t7 --host 192.168.1.207 --name press --yes")
 def init(
     output: Annotated[Path, typer.Option("-o", metavar="FILE", help="The bench file to write.")] = Path("bench.yaml"),
@@ -530,15 +627,14 @@ def config_schema() -> None:
 @configuration.command("show", epilog="Example: piezod config show config/bench.yaml")
 def config_show(config: ConfigArgument, as_json: JsonOption = False) -> None:
     """Print every key with its value, its unit, and whether it is a default; as YAML that can be read again."""
-    from piezod.config import effective_text, entries, load_bench, read_document
+    from piezod.config import dumped, effective_text, entries, load_bench, read_document
 
-    bench, content = load_bench(config), read_document(config).content
+    values, content = dumped(load_bench(config)), read_document(config).content
     if not as_json:
-        print(effective_text(bench, content), end="")
+        print(effective_text(values, content), end="")
         return
-    defaults = [".".join(one.path) for one in entries(bench, content) if one.default]
-    effective = bench.model_dump(by_alias=True, mode="json")
-    print(json.dumps({"schema": "piezod.config/1", "effective": effective, "defaults": defaults}, indent=2))
+    defaults = [".".join(one.path) for one in entries(values, content) if one.default]
+    print(json.dumps({"schema": "piezod.config/1", "effective": values, "defaults": defaults}, indent=2))
 
 
 @configuration.command("check", epilog="Example: piezod config check config/bench.yaml")

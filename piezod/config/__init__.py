@@ -12,7 +12,7 @@ from piezod.config.bench import (
 from piezod.config.checked import Section, check, shortened
 from piezod.config.comments import comments_of
 from piezod.config.edited import edited
-from piezod.config.effective import effective_text, entries
+from piezod.config.effective import dumped, effective_text, entries
 from piezod.config.limits import LimitsConfig, loosened
 from piezod.config.schema import bench_schema
 from piezod.config.yaml_reader import Document, read_document
@@ -29,6 +29,7 @@ __all__ = [
     "bench_schema",
     "check",
     "comments_of",
+    "dumped",
     "edited",
     "effective_text",
     "entries",

@@ -23,17 +23,22 @@ class Entry:
     section: bool
 
 
-def entries(bench: BenchConfig, content: dict[str, Any]) -> Iterator[Entry]:
-    """Every key in the order of the readers.
+def dumped(bench: BenchConfig) -> dict[str, Any]:
+    """Every key with its value as a file would have it, in the order of the readers."""
+    return bench.model_dump(by_alias=True, mode="json")
+
+
+def entries(values: dict[str, Any], content: dict[str, Any]) -> Iterator[Entry]:
+    """Every key, section by section.
 
     Parameters
     ----------
-    bench
-        As it was read.
+    values
+        As `dumped`.
     content
         What the file holds, to tell what it leaves out.
     """
-    return _entries(bench.model_dump(by_alias=True, mode="json"), content, ())
+    return _entries(values, content, ())
 
 
 def _entries(values: dict[str, Any], content: object, above: tuple[str, ...]) -> Iterator[Entry]:
@@ -47,10 +52,10 @@ def _entries(values: dict[str, Any], content: object, above: tuple[str, ...]) ->
             yield Entry((*above, key), value, default, section=False)
 
 
-def effective_text(bench: BenchConfig, content: dict[str, Any]) -> str:
+def effective_text(values: dict[str, Any], content: dict[str, Any]) -> str:
     """The whole configuration as YAML that can be read again, units and defaults in comments."""
     lines = []
-    for entry in entries(bench, content):
+    for entry in entries(values, content):
         indent = "  " * (len(entry.path) - 1)
         said = f"{indent}{entry.path[-1]}:" + ("" if entry.section else f" {_scalar(entry.value)}")
         remarks = [unit_of(entry.path[-1])] if not entry.section else []

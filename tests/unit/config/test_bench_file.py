@@ -6,7 +6,17 @@ import jsonschema
 import pytest
 import yaml
 
-from piezod.config import BenchConfig, Document, bench_of, bench_schema, comments_of, edited, effective_text, load_bench
+from piezod.config import (
+    BenchConfig,
+    Document,
+    bench_of,
+    bench_schema,
+    comments_of,
+    dumped,
+    edited,
+    effective_text,
+    load_bench,
+)
 from piezod.config.units import unit_of
 from piezod.errors import ConfigurationError
 
@@ -75,14 +85,14 @@ def test_comments_are_found_behind_their_keys_continued_and_commented_out():
 def test_the_effective_configuration_read_again_is_the_same(path):
     bench = load_bench(path)
     content = yaml.safe_load(path.read_text(encoding="utf-8"))
-    text = effective_text(bench, content)
+    text = effective_text(dumped(bench), content)
     assert bench_of(Document(path, text)) == bench
 
 
 def test_defaults_and_units_stand_beside_the_values():
     content = yaml.safe_load(BENCH.read_text(encoding="utf-8"))
     del content["limits"]["stuck_travel_V"]
-    lines = effective_text(BenchConfig.model_validate(content), content).splitlines()
+    lines = effective_text(dumped(BenchConfig.model_validate(content)), content).splitlines()
     assert "  stuck_travel_V: 5.0                       # V, default" in lines
     assert "  slew_V_per_s: 4000.0                      # V/s" in lines
 

@@ -1,0 +1,214 @@
+"""`piezod support-bundle`: what somebody elsewhere needs to understand a bench, and nothing that must stay there.
+
+bundle.json         versions, machine, model, what was left out and why
+bench.yaml          the effective configuration, secrets replaced
+status.json         what the daemon says, or why it says nothing
+ticks.csv           the last ticks of the ring log
+transitions.txt     what happened among them
+"""
+
+import contextlib
+import importlib.metadata
+import io
+import json
+import os
+import platform
+import sys
+import time
+import zipfile
+from ipaddress import ip_address
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from piezod import __version__
+from piezod.config import BenchConfig, dumped, effective_text, load_bench, model_path, read_document
+from piezod.control import CAUSE_TEXT, ROW_DTYPE, Cause, RingReader, State
+from piezod.daemon.client import Client
+from piezod.errors import ConfigurationError, PiezodError, UsageError
+from piezod.model import load_model
+from piezod.model.parameters import file_sha256
+
+REMOVED = "REMOVED"
+LAST_TICKS = 20_000
+SHORTEST_SECRET = 4  # signs
+PACKAGES = ("numpy", "numba", "pyserial", "pymodbus", "PyYAML", "pydantic", "prometheus-client", "scipy", "bokeh")
+
+
+def write_bundle(config: Path, output: Path, *, force: bool = False) -> dict[str, Any]:
+    """Collect everything into one ZIP file.
+
+    Parameters
+    ----------
+    config
+        Bench configuration; the daemon need not run.
+    output
+        The file to write.
+    force
+        Replace it.
+
+    Returns
+    -------
+    dict
+        What `bundle.json` holds.
+
+    Raises
+    ------
+    UsageError
+        The file is there already.
+    ConfigurationError
+        The configuration is none, or the file cannot be written.
+    """
+    bench = load_bench(config)
+    if output.exists() and not force:
+        raise UsageError(f"{output} is there already; name another with -o, or replace it with --force")
+    left_out: dict[str, str] = {}
+    parts = {"bench.yaml": redacted(bench, read_document(config).content)}
+    for name, make in (("status.json", _status), ("ticks.csv", _ticks), ("transitions.txt", _transitions)):
+        try:
+            parts[name] = make(bench)
+        except PiezodError as error:
+            left_out[name] = str(error)
+    about = {
+        "schema": "piezod.support/1",
+        "made": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()),
+        "versions": _versions(),
+        "machine": _machine(),
+        "model": _model(bench, config),
+        "left_out": left_out,
+    }
+    parts["bundle.json"] = json.dumps(about, indent=2) + "\n"
+    parts = {name: text if name == "bench.yaml" else _without(text, _secrets(bench)) for name, text in parts.items()}
+    temporary = output.with_name(f".{output.name}.{os.getpid()}")
+    try:
+        with zipfile.ZipFile(temporary, "w", zipfile.ZIP_DEFLATED) as bundle:
+            for name, text in parts.items():
+                bundle.writestr(name, text)
+        temporary.chmod(0o600)
+        temporary.replace(output)
+    except OSError as error:
+        raise ConfigurationError(f"{output}: cannot be written: {error.strerror}") from error
+    finally:
+        temporary.unlink(missing_ok=True)
+    return about
+
+
+def _without(text: str, secrets: set[str]) -> str:
+    """For what was not made key by key: a short text would be found within words."""
+    for secret in sorted((one for one in secrets if len(one) >= SHORTEST_SECRET), key=len, reverse=True):
+        text = text.replace(secret, REMOVED)
+    return text.replace(str(Path.home()), "~")
+
+
+def redacted(bench: BenchConfig, content: dict[str, Any]) -> str:
+    """The effective configuration without what could be a secret or tell where the bench stands.
+
+    Replaced are file names and names of TLS, host names and public addresses, groups, and the lines of an ASCII
+    protocol, which may carry a password. Numbers, registers and private addresses stay: they are what is asked about.
+    """
+    return effective_text(_redacted(dumped(bench), _secrets(bench)), content)
+
+
+def _secrets(bench: BenchConfig) -> set[str]:
+    """Texts that must not leave the house, wherever they stand."""
+    found: set[str] = set()
+    for name in ("link", "load_cell_link"):
+        link = dumped(bench)[name]
+        if link is None:
+            continue
+        found |= {value for value in (link.get("tls") or {}).values() if value}
+        found |= {command["send"] for command in _commands(link)}
+        found |= {command["reply"] for command in _commands(link) if command["reply"]}
+        if (host := link.get("host")) and not _private(host):
+            found.add(host)
+    return found | {value for value in (bench.daemon.socket_group,) if value}
+
+
+def _commands(link: dict[str, Any]) -> list[dict[str, Any]]:
+    """Lines of an ASCII protocol."""
+    single = (link.get(name) for name in ("set_voltage", "measure", "identity", "watchdog"))
+    return [one for one in (*single, *link.get("setup", ())) if one]
+
+
+def _private(host: str) -> bool:
+    try:
+        return not ip_address(host).is_global
+    except ValueError:
+        return host == "localhost"
+
+
+def _redacted(value: object, secrets: set[str]) -> Any:  # noqa: ANN401  # what YAML holds
+    """The same with every secret replaced."""
+    if isinstance(value, dict):
+        return {key: _redacted(one, secrets) for key, one in value.items()}
+    if isinstance(value, list | tuple):
+        return [_redacted(one, secrets) for one in value]
+    return REMOVED if isinstance(value, str) and value in secrets else value
+
+
+def _status(bench: BenchConfig) -> str:
+    client = Client(bench.socket_path)
+    try:
+        return json.dumps(client.ask("status"), indent=2) + "\n"
+    finally:
+        client.close()
+
+
+def _rows(bench: BenchConfig) -> np.ndarray:
+    ring = RingReader(bench.ring_log_path)
+    ring.seek(max(0, ring.waiting - LAST_TICKS))
+    return ring.read()
+
+
+def _ticks(bench: BenchConfig) -> str:
+    rows, lines = _rows(bench), io.StringIO()
+    lines.write(",".join(ROW_DTYPE.names or ()) + "\n")
+    for row in rows.tolist():
+        lines.write(",".join(f"{value:.9g}" if isinstance(value, float) else str(value) for value in row) + "\n")
+    return lines.getvalue()
+
+
+def _transitions(bench: BenchConfig) -> str:
+    rows = _rows(bench)
+    changed = np.flatnonzero(np.diff(rows["state"]) | np.diff(rows["cause"])) + 1
+    return "".join(
+        f"tick {row['tick']}: {State(row['state']).name}, {CAUSE_TEXT[Cause(row['cause'])]}\n"
+        for row in rows[[0, *changed] if rows.size else []]
+    )
+
+
+def _versions() -> dict[str, str]:
+    found = {"piezod": __version__, "python": platform.python_version()}
+    for name in PACKAGES:
+        with contextlib.suppress(importlib.metadata.PackageNotFoundError):
+            found[name] = importlib.metadata.version(name)
+    return found
+
+
+def _machine() -> dict[str, Any]:
+    """What decides how late a tick is; no name, no user, no address."""
+    return {
+        "system": f"{platform.system()} {platform.release()}",
+        "kernel": platform.version(),
+        "machine": platform.machine(),
+        "cores": os.cpu_count(),
+        "load": [round(one, 2) for one in os.getloadavg()],
+        "real_time_kernel": Path("/sys/kernel/realtime").exists(),
+        "interpreter": sys.implementation.name,
+    }
+
+
+def _model(bench: BenchConfig, config: Path) -> dict[str, Any]:
+    path = model_path(bench, config)
+    try:
+        model = load_model(path)
+        return {
+            "sha256": file_sha256(path),
+            "name": model.name,
+            "plays": len(model.hysteresis.plays.weights),
+            "dead_zones": len(model.hysteresis.dead_zones.weights),
+            "effects": [one.name for one in model.effects],
+        }
+    except (PiezodError, OSError) as error:
+        return {"problem": str(error)}
