@@ -28,15 +28,33 @@ SocketOption = Annotated[Path | None, typer.Option("--socket", metavar="PATH", h
 WaitOption = Annotated[bool, typer.Option(help="Wait for what comes of it.")]
 
 
+_Misused = typer.BadParameter.__mro__[2]  # click's base of all that is wrong with arguments
+
+
 def main() -> None:
     """Run a command; a deliberate error is one line on stderr and its exit code."""
     try:
-        app()
+        code = app(standalone_mode=False, prog_name="piezod")
+        sys.exit(code if isinstance(code, int) else 0)
     except PiezodError as error:
         print(f"piezod: {error}", file=sys.stderr)
         sys.exit(error.exit_code)
-    except KeyboardInterrupt:
+    except (KeyboardInterrupt, typer.Abort):
         sys.exit(130)
+    except Exception as error:
+        if not isinstance(error, _Misused):
+            raise
+        print(_misuse_text(error), file=sys.stderr)
+        sys.exit(UsageError.exit_code)
+
+
+def _misuse_text(error: Exception) -> str:
+    """What is wrong with the arguments, in one line; the help where nothing was given at all."""
+    context, said = getattr(error, "ctx", None), getattr(error, "format_message", lambda: str(error))()
+    if context is not None and said.startswith("Usage:"):
+        return str(said)
+    path = "piezod" if context is None else context.command_path
+    return f"piezod: {' '.join(said.split()).rstrip('.')}; see {path} --help"
 
 
 def _version(wanted: bool) -> None:

@@ -1,0 +1,183 @@
+"""What every command promises: an example in its help, JSON where it reads, and a refusal of one line with its code."""
+
+import json
+import re
+import shlex
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+import typer.main
+
+from piezod import cli
+from piezod.daemon.shipped import shipped
+from piezod.model import load_model
+from piezod.recording import Recording, write_recording
+
+# DESIGN.md, section 6, and issue 7.
+COMMANDS = {
+    "demo", "run", "check", "record", "identify", "simulate", "diagnose", "validate", "blind make", "blind run",
+    "blind score", "latency", "effects", "status", "arm", "disarm", "stop", "reset", "reload", "commission",
+    "watch", "init", "config schema", "config show", "config check", "convert", "compare", "resid", "support-bundle",
+}  # fmt: skip
+WITHOUT_JSON = {
+    "watch": "serves a page",
+    "record": "writes a recording",
+    "config schema": "prints JSON anyway",
+    "blind make": "writes a study",
+    "blind run": "writes verdicts",
+}
+NOT_THERE = "/nowhere/nothing.yaml"
+REFUSALS = [
+    # arguments, exit code, said
+    ("demo --report", 2, "requires an argument"),
+    (f"run {NOT_THERE}", 78, "cannot be read"),
+    ("check", 2, "Missing argument 'CONFIG'; see piezod check --help"),
+    (f"record {NOT_THERE} --excitation constant-triangles -o /tmp/x.csv", 78, "cannot be read"),
+    (f"record {NOT_THERE} --excitation constant-triangles -o /tmp/x.doc", 78, "suffix is '.doc', must be one of"),
+    ("identify /nowhere/a.csv -o /tmp/x.yaml", 78, "cannot be read"),
+    ("identify /nowhere/a.csv -o /tmp/x.yaml --variant C", 2, "--variant is 'C', must be A or B"),
+    ("simulate /nowhere/a.csv --model /nowhere/m.yaml -o /tmp/x.csv", 78, "cannot be read"),
+    ("diagnose /nowhere/a.csv --model /nowhere/m.yaml -o /tmp/piezod-nothing", 78, "cannot be read"),
+    (f"validate {NOT_THERE} --model /nowhere/m.yaml", 78, "cannot be read"),
+    ("commission -o /tmp/piezod-nothing", 2, "give CONFIG or --emulated SCENARIO"),
+    ("blind make /proc/nothing --cases 0", 2, "see piezod blind make --help"),
+    ("blind run /nowhere/study -o /tmp/x --jobs 1 --scheduler tcp://h:1", 2, "give one of them"),
+    ("blind score /nowhere/study /nowhere/verdicts", 78, "/nowhere/study"),
+    ("latency --seconds -4", 2, "'--seconds'"),
+    ("effects crep", 2, "crep"),
+    ("status --socket /nowhere/s.sock", 75, "is the daemon running?"),
+    ("arm --socket /nowhere/s.sock", 75, "is the daemon running?"),
+    ("disarm --socket /nowhere/s.sock", 75, "is the daemon running?"),
+    ("stop --socket /nowhere/s.sock", 75, "is the daemon running?"),
+    ("stop --direct", 2, "--direct needs CONFIG"),
+    ("reset --socket /nowhere/s.sock", 75, "is the daemon running?"),
+    ("reload --socket /nowhere/s.sock", 75, "is the daemon running?"),
+    (f"watch {NOT_THERE}", 78, "cannot be read"),
+    ("init --yes -o /tmp/piezod-nothing.yaml", 2, "--profile is missing, one of"),
+    ("config schema x", 2, "see piezod config schema --help"),
+    (f"config show {NOT_THERE}", 78, "cannot be read"),
+    (f"config check {NOT_THERE}", 78, "cannot be read"),
+    ("convert /nowhere/a.csv -o /tmp/x.mat", 78, "cannot be read"),
+    ("compare /nowhere/a.csv", 2, "nothing to compare with: give another REC, or --model MODEL"),
+    ("resid /nowhere/a.csv --model /nowhere/m.yaml", 78, "cannot be read"),
+    (f"support-bundle {NOT_THERE} -o /tmp/x.zip", 78, "cannot be read"),
+    ("frobnicate", 2, "No such command 'frobnicate'; see piezod --help"),
+]
+
+
+def leaves(group, above=""):
+    """Every command by its words."""
+    for name, command in group.commands.items():
+        if hasattr(command, "commands"):
+            yield from leaves(command, f"{above}{name} ")
+        else:
+            yield f"{above}{name}", command
+
+
+ALL = dict(leaves(typer.main.get_command(cli.app)))
+
+
+def run(line, capsys):
+    """A command in this process: its exit code and what it said."""
+    before = sys.argv
+    sys.argv = ["piezod", *(shlex.split(line) if isinstance(line, str) else map(str, line))]
+    try:
+        with pytest.raises(SystemExit) as ended:
+            cli.main()
+    finally:
+        sys.argv = before
+    said = capsys.readouterr()
+    return int(ended.value.code or 0), said.out, said.err
+
+
+def test_the_commands_are_those_that_are_promised():
+    assert set(ALL) == COMMANDS
+
+
+@pytest.mark.parametrize("name", sorted(COMMANDS))
+def test_help_says_what_it_does_and_how_it_is_called(name, capsys):
+    code, out, _ = run(f"{name} --help", capsys)
+    assert code == 0
+    assert ALL[name].help
+    assert f"Example: piezod {name}" in " ".join(out.split())
+
+
+@pytest.mark.parametrize("name", sorted(COMMANDS))
+def test_the_example_is_a_call_that_the_command_takes(name):
+    epilog = re.sub(r"\s+>\s+\S+$", "", ALL[name].epilog)
+    words = shlex.split(epilog.removeprefix(f"Example: piezod {name}"))
+    ALL[name].make_context(name, words)
+
+
+@pytest.mark.parametrize("name", sorted(COMMANDS))
+def test_what_reads_prints_json_when_asked_to(name):
+    has = any("--json" in option.opts for option in ALL[name].params)
+    assert has != (name in WITHOUT_JSON)
+
+
+@pytest.mark.parametrize(("line", "code", "says"), REFUSALS, ids=[line for line, _, _ in REFUSALS])
+def test_a_refusal_is_one_line_with_its_code(line, code, says, capsys):
+    found, out, err = run(line, capsys)
+    assert (found, out) == (code, ""), err
+    assert len(err.splitlines()) == 1, err
+    assert err.startswith("piezod: ")
+    assert says in err
+
+
+def test_every_command_has_a_refusal_in_the_table():
+    assert {name for name in COMMANDS if any(line.startswith(name) for line, _, _ in REFUSALS)} == COMMANDS
+
+
+def test_without_words_the_help_is_shown_and_that_is_misuse(capsys):
+    for line in ("", "blind", "config"):
+        code, _, err = run(line, capsys)
+        assert code == 2
+        assert err.startswith("Usage: piezod")
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory):
+    time_s = np.arange(4000) * 5e-3
+    voltage_V = 50.0 * (1.0 - np.cos(2 * np.pi * 0.2 * time_s))
+    force_N = load_model(shipped("model.yaml")).operator().run(voltage_V)
+    path = tmp_path_factory.mktemp("recording") / "work.csv"
+    noise_N = 0.3 * np.random.default_rng(1).standard_normal(time_s.size)
+    write_recording(Recording(time_s, {"voltage_V": voltage_V, "force_N": force_N + noise_N}), path)
+    return path
+
+
+@pytest.mark.parametrize(
+    ("line", "schema"),
+    [
+        ("effects creep", "piezod.effects/1"),
+        ("config show {bench}", "piezod.config/1"),
+        ("config check {bench}", "piezod.config_check/1"),
+        ("simulate {recording} --model {model} -o {out}.csv", "piezod.simulation/1"),
+        ("convert {recording} -o {out}.sqlite", "piezod.convert/1"),
+        ("compare {recording} --model {model}", "piezod.comparison/1"),
+        ("resid {recording} --model {model}", "piezod.residual/1"),
+        ("support-bundle {bench} -o {out}.zip", "piezod.support/1"),
+        ("init --yes --profile labjack_t7 --no-probe -o {out}.yaml", "piezod.init/1"),
+    ],
+)
+def test_json_is_one_document_that_names_its_schema(line, schema, recording, tmp_path, capsys):
+    places = {"bench": shipped("bench.yaml"), "model": shipped("model.yaml"), "recording": recording}
+    code, out, _ = run(line.format(out=tmp_path / "out", **places) + " --json", capsys)
+    assert code == 0
+    assert json.loads(out)["schema"] == schema
+
+
+def test_the_emulator_refuses_in_one_line_too():
+    done = subprocess.run(
+        [sys.executable, "-m", "firmware_sim", NOT_THERE], capture_output=True, text=True, check=False, timeout=60
+    )
+    assert done.returncode == 78
+    assert len(done.stderr.strip().splitlines()) == 1
+
+
+def test_what_a_pipe_cut_off_is_no_traceback():
+    command = f"{shlex.quote(sys.executable)} -m piezod effects | head -1"
+    done = subprocess.run(["/bin/bash", "-c", command], capture_output=True, text=True, check=False, timeout=60)
+    assert "Traceback" not in done.stderr
