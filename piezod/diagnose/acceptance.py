@@ -32,6 +32,7 @@ FAIR_SHARE = 0.02  # of the largest gain so far: more effects than that are the 
 LATE = 0.05  # of a sample
 RINGS = 0.6  # damping ratio beyond which nothing is seen to ring
 SLIDES = 0.5  # of the force's range: friction with a longer presliding never slides
+NO_LONGER = 0.99  # of the range
 PLAINER = 0.01  # of the loss, that a parameter must bring
 
 
@@ -94,14 +95,16 @@ def fair(chain: Chain, before: Fitted, after: Fitted, largest: float) -> bool:
 def degenerate(chain: Chain, fitted: Fitted) -> bool:
     """Whether the last effect is not what its name says.
 
-    Friction that never slides is a gain, a resonance that does not ring is a lag, a step without edges is a drift; what
-    is late by next to nothing of a sample is the moment of reading.
+    A leak as slow as the catalogue knows is a drift, friction that never slides a gain, a resonance that does not ring
+    a lag, a step without edges a drift; what is late by next to nothing of a sample is the moment of reading.
     """
     term, values = fitted.terms[-1], fitted.point.values[-1]
     if term.effect.name == "friction":
         return values["presliding_N"] > SLIDES * chain.parameter(term.effect, "presliding_N").high
     if term.effect.name == "resonance":
         return values["damping_ratio"] > RINGS
+    if term.effect.name == "charge_leakage":
+        return values["time_constant_s"] > NO_LONGER * chain.parameter(term.effect, "time_constant_s").high
     late_s = {
         "electrical_lag": values.get("time_constant_s", 0.0),
         "transport_delay": values.get("delay_s", 0.0),

@@ -86,6 +86,12 @@ class Layout:
             tuple(values),
         )
 
+    def stiffness(self, samples: float) -> Array:
+        """Curvature of what draws stiff parameters to zero, shape (size,)."""
+        stiff = np.zeros(self.size)
+        stiff[self.effects :] = [samples * one.stiffness for _, one in self.searched]
+        return stiff
+
     def prior(self, chain: Chain, point: Point) -> Array:
         """Curvature of a weak prior: by how much a parameter may differ where nothing tells, shape (size, size).
 
@@ -196,12 +202,13 @@ class Normal:
     loss: float  # robust
     scales: list[float]
     ridge: Array
+    pull: Array  # towards zero, of stiff parameters
 
     @classmethod
     def at(cls, chain: Chain, terms: Sequence[Term], point: Point, near: "Normal | None" = None) -> "Normal":
         """Normal equations of a hypothesis at a point, with the base's tangents of one that is near or its own."""
         layout = Layout(chain, terms)
-        made = cls(chain, [], [], [], [], [], [], *(np.empty(0),) * 4, 0.0, [], np.empty(0))
+        made = cls(chain, [], [], [], [], [], [], *(np.empty(0),) * 4, 0.0, [], *(np.empty(0),) * 2)
         hessian, gradient, squares, samples = [], [], [], []
         for number, series in enumerate(chain.series):
             reading, jacobian = _jacobian(chain, terms, point, layout, number, near)
@@ -228,16 +235,22 @@ class Normal:
                 samples.append(float(trusted[block] @ trusted[block]))
         made.hessian, made.gradient = np.array(hessian), np.array(gradient)
         made.squares, made.samples = np.array(squares), np.array(samples)
-        made.ridge = _ridge(made.hessian)
+        stiff, vector = layout.stiffness(float(made.samples.sum())), layout.vector(point)
+        made.ridge, made.pull = _ridge(made.hessian) + np.diag(stiff), -stiff * vector
+        made.loss += float(stiff @ vector**2)
         return made
 
     @staticmethod
     def loss_at(chain: Chain, terms: Sequence[Term], point: Point, scales: list[float]) -> float:
         """The robust loss alone."""
-        loss = 0.0
+        loss, samples = 0.0, 0.0
         for number, series in enumerate(chain.series):
-            residual, _ = residual_of(series, chain.rows[number], chain.compared(number, terms, point))
+            rows = chain.rows[number]
+            residual, _ = residual_of(series, rows, chain.compared(number, terms, point))
             loss += _robust(residual, scales[number])
+            samples += float(series.weights[rows] @ series.weights[rows])
+        layout = Layout(chain, terms)
+        loss += float(layout.stiffness(samples) @ layout.vector(point) ** 2)
         return loss if np.isfinite(loss) else np.inf
 
     def step(self, damping: float, held: Array) -> Array:
@@ -245,7 +258,7 @@ class Normal:
         hessian = self.hessian.sum(axis=0) + self.ridge
         hessian += damping * np.diag(np.diag(hessian))
         free, step = np.isnan(held), np.nan_to_num(held)
-        side = self.gradient.sum(axis=0) - hessian @ step
+        side = self.gradient.sum(axis=0) + self.pull - hessian @ step
         step[free] = _solved(hessian[np.ix_(free, free)], side[free])
         return step
 
@@ -272,7 +285,7 @@ class Normal:
             across[:, here] += self.jacobians[number].T @ weighted
             inner[np.ix_(here, here)] += scaled.T @ weighted
             along[here] += scaled.T @ self.weighted[number]
-        hessian, gradient = self.hessian.sum(axis=0) + self.ridge, self.gradient.sum(axis=0)
+        hessian, gradient = self.hessian.sum(axis=0) + self.ridge, self.gradient.sum(axis=0) + self.pull
         solved = np.array([_solved(hessian, column) for column in across.T]).T
         free = inner - across.T @ solved
         own = np.diag(free) > 1e-9 * np.diag(inner)
@@ -306,7 +319,7 @@ class Normal:
         """
         layout = Layout(self.chain, terms)
         hessian = self.hessian.sum(axis=0) + self.ridge + layout.prior(self.chain, point)
-        gradient = self.gradient.sum(axis=0)
+        gradient = self.gradient.sum(axis=0) + self.pull
         losses = np.empty(self.squares.size)
         moves = np.empty((self.squares.size, gradient.size))
         for b in range(losses.size):

@@ -15,9 +15,11 @@ CELLS = 400  # of a recording, at whose edges a step may come or go at first
 APART = 4  # cells between one proposal's edges and the next one's
 SHORTEST = 2  # cells
 WINDOWS_S = (0.1, 0.3, 1.0, 3.0)  # before and after an edge
+EDGE_WITHIN_S, EDGE_LOOKED_AT_S = 0.25, 0.5  # of where it was fitted on few samples; around it
 CLEAR = 5.0  # jump of the means on both sides of an edge, in the standard deviations that such jumps have elsewhere
 LIKE_THE_STEP = 0.4  # by how much of the height a jump may differ from it,
 OF_LATTICE = 0.5  # of a coarse converter's step: a lower one is the lattice's own beat
+LEAPS_WITHIN_S, LEAP, RARE = 0.05, 0.5, 95.0  # of an edge; of the command's largest move; percentile of its moves
 CHANCE = 2.0  # and by how many such standard deviations besides
 
 
@@ -105,7 +107,7 @@ class _Sums:
             np.concatenate(([0.0], np.cumsum(normal.weighted[number] * change))),
             np.concatenate(([0.0], np.cumsum(normal.weights[number] * change**2))),
             np.vstack((np.zeros(whiten.shape[1]), np.cumsum(columns, axis=0))) @ whiten,
-            normal.gradient.sum(axis=0) @ whiten,
+            (normal.gradient.sum(axis=0) + normal.pull) @ whiten,
         )
 
     def _parts(self, first: NDArray[np.int64], end: NDArray[np.int64]) -> tuple[Array, Array]:
@@ -124,8 +126,35 @@ class _Sums:
         return float(along / free)
 
 
+def edge_near(series: Series, without_N: Array, at_s: float) -> float:
+    """Where near an instant two levels, before it and after it, fit a residual best [s].
+
+    Parameters
+    ----------
+    series
+        The recording.
+    without_N
+        Reading less simulation without the step, shape (N,) [N].
+    at_s
+        Near which it is looked for.
+    """
+    dt_s, size = series.dt_s, series.time_s.size
+    middle, reach, near = round(at_s / dt_s), round(EDGE_WITHIN_S / dt_s), round(EDGE_LOOKED_AT_S / dt_s)
+    first, end = max(middle - reach - near, 0), min(middle + reach + near, size)
+    values, counts = without_N[first:end], series.counts[first:end].astype(np.float64)
+    places = np.arange(max(middle - reach, first + 2), min(middle + reach, end - 2))
+    if places.size == 0 or not counts.any():
+        return at_s
+    sums, told = np.cumsum(np.where(counts > 0.0, values, 0.0)), np.cumsum(counts)
+    before, known = sums[places - first - 1], told[places - first - 1]
+    level = before**2 / np.maximum(known, 1.0) + (sums[-1] - before) ** 2 / np.maximum(told[-1] - known, 1.0)
+    return float(places[int(np.argmax(level))]) * dt_s
+
+
 def sharp(series: Series, residual_N: Array, step: Step) -> bool:
     """Whether the reading jumps by the step's height at each of its edges, clearly beyond what it does elsewhere.
+
+    And at instants of which the command knows nothing.
 
     Parameters
     ----------
@@ -143,6 +172,8 @@ def sharp(series: Series, residual_N: Array, step: Step) -> bool:
     for place, height in ((step.first, step.height_N), (step.end, -step.height_N)):
         if not 0 < place < size:
             continue
+        if _command_leaps(series, place):
+            return False
         told = []
         for window_s in WINDOWS_S:
             near = int(window_s / series.dt_s)
@@ -159,6 +190,15 @@ def sharp(series: Series, residual_N: Array, step: Step) -> bool:
         if any(abs(jump - height) > LIKE_THE_STEP * abs(height) + CHANCE * usual for jump, usual in told):
             return False
     return 0 < step.first < size or 0 < step.end < size
+
+
+def _command_leaps(series: Series, place: int) -> bool:
+    """Whether the command moves at a sample as far as it hardly ever does: what jumps there answers to it."""
+    near = max(round(LEAPS_WITHIN_S / series.dt_s), 2)
+    starts = np.arange(0, series.time_s.size - 2 * near, near)
+    moves = np.array([np.ptp(series.command_V[first : first + 2 * near]) for first in starts])
+    here = float(np.ptp(series.command_V[max(place - near, 0) : place + near]))
+    return moves.size > 0 and here > LEAP * float(moves.max()) and here > float(np.percentile(moves, RARE))
 
 
 def _usual(jumps: Array) -> float:

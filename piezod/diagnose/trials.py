@@ -12,7 +12,7 @@ from piezod.diagnose.courses import coarse, started_alike
 from piezod.diagnose.fit import MOST_STEPS, Fitted, Normal, fit
 from piezod.diagnose.ideas import Idea, screened, since
 from piezod.diagnose.parallel import each
-from piezod.diagnose.steps import NEVER_S, likely_steps
+from piezod.diagnose.steps import NEVER_S, edge_near, likely_steps
 from piezod.effects import EFFECTS
 from piezod.effects.effect import STRAIGHT
 
@@ -60,7 +60,21 @@ def _fine(chain: Chain, before: Fitted, tried: Sequence[Fitted]) -> list[Fitted]
     best = sorted(tried, key=lambda one: one.loss)
     enough = before.loss - NEAR * (before.loss - best[0].loss) if best else 0.0
     near = sum(one.loss < enough for one in best[:COMPARED])
-    return each(lambda one: fit(chain, one.terms, one.point, most_steps=6), best[: max(near, FEWEST_COMPARED)])
+    starts = [(one.terms, _at_edges(chain, one)) for one in best[: max(near, FEWEST_COMPARED)]]
+    return each(lambda one: fit(chain, *one, most_steps=6), starts)
+
+
+def _at_edges(chain: Chain, fitted: Fitted) -> Point:
+    """A step of the load that was fitted on few samples, moved to where the readings jump."""
+    term, values = fitted.terms[-1], fitted.point.values[-1]
+    if term.effect.name != "load_step":
+        return fitted.point
+    series = chain.series[term.series]
+    without = replace(fitted.point, values=(*fitted.point.values[:-1], {**values, "step_N": 0.0}))
+    left_N = series.reading_N - chain.run(term.series, fitted.terms, without).reading_N
+    inside = {name: values[name] for name in ("on_s", "off_s") if 0.0 < values[name] < series.duration_s}
+    moved = {name: edge_near(series, left_N, at_s) for name, at_s in inside.items()}
+    return replace(fitted.point, values=(*fitted.point.values[:-1], {**values, **moved}))
 
 
 def _tried(chain: Chain, found: Fitted, past: Point) -> list[Fitted]:

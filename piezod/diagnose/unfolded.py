@@ -37,7 +37,7 @@ def unfolded(chain: Chain, found: Fitted) -> Fitted:
     best: Array = vector
     for _ in range(STEPS):
         normal = Normal.at(chain, found.terms, layout.point(vector, found.point))
-        hessian, gradient = normal.hessian.sum(axis=0) + normal.ridge, normal.gradient.sum(axis=0)
+        hessian, gradient = normal.hessian.sum(axis=0) + normal.ridge, normal.gradient.sum(axis=0) + normal.pull
         try:
             vector = layout.clipped(solve_step(hessian, gradient, constraints, vector))
         except RecordingError:

@@ -56,6 +56,8 @@ class Parameter:
         The few values it can have, for a parameter that is not searched but tried.
     place
         Whether it names an instant of the record [s].
+    stiffness
+        What a value of one costs a sample, in parts of its noise's variance: it stays near zero where little tells.
     """
 
     name: str
@@ -67,6 +69,7 @@ class Parameter:
     nuisance: bool = False
     choices: tuple[float, ...] = ()
     place: bool = False
+    stiffness: float = 0.0
 
     def __post_init__(self) -> None:
         assert self.low < self.high

@@ -46,14 +46,21 @@ def first_order_run(x: Array, time_constant_s: float, dt_s: float, between: floa
     return out
 
 
-@numba.njit(cache=True, nogil=True)
-def chain_step(states: Array, keep: Array, ramp: Array, weights: Array, before: float, now: float) -> float:
-    """`first_order_step` of several states beside each other, in place; their weighted sum."""
+@numba.njit(cache=True, nogil=True, fastmath={"reassoc"})
+def weighted_sum(weights: Array, states: Array) -> float:
+    """Sum of products, in any order: several at a time."""
     total = 0.0
     for j in range(states.size):
-        states[j] = first_order_step(states[j], before, now, keep[j], ramp[j])
         total += weights[j] * states[j]
     return total
+
+
+@numba.njit(cache=True, nogil=True, inline="always")
+def chain_step(states: Array, keep: Array, ramp: Array, weights: Array, before: float, now: float) -> float:
+    """`first_order_step` of several states beside each other, in place; their weighted sum."""
+    for j in range(states.size):
+        states[j] = first_order_step(states[j], before, now, keep[j], ramp[j])
+    return weighted_sum(weights, states)
 
 
 @numba.njit(cache=True, nogil=True)

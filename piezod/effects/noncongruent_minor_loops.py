@@ -20,6 +20,7 @@ from piezod.effects.effect import Array, Context, Effect, Parameter, Seat, Value
 PLAYS = 24
 HATS = 3
 DEGREES = 4
+STIFF = 1.0
 NAMES = (
     *(f"degree_{d}_{j}" for d in range(1, DEGREES + 1) for j in range(HATS)),
     *(f"curve_{d}" for d in range(2, DEGREES + 1)),
@@ -85,7 +86,7 @@ EFFECT = Effect(
     form="additive",
     parameters=(
         Parameter("share", "1", 0.0, 1.0, starts=(1.0,), choices=(1.0,)),
-        *(Parameter(name, "1", -3.0, 3.0, starts=(0.1,), nuisance=True) for name in NAMES),
+        *(Parameter(name, "1", -3.0, 3.0, starts=(0.1,), nuisance=True, stiffness=STIFF) for name in NAMES),
     ),
     forward=forward,
     handling="refused",
