@@ -54,7 +54,7 @@ class ExtendedCompensator:
         forget_outdated_steps(plan_chain_step.stats.cache_path, CALLED)
         self._chain = chain_constants(model, found, dt_s)
         self._packed = ImplicitInverse(model.operator()).packed
-        self._delay_s = _delay_s(model, found, without)
+        self.delay_s = _delay_s(model, found, without)
         self._lag_s = found.get("electrical_lag", {}).get("time_constant_s", 0.0)
         self._mode = found.get("resonance")
         thermal = found.get("thermal_drift", {})
@@ -89,6 +89,11 @@ class ExtendedCompensator:
         self._chain[at.THERMAL_N] = self._per_K * (self._felt_C - self._first_C)
 
     @property
+    def arrays(self) -> tuple[Array, Array]:
+        """The operator's packed array and the chain's constants and states: what the steps of `inverse_chain` move."""
+        return self._packed, self._chain
+
+    @property
     def elements(self) -> int:
         """Of the creep."""
         return (self._chain.size - at.FIRST) // 4
@@ -96,7 +101,7 @@ class ExtendedCompensator:
     @property
     def preview_s(self) -> float:
         """How far ahead a reference must be known for all of it [s]."""
-        return self._delay_s + (2.0 * self.dt_s if self._mode else 0.0)
+        return self.delay_s + (2.0 * self.dt_s if self._mode else 0.0)
 
     @property
     def preview_ticks(self) -> int:
@@ -118,8 +123,8 @@ class ExtendedCompensator:
         margin = self.preview_ticks + 3
         wide = np.pad(values, margin, mode="wrap" if loop else "edge")
         ticks = np.arange(wide.size, dtype=np.float64)
-        if self._delay_s > 0.0:
-            wide = np.interp(ticks + ticks_late(self._delay_s, self._lag_s, self.dt_s), ticks, wide)
+        if self.delay_s > 0.0:
+            wide = np.interp(ticks + ticks_late(self.delay_s, self._lag_s, self.dt_s), ticks, wide)
         if self._mode is not None:
             wide = before_mode(wide, self._mode["frequency_Hz"], self._mode["damping_ratio"], self.dt_s)
         return wide[margin:-margin]
@@ -128,11 +133,12 @@ class ExtendedCompensator:
 def _delay_s(model: Model, found: Found, without: Collection[str]) -> float:
     """From the end of a tick, until which its voltage is held, to the reading that shows it [s].
 
-    Where the recording was read some time after each command, a part of the delay is in how it was sampled.
+    Where the recording was read some time after each command, a part of the delay is in how it was sampled. A command
+    that was held and is taken for straight arrives half a sample early in the fit.
     """
     if "transport_delay" in without:
         return 0.0
-    sampled = {"held_before": 1.0, "held": 1.0 - model.read_after, "straight": 0.0}[model.sampling]
+    sampled = {"held_before": 1.0, "held": 1.0 - model.read_after, "straight": 0.5}[model.sampling]
     return found.get("transport_delay", {}).get("delay_s", 0.0) + sampled * (model.sample_s or 0.0)
 
 

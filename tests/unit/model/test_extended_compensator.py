@@ -36,7 +36,7 @@ def extended(model, *names, **changed):
             name=name,
             parameters={one.name: (one.choices or one.starts)[0] for one in EFFECTS[name].parameters}
             | FOUND.get(name, {})
-            | changed,
+            | {key: value for key, value in changed.items() if key in {one.name for one in EFFECTS[name].parameters}},
         )
         for name in names
     )
@@ -145,6 +145,13 @@ def test_what_was_read_a_sample_after_its_command_is_a_delay_of_a_sample(model):
     part = held.model_copy(update={"sampling": "held", "read_after": 0.6})
     planned = ExtendedCompensator(part, DT_S).ahead(reference, loop=False)
     np.testing.assert_allclose(planned[:-2], reference[2:])
+
+
+def test_a_held_command_that_was_fitted_as_a_straight_one_is_driven_as_a_held_one(model):
+    """On a ramp a lag behind a straight command comes late by the lag, behind a held one by half a sample less."""
+    lagged = extended(model, "transport_delay", "electrical_lag", delay_s=0.0067, time_constant_s=0.0037)
+    fitted = lagged.model_copy(update={"sampling": "straight", "sample_s": DT_S})
+    assert ExtendedCompensator(fitted, DT_S).delay_s == pytest.approx(0.0067 + 0.5 * DT_S)
 
 
 def test_the_inverse_of_a_mode_against_its_own_recursion():
