@@ -7,7 +7,7 @@ import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
-from tests.studies import compensation, overlay, recorder, scenarios, soak, table
+from tests.studies import compensation, effects_compensated, overlay, recorder, scenarios, soak, table
 from tests.studies.laid_over import LAID_OVER, NOT_LAID_OVER
 from tests.studies.peers import command as peers
 from tests.studies.strengths import SWITCHED
@@ -22,6 +22,7 @@ def main() -> None:
     _compensation(
         studies.add_parser("compensation", help="plain gain, static and extended inverse on the emulated bench")
     )
+    _effects_compensated(studies.add_parser("effects_compensated", help="each effect alone, before and after"))
     peers.add_options(studies.add_parser("peers", help="other methods on the cases of a concealed study"))
     recorder.add_options(studies.add_parser("recorder", help="the recorder killed, without power, on a failing disk"))
     soak.add_options(studies.add_parser("soak", help="the daemon for a long time on a busy machine, beside cyclictest"))
@@ -75,6 +76,20 @@ def _compensation(parser: argparse.ArgumentParser) -> None:
         with _folder(options.folder) as folder:
             rows = compensation.study(benches, rates_Hz, extent, folder)
             _told(rows, compensation.header(), compensation.summary, options.json)
+
+    parser.set_defaults(run=run)
+
+
+def _effects_compensated(parser: argparse.ArgumentParser) -> None:
+    names = [name for name in SWITCHED if name != "none"]
+    _shared(parser, names)
+
+    def run(options: argparse.Namespace, parser: argparse.ArgumentParser) -> None:
+        chosen = _picked(parser, "effect", options.only, names)
+        size = scenarios.SHORT if options.short else scenarios.LONG
+        with _folder(options.folder) as folder:
+            rows = effects_compensated.study(chosen, size, folder, jobs=options.jobs)
+            _told(rows, effects_compensated.header(), effects_compensated.summary, options.json)
 
     parser.set_defaults(run=run)
 

@@ -43,6 +43,8 @@ class Followed:
         On the load cell at the end of the tick [N].
     planned_V, voltage_V
         What the compensation wished, and what was written [V].
+    before_V, before_N
+        Voltages and readings from rest until then, each shape (M,) [V], [N].
     """
 
     reference_N: Array
@@ -50,6 +52,8 @@ class Followed:
     true_N: Array
     planned_V: Array
     voltage_V: Array
+    before_V: Array
+    before_N: Array
 
     @property
     def range_N(self) -> float:
@@ -77,7 +81,13 @@ def study_bench(rate_Hz: float) -> BenchConfig:
 
 
 def follow(
-    scenario: Scenario, seed: int, bench: BenchConfig, model: Model, compensation: str, reference: WaveformReference
+    scenario: Scenario,
+    seed: int,
+    bench: BenchConfig,
+    model: Model,
+    compensation: str,
+    reference: WaveformReference,
+    on_for_s: float = 0.0,
 ) -> Followed:
     """Arm a bench that has just been switched on, follow a reference to its end, ramp down.
 
@@ -91,6 +101,8 @@ def follow(
         `gain` or `inverse` of the model.
     reference
         With a duration.
+    on_for_s
+        How long the bench was on, at rest, before it is armed [s].
 
     Raises
     ------
@@ -98,6 +110,7 @@ def follow(
         A fault ended it early.
     """
     physics = Bench(scenario, seed=seed)
+    physics.advance(on_for_s)
     device = Device(physics, Firmware(), "virtual", lambda: 0)
     link = ModbusLink(bench.link, FaultyWire(device, HandClock(0), timeout_ms=0))
     clock = make_rate_keeper(bench, link)
@@ -126,10 +139,13 @@ def _paired(rows: NDArray[np.void], true_N: Array) -> Followed:
     running = rows["state"] == State.RUNNING
     commands = np.flatnonzero(running[:-1] & running[1:])
     answers = commands + 1
+    first = int(commands[0])
     return Followed(
         rows["reference_N"][commands],
         rows["force_N"][answers],
         true_N[answers],
         rows["planned_V"][commands],
         rows["voltage_V"][commands],
+        rows["voltage_V"][:first],
+        rows["force_N"][1 : first + 1],
     )

@@ -1,0 +1,147 @@
+"""What a model expects to be read against its forward chain, and the force behind a reading that is not what it shows."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from piezod.effects import EFFECTS
+from piezod.model import load_model
+from piezod.model.expected import ExpectedReading
+from piezod.model.parameters import EffectValues
+from piezod.model.plant import run_chain
+
+DT_S = 1e-3
+FOUND = {
+    "creep": {"per_decade": 0.02, "from_s": 0.01, "to_s": 100.0},
+    "electrical_lag": {"time_constant_s": 0.02},
+    "rate_dependent_hysteresis": {"growth": 0.05, "reference_V_per_s": 30.0},
+    "output_nonlinearity": {"curvature": -0.08, "cubic": 0.02},
+    "contact_gap": {"gap_N": 20.0, "softness_N": 2.0},
+    "resonance": {"frequency_Hz": 60.0, "damping_ratio": 0.05},
+    "charge_leakage": {"time_constant_s": 3.0},
+    "sensor_filter": {"cutoff_Hz": 20.0},
+    "feedthrough": {"coefficient_N_s_per_V": 0.01, "rise_s": 0.003},
+    "transport_delay": {"delay_s": 0.007},
+    "mains_hum": {"amplitude_N": 2.0, "frequency_Hz": 50.0, "phase_rad": 1.0, "sine_3": 0.3},
+}
+OF_THE_CELL = ("charge_leakage", "sensor_filter", "feedthrough", "transport_delay")
+
+
+@pytest.fixture(scope="module")
+def model():
+    return load_model(Path(__file__).parents[3] / "config" / "model.yaml").model_copy(
+        update={"sampling": "held", "read_after": 1.0}
+    )
+
+
+def with_effects(model, *names, **changed):
+    effects = tuple(
+        EffectValues(
+            name=name,
+            parameters={one.name: (one.choices or one.starts)[0] for one in EFFECTS[name].parameters}
+            | FOUND.get(name, {})
+            | changed,
+        )
+        for name in names
+    )
+    return model.model_copy(update={"effects": effects})
+
+
+def voltage_V(seconds=4.0):
+    """Rest, triangles, a hold, a step and rest again."""
+    t = np.arange(0.0, seconds, DT_S)
+    return t, np.interp(t, [0, 0.2, 0.7, 1.2, 1.9, 2.6, 2.601, 3.2, seconds], [0, 0, 90, 30, 120, 120, 60, 60, 80])
+
+
+def forward_N(model, t, u):
+    return run_chain(model, model.operator(), t, u)
+
+
+ALONE = [(name,) for name in FOUND if name not in ("mains_hum", "transport_delay")]
+
+
+@pytest.mark.parametrize("names", [*ALONE, ("electrical_lag", "resonance"), ("electrical_lag", "sensor_filter")])
+def test_what_is_expected_is_the_forward_chain_stepped(model, names):
+    extended = with_effects(model, *names)
+    t, u = voltage_V()
+    expected, _ = ExpectedReading(extended, DT_S).take(u, np.zeros(t.size))
+    span = model.output.high - model.output.low
+    assert np.max(np.abs(expected - forward_N(extended, t, u))) < 1e-8 * span
+
+
+def test_a_delay_of_whole_ticks_shows_the_force_of_so_many_ticks_ago(model):
+    t, u = voltage_V()
+    force = forward_N(model, t, u)
+    reading = np.concatenate((np.full(7, force[0]), force[:-7])) + 0.1 * np.sin(t)
+    expected, corrected = ExpectedReading(with_effects(model, "transport_delay"), DT_S).take(u, reading)
+    np.testing.assert_allclose(expected[7:], force[:-7], atol=1e-9)
+    np.testing.assert_allclose(corrected, force + 0.1 * np.sin(t), atol=1e-9)
+
+
+@pytest.mark.parametrize("names", [*((name,) for name in OF_THE_CELL), OF_THE_CELL])
+def test_the_force_is_found_behind_what_the_load_cell_shows_and_its_noise_is_not_amplified(model, names):
+    extended = with_effects(model, *names)
+    t, u = voltage_V()
+    force = forward_N(model, t, u)
+    noise = 0.1 * np.random.default_rng(1).standard_normal(t.size)
+    reading, _ = ExpectedReading(extended, DT_S).take(u, np.zeros(t.size))
+    _, corrected = ExpectedReading(extended, DT_S).take(u, reading + noise)
+    assert np.std(reading - force) > 0.5
+    np.testing.assert_allclose(corrected - force, noise, atol=1e-8)
+
+
+def test_what_the_model_does_not_know_stays_in_the_reading(model):
+    """A load of 5 N behind a leaking charge amplifier shows, as long as it has not leaked away."""
+    extended = with_effects(model, "charge_leakage", time_constant_s=1000.0)
+    t, u = voltage_V()
+    load = np.where(t > 1.0, 5.0, 0.0)
+    force = forward_N(model, t, u)
+    expected, _ = ExpectedReading(extended, DT_S).take(u, np.zeros(t.size))
+    _, corrected = ExpectedReading(extended, DT_S).take(u, expected + load)
+    np.testing.assert_allclose(corrected, force + load, atol=1e-8)
+
+
+def test_a_hum_is_followed_in_amplitude_and_phase_and_taken_off(model):
+    extended = with_effects(model, "mains_hum")
+    t, u = voltage_V(12.0)
+    force = forward_N(model, t, u)
+    hum = forward_N(with_effects(model, "mains_hum", phase_rad=2.2, amplitude_N=3.0), t, u) - force
+    _, corrected = ExpectedReading(extended, DT_S).take(u, force + hum)
+    settled = t > 8.0
+    assert np.std(hum) > 2.0
+    assert np.std((corrected - force)[settled]) < 0.02 * np.std(hum)
+
+
+def test_a_frozen_reading_is_gone_on_with_by_the_model(model):
+    t, u = voltage_V()
+    force = forward_N(model, t, u)
+    noise = 0.1 * np.random.default_rng(2).standard_normal(t.size)
+    reading = force + 1.0 + noise
+    reading[500:900] = reading[499]
+    _, corrected = ExpectedReading(model, DT_S).take(u, reading)
+    assert np.abs(reading - force)[500:900].max() > 20.0
+    held = corrected[502:900] - force[502:900]
+    np.testing.assert_allclose(held, held[0])
+
+
+def test_pieces_give_what_the_whole_gives_and_a_missing_reading_keeps_the_difference(model):
+    extended = with_effects(model, "creep", "electrical_lag", "resonance", "sensor_filter", "transport_delay")
+    t, u = voltage_V()
+    reading = 1.5 + forward_N(model, t, u)
+    reading[1000:1100] = np.nan
+    whole = ExpectedReading(extended, DT_S).take(u, reading)
+    pieces = ExpectedReading(extended, DT_S)
+    taken = [pieces.take(u[first : first + 333], reading[first : first + 333]) for first in range(0, t.size, 333)]
+    for one, parts in zip(whole, zip(*taken, strict=True), strict=True):
+        np.testing.assert_array_equal(one, np.concatenate(parts))
+    assert np.isfinite(whole[1]).all()
+    pieces.reset()
+    again = pieces.take(u, reading)
+    np.testing.assert_array_equal(again[0], whole[0])
+
+
+def test_an_effect_without_an_inverse_is_left_to_the_difference(model):
+    t, u = voltage_V()
+    expected, _ = ExpectedReading(with_effects(model, "friction"), DT_S).take(u, np.zeros(t.size))
+    np.testing.assert_allclose(expected, forward_N(model, t, u), atol=1e-9)
