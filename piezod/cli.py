@@ -450,9 +450,13 @@ def resid(
 
 @app.command(epilog="Example: piezod diagnose work.csv --model model.yaml -o diagnosis")
 def diagnose(
-    recordings: Annotated[list[Path], typer.Argument(metavar="REC...", help="Recordings to explain.")],
-    model: Annotated[Path, typer.Option("--model", metavar="MODEL")],
     output: Annotated[Path, typer.Option("-o", metavar="DIR", help="findings.json, model.yaml and report.html.")],
+    recordings: Annotated[list[Path] | None, typer.Argument(metavar="REC...", help="Recordings to explain.")] = None,
+    model: Annotated[Path | None, typer.Option("--model", metavar="MODEL")] = None,
+    from_bench: Annotated[
+        Path | None,
+        typer.Option(metavar="CONFIG", help="The stretch that the daemon kept when this bench left its model."),
+    ] = None,
     input_column: Annotated[
         str | None, typer.Option("--input", metavar="COLUMN", help="The model's if left out.")
     ] = None,
@@ -472,6 +476,16 @@ def diagnose(
     from piezod.report.diagnosis_page import write_diagnosis_page
     from piezod.report.progress import steps
 
+    recordings = list(recordings or ())
+    if from_bench is not None:
+        from piezod.daemon.drift import kept_stretch
+
+        if recordings or model is not None:
+            raise UsageError("--from-bench names recording and model: no REC and no --model beside it")
+        kept, model = kept_stretch(from_bench)
+        recordings = [kept]
+    if model is None or not recordings:
+        raise UsageError("REC... and --model are missing, or --from-bench CONFIG")
     with steps() as show:
         diagnosis = diagnose_files(
             recordings, model, output, input_column, output_column, show, hold_out or (), condition
@@ -482,6 +496,9 @@ def diagnose(
         print(json.dumps(diagnosis.findings.as_dict(), indent=2))
     else:
         print_findings(diagnosis, output)
+        if from_bench is not None:
+            print(f"to drive with it: model: {(output / 'model.yaml').resolve()} in {from_bench}, then piezod disarm")
+            print("and piezod reload; nothing takes it by itself")
 
 
 @app.command(epilog="Example: piezod validate config/bench.yaml --model a.yaml --model b.yaml --report validation.html")

@@ -6,6 +6,7 @@ from typing import Annotated, Literal, Self
 from pydantic import Field, model_validator
 
 from piezod.config.checked import Section, check, shortened
+from piezod.config.drift import DriftConfig
 from piezod.config.limits import LimitsConfig
 from piezod.config.link import LinkConfig, ModbusRtuLink, ModbusTcpLink, Registers, SerialLineLink
 from piezod.config.recorder import RecorderConfig
@@ -82,6 +83,7 @@ class BenchConfig(Section):
     real_time: RealTimeConfig = RealTimeConfig()
     daemon: DaemonConfig = DaemonConfig()
     recorder: RecorderConfig | None = None
+    drift: DriftConfig | None = DriftConfig()
 
     @property
     def dt_s(self) -> float:

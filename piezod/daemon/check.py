@@ -21,6 +21,7 @@ from piezod.config.reference import RegisterReference, StreamReference
 from piezod.control import RealTimeWarning, TableReference, check_named, make_reference, real_time
 from piezod.daemon.assembly import check_effects, check_units, check_wire, opened_link
 from piezod.daemon.history import percentiles
+from piezod.daemon.preview import missing_preview
 from piezod.daemon.segment import segments, size_of
 from piezod.effects import EFFECTS
 from piezod.errors import PiezodError
@@ -99,6 +100,8 @@ def _effects(bench: BenchConfig, model: Model, path: Path) -> Iterator[Check]:
         return
     if bench.compensation != "inverse":
         return
+    if (missing := missing_preview(bench, model)) is not None:
+        yield Check("preview", "WARN", missing.words(), "send it as a file or a waveform, where it is known")
     acting = acting_effects(model)
     for handling in ("compensated", "corrected in the reading"):
         names = [

@@ -133,9 +133,23 @@ def status_text(status: dict[str, Any]) -> str:
         f"  {status['ticks']} ticks at {status['rate_Hz']:g} Hz, {status['missed']} missed, "
         f"{status['failed_exchanges']} failed exchanges; up {status['up_s']:.0f} s"
     )
+    if status.get("corrected_force_N") is not None and status["force_N"] is not None:
+        lines.append(f"  corrected for the load cell {status['corrected_force_N']:.2f} N; limits judge the raw reading")
+    if drift := status.get("drift"):
+        lines.append(f"  {_drift_text(drift)}")
     if recorder := status.get("recorder"):
         lines.append(f"  {_recorder_text(recorder)}")
     return "\n".join(lines)
+
+
+def _drift_text(drift: dict[str, Any]) -> str:
+    if drift["rms_N"] is None:
+        return f"model: nothing compared yet, limit {drift['limit_N']:.2f} N"
+    found = f"{drift['rms_N']:.2f} N rms, {drift['offset_N']:+.2f} N in the mean, limit {drift['limit_N']:.2f} N"
+    if not drift["drifted"]:
+        return f"model: holds; {found}"
+    problem = f" ({drift['problem']})" if drift["problem"] else ""
+    return f"model: DRIFTED; {found}; kept in {drift['kept']}{problem}; piezod diagnose --from-bench"
 
 
 def _recorder_text(recorder: dict[str, Any]) -> str:

@@ -12,6 +12,7 @@ from prometheus_client.exposition import CONTENT_TYPE_LATEST, generate_latest
 from prometheus_client.registry import Collector
 
 from piezod.control import State
+from piezod.daemon.drift import DriftWatch
 from piezod.daemon.recording import RecorderWatch
 from piezod.daemon.tally import BOUNDS_S, Durations, Tally
 from piezod.errors import BusyError
@@ -53,12 +54,21 @@ class BenchMetrics(Collector):
         What the ring log told.
     recorder
         What keeps the ticks; None where nothing does.
+    drift
+        Returns what compares the bench with its model; None where nothing does.
     """
 
-    def __init__(self, name: str, tally: Tally, recorder: RecorderWatch | None = None) -> None:
+    def __init__(
+        self,
+        name: str,
+        tally: Tally,
+        recorder: RecorderWatch | None = None,
+        drift: Callable[[], DriftWatch | None] = lambda: None,
+    ) -> None:
         self._labels = [name]
         self._tally = tally
         self._recorder = recorder
+        self._drift = drift
 
     def collect(self) -> Iterable[Metric]:
         """Everything, as it is now."""
@@ -84,6 +94,22 @@ class BenchMetrics(Collector):
         yield self._histogram("piezod_tick_duration_seconds", "From wake-up to judged reading", tally.exchange)
         if self._recorder is not None:
             yield from self._recorded(self._recorder)
+        yield from self._drifted()
+
+    def _drifted(self) -> Iterable[Metric]:
+        watch = self._drift()
+        if watch is None:
+            return
+        for name, (text, value) in {
+            "piezod_corrected_force_newtons": ("Force behind the last reading", watch.corrected_N),
+            "piezod_model_error_newtons": ("Rms of force against model in the last window", watch.rms_N),
+            "piezod_model_offset_newtons": ("Mean of it against the first window", watch.offset_N),
+            "piezod_model_drifted": ("1 since the bench has left its model", float(watch.drifted)),
+        }.items():
+            gauge = GaugeMetricFamily(name, text, labels=["bench"])
+            if np.isfinite(value):
+                gauge.add_metric(self._labels, value)
+            yield gauge
 
     def _recorded(self, recorder: RecorderWatch) -> Iterable[Metric]:
         said = recorder.as_dict()

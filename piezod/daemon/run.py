@@ -12,6 +12,7 @@ from piezod.daemon.session import Session
 from piezod.daemon.task import Outcome
 
 if TYPE_CHECKING:
+    from piezod.daemon.preview import MissingPreview
     from piezod.daemon.tally import TrackingError
 
 
@@ -21,6 +22,8 @@ class RunResult:
 
     outcome: Outcome
     tracking: "TrackingError"
+    drift: dict[str, object] | None = None
+    preview: "MissingPreview | None" = None
 
     @property
     def exit_code(self) -> int:
@@ -34,6 +37,8 @@ class RunResult:
             "schema": "piezod.run/1",
             **self.outcome.__dict__,
             "tracking": {"ticks": tracking.ticks, "rms_error_N": tracking.rms_N, "max_error_N": tracking.max_N},
+            "drift": self.drift,
+            "preview": None if self.preview is None else self.preview.as_dict(),
         }
 
 
@@ -65,7 +70,9 @@ def run_foreground(path: Path, *, arm: bool) -> RunResult:
         session.close()
         lock.close()
     _sum_up(service.outcome, service.tally.tracking)
-    return RunResult(service.outcome, service.tally.tracking)
+    if service.preview is not None:
+        say(service.preview.words())
+    return RunResult(service.outcome, service.tally.tracking, service.drift, service.preview)
 
 
 def _sum_up(outcome: Outcome, tracking: "TrackingError") -> None:

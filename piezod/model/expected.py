@@ -69,7 +69,8 @@ def _force(packed: Array, chain: Array, zones: Array) -> float:
         force = span * law_step(force / span, chain[at.SQUARE], chain[at.CUBE], chain[at.LOW], chain[at.HIGH])
     if chain[at.GAP_N] > 0.0:
         force = contact_step(force, chain[at.GAP_N], chain[at.SOFT_N])
-    return force + chain[at.THERMAL_N]
+    force += chain[at.THERMAL_N]
+    return force
 
 
 @numba.njit(cache=True)

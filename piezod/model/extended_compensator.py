@@ -104,6 +104,14 @@ class ExtendedCompensator:
         return self.delay_s + (2.0 * self.dt_s if self._mode else 0.0)
 
     @property
+    def late_s(self) -> float:
+        """By how much readings follow a reference that is not known ahead: the delay, and the slope of the mode [s]."""
+        late_s = ticks_late(self.delay_s, self._lag_s, self.dt_s) * self.dt_s
+        if self._mode is not None:
+            late_s += self._mode["damping_ratio"] / (math.pi * self._mode["frequency_Hz"])
+        return late_s
+
+    @property
     def preview_ticks(self) -> int:
         """The same in whole ticks."""
         return math.ceil(self.preview_s / self.dt_s)

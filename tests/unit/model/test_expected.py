@@ -1,4 +1,4 @@
-"""What a model expects to be read against its forward chain, and the force behind a reading that is not what it shows."""
+"""What a model expects to be read, against its forward chain; and the force behind a reading that shows another."""
 
 from pathlib import Path
 
