@@ -23,7 +23,7 @@ from piezod.effects import EFFECTS
 from piezod.effects.contact_gap import contact_step
 from piezod.effects.effect import STRAIGHT
 from piezod.effects.feedthrough import coefficients, coupling_step
-from piezod.effects.kernels import first_order_coefficients, first_order_step, second_order_matrices
+from piezod.effects.kernels import exponential, first_order_coefficients, first_order_step
 from piezod.effects.mains_hum import HARMONICS
 from piezod.effects.output_nonlinearity import law_step
 from piezod.model import inverse_chain as at
@@ -183,9 +183,10 @@ class ExpectedReading:
         self._chain = ExtendedCompensator(model, dt_s, refused)
         thresholds, weights = model.hysteresis.operator().dead_zones
         self._zones = np.concatenate((thresholds, weights))
-        self._cell, self._waves = _cell(found, dt_s, self._chain.delay_s), _waves(found)
+        hum = next((one.parameters for one in model.effects if one.name == "mains_hum"), {})  # there again, other phase
+        self._cell, self._waves = _cell(model, found, dt_s, self._chain.delay_s), _waves(hum)
         self._history = np.zeros(math.ceil(self._cell[LATE]) + 2)
-        self._turn = 2.0 * math.pi * found.get("mains_hum", {}).get("frequency_Hz", 0.0) * dt_s
+        self._turn = 2.0 * math.pi * hum.get("frequency_Hz", 0.0) * dt_s
         self._gain = dt_s / HUM_FOLLOWED_S
 
     def reset(self) -> None:
@@ -224,7 +225,7 @@ class ExpectedReading:
         return expected, corrected
 
 
-def _cell(found: Mapping[str, Mapping[str, float]], dt_s: float, delay_s: float) -> Array:
+def _cell(model: Model, found: Mapping[str, Mapping[str, float]], dt_s: float, delay_s: float) -> Array:
     """Constants of the mode and the load cell, states at 0, shape (SIZE,)."""
     cell = np.zeros(SIZE)
     cell[LAST] = math.nan
@@ -243,7 +244,8 @@ def _cell(found: Mapping[str, Mapping[str, float]], dt_s: float, delay_s: float)
         cell[LOW_PASS_AT : LOW_PASS_AT + 8] = _flat(low_pass["cutoff_Hz"], math.sqrt(0.5), dt_s, between)
     if coupling := found.get("feedthrough"):
         cell[COUPLING] = coupling["coefficient_N_s_per_V"]
-        held = STRAIGHT if "electrical_lag" in found or "slew_limit" in found else 1.0
+        runs_on = "electrical_lag" in found or "slew_limit" in found or model.sampling == "straight"
+        held = STRAIGHT if runs_on else 1.0  # as in the fit, where a held command may have passed for a straight one
         cell[COUPLING_KEEP], cell[COUPLING_JUMP] = coefficients(coupling.get("rise_s", 0.0), dt_s, held)
     lag_s = found.get("electrical_lag", {}).get("time_constant_s", 0.0)
     cell[LATE] = ticks_late(delay_s, lag_s, dt_s)
@@ -251,14 +253,24 @@ def _cell(found: Mapping[str, Mapping[str, float]], dt_s: float, delay_s: float)
 
 
 def _flat(frequency_Hz: float, damping_ratio: float, dt_s: float, between: float) -> Array:
-    matrix, before, now = second_order_matrices(frequency_Hz, damping_ratio, dt_s, between)
-    return np.concatenate((matrix.ravel(), before, now))
+    """M (4), `before` (2) and `now` (2) of s <- M s + before x(k-1) + now x(k), with s = y and y' / w.
+
+    The exponential of the state space with a straight or held input and its slope as further states, as in
+    `kernels.second_order`.
+    """
+    w = 2.0 * math.pi * frequency_Hz
+    system = np.zeros((4, 4))
+    system[0, 1] = w
+    system[1, :3] = -w, -2.0 * damping_ratio * w, w
+    system[2, 3] = 1.0
+    step = exponential(system * dt_s)
+    now = step[:2, 3] / dt_s if between <= STRAIGHT else exponential(system * (dt_s * between))[:2, 2]
+    return np.concatenate((step[:2, :2].ravel(), step[:2, 2] - now, now))
 
 
-def _waves(found: Mapping[str, Mapping[str, float]]) -> Array:
+def _waves(hum: Mapping[str, float]) -> Array:
     """Harmonics of the hum that the model knows of, none of them followed yet, shape (H, 3)."""
-    hum = found.get("mains_hum")
-    if hum is None:
+    if not hum:
         return np.zeros((0, 3))
     harmonics = [1, *(h for h in HARMONICS if hum.get(f"sine_{h}", 0.0) or hum.get(f"cosine_{h}", 0.0))]
     waves = np.zeros((len(harmonics), 3))
