@@ -42,6 +42,7 @@ Array = NDArray[np.float64]
 MOSTLY = 0.8  # of the catalogue: recordings that could not have shown so much of it tell nothing
 COSTS = 0.1  # of what was gained, or of what is left: what plays that do not fold may cost
 FOLDED = 0.6  # of its confidence that an effect keeps when the plays fold that were refitted with it
+BETTER = 0.99  # of the given model's error
 LEAST_CONFIDENCE, LEAST_ALONE = 0.3, 0.08  # below which an effect is not named, beside others or at all
 
 
@@ -126,7 +127,12 @@ def _rising(result: Search) -> Search:
 
 
 def _doubtful(result: Search, findings: Findings) -> list[str]:
-    """Effects that explain little beside what remains unexplained: more likely the shape of something else."""
+    """Effects that explain little beside what remains unexplained: more likely the shape of something else.
+
+    All of them where the given model says what was left out of the fit as well without them.
+    """
+    if result.found.effects and findings.after > BETTER * findings.before:
+        return list(result.found.effects)
     fitted = [one for one in findings.effects if one.name in result.names]
     weak = [one for one in fitted if one.confidence < LEAST_CONFIDENCE]
     strongest = max(fitted, key=lambda one: one.confidence, default=None)

@@ -62,7 +62,7 @@ EFFECT = Effect(
     parameters=(
         Parameter("force_N", "N", 0.0, 1e3, starts=(1.0,)),
         Parameter("presliding_N", "N", 1e-2, 1e4, starts=(3.0, 20.0, 100.0), logarithmic=True),
-        Parameter("exponent", "1", 0.5, 1.5, starts=(1.0,), nuisance=True, choices=(0.5, 1.0, 1.5)),
+        Parameter("exponent", "1", 0.05, 2.0, starts=(0.5,), nuisance=True),
     ),
     forward=forward,
     handling="refused",
