@@ -370,6 +370,24 @@ def simulate(
             print(f"note: {note}")
 
 
+@app.command(epilog="Example: piezod report /var/lib/piezod/recordings/press-000007.sqlite -o run.html")
+def report(
+    recording: Annotated[Path, typer.Argument(metavar="REC", help="What the recorder kept, or any other recording.")],
+    output: Annotated[Path, typer.Option("-o", metavar="FILE", help="The page to write.")],
+    as_json: JsonOption = False,
+) -> None:
+    """Make the page of a run from its recording, also of one that was cut off."""
+    from piezod.identify.intake import check_result
+    from piezod.recording import read_recording
+    from piezod.report.run import run_figures, write_run_page
+
+    check_result(output, [recording])
+    read = read_recording(recording)
+    figures = run_figures(read)
+    write_run_page(output, read, figures)
+    print(json.dumps(figures.as_dict(), indent=2) if as_json else f"{figures.words}\npage: {output.resolve()}")
+
+
 @app.command(epilog="Example: piezod convert varying.csv -o varying.mat")
 def convert(
     recording: Annotated[Path, typer.Argument(metavar="IN", help="csv, sqlite, h5, mat, tdms, parquet, mf4.")],

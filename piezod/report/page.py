@@ -12,7 +12,8 @@ from bokeh.resources import Resources
 
 from piezod.diagnose.words import unit_words
 from piezod.errors import ConfigurationError
-from piezod.report.style import PAGE, SCRIPT, STYLE
+from piezod.report.figure_data import write_figure_data
+from piezod.report.style import DATA_NOTE, PAGE, SCRIPT, STYLE
 
 Group = tuple[str, int]  # words above neighbouring columns, and how many
 Part = str | Sequence[Model]  # HTML, or figures beside each other
@@ -54,7 +55,7 @@ def slot(name: str) -> str:
 
 
 def write_page(path: Path, title: str, parts: Sequence[Part]) -> None:
-    """Write one self-contained page, whole or not at all.
+    """Write one self-contained page, whole or not at all, and the data of its figures as CSV beside it.
 
     Parameters
     ----------
@@ -80,6 +81,12 @@ def write_page(path: Path, title: str, parts: Sequence[Part]) -> None:
         figures |= dict(zip(names, part, strict=True))
         inside = "".join(f"<figure>{slot(name)}</figure>" for name in names)
         body.append(f"<div class='{'pair' if len(names) > 1 else 'alone'}'>{inside}</div>")
+    try:
+        folder = write_figure_data(path, figures)
+    except OSError as error:
+        raise ConfigurationError(f"{path}: the figures' data cannot be written: {error.strerror}") from error
+    if folder is not None:
+        body.append(DATA_NOTE.format(folder=html.escape(folder.name)))
     write_html(path, title, "".join(body), figures)
 
 

@@ -110,6 +110,8 @@ addEventListener("afterprint", () => {
 });
 """.replace("PIXELS", str(0.97 * A4_PIXELS))
 
+DATA_NOTE = "<p class='dim'>What the figures show, as CSV: the folder <code>{folder}</code> beside this page.</p>"
+
 PAGE = """<!DOCTYPE html>
 <html lang="en">
 <head>

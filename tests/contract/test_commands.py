@@ -19,7 +19,8 @@ from piezod.recording import Recording, write_recording
 COMMANDS = {
     "demo", "run", "check", "record", "identify", "simulate", "diagnose", "validate", "blind make", "blind run",
     "blind score", "latency", "effects", "status", "arm", "disarm", "stop", "reset", "reload", "commission",
-    "watch", "init", "config schema", "config show", "config check", "convert", "compare", "resid", "support-bundle",
+    "watch", "init", "config schema", "config show", "config check", "convert", "compare", "resid", "report",
+    "support-bundle",
 }  # fmt: skip
 WITHOUT_JSON = {
     "watch": "serves a page",
@@ -61,6 +62,7 @@ REFUSALS = [
     (f"config check {NOT_THERE}", 78, "cannot be read"),
     ("convert /nowhere/a.csv -o /tmp/x.mat", 78, "cannot be read"),
     ("compare /nowhere/a.csv", 2, "nothing to compare with: give another REC, or --model MODEL"),
+    ("report /nowhere/a.csv -o /tmp/x.html", 78, "cannot be read"),
     ("resid /nowhere/a.csv --model /nowhere/m.yaml", 78, "cannot be read"),
     (f"support-bundle {NOT_THERE} -o /tmp/x.zip", 78, "cannot be read"),
     ("frobnicate", 2, "No such command 'frobnicate'; see piezod --help"),
@@ -157,6 +159,7 @@ def recording(tmp_path_factory):
         ("simulate {recording} --model {model} -o {out}.csv", "piezod.simulation/1"),
         ("convert {recording} -o {out}.sqlite", "piezod.convert/1"),
         ("compare {recording} --model {model}", "piezod.comparison/1"),
+        ("report {recording} -o {out}.html", "piezod.run_report/1"),
         ("resid {recording} --model {model}", "piezod.residual/1"),
         ("support-bundle {bench} -o {out}.zip", "piezod.support/1"),
         ("init --yes --profile labjack_t7 --no-probe -o {out}.yaml", "piezod.init/1"),

@@ -1,0 +1,280 @@
+"""The report of a run, made from what was recorded: by the recorder while it ran, also where the run was cut off."""
+
+import html
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from bokeh.models import ColumnDataSource, LogTicker
+from bokeh.models.annotations import Span
+from bokeh.plotting import figure
+from numpy.typing import NDArray
+
+from piezod.control import CAUSE_TEXT, Cause, State
+from piezod.errors import RecordingError
+from piezod.recording import Recording
+from piezod.report.page import Part, axis_label, head_html, table_html, write_page
+from piezod.report.style import BLUE, GREEN, GREY, ORANGE, RED
+from piezod.report.thinning import envelope, envelope_times, extremes
+from piezod.report.tracking import finish
+
+Array = NDArray[np.float64]
+
+POINTS = 4000
+MOST_TRANSITIONS = 200
+EDGES_us = np.logspace(0, 6, 49)
+LEAST = 0.5  # where the bars of a logarithmic axis begin
+
+
+@dataclass(frozen=True)
+class Transition:
+    """A change of state or of its cause."""
+
+    time_s: float
+    state: State
+    cause: Cause
+
+
+@dataclass(frozen=True)
+class RunFigures:
+    """What a run came to; None: the recording does not tell.
+
+    Parameters
+    ----------
+    duration_s, samples
+        Of the recording.
+    missed
+        Ticks that are not in it.
+    running_s
+        Time in which the reference was followed.
+    rms_error_N, max_error_N
+        Of the force against it meanwhile.
+    voltage_V, force_N
+        Least and largest.
+    ended
+        State and cause of the last tick.
+    transitions
+        In order.
+    """
+
+    duration_s: float
+    samples: int
+    missed: int | None
+    running_s: float | None
+    rms_error_N: float | None
+    max_error_N: float | None
+    voltage_V: tuple[float, float] | None
+    force_N: tuple[float, float] | None
+    ended: Transition | None
+    transitions: list[Transition]
+
+    @property
+    def words(self) -> str:
+        """The verdict in a sentence."""
+        said = [f"{self.duration_s:.1f} s"]
+        if self.running_s:
+            said.append(f"{self.running_s:.1f} s of them running")
+        if self.rms_error_N is not None and self.max_error_N is not None:
+            said.append(f"rms error {self.rms_error_N:.3g} N, largest {self.max_error_N:.3g} N")
+        if self.missed:
+            said.append(f"{self.missed} ticks missed")
+        return f"{self._end()}: {', '.join(said)}"
+
+    def _end(self) -> str:
+        if self.ended is None:
+            return "recorded"
+        if self.ended.state is State.FAULT:
+            return f"ended in FAULT, {CAUSE_TEXT[self.ended.cause]}"
+        if self.ended.state is State.DISARMED:
+            return "ended at rest"
+        return f"cut off in {self.ended.state.name}"
+
+    def as_dict(self) -> dict[str, Any]:
+        """For JSON."""
+        return {
+            "schema": "piezod.run_report/1",
+            "words": self.words,
+            **{name: getattr(self, name) for name in self.__dataclass_fields__ if name not in ("ended", "transitions")},
+            "transitions": [
+                {"time_s": one.time_s, "state": one.state.name, "cause": CAUSE_TEXT[one.cause]}
+                for one in self.transitions
+            ],
+        }
+
+
+def run_figures(recording: Recording) -> RunFigures:
+    """Sum a recording up; columns that it does not have are left out.
+
+    Parameters
+    ----------
+    recording
+        Best with `state`, `cause`, `tick`, `reference_N`, `force_N` and `voltage_V`, as the recorder writes them.
+
+    Raises
+    ------
+    RecordingError
+        It has no sample.
+    """
+    if not recording.time_s.size:
+        raise RecordingError(f"{recording.source}: has no sample to report")
+    transitions = _transitions(recording)
+    running, error = _followed(recording), _error(recording)
+    known = None if error is None else error[running & np.isfinite(error)]
+    tick = recording.channels.get("tick")
+    return RunFigures(
+        duration_s=float(recording.time_s[-1] - recording.time_s[0]),
+        samples=int(recording.time_s.size),
+        missed=None if tick is None else int(tick[-1] - tick[0]) + 1 - tick.size,
+        running_s=float(np.count_nonzero(running) * recording.dt_s) if recording.time_s.size > 1 else None,
+        rms_error_N=float(np.sqrt(np.mean(known**2))) if known is not None and known.size else None,
+        max_error_N=float(np.abs(known).max()) if known is not None and known.size else None,
+        voltage_V=_span(recording.channels.get("voltage_V")),
+        force_N=_span(recording.channels.get("force_N")),
+        ended=transitions[-1] if transitions else None,
+        transitions=transitions,
+    )
+
+
+def write_run_page(path: Path, recording: Recording, figures: RunFigures) -> None:
+    """One page: the verdict, what happened, and everything over time.
+
+    Raises
+    ------
+    ConfigurationError
+        The file cannot be written.
+    """
+    parts: list[Part] = [head_html(f"Run: {Path(recording.source).name}", figures.words)]
+    if figures.transitions:
+        shown = figures.transitions[:MOST_TRANSITIONS]
+        rows = [[f"{one.time_s:.3f}", one.state.name.replace("_", " "), CAUSE_TEXT[one.cause]] for one in shown]
+        more = f"<p class='dim'>and {len(figures.transitions) - len(shown)} more</p>"
+        table = table_html(["time [s]", "state", "why"], rows).replace("'numbers'", "'words'")
+        parts.append(f"<h2>What happened</h2>{table}{more if len(figures.transitions) > len(shown) else ''}")
+    parts.append("<h2>Over time</h2>")
+    parts.extend([one] for one in _over_time(recording))
+    for title, beside in (("Loops", [*_loops(recording)]), ("Timing", [*_durations(recording)])):
+        if beside:
+            parts.extend((f"<h2>{title}</h2>", beside))
+    parts.append(
+        f"<p class='dim'>{html.escape('Curves show the smallest and the largest value of every stretch.')}</p>"
+    )
+    write_page(path, "Run", parts)
+
+
+def _transitions(recording: Recording) -> list[Transition]:
+    state, cause = recording.channels.get("state"), recording.channels.get("cause")
+    if state is None or cause is None:
+        return []
+    changed = np.flatnonzero((np.diff(state) != 0) | (np.diff(cause) != 0)) + 1
+    return [
+        Transition(time_s, State(int(code)), Cause(int(why)))
+        for time_s, code, why in zip(
+            *(values[[0, *changed]].tolist() for values in (recording.time_s, state, cause)), strict=True
+        )
+    ]
+
+
+def _followed(recording: Recording) -> NDArray[np.bool_]:
+    """Where the reference was followed: everywhere, in a recording that tells no state."""
+    state = recording.channels.get("state")
+    if state is None:
+        return np.ones(recording.time_s.size, dtype=np.bool_)
+    running = state == State.RUNNING
+    followed: NDArray[np.bool_] = running & np.concatenate(([False], running[:-1]))  # the command before it counts too
+    return followed
+
+
+def _error(recording: Recording) -> Array | None:
+    force, reference = recording.channels.get("force_N"), recording.channels.get("reference_N")
+    if force is None or reference is None:
+        return None
+    error: Array = np.where(_followed(recording), force - reference, np.nan)
+    return error
+
+
+def _span(values: Array | None) -> tuple[float, float] | None:
+    known = None if values is None else values[np.isfinite(values)]
+    return (float(known.min()), float(known.max())) if known is not None and known.size else None
+
+
+def _over_time(recording: Recording) -> Iterable[figure]:
+    shown_s = envelope_times(recording.time_s, POINTS)
+    channels = recording.channels
+    first = None
+    reference = channels.get("reference_N")
+    if reference is not None:
+        reference = np.where(_followed(recording), reference, np.nan)
+    groups = (
+        ("Force", "force_N", {"reference": (reference, GREY, 3), "force": (channels.get("force_N"), BLUE, 1)}, 300),
+        ("Error: force minus reference", "error_N", {"error": (_error(recording), ORANGE, 1)}, 200),
+        ("Voltage", "voltage_V", {"voltage": (channels.get("voltage_V"), BLUE, 1)}, 200),
+        ("Temperature", "temperature_C", {"temperature": (channels.get("temperature_C"), RED, 1)}, 160),
+    )
+    for title, column, curves, height in groups:
+        drawn = [
+            (name, values, colour, width)
+            for name, (values, colour, width) in curves.items()
+            if values is not None and np.isfinite(values).any()
+        ]
+        if not drawn:
+            continue
+        plot = figure(title=title, x_axis_label="time [s]", y_axis_label=axis_label(column), height=height)
+        if first is not None:
+            plot.x_range = first.x_range
+        for name, values, colour, width in drawn:
+            plot.line(shown_s, envelope(values, POINTS), color=colour, line_width=width, legend_label=name)
+        first = first or plot
+        yield finish(plot)
+
+
+def _loops(recording: Recording) -> Iterable[figure]:
+    voltage, force = recording.channels.get("voltage_V"), recording.channels.get("force_N")
+    if voltage is None or force is None or not np.isfinite(force).any():
+        return
+    chosen = extremes(force, POINTS)
+    plot = figure(title="Force over voltage", x_axis_label="voltage [V]", y_axis_label="force [N]", height=320)
+    plot.line(voltage[chosen], force[chosen], color=BLUE, legend_label="measured")
+    yield finish(plot)
+    error = _error(recording)
+    if error is None or not np.isfinite(error).any():
+        return
+    reference, chosen = recording.channel("reference_N"), extremes(error, POINTS)
+    plot = figure(title="Error over reference", x_axis_label="reference [N]", y_axis_label="error [N]", height=320)
+    plot.line(reference[chosen], error[chosen], color=ORANGE, legend_label="error")
+    yield finish(plot)
+
+
+def _durations(recording: Recording) -> Iterable[figure]:
+    for title, column, colour in (
+        ("How late the ticks were", "lateness_ns", BLUE),
+        ("How long an exchange took", "exchange_ns", GREEN),
+    ):
+        values = recording.channels.get(column)
+        if values is None:
+            continue
+        counts, _ = np.histogram(np.clip(values * 1e-3, EDGES_us[0], EDGES_us[-1]), EDGES_us)
+        plot = figure(
+            title=title,
+            x_axis_label="time [\N{MICRO SIGN}s]",
+            y_axis_label="ticks",
+            height=320,
+            x_axis_type="log",
+            y_axis_type="log",
+        )
+        bars = {"left": EDGES_us[:-1], "right": EDGES_us[1:], "top": np.maximum(counts, LEAST), "count": counts}
+        plot.quad(
+            left="left",
+            right="right",
+            bottom=LEAST,
+            top="top",
+            source=ColumnDataSource(bars),
+            color=colour,
+            line_color="#fff",
+            legend_label="ticks",
+        )
+        if recording.time_s.size > 1:
+            plot.add_layout(Span(location=1e6 * recording.dt_s, dimension="height", line_color=RED, line_dash="dashed"))
+        finish(plot).xaxis.ticker = LogTicker(desired_num_ticks=6)
+        yield plot

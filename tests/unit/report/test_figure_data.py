@@ -1,0 +1,64 @@
+"""The data of a page's figures beside it: what is drawn, point by point."""
+
+import csv
+
+import numpy as np
+from bokeh.models import ColumnDataSource
+from bokeh.plotting import figure
+
+from piezod.report.figure_data import figure_csv
+from piezod.report.page import write_page
+from piezod.report.tracking import finish
+
+
+def rows(text):
+    return list(csv.DictReader(text.splitlines()))
+
+
+def plot(title="Force & time"):
+    made = figure(title=title, x_axis_label="time [s]", y_axis_label="force [N]")
+    made.line([0.0, 1.0], [1.5, np.nan], legend_label="measured")
+    made.scatter("at", "held", source=ColumnDataSource({"at": [2.0], "held": [7.0]}), legend_label="held, out")
+    return finish(made)
+
+
+def test_every_point_stands_under_the_words_of_its_axes():
+    assert rows(figure_csv(plot())) == [
+        {"curve": "measured", "time [s]": "0", "force [N]": "1.5"},
+        {"curve": "measured", "time [s]": "1", "force [N]": "nan"},
+        {"curve": "held, out", "time [s]": "2", "force [N]": "7"},
+    ]
+
+
+def test_a_map_is_its_cells():
+    made = figure(x_axis_label="time [s]", y_axis_label="frequency [Hz]")
+    made.image([np.array([[1.0, 2.0], [3.0, 4.0]])], x=0.0, y=10.0, dw=2.0, dh=20.0)
+    found = rows(figure_csv(made))
+    assert [tuple(float(row[k]) for k in ("time [s]", "frequency [Hz]", "value")) for row in found] == [
+        (0.5, 15.0, 1.0),
+        (1.5, 15.0, 2.0),
+        (0.5, 25.0, 3.0),
+        (1.5, 25.0, 4.0),
+    ]
+
+
+def test_bars_keep_the_names_of_their_edges():
+    made = figure()
+    made.quad(left=[0.0], right=[1.0], bottom=0.0, top=[5.0])
+    assert rows(figure_csv(made)) == [{"curve": "curve 1", "left": "0", "right": "1", "top": "5"}]
+
+
+def test_a_page_has_a_file_a_figure_and_leaves_what_is_not_its_own(tmp_path):
+    page = tmp_path / "run.html"
+    folder = tmp_path / "run.data"
+    folder.mkdir()
+    (folder / "mine.csv").write_text("x", encoding="utf-8")
+    write_page(page, "run", [[plot("one"), plot("two / three")], [plot("four")]])
+    write_page(page, "run", [[plot("one"), plot("two / three")]])
+    assert sorted(one.name for one in folder.iterdir()) == ["01-one.csv", "02-two-three.csv", "mine.csv"]
+    assert "<code>run.data</code>" in page.read_text(encoding="utf-8")
+
+
+def test_a_page_without_figures_has_no_folder(tmp_path):
+    write_page(tmp_path / "words.html", "words", ["<p>words</p>"])
+    assert [one.name for one in tmp_path.iterdir()] == ["words.html"]
