@@ -25,7 +25,7 @@ LOOSE = (
     "output_nonlinearity",
     "contact_gap",
 )
-LOCAL = ("contact_gap", "voltage_clamp")  # act at an end of the range alone: most blocks do not come there
+LOCAL = ("contact_gap", "voltage_clamp", "slew_limit")  # act at a limit alone: most blocks do not come there
 FEWEST_TOUCHED = 2  # blocks that such an effect must improve, and none may grow worse
 SMALLEST_SHARE = 5e-4  # of the largest gain: below it is what no form of the larger effect fits exactly
 FAIR_SHARE = 0.02  # of the largest gain so far: more effects than that are the plant's own shape
@@ -45,12 +45,19 @@ def worth(before: Fitted, after: Fitted) -> bool:
         return True
     if gain < PLAINER * len(after.terms[-1].searched) * after.loss:
         return False
+    if acts_locally(before, after, after.effects[-1]):
+        return True
     gains = np.log(before.losses / after.losses)
-    if after.effects[-1] in LOCAL and gain > WORTH_WHEN_SMALL * after.loss and gains.min() > -NOTICED:
-        return bool(np.sum(gains > NOTICED) >= FEWEST_TOUCHED)
     if gain > MUCH * before.loss and np.mean(gains < -NOTICED) < FEW:
         return True
     return steadiness(before, after) > STEADY
+
+
+def acts_locally(before: Fitted, after: Fitted, name: str) -> bool:
+    """Whether an effect that acts at a limit alone gains clearly where a recording comes there, and loses nowhere."""
+    gains = np.log(before.losses / after.losses)
+    clear = name in LOCAL and before.loss - after.loss > WORTH_WHEN_SMALL * after.loss
+    return bool(clear and gains.min() > -NOTICED and np.sum(gains > NOTICED) >= FEWEST_TOUCHED)
 
 
 def weighed(fitted: Fitted) -> float:
@@ -82,6 +89,8 @@ def fair(chain: Chain, before: Fitted, after: Fitted, largest: float) -> bool:
         return True
     if gain < SMALLEST_SHARE * largest:
         return False
+    if acts_locally(before, after, after.effects[-1]):
+        return True
     if gain < WORTH_WHEN_SMALL * after.loss or steadiness(before, after) < STEADY_WHEN_SMALL:
         return False
     if after.effects[-1] not in LOOSE:

@@ -11,6 +11,7 @@ from piezod.diagnose.acceptance import (
     FAIR_SHARE,
     STEADY_WHEN_SMALL,
     WORTH,
+    acts_locally,
     degenerate,
     fair,
     steadiness,
@@ -32,6 +33,7 @@ OnProgress = Callable[[str, float], None]
 MOST_EFFECTS = 5
 SEARCHED, FURTHER = 0.85, 0.5  # part of the work behind the search; of what is before it, left after a round
 FINALISTS = 3  # of them that are tried with every course of the command between samples
+NEEDLESS = 0.02  # of the loss: an effect without which no more is lost is left out again
 DOUBTED = 3  # of those that fit better and are not believed that are fitted from other starts
 NEAR_A_MODE = 0.05  # of its frequency: a line there is its own ringing
 DOMINANT = 0.3  # of the loss: a tone without which so little is left is taken off before anything else is tried
@@ -237,10 +239,11 @@ def _drop(result: Search, largest: float) -> None:
     left = list(result.found.effects)
     while left and len(result.found.effects) > 1:
         found = result.found
-        terms, values = without(found, left.pop(0))
+        name = left.pop(0)
+        terms, values = without(found, name)
         fewer = fit(result.chain, terms, replace(found.point, values=tuple(values)))
         gain = fewer.loss - found.loss
         small = gain < FAIR_SHARE * largest and steadiness(fewer, found) < STEADY_WHEN_SMALL
-        if gain < WORTH * found.loss or small:
+        if gain < NEEDLESS * found.loss or (small and not acts_locally(fewer, found, name)):
             result.found = fewer
             left = list(fewer.effects)
