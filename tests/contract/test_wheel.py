@@ -1,0 +1,111 @@
+"""The wheel: everything that a bench needs, nothing of the tests, and it works from where it was unpacked."""
+
+import os
+import re
+import shlex
+import subprocess
+import sys
+import zipfile
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+CONFIG = ROOT / "config"
+DEVICES = sorted(path.stem for path in CONFIG.glob("*.md"))
+
+
+@pytest.fixture(scope="module")
+def wheel(tmp_path_factory):
+    pytest.importorskip("hatchling", reason="no hatchling here: pip install hatchling")
+    folder = tmp_path_factory.mktemp("wheel")
+    command = [sys.executable, "-m", "hatchling", "build", "-t", "wheel", "-d", str(folder)]
+    subprocess.run(command, cwd=ROOT, check=True, capture_output=True)
+    (built,) = folder.glob("*.whl")
+    return built
+
+
+@pytest.fixture(scope="module")
+def names(wheel):
+    with zipfile.ZipFile(wheel) as packed:
+        return set(packed.namelist())
+
+
+def test_the_wheel_holds_every_module_and_every_shipped_file(names):
+    modules = {
+        str(path.relative_to(ROOT)) for room in ("piezod", "firmware_sim") for path in (ROOT / room).rglob("*.py")
+    }
+    assert modules <= names
+    for folder in ("config", "systemd"):
+        shipped = {f"piezod/_shipped/{folder}/{path.name}" for path in (ROOT / folder).iterdir() if path.is_file()}
+        assert shipped <= names
+
+
+def test_the_wheel_holds_nothing_else(names):
+    tops = {name.partition("/")[0] for name in names}
+    assert {top for top in tops if not top.endswith(".dist-info")} == {"piezod", "firmware_sim"}
+    assert [name for name in names if re.search(r"tests?/|__pycache__|\.ci|screenshots|conftest|\.pyc$", name)] == []
+
+
+def test_the_wheel_says_what_it_needs_and_what_it_installs(wheel, names):
+    (about,) = (name for name in names if name.endswith(".dist-info/METADATA"))
+    (entries,) = (name for name in names if name.endswith(".dist-info/entry_points.txt"))
+    with zipfile.ZipFile(wheel) as packed:
+        metadata, scripts = packed.read(about).decode(), packed.read(entries).decode()
+    needed = re.findall(r"^Requires-Dist: ([A-Za-z0-9-]+)(?![^\n]*extra ==)", metadata, re.MULTILINE)
+    assert not {"pytest", "hypothesis", "playwright", "jsonschema"} & set(needed)
+    assert {"numpy", "pyserial", "pymodbus", "pyyaml", "bokeh"} <= {name.lower() for name in needed}
+    assert "piezod = piezod.cli:main" in scripts
+
+
+def test_an_unpacked_wheel_finds_its_profiles_and_nothing_of_the_checkout(wheel, tmp_path):
+    with zipfile.ZipFile(wheel) as packed:
+        packed.extractall(tmp_path / "site")
+    environment = os.environ | {"PYTHONPATH": str(tmp_path / "site"), "PYTHONSAFEPATH": "1"}
+    options = ("init", "--yes", "--no-probe", "--profile", "wago_750", "-o", "bench.yaml")
+    done = subprocess.run(
+        [sys.executable, "-m", "piezod", *options],
+        cwd=tmp_path,
+        env=environment,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    found = subprocess.run(
+        [sys.executable, "-c", "import piezod.daemon.shipped as s; print(s.shipped('bench.yaml'))"],
+        cwd=tmp_path,
+        env=environment,
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert found.stdout.strip() == str(tmp_path / "site" / "piezod" / "_shipped" / "config" / "bench.yaml")
+
+
+@pytest.mark.parametrize("device", DEVICES)
+def test_the_page_of_a_profile_names_its_file_and_a_call_that_works(device, tmp_path, capsys):
+    from piezod.config import load_bench
+    from piezod.daemon.init import Answers, draft
+
+    text = (CONFIG / f"{device}.md").read_text(encoding="utf-8")
+    bench = load_bench(CONFIG / f"{device}.yaml")
+    assert f"({device}.yaml)" in text
+    assert f"{bench.rate_Hz:g} Hz" in text
+    for missing in bench.arming.without:
+        assert f"`{missing}`" in text, missing
+    (line,) = re.findall(r"^    piezod init (.*)$", text, re.MULTILINE)
+    words = shlex.split(line)
+    given = dict(zip(words[::2], words[1::2], strict=True))
+    answers = Answers(
+        name=given["--name"],
+        host=given.get("--host"),
+        serial=given.get("--serial"),
+        load_cell_host=given.get("--load-cell-host"),
+    )
+    assert draft(given["--profile"], answers, tmp_path / given["-o"]).bench.name == given["--name"]
+
+
+def test_every_profile_of_a_device_has_a_page():
+    benches = {path.stem for path in CONFIG.glob("*.yaml") if "piezod.bench/1" in path.read_text(encoding="utf-8")}
+    assert benches - {"bench"} == set(DEVICES)

@@ -1,0 +1,164 @@
+"""The README's pictures, made anew: `python -m tests.screenshots` runs an emulated bench and photographs what it shows.
+
+Needs chromium and playwright; takes some minutes, most of them for identification and diagnosis.
+"""
+
+import argparse
+import contextlib
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import yaml
+from PIL import Image
+
+ROOT = Path(__file__).parents[1]
+FOLDER = ROOT / ".screenshots"
+sys.path.insert(0, str(ROOT / "tests"))
+
+from hil.browser import VIEWPORTS, chromium  # noqa: E402  # tests import each other from their own folder
+from hil.daemon import daemon  # noqa: E402
+from hil.emulator import EMULATOR, bench_file, emulator  # noqa: E402
+
+COLOURS = 128  # of a palette: pages have few, and the files stay small
+LIMIT_BYTES = 200_000
+RATE_HZ = 100  # what any machine holds
+WATCHED_S = 35.0  # the curves go back half a minute
+PATIENT = {"comm_loss_ms": 9000, "device_watchdog_ms": 8000, "stale_after_ms": 4000, "missed_ticks_in_a_row": 2000}
+LAG_AND_CREEP = {"electrical_lag": {"tau_s": 0.004}, "creep": {"per_decade": 0.013}}
+TELEPHONE_PIXELS = 1700  # of the long page that is shown
+
+
+def main() -> None:
+    """Make every picture, or those that are named."""
+    parser = argparse.ArgumentParser(prog="python -m tests.screenshots", description=__doc__)
+    parser.add_argument("names", nargs="*", choices=[*MADE, []], help="all when left out")
+    names = parser.parse_args().names or list(MADE)
+    FOLDER.mkdir(exist_ok=True)
+    with tempfile.TemporaryDirectory() as folder, chromium() as browser:
+        for name in names:
+            MADE[name](browser, Path(folder))
+
+
+def live(browser, folder: Path) -> None:
+    """The live page of a running bench, on a desk and on a telephone; its run is recorded for `run`."""
+    with _running(folder) as (bench, _), _watch(bench) as address:
+        time.sleep(WATCHED_S)
+        for viewport, name in (("desk", "live"), ("telephone", "live-telephone")):
+            page = _open(browser, address, viewport)
+            page.get_by_text("RUNNING", exact=True).first.wait_for()
+            page.wait_for_timeout(1500)
+            _photograph(page, name, whole=True)
+
+
+def run(browser, folder: Path) -> None:
+    """The report of a run."""
+    if not (folder / "kept").is_dir():
+        with _running(folder):
+            time.sleep(WATCHED_S)
+    recording = max((folder / "kept").glob("*.sqlite"))
+    _piezod("report", recording, "-o", folder / "run.html")
+    _photograph(_open(browser, (folder / "run.html").as_uri()), "run")
+
+
+def commission(browser, folder: Path) -> None:
+    """Identification and validation, of one commissioning."""
+    _commissioned(folder)
+    identified = folder / "seed" / "varying-triangles" / "identification.html"
+    _photograph(_open(browser, identified.as_uri()), "identification")
+    _photograph(_open(browser, (folder / "seed" / "validation.html").as_uri()), "validation")
+
+
+def diagnosis(browser, folder: Path) -> None:
+    """A diagnosis of a bench that has got a lag and a creep since it was identified."""
+    _commissioned(folder)
+    model = folder / "seed" / "staircase-minor-loops-multisine.yaml"
+    content = yaml.safe_load(EMULATOR.read_text(encoding="utf-8")) | {
+        "effects": LAG_AND_CREEP,
+        "scenario": "seed_bench",
+    }
+    changed = folder / "changed.yaml"
+    changed.write_text(yaml.safe_dump(content), encoding="utf-8")
+    (folder / "changed").mkdir(exist_ok=True)
+    with emulator("--port", "0", "--time", "virtual", config=changed) as serves:
+        bench = bench_file(folder / "changed", serves, rate_Hz=200, limits=PATIENT)
+        for name in ("staircase-minor-loops-multisine", "varying-triangles"):
+            _piezod("record", bench, "--excitation", name, "-o", folder / f"{name}-later.csv", "--frequency", "0.5")
+    later = [folder / f"{name}-later.csv" for name in ("staircase-minor-loops-multisine", "varying-triangles")]
+    _piezod("diagnose", *later, "--model", model, "-o", folder / "diagnosis")
+    _photograph(_open(browser, (folder / "diagnosis" / "report.html").as_uri()), "diagnosis")
+
+
+MADE = {"live": live, "run": run, "commission": commission, "diagnosis": diagnosis}
+
+
+@contextlib.contextmanager
+def _running(folder: Path) -> Iterator[tuple[Path, object]]:
+    """A bench that follows triangles, with a recorder."""
+    with emulator("--port", "0") as serves:
+        bench = bench_file(
+            folder,
+            serves,
+            rate_Hz=RATE_HZ,
+            limits=PATIENT,
+            arming={"voltage_V_per_s": 400.0},
+            reference={"frequency_Hz": 0.2},
+            recorder={"folder": str(folder / "kept")},
+        )
+        with daemon(bench) as service:
+            service.connected()
+            service.tell("arm")
+            yield bench, service
+            service.tell("disarm")
+
+
+@contextlib.contextmanager
+def _watch(bench: Path) -> Iterator[str]:
+    """Serve the live page; yields its address."""
+    command = [sys.executable, "-m", "piezod", "watch", str(bench), "--port", "0"]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+    try:
+        assert process.stdout is not None
+        yield process.stdout.readline().split()[2]
+    finally:
+        os.kill(process.pid, signal.SIGTERM)
+        process.wait()
+
+
+def _commissioned(folder: Path) -> None:
+    if not (folder / "seed" / "validation.html").exists():
+        _piezod("commission", "--emulated", "seed_bench", "-o", folder / "seed")
+
+
+def _piezod(*arguments: object) -> None:
+    subprocess.run([sys.executable, "-m", "piezod", *map(str, arguments)], check=True)
+
+
+def _open(browser, address: str, viewport: str = "desk"):
+    width, height = VIEWPORTS[viewport]
+    page = browser.new_page(viewport={"width": width, "height": height})
+    page.goto(address)
+    page.wait_for_function("() => Bokeh.documents.length > 0 && Bokeh.documents.every((one) => one.is_idle)")
+    page.wait_for_timeout(1000)
+    return page
+
+
+def _photograph(page, name: str, *, whole: bool = False) -> None:
+    """What stands on the screen, or the whole page, as a small PNG."""
+    path = FOLDER / f"{name}.png"
+    page.screenshot(path=path, full_page=whole)
+    with Image.open(path) as picture:
+        shown = picture.crop((0, 0, picture.width, min(picture.height, TELEPHONE_PIXELS)))
+        shown.convert("RGB").quantize(COLOURS, dither=Image.Dither.NONE).save(path, optimize=True)
+    assert path.stat().st_size <= LIMIT_BYTES, f"{path} has {path.stat().st_size} bytes, at most {LIMIT_BYTES}"
+    print(f"{path.relative_to(ROOT)}: {path.stat().st_size // 1000} kB")
+    page.close()
+
+
+if __name__ == "__main__":
+    main()
