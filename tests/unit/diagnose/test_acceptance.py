@@ -1,0 +1,54 @@
+"""Which gains are believed, on losses of blocks made by hand."""
+
+import numpy as np
+import pytest
+
+from piezod.diagnose.acceptance import acts_locally, steadiness, worth
+from piezod.diagnose.chain import HATS, SPLINES, Point, Term
+from piezod.diagnose.fit import Fitted
+from piezod.effects import EFFECTS
+
+BLOCKS = 30
+
+
+def fitted(losses, effect=None):
+    terms = () if effect is None else (Term(EFFECTS[effect], "since"),)
+    point = Point(np.zeros(HATS), np.zeros(SPLINES), np.zeros(2), tuple({} for _ in terms))
+    return Fitted(terms, point, np.asarray(losses, float), np.full(BLOCKS, 100.0), tuple({} for _ in terms))
+
+
+def with_gain(gains):
+    """One everywhere, then lower by e^-gain."""
+    return np.exp(-np.asarray(gains, float))
+
+
+def test_a_gain_in_every_block_is_worth_naming_and_one_by_chance_is_not():
+    rng = np.random.default_rng(2)
+    before = fitted(np.ones(BLOCKS))
+    assert worth(before, fitted(with_gain(0.1 + 0.05 * rng.standard_normal(BLOCKS)), "creep"))
+    assert not worth(before, fitted(with_gain(0.3 * rng.standard_normal(BLOCKS) - 0.02), "creep"))
+
+
+@pytest.mark.parametrize(("effect", "believed"), [("contact_gap", True), ("slew_limit", True), ("creep", False)])
+def test_two_blocks_are_enough_only_for_what_acts_at_a_limit(effect, believed):
+    gains = np.zeros(BLOCKS)
+    gains[[0, 17]] = 3.0
+    before = fitted(np.where(gains > 0.0, 3.0, 1.0))
+    after = fitted(before.losses * np.exp(-gains), effect)
+    assert acts_locally(before, after, effect) == believed
+
+
+@pytest.mark.parametrize("spoilt", [{4: -0.2}, {17: 0.0}], ids=["another block grows worse", "one block alone gains"])
+def test_what_acts_at_a_limit_gains_twice_and_loses_nowhere(spoilt):
+    gains = np.zeros(BLOCKS)
+    gains[[0, 17]] = 3.0
+    gains[list(spoilt)] = list(spoilt.values())
+    before = fitted(np.full(BLOCKS, 2.0))
+    assert not acts_locally(before, fitted(before.losses * np.exp(-gains), "contact_gap"), "contact_gap")
+
+
+def test_steadiness_is_the_sign_test_of_equal_gains():
+    before = fitted(np.ones(BLOCKS))
+    assert steadiness(before, fitted(with_gain(np.full(BLOCKS, 0.2)), "creep")) == pytest.approx(np.sqrt(BLOCKS))
+    half = np.where(np.arange(BLOCKS) % 2 == 0, 0.2, -0.2)
+    assert steadiness(before, fitted(with_gain(half), "creep")) == pytest.approx(0.0)

@@ -1,0 +1,49 @@
+"""Edges of load steps: found to the sample, and none where the command leaps."""
+
+import numpy as np
+import pytest
+
+from piezod.diagnose.steps import NEVER_S, Step, edge_near, sharp
+from tests.unit.diagnose.residuals import mixed_work, noise, series, time
+
+TIME_S = time(20_000)
+ON_S, HEIGHT_N = 7.3, 2.0
+
+
+def stepped(seed, height_N=HEIGHT_N):
+    return noise(TIME_S.size, 0.0, np.random.default_rng(seed)) + height_N * (TIME_S >= ON_S)
+
+
+@pytest.mark.parametrize("guess_s", [7.1, 7.3, 7.5])
+def test_an_edge_is_found_to_a_few_samples_from_a_quarter_of_a_second_away(guess_s):
+    for seed in range(5):
+        residual = stepped(seed)
+        one = series(TIME_S, mixed_work(TIME_S), residual)
+        assert edge_near(one, residual, guess_s) == pytest.approx(ON_S, abs=0.005)
+
+
+def test_an_edge_where_no_reading_counts_stays_where_it_was():
+    residual = stepped(0)
+    one = series(TIME_S, mixed_work(TIME_S), residual, counts=TIME_S < 5.0)
+    assert edge_near(one, residual, ON_S) == ON_S
+
+
+def left_by(one, residual, height_N):
+    step = Step(height_N, round(ON_S / one.dt_s), round(NEVER_S / one.dt_s))
+    return sharp(one, residual - height_N * (TIME_S >= ON_S), step)
+
+
+def test_a_step_of_the_load_has_a_sharp_edge_and_a_drift_has_none():
+    u = mixed_work(TIME_S)
+    for seed in range(5):
+        residual = stepped(seed)
+        assert left_by(series(TIME_S, u, residual), residual, HEIGHT_N)
+        drifting = noise(TIME_S.size, 0.0, np.random.default_rng(seed)) + 0.5 * HEIGHT_N * TIME_S / ON_S
+        assert not left_by(series(TIME_S, u, drifting), drifting, HEIGHT_N)
+
+
+def test_what_jumps_where_the_command_leaps_is_no_step_of_the_load():
+    u = mixed_work(TIME_S)
+    u[TIME_S >= ON_S] += 150.0
+    residual = stepped(1)
+    assert not left_by(series(TIME_S, u, residual), residual, HEIGHT_N)
