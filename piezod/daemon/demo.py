@@ -19,8 +19,8 @@ from piezod.daemon.shipped import shipped
 from piezod.recording import Recording
 
 REFERENCES = {
-    "triangle": WaveformReference(kind="triangle", amplitude_N=110, offset_N=150, frequency_Hz=0.5, duration_s=6.0),
-    "multisine": WaveformReference(kind="multisine", amplitude_N=110, offset_N=150, frequency_Hz=0.25, duration_s=8.0),
+    "triangle": WaveformReference(kind="triangle", amplitude_N=110, offset_N=150, frequency_Hz=0.5, duration_s=4.0),
+    "multisine": WaveformReference(kind="multisine", amplitude_N=110, offset_N=150, frequency_Hz=0.25, duration_s=4.0),
 }
 STALL_S = 0.5  # a virtual machine may stand still for a tenth of a second; the demo must not call that a lost device
 COMPENSATIONS = ("gain", "inverse")

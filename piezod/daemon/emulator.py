@@ -4,7 +4,7 @@ import contextlib
 import json
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import yaml
@@ -47,7 +47,7 @@ def emulated_bench(config: Path, *arguments: str) -> Iterator[dict[str, str]]:
 
 
 @contextlib.contextmanager
-def emulated_bench_file(folder: Path, scenario: str) -> Iterator[Path]:
+def emulated_bench_file(folder: Path, scenario: str, effects: Sequence[str] = ()) -> Iterator[Path]:
     """Start an emulated bench in virtual time and yield a bench file that points at it.
 
     Parameters
@@ -56,6 +56,8 @@ def emulated_bench_file(folder: Path, scenario: str) -> Iterator[Path]:
         Where the file is written.
     scenario
         Of the emulator: `stack`, `seed_bench` or a YAML file.
+    effects
+        Switched on at their default strengths.
 
     Raises
     ------
@@ -63,7 +65,8 @@ def emulated_bench_file(folder: Path, scenario: str) -> Iterator[Path]:
         It did not come up.
     """
     content = yaml.safe_load(shipped("bench.yaml").read_text(encoding="utf-8"))
-    arguments = ("--port", "0", "--time", "virtual", "--scenario", scenario)
+    switched = [part for name in effects for part in ("--effect", name)]
+    arguments = ("--port", "0", "--time", "virtual", "--scenario", scenario, *switched)
     with emulated_bench(shipped("emulator.yaml"), *arguments) as serves:
         host, _, port = serves["tcp"].rpartition(":")
         content["rate_Hz"] = VIRTUAL_RATE_HZ

@@ -56,6 +56,7 @@ class DemoVerdict:
     figures: dict[tuple[str, str], TrackingFigures]
     timing: Timing
     outcome: SessionOutcome
+    hidden: "HiddenVerdict | None" = None
 
     @property
     def hysteresis_ratio(self) -> float:
@@ -70,7 +71,7 @@ class DemoVerdict:
     def passed(self) -> bool:
         """At most a quarter of the hysteresis is left, and no exchange failed."""
         clean = not self.outcome.failed_exchanges and not self.outcome.fault and not self.outcome.stopped
-        return clean and self.hysteresis_ratio <= QUARTER
+        return clean and self.hysteresis_ratio <= QUARTER and (self.hidden is None or self.hidden.passed)
 
     @property
     def words(self) -> str:
@@ -92,6 +93,7 @@ class DemoVerdict:
         """For JSON."""
         return {
             "schema": "piezod.demo/1",
+            "hidden": None if self.hidden is None else self.hidden.as_dict(),
             "passed": self.passed,
             "words": self.words,
             "figures": [
@@ -105,6 +107,66 @@ class DemoVerdict:
             "resident_kib": self.outcome.resident_kib,
             "warnings": self.outcome.warnings,
         }
+
+
+@dataclass(frozen=True)
+class HiddenVerdict:
+    """The bench that hid something: what the diagnosis says, and what driving by it is worth.
+
+    Parameters
+    ----------
+    sentence
+        Of the diagnosis.
+    figures
+        By compensation: gain, inverse, extended.
+    noise_N
+        Of the reading, by the diagnosis [N].
+    """
+
+    sentence: str
+    figures: dict[str, TrackingFigures]
+    noise_N: float
+
+    @property
+    def passed(self) -> bool:
+        """What was found brings the error at least down to half."""
+        return self.figures["extended"].rms_error_N <= 0.5 * self.figures["inverse"].rms_error_N
+
+    @property
+    def words(self) -> str:
+        """In a sentence."""
+        static, extended = self.figures["inverse"], self.figures["extended"]
+        return (
+            f"hidden effects: error {static.rms_error_percent:.2f} % -> {extended.rms_error_percent:.2f} % rms "
+            f"({'at most' if self.passed else 'NOT below'} 50% of it); the reading's noise alone is "
+            f"{100.0 * self.noise_N / extended.range_N:.2f} %"
+        )
+
+    def as_dict(self) -> dict[str, Any]:
+        """For JSON."""
+        figures = [{"compensation": name, **one.as_dict()} for name, one in self.figures.items()]
+        return {"diagnosis": self.sentence, "noise_N": self.noise_N, "figures": figures, "virtual_time": True}
+
+
+def judge_hidden(recordings: dict[tuple[str, str], Recording], sentence: str, noise_N: float) -> HiddenVerdict:
+    """Figures of the bench that hid something."""
+    figures = {compensation: tracking_figures(one, loop=False) for (_, compensation), one in recordings.items()}
+    return HiddenVerdict(sentence, figures, noise_N)
+
+
+def print_hidden(hidden: HiddenVerdict) -> None:
+    """The four rows and the sentence."""
+    print("a bench that hides creep, lag and delay (emulated in virtual time, as fast as this machine goes):")
+    print(f"  diagnosis: {hidden.sentence}")
+    print(f"  {'compensation':<20} {'rms error [N]':>13} {'[%]':>6} {'max error [N]':>14} {'[%]':>6}")
+    for name, one in hidden.figures.items():
+        print(
+            f"  {LABELS[name]:<20} {one.rms_error_N:>13.2f} {one.rms_error_percent:>6.2f} {one.max_error_N:>14.2f} "
+            f"{one.max_error_percent:>6.2f}"
+        )
+    share = 100.0 * hidden.noise_N / hidden.figures["extended"].range_N
+    print(f"  {'noise of the reading':<20} {hidden.noise_N:>13.2f} {share:>6.2f} {'-':>14} {'-':>6}")
+    print(hidden.words)
 
 
 def judge(recordings: dict[tuple[str, str], Recording], timing: Timing, outcome: SessionOutcome) -> DemoVerdict:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from piezod.identify.scores import largest, max_hysteresis_percent, rms
 from piezod.recording import Recording
 from piezod.report.page import Part, head_html, write_page
-from piezod.report.style import BLUE, GREY, ORANGE
+from piezod.report.style import BLUE, GREEN, GREY, ORANGE
 
 MOST_TICKS = 5  # whose numbers stay apart on a telephone
 SHOWN_SAMPLES = 1500  # a curve needs no more on a screen; the figures of the table use all samples
@@ -92,8 +92,8 @@ def write_tracking_page(
     write_page(path, title, parts)
 
 
-COLOURS = {"gain": ORANGE, "inverse": BLUE}
-LABELS = {"gain": "plain gain", "inverse": "hysteresis inverse"}
+COLOURS = {"gain": ORANGE, "inverse": BLUE, "extended": GREEN}
+LABELS = {"gain": "plain gain", "inverse": "hysteresis inverse", "extended": "extended inverse"}
 
 
 def thin(values: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -193,6 +193,12 @@ def test_the_demo_shows_that_at_most_a_quarter_of_the_hysteresis_is_left(tmp_pat
     result = json.loads(figures.read_text(encoding="utf-8"))
     assert result["passed"]
     assert result["failed_exchanges"] == 0
+    hidden = result["hidden"]
+    assert hidden["diagnosis"].startswith("explained: ")
+    assert all(words in hidden["diagnosis"] for words in ("creep of the stack", "time constant", "delay"))
+    rms = {row["compensation"]: row["rms_error_N"] for row in hidden["figures"]}
+    assert hidden["noise_N"] < rms["extended"] < 0.25 * rms["inverse"] < 0.25 * rms["gain"]
+    assert "virtual time" in done.stdout
     opening = {
         row["compensation"]: row["max_hysteresis_percent"]
         for row in result["figures"]
@@ -201,6 +207,7 @@ def test_the_demo_shows_that_at_most_a_quarter_of_the_hysteresis_is_left(tmp_pat
     assert opening["inverse"] <= opening["gain"] / 4
     text = page.read_text(encoding="utf-8")
     assert "A force follows its reference" in text
+    assert "extended inverse" in text
     assert not fetched_by(text)
     assert len(text) < 3_000_000
 

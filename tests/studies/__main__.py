@@ -7,7 +7,7 @@ import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
-from tests.studies import compensation, effects_compensated, overlay, recorder, scenarios, soak, table
+from tests.studies import compensation, effects_compensated, flexure, overlay, recorder, scenarios, soak, table
 from tests.studies.laid_over import LAID_OVER, NOT_LAID_OVER
 from tests.studies.peers import command as peers
 from tests.studies.strengths import SWITCHED
@@ -22,6 +22,7 @@ def main() -> None:
     _compensation(
         studies.add_parser("compensation", help="plain gain, static and extended inverse on the emulated bench")
     )
+    _flexure(studies.add_parser("flexure", help="what a diagnosed model predicts of a real feedforward"))
     _effects_compensated(studies.add_parser("effects_compensated", help="each effect alone, before and after"))
     peers.add_options(studies.add_parser("peers", help="other methods on the cases of a concealed study"))
     recorder.add_options(studies.add_parser("recorder", help="the recorder killed, without power, on a failing disk"))
@@ -90,6 +91,19 @@ def _effects_compensated(parser: argparse.ArgumentParser) -> None:
         with _folder(options.folder) as folder:
             rows = effects_compensated.study(chosen, size, folder, jobs=options.jobs)
             _told(rows, effects_compensated.header(), effects_compensated.summary, options.json)
+
+    parser.set_defaults(run=run)
+
+
+def _flexure(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--json", type=Path, metavar="FILE", help="write the rows as JSON too")
+    parser.add_argument("--folder", type=Path, metavar="DIR", help="keep models and findings there")
+
+    def run(options: argparse.Namespace, parser: argparse.ArgumentParser) -> None:
+        if not flexure.REAL.is_dir():
+            parser.error(f"{flexure.REAL} is not here: the real recordings are not part of the project")
+        with _folder(options.folder) as folder:
+            _told(flexure.study(folder), flexure.header(), flexure.summary, options.json)
 
     parser.set_defaults(run=run)
 

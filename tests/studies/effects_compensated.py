@@ -63,7 +63,7 @@ class EffectRow:
     read, corrected
         Error of the reading against the force it stands for, as it is and corrected.
     refused
-        The reason, where the diagnosed model is refused; `after` is then without these effects.
+        The reason, where the effect is not driven against; `after` is then without it.
     why
         What went wrong, where something did.
     """
@@ -166,7 +166,7 @@ def driven(
         error(after),
         _rms_percent(after.reading_N - after.true_N, after, skip) if of_reading else None,
         _rms_percent(corrected - after.true_N, after, skip) if of_reading else None,
-        "; ".join(f"refused: {EFFECTS[one].why}" for one in refused),
+        f"refused: {EFFECTS[name].why}" if EFFECTS[name].handling == "refused" else "",
     )
 
 
