@@ -188,7 +188,7 @@ def test_a_ring_log_is_there_while_the_bench_runs_and_gone_afterwards(tmp_path):
 
 def test_the_demo_shows_that_at_most_a_quarter_of_the_hysteresis_is_left(tmp_path):
     page, figures = tmp_path / "demo.html", tmp_path / "demo.json"
-    done = piezod("demo", "--report", page, "--json", figures)
+    done = piezod("demo", "--report", page, "--json", figures, timeout=600)
     assert done.returncode == 0, done.stdout + done.stderr
     result = json.loads(figures.read_text(encoding="utf-8"))
     assert result["passed"]

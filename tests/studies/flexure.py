@@ -74,8 +74,8 @@ def summary(rows: Sequence[FlexureRow]) -> str:
     """The last line."""
     recorded, extended = rows[0], rows[-2]
     return (
-        f"the recorded feedforward error of {recorded.rms_um:.3f} um rms would fall to {extended.rms_um:.3f} um, by the "
-        "model; no bench has been driven"
+        f"recorded feedforward error {recorded.rms_um:.3f} um rms; the extended inverse is predicted to leave "
+        f"{extended.rms_um:.3f} um; no bench has been driven"
     )
 
 
