@@ -19,7 +19,7 @@ from piezod.diagnose.acceptance import (
     worth,
 )
 from piezod.diagnose.chain import Chain, Point, Term
-from piezod.diagnose.courses import best_course, settled, started_anew
+from piezod.diagnose.courses import best_course, coarse, settled, started_anew
 from piezod.diagnose.direct import noise_of
 from piezod.diagnose.fit import Fitted, Normal, fit
 from piezod.diagnose.parallel import each
@@ -33,6 +33,7 @@ OnProgress = Callable[[str, float], None]
 MOST_EFFECTS = 5
 SEARCHED, FURTHER = 0.85, 0.5  # part of the work behind the search; of what is before it, left after a round
 FINALISTS = 3  # of them that are tried with every course of the command between samples
+OTHER_SCOPE = 0.98  # of the loss: below it an effect's other scope is taken
 NEEDLESS = 0.02  # of the loss: an effect without which no more is lost is left out again
 DOUBTED = 3  # of those that fit better and are not believed that are fitted from other starts
 NEAR_A_MODE = 0.05  # of its frequency: a line there is its own ringing
@@ -119,6 +120,7 @@ def search(chain: Chain, start: Point, progress: OnProgress) -> Search:
         largest = max(largest, before.loss - result.found.loss)
         others = tuple(one for _, one in tried if one.effects[-1] != result.found.effects[-1])
         result.rounds.append(Round(before, result.found, others))
+        _rescope(result)
     progress("trying to swap and to drop", SEARCHED)
     _swap(result)
     _drop(result, largest)
@@ -145,6 +147,21 @@ def _finalists(result: Search, tried: list[tuple[Chain, Fitted]], largest: float
 
 
 Heard = tuple[Chain, Fitted, list[Tone]]
+
+
+def _rescope(result: Search) -> None:
+    """Effects that were found before, had already or come since: beside a new one the other may fit better."""
+    few, found = coarse(result.chain), result.found
+    known = fit(few, found.terms, found.point, most_steps=2)
+    others = []
+    for place, term in enumerate(found.terms[:-1]):
+        if term.scope != "once":
+            other = replace(term, scope="since" if term.scope == "already" else "already")
+            others.append((*found.terms[:place], other, *found.terms[place + 1 :]))
+    tried = each(lambda terms: fit(few, terms, found.point, most_steps=6), others)
+    best = min(tried, key=lambda one: one.loss, default=known)
+    if best.loss < OTHER_SCOPE * known.loss:
+        result.found = fit(result.chain, best.terms, best.point, most_steps=6)
 
 
 def _heard(result: Search) -> Heard | None:
