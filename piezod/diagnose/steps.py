@@ -15,6 +15,8 @@ CELLS = 400  # of a recording, at whose edges a step may come or go at first
 APART = 4  # cells between one proposal's edges and the next one's
 SHORTEST = 2  # cells
 WINDOWS_S = (0.1, 0.3, 1.0, 3.0)  # before and after an edge
+JUMP_S = 0.3  # before and after, where the clearest jump is looked for
+LEAPS_PASSED = 20  # of the command
 EDGE_WITHIN_S, EDGE_LOOKED_AT_S = 0.25, 0.5  # of where it was fitted on few samples; around it
 CLEAR = 5.0  # jump of the means on both sides of an edge, in the standard deviations that such jumps have elsewhere
 LIKE_THE_STEP = 0.4  # by how much of the height a jump may differ from it,
@@ -71,6 +73,45 @@ def likely_steps(normal: Normal, number: int, most: int = 2) -> list[Step]:
         gains[max(a - APART, 0) : a + APART + 1, :] = 0.0
         gains[:, max(b - APART, 0) : b + APART + 1] = 0.0
     return found
+
+
+def sharpest_steps(series: Series, residual_N: Array) -> list[Step]:
+    """The clearest jump of a residual at an instant of which the command knows nothing: for good, and until one back.
+
+    What explains most may have one of its edges elsewhere, where something else is still missing.
+    """
+    near, size = round(JUMP_S / series.dt_s), series.time_s.size
+    if near < 5 or size < 4 * near:
+        return []
+    jumps = _jumps(np.where(series.counts, residual_N, 0.0), near)
+    clear = CLEAR * _usual(jumps)
+    place, height_N = _largest(series, jumps, near)
+    if abs(height_N) < clear:
+        return []
+    steps = [Step(height_N, place, size)]
+    back, back_N = _largest(series, -np.sign(height_N) * jumps, near, signed=True)
+    if back > place and back_N > max(clear, (1.0 - LIKE_THE_STEP) * abs(height_N)):
+        steps.append(Step(height_N, place, back))
+    return steps
+
+
+def _jumps(values: Array, near: int) -> Array:
+    """Mean of the `near` values from a sample on less that of those before it, for every sample but the outermost."""
+    total = np.concatenate(([0.0], np.cumsum(values)))
+    middles = np.arange(near, values.size - near)
+    jumps: Array = (total[middles + near] - 2.0 * total[middles] + total[middles - near]) / near
+    return jumps
+
+
+def _largest(series: Series, jumps: Array, near: int, *, signed: bool = False) -> tuple[int, float]:
+    """Sample and height of the largest jump that the command has not made."""
+    sizes = jumps.copy() if signed else np.abs(jumps)
+    for _ in range(LEAPS_PASSED):
+        k = int(np.argmax(sizes))
+        if not _command_leaps(series, k + near):
+            break
+        sizes[max(k - near, 0) : k + near] = -np.inf
+    return k + near, float(jumps[k])
 
 
 def _sharpest(sums: "_Sums", edges: Array, a: int, b: int) -> tuple[int, int]:
@@ -179,9 +220,7 @@ def sharp(series: Series, residual_N: Array, step: Step) -> bool:
             near = int(window_s / series.dt_s)
             if near < 5 or place < near or place > size - near:
                 continue
-            total = np.concatenate(([0.0], np.cumsum(values)))
-            middles = np.arange(near, size - near)
-            jumps = (total[middles + near] - 2.0 * total[middles] + total[middles - near]) / near
+            jumps = _jumps(values, near)
             told.append((height + float(jumps[place - near]) if place - near < jumps.size else height, _usual(jumps)))
         if not told:
             return False

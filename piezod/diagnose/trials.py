@@ -12,7 +12,7 @@ from piezod.diagnose.courses import coarse, started_alike
 from piezod.diagnose.fit import MOST_STEPS, Fitted, Normal, fit
 from piezod.diagnose.ideas import Idea, screened, since
 from piezod.diagnose.parallel import each
-from piezod.diagnose.steps import NEVER_S, edge_near, likely_steps
+from piezod.diagnose.steps import NEVER_S, edge_near, likely_steps, sharpest_steps
 from piezod.effects import EFFECTS
 from piezod.effects.effect import STRAIGHT
 
@@ -164,7 +164,8 @@ def suggested(chain: Chain, found: Fitted) -> list[Idea]:
     for number, series in enumerate(chain.series):
         if series.role == "identification":
             continue
-        for step in likely_steps(normal, number):
+        left_N = series.reading_N - normal.readings[number]
+        for step in (*likely_steps(normal, number), *sharpest_steps(series, left_N)):
             end_s = NEVER_S if step.end == series.time_s.size else step.end * series.dt_s
             places = {"step_N": step.height_N, "on_s": step.first * series.dt_s, "off_s": end_s}
             ideas.append(_idea("load_step", number, places))
