@@ -258,9 +258,10 @@ def _drop(result: Search, largest: float) -> None:
         found = result.found
         name = left.pop(0)
         terms, values = without(found, name)
+        once = all(term.scope == "once" for term in found.terms if term.effect.name == name)
         fewer = fit(result.chain, terms, replace(found.point, values=tuple(values)))
         gain = fewer.loss - found.loss
         small = gain < FAIR_SHARE * largest and steadiness(fewer, found) < STEADY_WHEN_SMALL
-        if gain < NEEDLESS * found.loss or (small and not acts_locally(fewer, found, name)):
+        if gain < NEEDLESS * found.loss or (small and not once and not acts_locally(fewer, found, name)):
             result.found = fewer
             left = list(fewer.effects)

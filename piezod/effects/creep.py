@@ -68,7 +68,7 @@ EFFECT = Effect(
     parameters=(
         Parameter("per_decade", "1", 0.0, 0.3, starts=(0.01,)),
         Parameter("from_s", "s", 1e-3, 10.0, starts=(0.1,), logarithmic=True),
-        Parameter("to_s", "s", 1.0, 1e5, starts=(1000.0,), logarithmic=True),
+        Parameter("to_s", "s", 1.0, 1e5, starts=(1000.0, 30.0), logarithmic=True),
         Parameter("slope", "1", -0.15, 0.15, starts=(0.0,), nuisance=True),
         Parameter("driven_by", "1", 0.0, 1.0, starts=(0.0,), nuisance=True, choices=(0.0, 1.0)),
     ),
