@@ -93,23 +93,30 @@ def compare_files(
     name = outputs.pop()
     recording = read_recording(measured)
     y = recording.channel(name)
-    candidates = [_recorded(path, recording, y, name) for path in others]
+    names = _names([*others, *models])
+    candidates = [_recorded(path, recording, y, name, names[path]) for path in others]
     candidates += [
-        _simulated(path, model, measured, start_window_s) for path, model in zip(models, loaded, strict=True)
+        _simulated(names[path], model, measured, start_window_s) for path, model in zip(models, loaded, strict=True)
     ]
     return Comparison(recording, name, candidates)
 
 
-def _recorded(path: Path, recording: Recording, y: Array, name: str) -> Candidate:
+def _names(paths: Sequence[Path]) -> dict[Path, str]:
+    """Stems of the files; their whole paths where two have the same."""
+    stems = [path.stem for path in paths]
+    return {path: path.stem if stems.count(path.stem) == 1 else str(path) for path in paths}
+
+
+def _recorded(path: Path, recording: Recording, y: Array, name: str, label: str) -> Candidate:
     other = read_recording(path)
     values = np.interp(recording.time_s, other.time_s, other.channel(name), left=np.nan, right=np.nan)
     compared = np.isfinite(y) & np.isfinite(values)
     if not compared.any() or y[compared].min() == y[compared].max():
         raise UsageError(f"{path}: {np.count_nonzero(compared)} samples to compare with, need two that differ")
-    return Candidate(path.stem, values, Agreement.of(y[compared], values[compared]))
+    return Candidate(label, values, Agreement.of(y[compared], values[compared]))
 
 
-def _simulated(path: Path, model: Model, measured: Path, start_window_s: float) -> Candidate:
+def _simulated(label: str, model: Model, measured: Path, start_window_s: float) -> Candidate:
     taken = take_whole(measured, model.input.channel, model.output.channel)
     simulation = simulate_recording(model, taken.recording, start_window_s, None, taken.sha256)
     if simulation.agreement is None:
@@ -117,4 +124,4 @@ def _simulated(path: Path, model: Model, measured: Path, start_window_s: float) 
     values = np.interp(
         taken.recording.time_s, simulation.recording.time_s, simulation.recording.channel(model.output.channel)
     )
-    return Candidate(path.stem, values, simulation.agreement)
+    return Candidate(label, values, simulation.agreement)

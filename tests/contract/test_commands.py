@@ -5,6 +5,7 @@ import re
 import shlex
 import subprocess
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,6 +15,8 @@ from piezod import cli
 from piezod.daemon.shipped import shipped
 from piezod.model import load_model
 from piezod.recording import Recording, write_recording
+
+ROOT = Path(__file__).parents[2]
 
 # DESIGN.md, section 6, and issue 7.
 COMMANDS = {
@@ -130,6 +133,18 @@ def test_a_refusal_is_one_line_with_its_code(line, code, says, capsys):
 
 def test_every_command_has_a_refusal_in_the_table():
     assert {name for name in COMMANDS if any(line.startswith(name) for line, _, _ in REFUSALS)} == COMMANDS
+
+
+def test_the_readme_names_every_command_and_shows_pictures_that_are_there():
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    missing = [name for name in COMMANDS if not re.search(rf"piezod (?:[a-z]+ \S* ?\|.*)?{name.split()[0]}\b", text)]
+    assert missing == []
+    pictures = re.findall(r"!\[[^\]]+\]\(([^)]+)\)", text)
+    assert len(pictures) >= 5
+    for picture in pictures:
+        assert 0 < (ROOT / picture).stat().st_size <= 200_000, picture
+    for link in re.findall(r"\]\((config/[^)]+)\)", text):
+        assert (ROOT / link).is_file(), link
 
 
 def test_without_words_the_help_is_shown_and_that_is_misuse(capsys):

@@ -115,7 +115,7 @@ def _values(feed: Feed) -> Iterable[tuple[str, str]]:
     yield "ticks missed", f"{_short(status['missed'])} of {_short(status['ticks'])}"
     yield "exchanges failed", str(status["failed_exchanges"])
     if recorder := status.get("recorder"):
-        yield "recorder", "DEGRADED" if recorder["degraded"] else f"{_short(recorder['rows'])} ticks kept"
+        yield "ticks recorded", "DEGRADED" if recorder["degraded"] else _short(recorder["rows"])
 
 
 def _short(count: int) -> str:

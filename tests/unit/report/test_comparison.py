@@ -123,6 +123,15 @@ def test_the_fit_is_that_of_matlabs_compare(files):
     assert json.loads(json.dumps(comparison_as_dict(result)))["compared"][1]["name"] == "model"
 
 
+def test_two_files_of_the_same_name_are_told_apart(files, tmp_path):
+    measured, simulated, _, _ = files
+    twin = tmp_path / "twin" / simulated.name
+    twin.parent.mkdir()
+    twin.write_bytes(simulated.read_bytes())
+    result = compare_files(measured, [simulated, twin], [MODEL], None, 1.0)
+    assert [one.name for one in result.candidates] == [str(simulated), str(twin), "model"]
+
+
 def test_outputs_that_differ_are_not_compared(files):
     with pytest.raises(UsageError, match="outputs differ: displacement_um, force_N"):
         compare_files(files[0], [], [MODEL], "displacement_um", 1.0)
