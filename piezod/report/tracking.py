@@ -146,7 +146,7 @@ def finish(plot: figure, *, downwards: bool = False) -> figure:
     plot.legend.border_line_color = None
     plot.legend.click_policy = "hide"
     plot.legend.label_text_font_size = "11px"
-    plot.legend[0].update(margin=0, padding=2, spacing=8, glyph_height=14, label_height=14)
+    plot.legend[0].update(margin=0, padding=2, spacing=0 if downwards else 8, glyph_height=14, label_height=14)
     plot.add_layout(plot.legend[0], "above")
     plot.xaxis.ticker = BasicTicker(desired_num_ticks=MOST_TICKS)
     plot.add_tools(HoverTool(tooltips=[("x", "$x{0.000}"), ("y", "$y{0.00}")]))

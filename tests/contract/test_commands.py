@@ -140,7 +140,7 @@ def test_the_readme_names_every_command_and_shows_pictures_that_are_there():
     missing = [name for name in COMMANDS if not re.search(rf"piezod (?:[a-z]+ \S* ?\|.*)?{name.split()[0]}\b", text)]
     assert missing == []
     pictures = re.findall(r"!\[[^\]]+\]\(([^)]+)\)", text)
-    assert len(pictures) >= 5
+    assert len(pictures) >= 6
     for picture in pictures:
         assert 0 < (ROOT / picture).stat().st_size <= 200_000, picture
     for link in re.findall(r"\]\((config/[^)]+)\)", text):
