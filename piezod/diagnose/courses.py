@@ -62,7 +62,7 @@ def restarted(chain: Chain, fitted: Fitted) -> tuple[Chain, Fitted]:
         one = chain.series[number]
         loss = partial(_loss_of_start, chain, fitted, number)
         path = start_at_zero(one.command_V, "V", loss).path
-        usual = chain.series[resting[0]].path_V  # a bench that is not used between its recordings starts them alike
+        usual = series[resting[0]].path_V  # a bench that is not used between its recordings starts them alike
         if loss(path) >= CLEARLY * loss(usual):
             path = usual
         if loss(path) < (1.0 if path == usual else CLEARLY) * loss(one.path_V):
