@@ -22,6 +22,7 @@ MILLI = {"s": "ms"}  # units that are said in thousandths below SMALL
 SMALL = 0.1
 PER_CENT = 100.0
 DECADE = 10.0  # ends farther apart keep three digits each
+SAME = 1e-3  # of the value: ends nearer to each other are one, except in time
 WIDE = 0.5  # of the value: an interval beyond it says nothing about digits
 PER = "per "  # a parameter so called is said behind its value: 1.27 % per decade
 NO_BREAK = "\N{NO-BREAK SPACE}"
@@ -123,7 +124,8 @@ def place_words(place: Place, wording: Wording = VOLTS) -> str:
     name, unit = AXES.get(place.axis, (place.axis, ""))
     unit = wording.unit(unit)
     within = f" of {wording.recordings[place]}" if place in wording.recordings else ""
-    if place.high - place.low <= 1e-9 * max(abs(place.high), 1e-300):
+    narrow = SAME if place.axis != "time_s" else 1e-9
+    if place.high - place.low <= narrow * max(abs(place.high), 1e-300):
         return f"{name} {rounded(place.low, 4)} {unit}{within}"
     if place.axis in LOGARITHMIC:
         return f"{name} {rounded(place.low)} to {rounded(place.high)} {unit}{within}"

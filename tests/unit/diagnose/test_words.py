@@ -112,3 +112,8 @@ def test_a_share_is_said_in_per_cent():
 )
 def test_things_are_listed(titles, said):
     assert words.listed(titles) == said
+
+
+def test_ends_that_hardly_differ_are_one_except_in_time():
+    assert words.place_words(Place("rate_V_per_s", 27.9998, 28.0, 0.1, 0.01)) == "rate of the command 28.00 V/s"
+    assert words.place_words(Place("time_s", 27.9998, 28.0, 0.1, 0.01)) == "time 27.99980 to 28.00000 s"
