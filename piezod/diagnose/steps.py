@@ -9,6 +9,7 @@ from piezod.diagnose.fit import Normal
 from piezod.diagnose.series import Series
 
 Array = NDArray[np.float64]
+Index = NDArray[np.int64]
 
 NEVER_S = 1e7  # where a step that stays ends
 CELLS = 400  # of a recording, at whose edges a step may come or go at first
@@ -22,6 +23,7 @@ CLEAR = 5.0  # jump of the means on both sides of an edge, in the standard devia
 LIKE_THE_STEP = 0.4  # by how much of the height a jump may differ from it,
 OF_LATTICE = 0.5  # of a coarse converter's step: a lower one is the lattice's own beat
 LEAPS_WITHIN_S, LEAP, RARE = 0.05, 0.5, 95.0  # of an edge; of the command's largest move; percentile of its moves
+STEPS_BY, APART_S, FEWEST_ALIKE = 0.1, 0.5, 5  # of the command's range from a sample to the next; others like it
 CHANCE = 2.0  # and by how many such standard deviations besides
 
 
@@ -213,7 +215,8 @@ def sharp(series: Series, residual_N: Array, step: Step) -> bool:
     for place, height in ((step.first, step.height_N), (step.end, -step.height_N)):
         if not 0 < place < size:
             continue
-        if _command_leaps(series, place):
+        alike = _other_steps(series, place)
+        if _command_leaps(series, place) if alike is None else alike.size < FEWEST_ALIKE:
             return False
         told = []
         for window_s in WINDOWS_S:
@@ -221,7 +224,8 @@ def sharp(series: Series, residual_N: Array, step: Step) -> bool:
             if near < 5 or place < near or place > size - near:
                 continue
             jumps = _jumps(values, near)
-            told.append((height + float(jumps[place - near]) if place - near < jumps.size else height, _usual(jumps)))
+            usual = _usual(jumps) if alike is None else max(_usual(jumps), _usual(jumps[_inside(alike - near, jumps)]))
+            told.append((height + float(jumps[place - near]) if place - near < jumps.size else height, usual))
         if not told:
             return False
         if max(abs(jump) / usual for jump, usual in told) < CLEAR:
@@ -240,5 +244,17 @@ def _command_leaps(series: Series, place: int) -> bool:
     return moves.size > 0 and here > LEAP * float(moves.max()) and here > float(np.percentile(moves, RARE))
 
 
+def _other_steps(series: Series, place: int) -> Index | None:
+    """Where else the command steps from one sample to the next, if it does near a sample; None where it does not."""
+    moves = np.abs(np.diff(series.command_V))
+    steps = np.flatnonzero(moves > STEPS_BY * np.ptp(series.command_V))
+    away_s = np.abs(steps - place) * series.dt_s
+    return steps[away_s > APART_S] if (away_s < LEAPS_WITHIN_S).any() else None
+
+
+def _inside(places: Index, jumps: Array) -> Index:
+    return places[(places >= 0) & (places < jumps.size)]
+
+
 def _usual(jumps: Array) -> float:
-    return max(1.4826 * float(np.median(np.abs(jumps))), 1e-300)
+    return max(1.4826 * float(np.median(np.abs(jumps))), 1e-300) if jumps.size else np.inf

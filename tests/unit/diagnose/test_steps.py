@@ -47,3 +47,17 @@ def test_what_jumps_where_the_command_leaps_is_no_step_of_the_load():
     u[TIME_S >= ON_S] += 150.0
     residual = stepped(1)
     assert not left_by(series(TIME_S, u, residual), residual, HEIGHT_N)
+
+
+@pytest.mark.parametrize(("answer", "believed"), [(0.0, True), (1.0, False)])
+def test_a_jump_at_a_step_of_the_command_must_be_larger_than_at_its_other_steps(answer, believed):
+    steps_s = np.arange(1.0, 19.0, 1.05)
+    u = np.zeros(TIME_S.size)
+    residual = noise(TIME_S.size, 0.0, np.random.default_rng(7))
+    for k, at_s in enumerate(steps_s):
+        u[at_s <= TIME_S] += 20.0 * (-1.0) ** k
+        residual += answer * (-1.0) ** k * (at_s <= TIME_S)
+    step = Step(HEIGHT_N, round(steps_s[6] / 1e-3), TIME_S.size)
+    height_N = np.where(steps_s[6] <= TIME_S, HEIGHT_N - answer, 0.0)  # with the command's own part HEIGHT_N in all
+    left = residual + height_N - HEIGHT_N * (steps_s[6] <= TIME_S)
+    assert sharp(series(TIME_S, u, residual), left, step) == believed
