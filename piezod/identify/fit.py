@@ -131,10 +131,10 @@ def _as_hysteresis(structure: Structure, zones: Array, parameters: Array, eps: f
 
 
 def _condition(gram: Array) -> float:
-    """From the eigenvalues of the scaled Gram matrix; the smallest belongs to the solution itself."""
+    """From the eigenvalues of the scaled Gram matrix, as far as rounding tells; the smallest is the solution's own."""
     scale = 1.0 / np.sqrt(np.maximum(np.diag(gram), np.finfo(float).tiny))
     values = np.linalg.eigvalsh(gram * np.outer(scale, scale))
-    return float(np.sqrt(values[-1] / max(values[1], np.finfo(float).tiny)))
+    return float(np.sqrt(values[-1] / max(values[1], np.finfo(float).eps * values[-1])))
 
 
 def _refine(
