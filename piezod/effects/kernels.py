@@ -92,7 +92,14 @@ def second_order_run(x: Array, matrix: Array, before: Array, now: Array) -> Arra
 
 
 def second_order(x: Array, frequency_Hz: float, damping_ratio: float, dt_s: float, between: float = 0.0) -> Array:
-    """Mode over a record, exact for a straight or held input, from rest: y'' + 2 zeta w y' + w^2 y = w^2 x.
+    """Mode over a record, from rest, as `second_order_matrices` has it."""
+    return second_order_run(np.ascontiguousarray(x), *second_order_matrices(frequency_Hz, damping_ratio, dt_s, between))
+
+
+def second_order_matrices(
+    frequency_Hz: float, damping_ratio: float, dt_s: float, between: float = 0.0
+) -> tuple[Array, Array, Array]:
+    """M, before and now of `second_order_run`, exact for a straight or held input: y'' + 2 zeta w y' + w^2 y = w^2 x.
 
     The exponential of the state space with the input and its slope as further states (derived here).
     """
@@ -104,7 +111,7 @@ def second_order(x: Array, frequency_Hz: float, damping_ratio: float, dt_s: floa
     step = exponential(system * dt_s)
     all_of_it = step[:2, 2].copy()
     now = step[:2, 3] / dt_s if between <= 0.0 else exponential(system * (dt_s * min(between, 1.0)))[:2, 2].copy()
-    return second_order_run(np.ascontiguousarray(x), step[:2, :2].copy(), all_of_it - now, now)
+    return step[:2, :2].copy(), all_of_it - now, now
 
 
 def exponential(matrix: Array) -> Array:

@@ -23,7 +23,7 @@ from piezod.effects import EFFECTS
 from piezod.effects.contact_gap import contact_step
 from piezod.effects.effect import STRAIGHT
 from piezod.effects.feedthrough import coefficients, coupling_step
-from piezod.effects.kernels import exponential, first_order_coefficients, first_order_step
+from piezod.effects.kernels import first_order_coefficients, first_order_step, second_order_matrices
 from piezod.effects.mains_hum import HARMONICS
 from piezod.effects.output_nonlinearity import law_step
 from piezod.model import inverse_chain as at
@@ -253,19 +253,9 @@ def _cell(model: Model, found: Mapping[str, Mapping[str, float]], dt_s: float, d
 
 
 def _flat(frequency_Hz: float, damping_ratio: float, dt_s: float, between: float) -> Array:
-    """M (4), `before` (2) and `now` (2) of s <- M s + before x(k-1) + now x(k), with s = y and y' / w.
-
-    The exponential of the state space with a straight or held input and its slope as further states, as in
-    `kernels.second_order`.
-    """
-    w = 2.0 * math.pi * frequency_Hz
-    system = np.zeros((4, 4))
-    system[0, 1] = w
-    system[1, :3] = -w, -2.0 * damping_ratio * w, w
-    system[2, 3] = 1.0
-    step = exponential(system * dt_s)
-    now = step[:2, 3] / dt_s if between <= STRAIGHT else exponential(system * (dt_s * between))[:2, 2]
-    return np.concatenate((step[:2, :2].ravel(), step[:2, 2] - now, now))
+    """M (4), `before` (2) and `now` (2) of `second_order_matrices`."""
+    matrix, before, now = second_order_matrices(frequency_Hz, damping_ratio, dt_s, between)
+    return np.concatenate((matrix.ravel(), before, now))
 
 
 def _waves(hum: Mapping[str, float]) -> Array:

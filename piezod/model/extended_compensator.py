@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from piezod import effects
 from piezod.effects import EFFECTS
 from piezod.effects.creep import PLAYS, spectrum
-from piezod.effects.kernels import exponential, first_order_coefficients
+from piezod.effects.kernels import first_order_coefficients, second_order_matrices
 from piezod.effects.output_nonlinearity import rising
 from piezod.effects.rate_dependent_hysteresis import OFFSET_SHARE
 from piezod.errors import ModelError
@@ -244,12 +244,8 @@ def before_mode(values: Array, frequency_Hz: float, damping_ratio: float, dt_s: 
     Held, y(k) + a1 y(k-1) + a2 y(k-2) = b1 F(k) + b2 F(k-1). The zero -b2 / b1 lies near -1, where its inverse would
     ring for ever; in its place stands the symmetrical filter of `AHEAD_OF_MODE`, right up to a quarter of the rate.
     """
-    w = 2.0 * math.pi * frequency_Hz
-    system = np.zeros((3, 3))
-    system[0, 1] = w
-    system[1, :] = -w, -2.0 * damping_ratio * w, w
-    step = exponential(system * dt_s)
-    trace, determinant = float(np.trace(step[:2, :2])), float(np.linalg.det(step[:2, :2]))
+    matrix, _, _ = second_order_matrices(frequency_Hz, damping_ratio, dt_s)
+    trace, determinant = float(np.trace(matrix)), float(np.linalg.det(matrix))
     padded = np.pad(values, 2, mode="edge")
     wished = padded[2:] - trace * padded[1:-1] + determinant * padded[:-2]
     force = np.convolve(np.pad(wished, (1, 2), mode="edge"), AHEAD_OF_MODE, mode="valid")
