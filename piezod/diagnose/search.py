@@ -33,6 +33,7 @@ OnProgress = Callable[[str, float], None]
 MOST_EFFECTS = 5
 SEARCHED, FURTHER = 0.85, 0.5  # part of the work behind the search; of what is before it, left after a round
 FINALISTS = 3  # of them that are tried with every course of the command between samples
+OTHER_START = 0.99  # of the loss: below it what was found is believed to have started otherwise
 OTHER_SCOPE = 0.98  # of the loss: below it an effect's other scope is taken
 NEEDLESS = 0.02  # of the loss: an effect without which no more is lost is left out again
 DOUBTED = 3  # of those that fit better and are not believed that are fitted from other starts
@@ -96,6 +97,7 @@ def search(chain: Chain, start: Point, progress: OnProgress) -> Search:
     """
     progress("fitting the base", 0.02)
     chain, base = best_course(chain, (), start)
+    base = fit(chain, (), base.point)  # a base that has not arrived would take any effect for its own way
     result = Search(chain, base, base, _past(chain, start))
     largest = 0.0
     while len(result.names) < MOST_EFFECTS:
@@ -116,6 +118,10 @@ def search(chain: Chain, start: Point, progress: OnProgress) -> Search:
             continue
         if best is None:
             break
+        if (alone := _without_it(result, best)) is not None:
+            result.chain, result.found = alone
+            result.base = fit(result.chain, (), result.base.point)
+            continue
         before, (result.chain, result.found) = result.found, best
         largest = max(largest, before.loss - result.found.loss)
         others = tuple(one for _, one in tried if one.effects[-1] != result.found.effects[-1])
@@ -147,6 +153,15 @@ def _finalists(result: Search, tried: list[tuple[Chain, Fitted]], largest: float
 
 
 Heard = tuple[Chain, Fitted, list[Tone]]
+
+
+def _without_it(result: Search, best: tuple[Chain, Fitted]) -> tuple[Chain, Fitted] | None:
+    """What was found so far, where the course and the starts that came with one more effect gain as much without it."""
+    chain, after = best
+    if chain is result.chain:
+        return None
+    alone = fit(chain, result.found.terms, result.found.point)
+    return (chain, alone) if alone.loss < OTHER_START * result.found.loss and not worth(alone, after) else None
 
 
 def _rescope(result: Search) -> None:
