@@ -19,6 +19,7 @@ class Section(BaseModel):
 
 SectionT = TypeVar("SectionT", bound=BaseModel)
 
+LONGEST_VALUE = 60  # signs of a value or key in a message
 _LIMIT_WORDS = {
     "greater_than": ("gt", "above"),
     "greater_than_equal": ("ge", "at least"),
@@ -56,7 +57,7 @@ def check(document: Document, section: type[SectionT]) -> SectionT:
 def _explain(detail: ErrorDetails, document: Document, section: type[BaseModel]) -> str:
     keys = [key for key in detail["loc"] if not _is_union_tag(key, document, detail["loc"])]
     where = f"{document.path}:{document.line_of(keys)}"
-    name = ".".join(str(key) for key in keys) or "the file"
+    name = _brief(".".join(str(key) for key in keys)) or "the file"
     value = shortened(detail["input"])
     kind, context = detail["type"], detail.get("ctx", {})
     if kind in _LIMIT_WORDS:
@@ -74,7 +75,7 @@ def _explain(detail: ErrorDetails, document: Document, section: type[BaseModel])
         case "value_error":
             says = f"{name}: {context['error']}" if keys else str(context["error"])
         case "union_tag_invalid":
-            says = f"{name}.kind is '{context['tag']}', must be one of {context['expected_tags']}"
+            says = f"{name}.kind is {shortened(context['tag'])}, must be one of {context['expected_tags']}"
         case "union_tag_not_found":
             says = f"{name}.kind is missing"
         case _:
@@ -115,7 +116,11 @@ def _known_keys(section: type[BaseModel]) -> set[str]:
     return known
 
 
+def _brief(text: str) -> str:
+    return text if len(text) <= LONGEST_VALUE else text[: LONGEST_VALUE - 3] + "..."
+
+
 def shortened(value: object) -> str:
     """A value as it stands in a message: some sixty signs at most."""
     text = repr(value).replace("True", "true").replace("False", "false") if not isinstance(value, dict) else "a mapping"
-    return text if len(text) <= 60 else text[:57] + "..."
+    return _brief(text)
