@@ -16,6 +16,7 @@ NOTICED, FEW = 0.05, 0.25  # if not more than so many blocks grow worse
 MOST_OF_A_BLOCK = 3.0  # times the median gain
 STEADY = 2.5  # standard deviations of the blocks' gains
 WORTH_WHEN_SMALL, STEADY_WHEN_SMALL, LEFT_WHEN_SMALL = 0.08, 3.0, 0.05
+WORTH_ONCE, WORTH_ONCE_WHEN_SMALL = 0.06, 0.1  # what happened once can be put anywhere
 LOOSE = (
     "friction",
     "rate_dependent_hysteresis",
@@ -42,7 +43,7 @@ def worth(before: Fitted, after: Fitted) -> bool:
     if gain < WORTH * after.loss:
         return False
     if after.terms[-1].scope == "once":
-        return True
+        return gain > WORTH_ONCE * after.loss
     if gain < PLAINER * len(after.terms[-1].searched) * after.loss:
         return False
     if acts_locally(before, after, after.effects[-1]):
@@ -85,9 +86,10 @@ def fair(chain: Chain, before: Fitted, after: Fitted, largest: float) -> bool:
     A small one must gain steadily; one that takes many shapes must leave nothing that depends on movement or level.
     """
     gain = before.loss - after.loss
-    if gain >= FAIR_SHARE * largest or after.terms[-1].scope == "once":
+    once = after.terms[-1].scope == "once"
+    if gain >= FAIR_SHARE * largest or (once and gain > WORTH_ONCE_WHEN_SMALL * after.loss):
         return True
-    if gain < SMALLEST_SHARE * largest:
+    if once or gain < SMALLEST_SHARE * largest:
         return False
     if acts_locally(before, after, after.effects[-1]):
         return True

@@ -1,6 +1,5 @@
 """Files that a user, a disk or an enemy may have changed: bench configurations, models, recordings."""
 
-import resource
 import shutil
 import tempfile
 import weakref
@@ -23,7 +22,7 @@ from piezod.model import load_model
 from piezod.recording import Recording, open_stream, read_recording, write_recording
 from piezod.transport import make_link
 from tests.fuzz.mutation import mutate_yaml
-from tests.fuzz.target import Check, Target
+from tests.fuzz.target import Check, Target, peak_resident_KiB
 from tests.unit.transport.scripted import LINE
 
 SHARED = "/dev/shm"
@@ -185,7 +184,7 @@ def from_file(suffix: str, check: Callable[[Path], None]) -> Check:
 
     def written(data: bytes) -> None:
         path.write_bytes(data)
-        before_KiB = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+        before_KiB = peak_resident_KiB()
         try:
             check(path)
         except PiezodError as error:
@@ -193,7 +192,7 @@ def from_file(suffix: str, check: Callable[[Path], None]) -> Check:
                 raise AssertionError(f"a refusal does not begin with the file: {error}") from error
             raise
         finally:
-            grown_MiB = (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before_KiB) / 1024
+            grown_MiB = (peak_resident_KiB() - before_KiB) / 1024
             if grown_MiB > MOST_MIB:
                 raise AssertionError(f"{len(data)} bytes took {grown_MiB:.0f} MiB")
             if extra := sorted({one.name for one in path.parent.iterdir()} - {path.name}):

@@ -18,7 +18,7 @@ from random import Random
 from typing import Any
 
 from tests.fuzz.board import Board
-from tests.fuzz.target import Target, judge
+from tests.fuzz.target import Target, judge, peak_resident_KiB
 
 INSTRUMENTED = [
     "piezod.config",
@@ -63,7 +63,7 @@ class Worker:
             judge(self.check, seed)
         self.accepted = 0
         self.descriptors_before = _descriptors()
-        self.resident_before_KiB = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+        self.resident_before_KiB = peak_resident_KiB()
 
     def attempt(self, data: bytes) -> None:
         """Try one input."""
@@ -117,7 +117,7 @@ class Worker:
 
     def sum_up(self) -> None:
         """Write down what the cases took."""
-        peak_KiB = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+        peak_KiB = peak_resident_KiB()
         grown_KiB = peak_KiB - self.resident_before_KiB
         self.board.take(peak_KiB, grown_KiB, _descriptors() - self.descriptors_before, self.accepted)
 
