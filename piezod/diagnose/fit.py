@@ -19,7 +19,6 @@ FIRST_DAMPING, MOST_DAMPING = 1e-4, 1e4  # after a step that did not help
 HUBER = 3.0  # residuals beyond so many standard deviations count less
 LAW_WITHIN = 0.02  # of the force's range; a part of the force law that one block alone tells
 LAW_BENDS = 0.02  # of the force's range, from one spline to the next and the next
-ALONE = 3.0  # times its loss within the fit
 FACTOR = 0.3  # of a parameter on a logarithmic scale
 SMOOTH = 1e-10  # weight of the density's and the law's bends, in parts of the mean diagonal
 
@@ -316,8 +315,7 @@ class Normal:
     def fitted(self, terms: tuple[Term, ...], point: Point) -> Fitted:
         """What every block says when it is left out, by one linear step.
 
-        A parameter that one block alone determines stays within reason without it: a weak prior holds it, and such a
-        block counts no more than so many times what it loses when it is fitted.
+        A parameter that one block alone determines stays within reason without it: a weak prior holds it.
         """
         layout = Layout(self.chain, terms)
         hessian = self.hessian.sum(axis=0) + self.ridge + layout.prior(self.chain, point)
@@ -327,8 +325,7 @@ class Normal:
         for b in range(losses.size):
             move = _solved(hessian - self.hessian[b], gradient - self.gradient[b])
             moves[b] = move
-            without = self.squares[b] - 2.0 * move @ self.gradient[b] + move @ self.hessian[b] @ move
-            losses[b] = min(without, ALONE * self.squares[b])
+            losses[b] = self.squares[b] - 2.0 * move @ self.gradient[b] + move @ self.hessian[b] @ move
         jackknife = np.sqrt((losses.size - 1) / losses.size * np.sum((moves - moves.mean(axis=0)) ** 2, axis=0))
         spread: tuple[dict[str, float], ...] = tuple({} for _ in terms)
         for place, (term, one) in enumerate(layout.searched, start=layout.effects):
