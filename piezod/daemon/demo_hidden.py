@@ -21,7 +21,7 @@ from piezod.recording import Recording
 
 HIDDEN = ("creep", "electrical_lag", "transport_delay")  # each at its default strength
 REFERENCE = "multisine, hidden effects"
-FOLLOWED = WaveformReference(kind="multisine", amplitude_N=110, offset_N=150, frequency_Hz=0.25, duration_s=12.0)
+FOLLOWED = WaveformReference(kind="multisine", amplitude_N=110, offset_N=150, frequency_Hz=0.25, duration_s=8.0)
 PEAK_V = 130.0
 HOLDS_V, HOLD_S = (100.0, 40.0), 4.0  # creep shows in them
 TRIANGLES_HZ, TRIANGLES = 4.0, 8  # and the lag in these

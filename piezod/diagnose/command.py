@@ -13,7 +13,6 @@ from piezod.diagnose.prepare import Source, past_sources, read_source
 from piezod.errors import ConfigurationError, UsageError
 from piezod.identify.simulation import simulate_recording
 from piezod.model import Model, load_model, save_model
-from piezod.model.parameters import FitFigures
 
 START_WINDOW_S = 1.0  # of a recording that does not start at rest, where its start is found
 OnStep = Callable[[str, float | None], None]
@@ -73,15 +72,8 @@ def diagnose_files(
         (output / "findings.json").write_text(text, encoding="utf-8")
     except OSError as error:
         raise ConfigurationError(f"{output}: cannot be written: {error.strerror}") from error
-    save_model(_with_own_error(diagnosis), output / "model.yaml")
+    save_model(diagnosis.model, output / "model.yaml")
     return diagnosis
-
-
-def _with_own_error(diagnosis: Diagnosis) -> Model:
-    """The extended model, which knows its own error on blocks left out instead of the given model's."""
-    provenance = diagnosis.model.provenance
-    figures = FitFigures(rms_held_out=diagnosis.findings.after)
-    return diagnosis.model.model_copy(update={"provenance": provenance.model_copy(update={"fit": figures})})
 
 
 def _held_out(source: Source, given: Model, extended: Model) -> HeldOut:

@@ -23,22 +23,19 @@ COARSE_ROWS = 6000  # samples of a recording that are compared while much is tri
 
 def settled(one: tuple[Chain, Fitted]) -> tuple[Chain, Fitted]:
     """A hypothesis with the course and the starts that suit it best."""
-    chain, fitted = one
-    few = coarse(chain)
-    known = fit(few, fitted.terms, fitted.point, most_steps=2)
-    best, again = restarted(*best_course(few, fitted.terms, fitted.point, known))
-    if again is known:
-        return one
-    fine = chain.like(best.series)
-    return fine, fit(fine, again.terms, again.point, most_steps=6)
+    return _suited(*one, courses=True) or one
 
 
 def started_anew(one: tuple[Chain, Fitted]) -> tuple[Chain, Fitted] | None:
     """A hypothesis with the starts that suit it; None where they are those that it has."""
-    chain, fitted = one
+    return _suited(*one, courses=False)
+
+
+def _suited(chain: Chain, fitted: Fitted, *, courses: bool) -> tuple[Chain, Fitted] | None:
     few = coarse(chain)
     known = fit(few, fitted.terms, fitted.point, most_steps=2)
-    best, again = restarted(few, known)
+    course = best_course(few, fitted.terms, fitted.point, known) if courses else (few, known)
+    best, again = restarted(*course)
     if again is known:
         return None
     fine = chain.like(best.series)

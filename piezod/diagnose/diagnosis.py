@@ -243,7 +243,7 @@ class _Asked:
         hashes = [""] * self.stand_ins + [source.sha256 for source in self.sources]
         found = all_terms(result.found, result.tones)
         try:
-            return findings, extended_model(self.model, result.chain, found, hashes)
+            return findings, extended_model(self.model, result.chain, found, hashes, findings.after)
         except ModelError as error:
             # Plays that fold are no stack's: whatever they needed to fit is not understood yet.
             folded = replace(

@@ -9,7 +9,7 @@ from piezod.effects.effect import HELD_BEFORE, STRAIGHT
 from piezod.errors import ModelError
 from piezod.identify.start import starts_at_rest
 from piezod.model import Model
-from piezod.model.parameters import EffectValues, Hysteresis, Start, Superposition
+from piezod.model.parameters import EffectValues, FitFigures, Hysteresis, Start, Superposition
 from piezod.operators import EPS
 
 Array = NDArray[np.float64]
@@ -18,7 +18,7 @@ PIECES = 30  # of the force law
 SAMPLING = {STRAIGHT: "straight", HELD_BEFORE: "held_before"}
 
 
-def extended_model(model: Model, chain: Chain, found: Fitted, hashes: list[str]) -> Model:
+def extended_model(model: Model, chain: Chain, found: Fitted, hashes: list[str], rms_held_out: float) -> Model:
     """The given model with refitted plays and force law, and the effects.
 
     Parameters
@@ -29,6 +29,8 @@ def extended_model(model: Model, chain: Chain, found: Fitted, hashes: list[str])
         What the search found.
     hashes
         SHA-256 of every recording: effects that belong to one name it.
+    rms_held_out
+        Its own error on blocks left out, instead of the given model's [unit of the output].
 
     Raises
     ------
@@ -53,6 +55,7 @@ def extended_model(model: Model, chain: Chain, found: Fitted, hashes: list[str])
         "sample_s": asked[0].dt_s,
         "statistics": None,
         "start": _start(model, chain),
+        "provenance": model.provenance.model_copy(update={"fit": FitFigures(rms_held_out=rms_held_out)}),
     }
     extended = model.model_copy(update=changed)
     extended.operator()

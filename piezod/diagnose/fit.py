@@ -7,7 +7,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piezod.diagnose.chain import HATS, SPLINES, Chain, Point, Term
-from piezod.diagnose.series import Series
 from piezod.effects.effect import Parameter
 
 Array = NDArray[np.float64]
@@ -152,7 +151,7 @@ def fit(chain: Chain, terms: Sequence[Term], start: Point, *, most_steps: int = 
     steps, age = 0, 0  # age: of the base's tangents, which change little from step to step
     while steps < most_steps and damping < MOST_DAMPING:
         trial = _within(layout, vector, current, damping)
-        beyond = Normal.loss_at(chain, terms, layout.point(trial, start), current.scales)
+        beyond = current.loss_at(layout.point(trial, start))
         if beyond < current.loss:
             fell = (current.loss - beyond) / current.loss
             vector, damping, steps = trial, max(damping * 0.1, 1e-12), steps + 1
@@ -168,7 +167,7 @@ def fit(chain: Chain, terms: Sequence[Term], start: Point, *, most_steps: int = 
             damping = max(10.0 * damping, FIRST_DAMPING)
     if age:
         current = Normal.at(chain, terms, layout.point(vector, start))
-    return current.fitted(tuple(terms), layout.point(vector, start))
+    return current.fitted(layout.point(vector, start))
 
 
 def _within(layout: Layout, vector: Array, current: "Normal", damping: float) -> Array:
@@ -189,6 +188,8 @@ class Normal:
     """Normal equations of a hypothesis at a point, block by block; residuals in units of each recording's noise."""
 
     chain: Chain
+    terms: tuple[Term, ...]
+    layout: Layout
     readings: list[Array]  # simulated, one a recording
     jacobians: list[Array]  # (N, P), 0 where a reading does not count
     tangents: list[Array]  # (N, base), as they are simulated
@@ -201,6 +202,7 @@ class Normal:
     samples: Array  # (B,)
     loss: float  # robust
     scales: list[float]
+    stiff: Array  # curvature that draws stiff parameters to zero
     ridge: Array
     pull: Array  # towards zero, of stiff parameters
 
@@ -208,12 +210,14 @@ class Normal:
     def at(cls, chain: Chain, terms: Sequence[Term], point: Point, near: "Normal | None" = None) -> "Normal":
         """Normal equations of a hypothesis at a point, with the base's tangents of one that is near or its own."""
         layout = Layout(chain, terms)
-        made = cls(chain, [], [], [], [], [], [], *(np.empty(0),) * 4, 0.0, [], *(np.empty(0),) * 2)
+        made = cls(
+            chain, tuple(terms), layout, [], [], [], [], [], [], *(np.empty(0),) * 4, 0.0, [], *(np.empty(0),) * 3
+        )
         hessian, gradient, squares, samples = [], [], [], []
         for number, series in enumerate(chain.series):
             reading, jacobian = _jacobian(chain, terms, point, layout, number, near)
             rows = chain.rows[number]
-            residual, told = residual_of(series, rows, reading[rows])
+            residual, told = series.residual(rows, reading[rows])
             tangents = jacobian[:, : layout.offsets].copy()
             jacobian *= told[:, None] / series.noise_N
             trusted = series.weights[rows]
@@ -235,22 +239,18 @@ class Normal:
                 samples.append(float(trusted[block] @ trusted[block]))
         made.hessian, made.gradient = np.array(hessian), np.array(gradient)
         made.squares, made.samples = np.array(squares), np.array(samples)
-        stiff, vector = layout.stiffness(float(made.samples.sum())), layout.vector(point)
-        made.ridge, made.pull = _ridge(made.hessian) + np.diag(stiff), -stiff * vector
-        made.loss += float(stiff @ vector**2)
+        made.stiff, vector = layout.stiffness(float(made.samples.sum())), layout.vector(point)
+        made.ridge, made.pull = _ridge(made.hessian) + np.diag(made.stiff), -made.stiff * vector
+        made.loss += float(made.stiff @ vector**2)
         return made
 
-    @staticmethod
-    def loss_at(chain: Chain, terms: Sequence[Term], point: Point, scales: list[float]) -> float:
-        """The robust loss alone."""
-        loss, samples = 0.0, 0.0
-        for number, series in enumerate(chain.series):
-            rows = chain.rows[number]
-            residual, _ = residual_of(series, rows, chain.compared(number, terms, point))
-            loss += _robust(residual, scales[number])
-            samples += float(series.weights[rows] @ series.weights[rows])
-        layout = Layout(chain, terms)
-        loss += float(layout.stiffness(samples) @ layout.vector(point) ** 2)
+    def loss_at(self, point: Point) -> float:
+        """The robust loss alone, at another point."""
+        vector = self.layout.vector(point)
+        loss = float(self.stiff @ vector**2)
+        for number, series in enumerate(self.chain.series):
+            residual, _ = series.residual(self.chain.rows[number], self.chain.compared(number, self.terms, point))
+            loss += _robust(residual, self.scales[number])
         return loss if np.isfinite(loss) else np.inf
 
     def step(self, damping: float, held: Array) -> Array:
@@ -312,13 +312,12 @@ class Normal:
                 inner += float(scaled @ weighted)
         return inner - float(_solved(self.hessian.sum(axis=0) + self.ridge, across) @ across)
 
-    def fitted(self, terms: tuple[Term, ...], point: Point) -> Fitted:
+    def fitted(self, point: Point) -> Fitted:
         """What every block says when it is left out, by one linear step.
 
         A parameter that one block alone determines stays within reason without it: a weak prior holds it.
         """
-        layout = Layout(self.chain, terms)
-        hessian = self.hessian.sum(axis=0) + self.ridge + layout.prior(self.chain, point)
+        hessian = self.hessian.sum(axis=0) + self.ridge + self.layout.prior(self.chain, point)
         gradient = self.gradient.sum(axis=0) + self.pull
         losses = np.empty(self.squares.size)
         moves = np.empty((self.squares.size, gradient.size))
@@ -327,10 +326,12 @@ class Normal:
             moves[b] = move
             losses[b] = self.squares[b] - 2.0 * move @ self.gradient[b] + move @ self.hessian[b] @ move
         jackknife = np.sqrt((losses.size - 1) / losses.size * np.sum((moves - moves.mean(axis=0)) ** 2, axis=0))
-        spread: tuple[dict[str, float], ...] = tuple({} for _ in terms)
-        for place, (term, one) in enumerate(layout.searched, start=layout.effects):
+        spread: tuple[dict[str, float], ...] = tuple({} for _ in self.terms)
+        for place, (term, one) in enumerate(self.layout.searched, start=self.layout.effects):
             spread[term][one.name] = float(jackknife[place])
-        return Fitted(terms, point, np.maximum(losses, 1e-12) / np.maximum(self.samples, 1.0), self.samples, spread)
+        return Fitted(
+            self.terms, point, np.maximum(losses, 1e-12) / np.maximum(self.samples, 1.0), self.samples, spread
+        )
 
 
 def _jacobian(
@@ -355,15 +356,6 @@ def _jacobian(
             change = chain.compared(number, terms, moved) - compared_N
             jacobian[:, place] = change / size
     return reading, jacobian
-
-
-def residual_of(series: Series, rows: slice, reading_N: Array) -> tuple[Array, Array]:
-    """What is not simulated of the readings that are compared, in units of the noise; and how far each tells of it."""
-    error_N, told = series.told_N[rows] - reading_N, series.weights[rows]
-    if series.within_N is not None:
-        beyond_N = error_N - np.clip(error_N, -series.within_N[rows], series.within_N[rows])
-        error_N, told = beyond_N, told * (beyond_N != 0.0)
-    return np.where(told > 0.0, told * error_N, 0.0) / series.noise_N, told
 
 
 def _thinned(blocks: Sequence[slice], step: int) -> list[slice]:

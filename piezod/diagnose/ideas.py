@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from piezod.diagnose.chain import Chain, Point, Term
 from piezod.diagnose.direct import peaks_Hz
-from piezod.diagnose.fit import Normal, residual_of
+from piezod.diagnose.fit import Normal
 from piezod.diagnose.parallel import each
 from piezod.effects import EFFECTS
 from piezod.effects.effect import Effect, Parameter
@@ -105,7 +105,7 @@ def since(chain: Chain, terms: Sequence[Term], past: Point, lost_N: float) -> li
         for number, series in enumerate(chain.series):
             if series.role == "recording":
                 rows = chain.rows[number]
-                error, told = residual_of(series, rows, chain.compared(number, (*terms, term), point))
+                error, told = series.residual(rows, chain.compared(number, (*terms, term), point))
                 error = error[told > 0.0]
                 losses[0] += float(error @ error)
                 losses[1] += float(error.var()) * error.size

@@ -50,6 +50,12 @@ class Series:
         all are alike.
     within_N
         How far from it the force may be without a reading telling, shape (N,); None: not at all [N].
+    blocks
+        Stretches that are left out one by one.
+    told_N
+        What is fitted: the readings, a coarse converter's rounding undone, shape (N,) [N].
+    weights
+        Of the residuals: 0 where a reading does not count, shape (N,).
     """
 
     name: str
@@ -68,24 +74,41 @@ class Series:
     trust: Array | None = None
     within_N: Array | None = None
     blocks: tuple[slice, ...] = field(init=False)
+    told_N: Array = field(init=False)
+    weights: Array = field(init=False)
 
     def __post_init__(self) -> None:
         size = self.time_s.size
         count = int(np.clip(self.duration_s / BLOCK_S, FEWEST_BLOCKS, MOST_BLOCKS))
         edges = np.linspace(0, size, min(count, size) + 1).astype(int)
         blocks = tuple(slice(int(a), int(b)) for a, b in itertools.pairwise(edges))
-        object.__setattr__(self, "blocks", blocks)
-
-    @property
-    def told_N(self) -> Array:
-        """What is fitted: the readings, a coarse converter's rounding undone, shape (N,) [N]."""
-        return self.reading_N if self.rounding_N is None else self.reading_N - self.rounding_N
-
-    @property
-    def weights(self) -> Array:
-        """Of the residuals: 0 where a reading does not count, shape (N,)."""
         counts = self.counts.astype(np.float64)
-        return counts if self.trust is None else self.trust * counts
+        object.__setattr__(self, "blocks", blocks)
+        object.__setattr__(
+            self, "told_N", self.reading_N if self.rounding_N is None else self.reading_N - self.rounding_N
+        )
+        object.__setattr__(self, "weights", counts if self.trust is None else self.trust * counts)
+
+    def residual(self, rows: slice, reading_N: Array) -> tuple[Array, Array]:
+        """What a simulation leaves of the readings, and how far each tells of it.
+
+        Parameters
+        ----------
+        rows
+            Which samples are compared.
+        reading_N
+            Simulated there, shape (rows,) [N].
+
+        Returns
+        -------
+        residual, told
+            In units of the noise, and its weights, both of shape (rows,).
+        """
+        error_N, told = self.told_N[rows] - reading_N, self.weights[rows]
+        if self.within_N is not None:
+            beyond_N = error_N - np.clip(error_N, -self.within_N[rows], self.within_N[rows])
+            error_N, told = beyond_N, told * (beyond_N != 0.0)
+        return np.where(told > 0.0, told * error_N, 0.0) / self.noise_N, told
 
     @property
     def dt_s(self) -> float:

@@ -42,7 +42,7 @@ def unfolded(chain: Chain, found: Fitted) -> Fitted:
             vector = layout.clipped(solve_step(hessian, gradient, constraints, vector))
         except RecordingError:
             break
-        loss = Normal.loss_at(chain, found.terms, layout.point(vector, found.point), normal.scales)
+        loss = normal.loss_at(layout.point(vector, found.point))
         if loss < least:
             best, least = vector, loss
         else:
@@ -50,4 +50,4 @@ def unfolded(chain: Chain, found: Fitted) -> Fitted:
     if not np.isfinite(least):
         return found
     point = layout.point(best, found.point)
-    return Normal.at(chain, found.terms, point).fitted(found.terms, point)
+    return Normal.at(chain, found.terms, point).fitted(point)

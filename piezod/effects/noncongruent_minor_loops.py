@@ -20,7 +20,7 @@ from piezod.effects.effect import Array, Context, Effect, Parameter, Seat, Value
 PLAYS = 24
 HATS = 3
 DEGREES = 4
-STIFF = 1.0
+STIFF = 1.0  # curvature a sample; what the data tell well is far stiffer, and what they do not stays 0
 NAMES = (
     *(f"degree_{d}_{j}" for d in range(1, DEGREES + 1) for j in range(HATS)),
     *(f"curve_{d}" for d in range(2, DEGREES + 1)),

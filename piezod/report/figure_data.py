@@ -69,7 +69,7 @@ def figure_csv(plot: Plot) -> str:
     header = ["curve"]
     rows: list[dict[str, str]] = []
     for number, renderer in enumerate(one for one in plot.renderers if isinstance(one, GlyphRenderer)):
-        name = names.get(renderer.id, f"curve {number + 1}")
+        name = names.get(renderer.id) or renderer.name or f"curve {number + 1}"
         columns = {key: values for key, values in _columns(renderer, axes).items() if values.size}
         header += [key for key in columns if key not in header]
         points = zip(*(values.tolist() for values in columns.values()), strict=True)

@@ -7,14 +7,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from bokeh.models import ColumnDataSource, LogTicker
-from bokeh.models.annotations import Span
+from bokeh.models import ColumnDataSource
 from bokeh.plotting import figure
 from numpy.typing import NDArray
 
 from piezod.control import CAUSE_TEXT, Cause, State
 from piezod.errors import RecordingError
 from piezod.recording import Recording
+from piezod.report.durations import EDGES_us, bars, histogram
 from piezod.report.page import Part, axis_label, head_html, table_html, write_page
 from piezod.report.style import BLUE, GREEN, GREY, ORANGE, RED
 from piezod.report.thinning import envelope, envelope_times, extremes
@@ -24,8 +24,6 @@ Array = NDArray[np.float64]
 
 POINTS = 4000
 MOST_TRANSITIONS = 200
-EDGES_us = np.logspace(0, 6, 49)
-LEAST = 0.5  # where the bars of a logarithmic axis begin
 
 
 @dataclass(frozen=True)
@@ -255,26 +253,5 @@ def _durations(recording: Recording) -> Iterable[figure]:
         if values is None:
             continue
         counts, _ = np.histogram(np.clip(values * 1e-3, EDGES_us[0], EDGES_us[-1]), EDGES_us)
-        plot = figure(
-            title=title,
-            x_axis_label="time [\N{MICRO SIGN}s]",
-            y_axis_label="ticks",
-            height=320,
-            x_axis_type="log",
-            y_axis_type="log",
-        )
-        bars = {"left": EDGES_us[:-1], "right": EDGES_us[1:], "top": np.maximum(counts, LEAST), "count": counts}
-        plot.quad(
-            left="left",
-            right="right",
-            bottom=LEAST,
-            top="top",
-            source=ColumnDataSource(bars),
-            color=colour,
-            line_color="#fff",
-            legend_label="ticks",
-        )
-        if recording.time_s.size > 1:
-            plot.add_layout(Span(location=1e6 * recording.dt_s, dimension="height", line_color=RED, line_dash="dashed"))
-        finish(plot).xaxis.ticker = LogTicker(desired_num_ticks=6)
-        yield plot
+        period_s = recording.dt_s if recording.time_s.size > 1 else None
+        yield finish(histogram(title, ColumnDataSource(bars(counts)), period_s, colour, height=320))

@@ -5,7 +5,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
-from bokeh.models import BasicTicker, HoverTool
+from bokeh.models import BasicTicker, HoverTool, LogTicker
 from bokeh.plotting import figure
 from numpy.typing import NDArray
 
@@ -142,12 +142,14 @@ def finish(plot: figure, *, downwards: bool = False) -> figure:
     plot.sizing_mode = "stretch_width"
     plot.toolbar.autohide = True
     plot.toolbar.logo = None
-    plot.legend.orientation = "vertical" if downwards else "horizontal"
-    plot.legend.border_line_color = None
-    plot.legend.click_policy = "hide"
-    plot.legend.label_text_font_size = "11px"
-    plot.legend[0].update(margin=0, padding=2, spacing=0 if downwards else 8, glyph_height=14, label_height=14)
-    plot.add_layout(plot.legend[0], "above")
-    plot.xaxis.ticker = BasicTicker(desired_num_ticks=MOST_TICKS)
+    if plot.legend:
+        plot.legend.orientation = "vertical" if downwards else "horizontal"
+        plot.legend.border_line_color = None
+        plot.legend.click_policy = "hide"
+        plot.legend.label_text_font_size = "11px"
+        plot.legend[0].update(margin=0, padding=2, spacing=0 if downwards else 8, glyph_height=14, label_height=14)
+        plot.add_layout(plot.legend[0], "above")
+    if not isinstance(plot.xaxis[0].ticker, LogTicker):
+        plot.xaxis.ticker = BasicTicker(desired_num_ticks=MOST_TICKS)
     plot.add_tools(HoverTool(tooltips=[("x", "$x{0.000}"), ("y", "$y{0.00}")]))
     return plot

@@ -9,6 +9,7 @@ from hil.emulator import piezod
 from firmware_sim.bench import Bench
 from firmware_sim.scenario import load_scenario
 from piezod.excitation import varying_triangles
+from piezod.model import load_model
 from piezod.recording import Recording, write_csv
 
 RATE_HZ = 500.0
@@ -75,6 +76,7 @@ def test_a_bench_with_nothing_wrong_matches_its_model(identified, tmp_path):
     assert findings["verdict"] == "matches"
     assert findings["effects"] == []
     assert findings["noise_floor"]["value"] == pytest.approx(NOISE_N, rel=0.1)
+    assert load_model(tmp_path / "out" / "model.yaml") == load_model(identified / "model.yaml")
 
 
 @pytest.mark.parametrize(

@@ -16,8 +16,8 @@ import numpy as np
 from piezod.config import BenchConfig
 from piezod.control import CAUSE_TEXT, Cause, RingReader, State
 from piezod.errors import PiezodError
+from piezod.report.durations import RecentDurations
 from piezod.report.live.curves import Curves, Rows
-from piezod.report.live.durations import RecentDurations
 
 WINDOW_s, BUCKET_s = 30.0, 0.05
 LOOP_POINTS = 2400

@@ -6,7 +6,6 @@ from bokeh.models import (
     DatetimeTicker,
     DatetimeTickFormatter,
     HoverTool,
-    LogTicker,
     Range1d,
 )
 from bokeh.models.annotations import Span, Title
@@ -14,12 +13,12 @@ from bokeh.plotting import figure
 from numpy.typing import NDArray
 
 from piezod.config import BenchConfig
+from piezod.report.durations import LEAST, EDGES_us, bars, histogram
 from piezod.report.live.curves import LOOP, OVER_TIME
-from piezod.report.live.durations import EDGES_us
 from piezod.report.live.feed import WINDOW_s
 from piezod.report.style import BLUE, GREEN, GREY, ORANGE, RED
 
-HALF_A_TICK_COUNT = 0.5  # where the bars of a logarithmic axis begin
+NO_TICKS = np.zeros(EDGES_us.size - 1, dtype=np.int64)
 _CLOCK = "%H:%M:%S"
 
 
@@ -36,7 +35,7 @@ class Figures:
         self.over_time = ColumnDataSource({name: [] for name in OVER_TIME})
         self.loop = ColumnDataSource({name: [] for name in LOOP})
         self.now = ColumnDataSource({name: [] for name in LOOP})
-        self.durations = {name: _bars() for name in ("lateness", "exchange")}
+        self.durations = {name: ColumnDataSource(bars(NO_TICKS)) for name in ("lateness", "exchange")}
         self.words = {name: Title(text="", text_font_style="normal") for name in self.durations}
         limits = bench.limits
         self.force_range, self.loop_range = (_with_margin(limits.force_min_N, limits.force_trip_N) for _ in range(2))
@@ -123,37 +122,18 @@ def show_all(shown: Range1d, *curves: NDArray[np.float64]) -> None:
         shown.update(start=low - margin, end=high + margin)
 
 
-def _bars() -> ColumnDataSource:
-    return ColumnDataSource(
-        {"left": EDGES_us[:-1], "right": EDGES_us[1:], "top": np.full(EDGES_us.size - 1, HALF_A_TICK_COUNT)}
-    )
-
-
-def bar_heights(counts: NDArray[np.int64]) -> NDArray[np.float64]:
-    """Counts as a logarithmic axis can show them: none is where the bars begin."""
-    heights: NDArray[np.float64] = np.maximum(counts, HALF_A_TICK_COUNT)
-    return heights
-
-
 def _histogram(title: str, source: ColumnDataSource, bench: BenchConfig, colour: str) -> figure:
-    plot = figure(
-        title=title,
-        x_axis_label="time [\N{MICRO SIGN}s]",
-        y_axis_label="ticks",
+    plot = histogram(
+        title,
+        source,
+        bench.dt_s,
+        colour,
         height=240,
-        x_axis_type="log",
-        y_axis_type="log",
         x_range=Range1d(start=1.0, end=max(2e5, 2e6 * bench.dt_s)),
-        y_range=Range1d(start=HALF_A_TICK_COUNT, end=2.0 * WINDOW_s * bench.rate_Hz),
+        y_range=Range1d(start=LEAST, end=2.0 * WINDOW_s * bench.rate_Hz),
         tools="",
     )
-    plot.quad(
-        left="left", right="right", bottom=HALF_A_TICK_COUNT, top="top", source=source, color=colour, line_color="#fff"
-    )
-    period = Span(location=1e6 * bench.dt_s, dimension="height", line_color=RED, line_dash="dashed")
-    plot.add_layout(period)
-    plot.xaxis.ticker = LogTicker(desired_num_ticks=6)
-    return _finish(plot, "", {"from, to [\N{MICRO SIGN}s]": "@left{0.0}, @right{0.0}", "ticks": "@top{0}"})
+    return _finish(plot, "", {"from, to [\N{MICRO SIGN}s]": "@left{0.0}, @right{0.0}", "ticks": "@count{0}"})
 
 
 def _finish(plot: figure, number: str, shown: dict[str, str]) -> figure:

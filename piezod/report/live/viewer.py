@@ -10,8 +10,9 @@ from bokeh.document import Document
 from bokeh.layouts import row
 from bokeh.models.widgets import Button, Div, PasswordInput
 
+from piezod.report.durations import bars
 from piezod.report.live.feed import Feed, WINDOW_s
-from piezod.report.live.figures import Figures, bar_heights, show_all
+from piezod.report.live.figures import Figures, show_all
 from piezod.report.live.lamp import EVENTS_STYLE, LAMP_STYLE, events_html, lamp_html, state_words
 
 UPDATE_EVERY_ms = 250
@@ -81,8 +82,7 @@ class Viewer:
 
     def _sum_up(self) -> None:
         for name, durations in (("lateness", self._feed.lateness), ("exchange", self._feed.exchange)):
-            source = self._figures.durations[name]
-            source.data = dict(source.data) | {"top": bar_heights(durations.counts())}
+            self._figures.durations[name].data = bars(durations.counts())
             self._figures.words[name].text = durations.words()
 
 

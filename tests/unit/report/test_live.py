@@ -10,8 +10,8 @@ from piezod.config import load_bench
 from piezod.control import ROW_DTYPE, Cause, RingLog, State
 from piezod.daemon.shipped import shipped
 from piezod.errors import ConfigurationError
+from piezod.report.durations import EDGES_us, RecentDurations
 from piezod.report.live.curves import Curves, Table
-from piezod.report.live.durations import EDGES_us, RecentDurations
 from piezod.report.live.feed import MOST_EVENTS, Feed
 from piezod.report.live.lamp import events_html, lamp_html, state_words
 from piezod.report.live.server import read_token
