@@ -73,7 +73,7 @@ def bars(counts: NDArray[np.int64]) -> dict[str, NDArray[Any]]:
     return {"left": EDGES_us[:-1], "right": EDGES_us[1:], "top": np.maximum(counts, LEAST), "count": counts}
 
 
-def histogram(title: str, source: ColumnDataSource, period_s: float | None, colour: str, **options: object) -> figure:
+def histogram(title: str, source: ColumnDataSource, period_s: float | None, colour: str, **options: Any) -> figure:  # noqa: ANN401
     """How many ticks lie in each class, and where a tick's period ends.
 
     Parameters
