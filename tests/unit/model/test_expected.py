@@ -1,51 +1,18 @@
 """What a model expects to be read, against its forward chain; and the force behind a reading that shows another."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
+from unit.model.chains import DT_S, FOUND, held_model, with_effects
 
-from piezod.effects import EFFECTS
-from piezod.model import load_model
 from piezod.model.expected import ExpectedReading
-from piezod.model.parameters import EffectValues
 from piezod.model.plant import run_chain
 
-DT_S = 1e-3
-FOUND = {
-    "creep": {"per_decade": 0.02, "from_s": 0.01, "to_s": 100.0},
-    "electrical_lag": {"time_constant_s": 0.02},
-    "rate_dependent_hysteresis": {"growth": 0.05, "reference_V_per_s": 30.0},
-    "output_nonlinearity": {"curvature": -0.08, "cubic": 0.02},
-    "contact_gap": {"gap_N": 20.0, "softness_N": 2.0},
-    "resonance": {"frequency_Hz": 60.0, "damping_ratio": 0.05},
-    "charge_leakage": {"time_constant_s": 3.0},
-    "sensor_filter": {"cutoff_Hz": 20.0},
-    "feedthrough": {"coefficient_N_s_per_V": 0.01, "rise_s": 0.003},
-    "transport_delay": {"delay_s": 0.007},
-    "mains_hum": {"amplitude_N": 2.0, "frequency_Hz": 50.0, "phase_rad": 1.0, "sine_3": 0.3},
-}
 OF_THE_CELL = ("charge_leakage", "sensor_filter", "feedthrough", "transport_delay")
 
 
 @pytest.fixture(scope="module")
 def model():
-    return load_model(Path(__file__).parents[3] / "config" / "model.yaml").model_copy(
-        update={"sampling": "held", "read_after": 1.0}
-    )
-
-
-def with_effects(model, *names, **changed):
-    effects = tuple(
-        EffectValues(
-            name=name,
-            parameters={one.name: (one.choices or one.starts)[0] for one in EFFECTS[name].parameters}
-            | FOUND.get(name, {})
-            | changed,
-        )
-        for name in names
-    )
-    return model.model_copy(update={"effects": effects})
+    return held_model()
 
 
 def voltage_V(seconds=4.0):

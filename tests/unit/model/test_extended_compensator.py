@@ -1,46 +1,19 @@
 """The extended inverse against the forward chain: what is planned, driven and simulated comes back as the reference."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
+from unit.model.chains import DT_S, held_model, with_effects
 
-from piezod.effects import EFFECTS
 from piezod.errors import ModelError
-from piezod.model import load_model
 from piezod.model.extended_compensator import ExtendedCompensator, before_mode, ticks_late
-from piezod.model.parameters import EffectValues
 from piezod.model.plant import run_chain
 
-DT_S = 1e-3
-FOUND = {
-    "creep": {"per_decade": 0.02, "from_s": 0.01, "to_s": 100.0},
-    "electrical_lag": {"time_constant_s": 0.02},
-    "rate_dependent_hysteresis": {"growth": 0.05, "reference_V_per_s": 30.0},
-    "output_nonlinearity": {"curvature": -0.08, "cubic": 0.02},
-    "voltage_clamp": {"limit_V": 130.0, "knee_V": 10.0},
-}
 FROM_START = ("rate_dependent_hysteresis", "creep", "electrical_lag", "output_nonlinearity", "voltage_clamp")
 
 
 @pytest.fixture(scope="module")
 def model():
-    return load_model(Path(__file__).parents[3] / "config" / "model.yaml").model_copy(
-        update={"sampling": "held", "read_after": 1.0}
-    )
-
-
-def extended(model, *names, **changed):
-    effects = tuple(
-        EffectValues(
-            name=name,
-            parameters={one.name: (one.choices or one.starts)[0] for one in EFFECTS[name].parameters}
-            | FOUND.get(name, {})
-            | {key: value for key, value in changed.items() if key in {one.name for one in EFFECTS[name].parameters}},
-        )
-        for name in names
-    )
-    return model.model_copy(update={"effects": effects})
+    return held_model()
 
 
 def reference_N(model, seconds=6.0):
@@ -64,7 +37,7 @@ def driven(model, reference, low_V=0.0, high_V=1e3):
 
 @pytest.mark.parametrize("name", FROM_START)
 def test_what_is_planned_with_an_effect_gives_the_reference(model, name):
-    with_it = extended(model, name)
+    with_it = with_effects(model, name)
     t, reference = reference_N(model)
     voltage_V = driven(with_it, reference, low_V=-1e3)
     reading = run_chain(with_it, with_it.operator(), t, voltage_V)
@@ -73,7 +46,7 @@ def test_what_is_planned_with_an_effect_gives_the_reference(model, name):
 
 
 def test_all_of_them_at_once_and_within_limits(model):
-    with_them = extended(model, *FROM_START)
+    with_them = with_effects(model, *FROM_START)
     t, reference = reference_N(model)
     voltage_V = driven(with_them, reference)
     reading = run_chain(with_them, with_them.operator(), t, voltage_V)
@@ -84,7 +57,7 @@ def test_all_of_them_at_once_and_within_limits(model):
 
 
 def test_states_follow_what_was_applied_and_not_what_was_planned(model):
-    with_them = extended(model, "creep", "electrical_lag")
+    with_them = with_effects(model, "creep", "electrical_lag")
     t, reference = reference_N(model)
     limit_V = 0.6 * driven(with_them, reference).max()
     voltage_V = driven(with_them, reference, high_V=limit_V)
@@ -96,7 +69,7 @@ def test_states_follow_what_was_applied_and_not_what_was_planned(model):
 
 
 def test_a_gap_is_closed_before_force_is_asked_for(model):
-    with_it = extended(model, "contact_gap", gap_N=20.0, softness_N=2.0)
+    with_it = with_effects(model, "contact_gap", gap_N=20.0, softness_N=2.0)
     t, reference = reference_N(model)
     reference = reference - reference[0] + np.linspace(0.0, 5.0, t.size)
     voltage_V = driven(with_it, reference)
@@ -107,7 +80,7 @@ def test_a_gap_is_closed_before_force_is_asked_for(model):
 
 def test_what_has_no_inverse_is_refused_with_its_reason(model):
     with pytest.raises(ModelError, match=r"friction cannot be compensated: .*; drive without it"):
-        ExtendedCompensator(extended(model, "friction"), DT_S)
+        ExtendedCompensator(with_effects(model, "friction"), DT_S)
 
 
 def test_a_delay_and_a_mode_are_met_by_a_reference_that_is_known_ahead(model):
@@ -115,7 +88,7 @@ def test_a_delay_and_a_mode_are_met_by_a_reference_that_is_known_ahead(model):
         ("transport_delay", {"delay_s": 0.0123}),
         ("resonance", {"frequency_Hz": 60.0, "damping_ratio": 0.05}),
     ):
-        with_it = extended(model, name, **changed)
+        with_it = with_effects(model, name, **changed)
         t, reference = reference_N(model)
         planned = ExtendedCompensator(with_it, DT_S).ahead(reference, loop=False)
         reading = run_chain(with_it, with_it.operator(), t, driven(with_it, planned, low_V=-1e3))
@@ -138,7 +111,7 @@ def test_a_delay_of_no_whole_ticks_is_met_on_ramps_whatever_the_lag(delay_s, lag
 
 
 def test_what_was_read_a_sample_after_its_command_is_a_delay_of_a_sample(model):
-    held = extended(model, "creep").model_copy(update={"sampling": "held_before", "sample_s": 5 * DT_S})
+    held = with_effects(model, "creep").model_copy(update={"sampling": "held_before", "sample_s": 5 * DT_S})
     _, reference = reference_N(model)
     planned = ExtendedCompensator(held, DT_S).ahead(reference, loop=False)
     np.testing.assert_allclose(planned[:-5], reference[5:])
@@ -149,7 +122,7 @@ def test_what_was_read_a_sample_after_its_command_is_a_delay_of_a_sample(model):
 
 def test_a_held_command_that_was_fitted_as_a_straight_one_is_driven_as_a_held_one(model):
     """On a ramp a lag behind a straight command comes late by the lag, behind a held one by half a sample less."""
-    lagged = extended(model, "transport_delay", "electrical_lag", delay_s=0.0067, time_constant_s=0.0037)
+    lagged = with_effects(model, "transport_delay", "electrical_lag", delay_s=0.0067, time_constant_s=0.0037)
     fitted = lagged.model_copy(update={"sampling": "straight", "sample_s": DT_S})
     assert ExtendedCompensator(fitted, DT_S).delay_s == pytest.approx(0.0067 + 0.5 * DT_S)
 
@@ -172,7 +145,7 @@ def test_the_inverse_of_a_mode_against_its_own_recursion():
 
 def test_the_slope_of_a_creep_refers_to_the_recording_that_it_was_found_in(model):
     """Its weights go with tau^slope about the middle of what that recording showed, whatever is driven later."""
-    with_it = extended(model, "creep", slope=0.1, per_decade=0.02).model_copy(update={"seen_s": 20.0})
+    with_it = with_effects(model, "creep", slope=0.1, per_decade=0.02).model_copy(update={"seen_s": 20.0})
     t, reference = reference_N(model)
     reading = run_chain(with_it, with_it.operator(), t, driven(with_it, reference, low_V=-1e3))
     assert np.max(np.abs(reading - reference)) < 1e-8 * (model.output.high - model.output.low)
@@ -182,7 +155,7 @@ def test_the_slope_of_a_creep_refers_to_the_recording_that_it_was_found_in(model
 
 
 def test_temperature_is_taken_off_and_a_broken_channel_leaves_the_last_value(model):
-    with_it = extended(model, "thermal_drift", coefficient_N_per_K=2.0, lag_s=0.0)
+    with_it = with_effects(model, "thermal_drift", coefficient_N_per_K=2.0, lag_s=0.0)
     compensator = ExtendedCompensator(with_it, DT_S)
     cold = compensator.plan(50.0)
     for temperature_C in (20.0, 21.5, np.nan, 900.0):
