@@ -17,7 +17,7 @@ from piezod.identify.intake import OnStep
 from piezod.identify.order import PLAYS, ZONES, Candidate, best_of, choose, judge_orders, prune, residual
 from piezod.identify.qp import Variant
 from piezod.identify.scores import largest, max_hysteresis_percent, nrmse_percent, rms
-from piezod.identify.start import estimate_path, settled_from, start_at_zero, starts_at_rest
+from piezod.identify.start import settled_from, start_at_zero, start_found, starts_at_rest
 from piezod.identify.suitability import FEWEST_SAMPLES, check_suitable
 from piezod.identify.thresholds import dead_zone_thresholds, play_reach, play_thresholds, widest
 from piezod.model import Model, file_sha256, run_chain
@@ -334,7 +334,8 @@ def simulate(model: Model, recording: Recording, window: int, sha256: str | None
     model
         What was identified, with the effects that were found.
     recording
-        Has the model's input; where it does not start at rest, the first `window` samples of its output tell the start.
+        Has the model's input; the first `window` samples of its output tell the start: where it does not start at rest,
+        or one after another peak fits far better than the model's.
     window
         How many samples may be looked at to find the start; 0: none.
     sha256
@@ -348,11 +349,13 @@ def simulate(model: Model, recording: Recording, window: int, sha256: str | None
     operator, start = model.operator(), f"start of the model ({model.start.kind})"
     u, y = recording.channel(model.input.channel), recording.channels.get(model.output.channel)
     path: tuple[float, ...] = () if model.start.peak is None else (model.start.peak, 0.0)
-    if not starts_at_rest(u) and y is not None and window > 0:
-        path = estimate_path(operator, u, y, window)
-        operator.set_states(np.zeros(operator.plays[0].size))
-        operator.run(np.array(path))
-        start = f"start found from the first {window} samples"
+    if y is not None and window > 0:
+        reach = max(model.input.high, -model.input.low)
+        found = start_found(model.operator(), u, y, window, model.input.unit, reach)
+        if found is not None:
+            path, start = found.path, found.words
+            operator.set_states(np.zeros(operator.plays[0].size))
+            operator.run(np.array(path))
     temperature_C = recording.channels.get("temperature_C")
     readings = run_chain(model, operator, recording.time_s, u, temperature_C=temperature_C, sha256=sha256, path_V=path)
     return readings, start

@@ -24,6 +24,8 @@ PEAKS_TRIED = (0.15, 0.3, 0.45, 0.6, 0.75, 0.9, 1.0)  # of the largest input, ol
 REFINEMENTS = 5  # of the old peak, each halves the distance between two that are tried
 CLEARLY = 0.8  # share of the squared error below which a used stack is believed rather than a virgin one
 
+FAR_BETTER = 0.25  # share of a given start's squared error below which another is believed for a model that stays
+
 
 def starts_at_rest(u: Array) -> bool:
     """Whether the first input is near enough to zero for a drive that was off."""
@@ -55,7 +57,7 @@ class Start:
     words: str
 
 
-def start_at_zero(u: Array, unit: str, loss: Callable[[Path], float]) -> Start:
+def start_at_zero(u: Array, unit: str, loss: Callable[[Path], float], reach: float = 0.0) -> Start:
     """De-energised, or driven to a peak and back before: whichever a fit prefers clearly.
 
     Parameters
@@ -67,6 +69,8 @@ def start_at_zero(u: Array, unit: str, loss: Callable[[Path], float]) -> Start:
     loss
         Mean square error of a fit whose recording starts after these inputs; raises `RecordingError` where there is
         none.
+    reach
+        How large an old peak may have been where that is more than the largest input.
     """
 
     def tried(path: Path) -> float:
@@ -75,7 +79,7 @@ def start_at_zero(u: Array, unit: str, loss: Callable[[Path], float]) -> Start:
         except (RecordingError, ModelError):
             return float("inf")
 
-    extreme = max(float(u.max()), -float(u.min()), key=abs)
+    extreme = max(float(u.max()), -float(u.min()), abs(reach), key=abs)
     sign = 1.0 if u.max() >= -u.min() else -1.0
     losses = {share: tried((sign * share * extreme, 0.0)) for share in PEAKS_TRIED}
     virgin = tried(())
@@ -90,6 +94,40 @@ def start_at_zero(u: Array, unit: str, loss: Callable[[Path], float]) -> Start:
         return Start((), "de-energised")
     peak = sign * best * extreme
     return Start((peak, 0.0), f"driven to about {peak:.3g} {unit} and back before")
+
+
+def start_found(operator: PrandtlIshlinskii, u: Array, y: Array, window: int, unit: str, reach: float) -> Start | None:
+    """What led to the start of a recording, as its first samples tell; None where the operator's own start does.
+
+    Parameters
+    ----------
+    operator
+        As its model starts; it is moved.
+    u, y
+        Input and output, shape (N,).
+    window
+        How many samples are looked at.
+    unit
+        Of the input.
+    reach
+        The model's largest input.
+    """
+    if not starts_at_rest(u):
+        return Start(estimate_path(operator, u, y, window), f"start found from the first {window} samples")
+
+    def loss(path: Path | None) -> float:
+        if path is not None:
+            operator.set_states(np.zeros(operator.plays[0].size))
+            operator.run(np.array(path))
+        return float(np.nanmean(np.square(operator.run(u[:window]) - y[:window])))
+
+    if not np.isfinite(y[:window]).any():
+        return None
+    own = loss(None)
+    found = start_at_zero(u, unit, loss, reach)
+    if loss(found.path) >= FAR_BETTER * own:
+        return None
+    return Start(found.path, f"{found.words}, found from the first {window} samples")
 
 
 def estimate_path(operator: PrandtlIshlinskii, u: Array, y: Array, window: int) -> Path:

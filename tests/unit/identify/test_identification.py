@@ -15,7 +15,7 @@ from piezod.identify.identification import Options, identify, simulate
 from piezod.identify.qp import Constraints
 from piezod.identify.tables import dead_zone_rows, play_rows
 from piezod.identify.thresholds import Reach, dead_zone_thresholds, play_reach, play_thresholds
-from piezod.model import Plant
+from piezod.model import Plant, load_model
 from piezod.operators import AnalyticInverse, PrandtlIshlinskii
 from piezod.operators.dead_zone import inverse_dead_zone
 from piezod.recording import Recording, read_csv
@@ -219,6 +219,19 @@ def test_a_record_that_does_not_start_at_rest_is_simulated_from_a_start_found_in
     simulated, words = simulate(model, recording_of(whole[part], y[part]), 100)
     assert "found from the first 100 samples" in words
     assert np.sqrt(np.mean((simulated - y[part])[100:] ** 2)) < 0.01 * np.ptp(y)
+
+
+def test_a_record_after_other_work_is_simulated_from_the_peak_that_its_first_stretch_tells():
+    model = load_model(Path(__file__).parents[3] / "config" / "model.yaml")
+    later = varying_triangles(0.5 * model.input.high, 0.1, 2, 50.0)
+    fresh, used = model.operator(), model.operator()
+    used.run(np.array([model.input.high, 0.0]))
+    y = used.run(later)
+    simulated, words = simulate(model, recording_of(later, y), 50)
+    assert words == f"driven to about {model.input.high:.3g} V and back before, found from the first 50 samples"
+    assert np.abs(simulated - y).max() < 1e-9 * np.ptp(y)
+    assert np.abs(simulate(model, recording_of(later, y), 0)[0] - y).max() > 0.05 * np.ptp(y)  # nothing looked at
+    assert simulate(model, recording_of(later, fresh.run(later)), 50)[1] == "start of the model (virgin)"
 
 
 def test_only_a_virgin_rise_shows_the_plays_beyond_half_the_swing():
