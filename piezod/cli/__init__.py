@@ -1,0 +1,7 @@
+"""The commands: each parses, calls one function and prints what it returns."""
+
+# In the order in which --help lists them.
+from piezod.cli import demo, setup, running, recordings, models, commissioning, diagnosis, study  # noqa: I001
+from piezod.cli.root import app, main
+
+__all__ = ["app", "commissioning", "demo", "diagnosis", "main", "models", "recordings", "running", "setup", "study"]

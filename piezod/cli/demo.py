@@ -1,0 +1,65 @@
+"""The whole path on the emulated bench."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from piezod.cli.root import app
+
+if TYPE_CHECKING:
+    from piezod.recording import Recording
+    from piezod.report.demo import HiddenVerdict
+
+
+@app.command(epilog="Example: piezod demo --report demo.html --json demo.json")
+def demo(
+    json_file: Annotated[Path | None, typer.Option("--json", metavar="FILE", help="Write the figures as JSON.")] = None,
+    report: Annotated[Path, typer.Option(metavar="FILE", help="The page to write.")] = Path("piezod-demo.html"),
+) -> None:
+    """Show the whole path on the emulated bench: no hardware, no root, under a minute."""
+    from piezod.daemon.demo import run_demo
+    from piezod.report.demo import judge, live_line, print_hidden, print_table, write_demo_page
+
+    names: list[str] = []
+    print("emulated bench and control process are starting ...", flush=True)
+    with live_line(names) as show:
+        result = run_demo(show, names)
+    verdict = judge(result.recordings, result.history.timing(), result.outcome)
+    print_table(verdict)
+    recordings = dict(result.recordings)
+    if not result.outcome.stopped and not result.outcome.fault:
+        hidden, followed = _demo_hidden()
+        print_hidden(hidden)
+        verdict = replace(verdict, hidden=hidden)
+        recordings |= followed
+    write_demo_page(report, verdict, recordings)
+    print(f"page: {report.resolve()}")
+    if json_file is not None:
+        json_file.write_text(json.dumps(verdict.as_dict(), indent=2) + "\n", encoding="utf-8")
+    raise typer.Exit(0 if verdict.passed else 1)
+
+
+def _demo_hidden() -> "tuple[HiddenVerdict, dict[tuple[str, str], Recording]]":
+    """Record a bench that hides something, diagnose it, follow a reference with what was known and what was found."""
+    from tempfile import TemporaryDirectory
+
+    from piezod.daemon.demo_hidden import follow_hidden, record_hidden
+    from piezod.daemon.shipped import shipped
+    from piezod.diagnose.command import diagnose_files
+    from piezod.model import load_model
+    from piezod.recording import write_csv
+    from piezod.report.demo import judge_hidden
+    from piezod.report.progress import steps
+
+    with TemporaryDirectory() as name, steps() as show:
+        folder, given = Path(name), shipped("model.yaml")
+        show("a bench with hidden effects is recorded", 0.0)
+        write_csv(record_hidden(folder, lambda _: None), folder / "work.csv")
+        findings = diagnose_files([folder / "work.csv"], given, folder / "out", None, None, show).findings
+        extended = load_model(folder / "out" / "model.yaml")
+        show("a reference is followed with both models", 0.9)
+        followed = follow_hidden(folder, load_model(given), extended, lambda _: None)
+    return judge_hidden(followed, f"{findings.verdict}: {findings.words}", findings.floor), followed

@@ -1,0 +1,80 @@
+"""What a model leaves out."""
+
+import json
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from piezod.cli.root import JsonOption, app
+from piezod.errors import UsageError
+
+
+@app.command(epilog="Example: piezod diagnose work.csv --model model.yaml -o diagnosis")
+def diagnose(
+    output: Annotated[Path, typer.Option("-o", metavar="DIR", help="findings.json, model.yaml and report.html.")],
+    recordings: Annotated[list[Path] | None, typer.Argument(metavar="REC...", help="Recordings to explain.")] = None,
+    model: Annotated[Path | None, typer.Option("--model", metavar="MODEL")] = None,
+    from_bench: Annotated[
+        Path | None,
+        typer.Option(metavar="CONFIG", help="The stretch that the daemon kept when this bench left its model."),
+    ] = None,
+    input_column: Annotated[
+        str | None, typer.Option("--input", metavar="COLUMN", help="The model's if left out.")
+    ] = None,
+    output_column: Annotated[str | None, typer.Option("--output", metavar="COLUMN", help="As above.")] = None,
+    hold_out: Annotated[
+        list[Path] | None,
+        typer.Option(metavar="REC", help="Compare both models on it and fit nothing to it; repeatable."),
+    ] = None,
+    condition: Annotated[
+        str | None, typer.Option("--where", metavar="COLUMN=VALUE", help="Only the readings at which it holds.")
+    ] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Find out what a model leaves out of recordings: where, which physics, how sure, and the model that has it."""
+    from piezod.diagnose.command import diagnose_files
+    from piezod.report.diagnosis import print_findings
+    from piezod.report.diagnosis_page import write_diagnosis_page
+    from piezod.report.progress import steps
+
+    recordings = list(recordings or ())
+    if from_bench is not None:
+        from piezod.daemon.drift import kept_stretch
+
+        if recordings or model is not None:
+            raise UsageError("--from-bench names recording and model: no REC and no --model beside it")
+        kept, model = kept_stretch(from_bench)
+        recordings = [kept]
+    if model is None or not recordings:
+        raise UsageError("REC... and --model are missing, or --from-bench CONFIG")
+    with steps() as show:
+        diagnosis = diagnose_files(
+            recordings, model, output, input_column, output_column, show, hold_out or (), condition
+        )
+        show("drawing the report", None)
+        write_diagnosis_page(output / "report.html", diagnosis)
+    if as_json:
+        print(json.dumps(diagnosis.findings.as_dict(), indent=2))
+    else:
+        print_findings(diagnosis, output)
+        if from_bench is not None:
+            print(f"to drive with it: model: {(output / 'model.yaml').resolve()} in {from_bench}, then piezod disarm")
+            print("and piezod reload; nothing takes it by itself")
+
+
+@app.command(epilog="Example: piezod effects creep")
+def effects(
+    name: Annotated[str | None, typer.Argument(metavar="[NAME]", help="One effect in full.")] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """List the physical effects that can be found in a recording, or describe one."""
+    from piezod.effects import EFFECTS
+    from piezod.report.effects import effect_as_dict, effect_named, effect_page, effects_table
+
+    chosen = None if name is None else effect_named(name)
+    if as_json:
+        shown = list(EFFECTS.values()) if chosen is None else [chosen]
+        print(json.dumps({"schema": "piezod.effects/1", "effects": [effect_as_dict(one) for one in shown]}, indent=2))
+    else:
+        print(effects_table() if chosen is None else effect_page(chosen))

@@ -1,0 +1,194 @@
+"""From recordings to models, and how well they simulate."""
+
+import json
+from dataclasses import asdict
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from piezod import __version__
+from piezod.cli.root import ConfigArgument, JsonOption, app
+from piezod.errors import UsageError
+
+
+@app.command(epilog="Example: piezod identify varying.csv constant.csv -o model.yaml --report report")
+def identify(
+    recordings: Annotated[
+        list[Path], typer.Argument(metavar="REC...", help="Recordings: csv, h5, mat, tdms, parquet, mf4.")
+    ],
+    model: Annotated[Path, typer.Option("-o", metavar="MODEL", help="The model file to write.")],
+    report: Annotated[Path | None, typer.Option(metavar="DIR", help="Write identification.html there.")] = None,
+    input_column: Annotated[str, typer.Option("--input", metavar="COLUMN")] = "voltage_V",
+    output_column: Annotated[str, typer.Option("--output", metavar="COLUMN")] = "force_N",
+    plays: Annotated[int | None, typer.Option(min=1, max=100, help="n; judged on held-out data when left out.")] = None,
+    dead_zones: Annotated[int | None, typer.Option(min=0, max=30, help="m; as above.")] = None,
+    variant: Annotated[str, typer.Option(metavar="A|B", help="A: no weight negative; B: no partial sum.")] = "B",
+    fit_share: Annotated[
+        float, typer.Option(help="Leading share of each recording to fit; the rest is held out.")
+    ] = 0.7,
+    name: Annotated[str, typer.Option(help="Name of the model.")] = "stack",
+    as_json: JsonOption = False,
+) -> None:
+    """Identify a model from recordings."""
+    from piezod.identify.identification import Options
+    from piezod.identify.identification import identify as identify_model
+    from piezod.identify.intake import check_result, take_in
+    from piezod.model import save_model
+    from piezod.report.identification import figures_of, print_identification, write_identification_page
+    from piezod.report.progress import steps
+
+    if variant not in ("A", "B"):
+        raise UsageError(f"--variant is '{variant}', must be A or B")
+    check_result(model, recordings)
+    options = Options(
+        input=input_column,
+        output=output_column,
+        plays=plays,
+        zones=dead_zones,
+        variant="A" if variant == "A" else "B",
+        fit_share=fit_share,
+        name=name,
+    )
+    with steps() as show:
+        taken = take_in(recordings, input_column, output_column, show)
+        read = [one.recording for one in taken]
+        identification = identify_model(
+            read,
+            options,
+            f"piezod {__version__}",
+            sources=[one.source for one in taken],
+            notes=[note for one in taken for note in one.notes],
+            on_step=show,
+        )
+    if report is not None:
+        write_identification_page(report / "identification.html", identification, read)
+    save_model(identification.model, model)
+    if as_json:
+        print(json.dumps(figures_of(identification), indent=2))
+    else:
+        print_identification(identification)
+
+
+@app.command(epilog="Example: piezod simulate varying.csv --model model.yaml -o simulated.csv")
+def simulate(
+    recording: Annotated[Path, typer.Argument(metavar="REC", help="Whose input is simulated.")],
+    model: Annotated[Path, typer.Option("--model", metavar="MODEL")],
+    output: Annotated[Path, typer.Option("-o", metavar="OUT", help="time_s and the simulated output column.")],
+    start_window: Annotated[
+        float, typer.Option(metavar="S", min=0.0, help="First seconds that may tell what the memory starts with.")
+    ] = 1.0,
+    condition: Annotated[
+        str | None, typer.Option("--where", metavar="COLUMN=VALUE", help="Compare only the samples at which it holds.")
+    ] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Simulate a model over a recording's input, in free run; compare with its output where it has one."""
+    from piezod.identify.intake import check_result, take_whole
+    from piezod.identify.simulation import simulate_recording, where
+    from piezod.model import load_model
+    from piezod.recording import check_target, write_recording
+    from piezod.report.progress import steps
+
+    check_target(output)
+    check_result(output, [recording])
+    loaded = load_model(model)
+    column, equals, _ = (condition or "").partition("=")
+    with steps() as show:
+        taken = take_whole(recording, loaded.input.channel, loaded.output.channel, [column] if equals else [], show)
+    chosen = where(taken.recording, condition) if condition else None
+    simulation = simulate_recording(loaded, taken.recording, start_window, chosen, taken.sha256)
+    write_recording(simulation.recording, output)
+    figures = simulation.agreement
+    if as_json:
+        compared = None if figures is None else asdict(figures) | {"unit": loaded.output.unit}
+        content = {"schema": "piezod.simulation/1", "start": simulation.start, "compared": compared}
+        print(json.dumps(content | {"recording": taken.source.model_dump(), "notes": taken.notes}, indent=2))
+    else:
+        words = "" if figures is None else f"; {figures.words(loaded.output.unit)}"
+        print(f"{output}: {taken.source.samples} samples; {simulation.start}{words}")
+        for note in taken.notes:
+            print(f"note: {note}")
+
+
+@app.command(epilog="Example: piezod compare work.csv simulated.csv --model model.yaml --report comparison.html")
+def compare(
+    recordings: Annotated[
+        list[Path], typer.Argument(metavar="REC [REC...]", help="What was measured, then outputs to compare with it.")
+    ],
+    model: Annotated[
+        list[Path] | None, typer.Option(metavar="MODEL", help="Simulated over the first recording's input; repeatable.")
+    ] = None,
+    output_column: Annotated[
+        str | None, typer.Option("--output", metavar="COLUMN", help="The model's, or force_N, if left out.")
+    ] = None,
+    start_window: Annotated[
+        float, typer.Option(metavar="S", min=0.0, help="First seconds that may tell what a model's memory starts with.")
+    ] = 1.0,
+    report: Annotated[Path | None, typer.Option(metavar="FILE", help="Write a page.")] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Compare a measured output with simulated ones and with models in free run: fit as MATLAB's compare defines it."""
+    from piezod.report.compared import compare_files
+    from piezod.report.comparison import comparison_as_dict, comparison_text, write_comparison_page
+
+    comparison = compare_files(recordings[0], recordings[1:], model or (), output_column, start_window)
+    if report is not None:
+        write_comparison_page(report, comparison)
+    print(json.dumps(comparison_as_dict(comparison), indent=2) if as_json else comparison_text(comparison))
+
+
+@app.command(epilog="Example: piezod resid work.csv --model model.yaml --report residual.html")
+def resid(
+    recording: Annotated[Path, typer.Argument(metavar="REC", help="What was measured.")],
+    model: Annotated[Path, typer.Option("--model", metavar="MODEL")],
+    lags: Annotated[int, typer.Option(min=1, max=10_000, help="How many, in samples.")] = 25,
+    start_window: Annotated[
+        float, typer.Option(metavar="S", min=0.0, help="First seconds that may tell what the memory starts with.")
+    ] = 1.0,
+    report: Annotated[Path | None, typer.Option(metavar="FILE", help="Write a page.")] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Test whether what a model leaves is white and independent of the input, with the bounds of MATLAB's resid."""
+    from piezod.identify.intake import take_whole
+    from piezod.model import load_model
+    from piezod.report.comparison import residual_as_dict, residual_text, write_residual_page
+    from piezod.report.residual_test import residual_of, residual_test
+
+    loaded = load_model(model)
+    taken = take_whole(recording, loaded.input.channel, loaded.output.channel)
+    left = residual_of(loaded, taken.recording, start_window, taken.sha256)
+    test = residual_test(taken.recording, left, loaded.input.channel, lags)
+    unit = loaded.output.unit
+    if report is not None:
+        write_residual_page(report, test, taken.recording, left, unit)
+    if as_json:
+        print(json.dumps(residual_as_dict(test, taken.recording, loaded.name, unit), indent=2))
+    else:
+        print(residual_text(test, unit))
+
+
+@app.command(epilog="Example: piezod validate config/bench.yaml --model a.yaml --model b.yaml --report validation.html")
+def validate(
+    config: ConfigArgument,
+    model: Annotated[
+        list[Path], typer.Option(metavar="MODEL", help="Model to try; repeatable. The first gives the plain gain too.")
+    ],
+    report: Annotated[Path | None, typer.Option(metavar="FILE", help="Write a page with all loops.")] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Follow six triangular force references without and with each model; say which model is better."""
+    from piezod.daemon.validate import plan_validation, run_validation
+    from piezod.report.progress import progress
+    from piezod.report.validation import judge_validation, validation_text, write_validation_page
+
+    plan = plan_validation(config, model)
+    with progress(f"{len(plan.works)} runs", plan.duration_s) as show:
+        result = run_validation(plan, show)
+    verdict = judge_validation(plan.references, plan.compensations, plan.range_N, result.recordings, result.outcome)
+    print(json.dumps(verdict.as_dict(), indent=2) if as_json else validation_text(verdict))
+    if report is not None:
+        write_validation_page(report, verdict, result.recordings)
+        if not as_json:
+            print(f"page: {report.resolve()}")
+    raise typer.Exit(0 if verdict.complete else 1)

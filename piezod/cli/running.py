@@ -1,0 +1,126 @@
+"""The daemon, and what commands it."""
+
+import json
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from piezod.cli.root import ConfigArgument, DaemonArgument, JsonOption, SocketOption, WaitOption, app
+from piezod.errors import UsageError
+
+
+@app.command(epilog="Example: piezod run config/bench.yaml --arm")
+def run(
+    config: ConfigArgument,
+    arm: Annotated[
+        bool, typer.Option("--arm", help="Arm at once, end with the reference; else wait for piezod arm.")
+    ] = False,
+    as_json: JsonOption = False,
+) -> None:
+    """Run the bench in the foreground: with --arm one reference, else until a signal comes (SIGTERM: ramp down)."""
+    from piezod.daemon.run import run_foreground
+
+    result = run_foreground(config, arm=arm)
+    if as_json:
+        print(json.dumps(result.as_dict(), indent=2))
+    raise typer.Exit(result.exit_code)
+
+
+@app.command(epilog="Example: piezod status config/bench.yaml --json")
+def status(config: DaemonArgument = None, socket: SocketOption = None, as_json: JsonOption = False) -> None:
+    """Say what the running daemon does."""
+    from piezod.daemon.client import command_and_wait, socket_of, status_text
+
+    answer = command_and_wait(socket_of(config, socket), "status", wait=False)
+    print(json.dumps(answer, indent=2) if as_json else status_text(answer))
+
+
+@app.command(epilog="Example: piezod arm config/bench.yaml")
+def arm(
+    config: DaemonArgument = None, socket: SocketOption = None, wait: WaitOption = True, as_json: JsonOption = False
+) -> None:
+    """Check every precondition, check the sign, drive to the first reference and follow it."""
+    _command_daemon("arm", config, socket, ("RUNNING", "HOLD"), wait=wait, as_json=as_json)
+
+
+@app.command(epilog="Example: piezod disarm config/bench.yaml")
+def disarm(
+    config: DaemonArgument = None, socket: SocketOption = None, wait: WaitOption = True, as_json: JsonOption = False
+) -> None:
+    """Ramp down and stay disarmed."""
+    _command_daemon("disarm", config, socket, ("DISARMED",), wait=wait, as_json=as_json)
+
+
+@app.command(epilog="Example: piezod stop config/bench.yaml")
+def stop(
+    config: DaemonArgument = None,
+    socket: SocketOption = None,
+    direct: Annotated[
+        bool, typer.Option("--direct", help="Without a daemon: over a connection of its own to the device of CONFIG.")
+    ] = False,
+    wait: WaitOption = True,
+    as_json: JsonOption = False,
+) -> None:
+    """Come to rest as fast as the slew limit allows, and stay disarmed."""
+    if not direct:
+        _command_daemon("stop", config, socket, ("DISARMED",), wait=wait, as_json=as_json)
+        return
+    if config is None or socket is not None:
+        raise UsageError("--direct needs CONFIG, which names the device, and no --socket")
+    from piezod.daemon.safe_stop import stop_directly
+
+    message = stop_directly(config)
+    print(json.dumps({"ok": True, "message": message}, indent=2) if as_json else message)
+
+
+@app.command(epilog="Example: piezod reset config/bench.yaml")
+def reset(config: DaemonArgument = None, socket: SocketOption = None, as_json: JsonOption = False) -> None:
+    """Leave FAULT, once its cause is gone; nothing is armed by it."""
+    _command_daemon("reset", config, socket, (), wait=False, as_json=as_json)
+
+
+@app.command(epilog="Example: piezod reload config/bench.yaml")
+def reload(config: DaemonArgument = None, socket: SocketOption = None, as_json: JsonOption = False) -> None:
+    """Let the daemon read its configuration again, as SIGHUP does; while it is armed only tighter limits are taken."""
+    _command_daemon("reload", config, socket, (), wait=False, as_json=as_json)
+
+
+def _command_daemon(
+    name: str, config: Path | None, socket: Path | None, wanted: tuple[str, ...], *, wait: bool, as_json: bool
+) -> None:
+    """Send a command, wait for what comes of it, print it; exit with 1 when that is not what was wanted."""
+    from piezod.daemon.client import command_and_wait, socket_of, status_text
+
+    answer = command_and_wait(socket_of(config, socket), name, wait=wait)
+    settled = "state" in answer
+    if as_json:
+        print(json.dumps(answer, indent=2))
+    else:
+        print(status_text(answer) if settled else answer["message"])
+    raise typer.Exit(1 if settled and answer["state"] not in wanted else 0)
+
+
+@app.command(epilog="Example: piezod watch config/bench.yaml --port 5006")
+def watch(
+    config: ConfigArgument,
+    port: Annotated[int, typer.Option(min=0, max=65535, help="On 127.0.0.1; 0 takes a free one.")] = 5006,
+    token_file: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Whoever types what it holds may arm, disarm, stop, reset; else read only."),
+    ] = None,
+) -> None:
+    """Serve a live page of the running daemon; it reads shared memory, and no tick knows of it."""
+    from piezod.config import load_bench
+    from piezod.daemon.client import command_and_wait
+    from piezod.report.live.server import read_token, serve_live_page
+
+    bench = load_bench(config)
+    token = None if token_file is None else read_token(token_file)
+    serve_live_page(
+        bench,
+        lambda name: command_and_wait(bench.socket_path, name, wait=False),
+        port,
+        token,
+        lambda line: print(line, flush=True),
+    )
