@@ -70,9 +70,10 @@ def run_foreground(path: Path, *, arm: bool) -> RunResult:
         session.close()
         lock.close()
     _sum_up(service.outcome, service.tally.tracking)
-    if service.preview is not None:
-        say(service.preview.words())
-    return RunResult(service.outcome, service.tally.tracking, service.drift, service.preview)
+    watch = service.model_watch
+    if watch.preview is not None:
+        say(watch.preview.words())
+    return RunResult(service.outcome, service.tally.tracking, watch.last_drift, watch.preview)
 
 
 def _sum_up(outcome: Outcome, tracking: "TrackingError") -> None:

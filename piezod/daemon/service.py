@@ -9,19 +9,18 @@ import contextlib
 import signal
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from piezod import __version__
 from piezod.config import BenchConfig, loosened, model_path
 from piezod.control import CAUSE_TEXT, Cause, State
-from piezod.daemon.assembly import load, load_drivable
+from piezod.daemon.assembly import load
 from piezod.daemon.control_socket import ControlSocket, Peer
-from piezod.daemon.drift import DriftWatch
 from piezod.daemon.lock import BenchLock
 from piezod.daemon.metrics import BenchMetrics, MetricsServer
-from piezod.daemon.preview import MissingPreview, missing_preview
+from piezod.daemon.model_watch import ModelWatch
 from piezod.daemon.recording import RecorderWatch
 from piezod.daemon.say import say
 from piezod.daemon.session import LOOK_EVERY_S, Session, deliberate_error
@@ -29,9 +28,6 @@ from piezod.daemon.systemd import Notifier
 from piezod.daemon.tally import Tally
 from piezod.daemon.task import Outcome
 from piezod.errors import CheckFailedError, PiezodError, TemporaryError
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
 
 RETRY_S = (0.5, 1.0, 2.0, 5.0, 10.0)  # then every ten seconds
 READY_WITHIN_S = 30.0  # a control process that is not connected then hangs, and systemd may know
@@ -70,13 +66,9 @@ class Service:
         self._problem = ""
         self._connected = False
         self.outcome = Outcome()
-        self.drift: dict[str, object] | None = None
         self.tally = Tally(self._tell)
         self._recorder = None if bench.recorder is None else RecorderWatch(bench, say)
-        self._drift: DriftWatch | None = None
-        self._unwatched: list[NDArray[np.void]] = []
-        self._preparing: asyncio.Task[None] | None = None
-        self.preview: MissingPreview | None = None
+        self.model_watch = ModelWatch(path)
 
     async def run(self) -> None:
         """Answer, and follow one control process after the other, until told to end."""
@@ -89,7 +81,7 @@ class Service:
             stack.push_async_callback(control_socket.close)
             await control_socket.open()
             if self._bench.daemon.metrics_port is not None:
-                shown = BenchMetrics(self._bench.name, self.tally, self._recorder, lambda: self._drift)
+                shown = BenchMetrics(self._bench.name, self.tally, self._recorder, lambda: self.model_watch.drift)
                 metrics = MetricsServer(shown, say)
                 stack.push_async_callback(metrics.close)
                 await metrics.open(self._bench.daemon.metrics_port)
@@ -162,7 +154,7 @@ class Service:
             if self._recorder is not None:
                 self._recorder.follow(self._bench.ring_log_path)
             self.tally.begin()
-            self._watch_drift()
+            self.model_watch.begin(self._bench)
             self._notifier.ready()
             self._notifier.status(f"DISARMED, {content}")
             if self._stops:
@@ -175,51 +167,7 @@ class Service:
                 await arming
         finally:
             loop.remove_reader(descriptor)
-            await self._stop_watching_drift()
-
-    def _watch_drift(self) -> None:
-        """Compare this session with its model; until the model is loaded, in a thread, rows wait."""
-        if self._bench.drift is None:
-            return
-        self._unwatched = []
-        self._preparing = asyncio.get_running_loop().create_task(self._prepare_drift())
-
-    async def _prepare_drift(self) -> None:
-        try:
-            watch = await asyncio.to_thread(self._make_drift_watch)
-        except PiezodError as error:
-            say(f"drift: not watched: {error}")
-            self._unwatched = []
-            return
-        self._drift = watch
-        for rows in self._unwatched:
-            self._compare(rows)
-        self._unwatched = []
-
-    def _compare(self, rows: "NDArray[np.void]") -> None:
-        """With the model."""
-        if self._drift is not None:
-            self._drift.add(rows)
-        if self.preview is not None:
-            self.preview.add(rows)
-
-    def _make_drift_watch(self) -> DriftWatch:
-        """Load the model, and the compiled steps with it."""
-        model = load_drivable(model_path(self._bench, self._path))
-        self.preview = missing_preview(self._bench, model)
-        watch = DriftWatch(self._bench, model, say)
-        watch.warm_up()
-        return watch
-
-    async def _stop_watching_drift(self) -> None:
-        """The next session may have another model; what was kept is on the disk then."""
-        if self._preparing is not None:
-            await self._preparing
-        self._preparing = None
-        if self._drift is not None:
-            await asyncio.to_thread(self._drift.close)
-            self.drift = self._drift.as_dict()
-        self._drift = None
+            await self.model_watch.end()
 
     def _receive(self, session: Session, descriptor: int) -> None:
         """Take one message of the control process; called when there is one."""
@@ -287,10 +235,7 @@ class Service:
         """Take in what the ring log has; False when the loop has not ticked since."""
         rows = session.read()
         self.tally.add(rows)
-        if self._drift is not None:
-            self._compare(rows)
-        elif self._preparing is not None and not self._preparing.done():
-            self._unwatched.append(rows)
+        self.model_watch.add(rows)
         return bool(rows.size)
 
     def _tell(self, state: State, cause: Cause, row: np.void) -> None:
@@ -342,6 +287,7 @@ class Service:
         """What the bench does, for `piezod status`."""
         if self._session is not None and self._connected:
             self._look(self._session)
+        drift, preview = self.model_watch.drift, self.model_watch.preview
         return {
             "schema": "piezod.status/1",
             "version": __version__,
@@ -353,9 +299,9 @@ class Service:
             "up_s": round(time.monotonic() - self._begun_s, 3),
             "rows_dropped": 0 if self._session is None else self._session.dropped,
             "recorder": None if self._recorder is None else self._recorder.as_dict(),
-            "drift": None if self._drift is None else self._drift.as_dict(),
-            "preview": None if self.preview is None else self.preview.as_dict(),
-            "corrected_force_N": None if self._drift is None else self._drift.corrected(),
+            "drift": None if drift is None else drift.as_dict(),
+            "preview": None if preview is None else preview.as_dict(),
+            "corrected_force_N": None if drift is None else drift.corrected(),
             **self.tally.as_dict(),
         }
 
