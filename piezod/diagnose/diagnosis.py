@@ -43,7 +43,7 @@ MOSTLY = 0.8  # of the catalogue: recordings that could not have shown so much o
 COSTS = 0.1  # of what was gained, or of what is left: what plays that do not fold may cost
 FOLDED = 0.6  # of its confidence that an effect keeps when the plays fold that were refitted with it
 BETTER = 0.99  # of the given model's error
-LEAST_CONFIDENCE, LEAST_ALONE = 0.3, 0.08  # below which an effect is not named, beside others or at all
+LEAST_CONFIDENCE, LEAST_ALONE = 0.5, 0.08  # below which an effect is not named, beside others or at all
 
 
 @dataclass(frozen=True)

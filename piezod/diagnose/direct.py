@@ -12,6 +12,8 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 FROZEN_SAMPLES = 8  # equal readings in a row that noise does not make, while the model moves
+REPEATED = 0.05  # share of readings equal to the one before, below which noise never repeats one for long
+REPEATED_AT_REST = 0.5  # the same where the command rests: more of them may be how this bench reads
 FROZEN_MOVES = 6.0  # by how many noises the model moves meanwhile
 LINE_OVER_MEDIAN = 30.0  # power of a line over the median of its surroundings; exponential noise reaches 18 in 1e6 bins
 SURROUNDINGS = 101  # bins
@@ -39,23 +41,34 @@ def noise_of(u: Array, y: Array, good: NDArray[np.bool_]) -> float:
 
 
 def frozen_stretches(series: Series, model_N: Array) -> list[tuple[int, int]]:
-    """Stretches (first, end) in which the reading stands still to the last bit while the model moves.
+    """Stretches (first, end) in which the reading stands still to the last bit though the model moves, or noise does.
 
     On a coarse lattice not those at the lowest or highest reading: there the force itself may have met a limit.
     """
     same = np.concatenate(([False], np.diff(series.reading_N) == 0.0, [False]))
     edges = np.flatnonzero(np.diff(same.astype(np.int8)))
     stretches = [(int(a), int(b) + 1) for a, b in zip(edges[::2], edges[1::2], strict=True)]
-    usual = _usual_run(stretches)
+    longest = max(FROZEN_SAMPLES, 4 * _usual_run(stretches))
+    moves_N = (
+        -1.0 if _never_repeats(series, same[1:-1], longest) else FROZEN_MOVES * max(series.noise_N, series.lattice_N)
+    )
     readings = series.reading_N[series.counts]
     limits = float(readings.min()), float(readings.max())
     return [
         (first, end)
         for first, end in stretches
-        if end - first >= max(FROZEN_SAMPLES, 4 * usual)
-        and np.ptp(model_N[first:end]) > FROZEN_MOVES * max(series.noise_N, series.lattice_N)
+        if end - first >= longest
+        and np.ptp(model_N[first:end]) > moves_N
         and not (series.lattice_N > series.noise_N and series.reading_N[first] in limits)
     ]
+
+
+def _never_repeats(series: Series, same: Mask, longest: int) -> bool:
+    """Whether a reading hardly ever comes twice in a row, not where the command rests either: noise sees to that."""
+    alone = np.convolve(same, np.ones(longest), mode="same") < longest - 1.5
+    resting = np.diff(series.command_V) == 0.0
+    at_rest = float(same[resting].mean()) if resting.any() else 0.0
+    return bool(same[alone].mean() < REPEATED) and at_rest < REPEATED_AT_REST
 
 
 def _usual_run(stretches: list[tuple[int, int]]) -> int:

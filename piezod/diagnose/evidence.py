@@ -15,6 +15,7 @@ from piezod.diagnose.series import Series
 from piezod.diagnose.tones import Tone
 from piezod.diagnose.verdict import held_out_rms, power_of
 from piezod.effects import EFFECTS
+from piezod.effects.effect import STRAIGHT
 
 Array = NDArray[np.float64]
 
@@ -39,6 +40,8 @@ def finding_of(result: Search, name: str) -> Finding:
             (value * np.exp(-error), value * np.exp(error)) if one.logarithmic else (value - error, value + error)
         )
         parameters[one.name] = Value(value, one.unit, float(max(low, one.low)), float(min(high, one.high)))
+    if term.effect.name == "transport_delay":
+        parameters["delay_s"] = _with_the_course(parameters["delay_s"], chain.series[-1])
     if term.effect.name == "noncongruent_minor_loops":
         parameters["share"] = _share(result, place)
     rivals = _rivals(result, term)
@@ -56,6 +59,13 @@ def finding_of(result: Search, name: str) -> Finding:
         term.effect.handling,
         term.effect.why,
     )
+
+
+def _with_the_course(delay_s: Value, series: Series) -> Value:
+    """A delay whose interval holds what may be no delay: the time for which a command was held before the reading."""
+    if series.between == STRAIGHT:  # a held command, if it was one, is read up to a sample later
+        return replace(delay_s, high=delay_s.high + series.dt_s)
+    return replace(delay_s, low=max(delay_s.low - min(series.between, 1.0) * series.dt_s, 0.0))
 
 
 def all_terms(found: Fitted, tones: Sequence[Tone]) -> Fitted:

@@ -23,6 +23,7 @@ SHORTEST_PART = 0.25  # of a recording at most
 MAINS_HZ, MAINS_WITHIN_HZ = (50.0, 60.0), 0.6
 ALIKE_HZ = 0.1  # lines of two recordings that belong to one machine
 LOWEST_HZ, APART_HZ = 2.0, 1.0  # of a harmonic as it appears, from zero and from the others
+HELD = 0.02  # of an amplitude, where carrier and conjugate cannot be told apart
 MULTIPLES, MULTIPLE_HZ = 20, 0.3  # of the mains: none of them is another machine
 
 
@@ -124,7 +125,7 @@ def _hum(number: int, series: Series, residual_N: Array, line: Line) -> Tone:
         if at_Hz < LOWEST_HZ or any(abs(at_Hz - other) < APART_HZ for other in taken_Hz):
             continue
         taken_Hz.append(at_Hz)
-        part = _smoothed(series, residual_N * np.conj(unit**h))  # its phase goes with the fundamental's
+        part = _amplitude(series, residual_N, unit**h)  # its phase goes with the fundamental's
         heard += 2.0 * (part * unit**h).real
         mean = complex(np.mean(part[series.counts])) * np.exp(-0.5j * np.pi * h) / (0.5 * values["amplitude_N"])
         values[f"cosine_{h}"], values[f"sine_{h}"] = mean.real, -mean.imag
@@ -140,7 +141,19 @@ def _vibration(number: int, series: Series, residual_N: Array, line: Line) -> To
 def _followed(series: Series, residual_N: Array, frequency_Hz: float) -> tuple[Complex, Complex]:
     """Slow complex amplitude about a frequency, and the carrier that it belongs to."""
     carrier = np.exp(2j * np.pi * frequency_Hz * series.time_s)
-    return _smoothed(series, residual_N * np.conj(carrier)), carrier
+    return _amplitude(series, residual_N, carrier), carrier
+
+
+def _amplitude(series: Series, residual_N: Array, carrier: Complex) -> Complex:
+    """Slow complex amplitude c of a carrier in c carrier + its conjugate, by least squares under the window.
+
+    Near half the sampling rate, as the second harmonic of 50 Hz is at 200 Hz, the conjugate falls into the same band.
+    """
+    back: Complex = np.conj(carrier)
+    along, mirror = _smoothed(series, residual_N * back), _smoothed(series, back * back)
+    own: Array = 1.0 + HELD * np.abs(mirror) ** 2  # where both are one, each gets half
+    result: Complex = (own * along - mirror * np.conj(along)) / (own**2 - np.abs(mirror) ** 2)
+    return result
 
 
 def _smoothed(series: Series, values: Complex) -> Complex:

@@ -1,0 +1,51 @@
+"""Readings that stand still: proof where the model moves, or where noise never lets one come twice."""
+
+import numpy as np
+import pytest
+from unit.diagnose.residuals import mixed_work, model_of, noise, series, time
+
+from piezod.diagnose.direct import frozen_stretches
+
+SAMPLES = 20_000
+TIME_s = time(SAMPLES)
+U = mixed_work(TIME_s)
+HOLD = int(np.argmax(np.diff(U) == 0.0)) + 50
+MOVING = HOLD - 2000
+
+
+def found(reading_N, noise_N=0.5):
+    return frozen_stretches(series(TIME_s, U, reading_N, noise_N), model_of(U))
+
+
+def frozen(reading_N, first, samples):
+    result = reading_N.copy()
+    result[first : first + samples] = result[first]
+    return result
+
+
+def noisy(seed=1, step_N=0.0):
+    reading_N = model_of(U) + 0.5 * noise(SAMPLES, 0.0, np.random.default_rng(seed))
+    return reading_N if step_N == 0.0 else step_N * np.round(reading_N / step_N)
+
+
+@pytest.mark.parametrize("first", [HOLD, MOVING])
+@pytest.mark.parametrize("step_N", [0.0, 0.01])
+def test_a_noisy_reading_that_stands_still_is_seen_also_while_the_command_rests(first, step_N):
+    assert found(frozen(noisy(step_N=step_N), first, 20)) == [(first, first + 20)]
+
+
+@pytest.mark.parametrize("step_N", [0.0, 0.01, 0.3, 2.0])
+def test_no_noise_stands_still(step_N):
+    assert not any(found(noisy(seed, step_N)) for seed in range(20))
+
+
+def test_a_reading_without_noise_may_stand_still_while_the_command_rests():
+    reading_N = model_of(U)
+    assert np.mean(np.diff(reading_N) == 0.0) > 0.1
+    assert found(reading_N, 0.01) == []
+
+
+def test_a_bench_that_reads_the_same_whenever_it_rests_is_not_frozen_there():
+    rests = np.concatenate(([False], np.diff(U) == 0.0))
+    reading_N = np.where(rests, model_of(U), noisy())
+    assert found(reading_N) == []

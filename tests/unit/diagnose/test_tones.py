@@ -1,0 +1,25 @@
+"""Tones that are taken off: hum whose harmonic meets its own reflection at half the sampling rate."""
+
+import numpy as np
+import pytest
+from unit.diagnose.residuals import mixed_work, model_of, noise
+
+from piezod.diagnose.series import Series
+from piezod.diagnose.tones import tones
+
+NOISE_N = 0.5
+
+
+@pytest.mark.parametrize(("rate_Hz", "harmonic"), [(200.0, 2), (500.0, 5), (500.0, 3), (1000.0, 3)])
+@pytest.mark.parametrize("mains_Hz", [49.97, 50.039, 50.0])
+def test_a_harmonic_at_half_the_sampling_rate_goes_with_its_hum(rate_Hz, harmonic, mains_Hz):
+    time_s = np.arange(0.0, 40.0, 1.0 / rate_Hz)
+    u, angle = mixed_work(time_s), 2.0 * np.pi * mains_Hz * time_s + 0.7
+    white_N = NOISE_N * noise(time_s.size, 0.0, np.random.default_rng(1))
+    residual_N = white_N + 20.0 * np.sin(angle) + 2.0 * np.sin(harmonic * angle + 0.4)
+    one = Series("by hand", "recording", time_s, u, model_of(u) + residual_N, np.ones(time_s.size, bool), NOISE_N)
+    groups = tones([one], [residual_N], ())
+    assert [tone.name for group in groups for tone in group] == ["mains_hum"]
+    left_N = residual_N - groups[0][0].heard_N
+    assert float(np.std(left_N)) < 1.1 * NOISE_N
+    assert groups[0][0].values["amplitude_N"] == pytest.approx(20.0, rel=0.01)
