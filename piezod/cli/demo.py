@@ -19,7 +19,7 @@ def demo(
     json_file: Annotated[Path | None, typer.Option("--json", metavar="FILE", help="Write the figures as JSON.")] = None,
     report: Annotated[Path, typer.Option(metavar="FILE", help="The page to write.")] = Path("piezod-demo.html"),
 ) -> None:
-    """Show the whole path on the emulated bench: no hardware, no root, under a minute."""
+    """Show the whole path on the emulated bench: no hardware, no root, about a minute."""
     from piezod.daemon.demo import run_demo
     from piezod.report.demo import judge, live_line, print_hidden, print_table, write_demo_page
 

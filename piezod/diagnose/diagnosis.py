@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from piezod.diagnose.courses import as_told
 from piezod.diagnose.evidence import all_terms, finding_of, read_off, tone_finding
 from piezod.diagnose.extended import extended_model
 from piezod.diagnose.findings import Findings, Place
@@ -108,7 +109,9 @@ def diagnose(
         frozen = {number + 1: stretches for number, stretches in frozen.items()}
     given = [_given(model, one) for one in series]
     chain, start = chain_of(series, model)
-    result = _rising(search(chain, start, progress))
+    result = search(chain, start, progress)
+    result.chain, result.found = as_told(result.chain, result.found)
+    result = _rising(result)
     progress("judging what is left", 0.9)
     asked_for = _Asked(model, [*past, *asked], given, frozen, said, stand_ins=int(not past))
     diagnosis = asked_for.judged(result)

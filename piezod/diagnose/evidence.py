@@ -41,7 +41,8 @@ def finding_of(result: Search, name: str) -> Finding:
         )
         parameters[one.name] = Value(value, one.unit, float(max(low, one.low)), float(min(high, one.high)))
     if term.effect.name == "transport_delay":
-        parameters["delay_s"] = _with_the_course(parameters["delay_s"], chain.series[-1])
+        smoothed = any(other.effect.smooths for other in found.terms)
+        parameters["delay_s"] = _with_the_course(parameters["delay_s"], chain.series[-1], smoothed=smoothed)
     if term.effect.name == "noncongruent_minor_loops":
         parameters["share"] = _share(result, place)
     rivals = _rivals(result, term)
@@ -61,11 +62,18 @@ def finding_of(result: Search, name: str) -> Finding:
     )
 
 
-def _with_the_course(delay_s: Value, series: Series) -> Value:
-    """A delay whose interval holds what may be no delay: the time for which a command was held before the reading."""
-    if series.between == STRAIGHT:  # a held command, if it was one, is read up to a sample later
-        return replace(delay_s, high=delay_s.high + series.dt_s)
-    return replace(delay_s, low=max(delay_s.low - min(series.between, 1.0) * series.dt_s, 0.0))
+def _with_the_course(delay_s: Value, series: Series, *, smoothed: bool) -> Value:
+    """A delay whose interval holds what nobody can tell from it.
+
+    That is for how much of a sample a command was held before the reading, where the recording does not say so; and
+    when within a sample a held command comes, where nothing smooths its steps.
+    """
+    told, held = series.between == series.held_for, series.between != STRAIGHT
+    within_s = series.dt_s if held and not smoothed else 0.0
+    shorter_s, longer_s = (
+        (0.0, 0.0) if told else (series.read_after * series.dt_s, (1.0 - series.read_after) * series.dt_s)
+    )
+    return replace(delay_s, low=max(delay_s.low - shorter_s - within_s, 0.0), high=delay_s.high + longer_s + within_s)
 
 
 def all_terms(found: Fitted, tones: Sequence[Tone]) -> Fitted:

@@ -7,7 +7,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from piezod.effects.effect import STRAIGHT
+from piezod.effects.effect import HELD_BEFORE, STRAIGHT
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -41,6 +41,9 @@ class Series:
         Time of the first sample in the recording's own time [s].
     between
         How the command runs between samples.
+    held_for
+        For what part of a sample a command had been held when it was read, as the recording says itself; None: it
+        does not.
     lattice_N
         Step of a converter's lattice on which all readings stand; 0 where there is none [N].
     rounding_N
@@ -69,6 +72,7 @@ class Series:
     temperature_C: Array | None = None
     start_s: float = 0.0
     between: float = STRAIGHT
+    held_for: float | None = None
     lattice_N: float = 0.0
     rounding_N: Array | None = None
     trust: Array | None = None
@@ -109,6 +113,11 @@ class Series:
             beyond_N = error_N - np.clip(error_N, -self.within_N[rows], self.within_N[rows])
             error_N, told = beyond_N, told * (beyond_N != 0.0)
         return np.where(told > 0.0, told * error_N, 0.0) / self.noise_N, told
+
+    @property
+    def read_after(self) -> float:
+        """Parts of a sample from its command to the reading."""
+        return 0.0 if self.between == HELD_BEFORE else self.between
 
     @property
     def dt_s(self) -> float:

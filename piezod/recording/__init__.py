@@ -2,9 +2,10 @@
 
 from piezod.recording.csv import read_csv, write_csv
 from piezod.recording.files import check_target, column_names, convert, open_stream, read_recording, write_recording
-from piezod.recording.recording import TIME, Recording
+from piezod.recording.recording import HELD, TIME, Recording
 
 __all__ = [
+    "HELD",
     "TIME",
     "Recording",
     "check_target",

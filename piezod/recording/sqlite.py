@@ -19,7 +19,7 @@ import numpy as np
 from piezod.errors import RecordingError
 from piezod.recording.blocks import Block, layout_of, layout_text, pack, unpack
 from piezod.recording.names import TIME, name_columns
-from piezod.recording.recording import Recording
+from piezod.recording.recording import HELD, Recording
 from piezod.recording.source import MANY, Source, Table, check_claim, replacing, spans
 from piezod.recording.ticks import as_samples, sample_names
 
@@ -125,7 +125,7 @@ def open_sqlite(path: Path) -> Iterator[Source]:
     with closing(connect(path)) as connection:
         about = read_about(connection, path)
         last = newest_block(connection)
-        metadata = dict(about.metadata)
+        metadata = dict(about.metadata) | (HELD if about.rows == "ticks" else {})
         fields = sample_names(about.absent) if about.rows == "ticks" else tuple(about.layout.names or ())
         names = name_columns(path, [(name, "") for name in fields])
         stored = dict(zip(names, fields, strict=True))

@@ -10,7 +10,7 @@ from firmware_sim.bench import Bench
 from firmware_sim.scenario import load_scenario
 from piezod.excitation import varying_triangles
 from piezod.model import load_model
-from piezod.recording import Recording, write_csv
+from piezod.recording import HELD, Recording, write_csv
 
 RATE_HZ = 500.0
 PEAK_V = 140.0
@@ -37,10 +37,14 @@ def mixed_work(seed, duration_s=30.0):
     return np.concatenate(parts)[: int(duration_s * RATE_HZ)]
 
 
-def record(path, voltage_V, effects, seed):
+def record(path, voltage_V, effects, seed, *, rows_of_ring_log=False):
+    """`rows_of_ring_log`: beside each command what it led to, as `piezod record` has it, and not what was before it."""
     scenario = load_scenario("stack", {"load_cell": {"white_noise_N": NOISE_N}, "effects": effects})
     force_N = Bench(scenario, seed=seed).run(voltage_V, 1.0 / RATE_HZ)
-    write_csv(Recording(np.arange(force_N.size) / RATE_HZ, {"voltage_V": voltage_V, "force_N": force_N}), path)
+    columns, said = {"voltage_V": voltage_V, "force_N": force_N}, {}
+    if rows_of_ring_log:
+        columns, said = {"voltage_V": voltage_V[:-1], "force_N": force_N[1:]}, HELD
+    write_csv(Recording(np.arange(columns["force_N"].size) / RATE_HZ, columns, said), path)
 
 
 @pytest.fixture(scope="module")
@@ -54,8 +58,8 @@ def identified(tmp_path_factory):
     return folder
 
 
-def diagnosed(folder, tmp_path, effects):
-    record(tmp_path / "work.csv", mixed_work(3), effects, 2)
+def diagnosed(folder, tmp_path, effects, **how):
+    record(tmp_path / "work.csv", mixed_work(3), effects, 2, **how)
     record(tmp_path / "later.csv", mixed_work(4), effects, 5)
     out = tmp_path / "out"
     done = piezod("diagnose", tmp_path / "work.csv", "--model", folder / "model.yaml", "-o", out, "--json", timeout=400)
@@ -63,6 +67,22 @@ def diagnosed(folder, tmp_path, effects):
     findings = json.loads((out / "findings.json").read_text(encoding="utf-8"))
     assert findings == json.loads(done.stdout)
     return findings
+
+
+def test_a_delay_counts_from_its_command_where_the_recording_says_how_long_that_was_held(identified, tmp_path):
+    effects = {"electrical_lag": {"time_constant_s": 0.008}, "transport_delay": {"delay_s": 0.0105}}
+    findings = diagnosed(identified, tmp_path, effects, rows_of_ring_log=True)
+    found = {one["name"]: one["parameters"] for one in findings["effects"]}
+    assert set(found) == set(effects)
+    assert found["transport_delay"]["delay_s"]["value"] == pytest.approx(0.0105, rel=0.05)
+    assert load_model(tmp_path / "out" / "model.yaml").read_after == 1.0
+
+
+def test_no_recording_of_held_commands_tells_a_delay_better_than_to_a_sample(identified, tmp_path):
+    findings = diagnosed(identified, tmp_path, {"transport_delay": {"delay_s": 0.0105}})
+    assert [one["name"] for one in findings["effects"]] == ["transport_delay"]
+    delay_s = findings["effects"][0]["parameters"]["delay_s"]
+    assert delay_s["low"] < 0.0105 < delay_s["high"] < delay_s["low"] + 4.0 / RATE_HZ
 
 
 def held_out_rms(tmp_path, model):
