@@ -1,6 +1,6 @@
 """Minor loops that differ with bias: plays whose weight depends on where they stand, as a Preisach plane has it.
 
-Forward    v = x + share s/2 {sum_i sum_jd w_jd h_j(i) [T_d(x_i) - T_d(y)] / n + sum_d c_d T_d(y)}, with
+Forward    v = x + share s/2 {sum_i sum_jd w_jd h_j(i) [T_d(x_i) - T_d(y)] / n + sum_d c_d (T_d(y) - T_d(-1))}, with
            x_i = 2 z_i / s - 1, y = 2 u / s - 1
 Inverse    solved sample by sample as that of the plays is, while the sum stays monotone
 Signature  equal minor loops open differently at different biases; flat in frequency, nothing at rest; look-alike
@@ -41,7 +41,8 @@ def _columns(u: Array, path: Array, span: float, hats: Array, degrees: int) -> A
     """What every polynomial of the plays' places adds, hat by hat, and of the voltage's, shape (N, NAMES) [V]."""
     n, count = hats.shape
     z, out = np.zeros(n), np.zeros((u.size, degrees * count + degrees - 1))
-    of_play, of_voltage = np.empty(degrees), np.empty(degrees)
+    of_play, of_voltage, at_rest = np.empty(degrees), np.empty(degrees), np.empty(degrees)
+    _polynomials(-1.0, at_rest)
     r = span * ((np.arange(n) + 0.5) / n) ** 1.5
     for k in range(path.size):
         for i in range(n):
@@ -56,7 +57,7 @@ def _columns(u: Array, path: Array, span: float, hats: Array, degrees: int) -> A
                 for j in range(count):
                     out[k, d * count + j] += hats[i, j] * more
         for d in range(1, degrees):
-            out[k, degrees * count + d - 1] = 0.5 * span * of_voltage[d]
+            out[k, degrees * count + d - 1] = 0.5 * span * (of_voltage[d] - at_rest[d])
     return out
 
 
