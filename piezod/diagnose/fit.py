@@ -220,7 +220,7 @@ class Normal:
             residual, told = series.residual(rows, reading[rows])
             tangents = jacobian[:, : layout.offsets].copy()
             jacobian *= told[:, None] / series.noise_N
-            trusted = series.weights[rows]
+            trusted = series.weights(rows)
             made.told.append(told)
             scale = max(1.4826 * float(np.median(np.abs(residual[told > 0.0]))), 1e-6)
             weight = np.minimum(1.0, HUBER * scale / np.maximum(np.abs(residual), 1e-12))

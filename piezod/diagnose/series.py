@@ -55,10 +55,6 @@ class Series:
         How far from it the force may be without a reading telling, shape (N,); None: not at all [N].
     blocks
         Stretches that are left out one by one.
-    told_N
-        What is fitted: the readings, a coarse converter's rounding undone, shape (N,) [N].
-    weights
-        Of the residuals: 0 where a reading does not count, shape (N,).
     """
 
     name: str
@@ -78,20 +74,23 @@ class Series:
     trust: Array | None = None
     within_N: Array | None = None
     blocks: tuple[slice, ...] = field(init=False)
-    told_N: Array = field(init=False)
-    weights: Array = field(init=False)
 
     def __post_init__(self) -> None:
         size = self.time_s.size
         count = int(np.clip(self.duration_s / BLOCK_S, FEWEST_BLOCKS, MOST_BLOCKS))
         edges = np.linspace(0, size, min(count, size) + 1).astype(int)
         blocks = tuple(slice(int(a), int(b)) for a, b in itertools.pairwise(edges))
-        counts = self.counts.astype(np.float64)
         object.__setattr__(self, "blocks", blocks)
-        object.__setattr__(
-            self, "told_N", self.reading_N if self.rounding_N is None else self.reading_N - self.rounding_N
-        )
-        object.__setattr__(self, "weights", counts if self.trust is None else self.trust * counts)
+
+    def told_N(self, rows: slice) -> Array:
+        """What is fitted: the readings, a coarse converter's rounding undone, shape (rows,) [N]."""
+        readings = self.reading_N[rows]
+        return readings if self.rounding_N is None else readings - self.rounding_N[rows]
+
+    def weights(self, rows: slice) -> Array:
+        """Of the residuals, 0 where a reading does not count, shape (rows,)."""
+        counts = self.counts[rows].astype(np.float64)
+        return counts if self.trust is None else self.trust[rows] * counts
 
     def residual(self, rows: slice, reading_N: Array) -> tuple[Array, Array]:
         """What a simulation leaves of the readings, and how far each tells of it.
@@ -108,7 +107,7 @@ class Series:
         residual, told
             In units of the noise, and its weights, both of shape (rows,).
         """
-        error_N, told = self.told_N[rows] - reading_N, self.weights[rows]
+        error_N, told = self.told_N(rows) - reading_N, self.weights(rows)
         if self.within_N is not None:
             beyond_N = error_N - np.clip(error_N, -self.within_N[rows], self.within_N[rows])
             error_N, told = beyond_N, told * (beyond_N != 0.0)
