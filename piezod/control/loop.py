@@ -282,7 +282,8 @@ class ControlLoop:
         good = result == ExchangeResult.OK and not withheld
         if not good:
             self.counts.failed_exchanges += 1
-        supervisor.judge_exchange(good, now_ns, answered=result in ACKNOWLEDGED and not withheld)
+        answered = result in ACKNOWLEDGED and not withheld
+        supervisor.judge_exchange(good, now_ns, answered=answered, ahead_ns=self._dt_ns // 2)
         if good and supervisor.driving:
             applied_V, course = self.limiter.applied_V, self._course
             as_planned = abs(planned_V - applied_V) <= self._as_planned_V

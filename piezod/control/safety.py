@@ -180,7 +180,7 @@ class Supervisor:
         elif gap_ns > self._comm_loss_ns:
             self.trip(Cause.STOOD_STILL)
 
-    def judge_exchange(self, good: bool, now_ns: int, *, answered: bool = False) -> None:
+    def judge_exchange(self, good: bool, now_ns: int, *, answered: bool = False, ahead_ns: int = 0) -> None:
         """Take note of an exchange: blind when readings are stale, trip on a long silence or on unbelievable values.
 
         Parameters
@@ -191,6 +191,9 @@ class Supervisor:
             When it ended, monotonic [ns].
         answered
             The device took the voltage, but its reading cannot be believed.
+        ahead_ns
+            Silence counts that is longer than `comm_loss_ms` after so much time more: half a tick for a loop that
+            judges once a tick, so that it trips at the tick that is nearest.
         """
         if good:
             self._last_good_ns = now_ns
@@ -204,7 +207,7 @@ class Supervisor:
                 self.trip(Cause.BAD_READING)
             else:
                 self.blind = True
-        if silent_ns > self._comm_loss_ns:
+        if silent_ns + ahead_ns > self._comm_loss_ns:
             self.trip(Cause.COMM_LOSS)
         holds = self._holds_on_comm_loss and self._fault is Cause.COMM_LOSS
         if self._fault is not Cause.NONE and (holds or silent_ns > self._give_up_ns):

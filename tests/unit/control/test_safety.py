@@ -39,6 +39,14 @@ def test_silence_for_comm_loss_ms_trips_and_a_good_exchange_before_it_does_not()
     assert (supervisor.state, supervisor.cause) == (State.RAMP_DOWN, Cause.COMM_LOSS)
 
 
+def test_silence_is_judged_at_the_tick_that_is_nearest_to_comm_loss_ms():
+    supervisor = running()
+    supervisor.judge_exchange(False, 197 * MS, ahead_ns=2 * MS)
+    assert supervisor.state is State.RUNNING
+    supervisor.judge_exchange(False, 199 * MS, ahead_ns=2 * MS)
+    assert (supervisor.state, supervisor.cause) == (State.RAMP_DOWN, Cause.COMM_LOSS)
+
+
 def test_a_device_that_stays_silent_through_the_ramp_ends_in_fault():
     supervisor = running()
     supervisor.judge_exchange(False, 201 * MS)
