@@ -115,15 +115,14 @@ def start_found(operator: PrandtlIshlinskii, u: Array, y: Array, window: int, un
     if not starts_at_rest(u):
         return Start(estimate_path(operator, u, y, window), f"start found from the first {window} samples")
 
-    def loss(path: Path | None) -> float:
-        if path is not None:
-            operator.set_states(np.zeros(operator.plays[0].size))
-            operator.run(np.array(path))
+    def loss(path: Path) -> float:
+        operator.set_states(np.zeros(operator.plays[0].size))
+        operator.run(np.array(path))
         return float(np.nanmean(np.square(operator.run(u[:window]) - y[:window])))
 
     if not np.isfinite(y[:window]).any():
         return None
-    own = loss(None)
+    own = float(np.nanvar(operator.run(u[:window]) - y[:window]))  # a tare is no old peak
     found = start_at_zero(u, unit, loss, reach)
     if loss(found.path) >= FAR_BETTER * own:
         return None

@@ -232,6 +232,9 @@ def test_a_record_after_other_work_is_simulated_from_the_peak_that_its_first_str
     assert np.abs(simulated - y).max() < 1e-9 * np.ptp(y)
     assert np.abs(simulate(model, recording_of(later, y), 0)[0] - y).max() > 0.05 * np.ptp(y)  # nothing looked at
     assert simulate(model, recording_of(later, fresh.run(later)), 50)[1] == "start of the model (virgin)"
+    fresh = model.operator()
+    tared = fresh.run(later) + 0.1 * np.ptp(y)
+    assert simulate(model, recording_of(later, tared), 50)[1] == "start of the model (virgin)"  # no peak is a tare
 
 
 def test_only_a_virgin_rise_shows_the_plays_beyond_half_the_swing():
