@@ -48,27 +48,28 @@ def frozen_stretches(series: Series, model_N: Array) -> list[tuple[int, int]]:
     same = np.concatenate(([False], np.diff(series.reading_N) == 0.0, [False]))
     edges = np.flatnonzero(np.diff(same.astype(np.int8)))
     stretches = [(int(a), int(b) + 1) for a, b in zip(edges[::2], edges[1::2], strict=True)]
-    longest = max(FROZEN_SAMPLES, 4 * _usual_run(stretches))
-    moves_N = (
-        -1.0 if _never_repeats(series, same[1:-1], longest) else FROZEN_MOVES * max(series.noise_N, series.lattice_N)
-    )
+    shortest = max(FROZEN_SAMPLES, 4 * _usual_run(stretches))
+    proved = _never_repeats(series, same[1:-1], [end - first for first, end in stretches if end - first < shortest])
+    moves_N = -1.0 if proved else FROZEN_MOVES * max(series.noise_N, series.lattice_N)
     readings = series.reading_N[series.counts]
     limits = float(readings.min()), float(readings.max())
     return [
         (first, end)
         for first, end in stretches
-        if end - first >= longest
+        if end - first >= shortest
         and np.ptp(model_N[first:end]) > moves_N
         and not (series.lattice_N > series.noise_N and series.reading_N[first] in limits)
     ]
 
 
-def _never_repeats(series: Series, same: Mask, longest: int) -> bool:
-    """Whether a reading hardly ever comes twice in a row, not where the command rests either: noise sees to that."""
-    alone = np.convolve(same, np.ones(longest), mode="same") < longest - 1.5
+def _never_repeats(series: Series, same: Mask, short: list[int]) -> bool:
+    """Whether a reading hardly ever comes twice in a row, not where the command rests either: noise sees to that.
+
+    `same`: which readings equal the one before; `short`: lengths of the runs of them that are no stretch.
+    """
     resting = np.diff(series.command_V) == 0.0
     at_rest = float(same[resting].mean()) if resting.any() else 0.0
-    return bool(same[alone].mean() < REPEATED) and at_rest < REPEATED_AT_REST
+    return sum(short) - len(short) < REPEATED * same.size and at_rest < REPEATED_AT_REST
 
 
 def _usual_run(stretches: list[tuple[int, int]]) -> int:

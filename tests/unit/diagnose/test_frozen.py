@@ -49,3 +49,8 @@ def test_a_bench_that_reads_the_same_whenever_it_rests_is_not_frozen_there():
     rests = np.concatenate(([False], np.diff(U) == 0.0))
     reading_N = np.where(rests, model_of(U), noisy())
     assert found(reading_N) == []
+
+
+def test_a_reading_that_never_changes_is_one_stretch():
+    with np.errstate(all="raise"):
+        assert found(np.zeros(SAMPLES)) == [(0, SAMPLES)]
