@@ -47,7 +47,7 @@ class History:
         segment
             Its number, from 0.
         metadata
-            Written into the recording.
+            Written into the recording, beside how its command was held and read.
         follows_force
             Whether the reference is a force [N]; else it was the voltage itself and is left out.
         """

@@ -23,7 +23,7 @@ SHORTEST_PART = 0.25  # of a recording at most
 MAINS_HZ, MAINS_WITHIN_HZ = (50.0, 60.0), 0.6
 ALIKE_HZ = 0.1  # lines of two recordings that belong to one machine
 LOWEST_HZ, APART_HZ = 2.0, 1.0  # of a harmonic as it appears, from zero and from the others
-HELD = 0.02  # of an amplitude, where carrier and conjugate cannot be told apart
+RIDGE = 0.02  # of an amplitude, where carrier and conjugate cannot be told apart
 MULTIPLES, MULTIPLE_HZ = 20, 0.3  # of the mains: none of them is another machine
 
 
@@ -151,7 +151,7 @@ def _amplitude(series: Series, residual_N: Array, carrier: Complex) -> Complex:
     """
     back: Complex = np.conj(carrier)
     along, mirror = _smoothed(series, residual_N * back), _smoothed(series, back * back)
-    own: Array = 1.0 + HELD * np.abs(mirror) ** 2  # where both are one, each gets half
+    own: Array = 1.0 + RIDGE * np.abs(mirror) ** 2  # where both are one, each gets half
     result: Complex = (own * along - mirror * np.conj(along)) / (own**2 - np.abs(mirror) ** 2)
     return result
 
