@@ -16,7 +16,7 @@ REPEATED = 0.05  # share of readings equal to the one before, below which noise 
 REPEATED_AT_REST = 0.5  # the same where the command rests: more of them may be how this bench reads
 FROZEN_MOVES = 6.0  # by how many noises the model moves meanwhile
 LINE_OVER_MEDIAN = 30.0  # power of a line over the median of its surroundings; exponential noise reaches 18 in 1e6 bins
-SURROUNDINGS = 101  # bins
+SURROUNDINGS, ABOUT = 101, 20  # bins; on either side of a tone
 
 
 @dataclass(frozen=True)
@@ -113,6 +113,16 @@ def _refined(series: Series, values: Array, near_Hz: float, bin_Hz: float, over:
             best = (amplitude, float(frequency_Hz), sine, cosine)
     phase = float(np.arctan2(best[3], best[2])) % (2.0 * np.pi)
     return Line(best[1], best[0], phase, over)
+
+
+def level_about(series: Series, residual_N: Array, frequency_Hz: float) -> float:
+    """Standard deviation of the white noise whose spectrum is as high as a residual's about a frequency [N]."""
+    window = np.hanning(residual_N.size)
+    values = np.where(series.counts, residual_N, 0.0)
+    power = np.abs(np.fft.rfft((values - values.mean()) * window)) ** 2 / float(window @ window)
+    middle = round(frequency_Hz * series.dt_s * residual_N.size)
+    around = power[max(middle - ABOUT, 1) : middle + ABOUT + 1]
+    return float(np.sqrt(around.mean())) if around.size else series.noise_N
 
 
 def _running_median(power: Array) -> Array:

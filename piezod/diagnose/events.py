@@ -64,7 +64,7 @@ def jumps(values: Array, dt_s: float, lattice: float) -> list[int]:
     """
     total = np.concatenate(([0.0], np.cumsum(values)))
     sure: list[tuple[float, int, int]] = []
-    for look_s in JUMP_LOOKS_S:
+    for look_s in (min(JUMP_LOOKS_S[0], values.size * dt_s / (FEWEST_LOOKS + 3)), *JUMP_LOOKS_S[1:]):
         look = max(int(look_s / dt_s), 8)
         stride = max(look // 8, 1)
         at = np.arange(look, values.size - look, stride)

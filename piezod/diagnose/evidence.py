@@ -6,7 +6,8 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from piezod.diagnose.chain import Chain, Term
+from piezod.diagnose.chain import Term
+from piezod.diagnose.direct import level_about
 from piezod.diagnose.findings import Finding, Place, Rival, Value
 from piezod.diagnose.fit import Fitted, fit
 from piezod.diagnose.places import place_of
@@ -90,7 +91,7 @@ def tone_finding(result: Search, name: str) -> Finding:
     parameters = {}
     for one in effect.catalogued:
         values = np.array([tone.values[one.name] for tone in mine])
-        error = _tone_error(one.name, float(values.mean()), mine, result.chain)
+        error = _tone_error(one.name, mine[0], result)
         parameters[one.name] = Value(
             float(values.mean()), one.unit, float(values.min()) - error, float(values.max()) + error
         )
@@ -110,15 +111,19 @@ def tone_finding(result: Search, name: str) -> Finding:
     )
 
 
-def _tone_error(name: str, value: float, mine: Sequence[Tone], chain: Chain) -> float:
-    """Half of the 95 % interval of a tone's amplitude [N] or frequency [Hz] in white noise (Cramer and Rao)."""
-    tone = mine[0]
-    series = chain.series[tone.number]
-    count, duration_s = series.time_s.size, max(series.duration_s, 1e-9)
-    relative = series.noise_N / max(tone.values["amplitude_N"], 1e-300) * float(np.sqrt(2.0 / count))
+def _tone_error(name: str, tone: Tone, result: Search) -> float:
+    """Half of the 95 % interval of a tone's amplitude [N] or frequency [Hz] in what is left of its colour.
+
+    Cramer and Rao's bound, for white noise of the density that the residual has about the tone.
+    """
+    series = result.chain.series[tone.number]
+    modelled_N = result.chain.run(tone.number, result.found.terms, result.found.point).reading_N
+    frequency_Hz, amplitude_N = tone.values["frequency_Hz"], max(tone.values["amplitude_N"], 1e-300)
+    noise_N = level_about(series, series.reading_N - modelled_N, frequency_Hz)
+    error = NORMAL_95 * noise_N * float(np.sqrt(2.0 / series.time_s.size))
     if name == "amplitude_N":
-        return NORMAL_95 * relative * value
-    return NORMAL_95 * relative * float(np.sqrt(12.0)) / (2.0 * np.pi * duration_s)
+        return error
+    return error / amplitude_N * float(np.sqrt(12.0)) / (2.0 * np.pi * max(series.duration_s, 1e-9))
 
 
 def _share(result: Search, place: int) -> Value:

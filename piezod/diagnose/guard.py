@@ -19,7 +19,7 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 SHORTEST_BLOCK_S, MOST_BLOCKS = 2.0, 40
-FEWEST_BLOCKS = 6
+FEWEST_BLOCKS = 12  # with six, no chance of a sign in each block falls below the share that is believed
 BELIEVED = 0.05  # chance up to which the absorber's part is taken off before tones, jumps and bursts are looked for
 GAP = 0.05  # of a block at either end that neither teaches nor tests
 

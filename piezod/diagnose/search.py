@@ -38,7 +38,7 @@ OTHER_SCOPE = 0.98  # of the loss: below it an effect's other scope is taken
 NEEDLESS = 0.02  # of the loss: an effect without which no more is lost is left out again
 DOUBTED = 3  # of those that fit better and are not believed that are fitted from other starts
 NEAR_A_MODE = 0.05  # of its frequency: a line there is its own ringing
-DOMINANT = 0.3  # of the loss: a tone without which so little is left is taken off before anything else is tried
+DOMINANT = 0.3  # of its recordings' loss: a tone without which so little is left is taken off before all else is tried
 
 
 @dataclass(frozen=True)
@@ -105,7 +105,7 @@ def search(chain: Chain, start: Point, progress: OnProgress) -> Search:
             f"looking for effect {len(result.names) + 1}", SEARCHED - (SEARCHED - 0.1) * FURTHER ** len(result.names)
         )
         heard = _heard(result)
-        if heard is not None and heard[1].loss < DOMINANT * result.found.loss:
+        if heard is not None and _dominates(result, heard):
             _listen(result, heard)
             largest = max(result.base.loss - result.found.loss, 0.0)
             continue
@@ -193,9 +193,19 @@ def _heard(result: Search) -> Heard | None:
             continue
         chain = result.chain.like(without_tones(result.chain.series, group))
         fitted = fit(chain, result.found.terms, result.found.point, most_steps=6)
-        if result.found.loss - fitted.loss > WORTH * fitted.loss:
-            return chain, fitted, group
+        heard = chain, fitted, group
+        if result.found.loss - fitted.loss > WORTH * fitted.loss or _dominates(result, heard):
+            return heard
     return None
+
+
+def _dominates(result: Search, heard: Heard) -> bool:
+    """Whether a tone is most of what is left of its recordings; beside others it may be lost in what they lack."""
+    chain, without, group = heard
+    mine = {tone.number for tone in group}
+    parts = np.repeat([k in mine for k in range(len(chain.series))], [len(one.blocks) for one in chain.series])
+    before, after = (one.losses[parts] @ one.samples[parts] for one in (result.found, without))
+    return bool(after < DOMINANT * before)
 
 
 def _listen(result: Search, heard: Heard) -> None:

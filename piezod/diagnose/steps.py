@@ -22,7 +22,8 @@ EDGE_WITHIN_S, EDGE_LOOKED_AT_S = 0.25, 0.5  # of where it was fitted on few sam
 CLEAR = 5.0  # jump of the means on both sides of an edge, in the standard deviations that such jumps have elsewhere
 LIKE_THE_STEP = 0.4  # by how much of the height a jump may differ from it,
 OF_LATTICE = 0.5  # of a coarse converter's step: a lower one is the lattice's own beat
-LEAPS_WITHIN_S, LEAP, RARE = 0.05, 0.5, 95.0  # of an edge; of the command's largest move; percentile of its moves
+LEAPS_WITHIN_S, LEAP = 0.05, 0.5  # of an edge; of the command's largest move
+RARE, BEYOND_IT = 90.0, 1.5  # percentile of the command's moves; how far beyond it a leap goes: no sine is that uneven
 STEPS_BY, APART_S, FEWEST_ALIKE = 0.1, 0.5, 5  # of the command's range from a sample to the next; others like it
 CHANCE = 2.0  # and by how many such standard deviations besides
 
@@ -241,7 +242,7 @@ def _command_leaps(series: Series, place: int) -> bool:
     starts = np.arange(0, series.time_s.size - 2 * near, near)
     moves = np.array([np.ptp(series.command_V[first : first + 2 * near]) for first in starts])
     here = float(np.ptp(series.command_V[max(place - near, 0) : place + near]))
-    return moves.size > 0 and here > LEAP * float(moves.max()) and here > float(np.percentile(moves, RARE))
+    return moves.size > 0 and here > max(LEAP * float(moves.max()), BEYOND_IT * float(np.percentile(moves, RARE)))
 
 
 def _other_steps(series: Series, place: int) -> Index | None:

@@ -17,7 +17,7 @@ from unit.diagnose.residuals import (
 )
 
 from piezod.diagnose.guard import explainable
-from piezod.diagnose.verdict import STILL_EXPLAINABLE
+from piezod.diagnose.verdict import STILL_EXPLAINABLE, SURE
 
 SAMPLES = 30_000
 NOISE_N = 0.5
@@ -45,6 +45,34 @@ def test_nothing_of_a_noise_is_explainable_whatever_its_colour(drive, rho):
     assert max(one.share for one in guards) < STILL_EXPLAINABLE
     assert sum(one.p <= 0.01 for one in guards) == 0
     assert sum(one.local_p <= 0.01 for one in guards) <= 1
+
+
+def quick(time_s):
+    """Two swings a second."""
+    return 60.0 + 50.0 * np.sin(4.0 * np.pi * time_s)
+
+
+@pytest.mark.parametrize("seconds", [3.5, 8.0])
+@pytest.mark.parametrize("rho", [0.0, 0.9, 0.98])
+def test_nothing_of_a_noise_is_explainable_in_a_short_recording(seconds, rho):
+    u = quick(time(int(1000 * seconds)))
+    guards = [guard_of(u, 0.0, rho=rho, seed=seed) for seed in range(50)]
+    assert sum(one.p <= SURE and one.share > STILL_EXPLAINABLE for one in guards) <= 1
+
+
+@pytest.mark.parametrize("name", ["quadratic", "slip", "lag", "tone"])
+def test_what_is_missing_from_a_short_recording_is_explainable(name):
+    time_s = time(3500)
+    u = quick(time_s)
+    missing_N = {
+        "quadratic": 1e-3 * (model_of(u) - 90.0) ** 2,
+        "slip": 3.0 * (time_s > 1.4) - 3.0 * (time_s > 2.275),
+        "lag": 0.5 * (lagged(model_of(u), 0.02) - model_of(u)),
+        "tone": 3.0 * np.sin(2.0 * np.pi * 121.5 * time_s),
+    }[name]
+    guard = guard_of(u, missing_N)
+    assert guard.p <= SURE
+    assert guard.share > STILL_EXPLAINABLE
 
 
 @pytest.mark.parametrize("drive", [mixed_work, triangles])

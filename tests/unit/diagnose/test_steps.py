@@ -49,6 +49,13 @@ def test_what_jumps_where_the_command_leaps_is_no_step_of_the_load():
     assert not left_by(series(TIME_S, u, residual), residual, HEIGHT_N)
 
 
+@pytest.mark.parametrize("phase", np.linspace(0.0, np.pi, 9))
+def test_no_swing_leaps_wherever_a_step_falls(phase):
+    residual = stepped(1)
+    u = 60.0 + 50.0 * np.sin(4.0 * np.pi * (TIME_S - ON_S) + phase)
+    assert left_by(series(TIME_S, u, residual), residual, HEIGHT_N)
+
+
 @pytest.mark.parametrize(("answer", "believed"), [(0.0, True), (1.0, False)])
 def test_a_jump_at_a_step_of_the_command_must_be_larger_than_at_its_other_steps(answer, believed):
     steps_s = np.arange(1.0, 19.0, 1.05)

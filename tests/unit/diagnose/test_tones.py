@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from unit.diagnose.residuals import mixed_work, model_of, noise
 
+from piezod.diagnose.direct import level_about
 from piezod.diagnose.series import Series
 from piezod.diagnose.tones import tones
 
@@ -23,3 +24,14 @@ def test_a_harmonic_at_half_the_sampling_rate_goes_with_its_hum(rate_Hz, harmoni
     left_N = residual_N - groups[0][0].heard_N
     assert float(np.std(left_N)) < 1.1 * NOISE_N
     assert groups[0][0].values["amplitude_N"] == pytest.approx(20.0, rel=0.01)
+
+
+@pytest.mark.parametrize("at_Hz", [2.0, 50.0, 121.7, 499.0])
+def test_the_level_about_a_tone_is_that_of_its_own_colour(at_Hz):
+    time_s, rho, found_N = np.arange(0.0, 20.0, 1e-3), 0.9, []
+    for seed in range(20):
+        coloured_N = noise(time_s.size, rho, np.random.default_rng(seed))
+        one = Series("by hand", "recording", time_s, time_s, coloured_N, np.ones(time_s.size, bool), 1.0)
+        found_N.append(level_about(one, coloured_N, at_Hz))
+    turn = np.exp(-2j * np.pi * at_Hz * 1e-3)
+    assert np.mean(found_N) == pytest.approx(np.sqrt(1.0 - rho**2) / abs(1.0 - rho * turn), rel=0.05)
