@@ -44,7 +44,7 @@ MOSTLY = 0.8  # of the catalogue: recordings that could not have shown so much o
 COSTS = 0.1  # of what was gained, or of what is left: what plays that do not fold may cost
 FOLDED = 0.6  # of its confidence that an effect keeps when the plays fold that were refitted with it
 BETTER = 0.99  # of the given model's error
-LEAST_CONFIDENCE, LEAST_ALONE = 0.5, 0.08  # below which an effect is not named, beside others or at all
+LEAST_CONFIDENCE = 0.5  # below which an effect is not named: more likely it is the shape of something else
 
 
 @dataclass(frozen=True)
@@ -117,6 +117,7 @@ def diagnose(
     diagnosis = asked_for.judged(result)
     while doubtful := _doubtful(result, diagnosis.findings):
         progress("leaving out what is doubtful", 0.95)
+        said += _not_believed(diagnosis.findings, doubtful)
         result = _rising(_without(result, doubtful))
         diagnosis = asked_for.judged(result)
     return diagnosis
@@ -130,16 +131,26 @@ def _rising(result: Search) -> Search:
 
 
 def _doubtful(result: Search, findings: Findings) -> list[str]:
-    """Effects that explain little beside what remains unexplained: more likely the shape of something else.
+    """Effects that are believed too little to be named, the weakest first while others stand beside them.
 
     All of them where the given model says what was left out of the fit as well without them.
     """
     if result.found.effects and findings.after > BETTER * findings.before:
         return list(result.found.effects)
     fitted = [one for one in findings.effects if one.name in result.names]
-    weak = [one for one in fitted if one.confidence < LEAST_CONFIDENCE]
     strongest = max(fitted, key=lambda one: one.confidence, default=None)
-    return [one.name for one in weak if one is not strongest or one.confidence < LEAST_ALONE]
+    weak = [one.name for one in fitted if one.confidence < LEAST_CONFIDENCE]
+    return [name for name in weak if strongest and name != strongest.name] or weak
+
+
+def _not_believed(findings: Findings, doubtful: Sequence[str]) -> list[str]:
+    """What a reader is told of effects that came near and are not named."""
+    return [
+        f"{one.name} would explain a part, {one.before:.3g} -> {one.after:.3g} {findings.unit}, but is not believed "
+        f"(confidence {one.confidence:.2f})"
+        for one in findings.effects
+        if one.name in doubtful and one.confidence < LEAST_CONFIDENCE
+    ]
 
 
 def _without(result: Search, names: Sequence[str]) -> Search:

@@ -176,7 +176,7 @@ def as_strong_as(name: str, bare: Bare, strength: float) -> tuple[Recording, dic
     Returns
     -------
     recording, values, size
-        The record, what was switched on, and the strength reached.
+        The record, what was switched on, and the strength reached: less where the effect cannot be as strong.
     """
     how = LAID_OVER[name]
 
@@ -190,8 +190,12 @@ def as_strong_as(name: str, bare: Bare, strength: float) -> tuple[Recording, dic
     low = high = how.start
     while made(low)[2] > strength:
         low /= WIDER
-    while made(high)[2] < strength:
-        high *= WIDER
+    found = made(high)
+    while found[2] < strength:
+        weaker, high = found, WIDER * high
+        found = made(high)
+        if found[2] < (1.0 + CLOSE) * weaker[2]:  # as strong as it can be
+            return weaker
     for _ in range(HALVINGS):
         middle = float(np.sqrt(low * high))
         found = made(middle)
