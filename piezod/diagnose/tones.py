@@ -4,6 +4,7 @@ A mains frequency wanders and a machine swells, so a sine of constant frequency 
 hides what is weaker. What follows the tone is a band of a third of a hertz around it and nothing else.
 """
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -24,6 +25,8 @@ MAINS_HZ, MAINS_WITHIN_HZ = (50.0, 60.0), 0.6
 ALIKE_HZ = 0.1  # lines of two recordings that belong to one machine
 LOWEST_HZ, APART_HZ = 2.0, 1.0  # of a harmonic as it appears, from zero and from the others
 RIDGE = 0.02  # of an amplitude, where carrier and conjugate cannot be told apart
+SWINGS = 0.5  # of its amplitude, with the command: no tone from outside,
+BAND = 0.99  # nor are its neighbours within the band that has so much of the command's power
 MULTIPLES, MULTIPLE_HZ = 20, 0.3  # of the mains: none of them is another machine
 
 
@@ -101,7 +104,44 @@ def _of(number: int, series: Series, residual_N: Array) -> list[Tone]:
     found = [_hum(number, series, residual_N, mains[0])] if mains else []
     base_Hz = mains[0].frequency_Hz if mains else None
     strange = [one for one in seen if base_Hz is None or not _multiple(one.frequency_Hz, base_Hz, series.dt_s)]
-    return found + [_vibration(number, series, residual_N, line) for line in strange]
+    return found + [_vibration(number, series, residual_N, line) for line in _steady_lines(series, residual_N, strange)]
+
+
+def _steady_lines(series: Series, residual_N: Array, seen: Sequence[Line]) -> list[Line]:
+    """Those that do not swing with the command, and are not what one that does has on either side.
+
+    Of a strong swing the sides stand out more than the tone, which is midway between them.
+    """
+    band_Hz = _command_band_Hz(series) if seen else 0.0
+    pairs = itertools.combinations_with_replacement([one.frequency_Hz for one in seen], 2)
+    centres_Hz = {0.5 * (a + b) for a, b in pairs if abs(a - b) <= 2.0 * band_Hz}
+    tones_N = [(f, *swing_with_command(series, residual_N, f)) for f in centres_Hz]
+    swinging = [(f, np.hypot(steady, swing)) for f, steady, swing in tones_N if swing > SWINGS * steady]
+    return [
+        one
+        for one in seen
+        if not any(abs(one.frequency_Hz - f) <= band_Hz and size_N >= one.amplitude_N for f, size_N in swinging)
+    ]
+
+
+def swing_with_command(series: Series, residual_N: Array, frequency_Hz: float) -> tuple[float, float]:
+    """Amplitude of a tone, and by how much it grows or falls when the command moves by its standard deviation [N].
+
+    What comes from outside knows nothing of the command; a gain that swings does.
+    """
+    u = series.command_V[series.counts]
+    moved = (u - u.mean()) / max(float(u.std()), 1e-300)
+    carrier = np.exp(2j * np.pi * frequency_Hz * series.time_s[series.counts])
+    columns = np.column_stack([part for one in (carrier, moved * carrier) for part in (one.real, one.imag)])
+    steady_N, swing_N = np.linalg.lstsq(columns, residual_N[series.counts], rcond=None)[0].reshape(2, 2)
+    return float(np.hypot(*steady_N)), float(np.hypot(*swing_N))
+
+
+def _command_band_Hz(series: Series) -> float:
+    """Frequency below which nearly all of the command's power is; so far its products lie from a tone that swings."""
+    power = np.abs(np.fft.rfft((series.command_V - series.command_V.mean()) * np.hanning(series.command_V.size))) ** 2
+    share = np.cumsum(power) / max(float(power.sum()), 1e-300)
+    return float(np.searchsorted(share, BAND) + 1) / series.duration_s
 
 
 def _multiple(frequency_Hz: float, of_Hz: float, dt_s: float) -> bool:

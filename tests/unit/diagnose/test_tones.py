@@ -6,7 +6,7 @@ from unit.diagnose.residuals import mixed_work, model_of, noise
 
 from piezod.diagnose.direct import level_about
 from piezod.diagnose.series import Series
-from piezod.diagnose.tones import tones
+from piezod.diagnose.tones import swing_with_command, tones
 
 NOISE_N = 0.5
 
@@ -24,6 +24,19 @@ def test_a_harmonic_at_half_the_sampling_rate_goes_with_its_hum(rate_Hz, harmoni
     left_N = residual_N - groups[0][0].heard_N
     assert float(np.std(left_N)) < 1.1 * NOISE_N
     assert groups[0][0].values["amplitude_N"] == pytest.approx(20.0, rel=0.01)
+
+
+@pytest.mark.parametrize("swing", [0.0, 0.3, 1.0, 3.0, 30.0])
+def test_a_tone_that_swings_with_the_command_is_no_vibration(swing):
+    time_s = np.arange(0.0, 40.0, 1e-3)
+    u = mixed_work(time_s)
+    amplitude_N = 2.0 * (1.0 + swing * (u - u.mean()) / u.std())
+    white_N = NOISE_N * noise(time_s.size, 0.0, np.random.default_rng(2))
+    residual_N = white_N + amplitude_N * np.sin(2.0 * np.pi * 31.7 * time_s + 0.3)
+    one = Series("by hand", "recording", time_s, u, model_of(u) + residual_N, np.ones(time_s.size, bool), NOISE_N)
+    assert swing_with_command(one, residual_N, 31.7) == pytest.approx((2.0, 2.0 * swing), abs=0.05)
+    named = [tone.name for group in tones([one], [residual_N], ()) for tone in group]
+    assert named == (["vibration"] if swing < 0.5 else [])
 
 
 @pytest.mark.parametrize("at_Hz", [2.0, 50.0, 121.7, 499.0])
