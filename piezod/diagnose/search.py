@@ -25,7 +25,7 @@ from piezod.diagnose.fit import Fitted, Normal, fit
 from piezod.diagnose.parallel import each
 from piezod.diagnose.series import Series
 from piezod.diagnose.tones import Tone, tones, without_tones
-from piezod.diagnose.trials import on_each_course
+from piezod.diagnose.trials import on_each_course, with_a_step
 
 Array = NDArray[np.float64]
 OnProgress = Callable[[str, float], None]
@@ -33,6 +33,7 @@ OnProgress = Callable[[str, float], None]
 MOST_EFFECTS = 5
 SEARCHED, FURTHER = 0.85, 0.5  # part of the work behind the search; of what is before it, left after a round
 FINALISTS = 3  # of them that are tried with every course of the command between samples
+BESIDE_A_STEP = 2  # effects that a step was preferred to are tried with a step of their own
 OTHER_START = 0.99  # of the loss: below it what was found is believed to have started otherwise
 OTHER_SCOPE = 0.98  # of the loss: below it an effect's other scope is taken
 NEEDLESS = 0.02  # of the loss: an effect without which no more is lost is left out again
@@ -109,7 +110,7 @@ def search(chain: Chain, start: Point, progress: OnProgress) -> Search:
             _listen(result, heard)
             largest = max(result.base.loss - result.found.loss, 0.0)
             continue
-        tried = on_each_course(result.chain, result.found, result.past)
+        tried = on_each_course(result.chain, result.found, result.past) + _beside_the_last_step(result)
         finalists = _finalists(result, tried, largest)
         best = min(finalists, key=lambda one: weighed(one[1]), default=None)
         if heard is not None and (best is None or heard[1].loss < best[1].loss):
@@ -150,6 +151,14 @@ def _finalists(result: Search, tried: list[tuple[Chain, Fitted]], largest: float
     doubted = [one for one in tried if one[1].loss < limit and not degenerate(*one)][:DOUBTED]
     anew = [one for one in each(started_anew, doubted) if one is not None and believed(one)]
     return each(settled, sorted(better + anew, key=lambda one: one[1].loss)[:FINALISTS])
+
+
+def _beside_the_last_step(result: Search) -> list[tuple[Chain, Fitted]]:
+    """Where a step of the load was found last: what came next to it, each with a step that suits it."""
+    if not result.rounds or result.found.effects[-1:] != ("load_step",):
+        return []
+    others = sorted(result.rounds[-1].others, key=lambda one: one.loss)
+    return with_a_step(result.chain, result.found, others[:BESIDE_A_STEP])
 
 
 Heard = tuple[Chain, Fitted, list[Tone]]

@@ -55,6 +55,18 @@ def on_each_course(chain: Chain, found: Fitted, past: Point) -> list[tuple[Chain
     return found_on
 
 
+def with_a_step(chain: Chain, found: Fitted, others: Sequence[Fitted]) -> list[tuple[Chain, Fitted]]:
+    """Hypotheses that a step of the load was preferred to, each with a step of its own: the pair may need another one.
+
+    A step that stays passes for a drift and a step that goes again, and beside it nobody sees the drift.
+    """
+    few = coarse(chain)
+    starts = [(other, idea) for other in others for idea in suggested(few, other)]
+    tried = each(lambda one: _extended(few, *one), starts)
+    few.forget()
+    return [(chain, one) for one in _fine(chain, found, tried)]
+
+
 def _fine(chain: Chain, before: Fitted, tried: Sequence[Fitted]) -> list[Fitted]:
     """The best of what was fitted on few samples, fitted on more."""
     best = sorted(tried, key=lambda one: one.loss)
