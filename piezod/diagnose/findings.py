@@ -4,6 +4,7 @@ from dataclasses import dataclass, field
 from typing import Any, Literal
 
 Verdict = Literal["matches", "explained", "partly_explained", "unexplained", "not_testable"]
+ABOVE_NOISE = 1.5  # times it: what is left then is said to be more
 SCHEMA = "piezod.findings/1"
 
 
@@ -199,6 +200,11 @@ class Findings:
         """(e0^2 - e1^2) / (e0^2 - floor^2), None where there was no gap."""
         gap = self.before**2 - self.floor**2
         return (self.before**2 - self.after**2) / gap if gap > 0.02 * self.floor**2 else None
+
+    @property
+    def far_above_noise(self) -> bool:
+        """Whether much more than noise is left, though it may be that nothing tells what it is."""
+        return self.after > ABOVE_NOISE * self.floor
 
     def as_dict(self) -> dict[str, Any]:
         """For JSON (DESIGN.md, section 6)."""

@@ -265,8 +265,12 @@ def _swap(result: Search) -> None:
             if one.effects[-1] not in result.found.effects
         ]
         best = sorted(rivals, key=lambda one: one.loss)[:2]
+        if not best:
+            continue
+        terms, values = without(result.found, name)
+        fewer = fit(result.chain, terms, replace(result.found.point, values=tuple(values)))
         swapped = each(partial(_with_instead, result.chain, result.found, name), best)
-        fitting = [one for one in swapped if not degenerate(result.chain, one)]
+        fitting = [one for one in swapped if worth(fewer, one) and not degenerate(result.chain, one)]
         if fitting and min(one.loss for one in fitting) < 0.98 * result.found.loss:
             result.found = min(fitting, key=lambda one: one.loss)
 

@@ -51,13 +51,16 @@ def noise_floor(series: Sequence[Series], residuals: Sequence[Array], left: Guar
 
 
 def _holds(series: Series, residual: Array) -> list[float]:
-    """Standard deviation of the residual in every stretch of half a second in which the command rests."""
-    size = max(int(0.5 / series.dt_s), 20)
+    """Standard deviation of the residual in every stretch of half a second in which the command rests.
+
+    No less than that of a converter's rounding: a coarse one hides all noise at rest, not while the force moves.
+    """
+    size, rounding_N = max(int(0.5 / series.dt_s), 20), series.lattice_N / float(np.sqrt(12.0))
     found = []
     for first in range(0, series.command_V.size - size, size):
         part = slice(first, first + size)
         if np.ptp(series.command_V[part]) == 0.0 and series.counts[part].all():
-            found.append(float(np.std(residual[part])))
+            found.append(max(float(np.std(residual[part])), rounding_N))
     return found
 
 
@@ -109,15 +112,19 @@ def words_of(findings: Findings, wording: Wording) -> str:
     parts = [effect_words(one, wording) for one in findings.effects]
     fell = f"held-out error {findings.before:.3g} -> {findings.after:.3g} {unit}, noise {findings.floor:.3g} {unit}"
     opening = {
-        "matches": "The model matches the recordings; nothing is missing",
+        "matches": "The model matches the recordings",
         "explained": "; ".join(parts),
         "partly_explained": "; ".join(parts),
         "unexplained": "Something is missing that no effect of the catalogue explains",
         "not_testable": "The recordings do not excite the bench enough to tell",
     }[findings.verdict]
     more = f"{100 * findings.explainable:.0f} % of what is left is no noise"
+    if findings.explainable <= STILL_EXPLAINABLE and findings.far_above_noise:
+        more = f"what is left is {findings.after / findings.floor:.1f} times the noise, and nothing tells what it is"
+    done = findings.explainable <= STILL_EXPLAINABLE and not findings.far_above_noise
     rest = {
-        "explained": "nothing else is left" if findings.explainable <= STILL_EXPLAINABLE else more,
+        "matches": "nothing is missing" if done else more,
+        "explained": "nothing else is left" if done else more,
         "partly_explained": more,
         "unexplained": more,
     }.get(findings.verdict)

@@ -44,7 +44,8 @@ def headline(findings: Findings) -> str:
     """The verdict as a title."""
     titles = listed([hedged(one) for one in findings.effects])
     return {
-        "matches": "The model matches the recordings: nothing is missing",
+        "matches": "The model matches the recordings: "
+        + ("nothing more can be told from them" if findings.far_above_noise else "nothing is missing"),
         "explained": f"Left out by the model: {titles}",
         "partly_explained": f"Left out by the model: {titles}, and something unknown besides",
         "unexplained": "Something is missing that no known effect explains",

@@ -5,7 +5,8 @@ from dataclasses import replace
 import pytest
 
 from piezod.diagnose import words
-from piezod.diagnose.findings import Finding, Place, Value
+from piezod.diagnose.findings import Finding, Findings, Place, Value
+from piezod.diagnose.verdict import words_of
 from piezod.effects import EFFECTS
 
 RANGE = EFFECTS["transport_delay"].parameter("delay_s")
@@ -117,3 +118,19 @@ def test_things_are_listed(titles, said):
 def test_ends_that_hardly_differ_are_one_except_in_time():
     assert words.place_words(Place("rate_V_per_s", 27.9998, 28.0, 0.1, 0.01)) == "rate of the command 28.00 V/s"
     assert words.place_words(Place("time_s", 27.9998, 28.0, 0.1, 0.01)) == "time 27.99980 to 28.00000 s"
+
+
+@pytest.mark.parametrize(
+    ("verdict", "explainable", "after", "said"),
+    [
+        ("matches", 0.0, 0.11, "nothing is missing"),
+        ("matches", 0.0, 0.25, "what is left is 2.5 times the noise, and nothing tells what it is"),
+        ("explained", 0.05, 0.25, "what is left is 2.5 times the noise, and nothing tells what it is"),
+        ("explained", 0.05, 0.11, "nothing else is left"),
+        ("explained", 0.4, 0.11, "40 % of what is left is no noise"),
+        ("unexplained", 0.4, 0.25, "40 % of what is left is no noise"),
+    ],
+)
+def test_nobody_is_told_that_nothing_is_left_while_far_more_than_noise_is(verdict, explainable, after, said):
+    findings = Findings(verdict, "", "N", 0.1, "quiet", (), (), 2.0, after, 90.0, 99.0, explainable)
+    assert words_of(findings, WORDING).endswith(f"held-out error 2 -> {after:.3g} N, noise 0.1 N; {said}")
