@@ -27,9 +27,9 @@ def settled(one: tuple[Chain, Fitted]) -> tuple[Chain, Fitted]:
     return _suited(*one, courses=True) or one
 
 
-def started_anew(one: tuple[Chain, Fitted]) -> tuple[Chain, Fitted] | None:
-    """A hypothesis with the starts that suit it; None where they are those that it has."""
-    return _suited(*one, courses=False)
+def suited_anew(one: tuple[Chain, Fitted]) -> tuple[Chain, Fitted] | None:
+    """A hypothesis with the starts that suit it, and the course if its last effect smooths; None where it has them."""
+    return _suited(*one, courses=one[1].terms[-1].effect.smooths)
 
 
 def _suited(chain: Chain, fitted: Fitted, *, courses: bool) -> tuple[Chain, Fitted] | None:

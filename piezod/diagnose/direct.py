@@ -16,6 +16,7 @@ REPEATED = 0.05  # share of readings equal to the one before, below which noise 
 REPEATED_AT_REST = 0.5  # the same where the command rests: more of them may be how this bench reads
 FROZEN_MOVES = 6.0  # by how many noises the model moves meanwhile
 LINE_OVER_MEDIAN = 30.0  # power of a line over the median of its surroundings; exponential noise reaches 18 in 1e6 bins
+PEAK_PARTS_S, SAME_PEAK = (4.0, 0.5), 0.1  # of a recording, averaged; of a frequency
 SURROUNDINGS, ABOUT = 101, 20  # bins; on either side of a tone
 
 
@@ -135,8 +136,19 @@ def _running_median(power: Array) -> Array:
 
 
 def peaks_Hz(series: Series, residual_N: Array, most: int = 3) -> list[float]:
-    """Frequencies at which a residual's smoothed spectrum stands out most from its surroundings: modes that ring."""
-    size = int(min(residual_N.size // 8, max(256, 4.0 / series.dt_s)))
+    """Frequencies at which a residual's smoothed spectrum stands out most from its surroundings: modes that ring.
+
+    Looked for in long parts and in short ones, in which a well damped mode is narrow among its surroundings too.
+    """
+    found: list[float] = []
+    for part_s in PEAK_PARTS_S:
+        new = _peaks_Hz(series, residual_N, part_s, most)
+        found += [f for f in new if all(abs(f / other - 1.0) > SAME_PEAK for other in found)]
+    return found
+
+
+def _peaks_Hz(series: Series, residual_N: Array, part_s: float, most: int) -> list[float]:
+    size = int(min(residual_N.size // 8, max(256, part_s / series.dt_s)))
     if size < 64:
         return []
     values = np.where(series.counts, residual_N, 0.0)

@@ -19,7 +19,7 @@ from piezod.diagnose.acceptance import (
     worth,
 )
 from piezod.diagnose.chain import Chain, Point, Term
-from piezod.diagnose.courses import best_course, coarse, settled, started_anew
+from piezod.diagnose.courses import best_course, coarse, settled, suited_anew
 from piezod.diagnose.direct import noise_of
 from piezod.diagnose.fit import Fitted, Normal, fit
 from piezod.diagnose.parallel import each
@@ -138,7 +138,8 @@ def search(chain: Chain, start: Point, progress: OnProgress) -> Search:
 def _finalists(result: Search, tried: list[tuple[Chain, Fitted]], largest: float) -> list[tuple[Chain, Fitted]]:
     """The best of those that are believed, each with the course and the starts that suit it best.
 
-    What fits better than they do but is not believed may have been fitted from a start that was estimated without it.
+    What fits better than they do but is not believed may have been fitted from a start, or on a course, that was
+    estimated without it.
     """
 
     def believed(one: tuple[Chain, Fitted]) -> bool:
@@ -149,7 +150,7 @@ def _finalists(result: Search, tried: list[tuple[Chain, Fitted]], largest: float
     better = [one for one in tried if believed(one)]
     limit = better[0][1].loss if better else result.found.loss
     doubted = [one for one in tried if one[1].loss < limit and not degenerate(*one)][:DOUBTED]
-    anew = [one for one in each(started_anew, doubted) if one is not None and believed(one)]
+    anew = [one for one in each(suited_anew, doubted) if one is not None and believed(one)]
     return each(settled, sorted(better + anew, key=lambda one: one[1].loss)[:FINALISTS])
 
 
