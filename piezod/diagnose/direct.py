@@ -16,7 +16,7 @@ REPEATED = 0.05  # share of readings equal to the one before, below which noise 
 REPEATED_AT_REST = 0.5  # the same where the command rests: more of them may be how this bench reads
 FROZEN_MOVES = 6.0  # by how many noises the model moves meanwhile
 LINE_OVER_MEDIAN = 30.0  # power of a line over the median of its surroundings; exponential noise reaches 18 in 1e6 bins
-PEAK_PARTS_S, SAME_PEAK = (4.0, 0.5), 0.1  # of a recording, averaged; of a frequency
+PEAK_PARTS_S, SAME_PEAK = (4.0, 0.5, 0.25), 0.1  # of a recording, averaged; of a frequency
 SURROUNDINGS, ABOUT = 101, 20  # bins; on either side of a tone
 
 
