@@ -40,27 +40,27 @@ def held_out_rms(chain: Chain, fitted: Fitted) -> float:
 
 
 def noise_floor(series: Sequence[Series], residuals: Sequence[Array], left: Guard) -> tuple[float, str]:
-    """What no model could explain: quiet holds where there are some, else the spectrum's high end or the absorber's."""
-    quiet = [
-        value for one, r in zip(series, residuals, strict=True) if one.role == "recording" for value in _holds(one, r)
-    ]
+    """What no model could explain: quiet holds where there are some, else the spectrum's high end or the absorber's.
+
+    No less than a converter's rounding: a coarse one hides all noise at rest, not while the force moves.
+    """
+    asked = [(one, r) for one, r in zip(series, residuals, strict=True) if one.role == "recording"]
+    quiet = [value for one, r in asked for value in _holds(one, r)]
     rms = rms_of(residuals, series)
+    rounding_N = max(one.lattice_N for one, _ in asked) / float(np.sqrt(12.0))
     if len(quiet) >= 3:
-        return min(float(np.sqrt(np.mean(np.square(quiet)))), rms), "quiet"
-    return rms * float(np.sqrt(max(1.0 - left.share, 0.0))), "spectrum"
+        return min(max(float(np.sqrt(np.mean(np.square(quiet)))), rounding_N), rms), "quiet"
+    return min(max(rms * float(np.sqrt(max(1.0 - left.share, 0.0))), rounding_N), rms), "spectrum"
 
 
 def _holds(series: Series, residual: Array) -> list[float]:
-    """Standard deviation of the residual in every stretch of half a second in which the command rests.
-
-    No less than that of a converter's rounding: a coarse one hides all noise at rest, not while the force moves.
-    """
-    size, rounding_N = max(int(0.5 / series.dt_s), 20), series.lattice_N / float(np.sqrt(12.0))
+    """Standard deviation of the residual in every stretch of half a second in which the command rests."""
+    size = max(int(0.5 / series.dt_s), 20)
     found = []
     for first in range(0, series.command_V.size - size, size):
         part = slice(first, first + size)
         if np.ptp(series.command_V[part]) == 0.0 and series.counts[part].all():
-            found.append(max(float(np.std(residual[part])), rounding_N))
+            found.append(float(np.std(residual[part])))
     return found
 
 
@@ -120,7 +120,7 @@ def words_of(findings: Findings, wording: Wording) -> str:
     }[findings.verdict]
     more = f"{100 * findings.explainable:.0f} % of what is left is no noise"
     if findings.explainable <= STILL_EXPLAINABLE and findings.far_above_noise:
-        more = f"what is left is {findings.after / findings.floor:.1f} times the noise, and nothing tells what it is"
+        more = "what is left is far above the noise, and nothing tells what it is"
     done = findings.explainable <= STILL_EXPLAINABLE and not findings.far_above_noise
     rest = {
         "matches": "nothing is missing" if done else more,

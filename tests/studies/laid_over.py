@@ -18,6 +18,7 @@ from numba import njit
 from scipy.interpolate import CubicSpline
 
 from firmware_sim.acquisition import acquire
+from firmware_sim.errors import ConfigurationError
 from firmware_sim.layout import Record, Records
 from firmware_sim.load_cell import sense
 from firmware_sim.mechanics import load
@@ -193,7 +194,10 @@ def as_strong_as(name: str, bare: Bare, strength: float) -> tuple[Recording, dic
     found = made(high)
     while found[2] < strength:
         weaker, high = found, WIDER * high
-        found = made(high)
+        try:
+            found = made(high)
+        except ConfigurationError:  # beyond what the emulator takes
+            return weaker
         if found[2] < (1.0 + CLOSE) * weaker[2]:  # as strong as it can be
             return weaker
     for _ in range(HALVINGS):
