@@ -44,7 +44,8 @@ MOSTLY = 0.8  # of the catalogue: recordings that could not have shown so much o
 COSTS = 0.1  # of what was gained, or of what is left: what plays that do not fold may cost
 FOLDED = 0.6  # of its confidence that an effect keeps when the plays fold that were refitted with it
 BETTER = 0.99  # of the given model's error
-LEAST_CONFIDENCE = 0.5  # below which an effect is not named: more likely it is the shape of something else
+LEAST_CONFIDENCE = 0.5  # below which an effect is not named: more likely it is the shape of something else,
+LEFT_BY_ONE = 1.0 / 3.0  # unless it stands alone and leaves no more of the squared error than that
 
 
 @dataclass(frozen=True)
@@ -131,7 +132,7 @@ def _rising(result: Search) -> Search:
 
 
 def _doubtful(result: Search, findings: Findings) -> list[str]:
-    """Effects that are believed too little to be named, the weakest first while others stand beside them.
+    """Effects that are believed too little to be named; one that stands alone only if it leaves much unexplained too.
 
     All of them where the given model says what was left out of the fit as well without them.
     """
@@ -139,8 +140,9 @@ def _doubtful(result: Search, findings: Findings) -> list[str]:
         return list(result.found.effects)
     fitted = [one for one in findings.effects if one.name in result.names]
     strongest = max(fitted, key=lambda one: one.confidence, default=None)
-    weak = [one.name for one in fitted if one.confidence < LEAST_CONFIDENCE]
-    return [name for name in weak if strongest and name != strongest.name] or weak
+    weak = [one for one in fitted if one.confidence < LEAST_CONFIDENCE]
+    others = [one.name for one in weak if one is not strongest]
+    return others or [one.name for one in weak if one.after**2 > LEFT_BY_ONE * one.before**2]
 
 
 def _not_believed(findings: Findings, doubtful: Sequence[str]) -> list[str]:

@@ -105,6 +105,7 @@ def solve_step(hessian: Array, gradient: Array, constraints: Constraints, start:
     equalities = np.empty((0, size)) if constraints.equality is None else constraints.equality[None, :]
     equality, rows = equalities * scale, constraints.rows * scale
     length, span = np.linalg.norm(rows, axis=1), np.linalg.norm(equality, axis=1)
+    length[length == 0.0] = 1.0  # a row of nothing constrains nothing
     step = _proxqp(
         factor * scaled,
         -factor * scale * gradient,
