@@ -13,13 +13,11 @@ from numpy.typing import NDArray
 from piezod.diagnose import colour, coordinates, events
 from piezod.diagnose.absorber import Columns, Event
 from piezod.diagnose.ridge import Blocks, LeftOut, left_out
-from piezod.diagnose.series import Series
+from piezod.diagnose.series import BLOCK_S, FEWEST_BLOCKS, MOST_BLOCKS, Series
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-SHORTEST_BLOCK_S, MOST_BLOCKS = 2.0, 40
-FEWEST_BLOCKS = 12  # with six, no chance of a sign in each block falls below the share that is believed
 BELIEVED = 0.05  # chance up to which the absorber's part is taken off before tones, jumps and bursts are looked for
 GAP = 0.05  # of a block at either end that neither teaches nor tests
 
@@ -132,7 +130,7 @@ class _Told:
 
 def _block_edges(series: Series) -> tuple[int, ...]:
     """The series' blocks, taken together to some seconds each."""
-    wanted_s = min(max(SHORTEST_BLOCK_S, series.duration_s / MOST_BLOCKS), series.duration_s / FEWEST_BLOCKS)
+    wanted_s = min(max(BLOCK_S, series.duration_s / MOST_BLOCKS), series.duration_s / FEWEST_BLOCKS)
     wanted = wanted_s / series.dt_s
     edges = [0]
     for block in series.blocks:

@@ -249,7 +249,13 @@ def started(series: Series, model: Model) -> Series:
 
 
 def without_frozen(series: Series, model: Model) -> tuple[Series, list[tuple[int, int]]]:
-    """The same without readings that are frozen, and where they are."""
+    """The same without readings that are frozen, and where they are.
+
+    Raises
+    ------
+    RecordingError
+        All of them are.
+    """
     operator = model.hysteresis.operator()
     operator.run(np.array(series.path_V))
     expected = operator.run(series.command_V)
@@ -257,6 +263,11 @@ def without_frozen(series: Series, model: Model) -> tuple[Series, list[tuple[int
     counts = series.counts.copy()
     for first, end in stretches:
         counts[first + 1 : end] = False
+    if stretches and np.count_nonzero(counts) <= len(stretches):
+        raise RecordingError(
+            f"{series.name}: the reading stands still at {series.reading_N[0]:g} {model.output.unit} from the first "
+            f"sample to the last, {series.duration_s:.3g} s; look at the sensor and its converter, then record again"
+        )
     return replace(series, counts=counts), stretches
 
 

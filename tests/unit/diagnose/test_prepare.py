@@ -5,7 +5,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from piezod.diagnose.prepare import Source, even
+from piezod.diagnose.prepare import Source, even, without_frozen
+from piezod.errors import RecordingError
 from piezod.model import load_model
 from piezod.recording import Recording
 
@@ -43,3 +44,17 @@ def test_samples_that_follow_no_clock_are_resampled(model):
     np.testing.assert_allclose(steps_s, steps_s[0], rtol=1e-9)
     assert series.counts.all()
     assert "resampled" in notes[0]
+
+
+def test_a_recording_whose_reading_never_moves_is_refused_in_one_line(model):
+    source = a_recording(np.arange(2000) / RATE_Hz, model)
+    source.recording.channels[model.output.channel][:] = 41.25
+    series, _ = even(source, model)
+    with pytest.raises(
+        RecordingError, match=r"some\.csv: the reading stands still at 41\.25 N .* 9\.99 s; look at the sensor"
+    ):
+        without_frozen(series, model)
+    source.recording.channels[model.output.channel][1500:] = 1.5 * source.recording.channels[model.input.channel][1500:]
+    left, stretches = without_frozen(even(source, model)[0], model)
+    assert stretches == [(0, 1500)]
+    assert np.count_nonzero(left.counts) == 501
