@@ -2,13 +2,13 @@
 
     v = u + sum_k c_k B_k(u),   B_k = sum_i h_k(i) (z_i - u) dr_i / R,        F = sum_j d_j N_j(v)
 
-z_i are forty plays, h_k eleven hat functions over their index, N_j quadratic B-splines. The plays enter by what they
+z_i are 56 plays, h_k fourteen hat functions over their index, N_j quadratic B-splines. The plays enter by what they
 lag behind u (less a stop, |z_i - u| <= r_i), so v stays about as large as u, which fixes the scale between plays and
 force law. A coarse density or a force law of few straight pieces leaves errors that look like friction or like a curved
 force law; this one is as smooth as a stack is.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numba
 import numpy as np
@@ -16,10 +16,10 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-PLAYS = 40
-HATS = 11
+PLAYS = 56
+HATS = 14
 SPLINES = 12
-FINER_NEAR_ZERO = 1.5
+FINER_NEAR_ZERO = 2.0
 MARGIN = 0.15  # of the voltage range, beyond which the force law is continued straight
 
 
@@ -30,9 +30,9 @@ class PlayDensity:
     Parameters
     ----------
     thresholds_V
-        r_i, shape (PLAYS,), from above 0 [V].
+        r_i, shape (PLAYS,) and more, rising from above 0 [V].
     hats
-        Weight of play i in column k, shape (PLAYS, HATS) [1].
+        Weight of play i in column k, shape (plays, columns) [1].
     """
 
     thresholds_V: Array
@@ -47,10 +47,42 @@ class PlayDensity:
         hats = np.clip(1.0 - np.abs(index - places) / (places[1] - places[0]), 0.0, None)
         return cls(0.5 * (edges[1:] + edges[:-1]), hats * (np.diff(edges) / reach_V)[:, None])
 
+    @property
+    def count(self) -> int:
+        """How many columns: the hats', then those of plays of their own width."""
+        return int(self.hats.shape[1])
+
+    def smooth(self) -> "PlayDensity":
+        """The hats alone."""
+        rows = ~np.any(self.hats[:, HATS:] != 0.0, axis=1)
+        return PlayDensity(self.thresholds_V[rows], self.hats[rows, :HATS])
+
+    def corners(self, coefficients: Array) -> tuple[Array, Array]:
+        """Thresholds [V] and weights [1] of the plays in further columns, each shape (K,)."""
+        own = np.any(self.hats[:, HATS:] != 0.0, axis=1)
+        return self.thresholds_V[own], self.hats[own, HATS:] @ coefficients[HATS:]
+
+    def beside(self, thresholds_V: Array, parts: Array) -> "PlayDensity":
+        """The same with further columns of plays of their own width.
+
+        Parameters
+        ----------
+        thresholds_V
+            Their thresholds, shape (K,) [V].
+        parts
+            Of each in the new columns, in one of them only, shape (K, C) [1].
+        """
+        hats = np.zeros((self.hats.shape[0] + parts.shape[0], self.count + parts.shape[1]))
+        hats[: self.hats.shape[0], : self.count] = self.hats
+        hats[self.hats.shape[0] :, self.count :] = parts
+        all_V = np.concatenate((self.thresholds_V, thresholds_V))
+        order = np.argsort(all_V, kind="stable")
+        return PlayDensity(all_V[order], hats[order])
+
     def columns(
         self, applied_V: Array, path_V: Array, factor: Array | None = None, offset_V: Array | None = None
     ) -> Array:
-        """B_k over a record, shape (N, HATS) [V].
+        """B_k over a record, shape (N, columns) [V].
 
         Parameters
         ----------
@@ -75,7 +107,7 @@ class PlayDensity:
         return out
 
     def weights(self, coefficients: Array) -> Array:
-        """Weight of u itself and of every play, shape (1 + PLAYS,) [1]."""
+        """Weight of u itself and of every play, shape (1 + plays,) [1]."""
         plays = self.hats @ coefficients
         return np.concatenate(([1.0 - plays.sum()], plays))
 
@@ -117,39 +149,67 @@ def _columns(  # noqa: C901  # one pass over the record: to split it costs a cop
 
 @dataclass(frozen=True)
 class ForceLaw:
-    """Quadratic B-splines on equal intervals, continued straight outside.
+    """Quadratic B-splines on equal intervals, continued straight outside, and kinks beside them.
 
     Parameters
     ----------
     low_V, high_V
         Where the intervals begin and end [V].
+    kinks_V
+        Where the slope leaps besides, shape (K,) [V].
+    leaps
+        By how much in each further column, shape (K, C) [N/V].
     """
 
     low_V: float
     high_V: float
+    kinks_V: Array = field(default_factory=lambda: np.empty(0))
+    leaps: Array = field(default_factory=lambda: np.empty((0, 0)))
 
     @property
     def count(self) -> int:
-        """How many splines."""
-        return SPLINES
+        """How many columns: the splines, then those of kinks."""
+        return SPLINES + int(self.leaps.shape[1])
+
+    def smooth(self) -> "ForceLaw":
+        """The splines alone."""
+        return ForceLaw(self.low_V, self.high_V)
+
+    def corners(self, coefficients: Array) -> tuple[Array, Array]:
+        """Kinks [V] and their leaps [N/V], each shape (K,)."""
+        return self.kinks_V, self.leaps @ coefficients[SPLINES:]
+
+    def beside(self, kinks_V: Array, leaps: Array) -> "ForceLaw":
+        """The same with further columns of kinks, shape (K,) [V], whose leaps in each have the shape (K, C) [N/V]."""
+        known, columns = self.leaps.shape
+        wider = np.zeros((known + leaps.shape[0], columns + leaps.shape[1]))
+        wider[:known, :columns], wider[known:, columns:] = self.leaps, leaps
+        return ForceLaw(self.low_V, self.high_V, np.append(self.kinks_V, kinks_V), wider)
 
     def columns(self, v: Array) -> tuple[Array, Array]:
-        """N_j(v) and dN_j/dv, each shape (N, SPLINES) [1], [1/V]."""
+        """N_j(v) and dN_j/dv, each shape (N, count) [1], [1/V]; those of kinks [N], [N/V]."""
         values, slopes = np.empty((v.size, SPLINES)), np.empty((v.size, SPLINES))
         _splines(v, self.low_V, (SPLINES - 2) / (self.high_V - self.low_V), values, slopes)
-        return values, slopes
+        if not self.kinks_V.size:
+            return values, slopes
+        beyond = v[:, None] - self.kinks_V
+        more, steeper = np.maximum(beyond, 0.0) @ self.leaps, (beyond > 0.0) @ self.leaps
+        return np.hstack((values, more)), np.hstack((slopes, steeper))
 
     def value(self, v: Array, coefficients: Array) -> Array:
         """sum_j d_j N_j(v), shape (N,) [N]."""
         out = np.empty(v.size)
-        _law(v, self.low_V, (SPLINES - 2) / (self.high_V - self.low_V), coefficients, out)
+        _law(v, self.low_V, (SPLINES - 2) / (self.high_V - self.low_V), coefficients[:SPLINES], out)
+        for kink_V, leap in zip(self.kinks_V, self.leaps @ coefficients[SPLINES:], strict=True):
+            if leap != 0.0:
+                out += leap * np.maximum(v - kink_V, 0.0)
         return out
 
     def straight(self, offset: float, slope: float) -> Array:
         """Coefficients of offset + slope v: the splines' own places are the interval's middles."""
         step = (self.high_V - self.low_V) / (SPLINES - 2)
         middles = self.low_V + step * (np.arange(SPLINES) - 0.5)
-        return np.asarray(offset + slope * middles, dtype=np.float64)
+        return np.concatenate((offset + slope * middles, np.zeros(self.count - SPLINES)))
 
 
 @numba.njit(cache=True, nogil=True)

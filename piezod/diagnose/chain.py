@@ -70,9 +70,9 @@ class Point:
     Parameters
     ----------
     density
-        Of the plays, shape (HATS,) [1].
+        Of the plays' columns, shape (columns,) [1].
     law
-        Of the force law, shape (SPLINES,) [N].
+        Of the force law's columns, shape (columns,) [N].
     offsets_N
         Of every recording, shape (R,); the first is 0.
     values
@@ -92,7 +92,7 @@ class Trace:
     Parameters
     ----------
     columns
-        Of the plays, shape (N, HATS) [V].
+        Of the plays, shape (N, columns) [V].
     stroke_V
         In front of the force law, shape (N,).
     reading_N
@@ -182,6 +182,10 @@ class Chain:
         return Chain(
             series, self.density, self.law, self.force_span_N, most_rows or self.most_rows, self.voltage_span_V
         )
+
+    def with_base(self, density: PlayDensity, law: ForceLaw) -> "Chain":
+        """The same with other plays and another force law."""
+        return Chain(self.series, density, law, self.force_span_N, self.most_rows, self.voltage_span_V)
 
     def forget(self) -> None:
         """Let go of what is only kept for speed: a recording's plays are a hundred bytes a sample."""
@@ -327,7 +331,7 @@ class Chain:
         )
 
     def base_tangents(self, number: int, terms: Sequence[Term], point: Point) -> Array:
-        """How the readings that are compared change with density and force law, shape (rows, HATS + SPLINES)."""
+        """How the readings that are compared change with density and force law, shape (rows, all columns)."""
         here = self.terms_of(number, terms, point)
         applied_V, columns, context = self.played(number, here)
         stroke_V, tangents = applied_V + columns @ point.density, columns
@@ -389,7 +393,7 @@ def _carried(
 
 def empty_point(chain: Chain, gain: float, offset_N: float) -> Point:
     """A straight law without hysteresis: where a fit of the base begins."""
-    return Point(np.zeros(HATS), chain.law.straight(offset_N, gain), np.zeros(len(chain.series)))
+    return Point(np.zeros(chain.density.count), chain.law.straight(offset_N, gain), np.zeros(len(chain.series)))
 
 
 __all__ = ["HATS", "SPLINES", "Chain", "Point", "Scope", "Term", "Trace", "empty_point"]

@@ -15,6 +15,7 @@ from piezod.operators import EPS
 Array = NDArray[np.float64]
 
 PIECES = 30  # of the force law
+BESIDE_A_KINK = 1e-2  # of the strokes' range: nearer than that to a kink no other piece begins
 SAMPLING = {STRAIGHT: "straight", HELD_BEFORE: "held_before"}
 
 
@@ -100,11 +101,16 @@ def _pieces(chain: Chain, found: Fitted, low_V: float, high_V: float) -> tuple[A
 
     The piece around 0 has one slope; where the strokes begin above 0 the first piece is continued down to it.
     """
-    knots = np.linspace(low_V, high_V, PIECES + 1)
+    knots, kinks = np.linspace(low_V, high_V, PIECES + 1), np.sort(chain.law.kinks_V)
+    kinks = kinks[(kinks > low_V) & (kinks < high_V)]
+    if kinks.size:
+        beside = np.min(np.abs(knots[:, None] - kinks), axis=1) > BESIDE_A_KINK * (high_V - low_V)
+        beside[[0, -1]] = True
+        knots = np.sort(np.concatenate((knots[beside], kinks)))
     values = chain.law.value(knots, found.point.law)
     rises = np.diff(values) / np.diff(knots)
-    centre = int(np.clip(np.searchsorted(knots, 0.0, side="right") - 1, 0, PIECES - 1))
-    below, above = np.arange(1, centre + 1), np.arange(centre + 1, PIECES)
+    centre = int(np.clip(np.searchsorted(knots, 0.0, side="right") - 1, 0, knots.size - 2))
+    below, above = np.arange(1, centre + 1), np.arange(centre + 1, knots.size - 1)
     below = below[knots[below] < 0.0]
     zones = np.concatenate((knots[below], [0.0], knots[above]))
     slopes = np.concatenate((rises[below - 1], [rises[centre]], rises[above]))

@@ -18,7 +18,7 @@ FIRST_DAMPING, MOST_DAMPING = 1e-4, 1e4  # after a step that did not help
 HUBER = 3.0  # residuals beyond so many standard deviations count less
 LAW_WITHIN = 0.02  # of the force's range; a part of the force law that one block alone tells
 LAW_BENDS = 0.02  # of the force's range, from one spline to the next and the next
-FACTOR = 0.3  # of a parameter on a logarithmic scale
+FACTOR = 0.3  # of a parameter on a logarithmic scale, or of a column's part
 SMOOTH = 1e-10  # weight of the density's and the law's bends, in parts of the mean diagonal
 
 
@@ -60,7 +60,8 @@ class Layout:
     """Where the parameters of a hypothesis stand in the vector: density, law, offsets, effects."""
 
     def __init__(self, chain: Chain, terms: Sequence[Term]) -> None:
-        self.offsets = HATS + SPLINES
+        self.plays = chain.density.count
+        self.offsets = self.plays + chain.law.count
         self.recordings = len(chain.series)
         self.searched: list[tuple[int, Parameter]] = [
             (number, chain.parameter(term.effect, name)) for number, term in enumerate(terms) for name in term.searched
@@ -79,8 +80,8 @@ class Layout:
         for place, (number, one) in enumerate(self.searched):
             values[number][one.name] = _unscaled(one, float(vector[self.effects + place]))
         return Point(
-            vector[:HATS],
-            vector[HATS : self.offsets],
+            vector[: self.plays],
+            vector[self.plays : self.offsets],
             np.concatenate(([0.0], vector[self.offsets : self.effects])),
             tuple(values),
         )
@@ -98,13 +99,14 @@ class Layout:
         """
         span_N = chain.force_span_N
         wide = np.empty(self.size)
-        wide[:HATS] = max(float(np.abs(point.density).max()), 0.1)
-        wide[HATS : self.effects] = LAW_WITHIN * span_N
+        wide[: self.plays] = max(float(np.abs(point.density[:HATS]).max()), 0.1)
+        wide[self.plays : self.effects] = LAW_WITHIN * span_N
+        wide[HATS : self.plays] = wide[self.plays + SPLINES : self.offsets] = FACTOR
         for place, (number, one) in enumerate(self.searched, start=self.effects):
             value = abs(float(point.values[number][one.name]))
             wide[place] = FACTOR if one.logarithmic else max(value, 1e-3 * min(one.high - one.low, 1e3))
         prior = np.diag(wide**-2.0)
-        for first, count, bend in ((0, HATS, 0.5 * wide[0]), (HATS, SPLINES, LAW_BENDS * span_N)):
+        for first, count, bend in ((0, HATS, 0.5 * wide[0]), (self.plays, SPLINES, LAW_BENDS * span_N)):
             bends = np.diff(np.eye(count), 2, axis=0) / bend
             prior[first : first + count, first : first + count] += bends.T @ bends
         return prior
@@ -189,6 +191,7 @@ class Normal:
 
     chain: Chain
     terms: tuple[Term, ...]
+    point: Point
     layout: Layout
     readings: list[Array]  # simulated, one a recording
     jacobians: list[Array]  # (N, P), 0 where a reading does not count
@@ -210,8 +213,27 @@ class Normal:
     def at(cls, chain: Chain, terms: Sequence[Term], point: Point, near: "Normal | None" = None) -> "Normal":
         """Normal equations of a hypothesis at a point, with the base's tangents of one that is near or its own."""
         layout = Layout(chain, terms)
+        none = np.empty(0)
         made = cls(
-            chain, tuple(terms), layout, [], [], [], [], [], [], *(np.empty(0),) * 4, 0.0, [], *(np.empty(0),) * 3
+            chain,
+            tuple(terms),
+            point,
+            layout,
+            [],
+            [],
+            [],
+            [],
+            [],
+            [],
+            none,
+            none,
+            none,
+            none,
+            0.0,
+            [],
+            none,
+            none,
+            none,
         )
         hessian, gradient, squares, samples = [], [], [], []
         for number, series in enumerate(chain.series):
@@ -240,7 +262,7 @@ class Normal:
         made.hessian, made.gradient = np.array(hessian), np.array(gradient)
         made.squares, made.samples = np.array(squares), np.array(samples)
         made.stiff, vector = layout.stiffness(float(made.samples.sum())), layout.vector(point)
-        made.ridge, made.pull = _ridge(made.hessian) + np.diag(made.stiff), -made.stiff * vector
+        made.ridge, made.pull = _ridge(made.hessian, layout) + np.diag(made.stiff), -made.stiff * vector
         made.loss += float(made.stiff @ vector**2)
         return made
 
@@ -259,7 +281,7 @@ class Normal:
         hessian += damping * np.diag(np.diag(hessian))
         free, step = np.isnan(held), np.nan_to_num(held)
         side = self.gradient.sum(axis=0) + self.pull - hessian @ step
-        step[free] = _solved(hessian[np.ix_(free, free)], side[free])
+        step[free] = solved(hessian[np.ix_(free, free)], side[free])
         return step
 
     def gain_of(self, changes: Sequence[Sequence[Array | None]]) -> tuple[float, Array]:
@@ -272,27 +294,43 @@ class Normal:
             One that what is fitted follows by itself has the size 0.
         """
         count = len(changes)
+        columns = []
+        for number in range(len(self.chain.series)):
+            acting = [change[number] for change in changes]
+            size = self.told[number].size
+            columns.append(np.array([np.zeros(size) if one is None else one for one in acting]).T)
+        free, along, squares = self.projected(columns)
+        sizes = np.zeros(count)
+        own = np.diag(free) > 1e-9 * squares
+        if own.any():
+            sizes[own] = solved(free[np.ix_(own, own)], along[own])
+        return float(along[own] @ sizes[own]), sizes
+
+    def projected(self, columns: Sequence[Array]) -> tuple[Array, Array, Array]:
+        """Normal equations of further columns, everything that is fitted projected off.
+
+        Parameters
+        ----------
+        columns
+            Of the readings that are compared, for every recording, shape (rows, K) [N].
+
+        Returns
+        -------
+        tuple
+            Of the columns with each other, shape (K, K), and with the residual, shape (K,); the square of each before,
+            shape (K,).
+        """
+        count = columns[0].shape[1]
         across, inner, along = np.zeros((self.ridge.shape[0], count)), np.zeros((count, count)), np.zeros(count)
         for number, series in enumerate(self.chain.series):
-            acting = [(place, change[number]) for place, change in enumerate(changes)]
-            here = [place for place, change in acting if change is not None]
-            if not here:
-                continue
-            told = self.told[number]
-            scaled = np.array([change for _, change in acting if change is not None]).T * told[:, None]
-            scaled /= series.noise_N
+            scaled = columns[number] * (self.told[number] / series.noise_N)[:, None]
             weighted = self.weights[number][:, None] * scaled
-            across[:, here] += self.jacobians[number].T @ weighted
-            inner[np.ix_(here, here)] += scaled.T @ weighted
-            along[here] += scaled.T @ self.weighted[number]
+            across += self.jacobians[number].T @ weighted
+            inner += scaled.T @ weighted
+            along += scaled.T @ self.weighted[number]
         hessian, gradient = self.hessian.sum(axis=0) + self.ridge, self.gradient.sum(axis=0) + self.pull
-        solved = np.array([_solved(hessian, column) for column in across.T]).T
-        free = inner - across.T @ solved
-        own = np.diag(free) > 1e-9 * np.diag(inner)
-        numerator, sizes = (along - solved.T @ gradient)[own], np.zeros(count)
-        if own.any():
-            sizes[own] = _solved(free[np.ix_(own, own)], numerator)
-        return float(numerator @ sizes[own]), sizes
+        fitted = np.array([solved(hessian, column) for column in across.T]).T
+        return inner - across.T @ fitted, along - fitted.T @ gradient, np.diag(inner)
 
     def free_energy(self, change: Sequence[Array | None]) -> float:
         """Square of a change of the readings, in units of the noise, that nothing which is fitted can follow.
@@ -310,7 +348,7 @@ class Normal:
                 weighted = self.weights[number] * scaled
                 across += self.jacobians[number].T @ weighted
                 inner += float(scaled @ weighted)
-        return inner - float(_solved(self.hessian.sum(axis=0) + self.ridge, across) @ across)
+        return inner - float(solved(self.hessian.sum(axis=0) + self.ridge, across) @ across)
 
     def fitted(self, point: Point) -> Fitted:
         """What every block says when it is left out, by one linear step.
@@ -322,7 +360,7 @@ class Normal:
         losses = np.empty(self.squares.size)
         moves = np.empty((self.squares.size, gradient.size))
         for b in range(losses.size):
-            move = _solved(hessian - self.hessian[b], gradient - self.gradient[b])
+            move = solved(hessian - self.hessian[b], gradient - self.gradient[b])
             moves[b] = move
             losses[b] = self.squares[b] - 2.0 * move @ self.gradient[b] + move @ self.hessian[b] @ move
         jackknife = np.sqrt((losses.size - 1) / losses.size * np.sum((moves - moves.mean(axis=0)) ** 2, axis=0))
@@ -374,12 +412,12 @@ def _moved(point: Point, term: int, name: str, value: float) -> Point:
     return replace(point, values=values)
 
 
-def _ridge(blocks: Array) -> Array:
+def _ridge(blocks: Array, layout: Layout) -> Array:
     """Keeps density and law from bending where no sample tells."""
     size = blocks.shape[1]
     diagonal = np.einsum("bii->i", blocks)
     ridge = np.diag(1e-12 * diagonal + 1e-12)
-    for first, count in ((0, HATS), (HATS, SPLINES)):
+    for first, count in ((0, HATS), (layout.plays, SPLINES)):
         bends = np.diff(np.eye(count), 2, axis=0)
         mean = diagonal[first : first + count].mean()
         ridge[first : first + count, first : first + count] += SMOOTH * mean * bends.T @ bends
@@ -387,7 +425,8 @@ def _ridge(blocks: Array) -> Array:
     return ridge
 
 
-def _solved(matrix: Array, side: Array) -> Array:
+def solved(matrix: Array, side: Array) -> Array:
+    """Of normal equations, each parameter scaled to its own curvature; zeros where there is no solution."""
     scale = 1.0 / np.sqrt(np.maximum(np.diag(matrix), 1e-300))
     try:
         result: Array = scale * np.linalg.solve(

@@ -24,6 +24,7 @@ from piezod.diagnose.direct import noise_of
 from piezod.diagnose.fit import Fitted, Normal, fit
 from piezod.diagnose.parallel import each
 from piezod.diagnose.series import Series
+from piezod.diagnose.sharp import sharpened
 from piezod.diagnose.tones import Tone, tones, without_tones
 from piezod.diagnose.trials import on_each_course, with_a_step
 
@@ -38,6 +39,7 @@ OTHER_START = 0.99  # of the loss: below it what was found is believed to have s
 OTHER_SCOPE = 0.98  # of the loss: below it an effect's other scope is taken
 NEEDLESS = 0.02  # of the loss: an effect without which no more is lost is left out again
 DOUBTED = 3  # of those that fit better and are not believed that are fitted from other starts
+SHARPER = 0.98  # of the loss: below it plays of their own width are taken into the base
 NEAR_A_MODE = 0.05  # of its frequency: a line there is its own ringing
 DOMINANT = 0.3  # of its recordings' loss: a tone without which so little is left is taken off before all else is tried
 
@@ -117,6 +119,11 @@ def search(chain: Chain, start: Point, progress: OnProgress) -> Search:
             _listen(result, heard)
             largest = max(result.base.loss - result.found.loss, 0.0)
             continue
+        sharp = sharpened(result.chain, result.found)
+        if sharp is not None and _sharper(result, sharp, best):
+            _sharpen(result, *sharp)
+            largest = max(result.base.loss - result.found.loss, 0.0) if result.rounds else 0.0
+            continue
         if best is None:
             break
         if (alone := _without_it(result, best)) is not None:
@@ -154,10 +161,25 @@ def _finalists(result: Search, tried: list[tuple[Chain, Fitted]], largest: float
     return each(settled, sorted(better + anew, key=lambda one: one[1].loss)[:FINALISTS])
 
 
+def _sharper(result: Search, sharp: tuple[Chain, Fitted], best: tuple[Chain, Fitted] | None) -> bool:
+    """Whether plays of their own width take more off than any effect: what a name would explain of it is theirs."""
+    loss = sharp[1].loss
+    return loss < SHARPER * result.found.loss and (best is None or loss < best[1].loss)
+
+
+def _sharpen(result: Search, chain: Chain, found: Fitted) -> None:
+    """Go on with plays of their own width in the base."""
+    result.chain, result.found = chain, found
+    result.base = fit(chain, (), replace(found.point, values=()))
+    result.past = _past(chain, result.base.point)
+
+
 def _beside_the_last_step(result: Search) -> list[tuple[Chain, Fitted]]:
     """Where a step of the load was found last: what came next to it, each with a step that suits it."""
     if not result.rounds or result.found.effects[-1:] != ("load_step",):
         return []
+    if result.rounds[-1].accepted.point.density.size != result.chain.density.count:
+        return []  # fitted before the base had sharp plays
     others = sorted(result.rounds[-1].others, key=lambda one: one.loss)
     return with_a_step(result.chain, result.found, others[:BESIDE_A_STEP])
 

@@ -6,7 +6,7 @@ The Gauss-Newton steps of `fit`, each a quadratic program in which every slope o
 import numpy as np
 from numpy.typing import NDArray
 
-from piezod.diagnose.chain import HATS, Chain
+from piezod.diagnose.chain import Chain
 from piezod.diagnose.fit import Fitted, Layout, Normal
 from piezod.errors import RecordingError
 from piezod.identify.qp import Constraints, solve_step
@@ -19,7 +19,7 @@ SMALLEST = 5.0 * EPS  # slope of the loading curve
 
 
 def loading_slopes(chain: Chain, density: Array) -> Array:
-    """Slopes of the loading curve, shape (1 + PLAYS,) [1]; where one is not positive it folds and has no inverse."""
+    """Slopes of the loading curve, shape (1 + plays,) [1]; where one is not positive it folds and has no inverse."""
     return np.cumsum(chain.density.weights(density))
 
 
@@ -27,11 +27,11 @@ def unfolded(chain: Chain, found: Fitted) -> Fitted:
     """The same hypothesis, fitted where its plays do not fold; itself where they do not, or where no fit is found."""
     if loading_slopes(chain, found.point.density).min() >= EPS:
         return found
-    layout = Layout(chain, found.terms)
-    at_zero = loading_slopes(chain, np.zeros(HATS))
-    by_hat = np.array([loading_slopes(chain, one) - at_zero for one in np.eye(HATS)]).T
+    layout, count = Layout(chain, found.terms), chain.density.count
+    at_zero = loading_slopes(chain, np.zeros(count))
+    by_hat = np.array([loading_slopes(chain, one) - at_zero for one in np.eye(count)]).T
     rows = np.zeros((at_zero.size, layout.size))
-    rows[:, :HATS] = by_hat
+    rows[:, :count] = by_hat
     constraints = Constraints(rows, SMALLEST - at_zero)
     vector, least = layout.vector(found.point), np.inf
     best: Array = vector
