@@ -178,7 +178,8 @@ def _beside_the_last_step(result: Search) -> list[tuple[Chain, Fitted]]:
     """Where a step of the load was found last: what came next to it, each with a step that suits it."""
     if not result.rounds or result.found.effects[-1:] != ("load_step",):
         return []
-    if result.rounds[-1].accepted.point.density.size != result.chain.density.count:
+    last = result.rounds[-1].accepted.point
+    if (last.density.size, last.law.size) != (result.chain.density.count, result.chain.law.count):
         return []  # fitted before the base had sharp plays
     others = sorted(result.rounds[-1].others, key=lambda one: one.loss)
     return with_a_step(result.chain, result.found, others[:BESIDE_A_STEP])

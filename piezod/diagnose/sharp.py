@@ -99,17 +99,17 @@ def _with_corners(chain: Chain, normal: Normal) -> tuple[Chain, Point] | None:
         some, others = chosen[of_play], chosen[~of_play] - plays.places_V.size
         if left:
             plays, kinks = plays.nearer(some), kinks.nearer(others)
-    smooth, splines = density.smooth(), law.smooth()
     known_V, parts = density.corners(point.density)
-    density = smooth.beside(np.append(known_V, plays.places_V[some]), np.append(parts, weights[of_play])[:, None])
-    known_V, parts = law.corners(point.law)
-    law = splines.beside(np.append(known_V, kinks.places_V[others]), np.append(parts, weights[~of_play])[:, None])
-    start = replace(
-        point,
-        density=np.append(point.density[: smooth.count], 1.0),
-        law=np.append(point.law[: splines.count], 1.0),
-    )
-    return chain.with_base(density, law), start
+    thresholds_V, parts = np.append(known_V, plays.places_V[some]), np.append(parts, weights[of_play])
+    bends_V, leaps = law.corners(point.law)
+    bends_V, leaps = np.append(bends_V, kinks.places_V[others]), np.append(leaps, weights[~of_play])
+    density, law = density.smooth(), law.smooth()
+    coefficients, splines = point.density[: density.count], point.law[: law.count]
+    if parts.size:
+        density, coefficients = density.beside(thresholds_V, parts[:, None]), np.append(coefficients, 1.0)
+    if leaps.size:
+        law, splines = law.beside(bends_V, leaps[:, None]), np.append(splines, 1.0)
+    return chain.with_base(density, law), replace(point, density=coefficients, law=splines)
 
 
 def _chosen(chain: Chain, normal: Normal, plays_V: Array, kinks_V: Array) -> tuple[Array, Array]:

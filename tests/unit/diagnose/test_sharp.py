@@ -68,3 +68,11 @@ def test_what_corners_explain_gets_no_name_and_what_they_do_not_keeps_its_own():
     bent = search(*chain_over(few_plays, lambda force_N: force_N + 1e-4 * force_N**2), lambda *_: None)
     assert bent.names == ("output_nonlinearity",)
     assert bent.found.loss < 1.1
+
+
+def test_plays_alone_bring_no_kink():
+    chain, start = chain_over(lambda u: 0.7 * u + 0.9 * played(np.concatenate(([0.0], u)), 17.0)[1:])
+    found = sharpened(chain, fit(chain, (), start))
+    assert found is not None
+    assert found[0].law.kinks_V.size == 0
+    assert found[1].loss == pytest.approx(1.0, abs=0.05)
