@@ -100,9 +100,9 @@ def _with_corners(chain: Chain, normal: Normal) -> tuple[Chain, Point] | None:
         if left:
             plays, kinks = plays.nearer(some), kinks.nearer(others)
     known_V, parts = density.corners(point.density)
-    thresholds_V, parts = np.append(known_V, plays.places_V[some]), np.append(parts, weights[of_play])
+    thresholds_V, parts = _merged(known_V, parts, plays.places_V[some], weights[of_play])
     bends_V, leaps = law.corners(point.law)
-    bends_V, leaps = np.append(bends_V, kinks.places_V[others]), np.append(leaps, weights[~of_play])
+    bends_V, leaps = _merged(bends_V, leaps, kinks.places_V[others], weights[~of_play])
     density, law = density.smooth(), law.smooth()
     coefficients, splines = point.density[: density.count], point.law[: law.count]
     if parts.size:
@@ -110,6 +110,13 @@ def _with_corners(chain: Chain, normal: Normal) -> tuple[Chain, Point] | None:
     if leaps.size:
         law, splines = law.beside(bends_V, leaps[:, None]), np.append(splines, 1.0)
     return chain.with_base(density, law), replace(point, density=coefficients, law=splines)
+
+
+def _merged(known_V: Array, known: Array, more_V: Array, more: Array) -> tuple[Array, Array]:
+    """Places and sizes of corners, rising, each place once."""
+    places_V, where = np.unique(np.append(known_V, more_V), return_inverse=True)
+    sizes: Array = np.bincount(where, np.append(known, more), places_V.size)
+    return places_V, sizes
 
 
 def _chosen(chain: Chain, normal: Normal, plays_V: Array, kinks_V: Array) -> tuple[Array, Array]:
