@@ -17,7 +17,7 @@ from piezod.diagnose.lattice import unrounded
 from piezod.diagnose.locate import locate
 from piezod.diagnose.motion import motion
 from piezod.diagnose.parallel import each
-from piezod.diagnose.prepare import Source, chain_of, even, stand_in, started, without_frozen
+from piezod.diagnose.prepare import Source, chain_of, even, stand_in, started, without_frozen, without_unknown
 from piezod.diagnose.search import OnProgress, Search, search, without
 from piezod.diagnose.series import Series
 from piezod.diagnose.testable import untestable
@@ -100,10 +100,11 @@ def diagnose(
     frozen: dict[int, list[tuple[int, int]]] = {}
     for source in (*past, *asked):
         one, more = even(source, model)
-        one, stretches = without_frozen(started(one, model), model)
+        one, unknown = without_unknown(started(one, model), model)
+        one, stretches = without_frozen(one, model)
         if stretches:
             frozen[len(series)] = stretches
-        said += more
+        said += more + unknown
         series.append(unrounded(one))
     if not past:
         series.insert(0, stand_in(model))

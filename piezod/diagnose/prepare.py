@@ -15,7 +15,7 @@ from piezod.diagnose.series import Role, Series
 from piezod.errors import RecordingError
 from piezod.excitation import varying_triangles
 from piezod.identify.simulation import where
-from piezod.identify.start import estimate_path, start_at_zero, starts_at_rest
+from piezod.identify.start import estimate_path, remembered, start_at_zero, starts_at_rest
 from piezod.model import Model, file_sha256
 from piezod.recording import HELD, Recording, read_recording
 
@@ -26,6 +26,7 @@ UNEVEN = 0.01  # of a step; beyond it a recording is resampled
 MOST_MISSED = 1.5  # ticks a sample, beyond which the steps are no clock that skips a few
 STAND_IN_SAMPLES = 6000  # of the excitation that stands for recordings which are no longer there
 START_LOOKED_AT_S = 20.0
+MOST_UNKNOWN = 0.75  # of a recording, that may be left out for what came before it
 
 
 @dataclass(frozen=True)
@@ -248,6 +249,40 @@ def started(series: Series, model: Model) -> Series:
     return replace(series, path_V=estimate_path(operator, u, known - np.nanmedian(known - operator.run(u)), window))
 
 
+def without_unknown(series: Series, model: Model) -> tuple[Series, list[str]]:
+    """The same from where it no longer depends on what was driven before a start amid the range, and what is said.
+
+    Whatever came before, the force lies between those after the ends of the range, reached first or one by the other;
+    it does not depend on it where these stay as far apart as at the last sample, within the noise.
+    """
+    u = series.command_V
+    if starts_at_rest(u):
+        return series, []
+    low, high = min(model.input.low, float(u.min())), max(model.input.high, float(u.max()))
+    courses = []
+    for path in ((low,), (high,), (low, high), (high, low)):
+        operator = model.hysteresis.operator()
+        operator.run(np.array(path))
+        course_N = operator.run(u)
+        courses.append(course_N - course_N[-1])  # a play that never moves again is a shift of the zero: that is fitted
+    unknown = np.flatnonzero(np.ptp(courses, axis=0) > series.noise_N)
+    first = min(int(unknown[-1]) + 1 if unknown.size else 0, int(MOST_UNKNOWN * u.size))
+    if not first:
+        return series, []
+    known = slice(first, None)
+    said = f"{series.name}: its first {first * series.dt_s:.3g} s depend on what came before and are left out"
+    return replace(
+        series,
+        time_s=series.time_s[known] - series.time_s[first],
+        command_V=u[known],
+        reading_N=series.reading_N[known],
+        counts=series.counts[known],
+        temperature_C=None if series.temperature_C is None else series.temperature_C[known],
+        start_s=series.start_s + float(series.time_s[first]),
+        path_V=(*series.path_V, *remembered(u[:first])),
+    ), [said]
+
+
 def without_frozen(series: Series, model: Model) -> tuple[Series, list[tuple[int, int]]]:
     """The same without readings that are frozen, and where they are.
 
@@ -295,4 +330,5 @@ __all__ = [
     "stand_in",
     "started",
     "without_frozen",
+    "without_unknown",
 ]

@@ -64,6 +64,8 @@ class _Places:
 def sharpened(chain: Chain, found: Fitted) -> tuple[Chain, Fitted] | None:
     """The same hypothesis with corners in its base, beside those that it has; None where none is worth it.
 
+    They are chosen by the recordings of the identification alone: what has come since bends nothing there.
+
     Parameters
     ----------
     chain
@@ -71,7 +73,9 @@ def sharpened(chain: Chain, found: Fitted) -> tuple[Chain, Fitted] | None:
     found
         The hypothesis.
     """
-    now, point = coarse(chain), found.point
+    known = [k for k, one in enumerate(chain.series) if one.role == "identification"]
+    now = coarse(chain.like([chain.series[k] for k in known]))
+    point = replace(found.point, offsets_N=found.point.offsets_N[known])
     for _ in range(ROUNDS):
         normal = Normal.at(now, found.terms, fit(now, found.terms, point, most_steps=3).point)
         more = _with_corners(now, normal)
@@ -82,7 +86,7 @@ def sharpened(chain: Chain, found: Fitted) -> tuple[Chain, Fitted] | None:
     if now.density is chain.density:
         return None
     sharp = chain.with_base(now.density, now.law)
-    return sharp, fit(sharp, found.terms, point)
+    return sharp, fit(sharp, found.terms, replace(point, offsets_N=found.point.offsets_N))
 
 
 def _with_corners(chain: Chain, normal: Normal) -> tuple[Chain, Point] | None:
@@ -115,7 +119,8 @@ def _with_corners(chain: Chain, normal: Normal) -> tuple[Chain, Point] | None:
 def _merged(known_V: Array, known: Array, more_V: Array, more: Array) -> tuple[Array, Array]:
     """Places and sizes of corners, rising, each place once."""
     places_V, where = np.unique(np.append(known_V, more_V), return_inverse=True)
-    sizes: Array = np.bincount(where, np.append(known, more), places_V.size)
+    sizes = np.zeros(places_V.size)
+    np.add.at(sizes, where, np.append(known, more))
     return places_V, sizes
 
 

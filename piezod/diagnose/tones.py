@@ -212,8 +212,9 @@ def _smoothed(series: Series, values: Complex) -> Complex:
 
 def _steady(name: str, series: Series, envelope: Complex, line: Line) -> dict[str, float]:
     """Frequency, amplitude and phase that come nearest, as the effect counts them."""
-    phase, weight = np.unwrap(np.angle(envelope)), np.abs(envelope)
-    slope, start = np.polyfit(series.time_s, phase, 1, w=weight)
+    heard = envelope[series.counts]  # where nothing counts it is nothing
+    phase, weight = np.unwrap(np.angle(heard)), np.abs(heard)
+    slope, start = np.polyfit(series.time_s[series.counts], phase, 1, w=weight)
     values = {one.name: one.starts[0] for one in EFFECTS[name].parameters if not one.choices}
     values["frequency_Hz"] = line.frequency_Hz + float(slope) / (2.0 * np.pi)
     values["amplitude_N"] = 2.0 * float(np.mean(weight))

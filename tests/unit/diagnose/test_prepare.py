@@ -5,8 +5,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from piezod.diagnose.prepare import Source, even, without_frozen
+from piezod.diagnose.basis import PlayDensity
+from piezod.diagnose.prepare import Source, even, started, without_frozen, without_unknown
 from piezod.errors import RecordingError
+from piezod.identify.start import remembered
 from piezod.model import load_model
 from piezod.recording import Recording
 
@@ -58,3 +60,40 @@ def test_a_recording_whose_reading_never_moves_is_refused_in_one_line(model):
     left, stretches = without_frozen(even(source, model)[0], model)
     assert stretches == [(0, 1500)]
     assert np.count_nonzero(left.counts) == 501
+
+
+def test_what_came_before_a_start_amid_the_range_is_left_out_and_what_followed_is_remembered(model):
+    time_s = np.arange(6000) / RATE_Hz
+    u = 60.0 + np.minimum(time_s, 20.0) * 2.9 * np.sin(2.0 * np.pi * 0.31 * time_s)
+    readings_N = []
+    for history_V in ((140.0,), (140.0, 0.0), (90.0, 40.0)):
+        operator = model.hysteresis.operator()
+        operator.run(np.array(history_V))
+        readings_N.append(operator.run(u))
+    noise_N = 0.1 * np.random.default_rng(5).standard_normal(u.size)
+    source = a_recording(time_s, model)
+    source.recording.channels[model.input.channel][:] = u
+    source.recording.channels[model.output.channel][:] = readings_N[0] + noise_N
+    series, said = without_unknown(started(even(source, model)[0], model), model)
+    first = u.size - series.time_s.size
+    assert 0 < first < 0.75 * u.size
+    assert f"its first {first / RATE_Hz:.3g} s depend on what came before" in said[0]
+    for other_N in readings_N[1:]:
+        apart_N = other_N - readings_N[0]
+        assert np.abs(apart_N - apart_N[-1])[first:].max() <= series.noise_N
+    operator = model.hysteresis.operator()
+    operator.run(np.array(series.path_V))
+    simulated_N = operator.run(series.command_V)
+    shift_N = readings_N[0][-1] - simulated_N[-1]
+    np.testing.assert_allclose(simulated_N + shift_N, readings_N[0][first:], atol=2.0 * series.noise_N)
+    assert series.start_s == pytest.approx(first / RATE_Hz)
+
+
+def test_the_largest_reversals_are_all_that_plays_remember():
+    rng, density = np.random.default_rng(0), PlayDensity.up_to(60.0)
+    for samples in (1, 2, 3, 17, 300):
+        for _ in range(20):
+            u = np.clip(np.cumsum(rng.normal(0.0, 8.0, samples)) + 40.0, 0.0, 120.0)
+            then = u[-1] + rng.normal(0.0, 20.0, 50)
+            short = density.columns(then, np.array([5.0, *remembered(u)]))
+            np.testing.assert_allclose(short, density.columns(then, np.array([5.0, *u])), atol=1e-9)
