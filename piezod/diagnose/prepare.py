@@ -265,8 +265,10 @@ def without_unknown(series: Series, model: Model) -> tuple[Series, list[str]]:
         operator.run(np.array(path))
         course_N = operator.run(u)
         courses.append(course_N - course_N[-1])  # a play that never moves again is a shift of the zero: that is fitted
-    unknown = np.flatnonzero(np.ptp(courses, axis=0) > series.noise_N)
-    first = min(int(unknown[-1]) + 1 if unknown.size else 0, int(MOST_UNKNOWN * u.size))
+    apart_N = np.ptp(courses, axis=0)
+    never_N = float(apart_N[int(MOST_UNKNOWN * u.size) :].max())  # what no part of the recording tells
+    unknown = np.flatnonzero(apart_N > max(series.noise_N, never_N))
+    first = int(unknown[-1]) + 1 if unknown.size else 0
     if not first:
         return series, []
     known = slice(first, None)
