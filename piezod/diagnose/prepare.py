@@ -26,6 +26,7 @@ UNEVEN = 0.01  # of a step; beyond it a recording is resampled
 MOST_MISSED = 1.5  # ticks a sample, beyond which the steps are no clock that skips a few
 STAND_IN_SAMPLES = 6000  # of the excitation that stands for recordings which are no longer there
 START_LOOKED_AT_S = 20.0
+APART = 3.0  # noises between what may have been, above which it is not known
 MOST_UNKNOWN = 0.75  # of a recording, that may be left out for what came before it
 
 
@@ -253,7 +254,7 @@ def without_unknown(series: Series, model: Model) -> tuple[Series, list[str]]:
     """The same from where it no longer depends on what was driven before a start amid the range, and what is said.
 
     Whatever came before, the force lies between those after the ends of the range, reached first or one by the other;
-    it does not depend on it where these stay as far apart as at the last sample, within the noise.
+    it does not depend on it where these stay as far apart as at the last sample, within some noises.
     """
     u = series.command_V
     if starts_at_rest(u):
@@ -267,7 +268,7 @@ def without_unknown(series: Series, model: Model) -> tuple[Series, list[str]]:
         courses.append(course_N - course_N[-1])  # a play that never moves again is a shift of the zero: that is fitted
     apart_N = np.ptp(courses, axis=0)
     never_N = float(apart_N[int(MOST_UNKNOWN * u.size) :].max())  # what no part of the recording tells
-    unknown = np.flatnonzero(apart_N > max(series.noise_N, never_N))
+    unknown = np.flatnonzero(apart_N > max(APART * series.noise_N, never_N))
     first = int(unknown[-1]) + 1 if unknown.size else 0
     if not first:
         return series, []

@@ -119,8 +119,8 @@ def search(chain: Chain, start: Point, progress: OnProgress) -> Search:
             _listen(result, heard)
             largest = max(result.base.loss - result.found.loss, 0.0)
             continue
-        sharp = sharpened(result.chain, result.found)
-        if sharp is not None and _sharper(result, sharp, best):
+        sharp = _sharper(result, best)
+        if sharp is not None:
             _sharpen(result, *sharp)
             largest = max(result.base.loss - result.found.loss, 0.0) if result.rounds else 0.0
             continue
@@ -161,10 +161,17 @@ def _finalists(result: Search, tried: list[tuple[Chain, Fitted]], largest: float
     return each(settled, sorted(better + anew, key=lambda one: one[1].loss)[:FINALISTS])
 
 
-def _sharper(result: Search, sharp: tuple[Chain, Fitted], best: tuple[Chain, Fitted] | None) -> bool:
-    """Whether plays of their own width take more off than any effect: what a name would explain of it is theirs."""
-    loss = sharp[1].loss
-    return loss < SHARPER * result.found.loss and (best is None or loss < best[1].loss)
+def _sharper(result: Search, best: tuple[Chain, Fitted] | None) -> tuple[Chain, Fitted] | None:
+    """The same with corners in the base, where these take more off than any effect: a name would be for their sake.
+
+    By all recordings only where no effect is left that may bend them.
+    """
+    enough = min(SHARPER * result.found.loss, np.inf if best is None else best[1].loss)
+    for by_all in (False, True) if best is None else (False,):
+        sharp = sharpened(result.chain, result.found, by_all=by_all)
+        if sharp is not None and sharp[1].loss < enough:
+            return sharp
+    return None
 
 
 def _sharpen(result: Search, chain: Chain, found: Fitted) -> None:

@@ -61,10 +61,8 @@ class _Places:
         return _Places(unique_V, apart_V[inside][first], self.low_V, self.high_V)
 
 
-def sharpened(chain: Chain, found: Fitted) -> tuple[Chain, Fitted] | None:
+def sharpened(chain: Chain, found: Fitted, *, by_all: bool) -> tuple[Chain, Fitted] | None:
     """The same hypothesis with corners in its base, beside those that it has; None where none is worth it.
-
-    They are chosen by the recordings of the identification alone: what has come since bends nothing there.
 
     Parameters
     ----------
@@ -72,8 +70,11 @@ def sharpened(chain: Chain, found: Fitted) -> tuple[Chain, Fitted] | None:
         Recordings and base.
     found
         The hypothesis.
+    by_all
+        They are chosen by all recordings; else by those of the identification, where nothing bends them that has come
+        since.
     """
-    known = [k for k, one in enumerate(chain.series) if one.role == "identification"]
+    known = [k for k, one in enumerate(chain.series) if by_all or one.role == "identification"]
     now = coarse(chain.like([chain.series[k] for k in known]))
     point = replace(found.point, offsets_N=found.point.offsets_N[known])
     for _ in range(ROUNDS):

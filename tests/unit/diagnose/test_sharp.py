@@ -42,11 +42,12 @@ def chain_over(stack, missing=lambda force_N: force_N):
     return chain, empty_point(chain, 1.8, 0.0)
 
 
-def test_a_stack_of_few_plays_behind_a_kink_is_followed_down_to_the_noise():
+@pytest.mark.parametrize("by_all", [False, True])
+def test_a_stack_of_few_plays_behind_a_kink_is_followed_down_to_the_noise(by_all):
     chain, start = chain_over(few_plays)
     smooth = fit(chain, (), start)
     assert smooth.loss > 1.5
-    found = sharpened(chain, smooth)
+    found = sharpened(chain, smooth, by_all=by_all)
     assert found is not None
     sharp, fitted = found
     assert fitted.loss == pytest.approx(1.0, abs=0.05)
@@ -56,10 +57,11 @@ def test_a_stack_of_few_plays_behind_a_kink_is_followed_down_to_the_noise():
     assert np.abs(sharp.law.kinks_V - KINK_V).min() < LEAST_V
 
 
-def test_a_smooth_stack_needs_no_corner():
+@pytest.mark.parametrize("by_all", [False, True])
+def test_a_smooth_stack_needs_no_corner(by_all):
     chain, start = chain_over(many_plays)
     smooth = fit(chain, (), start)
-    found = sharpened(chain, smooth)
+    found = sharpened(chain, smooth, by_all=by_all)
     assert found is None or found[1].loss > SHARPER * smooth.loss
 
 
@@ -70,9 +72,10 @@ def test_what_corners_explain_gets_no_name_and_what_they_do_not_keeps_its_own():
     assert bent.found.loss < 1.1
 
 
-def test_plays_alone_bring_no_kink():
+@pytest.mark.parametrize("by_all", [False, True])
+def test_plays_alone_bring_no_kink(by_all):
     chain, start = chain_over(lambda u: 0.7 * u + 0.9 * played(np.concatenate(([0.0], u)), 17.0)[1:])
-    found = sharpened(chain, fit(chain, (), start))
+    found = sharpened(chain, fit(chain, (), start), by_all=by_all)
     assert found is not None
     assert found[0].law.kinks_V.size == 0
     assert found[1].loss == pytest.approx(1.0, abs=0.05)
