@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from piezod.diagnose.chain import Chain, Point
+from piezod.diagnose.chain import LONG, Chain, Point
 from piezod.diagnose.courses import coarse
 from piezod.diagnose.fit import Fitted, Normal, fit, solved
 
@@ -72,9 +72,13 @@ def sharpened(chain: Chain, found: Fitted, *, by_all: bool) -> tuple[Chain, Fitt
         The hypothesis.
     by_all
         They are chosen by all recordings; else by those of the identification, where nothing bends them that has come
-        since.
+        since. Long ones are left out: a column for each place looked at takes their memory many times.
     """
-    known = [k for k, one in enumerate(chain.series) if by_all or one.role == "identification"]
+    known = [
+        k for k, one in enumerate(chain.series) if (by_all or one.role == "identification") and one.time_s.size < LONG
+    ]
+    if not known:
+        return None
     now = coarse(chain.like([chain.series[k] for k in known]))
     point = replace(found.point, offsets_N=found.point.offsets_N[known])
     for _ in range(ROUNDS):
@@ -128,9 +132,9 @@ def _merged(known_V: Array, known: Array, more_V: Array, more: Array) -> tuple[A
 def _chosen(chain: Chain, normal: Normal, plays_V: Array, kinks_V: Array) -> tuple[Array, Array]:
     """Numbers of the corners that take most off, plays before kinks, one after the other, and their weights."""
     columns = [np.hstack(parts) for parts in zip(*_columns(chain, normal, plays_V, kinks_V), strict=True)]
-    inner_, along_, squares = normal.projected(columns)
+    whole, sides, squares = normal.projected(columns)
     enough = LEAST_GAIN * sum(float(one @ one) for one in normal.weighted)
-    inner, along, chosen = inner_.copy(), along_.copy(), list[int]()
+    inner, along, chosen = whole.copy(), sides.copy(), list[int]()
     while len(chosen) < MOST_CORNERS:
         own = np.diag(inner)
         free = own > OWN_PART * squares
@@ -141,7 +145,7 @@ def _chosen(chain: Chain, normal: Normal, plays_V: Array, kinks_V: Array) -> tup
         chosen.append(best)
         part = inner[:, best] / own[best]
         along, inner = along - part * along[best], inner - np.outer(part, inner[best])
-    return np.array(chosen, dtype=np.int64), solved(inner_[np.ix_(chosen, chosen)], along_[chosen])
+    return np.array(chosen, dtype=np.int64), solved(whole[np.ix_(chosen, chosen)], sides[chosen])
 
 
 def _columns(chain: Chain, normal: Normal, plays_V: Array, kinks_V: Array) -> list[list[Array]]:
