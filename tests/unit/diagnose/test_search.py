@@ -1,0 +1,39 @@
+"""The search: what was preferred at first does not hide what stands beside it."""
+
+import numpy as np
+from unit.diagnose.residuals import mixed_work, noise, series, time
+from unit.diagnose.test_sharp import many_plays
+
+from piezod.diagnose.basis import ForceLaw, PlayDensity
+from piezod.diagnose.chain import Chain, empty_point
+from piezod.diagnose.search import search
+
+SAMPLES, RATE_HZ, NOISE_N = 12_000, 200.0, 0.2
+
+
+def chain_over(missing_N, temperature_C):
+    """An identification without, and a recording with what is missing; both with a temperature that rises."""
+    seconds, rng, made = time(SAMPLES, RATE_HZ), np.random.default_rng(7), []
+    for role in ("identification", "recording"):
+        u = (
+            mixed_work(seconds)
+            if role == "recording"
+            else 60.0 - 60.0 * np.cos(0.5 * seconds) * np.cos(0.031 * seconds)
+        )
+        u = np.clip(u - u[0], 0.0, None)
+        force_N = many_plays(u) + NOISE_N * noise(SAMPLES, 0.0, rng)
+        if role == "recording":
+            force_N += missing_N(seconds)
+        made.append(series(seconds, u, force_N, NOISE_N, temperature_C=temperature_C, role=role))
+    chain = Chain(made, PlayDensity.up_to(119.4), ForceLaw(-4.0, 120.0), 216.0)
+    return chain, empty_point(chain, 1.8, 0.0)
+
+
+def test_a_step_that_goes_again_does_not_hide_a_drift():
+    def missing_N(seconds):
+        return 0.15 * (temperature_C - 20.0) + 0.8 * ((seconds > 21.0) & (seconds < 33.0))
+
+    temperature_C = 20.0 + 8.0 * (1.0 - np.exp(-time(SAMPLES, RATE_HZ) / 25.0))
+    found = search(*chain_over(missing_N, temperature_C), lambda *_: None)
+    assert set(found.names) == {"thermal_drift", "load_step"}
+    assert found.found.loss < 1.05
