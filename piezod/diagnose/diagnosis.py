@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from threadpoolctl import threadpool_limits
 
 from piezod.diagnose.courses import as_told
 from piezod.diagnose.evidence import all_terms, finding_of, read_off, tone_finding
@@ -94,6 +95,13 @@ def diagnose(
     RecordingError
         A recording cannot be used.
     """
+    with threadpool_limits(1, user_api="blas"):  # fits run beside each other, and theirs would fight for the cores
+        return _diagnosed(model, asked, past, notes, progress)
+
+
+def _diagnosed(
+    model: Model, asked: Sequence[Source], past: Sequence[Source], notes: Sequence[str], progress: OnProgress
+) -> Diagnosis:
     progress("reading", 0.0)
     said = list(notes)
     series: list[Series] = []
