@@ -18,7 +18,6 @@ HELD_PARTS = (0.3, 0.7)  # of a sample after its command, where the search for t
 SMALLEST_PART = 0.04
 START_LOOKED_AT_S = 20.0
 SAME = 0.005  # of the loss
-BESIDE = 1e-3  # of a sample: either side of a held command's step
 COARSE_ROWS = 6000  # samples of a recording that are compared while much is tried
 
 
@@ -115,26 +114,6 @@ def best_course(chain: Chain, terms: Sequence[Term], point: Point, known: Fitted
                 judged(between)
         width *= 0.5
     return results[best()]
-
-
-def as_told(chain: Chain, fitted: Fitted) -> tuple[Chain, Fitted]:
-    """A hypothesis with a delay, for commands held as the recordings say: part of a sample may pass for either."""
-    told = {one.held_for for one in chain.series if one.role == "recording"}
-    held_for, read_after = told.pop(), chain.series[-1].read_after
-    place = next((k for k, term in enumerate(fitted.terms) if term.effect.name == "transport_delay"), None)
-    if told or held_for is None or place is None:
-        return chain, fitted
-    series = [one if one.held_for is None else replace(one, between=held_for) for one in chain.series]
-    if fitted.terms[place].scope == "already" and any(one.held_for is None for one in series):
-        return chain, fitted
-    other = chain.like(series)
-    tried = []
-    for beside in (-BESIDE, BESIDE):
-        values = [dict(one) for one in fitted.point.values]
-        values[place]["delay_s"] += (held_for - read_after + beside) * chain.series[-1].dt_s
-        tried.append(fit(other, fitted.terms, replace(fitted.point, values=tuple(values))))
-    again = min(tried, key=lambda one: one.loss)
-    return (other, again) if again.loss <= (1.0 + SAME) * fitted.loss else (chain, fitted)
 
 
 def coarse(chain: Chain) -> Chain:

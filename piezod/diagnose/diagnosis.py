@@ -7,7 +7,6 @@ import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
-from piezod.diagnose.courses import as_told
 from piezod.diagnose.evidence import all_terms, finding_of, read_off, tone_finding
 from piezod.diagnose.extended import extended_model
 from piezod.diagnose.findings import Findings, Place
@@ -22,6 +21,7 @@ from piezod.diagnose.prepare import Source, chain_of, even, stand_in, started, w
 from piezod.diagnose.search import OnProgress, Search, search, without
 from piezod.diagnose.series import Series
 from piezod.diagnose.testable import untestable
+from piezod.diagnose.told import as_told
 from piezod.diagnose.tones import with_tones
 from piezod.diagnose.unfolded import unfolded
 from piezod.diagnose.verdict import (

@@ -1,6 +1,6 @@
 """The search: grow a hypothesis by the effect that explains most of what is left, then try to swap and to drop."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 
@@ -21,7 +21,7 @@ from piezod.diagnose.acceptance import (
 from piezod.diagnose.chain import Chain, Point, Term
 from piezod.diagnose.courses import best_course, coarse, settled, suited_anew
 from piezod.diagnose.direct import noise_of
-from piezod.diagnose.fit import Fitted, Normal, fit
+from piezod.diagnose.fit import MOST_STEPS, Fitted, Normal, fit
 from piezod.diagnose.parallel import each
 from piezod.diagnose.series import Series
 from piezod.diagnose.sharp import sharpened
@@ -37,6 +37,7 @@ FINALISTS = 3  # of them that are tried with every course of the command between
 BESIDE_A_STEP = 2  # effects that a step was preferred to are tried with a step of their own
 OTHER_START = 0.99  # of the loss: below it what was found is believed to have started otherwise
 OTHER_SCOPE = 0.98  # of the loss: below it an effect's other scope is taken
+RIVALS = 6  # of an effect, that are tried in its place at the end
 NEEDLESS = 0.02  # of the loss: an effect without which no more is lost is left out again
 DOUBTED = 3  # of those that fit better and are not believed that are fitted from other starts
 SHARPER = 0.98  # of the loss: below it plays of their own width are taken into the base
@@ -284,7 +285,7 @@ def _past(chain: Chain, start: Point) -> Point:
 
 
 def _swap(result: Search) -> None:
-    """Put a rival in an effect's place where the whole fits better with it."""
+    """Put a rival in an effect's place where the whole fits better with it, beside all that was found since."""
     if len(result.found.effects) == 1:
         return
     for name in result.found.effects:
@@ -295,23 +296,34 @@ def _swap(result: Search) -> None:
             for one in round_.others
             if one.effects[-1] not in result.found.effects
         ]
-        best = sorted(rivals, key=lambda one: one.loss)[:2]
-        if not best:
+        if not rivals:
             continue
         terms, values = without(result.found, name)
         fewer = fit(result.chain, terms, replace(result.found.point, values=tuple(values)))
+        few = coarse(result.chain)
+        tried = each(partial(_with_instead, few, result.found, name, most_steps=4), _first_of_each(rivals)[:RIVALS])
+        few.forget()
+        best = sorted(tried, key=lambda one: one.loss)[:2]
         swapped = each(partial(_with_instead, result.chain, result.found, name), best)
         fitting = [one for one in swapped if worth(fewer, one) and not degenerate(result.chain, one)]
         if fitting and min(one.loss for one in fitting) < 0.98 * result.found.loss:
             result.found = min(fitting, key=lambda one: one.loss)
 
 
-def _with_instead(chain: Chain, found: Fitted, name: str, rival: Fitted) -> Fitted:
+def _first_of_each(tried: Sequence[Fitted]) -> list[Fitted]:
+    """The best with each last effect, the best one first."""
+    best: dict[str, Fitted] = {}
+    for one in sorted(tried, key=lambda one: one.loss):
+        best.setdefault(one.effects[-1], one)
+    return list(best.values())
+
+
+def _with_instead(chain: Chain, found: Fitted, name: str, rival: Fitted, most_steps: int = MOST_STEPS) -> Fitted:
     terms, values = without(found, name)
     last = [k for k, term in enumerate(rival.terms) if term.effect.name == rival.effects[-1]]
     terms += [rival.terms[k] for k in last]
     values += [rival.point.values[k] for k in last]
-    return fit(chain, terms, replace(found.point, values=tuple(values)))
+    return fit(chain, terms, replace(found.point, values=tuple(values)), most_steps=most_steps)
 
 
 def without(found: Fitted, name: str) -> tuple[list[Term], list[Mapping[str, float]]]:

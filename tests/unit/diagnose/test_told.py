@@ -1,0 +1,63 @@
+"""A recording that says how long its commands were held: what is late is told from what the course hides."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from unit.diagnose.residuals import lagged, mixed_work, noise, series, time
+from unit.diagnose.test_sharp import many_plays
+
+from piezod.diagnose.basis import ForceLaw, PlayDensity
+from piezod.diagnose.chain import Chain, Term, empty_point
+from piezod.diagnose.fit import fit
+from piezod.diagnose.told import as_told
+from piezod.effects import EFFECTS
+
+SAMPLES, RATE_HZ, FINE = 6_000, 200.0, 50
+LAG_S, NOISE_N = 0.008, 0.1
+STRAIGHT = 0.1  # of a sample: a delay is taken straight between samples, where the force approaches in curves
+HELD_A_SAMPLE_EARLIER = 1e-6  # what the search takes for the course where everything is a sample late
+
+
+def read(commands_V, delay_s):
+    """Commands held, lagged and delayed on a grid fifty times as fine, read just before the next command."""
+    amplifier_V = lagged(np.repeat(commands_V, FINE), LAG_S, FINE * RATE_HZ)
+    late = round(delay_s * RATE_HZ * FINE)
+    delayed_V = np.concatenate((np.full(late, amplifier_V[0]), amplifier_V))[: amplifier_V.size]
+    return many_plays(delayed_V[FINE - 1 :: FINE])
+
+
+def chain_over(delay_s, *, held_for):
+    seconds, rng, made = time(SAMPLES, RATE_HZ), np.random.default_rng(3), []
+    for role in ("identification", "recording"):
+        u = mixed_work(seconds)
+        u = np.clip(u - u[0], 0.0, None)
+        force_N = many_plays(u) if role == "identification" else read(u, delay_s)
+        force_N += NOISE_N * noise(SAMPLES, 0.0, rng)
+        told = held_for if role == "recording" else None
+        one = series(seconds, u, force_N, NOISE_N, role=role)
+        made.append(replace(one, held_for=told, between=HELD_A_SAMPLE_EARLIER))
+    return Chain(made, PlayDensity.up_to(119.4), ForceLaw(-4.0, 120.0), 216.0)
+
+
+def with_a_filter(chain):
+    """The lag of the amplifier, and a filter for what is later still."""
+    terms = tuple(Term(EFFECTS[name], "since") for name in ("electrical_lag", "sensor_filter"))
+    point = empty_point(chain, 1.8, 0.0)
+    values = ({"time_constant_s": LAG_S}, {"cutoff_Hz": 100.0})
+    return fit(chain, terms, replace(point, values=values))
+
+
+def test_a_filter_that_is_part_of_a_sample_gives_way_to_the_delay_that_the_told_course_needs():
+    chain = chain_over(0.0064, held_for=1.0)
+    _, found = as_told(chain, with_a_filter(chain))
+    assert set(found.effects) == {"electrical_lag", "transport_delay"}
+    values = dict(zip((term.effect.name for term in found.terms), found.point.values, strict=True))
+    assert values["transport_delay"]["delay_s"] == pytest.approx(0.0064, abs=STRAIGHT / RATE_HZ)
+    assert values["electrical_lag"]["time_constant_s"] == pytest.approx(LAG_S, rel=0.05)
+
+
+def test_a_recording_that_does_not_say_leaves_a_hypothesis_as_it_is():
+    chain = chain_over(0.0064, held_for=None)
+    found = with_a_filter(chain)
+    assert as_told(chain, found) == (chain, found)
