@@ -158,6 +158,7 @@ class Watch:
             "commands": report["commands"],
             "highest_V": report["highest_V"] or 0.0,
             "deeds": report["deeds"],
+            "late_ms": report["late_ms"],
         }
         if safe is not None:
             figures["ticks_to_command"] = _ticks_to_command(rows, safe)

@@ -104,6 +104,7 @@ class _Wire:
         self.rules: list[Rule] = []
         self.done: list[Deed] = []
         self.passed = 0
+        self.late_s = 0.0  # by how much more than asked for a frame was held back at most
         self._before = b""
         self._forged = 0
         self._random = random.Random(1)
@@ -151,7 +152,8 @@ class _Wire:
             case "reset" | "close" | "half_open":
                 line.act(rule.do)
             case "delay" | "throttle":
-                await _pause(rule.by if rule.do == "delay" else len(frame) / rule.by)
+                late_s = await _pause(rule.by if rule.do == "delay" else len(frame) / rule.by)
+                self.late_s = max(self.late_s, late_s)
                 line.send(frame, way)
             case "stall":
                 self.stall(rule.by)
@@ -185,13 +187,17 @@ class _Wire:
         return changes.get(rule.do, lambda: [frame])()
 
 
-async def _pause(duration_s: float) -> None:
-    """Let so much time pass: asyncio alone rounds up to whole milliseconds, which is a good part of a tick."""
+async def _pause(duration_s: float) -> float:
+    """Let so much time pass: asyncio alone rounds up to whole milliseconds, which is a good part of a tick.
+
+    Returns by how much it was more [s].
+    """
     end_s = time.monotonic() + duration_s
     if duration_s > ROUNDED_S:
         await asyncio.sleep(duration_s - ROUNDED_S)
     while time.monotonic() < end_s:  # noqa: ASYNC110  # nothing sets an event for the passing of time
         await asyncio.sleep(0)
+    return time.monotonic() - end_s
 
 
 class _Line:

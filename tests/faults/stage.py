@@ -280,6 +280,7 @@ class Stage:
         self.device.catch_up()
         self.judge.mark()
         self.proxy.done.clear()
+        self.proxy.late_s = 0.0
         self.device.commands = 0
         return self._now()
 
@@ -302,6 +303,7 @@ class Stage:
             "accepted": getattr(self.proxy, "accepted", 0),
             "done": [asdict(deed) for deed in self.proxy.done[:50]],
             "deeds": len(self.proxy.done),
+            "late_ms": 1e3 * self.proxy.late_s,
         }
 
     def _now(self) -> dict[str, Any]:
