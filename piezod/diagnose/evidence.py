@@ -1,6 +1,6 @@
 """What speaks for each effect that was found: parameters, errors without it and with it, rivals, confidence."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -151,18 +151,28 @@ def _share(result: Search, place: int) -> Value:
 
 
 def _rivals(result: Search, term: Term) -> tuple[Rival, ...]:
-    """Other effects that came near when this one was accepted, by how far they stay behind in noises."""
-    rivals: list[Rival] = []
+    """Other effects that came near, by how far they stay behind in noises: beside all that was found, or when tried."""
+    behind: dict[str, float] = {}
     for round_ in result.rounds:
-        if round_.accepted.terms[-1].effect is not term.effect:
-            continue
-        reached = round_.before.loss - round_.accepted.loss
-        for other in round_.others:
-            effect = other.terms[-1].effect
-            if round_.before.loss - other.loss > RIVAL * reached and effect.name not in {r.name for r in rivals}:
-                behind = max(other.loss - round_.accepted.loss, 0.0)
-                rivals.append(Rival(effect.name, float(np.sqrt(behind)), term.effect.separate_by))
+        if round_.accepted.terms[-1].effect is term.effect:
+            losses = {one.terms[-1].effect.name: one.loss for one in sorted(round_.others, key=_loss, reverse=True)}
+            behind |= _near(round_.before.loss, round_.accepted.loss, losses)
+    beside = result.beside.get(term.effect.name)
+    if beside is not None:
+        early = {name: loss for name, loss in behind.items() if name not in beside.rivals}
+        behind = early | _near(beside.without, beside.with_it, beside.rivals)
+    rivals = [Rival(name, float(np.sqrt(loss)), term.effect.separate_by) for name, loss in behind.items()]
     return tuple(sorted(rivals, key=lambda rival: rival.separation)[:3])
+
+
+def _loss(one: Fitted) -> float:
+    return one.loss
+
+
+def _near(without_it: float, with_it: float, losses: Mapping[str, float]) -> dict[str, float]:
+    """By how much the loss with others stays behind, where they gain nearly as much."""
+    enough = without_it - RIVAL * (without_it - with_it)
+    return {name: max(loss - with_it, 0.0) for name, loss in losses.items() if loss < enough}
 
 
 def _confidence(gain: float, rivals: Sequence[Rival]) -> float:

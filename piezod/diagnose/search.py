@@ -54,6 +54,15 @@ class Round:
     others: tuple[Fitted, ...]
 
 
+@dataclass(frozen=True)
+class Beside:
+    """Losses beside all else that was found: without an effect, with it, and with each rival in its place."""
+
+    without: float
+    with_it: float
+    rivals: Mapping[str, float]
+
+
 @dataclass
 class Search:
     """What was found and on which way.
@@ -72,6 +81,8 @@ class Search:
         In the order of the search.
     tones
         What was taken off the readings of the chain's series.
+    beside
+        By effect, what was tried in its place at the end.
     """
 
     chain: Chain
@@ -80,6 +91,7 @@ class Search:
     past: Point
     rounds: list[Round] = field(default_factory=list)
     tones: list[Tone] = field(default_factory=list)
+    beside: dict[str, Beside] = field(default_factory=dict)
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -306,8 +318,13 @@ def _swap(result: Search) -> None:
         best = sorted(tried, key=lambda one: one.loss)[:2]
         swapped = each(partial(_with_instead, result.chain, result.found, name), best)
         fitting = [one for one in swapped if worth(fewer, one) and not degenerate(result.chain, one)]
+        losses = {name: result.found.loss} | {one.effects[-1]: np.inf for one in swapped}
+        losses |= {one.effects[-1]: one.loss for one in fitting}
+        taken = name
         if fitting and min(one.loss for one in fitting) < 0.98 * result.found.loss:
             result.found = min(fitting, key=lambda one: one.loss)
+            taken = result.found.effects[-1]
+        result.beside[taken] = Beside(fewer.loss, losses.pop(taken), losses)
 
 
 def _first_of_each(tried: Sequence[Fitted]) -> list[Fitted]:
