@@ -149,7 +149,7 @@ def search(chain: Chain, start: Point, progress: OnProgress) -> Search:
         result.rounds.append(Round(before, result.found, others))
         _rescope(result)
     progress("trying to swap and to drop", SEARCHED)
-    _swap(result)
+    swap(result)
     _drop(result, largest)
     _polish(result)
     return result
@@ -296,7 +296,7 @@ def _past(chain: Chain, start: Point) -> Point:
     return replace(point, offsets_N=offsets_N)
 
 
-def _swap(result: Search) -> None:
+def swap(result: Search) -> None:
     """Put a rival in an effect's place where the whole fits better with it, beside all that was found since."""
     if len(result.found.effects) == 1:
         return

@@ -1,12 +1,16 @@
 """The search: what was preferred at first does not hide what stands beside it."""
 
+from dataclasses import replace
+
 import numpy as np
 from unit.diagnose.residuals import mixed_work, noise, series, time
 from unit.diagnose.test_sharp import many_plays
 
 from piezod.diagnose.basis import ForceLaw, PlayDensity
-from piezod.diagnose.chain import Chain, empty_point
-from piezod.diagnose.search import search
+from piezod.diagnose.chain import Chain, Term, empty_point
+from piezod.diagnose.fit import fit
+from piezod.diagnose.search import Round, Search, search, swap
+from piezod.effects import EFFECTS
 
 SAMPLES, RATE_HZ, NOISE_N = 12_000, 200.0, 0.2
 
@@ -37,3 +41,34 @@ def test_a_step_that_goes_again_does_not_hide_a_drift():
     found = search(*chain_over(missing_N, temperature_C), lambda *_: None)
     assert set(found.names) == {"thermal_drift", "load_step"}
     assert found.found.loss < 1.05
+
+
+def test_what_fits_better_beside_all_else_that_was_found_is_swapped_in_and_the_other_is_its_rival():
+    def late_and_bent(u):
+        late_N = np.concatenate((np.zeros(6), many_plays(u)))[: u.size]
+        return late_N - 0.1 * late_N * (late_N / 216.0 - 1.0)
+
+    seconds, rng, made = time(SAMPLES, RATE_HZ), np.random.default_rng(7), []
+    for role, stack in (("identification", many_plays), ("recording", late_and_bent)):
+        u = mixed_work(seconds)
+        u = np.clip(u - u[0], 0.0, None)
+        made.append(series(seconds, u, stack(u) + NOISE_N * noise(SAMPLES, 0.0, rng), NOISE_N, role=role))
+    chain = Chain(made, PlayDensity.up_to(119.4), ForceLaw(-4.0, 120.0), 216.0)
+    base = fit(chain, (), empty_point(chain, 1.8, 0.0))
+
+    def with_effects(**values):
+        terms = tuple(Term(EFFECTS[name], "since") for name in values)
+        return fit(chain, terms, replace(base.point, values=tuple(values.values())))
+
+    bent = {"curvature": 0.1, "cubic": 0.0}
+    found = with_effects(sensor_filter={"cutoff_Hz": 5.0}, output_nonlinearity=bent)
+    early = Round(
+        base, with_effects(sensor_filter={"cutoff_Hz": 5.0}), (with_effects(transport_delay={"delay_s": 0.02}),)
+    )
+    result = Search(chain, base, found, base.point, [early])
+    swap(result)
+    assert set(result.found.effects) == {"output_nonlinearity", "transport_delay"}
+    delay = next(v for v in result.found.point.values if "delay_s" in v)
+    assert abs(delay["delay_s"] - 6 / RATE_HZ) < 0.1 / RATE_HZ
+    assert result.beside["transport_delay"].rivals["sensor_filter"] == found.loss
+    assert result.beside["transport_delay"].with_it < found.loss
