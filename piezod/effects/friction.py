@@ -18,40 +18,46 @@ from piezod.effects.effect import Array, Context, Effect, Parameter, Seat, Value
 
 
 @numba.njit(cache=True, nogil=True)
-def dahl_step(z: float, travel: float, exponent: float) -> float:
-    """Friction in parts of its limit after a travel in parts of `presliding_N`; -1 <= z <= 1.
-
-    q = 1 - sign z falls by dq/d|travel| = -rate q^exponent, with the rate at which q falls from 1 to 1 / e within 1.
-    """
-    if travel == 0.0:
-        return z
-    sign = 1.0 if travel > 0.0 else -1.0
-    q = min(max(1.0 - sign * z, 0.0), 2.0)
-    way = abs(travel)
+def _root(q: float, exponent: float) -> float:
+    """What falls evenly with the travel while q = 1 - sign z falls by dq/d|travel| = -rate q^exponent."""
     if exponent == 1.0:
-        q *= math.exp(-way)
-    else:
-        power = 1.0 - exponent
-        root = q**power if q > 0.0 or power > 0.0 else math.inf
-        root = max(root + way * (math.exp(-power) - 1.0), 0.0)
-        q = root ** (1.0 / power)
-    return sign * (1.0 - min(q, 2.0))
+        return q
+    return q ** (1.0 - exponent) if q > 0.0 or exponent < 1.0 else math.inf
 
 
 @numba.njit(cache=True, nogil=True)
-def _run(force: Array, limit: float, presliding: float, exponent: float) -> Array:
+def _fallen(root: float, way: float, exponent: float, rate: float) -> float:
+    """The same after a way in parts of `presliding_N`."""
+    return root * math.exp(-way) if exponent == 1.0 else max(root + way * rate, 0.0)
+
+
+@numba.njit(cache=True, nogil=True)
+def _q(root: float, exponent: float) -> float:
+    return min(root if exponent == 1.0 else root ** (1.0 / (1.0 - exponent)), 2.0)
+
+
+@numba.njit(cache=True, nogil=True)
+def dahl(force: Array, limit: float, presliding: float, exponent: float) -> Array:
+    """Force less friction, shape (N,) [N], from friction 0; q falls from 1 to 1 / e within `presliding`."""
     out = np.empty(force.size)
-    z = 0.0
+    z, sign, root = 0.0, 0.0, 0.0
+    rate = math.exp(exponent - 1.0) - 1.0
     out[0] = force[0]
     for k in range(1, force.size):
-        z = dahl_step(z, (force[k] - force[k - 1]) / presliding, exponent)
+        travel = (force[k] - force[k - 1]) / presliding
+        if travel != 0.0:
+            turned = 1.0 if travel > 0.0 else -1.0
+            if turned != sign:
+                sign, root = turned, _root(min(max(1.0 - turned * z, 0.0), 2.0), exponent)
+            root = _fallen(root, abs(travel), exponent, rate)
+            z = sign * (1.0 - _q(root, exponent))
         out[k] = force[k] - limit * z
     return out
 
 
 def forward(signal: Array, context: Context, values: Values) -> Array:  # noqa: ARG001  # a `Forward`
     """Force that gets past the guide, shape (N,) [N]."""
-    return _run(signal, values["force_N"], values["presliding_N"], values.get("exponent", 1.0))
+    return dahl(signal, values["force_N"], values["presliding_N"], values.get("exponent", 1.0))
 
 
 EFFECT = Effect(
