@@ -26,7 +26,7 @@ Scope = Literal["already", "since", "once"]
 ORDER = {name: place for place, name in enumerate(EFFECTS)}
 FASTEST_MODE = 0.45  # of the sampling rate; a faster one is nothing but a delay
 MOST_ROWS = 25_000
-CACHED, CACHED_WHEN_LONG = 4, 2  # results of every kind that are kept a recording
+CACHED, CACHED_WHEN_LONG = 4, 1  # results of every kind that are kept a recording
 LONG = 250_000  # samples of a recording
 
 

@@ -15,6 +15,7 @@ FROZEN_SAMPLES = 8  # equal readings in a row that noise does not make, while th
 REPEATED = 0.05  # share of readings equal to the one before, below which noise never repeats one for long
 REPEATED_AT_REST = 0.5  # the same where the command rests: more of them may be how this bench reads
 FROZEN_MOVES = 6.0  # by how many noises the model moves meanwhile
+LEAP, FAR = 1.5, 2.5  # steps of a coarse lattice
 LINE_OVER_MEDIAN = 30.0  # power of a line over the median of its surroundings; exponential noise reaches 18 in 1e6 bins
 PEAK_PARTS_S, SAME_PEAK = (4.0, 0.5, 0.25), 0.1  # of a recording, averaged; of a frequency
 SURROUNDINGS, ABOUT = 101, 20  # bins; on either side of a tone
@@ -44,7 +45,9 @@ def noise_of(u: Array, y: Array, good: NDArray[np.bool_]) -> float:
 def frozen_stretches(series: Series, model_N: Array) -> list[tuple[int, int]]:
     """Stretches (first, end) in which the reading stands still to the last bit though the model moves, or noise does.
 
-    On a coarse lattice not those at the lowest or highest reading: there the force itself may have met a limit.
+    On a coarse lattice not those at the lowest or highest reading: there the force itself may have met a limit. Nor
+    those that a slow reading makes on it: what was frozen leaps to where the force is by then, what is slow goes on
+    by a step of the lattice.
     """
     same = np.concatenate(([False], np.diff(series.reading_N) == 0.0, [False]))
     edges = np.flatnonzero(np.diff(same.astype(np.int8)))
@@ -54,13 +57,24 @@ def frozen_stretches(series: Series, model_N: Array) -> list[tuple[int, int]]:
     moves_N = -1.0 if proved else FROZEN_MOVES * max(series.noise_N, series.lattice_N)
     readings = series.reading_N[series.counts]
     limits = float(readings.min()), float(readings.max())
-    return [
+    coarse = series.lattice_N > series.noise_N
+    found = [
         (first, end)
         for first, end in stretches
         if end - first >= shortest
         and np.ptp(model_N[first:end]) > moves_N
-        and not (series.lattice_N > series.noise_N and series.reading_N[first] in limits)
+        and not (coarse and series.reading_N[first] in limits)
     ]
+    return _leaping(series, model_N, found) if coarse else found
+
+
+def _leaping(series: Series, model_N: Array, stretches: list[tuple[int, int]]) -> list[tuple[int, int]]:
+    """Those that end in a leap, and where some do the others too, unless one of them is surely a slow reading."""
+    y, step_N = series.reading_N, series.lattice_N
+    ended = [(first, end) for first, end in stretches if end < y.size]
+    leaps = [(first, end) for first, end in ended if abs(y[end] - y[first]) > LEAP * step_N]
+    slow = [one for one in ended if one not in leaps and abs(model_N[one[1]] - model_N[one[0]]) > FAR * step_N]
+    return stretches if leaps and not slow else leaps
 
 
 def _never_repeats(series: Series, same: Mask, short: list[int]) -> bool:

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from unit.diagnose.residuals import mixed_work, model_of, noise, series, time
+from unit.diagnose.residuals import lagged, mixed_work, model_of, noise, series, time
 
 from piezod.diagnose.direct import frozen_stretches
 
@@ -54,3 +54,20 @@ def test_a_bench_that_reads_the_same_whenever_it_rests_is_not_frozen_there():
 def test_a_reading_that_never_changes_is_one_stretch():
     with np.errstate(all="raise"):
         assert found(np.zeros(SAMPLES)) == [(0, SAMPLES)]
+
+
+@pytest.mark.parametrize("step_N", [1.0, 2.0, 4.0, 6.0, 10.0])
+@pytest.mark.parametrize("lag_s", [0.05, 0.1, 0.3, 2.0, 5.0])
+def test_a_slow_reading_on_a_coarse_lattice_is_not_frozen(step_N, lag_s):
+    slow_N = lagged(model_of(U), lag_s)
+    assert found(step_N * np.round(slow_N / step_N), 1e-3) == []
+
+
+@pytest.mark.parametrize("step_N", [2.0, 4.0])
+def test_a_frozen_reading_is_seen_on_a_coarse_lattice(step_N):
+    first, samples = MOVING, 3000
+    reading_N = frozen(step_N * np.round(model_of(U) / step_N), first, samples)
+    (begins, ends), *more = found(reading_N, 1e-3)
+    assert begins <= first + 1
+    assert ends >= first + samples
+    assert not more
