@@ -45,7 +45,7 @@ MOSTLY = 0.8  # of the catalogue: recordings that could not have shown so much o
 COSTS = 0.1  # of what was gained, or of what is left: what plays that do not fold may cost
 FOLDED = 0.6  # of its confidence that an effect keeps when the plays fold that were refitted with it
 BETTER = 0.99  # of the given model's error
-LEAST_CONFIDENCE = 0.5  # below which an effect is not named: more likely it is the shape of something else,
+LEAST_CONFIDENCE = 0.6  # below which an effect is not named: more likely it is the shape of something else,
 LEFT_BY_ONE = 1.0 / 3.0  # unless it stands alone and leaves no more of the squared error than that
 
 
