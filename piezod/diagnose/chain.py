@@ -346,7 +346,11 @@ class Chain:
         rows = self.rows[number]
         kept = rows if thinned else slice(None)
         splines, slopes = self.law.columns(stroke_V[kept])
-        tangents = np.hstack(((slopes @ point.law)[:, None] * tangents[kept], splines))
+        slope = slopes @ point.law
+        del slopes  # a long recording's columns are most of what a diagnosis keeps
+        tangents = slope[:, None] * tangents[kept]
+        tangents = np.hstack((tangents, splines))
+        del splines
         for place, (term, values) in enumerate(behind):
             tangents = _carried(term.effect, tangents, signal_N, context, values, rows if thinned else slice(None))
             if not thinned and place == remembers[-1]:
