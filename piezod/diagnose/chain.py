@@ -346,11 +346,9 @@ class Chain:
         rows = self.rows[number]
         kept = rows if thinned else slice(None)
         splines, slopes = self.law.columns(stroke_V[kept])
-        slope = slopes @ point.law
+        tangents = (slopes @ point.law)[:, None] * tangents[kept]
         del slopes  # a long recording's columns are most of what a diagnosis keeps
-        tangents = slope[:, None] * tangents[kept]
         tangents = np.hstack((tangents, splines))
-        del splines
         for place, (term, values) in enumerate(behind):
             tangents = _carried(term.effect, tangents, signal_N, context, values, rows if thinned else slice(None))
             if not thinned and place == remembers[-1]:

@@ -23,6 +23,7 @@ Array = NDArray[np.float64]
 RIVAL = 0.8  # part of the winner's gain, from which another effect is a rival
 NORMAL_95 = 1.96
 MOST_SPREAD = 20.0  # of an interval on its scale: beyond it a parameter is not determined
+BENT = 1.0 / 8.0  # of a sample, by which a delay between samples may be off
 COARSE = 0.5  # of the other noise: a converter's step / sqrt(12) beyond it is a finding
 
 
@@ -67,10 +68,11 @@ def _with_the_course(delay_s: Value, series: Series, *, smoothed: bool) -> Value
     """A delay whose interval holds what nobody can tell from it.
 
     That is for how much of a sample a command was held before the reading, where the recording does not say so; and
-    when within a sample a held command comes, where nothing smooths its steps.
+    when within a sample a held command comes, where nothing smooths its steps. Where a lag does, the delay is taken
+    straight between samples and the lag's curve bends: at most f (1 - f) / 2 of a sample for its part f.
     """
     told, held = series.between == series.held_for, series.between != STRAIGHT
-    within_s = series.dt_s if held and not smoothed else 0.0
+    within_s = (BENT if smoothed else 1.0) * series.dt_s if held else 0.0
     shorter_s, longer_s = (
         (0.0, 0.0) if told else (series.read_after * series.dt_s, (1.0 - series.read_after) * series.dt_s)
     )

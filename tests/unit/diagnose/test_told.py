@@ -14,13 +14,13 @@ from piezod.diagnose.told import as_told
 from piezod.effects import EFFECTS
 
 SAMPLES, RATE_HZ, FINE = 6_000, 200.0, 50
-LAG_S, NOISE_N = 0.008, 0.1
+LAG_S, DELAY_S, NOISE_N = 0.008, 0.0064, 0.1
 STRAIGHT = 0.1  # of a sample: a delay is taken straight between samples, where the force approaches in curves
 HELD_A_SAMPLE_EARLIER = 1e-6  # what the search takes for the course where everything is a sample late
 
 
 def read(commands_V, delay_s):
-    """Commands held, lagged and delayed on a grid fifty times as fine, read just before the next command."""
+    """Commands held, lagged and delayed on a grid fifty times as fine, read one step of it before the next command."""
     amplifier_V = lagged(np.repeat(commands_V, FINE), LAG_S, FINE * RATE_HZ)
     late = round(delay_s * RATE_HZ * FINE)
     delayed_V = np.concatenate((np.full(late, amplifier_V[0]), amplifier_V))[: amplifier_V.size]
@@ -49,15 +49,17 @@ def with_a_filter(chain):
 
 
 def test_a_filter_that_is_part_of_a_sample_gives_way_to_the_delay_that_the_told_course_needs():
-    chain = chain_over(0.0064, held_for=1.0)
+    chain = chain_over(DELAY_S, held_for=1.0)
     _, found = as_told(chain, with_a_filter(chain))
     assert set(found.effects) == {"electrical_lag", "transport_delay"}
     values = dict(zip((term.effect.name for term in found.terms), found.point.values, strict=True))
-    assert values["transport_delay"]["delay_s"] == pytest.approx(0.0064, abs=STRAIGHT / RATE_HZ)
+    assert values["transport_delay"]["delay_s"] == pytest.approx(
+        DELAY_S + 1.0 / (FINE * RATE_HZ), abs=STRAIGHT / RATE_HZ
+    )
     assert values["electrical_lag"]["time_constant_s"] == pytest.approx(LAG_S, rel=0.05)
 
 
 def test_a_recording_that_does_not_say_leaves_a_hypothesis_as_it_is():
-    chain = chain_over(0.0064, held_for=None)
+    chain = chain_over(DELAY_S, held_for=None)
     found = with_a_filter(chain)
     assert as_told(chain, found) == (chain, found)
