@@ -32,9 +32,10 @@ SMALLEST_SHARE = 5e-4  # of the largest gain: below it is what no form of the la
 FAIR_SHARE = 0.02  # of the largest gain so far: more effects than that are the plant's own shape
 LATE = 0.05  # of a sample
 RINGS = 0.6  # damping ratio beyond which nothing is seen to ring
-SLIDES = 0.5  # of the force's range: friction with a longer presliding never slides
+SLIDES = 0.16  # of the force's range: friction with a longer presliding hardly slides, the stack remembers
 NO_LONGER = 0.99  # of the range
-PLAINER = 0.01  # of the loss, that a parameter must bring
+PLAINER = 0.01  # of the loss, that a parameter must bring,
+MOST_COUNTED = 15  # if not so many count already: of many that are stiff few are used
 
 
 def worth(before: Fitted, after: Fitted) -> bool:
@@ -44,7 +45,7 @@ def worth(before: Fitted, after: Fitted) -> bool:
         return False
     if after.terms[-1].scope == "once":
         return gain > WORTH_ONCE * after.loss
-    if gain < PLAINER * len(after.terms[-1].searched) * after.loss:
+    if gain < _for_its_parameters(after):
         return False
     if acts_locally(before, after, after.effects[-1]):
         return True
@@ -63,7 +64,11 @@ def acts_locally(before: Fitted, after: Fitted, name: str) -> bool:
 
 def weighed(fitted: Fitted) -> float:
     """The loss, a little more of it for every parameter that the last effect is shaped by: of two alike the plainer."""
-    return fitted.loss * (1.0 + PLAINER * len(fitted.terms[-1].searched))
+    return fitted.loss + _for_its_parameters(fitted)
+
+
+def _for_its_parameters(fitted: Fitted) -> float:
+    return PLAINER * min(len(fitted.terms[-1].searched), MOST_COUNTED) * fitted.loss
 
 
 def steadiness(before: Fitted, after: Fitted) -> float:
@@ -106,8 +111,9 @@ def fair(chain: Chain, before: Fitted, after: Fitted, largest: float) -> bool:
 def degenerate(chain: Chain, fitted: Fitted) -> bool:
     """Whether the last effect is not what its name says.
 
-    A leak as slow as the catalogue knows is a drift, friction that never slides a gain, a resonance that does not ring
-    a lag, a step without edges a drift; what is late by next to nothing of a sample is the moment of reading.
+    A leak as slow as the catalogue knows is a drift, friction that hardly slides a memory of the stack, a resonance
+    that does not ring a lag, a step without edges a drift; what is late by next to nothing of a sample is the moment of
+    reading.
     """
     term, values = fitted.terms[-1], fitted.point.values[-1]
     if term.effect.name == "friction":

@@ -35,7 +35,7 @@ def _suited(chain: Chain, fitted: Fitted, *, courses: bool) -> tuple[Chain, Fitt
     few = coarse(chain)
     known = fit(few, fitted.terms, fitted.point, most_steps=2)
     course = best_course(few, fitted.terms, fitted.point, known) if courses else (few, known)
-    best, again = restarted(*course)
+    best, again = started_as_usual(*restarted(*course))
     if again is known:
         return None
     fine = chain.like(best.series)
@@ -49,6 +49,18 @@ def started_alike(chain: Chain) -> Chain | None:
         return None
     usual = chain.series[resting[0]].path_V
     return chain.like([replace(one, path_V=usual) if k in resting else one for k, one in enumerate(chain.series)])
+
+
+def started_as_usual(chain: Chain, fitted: Fitted) -> tuple[Chain, Fitted]:
+    """The same with starts as in the identification where the hypothesis, fitted anew from them, fits better.
+
+    A start that was estimated without an effect has bent the effect's parameters, and with these no other start fits.
+    """
+    alike = started_alike(chain)
+    if alike is None:
+        return chain, fitted
+    again = fit(alike, fitted.terms, fitted.point)
+    return (alike, again) if again.loss < fitted.loss else (chain, fitted)
 
 
 def restarted(chain: Chain, fitted: Fitted) -> tuple[Chain, Fitted]:

@@ -141,8 +141,9 @@ def screened(chain: Chain, terms: Sequence[Term], point: Point) -> list[Idea]:
     def looked_at(one: tuple[Effect, dict[str, float], tuple[tuple[str, float], ...]]) -> list[Idea]:
         effect, values, choices = one
         term = Term(effect, "already", choices=choices)
-        # An effect that is a sum is tried with all its parts at once, each of a size of its own.
-        parts = [{**dict.fromkeys(values, 0.0), name: value} for name, value in values.items()]
+        # An effect that is a sum is tried with all its parts at once, each of a size of its own; a shape stays.
+        sized = {name: value for name, value in values.items() if not effect.parameter(name).logarithmic}
+        parts = [{**values, **dict.fromkeys(sized, 0.0), name: value} for name, value in sized.items()]
         changes = [
             [
                 chain.compared(number, (*terms, term), replace(point, values=(*point.values, part)))
@@ -159,8 +160,8 @@ def screened(chain: Chain, terms: Sequence[Term], point: Point) -> list[Idea]:
             ]
             gain, sizes = normal.gain_of(acting)
             if len(acting) > 1:
-                sized = {name: size * value for (name, value), size in zip(values.items(), sizes, strict=True)}
-                ideas.append(Idea(term, {**values, **_inside(effect, sized)}, gain))
+                found = {name: size * value for (name, value), size in zip(sized.items(), sizes, strict=True)}
+                ideas.append(Idea(term, {**values, **_inside(effect, found)}, gain))
             elif sizes[0] > 0.0 or effect.parameters[0].low < 0.0:
                 ideas.append(Idea(term, values, gain))
         return ideas

@@ -1,26 +1,31 @@
 """Minor loops that differ with bias: plays whose weight depends on where they stand, as a Preisach plane has it.
 
-Forward    v = x + share s/2 {sum_i sum_jd w_jd h_j(i) [T_d(x_i) - T_d(y)] / n + sum_d c_d (T_d(y) - T_d(-1))}, with
-           x_i = 2 z_i / s - 1, y = 2 u / s - 1
+Forward    v = x + share s/2 {sum_i sum_jd w_jd h_j(i) [T_d(x_i) - T_d(y)] / n + sum_d c_d (T_d(y) - T_d(-1)) - m b},
+           x_i = 2 z_i / s - 1, y = 2 u / s - 1, b the state of `bouc_wen` moved by u
 Inverse    solved sample by sample as that of the plays is, while the sum stays monotone
-Signature  equal minor loops open differently at different biases; flat in frequency, nothing at rest; look-alike
-           output_nonlinearity (the same on both branches)
+Signature  equal minor loops open differently at different biases, and drift from cycle to cycle where the memory fades
+           (m); flat in frequency, nothing at rest; look-alikes output_nonlinearity (the same on both branches), and
+           friction, which slides after a small part of the range
 Seat       hysteresis
-Valid      any Preisach operator is a sum of functions of play states (Krejci 1996); here up to degree 4
+Valid      any Preisach operator is a sum of functions of play states (Krejci 1996); here up to degree 5
 Source     THEORY 3 R; s is the identified voltage range, z_i the states of n plays up to it, h_j hats over their
            thresholds, T_d Chebyshev's polynomials. w_j1 alone is congruent, and c_d the same on both branches: a
-           share of another hysteresis changes both as well
+           share of another hysteresis changes both as well. Memory that fades (accommodation): Bouc and Wen
 """
 
 import numba
 import numpy as np
 
+from piezod.effects.bouc_wen import bouc_wen
 from piezod.effects.effect import Array, Context, Effect, Parameter, Seat, Values
 
 PLAYS = 24
-HATS = 3
-DEGREES = 4
-STIFF = 1.0  # curvature a sample; what the data tell well is far stiffer, and what they do not stays 0
+HATS = 4
+DEGREES = 5
+STIFF = 0.1  # curvature a sample; what the data tell well is far stiffer, and what they do not stays 0
+OF_MEMORY = 1e-4  # the same for what shapes the memory that fades
+OF_THE_MEMORY = "noncongruent_minor_loops, memory"
+TRAVEL = 0.3  # of the voltage range: what the memory's way is counted in
 NAMES = (
     *(f"degree_{d}_{j}" for d in range(1, DEGREES + 1) for j in range(HATS)),
     *(f"curve_{d}" for d in range(2, DEGREES + 1)),
@@ -75,9 +80,30 @@ def forward(signal: Array, context: Context, values: Values) -> Array:
         columns = _columns(context.applied_V, path, context.voltage_span_V, _hats(), DEGREES)
         known = context.applied_V, columns
         context.memo["noncongruent_minor_loops"] = known
+        context.memo.pop(OF_THE_MEMORY, None)
     weights = np.array([values.get(name, 0.0) for name in NAMES])
-    result: Array = signal + known[1] @ (values.get("share", 1.0) * weights)
+    share, span_V = values.get("share", 1.0), context.voltage_span_V
+    result: Array = signal + known[1] @ (share * weights)
+    memory = values.get("memory", 0.0)
+    if memory != 0.0:
+        result -= (0.5 * span_V * share * memory) * _remembered(context, values)
     return result
+
+
+def _remembered(context: Context, values: Values) -> Array:
+    """State of the memory that fades, shape (N,) [1]; the last one is kept for what differs in the weights alone."""
+    shape = np.array([values.get(name, 1.0) for name in ("memory_way", "memory_exponent", "memory_closing")])
+    known = context.memo.get(OF_THE_MEMORY)
+    if known is None or (known[0] != shape).any():
+        path = np.array(context.path_V, dtype=np.float64)
+        way_V = TRAVEL * context.voltage_span_V * shape[0]
+        known = shape, bouc_wen(path, context.applied_V, way_V, shape[1], shape[2])
+        context.memo[OF_THE_MEMORY] = known
+    return known[1]
+
+
+def _shape(name: str, low: float, high: float, start: float) -> Parameter:
+    return Parameter(name, "1", low, high, starts=(start,), logarithmic=True, nuisance=True, stiffness=OF_MEMORY)
 
 
 EFFECT = Effect(
@@ -88,6 +114,10 @@ EFFECT = Effect(
     parameters=(
         Parameter("share", "1", 0.0, 1.0, starts=(1.0,), choices=(1.0,)),
         *(Parameter(name, "1", -3.0, 3.0, starts=(0.1,), nuisance=True, stiffness=STIFF) for name in NAMES),
+        Parameter("memory", "1", -3.0, 3.0, starts=(0.03,), nuisance=True, stiffness=STIFF),
+        _shape("memory_way", 0.4, 10.0, 1.0),
+        _shape("memory_exponent", 0.5, 8.0, 1.5),
+        _shape("memory_closing", 0.3, 1.0, 0.7),
     ),
     forward=forward,
     handling="refused",

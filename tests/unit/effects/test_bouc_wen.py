@@ -1,0 +1,58 @@
+"""The memory that fades with the way, against its closed forms and an integration of its equation."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.integrate import quad, solve_ivp
+
+from piezod.effects.bouc_wen import bouc_wen
+
+NOTHING = np.empty(0)
+ARISEN = 1.0 - np.exp(-1.0)
+shapes = pytest.mark.parametrize(("exponent", "closing"), [(1.0, 1.0), (0.5, 0.3), (1.5, 0.5), (3.0, 0.7), (8.0, 0.5)])
+
+
+def test_with_exponent_and_closing_of_one_it_is_dahl_s_friction():
+    way = np.concatenate((np.linspace(0.0, 2.0, 201), np.linspace(2.0, -3.0, 501)))
+    up = 1.0 - np.exp(-way[:201])
+    down = -1.0 + (1.0 + up[-1]) * np.exp(way[201:] - 2.0)
+    np.testing.assert_allclose(bouc_wen(NOTHING, way, 1.0, 1.0, 1.0), np.concatenate((up, down)), atol=1e-8)
+
+
+@shapes
+@pytest.mark.parametrize("parts", [1, 7, 1000])
+def test_63_percent_arise_within_its_travel_in_however_many_parts(exponent, closing, parts):
+    states = bouc_wen(NOTHING, np.linspace(0.0, 5.0, parts + 1), 5.0, exponent, closing)
+    assert states[-1] == pytest.approx(ARISEN, abs=1e-6)
+
+
+@shapes
+def test_it_is_what_an_integration_of_its_equation_gives(exponent, closing):
+    scale = quad(lambda z: 1.0 / (1.0 - z**exponent), 0.0, ARISEN)[0]
+    turns = np.array([0.0, 0.7, -0.4, 2.5, 1.0, 1.6, -3.0])
+    z, expected = 0.0, [0.0]
+    for way in np.diff(turns):
+        sign = np.sign(way)
+
+        def rate(_, z, sign=sign):
+            return sign * (1.0 - np.abs(z) ** exponent * (closing * np.sign(sign * z) + 1.0 - closing))
+
+        solved = solve_ivp(rate, (0.0, scale * abs(way)), [z], rtol=1e-10, atol=1e-12, max_step=0.01)
+        z = float(solved.y[0, -1])
+        expected.append(z)
+    np.testing.assert_allclose(bouc_wen(NOTHING, turns, 1.0, exponent, closing), expected, atol=1e-4)
+
+
+@shapes
+def test_what_led_to_a_record_counts(exponent, closing):
+    way = np.array([0.0, 3.0, -1.0, 0.5, 0.2])
+    whole = bouc_wen(NOTHING, way, 1.0, exponent, closing)
+    np.testing.assert_array_equal(bouc_wen(way[:3], way[3:], 1.0, exponent, closing), whole[3:])
+
+
+@shapes
+@given(travels=st.lists(st.floats(-20.0, 20.0), min_size=1, max_size=60))
+def test_it_stays_within_its_limit(exponent, closing, travels):
+    states = bouc_wen(NOTHING, np.cumsum([0.0, *travels]), 1.0, exponent, closing)
+    assert np.abs(states).max() <= 1.0
