@@ -35,7 +35,7 @@ RINGS = 0.6  # damping ratio beyond which nothing is seen to ring
 SLIDES = 0.16  # of the force's range: friction with a longer presliding hardly slides, the stack remembers
 NO_LONGER = 0.99  # of the range
 PLAINER = 0.01  # of the loss, that a parameter must bring,
-MOST_COUNTED = 15  # if not so many count already: of many that are stiff few are used
+MOST_COUNTED = 8  # if not so many count already: of many that are stiff few are used
 
 
 def worth(before: Fitted, after: Fitted) -> bool:

@@ -71,8 +71,19 @@ def _scales(chain: Chain) -> dict[str, tuple[float, ...]]:
         "gap_N": tuple(part * span_N for part in (0.01, 0.03, 0.08, 0.16, 0.32, 0.64)),
         "softness_N": (0.002 * span_N,),
         "force_N": (0.005 * span_N,),
-        "presliding_N": (0.01 * span_N, 0.05 * span_N, 0.3 * span_N),
+        "presliding_N": (0.01 * span_N, 0.04 * span_N, 0.12 * span_N),
     }
+
+
+def parts_of(effect: Effect, values: Mapping[str, float]) -> dict[str, dict[str, float]]:
+    """Values of every part of an effect that is a sum, each part alone, by what it is the size of; else all at once.
+
+    A sum has no size of its own: it is tried with all its parts beside each other. What shapes a part stays.
+    """
+    if not effect.parameters[0].choices:
+        return {"": dict(values)}
+    sizes = [name for name in values if not effect.parameter(name).logarithmic]
+    return {name: {**values, **dict.fromkeys(sizes, 0.0), name: values[name]} for name in sizes}
 
 
 def _inside(effect: Effect, values: Mapping[str, float]) -> dict[str, float]:
@@ -141,16 +152,14 @@ def screened(chain: Chain, terms: Sequence[Term], point: Point) -> list[Idea]:
     def looked_at(one: tuple[Effect, dict[str, float], tuple[tuple[str, float], ...]]) -> list[Idea]:
         effect, values, choices = one
         term = Term(effect, "already", choices=choices)
-        # An effect that is a sum is tried with all its parts at once, each of a size of its own; a shape stays.
-        sized = {name: value for name, value in values.items() if not effect.parameter(name).logarithmic}
-        parts = [{**values, **dict.fromkeys(sized, 0.0), name: value} for name, value in sized.items()]
+        parts = parts_of(effect, values)
         changes = [
             [
                 chain.compared(number, (*terms, term), replace(point, values=(*point.values, part)))
                 - normal.readings[number][chain.rows[number]]
                 for number in range(len(chain.series))
             ]
-            for part in (parts if effect.parameters[0].choices else [values])
+            for part in parts.values()
         ]
         ideas = []
         for scope in ("since", "already"):
@@ -160,7 +169,7 @@ def screened(chain: Chain, terms: Sequence[Term], point: Point) -> list[Idea]:
             ]
             gain, sizes = normal.gain_of(acting)
             if len(acting) > 1:
-                found = {name: size * value for (name, value), size in zip(sized.items(), sizes, strict=True)}
+                found = {name: size * values[name] for name, size in zip(parts, sizes, strict=True)}
                 ideas.append(Idea(term, {**values, **_inside(effect, found)}, gain))
             elif sizes[0] > 0.0 or effect.parameters[0].low < 0.0:
                 ideas.append(Idea(term, values, gain))

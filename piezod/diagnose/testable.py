@@ -6,7 +6,7 @@ import numpy as np
 
 from piezod.diagnose.chain import Chain, Point, Term
 from piezod.diagnose.fit import Normal
-from piezod.diagnose.ideas import DIRECT, catalogue_ideas
+from piezod.diagnose.ideas import DIRECT, catalogue_ideas, parts_of
 from piezod.diagnose.parallel import each
 from piezod.effects.effect import Effect
 
@@ -40,13 +40,9 @@ def untestable(chain: Chain, terms: Sequence[Term], point: Point) -> tuple[str, 
 
     def seen(one: Start) -> tuple[str, float]:
         effect, values, choices = one
-        # An effect that is a sum of parts with no size of its own is looked at by the largest of its parts.
-        parts = [values]
-        if effect.parameters[0].choices:
-            parts = [{**dict.fromkeys(values, 0.0), name: value} for name, value in values.items()]
         term = Term(effect, "since", choices=choices)
         energies = []
-        for part in parts:
+        for part in parts_of(effect, values).values():
             given = Point(point.density, point.law, point.offsets_N, (*point.values, part))
             change = [
                 coarse.compared(k, (*terms, term), given) - normal.readings[k][coarse.rows[k]] if k in asked else None

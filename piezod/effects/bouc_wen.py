@@ -101,7 +101,14 @@ def bouc_wen(path: Array, x: Array, travel: float, exponent: float, closing: flo
     -------
     ndarray
         States between -1 and 1, shape (N,).
+
+    Raises
+    ------
+    ValueError
+        The travel or the exponent is not above 0.
     """
+    if not (travel > 0.0 and exponent > 0.0):
+        raise ValueError("travel and exponent must be above 0")
     states, slopes, step, begin = _table(exponent, closing)
     scale = travel / (_way_to(ARISEN, states, slopes, step) - begin)
     out = np.empty(x.size)

@@ -56,3 +56,9 @@ def test_what_led_to_a_record_counts(exponent, closing):
 def test_it_stays_within_its_limit(exponent, closing, travels):
     states = bouc_wen(NOTHING, np.cumsum([0.0, *travels]), 1.0, exponent, closing)
     assert np.abs(states).max() <= 1.0
+
+
+@pytest.mark.parametrize(("travel", "exponent"), [(0.0, 1.0), (1.0, 0.0), (float("nan"), 1.0)])
+def test_without_a_way_or_a_shape_it_says_so(travel, exponent):
+    with pytest.raises(ValueError, match="above 0"):
+        bouc_wen(NOTHING, np.zeros(3), travel, exponent, 1.0)
