@@ -46,7 +46,7 @@ COSTS = 0.1  # of what was gained, or of what is left: what plays that do not fo
 FOLDED = 0.6  # of its confidence that an effect keeps when the plays fold that were refitted with it
 BETTER = 0.99  # of the given model's error
 LEAST_CONFIDENCE = 0.6  # below which an effect is not named: more likely it is the shape of something else,
-LEFT_BY_ONE = 1.0 / 3.0  # unless it stands alone and leaves no more of the squared error than that
+LEFT_BY_ONE = 1.0 / 3.0  # unless it leaves no more of the squared error than that
 
 
 @dataclass(frozen=True)
@@ -141,17 +141,19 @@ def _rising(result: Search) -> Search:
 
 
 def _doubtful(result: Search, findings: Findings) -> list[str]:
-    """Effects that are believed too little to be named; one that stands alone only if it leaves much unexplained too.
+    """The effect that is believed least, where that is too little and much is left with it too.
 
-    All of them where the given model says what was left out of the fit as well without them.
+    What is left of the others is looked at without it: it may have taken a part of theirs. All of them where the given
+    model says what was left out of the fit as well without them.
     """
     if result.found.effects and findings.after > BETTER * findings.before:
         return list(result.found.effects)
-    fitted = [one for one in findings.effects if one.name in result.names]
-    strongest = max(fitted, key=lambda one: one.confidence, default=None)
-    weak = [one for one in fitted if one.confidence < LEAST_CONFIDENCE]
-    others = [one.name for one in weak if one is not strongest]
-    return others or [one.name for one in weak if one.after**2 > LEFT_BY_ONE * one.before**2]
+    weak = [
+        one
+        for one in findings.effects
+        if one.name in result.names and one.confidence < LEAST_CONFIDENCE and one.after**2 > LEFT_BY_ONE * one.before**2
+    ]
+    return [min(weak, key=lambda one: one.confidence).name] if weak else []
 
 
 def _not_believed(findings: Findings, doubtful: Sequence[str]) -> list[str]:
