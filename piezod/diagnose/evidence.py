@@ -17,6 +17,7 @@ from piezod.diagnose.tones import Tone
 from piezod.diagnose.verdict import held_out_rms, power_of
 from piezod.effects import EFFECTS
 from piezod.effects.effect import STRAIGHT
+from piezod.effects.noncongruent_minor_loops import DEGREES
 
 Array = NDArray[np.float64]
 
@@ -143,7 +144,9 @@ def _share(result: Search, place: int) -> Value:
             rows = chain.rows[k]
             with_it, without_it = (chain.run(k, found.terms, point) for point in (found.point, congruent))
             added_V, columns = (with_it.stroke_V - without_it.stroke_V)[rows], with_it.columns[rows]
-            curve = np.polynomial.chebyshev.chebvander(2.0 * series.command_V[rows] / chain.voltage_span_V - 1.0, 4)
+            curve = np.polynomial.chebyshev.chebvander(
+                2.0 * series.command_V[rows] / chain.voltage_span_V - 1.0, DEGREES
+            )
             followed = np.hstack((columns, curve))
             left_V = added_V - followed @ np.linalg.lstsq(followed, added_V, rcond=None)[0]
             lags_V = max(float(np.std(columns @ found.point.density)), 1e-12)

@@ -12,8 +12,8 @@ Source     THEORY 3 N (Dahl's equation), in Bouc's and Wen's form
 
 import numpy as np
 
-from piezod.effects.bouc_wen import bouc_wen
 from piezod.effects.effect import Array, Context, Effect, Parameter, Seat, Values
+from piezod.effects.kernels import bouc_wen
 
 NOTHING_BEFORE = np.empty(0)
 

@@ -16,8 +16,8 @@ Source     THEORY 3 R; s is the identified voltage range, z_i the states of n pl
 import numba
 import numpy as np
 
-from piezod.effects.bouc_wen import bouc_wen
 from piezod.effects.effect import Array, Context, Effect, Parameter, Seat, Values
+from piezod.effects.kernels import bouc_wen
 
 PLAYS = 24
 HATS = 4

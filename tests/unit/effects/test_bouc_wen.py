@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.integrate import quad, solve_ivp
 
-from piezod.effects.bouc_wen import bouc_wen
+from piezod.effects.kernels import bouc_wen
 
 NOTHING = np.empty(0)
 ARISEN = 1.0 - np.exp(-1.0)
@@ -24,7 +24,7 @@ def test_with_exponent_and_closing_of_one_it_is_dahl_s_friction():
 @pytest.mark.parametrize("parts", [1, 7, 1000])
 def test_63_percent_arise_within_its_travel_in_however_many_parts(exponent, closing, parts):
     states = bouc_wen(NOTHING, np.linspace(0.0, 5.0, parts + 1), 5.0, exponent, closing)
-    assert states[-1] == pytest.approx(ARISEN, abs=1e-6)
+    assert states[-1] == pytest.approx(ARISEN, rel=1e-9)
 
 
 @shapes
@@ -41,7 +41,8 @@ def test_it_is_what_an_integration_of_its_equation_gives(exponent, closing):
         solved = solve_ivp(rate, (0.0, scale * abs(way)), [z], rtol=1e-10, atol=1e-12, max_step=0.01)
         z = float(solved.y[0, -1])
         expected.append(z)
-    np.testing.assert_allclose(bouc_wen(NOTHING, turns, 1.0, exponent, closing), expected, atol=1e-4)
+    steep = 1e-4 if exponent < 1.0 else 1e-6  # a root's slope is infinite at 0
+    np.testing.assert_allclose(bouc_wen(NOTHING, turns, 1.0, exponent, closing), expected, atol=steep)
 
 
 @shapes
@@ -58,7 +59,7 @@ def test_it_stays_within_its_limit(exponent, closing, travels):
     assert np.abs(states).max() <= 1.0
 
 
-@pytest.mark.parametrize(("travel", "exponent"), [(0.0, 1.0), (1.0, 0.0), (float("nan"), 1.0)])
-def test_without_a_way_or_a_shape_it_says_so(travel, exponent):
+@pytest.mark.parametrize("shape", [(0.0, 1.0, 1.0), (1.0, 0.0, 1.0), (float("nan"), 1.0, 1.0), (1.0, 1.0, 0.0)])
+def test_without_a_way_or_a_shape_it_says_so(shape):
     with pytest.raises(ValueError, match="above 0"):
-        bouc_wen(NOTHING, np.zeros(3), travel, exponent, 1.0)
+        bouc_wen(NOTHING, np.zeros(3), *shape)
