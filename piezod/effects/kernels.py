@@ -1,6 +1,6 @@
 """What several effects share, compiled once.
 
-Steps of linear systems, exact for an input that runs straight between two samples, and a memory that fades with the way.
+Steps of linear systems, exact for an input that runs straight between two samples; a memory that fades with the way.
 
 A compiled step calls steps of its own file only: numba compares its cache with no other.
 """
