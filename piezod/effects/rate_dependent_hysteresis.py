@@ -18,7 +18,7 @@ from piezod.effects.effect import Array, Context, Effect, Parameter, Seat, Value
 
 LOGARITHM, POWER, OFFSET = 0, 1, 2
 OFFSET_SHARE = 0.1  # of the voltage range: what growth is measured in where all thresholds grow alike
-PAUSE = 2.0  # times rate_time_s: a shorter rest belongs to the movement (a held command), a longer one is a hold
+PAUSE_s = 0.05  # a shorter rest belongs to the movement (a held command), a longer one is a hold
 
 
 @numba.njit(cache=True, nogil=True)
@@ -27,7 +27,7 @@ def rate_step(rate: float, rested_s: float, moved_V: float, dt_s: float, rate_ti
     rested_s += dt_s
     if moved_V == 0.0:
         return rate, rested_s
-    taken = rested_s if rested_s <= PAUSE * rate_time_s else dt_s
+    taken = rested_s if rested_s <= PAUSE_s else dt_s
     return rate - (moved_V / taken - rate) * math.expm1(-taken / rate_time_s), 0.0
 
 
