@@ -5,23 +5,22 @@
 Effects act where they sit. The base's columns are carried through whatever lies behind them.
 """
 
-import threading
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Generic, Literal, TypeVar
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from piezod.diagnose.basis import HATS, SPLINES, ForceLaw, PlayDensity
+from piezod.diagnose.kept import Kept, Key
+from piezod.diagnose.passages import course_behind, passages
 from piezod.diagnose.series import Series
 from piezod.effects import EFFECTS
-from piezod.effects.effect import HELD_BEFORE, STRAIGHT, Context, Effect, Parameter, Seat
+from piezod.effects.effect import HELD_BEFORE, Context, Effect, Parameter, Seat
 
 Array = NDArray[np.float64]
 
-Key = tuple[object, ...]
-Value = TypeVar("Value")
 Scope = Literal["already", "since", "once"]
 ORDER = {name: place for place, name in enumerate(EFFECTS)}
 FASTEST_MODE = 0.45  # of the sampling rate; a faster one is nothing but a delay
@@ -102,30 +101,6 @@ class Trace:
     columns: Array
     stroke_V: Array
     reading_N: Array
-
-
-class Kept(Generic[Value]):
-    """The last few results of a computation by what they depend on; threads may share it."""
-
-    def __init__(self, most: int) -> None:
-        self._most, self._lock = most, threading.Lock()
-        self._known: dict[Key, Value] = {}
-
-    def get(self, key: Key, compute: Callable[[], Value]) -> Value:
-        """What was computed for a key, computed now where it is not known (any more)."""
-        known = self._known.get(key)
-        if known is None:
-            known = compute()
-            with self._lock:
-                while len(self._known) >= self._most:
-                    del self._known[next(iter(self._known))]
-                self._known[key] = known
-        return known
-
-    def forget(self) -> None:
-        """Let go of everything."""
-        with self._lock:
-            self._known.clear()
 
 
 def _named(some: Sequence[tuple[Term, Mapping[str, float]]]) -> Key:
@@ -242,17 +217,15 @@ class Chain:
         context = self.context(number)
 
         def moved() -> tuple[Array, Array, float, dict[str, tuple[Array, Array]]]:
-            now, applied_V, factor, offset_V = context, context.command_V, None, None
+            now, applied_V, wider = context, context.command_V, None
             for term, values in here:
                 if term.effect.seat == Seat.AMPLIFIER:
                     applied_V = term.effect.forward(applied_V, now, values)
-                    now = replace(now, applied_V=applied_V, between=_behind(term, now), memo={})
+                    now = replace(now, applied_V=applied_V, between=course_behind(term.effect, now), memo={})
                 elif term.effect.seat == Seat.HYSTERESIS and term.effect.widening is not None:
-                    more, add_V = term.effect.widening(now, values)
-                    factor = more if factor is None else factor * more
-                    offset_V = add_V if offset_V is None else offset_V + add_V
+                    wider = term.effect.widening(now, values)
             path_V = np.array(self.series[number].path_V)
-            return applied_V, self.density.columns(applied_V, path_V, factor, offset_V), now.between, now.memo
+            return applied_V, self.density.columns(applied_V, path_V, wider), now.between, now.memo
 
         applied_V, columns, between, memo = self._plays[number].get(self._front(number, here), moved)
         return applied_V, columns, replace(context, applied_V=applied_V, between=between, memo=memo)
@@ -274,7 +247,7 @@ class Chain:
             stroke_V, now = applied_V + columns @ point.density, context
             for term, values in stack:
                 stroke_V = term.effect.forward(stroke_V, now, values)
-                now = replace(now, between=_behind(term, now))
+                now = replace(now, between=course_behind(term.effect, now))
             return stroke_V, now.between
 
         stroke_V, between = self._strokes[number].get(key, strained)
@@ -288,7 +261,7 @@ class Chain:
         for term, values in here:
             if term.effect.seat >= Seat.MECHANICS:
                 signal_N = term.effect.forward(signal_N, context, values)
-                context = replace(context, between=_behind(term, context))
+                context = replace(context, between=course_behind(term.effect, context))
         return Trace(self.played(number, here)[1], stroke_V, signal_N + point.offsets_N[number])
 
     def compared(self, number: int, terms: Sequence[Term], point: Point) -> Array:
@@ -312,7 +285,7 @@ class Chain:
                     signal_N = signal_N + self._added(number, here, term, context, values)[rows]
                 else:
                     signal_N = term.effect.forward(signal_N, context, values)
-                context = replace(context, between=_behind(term, context))
+                context = replace(context, between=course_behind(term.effect, context))
         result: Array = signal_N + point.offsets_N[number]
         return result
 
@@ -331,30 +304,37 @@ class Chain:
         )
 
     def base_tangents(self, number: int, terms: Sequence[Term], point: Point) -> Array:
-        """How the readings that are compared change with density and force law, shape (rows, all columns)."""
+        """How the readings that are compared change with density and force law, shape (rows, all columns).
+
+        Carried through the chain column by column: those of a long recording are most of what a diagnosis holds.
+        """
         here = self.terms_of(number, terms, point)
         applied_V, columns, context = self.played(number, here)
-        stroke_V, tangents = applied_V + columns @ point.density, columns
-        for term, values in here:
-            if term.effect.seat == Seat.STACK:
-                tangents = _carried(term.effect, tangents, stroke_V, context, values)
-                stroke_V = term.effect.forward(stroke_V, context, values)
-                context = replace(context, between=_behind(term, context))
-        behind = [one for one in here if one[0].effect.seat >= Seat.MECHANICS]
-        remembers = [place for place, (term, _) in enumerate(behind) if term.effect.form == "linear"]
-        signal_N, thinned = self.law.value(stroke_V, point.law), not remembers
+        stack = [(term.effect, values) for term, values in here if term.effect.seat == Seat.STACK]
+        stroke_V = applied_V + columns @ point.density
+        through_stack, stroke_V, context = passages(stack, stroke_V, context)
+        behind = [(term.effect, values) for term, values in here if term.effect.seat >= Seat.MECHANICS]
+        through_rest, _, _ = passages(behind, self.law.value(stroke_V, point.law), context)
+        remembers = any(one.linear for one in through_rest)
         rows = self.rows[number]
-        kept = rows if thinned else slice(None)
+        kept = slice(None) if remembers else rows
         splines, slopes = self.law.columns(stroke_V[kept])
-        tangents = (slopes @ point.law)[:, None] * tangents[kept]
-        del slopes  # a long recording's columns are most of what a diagnosis keeps
-        tangents = np.hstack((tangents, splines))
-        for place, (term, values) in enumerate(behind):
-            tangents = _carried(term.effect, tangents, signal_N, context, values, rows if thinned else slice(None))
-            if not thinned and place == remembers[-1]:
-                tangents, thinned = tangents[rows], True
-            signal_N = term.effect.forward(signal_N, context, values)
-            context = replace(context, between=_behind(term, context))
+        slope = slopes @ point.law
+        del slopes
+
+        def compared(column: Array) -> Array:
+            for passage in through_rest:
+                column = passage.through(column, kept)
+            return column[rows] if remembers else column
+
+        tangents = np.empty((self.series[number].counts[rows].size, columns.shape[1] + splines.shape[1]))
+        for k in range(columns.shape[1]):
+            column = np.ascontiguousarray(columns[:, k])
+            for passage in through_stack:
+                column = passage.through(column)
+            tangents[:, k] = compared(slope * column[kept])
+        for k in range(splines.shape[1]):
+            tangents[:, columns.shape[1] + k] = compared(np.ascontiguousarray(splines[:, k]))
         return tangents
 
 
@@ -366,31 +346,6 @@ def _rates(series: Sequence[Series]) -> tuple[float, float, float, float]:
         return 1.0, 1.0, 1.0, 1.0
     slow, usual, fast = (float(x) for x in np.percentile(moving, (10, 50, 90)))
     return slow, usual, fast, float(moving.max())
-
-
-def _behind(term: Term, context: Context) -> float:
-    return STRAIGHT if term.effect.smooths else context.between
-
-
-def _carried(
-    effect: Effect,
-    tangents: Array,
-    signal: Array,
-    context: Context,
-    values: Mapping[str, float],
-    rows: slice = slice(None),  # a slice is not mutable
-) -> Array:
-    """The same columns behind an effect; `rows` are those that the columns have of the signal's."""
-    if effect.form == "linear":
-        passed = np.empty_like(tangents, order="F")
-        for k in range(tangents.shape[1]):
-            passed[:, k] = effect.forward(np.ascontiguousarray(tangents[:, k]), context, values)
-        return passed
-    if effect.form == "memoryless":
-        step = 1e-5 * (float(np.ptp(signal)) + 1e-12)
-        above, below = effect.forward(signal + step, context, values), effect.forward(signal - step, context, values)
-        return tangents * ((above - below)[rows] / (2.0 * step))[:, None]
-    return tangents
 
 
 def empty_point(chain: Chain, gain: float, offset_N: float) -> Point:

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piezod.diagnose.chain import HATS, SPLINES, Chain, Point, Term
-from piezod.effects.effect import Parameter
+from piezod.diagnose.layout import Layout, scaled, step_of, unscaled
 
 Array = NDArray[np.float64]
 
@@ -16,9 +16,6 @@ REUSED, SETTLED = 2, 0.3  # how often the base's tangents serve again after step
 DONE = 1e-5  # relative fall of the loss below which a fit ends
 FIRST_DAMPING, MOST_DAMPING = 1e-4, 1e4  # after a step that did not help
 HUBER = 3.0  # residuals beyond so many standard deviations count less
-LAW_WITHIN = 0.02  # of the force's range; a part of the force law that one block alone tells
-LAW_BENDS = 0.02  # of the force's range, from one spline to the next and the next
-FACTOR = 0.3  # of a parameter on a logarithmic scale, or of a column's part
 SMOOTH = 1e-10  # weight of the density's and the law's bends, in parts of the mean diagonal
 
 
@@ -54,83 +51,6 @@ class Fitted:
     def loss(self) -> float:
         """Mean over all samples."""
         return float(self.losses @ self.samples / self.samples.sum())
-
-
-class Layout:
-    """Where the parameters of a hypothesis stand in the vector: density, law, offsets, effects."""
-
-    def __init__(self, chain: Chain, terms: Sequence[Term]) -> None:
-        self.plays = chain.density.count
-        self.offsets = self.plays + chain.law.count
-        self.recordings = len(chain.series)
-        self.searched: list[tuple[int, Parameter]] = [
-            (number, chain.parameter(term.effect, name)) for number, term in enumerate(terms) for name in term.searched
-        ]
-        self.effects = self.offsets + self.recordings - 1
-        self.size = self.effects + len(self.searched)
-
-    def vector(self, point: Point) -> Array:
-        """All parameters of a point."""
-        searched = [_scaled(one, point.values[number][one.name]) for number, one in self.searched]
-        return np.concatenate((point.density, point.law, point.offsets_N[1:], searched))
-
-    def point(self, vector: Array, like: Point) -> Point:
-        """The point of a vector, with what is not searched as in another."""
-        values = [dict(one) for one in like.values]
-        for place, (number, one) in enumerate(self.searched):
-            values[number][one.name] = _unscaled(one, float(vector[self.effects + place]))
-        return Point(
-            vector[: self.plays],
-            vector[self.plays : self.offsets],
-            np.concatenate(([0.0], vector[self.offsets : self.effects])),
-            tuple(values),
-        )
-
-    def stiffness(self, samples: float) -> Array:
-        """Curvature of what draws stiff parameters to zero, shape (size,)."""
-        stiff = np.zeros(self.size)
-        stiff[self.effects :] = [samples * one.stiffness for _, one in self.searched]
-        return stiff
-
-    def prior(self, chain: Chain, point: Point) -> Array:
-        """Curvature of a weak prior: by how much a parameter may differ where nothing tells, shape (size, size).
-
-        Density and law may bend only so much; what one block alone tells of them is continued from beside it.
-        """
-        span_N = chain.force_span_N
-        wide = np.empty(self.size)
-        wide[: self.plays] = max(float(np.abs(point.density[:HATS]).max()), 0.1)
-        wide[self.plays : self.effects] = LAW_WITHIN * span_N
-        wide[HATS : self.plays] = wide[self.plays + SPLINES : self.offsets] = FACTOR
-        for place, (number, one) in enumerate(self.searched, start=self.effects):
-            value = abs(float(point.values[number][one.name]))
-            wide[place] = FACTOR if one.logarithmic else max(value, 1e-3 * min(one.high - one.low, 1e3))
-        prior = np.diag(wide**-2.0)
-        for first, count, bend in ((0, HATS, 0.5 * wide[0]), (self.plays, SPLINES, LAW_BENDS * span_N)):
-            bends = np.diff(np.eye(count), 2, axis=0) / bend
-            prior[first : first + count, first : first + count] += bends.T @ bends
-        return prior
-
-    def clipped(self, vector: Array) -> Array:
-        """The same within every parameter's range."""
-        result = vector.copy()
-        for place, (_, one) in enumerate(self.searched, start=self.effects):
-            result[place] = np.clip(result[place], _scaled(one, one.low), _scaled(one, one.high))
-        return result
-
-
-def _scaled(one: Parameter, value: float) -> float:
-    return float(np.log(np.clip(value, one.low, one.high))) if one.logarithmic else value
-
-
-def _unscaled(one: Parameter, value: float) -> float:
-    return float(np.clip(np.exp(value) if one.logarithmic else value, one.low, one.high))
-
-
-def _step_of(one: Parameter, value: float) -> float:
-    """How far a parameter is moved to see what it does, on its scale; inwards at a bound."""
-    size = 1e-3 if one.logarithmic else 1e-3 * max(abs(value), 1e-2 * min(one.high - one.low, 1e3))
-    return -size if _unscaled(one, value + size) >= one.high else size
 
 
 def fit(chain: Chain, terms: Sequence[Term], start: Point, *, most_steps: int = MOST_STEPS) -> Fitted:
@@ -388,9 +308,9 @@ def _jacobian(
         jacobian[:, layout.offsets + number - 1] = 1.0
     for place, (term, one) in enumerate(layout.searched, start=layout.effects):
         if terms[term].acts_on(number, series):
-            scaled = _scaled(one, point.values[term][one.name])
-            size = _step_of(one, scaled)
-            moved = _moved(point, term, one.name, _unscaled(one, scaled + size))
+            here = scaled(one, point.values[term][one.name])
+            size = step_of(one, here)
+            moved = _moved(point, term, one.name, unscaled(one, here + size))
             change = chain.compared(number, terms, moved) - compared_N
             jacobian[:, place] = change / size
     return reading, jacobian

@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piezod.diagnose.chain import Chain
-from piezod.diagnose.fit import DONE, FIRST_DAMPING, MOST_DAMPING, Fitted, Layout, Normal
+from piezod.diagnose.fit import DONE, FIRST_DAMPING, MOST_DAMPING, Fitted, Normal
+from piezod.diagnose.layout import Layout
 from piezod.errors import RecordingError
 from piezod.identify.qp import Constraints, solve_step
 from piezod.operators import EPS

@@ -1,6 +1,7 @@
 """The plays grow wider with the rate of the voltage.
 
 Forward    r_i(t) = r_i (1 + growth ln(1 + rate / reference)); rate is |du/dt| behind a short lag, kept while u rests
+           A play whose threshold shrinks is left where it stands until the voltage pushes it (pushed), or drawn along
 Inverse    implicit, with the thresholds of this rate; exact for any schedule of thresholds (THEORY 1.9, 1.6)
 Signature  loops widen with the logarithm of the rate, flats after a reversal lengthen, nothing relaxes in a hold;
            look-alike electrical_lag widens in proportion to the rate and rounds corners, creep goes on in a hold
@@ -14,7 +15,7 @@ import math
 import numba
 import numpy as np
 
-from piezod.effects.effect import Array, Context, Effect, Parameter, Seat, Values, unchanged
+from piezod.effects.effect import Array, Context, Effect, Parameter, Seat, Values, Widened, unchanged
 
 LOGARITHM, POWER, OFFSET = 0, 1, 2
 OFFSET_SHARE = 0.1  # of the voltage range: what growth is measured in where all thresholds grow alike
@@ -42,15 +43,15 @@ def _rates(u: Array, dt_s: float, rate_time_s: float) -> Array:
     return out
 
 
-def widening(context: Context, values: Values) -> tuple[Array, Array]:
-    """Factor (1) and offset [V] of all thresholds above zero, each shape (N,)."""
-    u = context.applied_V
+def widening(context: Context, values: Values) -> Widened:
+    """The thresholds above zero."""
+    u, pushed = context.applied_V, values.get("pushed", 0.0) > 0.0
     growth, kind = values["growth"], round(values.get("kind", LOGARITHM))
     decay = np.log1p(_rates(u, context.dt_s, values.get("rate_time_s", 0.01)) / values["reference_V_per_s"])
     if kind == OFFSET:
-        return np.ones(u.size), OFFSET_SHARE * float(np.ptp(u)) * growth * decay
+        return Widened(np.ones(u.size), OFFSET_SHARE * float(np.ptp(u)) * growth * decay, pushed)
     factor: Array = np.exp(growth * decay) if kind == POWER else 1.0 + growth * decay
-    return factor, np.zeros(u.size)
+    return Widened(factor, np.zeros(u.size), pushed)
 
 
 EFFECT = Effect(
@@ -63,6 +64,7 @@ EFFECT = Effect(
         Parameter("reference_V_per_s", "V/s", 0.1, 1e4, starts=(3.0, 30.0, 300.0), logarithmic=True),
         Parameter("rate_time_s", "s", 1e-3, 0.1, starts=(0.01,), logarithmic=True, nuisance=True),
         Parameter("kind", "1", 0.0, 2.0, starts=(0.0,), nuisance=True, choices=(0.0, 1.0, 2.0)),
+        Parameter("pushed", "1", 0.0, 1.0, starts=(1.0,), nuisance=True, choices=(1.0, 0.0)),
     ),
     forward=unchanged,
     widening=widening,

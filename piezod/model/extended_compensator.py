@@ -199,6 +199,7 @@ def chain_constants(model: Model, found: Found, dt_s: float) -> Array:
         chain[at.LAG_KEEP], chain[at.LAG_RAMP] = first_order_coefficients(lag["time_constant_s"], dt_s)
     rate = found.get("rate_dependent_hysteresis", {})
     chain[at.GROWTH], chain[at.KIND] = rate.get("growth", 0.0), round(rate.get("kind", 0.0))
+    chain[at.PUSHED] = rate.get("pushed", 0.0)
     chain[at.REFERENCE_V_PER_S], chain[at.RATE_TIME_S] = (
         rate.get("reference_V_per_s", 1.0),
         rate.get("rate_time_s", 1.0),

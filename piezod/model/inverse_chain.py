@@ -20,7 +20,7 @@ from piezod.effects.rate_dependent_hysteresis import OFFSET, POWER, rate_step
 from piezod.effects.slew_limit import slew_step
 from piezod.effects.voltage_clamp import clamp_step
 from piezod.operators.dead_zone import dead_zone_step
-from piezod.operators.play import play_solve, play_step, play_value, play_wider_solve, play_wider_step
+from piezod.operators.play import play_solve, play_step, play_value, play_wider_solve, play_wider_step, play_wider_value
 from piezod.operators.prandtl_ishlinskii import HEADER
 
 Array = NDArray[np.float64]
@@ -29,18 +29,10 @@ Array = NDArray[np.float64]
 LIMIT_V, KNEE_V, SLEW_V, LAG_KEEP, LAG_RAMP = 0, 1, 2, 3, 4
 GROWTH, REFERENCE_V_PER_S, RATE_TIME_S, KIND, OFFSET_V, DT_S = 5, 6, 7, 8, 9, 10
 GAIN, SQUARE, CUBE, LOW, HIGH, SPAN_N, GAP_N, SOFT_N = 11, 12, 13, 14, 15, 16, 17, 18
-CREEP_BY_VOLTAGE = 19
-SLEWED_V, APPLIED_V, RATE_V_PER_S, RESTED_S, START_V, START_STROKE_V, DRIVE_V, THERMAL_N = (
-    20,
-    21,
-    22,
-    23,
-    24,
-    25,
-    26,
-    27,
-)
-FIRST = 28
+CREEP_BY_VOLTAGE, PUSHED = 19, 20
+SLEWED_V, APPLIED_V, RATE_V_PER_S, RESTED_S = 21, 22, 23, 24
+START_V, START_STROKE_V, DRIVE_V, THERMAL_N = 25, 26, 27, 28
+FIRST = 29
 
 MOST_PASSES, SAME_V = 40, 1e-9  # the rate of a tick depends on the voltage that is looked for
 BISECTIONS = 60
@@ -130,12 +122,16 @@ def _through_plays(packed: Array, chain: Array, plays: int, v: float) -> float:
     if chain[GROWTH] == 0.0:
         return play_solve(packed, HEADER, plays, v)
     applied_V: float = chain[APPLIED_V]
+    nearest_V, least, pushed = applied_V, np.inf, chain[PUSHED] > 0.0
     for _ in range(MOST_PASSES):
         factor, more, _, _ = _widening(chain, applied_V)
-        before_V, applied_V = applied_V, play_wider_solve(packed, HEADER, plays, v, factor, more)
+        off = abs(play_wider_value(packed, HEADER, plays, applied_V, factor, more, pushed) - v)
+        if off < least:
+            nearest_V, least = applied_V, off
+        before_V, applied_V = applied_V, play_wider_solve(packed, HEADER, plays, v, factor, more, pushed)
         if abs(applied_V - before_V) < SAME_V:
             return before_V  # the one that the thresholds belong to: a voltage that rests has another rate
-    return applied_V
+    return nearest_V  # plays that are pushed may leap over what is asked for
 
 
 @numba.njit(cache=True)
@@ -166,7 +162,7 @@ def commit_chain_step(packed: Array, chain: Array, voltage_V: float) -> None:
     if chain[GROWTH] > 0.0:
         factor, more, rate, rested_s = _widening(chain, applied_V)
         chain[RATE_V_PER_S], chain[RESTED_S] = rate, rested_s
-        v = play_wider_step(packed, HEADER, plays, applied_V, factor, more)
+        v = play_wider_step(packed, HEADER, plays, applied_V, factor, more, chain[PUSHED] > 0.0)
     else:
         v = play_step(packed, HEADER, plays, applied_V)
     chain[APPLIED_V] = applied_V

@@ -115,8 +115,8 @@ def wandering(size, seed):
 def results(name, signal, context, values):
     """All arrays that an effect makes of a signal."""
     effect = EFFECTS[name]
-    wider = () if effect.widening is None else effect.widening(context, values)
-    return [effect.forward(signal, context, values), *wider]
+    wider = None if effect.widening is None else effect.widening(context, values)
+    return [effect.forward(signal, context, values), *([] if wider is None else [wider.factor, wider.offset_V])]
 
 
 def sources():

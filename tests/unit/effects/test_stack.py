@@ -13,7 +13,8 @@ RATE = {"growth": 0.08, "reference_V_per_s": 10.0, "rate_time_s": 0.005}
 
 
 def widening(u, dt_s=DT_s, **changed):
-    return EFFECTS["rate_dependent_hysteresis"].widening(over(u, dt_s), RATE | changed)
+    found = EFFECTS["rate_dependent_hysteresis"].widening(over(u, dt_s), RATE | changed)
+    return found.factor, found.offset_V
 
 
 def test_thresholds_grow_with_the_logarithm_of_the_rate():
