@@ -15,8 +15,6 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from piezod.effects.effect import Widened
-
 Array = NDArray[np.float64]
 
 PLAYS = 56
@@ -83,7 +81,9 @@ class PlayDensity:
         order = np.argsort(all_V, kind="stable")
         return PlayDensity(all_V[order], hats[order])
 
-    def columns(self, applied_V: Array, path_V: Array, wider: Widened | None = None) -> Array:
+    def columns(
+        self, applied_V: Array, path_V: Array, factor: Array | None = None, offset_V: Array | None = None
+    ) -> Array:
         """B_k over a record, shape (N, columns) [V].
 
         Parameters
@@ -92,8 +92,8 @@ class PlayDensity:
             Voltage at the stack, shape (N,) [V].
         path_V
             Voltages since the de-energised state, before the first sample [V].
-        wider
-            What the thresholds have become; None: as they were.
+        factor, offset_V
+            What the thresholds are multiplied by and what is added to them, shape (N,) or None.
         """
         out = np.empty((applied_V.size, self.count))
         none = np.empty(0)
@@ -101,9 +101,8 @@ class PlayDensity:
             *self._laid_out,
             np.asarray(path_V, dtype=np.float64),
             np.ascontiguousarray(applied_V),
-            none if wider is None else wider.factor,
-            none if wider is None else wider.offset_V,
-            wider is not None and wider.pushed,
+            none if factor is None else factor,
+            none if offset_V is None else offset_V,
             out,
         )
         return out
@@ -147,12 +146,10 @@ def _columns(
     u: Array,
     factor: Array,
     offset: Array,
-    pushed: bool,
     out: Array,
 ) -> None:
     plays = r.size
     z, lag, wide = np.zeros(plays), np.zeros(plays), r.copy()
-    before = path[-1] if path.size else 0.0
     for k in range(path.size):
         for i in range(plays):
             z[i] = max(path[k] - r[i], min(path[k] + r[i], z[i]))
@@ -161,11 +158,8 @@ def _columns(
             for i in range(plays):
                 wide[i] = r[i] * factor[k] + offset[k]
         now = u[k]
-        beyond_low = np.inf if pushed and now <= before else 0.0  # a bound that the voltage does not push
-        beyond_high = np.inf if pushed and now >= before else 0.0
-        before = now
         for i in range(plays):  # comparisons, not max and min: these become vector instructions
-            low, high, state = now - wide[i] - beyond_low, now + wide[i] + beyond_high, z[i]
+            low, high, state = now - wide[i], now + wide[i], z[i]
             state = max(state, low)
             state = min(state, high)
             z[i] = state

@@ -217,15 +217,15 @@ class Chain:
         context = self.context(number)
 
         def moved() -> tuple[Array, Array, float, dict[str, tuple[Array, Array]]]:
-            now, applied_V, wider = context, context.command_V, None
+            now, applied_V, factor, offset_V = context, context.command_V, None, None
             for term, values in here:
                 if term.effect.seat == Seat.AMPLIFIER:
                     applied_V = term.effect.forward(applied_V, now, values)
                     now = replace(now, applied_V=applied_V, between=course_behind(term.effect, now), memo={})
                 elif term.effect.seat == Seat.HYSTERESIS and term.effect.widening is not None:
-                    wider = term.effect.widening(now, values)
+                    factor, offset_V = term.effect.widening(now, values)
             path_V = np.array(self.series[number].path_V)
-            return applied_V, self.density.columns(applied_V, path_V, wider), now.between, now.memo
+            return applied_V, self.density.columns(applied_V, path_V, factor, offset_V), now.between, now.memo
 
         applied_V, columns, between, memo = self._plays[number].get(self._front(number, here), moved)
         return applied_V, columns, replace(context, applied_V=applied_V, between=between, memo=memo)

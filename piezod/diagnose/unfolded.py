@@ -16,7 +16,7 @@ from piezod.operators import EPS
 
 Array = NDArray[np.float64]
 
-STEPS = 25
+STEPS = 80
 SMALLEST = 5.0 * EPS  # slope of the loading curve
 
 

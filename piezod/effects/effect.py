@@ -123,26 +123,7 @@ class Context:
 
 
 Forward = Callable[[Array, Context, Values], Array]
-
-
-@dataclass(frozen=True)
-class Widened:
-    """What the thresholds of the plays have become.
-
-    Parameters
-    ----------
-    factor, offset_V
-        What all thresholds above 0 are multiplied by (1), and what is added to them [V], each shape (N,).
-    pushed
-        A play whose threshold shrinks stays where it is until the voltage pushes it; else it is drawn along.
-    """
-
-    factor: Array
-    offset_V: Array
-    pushed: bool
-
-
-Widening = Callable[[Context, Values], Widened]
+Widening = Callable[[Context, Values], tuple[Array, Array]]
 
 
 @dataclass(frozen=True)
@@ -171,7 +152,7 @@ class Effect:
     why
         Why it is corrected in the reading or refused; empty where it is compensated.
     widening
-        Of the seat HYSTERESIS alone: the thresholds of the plays.
+        Of the seat HYSTERESIS alone: factor (1) and offset [V] of all play thresholds, each shape (N,).
     smooths
         Whether a held signal runs straight between samples behind it.
     needs

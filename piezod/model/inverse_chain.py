@@ -20,19 +20,27 @@ from piezod.effects.rate_dependent_hysteresis import OFFSET, POWER, rate_step
 from piezod.effects.slew_limit import slew_step
 from piezod.effects.voltage_clamp import clamp_step
 from piezod.operators.dead_zone import dead_zone_step
-from piezod.operators.play import play_solve, play_step, play_value, play_wider_solve, play_wider_step, play_wider_value
+from piezod.operators.play import play_solve, play_step, play_value, play_wider_solve, play_wider_step
 from piezod.operators.prandtl_ishlinskii import HEADER
 
 Array = NDArray[np.float64]
 
 # Constants, then states, then the elements of the creep: keep, ramp, weight and state of each.
 LIMIT_V, KNEE_V, SLEW_V, LAG_KEEP, LAG_RAMP = 0, 1, 2, 3, 4
-GROWTH, REFERENCE_V_PER_S, RATE_TIME_S, KIND, OFFSET_V, DT_S = 5, 6, 7, 8, 9, 10
+GROWTH, REFERENCE_V_PER_S, RATE_WAY_V, KIND, OFFSET_V, DT_S = 5, 6, 7, 8, 9, 10
 GAIN, SQUARE, CUBE, LOW, HIGH, SPAN_N, GAP_N, SOFT_N = 11, 12, 13, 14, 15, 16, 17, 18
-CREEP_BY_VOLTAGE, PUSHED = 19, 20
-SLEWED_V, APPLIED_V, RATE_V_PER_S, RESTED_S = 21, 22, 23, 24
-START_V, START_STROKE_V, DRIVE_V, THERMAL_N = 25, 26, 27, 28
-FIRST = 29
+CREEP_BY_VOLTAGE = 19
+SLEWED_V, APPLIED_V, RATE_V_PER_S, RESTED_S, START_V, START_STROKE_V, DRIVE_V, THERMAL_N = (
+    20,
+    21,
+    22,
+    23,
+    24,
+    25,
+    26,
+    27,
+)
+FIRST = 28
 
 MOST_PASSES, SAME_V = 40, 1e-9  # the rate of a tick depends on the voltage that is looked for
 BISECTIONS = 60
@@ -42,7 +50,7 @@ BISECTIONS = 60
 def _widening(chain: Array, applied_V: float) -> tuple[float, float, float, float]:
     """Factor and offset of the thresholds at the end of a tick that ends at a voltage, with the rate behind them."""
     moved_V = abs(applied_V - chain[APPLIED_V])
-    rate, rested_s = rate_step(chain[RATE_V_PER_S], chain[RESTED_S], moved_V, chain[DT_S], chain[RATE_TIME_S])
+    rate, rested_s = rate_step(chain[RATE_V_PER_S], chain[RESTED_S], moved_V, chain[DT_S], chain[RATE_WAY_V])
     wider = chain[GROWTH] * math.log1p(rate / chain[REFERENCE_V_PER_S])
     if chain[KIND] == OFFSET:
         return 1.0, chain[OFFSET_V] * wider, rate, rested_s
@@ -122,16 +130,12 @@ def _through_plays(packed: Array, chain: Array, plays: int, v: float) -> float:
     if chain[GROWTH] == 0.0:
         return play_solve(packed, HEADER, plays, v)
     applied_V: float = chain[APPLIED_V]
-    nearest_V, least, pushed = applied_V, np.inf, chain[PUSHED] > 0.0
     for _ in range(MOST_PASSES):
         factor, more, _, _ = _widening(chain, applied_V)
-        off = abs(play_wider_value(packed, HEADER, plays, applied_V, factor, more, pushed) - v)
-        if off < least:
-            nearest_V, least = applied_V, off
-        before_V, applied_V = applied_V, play_wider_solve(packed, HEADER, plays, v, factor, more, pushed)
+        before_V, applied_V = applied_V, play_wider_solve(packed, HEADER, plays, v, factor, more)
         if abs(applied_V - before_V) < SAME_V:
             return before_V  # the one that the thresholds belong to: a voltage that rests has another rate
-    return nearest_V  # plays that are pushed may leap over what is asked for
+    return applied_V
 
 
 @numba.njit(cache=True)
@@ -162,7 +166,7 @@ def commit_chain_step(packed: Array, chain: Array, voltage_V: float) -> None:
     if chain[GROWTH] > 0.0:
         factor, more, rate, rested_s = _widening(chain, applied_V)
         chain[RATE_V_PER_S], chain[RESTED_S] = rate, rested_s
-        v = play_wider_step(packed, HEADER, plays, applied_V, factor, more, chain[PUSHED] > 0.0)
+        v = play_wider_step(packed, HEADER, plays, applied_V, factor, more)
     else:
         v = play_step(packed, HEADER, plays, applied_V)
     chain[APPLIED_V] = applied_V

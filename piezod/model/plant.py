@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from piezod.effects import EFFECTS, Context, Effect, Seat
-from piezod.effects.effect import HELD_BEFORE, STRAIGHT, Widened
+from piezod.effects.effect import HELD_BEFORE, STRAIGHT
 from piezod.model.parameters import Model
 from piezod.operators import PrandtlIshlinskii
 
@@ -111,11 +111,8 @@ def run_chain(
     for effect, values in _seated(effects, Seat.AMPLIFIER, Seat.AMPLIFIER):
         signal = effect.forward(signal, context, values)
         context = behind(effect, replace(context, applied_V=signal, memo={}))
-    wider = widened(effects, context)
-    if wider is None:
-        signal = operator.stroke(signal)
-    else:
-        signal = operator.stroke(signal, wider.factor, wider.offset_V, pushed=wider.pushed)
+    factor, offset_V = widened(effects, context)
+    signal = operator.stroke(signal, factor, offset_V)
     for effect, values in _seated(effects, Seat.STACK, Seat.STACK):
         signal = effect.forward(signal, context, values)
         context = behind(effect, context)
@@ -131,12 +128,16 @@ def between_of(model: Model) -> float:
     return {"straight": STRAIGHT, "held": max(model.read_after, 1e-6), "held_before": HELD_BEFORE}[model.sampling]
 
 
-def widened(effects: Sequence[tuple[Effect, dict[str, float]]], context: Context) -> Widened | None:
-    """What the thresholds of the plays have become; None where they are as they were."""
+def widened(effects: Sequence[tuple[Effect, dict[str, float]]], context: Context) -> tuple[Array | None, Array | None]:
+    """Factor and offset of the play thresholds, each of shape (N,) or None."""
+    factor: Array | None = None
+    offset_V: Array | None = None
     for effect, values in effects:
         if effect.widening is not None:
-            return effect.widening(context, values)
-    return None
+            wider, more_V = effect.widening(context, values)
+            factor = wider if factor is None else factor * wider
+            offset_V = more_V if offset_V is None else offset_V + more_V
+    return factor, offset_V
 
 
 def behind(effect: Effect, context: Context) -> Context:

@@ -69,78 +69,46 @@ def play_solve(packed: Array, base: int, count: int, v: float) -> float:
 
 
 @numba.njit(cache=True)
-def play_wider_step(packed: Array, base: int, count: int, u: float, factor: float, more: float, pushed: bool) -> float:
-    """`play_step` with thresholds above 0 multiplied by `factor` and widened by `more` (THEORY 1.9).
-
-    Where a threshold shrinks, the state may stand beyond its reach: it is drawn along, or, `pushed`, left where it
-    stands until the input pushes it; the input moved last from where the play without a threshold stands.
-    """
+def play_wider_step(packed: Array, base: int, count: int, u: float, factor: float, more: float) -> float:
+    """`play_step` with thresholds above 0 multiplied by `factor` and widened by `more` (THEORY 1.9)."""
     v = 0.0
     weights, states = base + WEIGHT * count, base + STATE * count
-    moved = u - packed[states]
     for i in range(count):
         r = packed[base + i]
         r = r * factor + more if r > 0.0 else 0.0
-        z = packed[states + i]
-        if z > u + r and (moved < 0.0 or not pushed):
-            z = u + r
-        elif z < u - r and (moved > 0.0 or not pushed):
-            z = u - r
+        z = max(u - r, min(u + r, packed[states + i]))
         packed[states + i] = z
         v += packed[weights + i] * z
     return v
 
 
 @numba.njit(cache=True)
-def _wider_sum(
-    packed: Array, base: int, count: int, u: float, factor: float, more: float, side: float
-) -> tuple[float, float]:
-    """Weighted sum of such plays at input `u`, and its slope; with a `side` above 0 the input only pushes up."""
-    total, slope = 0.0, 0.0
-    weights, states = base + WEIGHT * count, base + STATE * count
-    for i in range(count):
-        r = packed[base + i]
-        r = r * factor + more if r > 0.0 else 0.0
-        z, w = packed[states + i], packed[weights + i]
-        if z < u - r and side >= 0.0:
-            total += w * (u - r)
-            slope += w
-        elif z > u + r and side <= 0.0:
-            total += w * (u + r)
-            slope += w
-        else:
-            total += w * z
-            if r == 0.0:
-                slope += w
-    return total, slope
-
-
-@numba.njit(cache=True)
-def play_wider_value(packed: Array, base: int, count: int, u: float, factor: float, more: float, pushed: bool) -> float:
-    """What `play_wider_step` would give, moving no state."""
-    moved = u - packed[base + STATE * count]
-    if pushed and moved == 0.0:
-        return play_value(packed, base, count)
-    return _wider_sum(packed, base, count, u, factor, more, moved if pushed else 0.0)[0]
-
-
-@numba.njit(cache=True)
-def play_wider_solve(packed: Array, base: int, count: int, v: float, factor: float, more: float, pushed: bool) -> float:
-    """Input u at which `play_wider_step` would give `v`, moving no state.
+def play_wider_solve(packed: Array, base: int, count: int, v: float, factor: float, more: float) -> float:
+    """Input u at which the plays with such thresholds would sum to `v`, moving no state.
 
     After a change of the thresholds the plays need not join in their order, so the scan of `play_solve` does not serve:
     Newton's steps on the rising, piecewise linear sum, kept between bounds that close in. Ends on the piece that holds
-    the solution, hence exact. The sum of plays that are pushed may leap where the input begins to move: for what lies
-    within the leap the input rests.
+    the solution, hence exact.
     """
-    u: float = packed[base + STATE * count]
-    low, high, side = -np.inf, np.inf, 0.0
-    if pushed:
-        side = 1.0 if v >= play_value(packed, base, count) else -1.0
-        if side * (v - _wider_sum(packed, base, count, u, factor, more, side)[0]) <= 0.0:
-            return u
+    weights, states = base + WEIGHT * count, base + STATE * count
+    u: float = packed[states]
+    low, high = -np.inf, np.inf
     for _ in range(MOST_NEWTON):
-        total, slope = _wider_sum(packed, base, count, u, factor, more, side)
+        total, slope = 0.0, 0.0
+        for i in range(count):
+            r = packed[base + i]
+            r = r * factor + more if r > 0.0 else 0.0
+            z = packed[states + i]
+            if z < u - r:
+                total += packed[weights + i] * (u - r)
+                slope += packed[weights + i]
+            elif z > u + r:
+                total += packed[weights + i] * (u + r)
+                slope += packed[weights + i]
+            else:
+                total += packed[weights + i] * z
+                if r == 0.0:
+                    slope += packed[weights + i]
         missing = v - total
         if missing > 0.0:
             low = u
@@ -167,18 +135,24 @@ def play_states_run(packed: Array, base: int, count: int, u: Array, states: Arra
 
 
 @numba.njit(cache=True)
-def play_run(
-    packed: Array, base: int, count: int, u: Array, factor: Array, offset: Array, pushed: bool, v: Array
-) -> None:
+def play_run(packed: Array, base: int, count: int, u: Array, factor: Array, offset: Array, v: Array) -> None:
     """Weighted sum of the plays over the record `u`, shape (N,), into `v`.
 
     Thresholds above 0 are multiplied by `factor` and widened by `offset`, each of shape (N,) or empty: rate-dependent
-    plays, drawn along or `pushed` (`play_wider_step`).
+    plays (THEORY 1.9).
     """
+    weights, states = base + WEIGHT * count, base + STATE * count
     for k in range(u.size):
         wider = factor[k] if factor.size else 1.0
         more = offset[k] if offset.size else 0.0
-        v[k] = play_wider_step(packed, base, count, u[k], wider, more, pushed)
+        total = 0.0
+        for i in range(count):
+            r = packed[base + i]
+            r = r * wider + more if r > 0.0 else 0.0
+            z = max(u[k] - r, min(u[k] + r, packed[states + i]))
+            packed[states + i] = z
+            total += packed[weights + i] * z
+        v[k] = total
 
 
 def inverse_table(thresholds: Array, weights: Array) -> tuple[Array, Array]:

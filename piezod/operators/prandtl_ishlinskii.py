@@ -126,10 +126,8 @@ class PrandtlIshlinskii:
         self.offset = float(offset)
         self.packed = _pack(plays, np.zeros(plays[0].size), zones, self.offset)
 
-    def stroke(
-        self, u: ArrayLike, factor: Array | None = None, offset: Array | None = None, *, pushed: bool = False
-    ) -> Array:
-        """What the plays give over a record, shape (N,), with thresholds widened where asked for (`play_run`)."""
+    def stroke(self, u: ArrayLike, factor: Array | None = None, offset: Array | None = None) -> Array:
+        """What the plays give over a record, shape (N,), with thresholds widened where that is asked for."""
         inputs = np.ascontiguousarray(u, dtype=np.float64)
         nothing, v = np.empty(0), np.empty(inputs.size)
         count = int(self.packed[0])
@@ -140,7 +138,6 @@ class PrandtlIshlinskii:
             inputs,
             nothing if factor is None else factor,
             nothing if offset is None else offset,
-            pushed,
             v,
         )
         return v

@@ -56,7 +56,7 @@ MIDDLE = {  # neither so weak nor so fast that nothing could be seen on a grid o
     "voltage_clamp": {"limit_V": 70.0, "knee_V": 5.0},
     "slew_limit": {"limit_V_per_s": 150.0},
     "electrical_lag": {"time_constant_s": 0.05},
-    "rate_dependent_hysteresis": {"growth": 0.1, "rate_time_s": 0.08},
+    "rate_dependent_hysteresis": {"growth": 0.1, "rate_way_V": 8.0},
     "contact_gap": {"gap_N": 20.0, "softness_N": 10.0},
     "resonance": {"frequency_Hz": 8.0, "damping_ratio": 0.1},
     "load_step": {"on_s": 0.512, "off_s": 1.024, "rise_s": 0.128},
@@ -115,8 +115,8 @@ def wandering(size, seed):
 def results(name, signal, context, values):
     """All arrays that an effect makes of a signal."""
     effect = EFFECTS[name]
-    wider = None if effect.widening is None else effect.widening(context, values)
-    return [effect.forward(signal, context, values), *([] if wider is None else [wider.factor, wider.offset_V])]
+    wider = () if effect.widening is None else effect.widening(context, values)
+    return [effect.forward(signal, context, values), *wider]
 
 
 def sources():

@@ -1,12 +1,9 @@
 """The base's columns, against the definition of a play."""
 
-import itertools
-
 import numpy as np
 import pytest
 
 from piezod.diagnose.basis import ForceLaw, PlayDensity
-from piezod.effects.effect import Widened
 
 SMOOTH = PlayDensity.up_to(120.0)
 RNG = np.random.default_rng(1)
@@ -15,16 +12,13 @@ SOME_V = RNG.uniform(1.0, 100.0, 14)
 U_V = 60.0 - 60.0 * np.cos(0.03 * np.arange(900)) + 20.0 * np.sin(0.5 * np.arange(900))
 
 
-def by_definition(density, u, path, wider):
+def by_definition(density, u, path, factor, offset_V):
     z, out = np.zeros(density.thresholds_V.size), np.zeros((u.size, density.count))
     for v in path:
         z = np.maximum(v - density.thresholds_V, np.minimum(v + density.thresholds_V, z))
-    for k, (before, v) in enumerate(itertools.pairwise([path[-1], *u])):
-        wide = density.thresholds_V * wider.factor[k] + wider.offset_V[k]
-        if v > before or not wider.pushed:
-            z = np.maximum(z, v - wide)
-        if v < before or not wider.pushed:
-            z = np.minimum(z, v + wide)
+    for k, v in enumerate(u):
+        wide = density.thresholds_V * factor[k] + offset_V[k]
+        z = np.minimum(np.maximum(z, v - wide), v + wide)
         out[k] = (z - v) @ density.hats
     return out
 
@@ -34,11 +28,10 @@ def by_definition(density, u, path, wider):
     [SMOOTH, SHARP, SHARP.smooth(), SHARP.beside(SOME_V, np.eye(14)), SMOOTH.beside(SOME_V[:1], np.eye(1))],
 )
 @pytest.mark.parametrize("swing", [0.0, 0.1])
-@pytest.mark.parametrize("pushed", [False, True])
-def test_columns_are_the_plays_lags(density, swing, pushed):
-    wider = Widened(1.0 + swing * np.sin(U_V), swing * np.cos(U_V), pushed)
-    found = density.columns(U_V, np.array([80.0, 3.0]), wider)
-    np.testing.assert_allclose(found, by_definition(density, U_V, (80.0, 3.0), wider), atol=1e-12)
+def test_columns_are_the_plays_lags(density, swing):
+    factor, offset_V = 1.0 + swing * np.sin(U_V), swing * np.cos(U_V)
+    found = density.columns(U_V, np.array([80.0, 3.0]), factor, offset_V)
+    np.testing.assert_allclose(found, by_definition(density, U_V, (80.0, 3.0), factor, offset_V), atol=1e-12)
     if not swing:
         np.testing.assert_array_equal(found, density.columns(U_V, np.array([80.0, 3.0])))
 

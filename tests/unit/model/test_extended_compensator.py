@@ -37,7 +37,7 @@ def driven(model, reference, low_V=0.0, high_V=1e3):
 
 @pytest.mark.parametrize("name", FROM_START)
 def test_what_is_planned_with_an_effect_gives_the_reference(model, name):
-    with_it = with_effects(model, name, pushed=0.0)
+    with_it = with_effects(model, name)
     t, reference = reference_N(model)
     voltage_V = driven(with_it, reference, low_V=-1e3)
     reading = run_chain(with_it, with_it.operator(), t, voltage_V)
@@ -45,25 +45,8 @@ def test_what_is_planned_with_an_effect_gives_the_reference(model, name):
     assert np.max(np.abs(reading - reference)) < 1e-8 * span
 
 
-def test_where_pushed_plays_leap_the_voltage_waits_and_the_force_is_off_by_no_more_than_the_leap(model):
-    """A fast rise, a hold, then a slow rise: the narrower plays are pushed at once where the voltage moves on."""
-    with_it = with_effects(model, "rate_dependent_hysteresis")
-    span = model.output.high - model.output.low
-    rest = float(model.operator().run(np.zeros(1))[0])
-    t = np.arange(0.0, 6.0, DT_S)
-    reference = rest + span * np.interp(t, [0.0, 0.2, 1.2, 6.0], [0.0, 0.5, 0.5, 0.6])
-    voltage_V = driven(with_it, reference, low_V=-1e3)
-    error = np.abs(run_chain(with_it, with_it.operator(), t, voltage_V) - reference)
-    plays, zones = model.hysteresis.plays, model.hysteresis.dead_zones
-    fastest = np.abs(np.diff(voltage_V)).max() / DT_S
-    narrower_V = 0.05 * np.log1p(fastest / 30.0) * np.dot(plays.thresholds, np.abs(plays.weights))
-    assert error.max() < np.cumsum(np.abs(zones.weights)).max() * narrower_V
-    waits = (np.diff(voltage_V, prepend=np.nan) == 0.0) & (t > 1.21)
-    assert error[waits].max() > 1e-4 * span
-
-
 def test_all_of_them_at_once_and_within_limits(model):
-    with_them = with_effects(model, *FROM_START, pushed=0.0)
+    with_them = with_effects(model, *FROM_START)
     t, reference = reference_N(model)
     voltage_V = driven(with_them, reference)
     reading = run_chain(with_them, with_them.operator(), t, voltage_V)

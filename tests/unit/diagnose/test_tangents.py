@@ -1,0 +1,55 @@
+"""How the readings change with the base, against differences of the whole chain."""
+
+import numpy as np
+import pytest
+from unit.diagnose.residuals import mixed_work, series, time
+from unit.diagnose.test_sharp import many_plays
+
+from piezod.diagnose.basis import ForceLaw, PlayDensity
+from piezod.diagnose.chain import Chain, Point, Term
+from piezod.effects import EFFECTS
+
+SAMPLES, RATE_HZ = 4000, 200.0
+BEHIND = [
+    (),
+    ("creep",),
+    ("gain_drift", "output_nonlinearity"),
+    ("sensor_filter",),
+    ("creep", "output_nonlinearity", "charge_leakage", "vibration"),
+    ("voltage_clamp", "contact_gap", "resonance"),
+    ("rate_dependent_hysteresis", "feedthrough"),
+]
+
+
+def term_of(name):
+    effect = EFFECTS[name]
+    choices = tuple((one.name, one.choices[0]) for one in effect.parameters if one.choices)
+    return Term(effect, "already", choices=choices), {
+        one.name: one.starts[-1] for one in effect.parameters if not one.choices
+    }
+
+
+@pytest.mark.parametrize("names", BEHIND)
+def test_tangents_are_what_a_small_change_of_each_column_does(names):
+    seconds, rng = time(SAMPLES, RATE_HZ), np.random.default_rng(5)
+    u = mixed_work(seconds)
+    density = PlayDensity.up_to(119.4).beside(np.array([20.0]), np.eye(1))
+    law = ForceLaw(-4.0, 120.0).beside(np.array([40.0]), np.eye(1))
+    chain = Chain([series(seconds, u, many_plays(u))], density, law, 216.0, most_rows=1000)
+    terms, values = zip(*map(term_of, names), strict=True) if names else ((), ())
+    size = 1e-3
+    bent = chain.law.straight(0.0, 1.8) * (1.0 + 0.05 * rng.uniform(-1.0, 1.0, law.count))
+    point = Point(0.3 * rng.uniform(0.0, 1.0, density.count), bent, np.zeros(1), values)
+    found = chain.base_tangents(0, terms, point)
+    assert found.shape == (1000, density.count + law.count)
+    for k in range(density.count + law.count):
+        sides = []
+        for sign in (1.0, -1.0):
+            both = np.concatenate((point.density, point.law))
+            both[k] += sign * size
+            moved = Point(both[: density.count], both[density.count :], point.offsets_N, values)
+            sides.append(chain.compared(0, terms, moved))
+        difference = (sides[0] - sides[1]) / (2.0 * size)
+        reach = np.abs(difference).max()
+        near = np.abs(found[:, k] - difference) <= 1e-5 * reach + 1e-9
+        assert np.mean(near) > 0.995, k  # at a corner of the chain the two sides differ

@@ -1,0 +1,46 @@
+"""Plays that fold are fitted again where they do not: within the bound, and better than what is nearest."""
+
+import numpy as np
+from unit.diagnose.residuals import mixed_work, noise, played, series, time
+
+from piezod.diagnose.basis import ForceLaw, PlayDensity
+from piezod.diagnose.chain import Chain, empty_point
+from piezod.diagnose.fit import fit
+from piezod.diagnose.unfolded import SMALLEST, loading_slopes, unfolded
+
+SAMPLES, RATE_HZ, NOISE_N = 12_000, 200.0, 0.05
+DENSITY = PlayDensity.up_to(119.4)
+
+
+def chain_over(stack):
+    seconds, rng = time(SAMPLES, RATE_HZ), np.random.default_rng(2)
+    u = np.clip(mixed_work(seconds) - mixed_work(seconds)[0], 0.0, None)
+    made = series(seconds, u, stack(u) + NOISE_N * noise(SAMPLES, 0.0, rng), NOISE_N)
+    return Chain([made], DENSITY, ForceLaw(-4.0, 120.0), 100.0)
+
+
+def folding(u):
+    """So much of it in the plays that at the first of them more voltage gives less force."""
+    return 0.8 * (u + 1.1 * DENSITY.columns(u, np.empty(0)).sum(axis=1))
+
+
+def test_the_best_fit_that_does_not_fold_is_found():
+    chain = chain_over(folding)
+    folded = fit(chain, (), empty_point(chain, 0.8, 0.0))
+    assert loading_slopes(chain, folded.point.density).min() < 0.0
+    found = unfolded(chain, folded)
+    slopes = loading_slopes(chain, found.point.density)
+    assert slopes.min() > SMALLEST - 1e-6
+    # One that does not fold either: the same plays, a little less of them, behind the best law for them.
+    u, reading_N = chain.series[0].command_V, chain.series[0].reading_N
+    less = 0.945 * np.ones(DENSITY.count)
+    assert 0.05 < loading_slopes(chain, less).min() < 0.06
+    splines, _ = chain.law.columns(u + DENSITY.columns(u, np.empty(0)) @ less)
+    left_N = reading_N - splines @ np.linalg.lstsq(splines, reading_N)[0]
+    assert folded.loss < found.loss < 0.9 * np.mean(left_N**2) / NOISE_N**2
+
+
+def test_what_does_not_fold_stays_as_it_is():
+    chain = chain_over(lambda u: 0.7 * u + 0.2 * played(np.concatenate(([0.0], u)), 15.0)[1:])
+    found = fit(chain, (), empty_point(chain, 0.8, 0.0))
+    assert unfolded(chain, found) is found
