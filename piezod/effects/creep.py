@@ -43,7 +43,8 @@ def spectrum(from_s: float, to_s: float, slope: float = 0.0, seen_s: float = mat
 
 def forward(signal: Array, context: Context, values: Values) -> Array:
     """What the plays give and what crept since the first sample, shape (N,) [V]."""
-    tau_s, weights = spectrum(values["from_s"], values["to_s"], values.get("slope", 0.0), context.duration_s)
+    seen_s = context.seen_s or context.duration_s
+    tau_s, weights = spectrum(values["from_s"], values["to_s"], values.get("slope", 0.0), seen_s)
     driver = signal
     if round(values.get("driven_by", PLAYS)) == VOLTAGE:
         driver = _as_large_as(signal, context.applied_V)

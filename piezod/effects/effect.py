@@ -105,6 +105,8 @@ class Context:
         Range of the voltage that the model was identified over [V].
     path_V
         Voltages since the de-energised state, before the first sample.
+    seen_s
+        How long the record was in which an effect was found; None: this one [s].
     memo
         What an effect computed from an `applied_V`, which comes first, and may want again for the same one.
     """
@@ -119,6 +121,7 @@ class Context:
     between: float = STRAIGHT
     voltage_span_V: float = 100.0
     path_V: tuple[float, ...] = ()
+    seen_s: float | None = None
     memo: dict[str, tuple[Array, Array]] = field(default_factory=dict)
 
 

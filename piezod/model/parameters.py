@@ -182,7 +182,7 @@ class Model(Section):
 
     `sampling` says how the command runs between two samples and when the reading is taken: straight; held, and read
     `read_after` parts of a sample after it; or held, and read just before the next one. `seen_s` is how long the
-    recording lasted that the effects were found in [s]: the slope of a creep and the course of a gain refer to it;
+    recording lasted that the effects were found in [s]: the slope of a creep refers to it;
     `sample_s` is the spacing of its samples [s], which `sampling` refers to.
     """
 

@@ -100,12 +100,13 @@ def run_chain(
         seconds,
         command_V,
         command_V,
-        model.seen_s or float(seconds[-1]),
+        float(seconds[-1]),
         model.output.high - model.output.low,
         temperature_C,
         between_of(model),
         model.input.high - model.input.low,
         path_V,
+        model.seen_s,
     )
     signal = command_V
     for effect, values in _seated(effects, Seat.AMPLIFIER, Seat.AMPLIFIER):
