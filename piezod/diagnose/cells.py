@@ -11,6 +11,7 @@ Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
 DECIMALS = 1e-6  # of a range, by which edges differ at least
+TOGETHER, MOST_NUMBERS = 20, 4_000_000  # references, and all their values, that are worked on at once
 
 
 @dataclass(frozen=True)
@@ -76,3 +77,8 @@ def beyond(energy: Array) -> Array:
     """Energy of the residual less the references' mean, not below 0, shape (C,)."""
     result: Array = np.maximum(energy[0] - energy[1:].mean(axis=0), 0.0)
     return result
+
+
+def together(size: int) -> int:
+    """How many references of so many values are worked on at once: those of a long recording are few."""
+    return int(np.clip(MOST_NUMBERS // size, 1, TOGETHER))

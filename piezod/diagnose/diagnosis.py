@@ -120,6 +120,7 @@ def _diagnosed(
     given = [_given(model, one) for one in series]
     chain, start = chain_of(series, model)
     result = search(chain, start, progress)
+    result.chain.forget()
     result.chain, result.found = as_told(result.chain, result.found)
     result = _rising(result)
     progress("judging what is left", 0.9)
@@ -233,6 +234,7 @@ class _Asked:
         verdict, blind = verdict_of(share, closed, sure), untestable(chain, found.terms, found.point)
         if verdict == "matches" and len(blind) > MOSTLY * (len(EFFECTS) - len(DIRECT)):
             verdict = "not_testable"
+        chain.forget()  # what follows takes memory of its own
         if verdict == "partly_explained":
             sure = [less_sure(one, share, closed) for one in effects]
         findings = Findings(

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piezod.diagnose import colour, coordinates
-from piezod.diagnose.cells import Cells, Told, beyond, distinct, standard
+from piezod.diagnose.cells import Cells, Told, beyond, distinct, standard, together
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -25,7 +25,6 @@ BANDS_PER_DECADE = 6
 HISTORY_TIMES = 12
 SHORTEST_HISTORY, LONGEST_HISTORY = 8.0, 0.3  # samples; part of the duration
 MOST_HISTORY_SAMPLES = 65_536
-TOGETHER = 20  # references that are worked on at once
 
 
 @dataclass(frozen=True)
@@ -76,8 +75,9 @@ def _references(one: Told, shifts: int, rng: np.random.Generator) -> Iterator[tu
     size, blocks = one.residual.size, one.series.blocks
     quick = _without_slow(one)
     lengths = [block.stop - block.start for block in blocks]
-    for first in range(0, 1 + shifts, TOGETHER):
-        rows = slice(first, min(first + TOGETHER, 1 + shifts))
+    many = together(size)
+    for first in range(0, 1 + shifts, many):
+        rows = slice(first, min(first + many, 1 + shifts))
         count = rows.stop - rows.start
         shifted, flipped = np.empty((count, size)), np.empty((count, size))
         for k in range(count):

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piezod.diagnose import colour, coordinates
-from piezod.diagnose.cells import Cells, Told, distinct
+from piezod.diagnose.cells import Cells, Told, distinct, together
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -21,7 +21,6 @@ MEMORIES = 16.0  # that a cell of time is long at least
 TEMPERATURE_CELLS = 12
 LINE_BANDS = 200
 SURE_LINE = 12.0  # power over the surroundings from which a line's frequency is refined
-TOGETHER = 20  # references that are drawn at once
 
 
 def cells_of_time_and_temperature(told: Sequence[Told], shifts: int, rng: np.random.Generator) -> list[Cells]:
@@ -127,8 +126,9 @@ def _lines_of(one: Told, shifts: int, rng: np.random.Generator) -> Cells:
     over = colour.prominence(spectrum) * ~driven
     score = np.empty((1 + shifts, starts.size))
     score[0] = np.maximum.reduceat(over, starts)
-    for first in range(1, 1 + shifts, TOGETHER):
-        count = min(TOGETHER, 1 + shifts - first)
+    many = together(driven.size)
+    for first in range(1, 1 + shifts, many):
+        count = min(many, 1 + shifts - first)
         noise = colour.prominence(_windowed_noise(count, driven.size, rng)) * ~driven
         score[first : first + count] = np.maximum.reduceat(noise, starts, axis=1)
     peaks = np.array([_highest(over, a, b) for a, b in zip(starts, [*starts[1:], driven.size], strict=True)])
