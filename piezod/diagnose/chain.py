@@ -14,10 +14,11 @@ from numpy.typing import NDArray
 
 from piezod.diagnose.basis import HATS, SPLINES, ForceLaw, PlayDensity
 from piezod.diagnose.kept import Kept, Key
-from piezod.diagnose.passages import course_behind, passages
+from piezod.diagnose.passages import passages
 from piezod.diagnose.series import Series
 from piezod.effects import EFFECTS
 from piezod.effects.effect import HELD_BEFORE, Context, Effect, Parameter, Seat
+from piezod.model.plant import behind
 
 Array = NDArray[np.float64]
 
@@ -221,7 +222,7 @@ class Chain:
             for term, values in here:
                 if term.effect.seat == Seat.AMPLIFIER:
                     applied_V = term.effect.forward(applied_V, now, values)
-                    now = replace(now, applied_V=applied_V, between=course_behind(term.effect, now), memo={})
+                    now = behind(term.effect, replace(now, applied_V=applied_V, memo={}))
                 elif term.effect.seat == Seat.HYSTERESIS and term.effect.widening is not None:
                     factor, offset_V = term.effect.widening(now, values)
             path_V = np.array(self.series[number].path_V)
@@ -247,7 +248,7 @@ class Chain:
             stroke_V, now = applied_V + columns @ point.density, context
             for term, values in stack:
                 stroke_V = term.effect.forward(stroke_V, now, values)
-                now = replace(now, between=course_behind(term.effect, now))
+                now = behind(term.effect, now)
             return stroke_V, now.between
 
         stroke_V, between = self._strokes[number].get(key, strained)
@@ -261,7 +262,7 @@ class Chain:
         for term, values in here:
             if term.effect.seat >= Seat.MECHANICS:
                 signal_N = term.effect.forward(signal_N, context, values)
-                context = replace(context, between=course_behind(term.effect, context))
+                context = behind(term.effect, context)
         return Trace(self.played(number, here)[1], stroke_V, signal_N + point.offsets_N[number])
 
     def compared(self, number: int, terms: Sequence[Term], point: Point) -> Array:
@@ -271,21 +272,21 @@ class Chain:
         """
         here = self.terms_of(number, terms, point)
         stroke_V, context = self.stroke(number, here, point)
-        behind = [(term, values) for term, values in here if term.effect.seat >= Seat.MECHANICS]
+        after = [(term, values) for term, values in here if term.effect.seat >= Seat.MECHANICS]
         rows, thinned = self.rows[number], False
         signal_N: Array = stroke_V
-        for place in range(len(behind) + 1):
-            if not thinned and all(term.effect.form == "additive" for term, _ in behind[place:]):
+        for place in range(len(after) + 1):
+            if not thinned and all(term.effect.form == "additive" for term, _ in after[place:]):
                 signal_N, thinned = signal_N[rows], True
             if place == 0:
                 signal_N = self.law.value(np.ascontiguousarray(signal_N), point.law)
-            if place < len(behind):
-                term, values = behind[place]
+            if place < len(after):
+                term, values = after[place]
                 if thinned:
                     signal_N = signal_N + self._added(number, here, term, context, values)[rows]
                 else:
                     signal_N = term.effect.forward(signal_N, context, values)
-                context = replace(context, between=course_behind(term.effect, context))
+                context = behind(term.effect, context)
         result: Array = signal_N + point.offsets_N[number]
         return result
 
@@ -313,8 +314,8 @@ class Chain:
         stack = [(term.effect, values) for term, values in here if term.effect.seat == Seat.STACK]
         stroke_V = applied_V + columns @ point.density
         through_stack, stroke_V, context = passages(stack, stroke_V, context)
-        behind = [(term.effect, values) for term, values in here if term.effect.seat >= Seat.MECHANICS]
-        through_rest, _, _ = passages(behind, self.law.value(stroke_V, point.law), context)
+        after = [(term.effect, values) for term, values in here if term.effect.seat >= Seat.MECHANICS]
+        through_rest, _, _ = passages(after, self.law.value(stroke_V, point.law), context)
         remembers = any(one.linear for one in through_rest)
         rows = self.rows[number]
         kept = slice(None) if remembers else rows

@@ -1,12 +1,13 @@
 """How a small change of the signal passes through the effects that lie behind it."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from piezod.effects.effect import STRAIGHT, Context, Effect
+from piezod.effects.effect import Context, Effect
+from piezod.model.plant import behind
 
 Array = NDArray[np.float64]
 
@@ -53,10 +54,5 @@ def passages(
             slope = (above - below) / (2.0 * step)
         found.append(Passage(effect, context, values, slope))
         signal = forward(signal, context, values)
-        context = replace(context, between=course_behind(effect, context))
+        context = behind(effect, context)
     return found, signal, context
-
-
-def course_behind(effect: Effect, context: Context) -> float:
-    """The course between samples behind an effect."""
-    return STRAIGHT if effect.smooths else context.between

@@ -5,7 +5,7 @@ Inverse    divide by the gain of the moment: a schedule, renewed by a reset cycl
 Signature  the same loop grows or shrinks in proportion to itself, time after time; look-alikes thermal_drift and creep
            add something that does not scale with the loop
 Seat       stack, in front of the force law
-Valid      records of several loops of one amplitude; of another record it says what becomes of it over that one
+Valid      records of several loops of one amplitude; another record is taken to change as much from end to end
 Source     THEORY 3 O; the course chosen here: straight for b = 0, late for b < 0
 """
 
