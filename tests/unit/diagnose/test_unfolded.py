@@ -24,7 +24,7 @@ def folding(u):
     return 0.8 * (u + 1.1 * DENSITY.columns(u, np.empty(0)).sum(axis=1))
 
 
-def test_the_best_fit_that_does_not_fold_is_found():
+def test_what_folds_is_fitted_within_the_bound_and_better_than_its_neighbour():
     chain = chain_over(folding)
     folded = fit(chain, (), empty_point(chain, 0.8, 0.0))
     assert loading_slopes(chain, folded.point.density).min() < 0.0
