@@ -279,7 +279,7 @@ class _Asked:
                 findings,
                 verdict="partly_explained" if findings.effects else "unexplained",
                 effects=tuple(replace(one, confidence=FOLDED * one.confidence) for one in findings.effects),
-                notes=(*findings.notes, f"no extended model: {error}"),
+                notes=(*findings.notes, f"no extended model, model.yaml holds the given one: {error}"),
             )
             return folded, self.model
 
