@@ -24,6 +24,7 @@ SHORTEST_PART = 0.25  # of a recording at most
 MAINS_HZ, MAINS_WITHIN_HZ = (50.0, 60.0), 0.6
 ALIKE_HZ = 0.1  # lines of two recordings that belong to one machine
 LOWEST_HZ, APART_HZ = 2.0, 1.0  # of a harmonic as it appears, from zero and from the others
+TURNS = 4  # in which harmonics that appear near each other are told apart
 RIDGE = 0.02  # of an amplitude, where carrier and conjugate cannot be told apart
 SWINGS = 0.5  # of its amplitude, with the command: no tone from outside,
 BAND = 0.99  # nor are its neighbours within the band that has so much of the command's power
@@ -80,7 +81,8 @@ def tones(series: Sequence[Series], residuals: Sequence[Array], known: Sequence[
     found: list[Tone] = []
     for number, (one, residual) in enumerate(zip(series, residuals, strict=True)):
         if one.role == "recording":
-            found += [tone for tone in _of(number, one, residual) if tone.name not in names]
+            hum_Hz = [tone.values["frequency_Hz"] for tone in known if tone.name == "mains_hum"]
+            found += [tone for tone in _of(number, one, residual, hum_Hz) if tone.name not in names]
     groups: list[list[Tone]] = []
     for tone in found:
         for group in groups:
@@ -98,12 +100,12 @@ def _same_machine(group: Sequence[Tone], tone: Tone) -> bool:
     return first.name == tone.name and near and tone.number not in {one.number for one in group}
 
 
-def _of(number: int, series: Series, residual_N: Array) -> list[Tone]:
+def _of(number: int, series: Series, residual_N: Array, hum_Hz: Sequence[float]) -> list[Tone]:
     seen = lines(series, residual_N)
     mains = [one for one in seen if min(abs(one.frequency_Hz - f) for f in MAINS_HZ) < MAINS_WITHIN_HZ]
     found = [_hum(number, series, residual_N, mains[0])] if mains else []
-    base_Hz = mains[0].frequency_Hz if mains else None
-    strange = [one for one in seen if base_Hz is None or not _multiple(one.frequency_Hz, base_Hz, series.dt_s)]
+    hum_Hz = [*hum_Hz, *(one.frequency_Hz for one in mains[:1])]
+    strange = [one for one in seen if not any(_multiple(one.frequency_Hz, f, series.dt_s) for f in hum_Hz)]
     return found + [_vibration(number, series, residual_N, line) for line in _steady_lines(series, residual_N, strange)]
 
 
@@ -159,14 +161,16 @@ def _hum(number: int, series: Series, residual_N: Array, line: Line) -> Tone:
     values = _steady("mains_hum", series, envelope, line)
     heard = 2.0 * (envelope * carrier).real
     unit = carrier * np.exp(1j * np.angle(envelope))
-    taken_Hz = [_folded(line.frequency_Hz, series.dt_s)]
-    for h in HARMONICS:
-        at_Hz = _folded(h * line.frequency_Hz, series.dt_s)
-        if at_Hz < LOWEST_HZ or any(abs(at_Hz - other) < APART_HZ for other in taken_Hz):
-            continue
-        taken_Hz.append(at_Hz)
-        part = _amplitude(series, residual_N, unit**h)  # its phase goes with the fundamental's
-        heard += 2.0 * (part * unit**h).real
+    appear_Hz = {h: _folded(h * line.frequency_Hz, series.dt_s) for h in (1, *HARMONICS)}
+    parts = {h: np.zeros(unit.size, dtype=np.complex128) for h in HARMONICS if appear_Hz[h] >= LOWEST_HZ}
+    for turn in range(TURNS):
+        for h in parts:
+            near = any(abs(appear_Hz[h] - appear_Hz[k]) < APART_HZ for k in (1, *parts) if k != h)
+            if turn == 0 or near:  # what is near falls into its band too: in turns each gets its own
+                more = _amplitude(series, residual_N - heard, unit**h)  # its phase goes with the fundamental's
+                parts[h] += more
+                heard += 2.0 * (more * unit**h).real
+    for h, part in parts.items():
         mean = complex(np.mean(part[series.counts])) * np.exp(-0.5j * np.pi * h) / (0.5 * values["amplitude_N"])
         values[f"cosine_{h}"], values[f"sine_{h}"] = mean.real, -mean.imag
     return Tone("mains_hum", number, _inside("mains_hum", values), heard)

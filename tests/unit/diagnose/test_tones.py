@@ -26,6 +26,20 @@ def test_a_harmonic_at_half_the_sampling_rate_goes_with_its_hum(rate_Hz, harmoni
     assert groups[0][0].values["amplitude_N"] == pytest.approx(20.0, rel=0.01)
 
 
+@pytest.mark.parametrize("mains_Hz", [49.97, 50.025, 50.1])
+def test_harmonics_that_appear_beside_each_other_are_both_the_hums(mains_Hz):
+    time_s = np.arange(0.0, 60.0, 1.0 / 500.0)  # the 3rd and the folded 7th, 0.3 to 1 Hz apart
+    u, angle = mixed_work(time_s), 2.0 * np.pi * mains_Hz * time_s + 0.7
+    white_N = NOISE_N * noise(time_s.size, 0.0, np.random.default_rng(1))
+    residual_N = white_N + 17.0 * np.sin(angle) + 5.6 * np.sin(3.0 * angle + 0.4) + 2.7 * np.sin(7.0 * angle)
+    one = Series("by hand", "recording", time_s, u, model_of(u) + residual_N, np.ones(time_s.size, bool), NOISE_N)
+    groups = tones([one], [residual_N], ())
+    assert [tone.name for group in groups for tone in group] == ["mains_hum"]
+    left_N = residual_N - groups[0][0].heard_N
+    assert float(np.std(left_N)) < 1.1 * NOISE_N
+    assert not tones([one], [white_N + 0.5 * np.sin(7.0 * angle)], groups[0])  # no vibration either when it is alone
+
+
 @pytest.mark.parametrize("swing", [0.0, 0.3, 1.0, 3.0, 30.0])
 def test_a_tone_that_swings_with_the_command_is_no_vibration(swing):
     time_s = np.arange(0.0, 40.0, 1e-3)
