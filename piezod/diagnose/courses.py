@@ -44,29 +44,38 @@ def _suited(chain: Chain, fitted: Fitted, *, courses: bool) -> tuple[Chain, Fitt
 
 def started_alike(chain: Chain) -> Chain | None:
     """The same with recordings that start at rest started as the first of the identification; None where they are."""
-    resting = [k for k, one in enumerate(chain.series) if starts_at_rest(one.command_V)]
-    if all(chain.series[k].path_V == chain.series[resting[0]].path_V for k in resting):
-        return None
-    usual = chain.series[resting[0]].path_V
-    return chain.like([replace(one, path_V=usual) if k in resting else one for k, one in enumerate(chain.series)])
+    resting = _resting(chain)
+    return _started(chain, chain.series[resting[0]].path_V) if resting else None
 
 
 def started_as_usual(chain: Chain, fitted: Fitted) -> tuple[Chain, Fitted]:
-    """The same with starts as in the identification where the hypothesis, fitted anew from them, fits better.
+    """The same with starts as in the identification, or virgin ones, where the hypothesis, fitted anew, fits better.
 
     A start that was estimated without an effect has bent the effect's parameters, and with these no other start fits.
     """
-    alike = started_alike(chain)
-    if alike is None:
-        return chain, fitted
-    again = fit(alike, fitted.terms, fitted.point)
-    return (alike, again) if again.loss < fitted.loss else (chain, fitted)
+    best = chain, fitted
+    for other in (started_alike(chain), _started(chain, ())):
+        if other is not None:
+            again = fit(other, fitted.terms, fitted.point)
+            best = min(best, (other, again), key=lambda one: one[1].loss)
+    return best
+
+
+def _started(chain: Chain, path_V: tuple[float, ...]) -> Chain | None:
+    """The same with all recordings that start at rest started like this; None where they are."""
+    resting = _resting(chain)
+    if all(chain.series[k].path_V == path_V for k in resting):
+        return None
+    return chain.like([replace(one, path_V=path_V) if k in resting else one for k, one in enumerate(chain.series)])
+
+
+def _resting(chain: Chain) -> list[int]:
+    return [k for k, one in enumerate(chain.series) if starts_at_rest(one.command_V)]
 
 
 def restarted(chain: Chain, fitted: Fitted) -> tuple[Chain, Fitted]:
     """The same with what led to each start estimated anew: under the given model an effect may have passed for it."""
-    series = list(chain.series)
-    resting = [k for k, one in enumerate(chain.series) if starts_at_rest(one.command_V)]
+    series, resting = list(chain.series), _resting(chain)
     for number in resting:
         one = chain.series[number]
         loss = partial(_loss_of_start, chain, fitted, number)

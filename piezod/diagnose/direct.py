@@ -19,6 +19,8 @@ LEAP, FAR = 1.5, 2.5  # steps of a coarse lattice
 LINE_OVER_MEDIAN = 30.0  # power of a line over the median of its surroundings; exponential noise reaches 18 in 1e6 bins
 PEAK_PARTS_S, SAME_PEAK = (4.0, 0.5, 0.25), 0.1  # of a recording, averaged; of a frequency
 SURROUNDINGS, ABOUT = 101, 20  # bins; on either side of a tone
+SKEWS_PPM, SKEWED = np.geomspace(30.0, 2e4, 90), 0.98  # tried in both directions; of the squares, where one shows
+SKEW_ROWS = 10_000
 
 
 @dataclass(frozen=True)
@@ -138,6 +140,25 @@ def level_about(series: Series, residual_N: Array, frequency_Hz: float) -> float
     middle = round(frequency_Hz * series.dt_s * residual_N.size)
     around = power[max(middle - ABOUT, 1) : middle + ABOUT + 1]
     return float(np.sqrt(around.mean())) if around.size else series.noise_N
+
+
+def skew_ppm(series: Series, modelled_N: Array) -> float | None:
+    """Skew of the clocks under which a simulation is most like the readings, gain and offset free; None: none shows.
+
+    A fit that begins elsewhere arrives at no skew by which the end of a long record comes a swing of the force later.
+    """
+    rows = slice(None, None, -(-series.time_s.size // SKEW_ROWS))
+    counts = series.counts[rows]
+    time_s, reading_N = series.time_s[rows][counts], series.reading_N[rows][counts]
+    reading_N = reading_N - reading_N.mean()
+
+    def left(ppm: float) -> float:
+        by = np.interp(time_s * (1.0 + 1e-6 * ppm), series.time_s, modelled_N)
+        by = by - by.mean()
+        return float(reading_N @ reading_N - (by @ reading_N) ** 2 / max(float(by @ by), 1e-300))
+
+    best = min((*SKEWS_PPM, *-SKEWS_PPM), key=left)
+    return float(best) if left(best) < SKEWED * left(0.0) else None
 
 
 def _running_median(power: Array) -> Array:

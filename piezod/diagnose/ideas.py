@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piezod.diagnose.chain import Chain, Point, Term
-from piezod.diagnose.direct import peaks_Hz
+from piezod.diagnose.direct import peaks_Hz, skew_ppm
 from piezod.diagnose.fit import Normal
 from piezod.diagnose.parallel import each
 from piezod.effects import EFFECTS
@@ -105,7 +105,7 @@ def since(chain: Chain, terms: Sequence[Term], past: Point, lost_N: float) -> li
     By what remains when a hypothesis runs with them, the recordings shifted onto it or not. `lost_N` is by how much
     their readings stand below: that may be a gap.
     """
-    gaps = {"gap_N": (*_scales(chain)["gap_N"], max(lost_N, 0.0))}
+    known = {"gap_N": (*_scales(chain)["gap_N"], max(lost_N, 0.0)), **_skews(chain, terms, past)}
     channels = ["temperature_C"] if all(one.temperature_C is not None for one in chain.series) else []
 
     def looked_at(one: tuple[Effect, dict[str, float], tuple[tuple[str, float], ...]]) -> tuple[Idea, Point]:
@@ -126,12 +126,23 @@ def since(chain: Chain, terms: Sequence[Term], past: Point, lost_N: float) -> li
         return Idea(term, values, -losses[shifted]), start
 
     best: dict[str, tuple[Idea, Point]] = {}
-    new = (one for one in catalogue_ideas(chain, channels, gaps) if all(term.effect is not one[0] for term in terms))
+    new = (one for one in catalogue_ideas(chain, channels, known) if all(term.effect is not one[0] for term in terms))
     for idea, point in each(looked_at, new):
         name = idea.term.effect.name
         if name not in best or idea.gain > best[name][0].gain:
             best[name] = idea, point
     return sorted(best.values(), key=lambda one: -one[0].gain)
+
+
+def _skews(chain: Chain, terms: Sequence[Term], point: Point) -> dict[str, tuple[float, ...]]:
+    """Further starts of a skew of the clocks: what the readings show beside what is simulated."""
+    seen = [
+        skew_ppm(one, chain.run(number, terms, point).reading_N)
+        for number, one in enumerate(chain.series)
+        if one.role == "recording"
+    ]
+    starts = EFFECTS["clock_skew"].parameter("skew_ppm").starts
+    return {"clock_skew skew_ppm": (*starts, *(ppm for ppm in seen if ppm is not None))}
 
 
 def screened(chain: Chain, terms: Sequence[Term], point: Point) -> list[Idea]:
@@ -147,7 +158,8 @@ def screened(chain: Chain, terms: Sequence[Term], point: Point) -> list[Idea]:
         if one.role == "recording"
         for top in peaks_Hz(one, one.reading_N - normal.readings[number])
     ]
-    ringing = {"resonance frequency_Hz": (*tops_Hz, *EFFECTS["resonance"].parameter("frequency_Hz").starts)}
+    ringing = (*tops_Hz, *EFFECTS["resonance"].parameter("frequency_Hz").starts)
+    known = {"resonance frequency_Hz": ringing, **_skews(chain, terms, point)}
 
     def looked_at(one: tuple[Effect, dict[str, float], tuple[tuple[str, float], ...]]) -> list[Idea]:
         effect, values, choices = one
@@ -175,5 +187,5 @@ def screened(chain: Chain, terms: Sequence[Term], point: Point) -> list[Idea]:
                 ideas.append(Idea(term, values, gain))
         return ideas
 
-    new = [one for one in catalogue_ideas(chain, channels, ringing) if not any(term.effect is one[0] for term in terms)]
+    new = [one for one in catalogue_ideas(chain, channels, known) if not any(term.effect is one[0] for term in terms)]
     return sorted((idea for ideas in each(looked_at, new) for idea in ideas), key=lambda idea: -idea.gain)

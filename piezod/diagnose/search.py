@@ -19,7 +19,7 @@ from piezod.diagnose.acceptance import (
     worth,
 )
 from piezod.diagnose.chain import Chain, Point, Term
-from piezod.diagnose.courses import best_course, coarse, settled, suited_anew
+from piezod.diagnose.courses import best_course, coarse, settled, started_as_usual, suited_anew
 from piezod.diagnose.direct import noise_of
 from piezod.diagnose.fit import MOST_STEPS, Fitted, Normal, fit
 from piezod.diagnose.parallel import each
@@ -114,6 +114,7 @@ def search(chain: Chain, start: Point, progress: OnProgress) -> Search:
     progress("fitting the base", 0.02)
     chain, base = best_course(chain, (), start)
     base = fit(chain, (), base.point)  # a base that has not arrived would take any effect for its own way
+    chain, base = started_as_usual(chain, base)
     result = Search(chain, base, base, _past(chain, start))
     largest = 0.0
     while len(result.names) < MOST_EFFECTS:
@@ -139,11 +140,13 @@ def search(chain: Chain, start: Point, progress: OnProgress) -> Search:
             continue
         if best is None:
             break
-        if (alone := _without_it(result, best)) is not None:
-            result.chain, result.found = alone
-            result.base = fit(result.chain, (), result.base.point)
-            continue
-        before, (result.chain, result.found) = result.found, best
+        before = _without_it(result, best)
+        if before is not result.found:  # some of the gain is the other course's or the other starts'
+            result.base = fit(best[0], (), result.base.point)
+            if not worth(before, best[1]):
+                result.chain, result.found = best[0], before
+                continue
+        result.chain, result.found = best
         largest = max(largest, before.loss - result.found.loss)
         others = tuple(one for _, one in tried if one.effects[-1] != result.found.effects[-1])
         result.rounds.append(Round(before, result.found, others))
@@ -208,13 +211,12 @@ def _beside_the_last_step(result: Search) -> list[tuple[Chain, Fitted]]:
 Heard = tuple[Chain, Fitted, list[Tone]]
 
 
-def _without_it(result: Search, best: tuple[Chain, Fitted]) -> tuple[Chain, Fitted] | None:
-    """What was found so far, where the course and the starts that came with one more effect gain as much without it."""
-    chain, after = best
-    if chain is result.chain:
-        return None
-    alone = fit(chain, result.found.terms, result.found.point)
-    return (chain, alone) if alone.loss < OTHER_START * result.found.loss and not worth(alone, after) else None
+def _without_it(result: Search, best: tuple[Chain, Fitted]) -> Fitted:
+    """What was found so far: on the course and from the starts that came with one more effect, if it fits better."""
+    if best[0] is result.chain:
+        return result.found
+    alone = fit(best[0], result.found.terms, result.found.point)
+    return alone if alone.loss < OTHER_START * result.found.loss else result.found
 
 
 def _rescope(result: Search) -> None:
