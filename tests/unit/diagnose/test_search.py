@@ -43,6 +43,22 @@ def test_a_step_that_goes_again_does_not_hide_a_drift():
     assert found.found.loss < 1.05
 
 
+def test_a_start_that_was_estimated_without_an_effect_is_no_part_of_what_the_effect_gains():
+    def missing_N(seconds):
+        return 0.4 * (temperature_C - 20.0)
+
+    temperature_C = 20.0 + 8.0 * (1.0 - np.exp(-time(SAMPLES, RATE_HZ) / 25.0))
+    chain, start = chain_over(missing_N, temperature_C)
+    right = fit(chain, (), start).loss
+    wrong = chain.like([replace(one, path_V=(80.0, 0.0) if one.role == "recording" else ()) for one in chain.series])
+    assert fit(wrong, (), start).loss > 1.5 * right
+    found = search(wrong, start, lambda *_: None)
+    assert found.names == ("thermal_drift",)
+    assert [one.path_V for one in found.chain.series] == [(), ()]
+    assert abs(found.base.loss / right - 1.0) < 0.01
+    assert found.found.loss < 1.05
+
+
 def test_what_fits_better_beside_all_else_that_was_found_is_swapped_in_and_the_other_is_its_rival():
     def late_and_bent(u):
         late_N = np.concatenate((np.zeros(6), many_plays(u)))[: u.size]
