@@ -162,12 +162,20 @@ def _finalists(result: Search, tried: list[tuple[Chain, Fitted]], largest: float
     """The best of those that are believed, each with the course and the starts that suit it best.
 
     What fits better than they do but is not believed may have been fitted from a start, or on a course, that was
-    estimated without it.
+    estimated without it. On another course or from other starts it is compared with what was found so far on these: a
+    start that was estimated without it may say most of what it does.
     """
+    before = {id(result.chain): result.found}
+    for on, _ in tried:
+        if id(on) not in before:
+            before[id(on)] = fit(on, result.found.terms, result.found.point, most_steps=6)
 
     def believed(one: tuple[Chain, Fitted]) -> bool:
         on, after = one
-        return worth(result.found, after) and not degenerate(on, after) and fair(on, result.found, after, largest)
+        if after.loss > (1.0 - WORTH) * result.found.loss or degenerate(on, after):
+            return False
+        known = before.get(id(on), result.found)
+        return worth(known, after) and fair(on, known, after, largest)
 
     tried = sorted(tried, key=lambda one: one[1].loss)
     better = [one for one in tried if believed(one)]
