@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from piezod.diagnose.chain import Chain
+from piezod.diagnose.chain import Chain, Term
 from piezod.diagnose.fit import Fitted
 from piezod.diagnose.motion import motion
 from piezod.diagnose.steps import Step, sharp
@@ -45,7 +45,7 @@ def worth(before: Fitted, after: Fitted) -> bool:
         return False
     if after.terms[-1].scope == "once":
         return gain > WORTH_ONCE * after.loss
-    if gain < _for_its_parameters(after):
+    if gain < price(after, after.terms[-1]):
         return False
     if acts_locally(before, after, after.effects[-1]):
         return True
@@ -64,11 +64,12 @@ def acts_locally(before: Fitted, after: Fitted, name: str) -> bool:
 
 def weighed(fitted: Fitted) -> float:
     """The loss, a little more of it for every parameter that the last effect is shaped by: of two alike the plainer."""
-    return fitted.loss + _for_its_parameters(fitted)
+    return fitted.loss + price(fitted, fitted.terms[-1])
 
 
-def _for_its_parameters(fitted: Fitted) -> float:
-    return PLAINER * min(len(fitted.terms[-1].searched), MOST_COUNTED) * fitted.loss
+def price(fitted: Fitted, term: Term) -> float:
+    """What an effect must gain for the parameters that it is shaped by."""
+    return PLAINER * min(len(term.searched), MOST_COUNTED) * fitted.loss
 
 
 def steadiness(before: Fitted, after: Fitted) -> float:

@@ -14,6 +14,7 @@ from piezod.diagnose.acceptance import (
     acts_locally,
     degenerate,
     fair,
+    price,
     steadiness,
     weighed,
     worth,
@@ -369,7 +370,8 @@ def _drop(result: Search, largest: float) -> None:
         once = all(term.scope == "once" for term in found.terms if term.effect.name == name)
         fewer = fit(result.chain, terms, replace(found.point, values=tuple(values)))
         gain = fewer.loss - found.loss
+        least = max(price(found, term) for term in found.terms if term.effect.name == name)
         small = gain < FAIR_SHARE * largest and steadiness(fewer, found) < STEADY_WHEN_SMALL
-        if gain < NEEDLESS * found.loss or (small and not once and not acts_locally(fewer, found, name)):
+        if gain < max(NEEDLESS * found.loss, least) or (small and not once and not acts_locally(fewer, found, name)):
             result.found = fewer
             left = list(fewer.effects)
