@@ -370,8 +370,8 @@ def _drop(result: Search, largest: float) -> None:
         once = all(term.scope == "once" for term in found.terms if term.effect.name == name)
         fewer = fit(result.chain, terms, replace(found.point, values=tuple(values)))
         gain = fewer.loss - found.loss
-        least = max(price(found, term) for term in found.terms if term.effect.name == name)
+        least = max(NEEDLESS * found.loss, *(price(found, term) for term in found.terms if term.effect.name == name))
         small = gain < FAIR_SHARE * largest and steadiness(fewer, found) < STEADY_WHEN_SMALL
-        if gain < max(NEEDLESS * found.loss, least) or (small and not once and not acts_locally(fewer, found, name)):
+        if gain < least or (small and not once and not acts_locally(fewer, found, name)):
             result.found = fewer
             left = list(fewer.effects)

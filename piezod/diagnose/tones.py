@@ -78,10 +78,10 @@ def tones(series: Sequence[Series], residuals: Sequence[Array], known: Sequence[
         Those that were taken off already: their effects are not proposed again.
     """
     names = {one.name for one in known}
+    hum_Hz = [one.values["frequency_Hz"] for one in known if one.name == "mains_hum"]
     found: list[Tone] = []
     for number, (one, residual) in enumerate(zip(series, residuals, strict=True)):
         if one.role == "recording":
-            hum_Hz = [tone.values["frequency_Hz"] for tone in known if tone.name == "mains_hum"]
             found += [tone for tone in _of(number, one, residual, hum_Hz) if tone.name not in names]
     groups: list[list[Tone]] = []
     for tone in found:

@@ -28,7 +28,7 @@ def test_a_harmonic_at_half_the_sampling_rate_goes_with_its_hum(rate_Hz, harmoni
 
 @pytest.mark.parametrize("mains_Hz", [49.97, 50.025, 50.1])
 def test_harmonics_that_appear_beside_each_other_are_both_the_hums(mains_Hz):
-    time_s = np.arange(0.0, 60.0, 1.0 / 500.0)  # the 3rd and the folded 7th, 0.3 to 1 Hz apart
+    time_s = np.arange(0.0, 60.0, 1.0 / 500.0)  # the 3rd and the folded 7th, 0.25 to 1 Hz apart
     u, angle = mixed_work(time_s), 2.0 * np.pi * mains_Hz * time_s + 0.7
     white_N = NOISE_N * noise(time_s.size, 0.0, np.random.default_rng(1))
     residual_N = white_N + 17.0 * np.sin(angle) + 5.6 * np.sin(3.0 * angle + 0.4) + 2.7 * np.sin(7.0 * angle)
