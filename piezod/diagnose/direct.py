@@ -16,6 +16,7 @@ REPEATED = 0.05  # share of readings equal to the one before, below which noise 
 REPEATED_AT_REST = 0.5  # the same where the command rests: more of them may be how this bench reads
 FROZEN_MOVES = 6.0  # by how many noises the model moves meanwhile
 LEAP, FAR = 1.5, 2.5  # steps of a coarse lattice
+LATE = 0.25  # of a stretch on a coarse lattice, at its end
 LINE_OVER_MEDIAN = 30.0  # power of a line over the median of its surroundings; exponential noise reaches 18 in 1e6 bins
 PEAK_PARTS_S, SAME_PEAK = (4.0, 0.5, 0.25), 0.1  # of a recording, averaged; of a frequency
 SURROUNDINGS, ABOUT = 101, 20  # bins; on either side of a tone
@@ -49,7 +50,8 @@ def frozen_stretches(series: Series, model_N: Array) -> list[tuple[int, int]]:
 
     On a coarse lattice not those at the lowest or highest reading: there the force itself may have met a limit. Nor
     those that a slow reading makes on it: what was frozen leaps to where the force is by then, what is slow goes on
-    by a step of the lattice.
+    by a step of the lattice. Nor those through which the model rests until shortly before their end: the force went on
+    then, and its reading was late.
     """
     same = np.concatenate(([False], np.diff(series.reading_N) == 0.0, [False]))
     edges = np.flatnonzero(np.diff(same.astype(np.int8)))
@@ -64,7 +66,7 @@ def frozen_stretches(series: Series, model_N: Array) -> list[tuple[int, int]]:
         (first, end)
         for first, end in stretches
         if end - first >= shortest
-        and np.ptp(model_N[first:end]) > moves_N
+        and np.ptp(model_N[first : end - int(LATE * (end - first)) if coarse else end]) > moves_N
         and not (coarse and series.reading_N[first] in limits)
     ]
     return _leaping(series, model_N, found) if coarse else found

@@ -71,3 +71,11 @@ def test_a_frozen_reading_is_seen_on_a_coarse_lattice(step_N):
     assert begins <= first + 1
     assert ends >= first + samples
     assert not more
+
+
+@pytest.mark.parametrize("late", [2, 10, 50])
+def test_a_late_reading_of_a_command_that_leaps_is_not_frozen(late):
+    leaps_V = np.concatenate((U, np.repeat([20.0, 90.0, 40.0, 100.0, 60.0] * 4, 500)))
+    force_N = np.concatenate((np.full(late, model_of(U[0])), model_of(leaps_V)))[: leaps_V.size]
+    reading_N = 4.0 * np.round(force_N / 4.0)
+    assert frozen_stretches(series(time(leaps_V.size), leaps_V, reading_N, 1e-3), model_of(leaps_V)) == []
