@@ -314,8 +314,8 @@ def chain_of(series: Sequence[Series], model: Model) -> tuple[Chain, Point]:
     low = min(float(one.command_V.min()) for one in series)
     high = max(float(one.command_V.max()) for one in series)
     swing = high - low
-    virgin = any(not one.path_V and starts_at_rest(one.command_V) for one in series)
-    reach = 0.995 * (max(abs(low), abs(high)) if virgin else 0.5 * swing)
+    rested = any(starts_at_rest(one.command_V) for one in series)  # and may have been virgin, whatever its path says
+    reach = 0.995 * (max(abs(low), abs(high)) if rested else 0.5 * swing)
     law = ForceLaw(low - 0.03 * swing, high)
     spans = model.output.high - model.output.low, model.input.high - model.input.low
     chain = Chain(series, PlayDensity.up_to(reach), law, spans[0], voltage_span_V=spans[1])

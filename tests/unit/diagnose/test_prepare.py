@@ -1,12 +1,14 @@
 """Recordings made ready: a clock that skips a tick, and samples that follow no clock."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from unit.diagnose.residuals import mixed_work, series, time
 
 from piezod.diagnose.basis import PlayDensity
-from piezod.diagnose.prepare import Source, even, started, without_frozen, without_unknown
+from piezod.diagnose.prepare import Source, chain_of, even, started, without_frozen, without_unknown
 from piezod.errors import RecordingError
 from piezod.identify.start import remembered
 from piezod.model import load_model
@@ -96,3 +98,14 @@ def test_the_largest_reversals_are_all_that_plays_remember():
             then = u[-1] + rng.normal(0.0, 20.0, 50)
             short = density.columns(then, np.array([5.0, *remembered(u)]))
             np.testing.assert_allclose(short, density.columns(then, np.array([5.0, *u])), atol=1e-9)
+
+
+@pytest.mark.parametrize(("first_V", "reach_V"), [(0.0, 0.995 * 90.0), (10.0, 0.995 * 40.0)])
+def test_a_recording_from_rest_may_move_every_play_whatever_start_was_estimated(model, first_V, reach_V):
+    time_s = time(4000)
+    work_V = mixed_work(time_s)
+    u = first_V + (90.0 - first_V) * (work_V - work_V.min()) / np.ptp(work_V)
+    u = np.concatenate((np.full(500, first_V), np.linspace(first_V, u[0], 500), u))
+    one = replace(series(time(u.size), u, 1.8 * u), path_V=(120.0, 0.0))
+    chain, _ = chain_of([one], model)
+    assert chain.density.thresholds_V[-1] == pytest.approx(reach_V, rel=0.02)
