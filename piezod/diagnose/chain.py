@@ -60,7 +60,11 @@ class Term:
     @property
     def searched(self) -> tuple[str, ...]:
         """Names of the parameters that are fitted."""
-        return tuple(one.name for one in self.effect.parameters if not one.choices)
+        return tuple(
+            one.name
+            for one in self.effect.parameters
+            if not one.choices and (one.only_if is None or one.only_if in self.choices)
+        )
 
 
 @dataclass(frozen=True)

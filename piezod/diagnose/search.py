@@ -48,7 +48,7 @@ DOMINANT = 0.3  # of its recordings' loss: a tone without which so little is lef
 
 @dataclass(frozen=True)
 class Round:
-    """One effect that was accepted, and what else was tried."""
+    """One effect that was accepted, and what else was tried that is what its name says."""
 
     before: Fitted
     accepted: Fitted
@@ -149,7 +149,9 @@ def search(chain: Chain, start: Point, progress: OnProgress) -> Search:
                 continue
         result.chain, result.found = best
         largest = max(largest, before.loss - result.found.loss)
-        others = tuple(one for _, one in tried if one.effects[-1] != result.found.effects[-1])
+        others = tuple(
+            one for on, one in tried if one.effects[-1] != result.found.effects[-1] and not degenerate(on, one)
+        )
         result.rounds.append(Round(before, result.found, others))
         _rescope(result)
     progress("trying to swap and to drop", SEARCHED)

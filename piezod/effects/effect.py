@@ -58,6 +58,8 @@ class Parameter:
         Whether it names an instant of the record [s].
     stiffness
         What a value of one costs a sample, in parts of its noise's variance: it stays near zero where little tells.
+    only_if
+        Another parameter and the choice of it with which this one is searched; None: with any.
     """
 
     name: str
@@ -70,6 +72,7 @@ class Parameter:
     choices: tuple[float, ...] = ()
     place: bool = False
     stiffness: float = 0.0
+    only_if: tuple[str, float] | None = None
 
     def __post_init__(self) -> None:
         assert self.low < self.high

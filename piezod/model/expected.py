@@ -26,6 +26,7 @@ from piezod.effects.feedthrough import coefficients, coupling_step
 from piezod.effects.kernels import first_order_coefficients, first_order_step, second_order_matrices
 from piezod.effects.mains_hum import HARMONICS
 from piezod.effects.output_nonlinearity import law_step
+from piezod.effects.sensor_filter import mode as mode_of_filter
 from piezod.model import inverse_chain as at
 from piezod.model.extended_compensator import ExtendedCompensator, acting_effects, ticks_late
 from piezod.model.inverse_chain import commit_chain_step
@@ -241,7 +242,7 @@ def _cell(model: Model, found: Mapping[str, Mapping[str, float]], dt_s: float, d
         cell[LOW_PASS] = max(1.0, round(low_pass.get("order", 1.0)))
         time_s = 0.5 / math.pi / low_pass["cutoff_Hz"]
         cell[KEEP], cell[RAMP] = first_order_coefficients(time_s, dt_s, between)
-        cell[LOW_PASS_AT : LOW_PASS_AT + 8] = _flat(low_pass["cutoff_Hz"], math.sqrt(0.5), dt_s, between)
+        cell[LOW_PASS_AT : LOW_PASS_AT + 8] = _flat(*mode_of_filter(low_pass), dt_s, between)
     if coupling := found.get("feedthrough"):
         cell[COUPLING] = coupling["coefficient_N_s_per_V"]
         runs_on = "electrical_lag" in found or "slew_limit" in found or model.sampling == "straight"

@@ -42,6 +42,16 @@ def test_a_filter_passes_its_cutoff_at_minus_3_dB(order):
     assert np.angle(line * 1j) == pytest.approx(-np.pi / 4.0 * order, abs=1e-4)
 
 
+@pytest.mark.parametrize("damping_ratio", [0.5, 0.6, np.sqrt(0.75), 1.0, 1.2])
+def test_a_filter_of_second_order_passes_its_cutoff_at_minus_3_dB_however_damped(damping_ratio):
+    cutoff_Hz, dt_s = 5.0, 1e-4
+    t = np.arange(100_000) * dt_s
+    values = {"cutoff_Hz": cutoff_Hz, "order": 2.0, "damping_ratio": damping_ratio}
+    out = forward("sensor_filter", np.sin(2.0 * np.pi * cutoff_Hz * t), dt_s, values)
+    line = 2.0 * np.mean(out[-20_000:] * np.exp(-2j * np.pi * cutoff_Hz * t[-20_000:]))
+    assert abs(line) == pytest.approx(np.sqrt(0.5), rel=1e-5)
+
+
 @pytest.mark.parametrize(("order", "fall"), [(1.0, 1.0 / 20.0), (2.0, 1.0 / 400.0)])
 def test_a_filter_falls_with_the_frequency_to_its_order(order, fall):
     cutoff_Hz, dt_s = 1.0, 1e-4
