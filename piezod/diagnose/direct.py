@@ -20,6 +20,7 @@ LATE = 0.25  # of a stretch on a coarse lattice, at its end
 LINE_OVER_MEDIAN = 30.0  # power of a line over the median of its surroundings; exponential noise reaches 18 in 1e6 bins
 PEAK_PARTS_S, SAME_PEAK = (4.0, 0.5, 0.25), 0.1  # of a recording, averaged; of a frequency
 SURROUNDINGS, ABOUT = 101, 20  # bins; on either side of a tone
+LOBE, WANDERS_HZ = 4, 0.1  # bins of a Hann window's own; by which a tone may wander
 SKEWS_PPM, SKEWED = np.geomspace(30.0, 2e4, 90), 0.98  # tried in both directions; of the squares, where one shows
 SKEW_ROWS = 10_000
 
@@ -112,6 +113,8 @@ def lines(series: Series, residual_N: Array, most: int = 6) -> list[Line]:
     found: list[Line] = []
     candidates = np.flatnonzero((prominence > LINE_OVER_MEDIAN) & ~driven)
     for k in sorted(candidates, key=lambda j: -power[j]):
+        if k < SURROUNDINGS and power[k] < LINE_OVER_MEDIAN * _near(power, k, frequency_Hz[1]):
+            continue  # a colour that falls within so few bins is no line
         if k < first or any(abs(frequency_Hz[k] - one.frequency_Hz) < 5 * frequency_Hz[1] for one in found):
             continue
         found.append(_refined(series, values, float(frequency_Hz[k]), float(frequency_Hz[1]), float(prominence[k])))
@@ -170,6 +173,16 @@ def _running_median(power: Array) -> Array:
     medians = np.array([np.median(power[a:b]) for a, b in itertools.pairwise(edges)])
     result: Array = np.interp(np.arange(power.size), 0.5 * (edges[:-1] + edges[1:]), medians)
     return result
+
+
+def _near(power: Array, k: int, bin_Hz: float) -> float:
+    """Median over the nearest bins on both sides that a line's own wandering leaves free."""
+    free = max(LOBE, int(np.ceil(WANDERS_HZ / bin_Hz)))
+    return float(
+        np.median(
+            np.append(power[max(k - free - ABOUT, 1) : max(k - free, 1)], power[k + free + 1 : k + free + 1 + ABOUT])
+        )
+    )
 
 
 def peaks_Hz(series: Series, residual_N: Array, most: int = 3) -> list[float]:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from unit.diagnose.residuals import mixed_work, model_of, noise
 
-from piezod.diagnose.direct import level_about
+from piezod.diagnose.direct import level_about, lines
 from piezod.diagnose.series import Series
 from piezod.diagnose.tones import swing_with_command, tones
 
@@ -62,3 +62,16 @@ def test_the_level_about_a_tone_is_that_of_its_own_colour(at_Hz):
         found_N.append(level_about(one, coloured_N, at_Hz))
     turn = np.exp(-2j * np.pi * at_Hz * 1e-3)
     assert np.mean(found_N) == pytest.approx(np.sqrt(1.0 - rho**2) / abs(1.0 - rho * turn), rel=0.05)
+
+
+@pytest.mark.parametrize("corner_Hz", [0.6, 1.0, 2.0])
+def test_the_colour_of_slow_noise_is_no_vibration_and_a_vibration_in_it_is(corner_Hz):
+    rate_Hz = 250.0
+    time_s = np.arange(0.0, 30.0, 1.0 / rate_Hz)
+    u, rho = mixed_work(time_s), float(np.exp(-2.0 * np.pi * corner_Hz / rate_Hz))
+    for seed in range(20):
+        coloured_N = NOISE_N * noise(time_s.size, rho, np.random.default_rng(seed))
+        one = Series("by hand", "recording", time_s, u, model_of(u) + coloured_N, np.ones(time_s.size, bool), NOISE_N)
+        assert lines(one, coloured_N) == []
+        heard = lines(one, coloured_N + 3.0 * NOISE_N * np.sin(2.0 * np.pi * 1.7 * time_s + seed))
+        assert [round(line.frequency_Hz, 1) for line in heard] == [1.7]
