@@ -113,7 +113,7 @@ def lines(series: Series, residual_N: Array, most: int = 6) -> list[Line]:
     found: list[Line] = []
     candidates = np.flatnonzero((prominence > LINE_OVER_MEDIAN) & ~driven)
     for k in sorted(candidates, key=lambda j: -power[j]):
-        if k < SURROUNDINGS and power[k] < LINE_OVER_MEDIAN * _near(power, k, frequency_Hz[1]):
+        if k < SURROUNDINGS and power[k] < LINE_OVER_MEDIAN * _near(power, int(k), float(frequency_Hz[1])):
             continue  # a colour that falls within so few bins is no line
         if k < first or any(abs(frequency_Hz[k] - one.frequency_Hz) < 5 * frequency_Hz[1] for one in found):
             continue
@@ -178,11 +178,8 @@ def _running_median(power: Array) -> Array:
 def _near(power: Array, k: int, bin_Hz: float) -> float:
     """Median over the nearest bins on both sides that a line's own wandering leaves free."""
     free = max(LOBE, int(np.ceil(WANDERS_HZ / bin_Hz)))
-    return float(
-        np.median(
-            np.append(power[max(k - free - ABOUT, 1) : max(k - free, 1)], power[k + free + 1 : k + free + 1 + ABOUT])
-        )
-    )
+    below, above = power[max(k - free - ABOUT, 1) : max(k - free, 1)], power[k + free + 1 : k + free + 1 + ABOUT]
+    return float(np.median(np.append(below, above)))
 
 
 def peaks_Hz(series: Series, residual_N: Array, most: int = 3) -> list[float]:
