@@ -59,7 +59,8 @@ class Parameter:
     stiffness
         What a value of one costs a sample, in parts of its noise's variance: it stays near zero where little tells.
     only_if
-        Another parameter and the choice of it with which this one is searched; None: with any.
+        Another parameter and the choice of it with which this one is searched; None: with any. A model may leave it
+        out: it is at its first start then.
     """
 
     name: str

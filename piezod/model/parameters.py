@@ -168,6 +168,8 @@ class EffectValues(Section):
             raise ValueError(f"name is '{self.name}', must be one of {', '.join(EFFECTS)}")
         for one in effect.parameters:
             value = self.parameters.get(one.name)
+            if value is None and one.only_if is not None:
+                continue
             if value is None:
                 raise ValueError(f"{self.name}: parameters has no {one.name}")
             if not one.low <= value <= one.high:

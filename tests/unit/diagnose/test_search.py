@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
+from scipy import signal
 from unit.diagnose.residuals import mixed_work, noise, series, time
 from unit.diagnose.test_sharp import many_plays
 
@@ -93,35 +94,17 @@ def test_what_fits_better_beside_all_else_that_was_found_is_swapped_in_and_the_o
 def test_a_bessel_filter_of_the_reading_is_one_filter_without_a_rival_that_does_not_ring():
     """Of second order, damping ratio sqrt(3/4): neither a Butterworth filter nor a mode."""
     seconds, rng, made, cutoff_Hz = time(SAMPLES, RATE_HZ), np.random.default_rng(11), [], 6.0
-    damping_ratio = np.sqrt(0.75)
-    part = 1.0 - 2.0 * damping_ratio**2
-    natural = 2.0 * np.pi * cutoff_Hz / np.sqrt(part + np.hypot(part, 1.0))
-    poles = np.polynomial.polynomial.polyroots([natural**2, 2.0 * damping_ratio * natural, 1.0])
+    bessel = signal.bessel(2, 2.0 * np.pi * cutoff_Hz, analog=True, norm="mag")
     for role in ("identification", "recording"):
         u = mixed_work(seconds)
         u = np.clip(u - u[0], 0.0, None)
         force_N = many_plays(u)
         if role == "recording":
-            force_N = passed(force_N, natural, poles)
+            force_N = force_N[0] + signal.lsim(bessel, force_N - force_N[0], seconds)[1]
         made.append(series(seconds, u, force_N + NOISE_N * noise(SAMPLES, 0.0, rng), NOISE_N, role=role))
     chain = Chain(made, PlayDensity.up_to(119.4), ForceLaw(-4.0, 120.0), 216.0)
     found = search(chain, empty_point(chain, 1.8, 0.0), lambda *_: None)
     assert found.names == ("sensor_filter",)
     assert abs(found.found.point.values[0]["cutoff_Hz"] / cutoff_Hz - 1.0) < 0.01
-    assert abs(found.found.point.values[0]["damping_ratio"] - damping_ratio) < 0.03
+    assert abs(found.found.point.values[0]["damping_ratio"] - np.sqrt(0.75)) < 0.03
     assert "resonance" not in {one.effects[-1] for round_ in found.rounds for one in round_.others}
-
-
-def passed(force_N, natural, poles):
-    """By partial fractions: two first-order responses to a straight input, complex conjugates of each other."""
-    dt_s, first = 1.0 / RATE_HZ, force_N - force_N[0]
-    out = np.zeros(force_N.size, complex)
-    for pole, other in (poles, poles[::-1]):
-        weight, keep = natural**2 / (pole - other), np.exp(pole * dt_s)
-        ramp = (keep - 1.0 - pole * dt_s) / (pole**2 * dt_s)  # integral of exp(pole (T - s)) s / T
-        rest = (keep - 1.0) / pole - ramp
-        state = 0.0j
-        for k in range(1, first.size):
-            state = keep * state + weight * (rest * first[k - 1] + ramp * first[k])
-            out[k] += state
-    return force_N[0] + out.real

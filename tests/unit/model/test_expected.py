@@ -5,6 +5,7 @@ import pytest
 from unit.model.chains import DT_S, FOUND, held_model, with_effects
 
 from piezod.model.expected import ExpectedReading
+from piezod.model.parameters import EffectValues
 from piezod.model.plant import run_chain
 
 OF_THE_CELL = ("charge_leakage", "sensor_filter", "feedthrough", "transport_delay")
@@ -35,6 +36,24 @@ def test_what_is_expected_is_the_forward_chain_stepped(model, names):
     expected, _ = ExpectedReading(extended, DT_S).take(u, np.zeros(t.size))
     span = model.output.high - model.output.low
     assert np.max(np.abs(expected - forward_N(extended, t, u))) < 1e-8 * span
+
+
+@pytest.mark.parametrize("damping_ratio", [np.sqrt(0.5), np.sqrt(0.75), 1.2])
+def test_a_filter_of_second_order_is_stepped_and_undone_as_damped_as_it_is(model, damping_ratio):
+    extended = with_effects(model, "sensor_filter", order=2.0, damping_ratio=float(damping_ratio))
+    t, u = voltage_V()
+    read = forward_N(extended, t, u)
+    expected, corrected = ExpectedReading(extended, DT_S).take(u, read)
+    np.testing.assert_allclose(expected, read, atol=1e-8 * (model.output.high - model.output.low))
+    np.testing.assert_allclose(corrected, forward_N(model, t, u), atol=1e-8)
+
+
+def test_a_filter_of_second_order_in_a_model_without_its_damping_ratio_is_a_butterworth(model):
+    alone = EffectValues(name="sensor_filter", parameters={"cutoff_Hz": 20.0, "order": 2.0})
+    t, u = voltage_V()
+    butterworth = with_effects(model, "sensor_filter", order=2.0, damping_ratio=0.5**0.5)
+    read = forward_N(model.model_copy(update={"effects": (alone,)}), t, u)
+    np.testing.assert_allclose(read, forward_N(butterworth, t, u), rtol=1e-12)
 
 
 def test_a_delay_of_whole_ticks_shows_the_force_of_so_many_ticks_ago(model):
