@@ -6,7 +6,7 @@ from numpy.typing import NDArray
 from piezod.diagnose.chain import Chain, Term
 from piezod.diagnose.fit import Fitted
 from piezod.diagnose.motion import motion
-from piezod.diagnose.steps import Step, sharp
+from piezod.diagnose.steps import Step, sharp, shown_late_s
 
 Array = NDArray[np.float64]
 
@@ -134,6 +134,7 @@ def degenerate(chain: Chain, fitted: Fitted) -> bool:
     if term.effect.name == "load_step":
         series = chain.series[term.series]
         residual_N = series.reading_N - chain.run(term.series, fitted.terms, fitted.point).reading_N
-        first, end = (round(values[name] / series.dt_s) for name in ("on_s", "off_s"))
+        late_s = shown_late_s(chain, fitted.terms, fitted.point)
+        first, end = (round((values[name] + late_s) / series.dt_s) for name in ("on_s", "off_s"))
         return not sharp(series, residual_N, Step(values["step_N"], first, min(end, series.time_s.size)))
     return False

@@ -54,16 +54,18 @@ class Layout:
     def prior(self, chain: Chain, point: Point) -> Array:
         """Curvature of a weak prior: by how much a parameter may differ where nothing tells, shape (size, size).
 
-        Density and law may bend only so much; what one block alone tells of them is continued from beside it.
+        Density and law may bend only so much; what one block alone tells of them is continued from beside it. An edge
+        stays within a sample of where it was found: what moving it does is straight no further.
         """
-        span_N = chain.force_span_N
+        span_N, sample_s = chain.force_span_N, max(one.dt_s for one in chain.series)
         wide = np.empty(self.size)
         wide[: self.plays] = max(float(np.abs(point.density[:HATS]).max()), 0.1)
         wide[self.plays : self.effects] = LAW_WITHIN * span_N
         wide[HATS : self.plays] = wide[self.plays + SPLINES : self.offsets] = FACTOR
         for place, (number, one) in enumerate(self.searched, start=self.effects):
             value = abs(float(point.values[number][one.name]))
-            wide[place] = FACTOR if one.logarithmic else max(value, 1e-3 * min(one.high - one.low, 1e3))
+            least = max(value, 1e-3 * min(one.high - one.low, 1e3))
+            wide[place] = FACTOR if one.logarithmic else sample_s if one.place else least
         prior = np.diag(wide**-2.0)
         for first, count, bend in ((0, HATS, 0.5 * wide[0]), (self.plays, SPLINES, LAW_BENDS * span_N)):
             bends = np.diff(np.eye(count), 2, axis=0) / bend

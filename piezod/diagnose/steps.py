@@ -1,10 +1,12 @@
 """Steps of the load: the span of time that, shifted, explains most of what is left, and whether its edges are sharp."""
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from piezod.diagnose.chain import Chain, Point, Term
 from piezod.diagnose.fit import Normal
 from piezod.diagnose.series import Series
 
@@ -193,6 +195,35 @@ def edge_near(series: Series, without_N: Array, at_s: float) -> float:
     before, known = sums[places - first - 1], told[places - first - 1]
     level = before**2 / np.maximum(known, 1.0) + (sums[-1] - before) ** 2 / np.maximum(told[-1] - known, 1.0)
     return float(places[int(np.argmax(level))]) * dt_s
+
+
+def shown_late_s(chain: Chain, terms: Sequence[Term], point: Point) -> float:
+    """How much later than the load an edge of it shows in the reading, by what stands behind the mechanics [s].
+
+    Parameters
+    ----------
+    chain
+        Of the recordings.
+    terms
+        Of the hypothesis; the last is the step.
+    point
+        Its values.
+    """
+    number, values = terms[-1].series, point.values[-1]
+    time_s = chain.series[number].time_s
+    still = replace(point, values=(*point.values[:-1], {**values, "step_N": 0.0}))
+    change_N = chain.run(number, terms, point).reading_N - chain.run(number, terms, still).reading_N
+    part = change_N / values["step_N"] if values["step_N"] else np.zeros(time_s.size)
+    edge_s = values["on_s"]
+    if not 0.0 < edge_s < time_s[-1]:
+        part, edge_s = 1.0 - part, values["off_s"]
+    after = int(np.searchsorted(time_s, edge_s))
+    there = np.flatnonzero(part[after:] >= 0.5)
+    if after == 0 or there.size == 0:
+        return 0.0
+    k = after + int(there[0])
+    half_s = float(np.interp(0.5, part[k - 1 : k + 1], time_s[k - 1 : k + 1]))
+    return max(half_s - edge_s - 0.5 * values["rise_s"], 0.0)
 
 
 def sharp(series: Series, residual_N: Array, step: Step) -> bool:

@@ -12,7 +12,7 @@ from piezod.diagnose.courses import coarse, started_alike
 from piezod.diagnose.fit import MOST_STEPS, Fitted, Normal, fit
 from piezod.diagnose.ideas import Idea, screened, since
 from piezod.diagnose.parallel import each
-from piezod.diagnose.steps import NEVER_S, edge_near, likely_steps, sharpest_steps
+from piezod.diagnose.steps import NEVER_S, edge_near, likely_steps, sharpest_steps, shown_late_s
 from piezod.effects import EFFECTS
 from piezod.effects.effect import STRAIGHT
 
@@ -84,8 +84,9 @@ def _at_edges(chain: Chain, fitted: Fitted) -> Point:
     series = chain.series[term.series]
     without = replace(fitted.point, values=(*fitted.point.values[:-1], {**values, "step_N": 0.0}))
     left_N = series.reading_N - chain.run(term.series, fitted.terms, without).reading_N
+    late_s = shown_late_s(chain, fitted.terms, fitted.point)
     inside = {name: values[name] for name in ("on_s", "off_s") if 0.0 < values[name] < series.duration_s}
-    moved = {name: edge_near(series, left_N, at_s) for name, at_s in inside.items()}
+    moved = {name: edge_near(series, left_N, at_s + late_s) - late_s for name, at_s in inside.items()}
     return replace(fitted.point, values=(*fitted.point.values[:-1], {**values, **moved}))
 
 
@@ -180,7 +181,12 @@ def suggested(chain: Chain, found: Fitted) -> list[Idea]:
         for step in (*likely_steps(normal, number), *sharpest_steps(series, left_N)):
             end_s = NEVER_S if step.end == series.time_s.size else step.end * series.dt_s
             places = {"step_N": step.height_N, "on_s": step.first * series.dt_s, "off_s": end_s}
-            ideas.append(_idea("load_step", number, places))
+            shown = _idea("load_step", number, places)
+            beside = replace(found.point, values=(*found.point.values, shown.values))
+            late_s = shown_late_s(chain, (*found.terms, shown.term), beside)
+            ideas.append(
+                _idea("load_step", number, {**places, "on_s": places["on_s"] - late_s, "off_s": end_s - late_s})
+            )
     return ideas
 
 

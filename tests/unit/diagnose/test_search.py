@@ -108,3 +108,24 @@ def test_a_bessel_filter_of_the_reading_is_one_filter_without_a_rival_that_does_
     assert abs(found.found.point.values[0]["cutoff_Hz"] / cutoff_Hz - 1.0) < 0.01
     assert abs(found.found.point.values[0]["damping_ratio"] - np.sqrt(0.75)) < 0.03
     assert "resonance" not in {one.effects[-1] for round_ in found.rounds for one in round_.others}
+
+
+def test_a_large_step_of_the_load_is_found_in_front_of_a_filter_and_of_a_delay():
+    """Its edge shows later than the load has it; and without the block that holds it nothing else tells where it is."""
+    seconds, rng, made = time(SAMPLES, RATE_HZ), np.random.default_rng(5), []
+    smooth = signal.butter(1, 9.0, fs=RATE_HZ)
+    for role in ("identification", "recording"):
+        force_N = many_plays(np.clip(mixed_work(seconds) - mixed_work(seconds)[0], 0.0, None))
+        if role == "recording":
+            force_N += 60.0 * ((seconds >= 12.2) & (seconds < 25.3))
+        force_N = np.concatenate((np.full(11, force_N[0]), force_N[:-11]))
+        force_N = force_N[0] + signal.lfilter(*smooth, force_N - force_N[0])
+        u = np.clip(mixed_work(seconds) - mixed_work(seconds)[0], 0.0, None)
+        made.append(series(seconds, u, force_N + NOISE_N * noise(SAMPLES, 0.0, rng), NOISE_N, role=role))
+    chain = Chain(made, PlayDensity.up_to(119.4), ForceLaw(-4.0, 120.0), 216.0)
+    found = search(chain, empty_point(chain, 1.8, 0.0), lambda *_: None)
+    assert set(found.names) == {"transport_delay", "sensor_filter", "load_step"}
+    step = found.found.point.values[found.names.index("load_step")]
+    assert abs(step["step_N"] - 60.0) < 1.0
+    assert abs(step["on_s"] - 12.2) < 0.02
+    assert abs(step["off_s"] - 25.3) < 0.02

@@ -1,9 +1,14 @@
 """Edges of load steps: found to the sample, and none where the command leaps."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from piezod.diagnose.steps import NEVER_S, Step, edge_near, sharp
+from piezod.diagnose.basis import ForceLaw, PlayDensity
+from piezod.diagnose.chain import Chain, Term, empty_point
+from piezod.diagnose.steps import NEVER_S, Step, edge_near, sharp, shown_late_s
+from piezod.effects import EFFECTS
 from tests.unit.diagnose.residuals import mixed_work, noise, series, time
 
 TIME_S = time(20_000)
@@ -68,3 +73,23 @@ def test_a_jump_at_a_step_of_the_command_must_be_larger_than_at_its_other_steps(
     height_N = np.where(steps_s[6] <= TIME_S, HEIGHT_N - answer, 0.0)  # with the command's own part HEIGHT_N in all
     left = residual + height_N - HEIGHT_N * (steps_s[6] <= TIME_S)
     assert sharp(series(TIME_S, u, residual), left, step) == believed
+
+
+@pytest.mark.parametrize("edges", [(7.3, NEVER_S), (7.3, 12.0), (-1.0, 7.3)])
+@pytest.mark.parametrize(
+    ("behind", "values", "late_s"),
+    [
+        ((), (), 0.0),
+        ((("transport_delay", ()),), ({"delay_s": 0.0534},), 0.0534),
+        ((("sensor_filter", (("order", 1.0),)),), ({"cutoff_Hz": 3.0},), np.log(2.0) / (2.0 * np.pi * 3.0)),
+        ((("electrical_lag", ()),), ({"time_constant_s": 0.05},), 0.0),
+    ],
+)
+def test_an_edge_shows_as_late_as_what_stands_behind_the_mechanics_makes_it(behind, values, late_s, edges):
+    one = series(TIME_S, mixed_work(TIME_S), np.zeros(TIME_S.size))
+    chain = Chain([one], PlayDensity.up_to(119.4), ForceLaw(-4.0, 120.0), 216.0)
+    terms = [Term(EFFECTS[name], "since", choices=choices) for name, choices in behind]
+    step = {"step_N": 2.0, "on_s": edges[0], "off_s": edges[1], "rise_s": 0.002}
+    point = replace(empty_point(chain, 1.8, 0.0), values=(*values, step))
+    terms.append(Term(EFFECTS["load_step"], "once", 0))
+    assert shown_late_s(chain, terms, point) == pytest.approx(late_s, abs=1.1 * one.dt_s)
