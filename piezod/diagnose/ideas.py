@@ -86,6 +86,11 @@ def parts_of(effect: Effect, values: Mapping[str, float]) -> dict[str, dict[str,
     return {name: {**values, **dict.fromkeys(sizes, 0.0), name: values[name]} for name in sizes}
 
 
+def _is_a_signed_sum(effect: Effect) -> bool:
+    """Whether it adds so much of something, of either sign: from the wrong one what shapes it goes astray first."""
+    return effect.form == "additive" and effect.parameters[0].low < 0.0
+
+
 def _inside(effect: Effect, values: Mapping[str, float]) -> dict[str, float]:
     return {
         name: float(np.clip(value, effect.parameter(name).low, effect.parameter(name).high))
@@ -180,8 +185,9 @@ def screened(chain: Chain, terms: Sequence[Term], point: Point) -> list[Idea]:
                 [c if term.acts_on(k, chain.series[k]) else None for k, c in enumerate(change)] for change in changes
             ]
             gain, sizes = normal.gain_of(acting)
-            if len(acting) > 1:
-                found = {name: size * values[name] for name, size in zip(parts, sizes, strict=True)}
+            if len(acting) > 1 or _is_a_signed_sum(effect):
+                named = parts if len(acting) > 1 else (effect.parameters[0].name,)
+                found = {name: size * values[name] for name, size in zip(named, sizes, strict=True)}
                 ideas.append(Idea(term, {**values, **_inside(effect, found)}, gain))
             elif sizes[0] > 0.0 or effect.parameters[0].low < 0.0:
                 ideas.append(Idea(term, values, gain))

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from piezod.diagnose.acceptance import (
     FAIR_SHARE,
+    LOOSE,
     STEADY_WHEN_SMALL,
     WORTH,
     acts_locally,
@@ -26,7 +27,7 @@ from piezod.diagnose.fit import MOST_STEPS, Fitted, Normal, fit
 from piezod.diagnose.parallel import each
 from piezod.diagnose.series import Series
 from piezod.diagnose.sharp import sharpened
-from piezod.diagnose.tones import Tone, tones, without_tones
+from piezod.diagnose.tones import Tone, heard_again, tones, with_tones, without_tones
 from piezod.diagnose.trials import on_each_course, with_a_step
 
 Array = NDArray[np.float64]
@@ -38,6 +39,8 @@ FINALISTS = 3  # of them that are tried with every course of the command between
 BESIDE_A_STEP = 2  # effects that a step was preferred to are tried with a step of their own
 OTHER_START = 0.99  # of the loss: below it what was found is believed to have started otherwise
 OTHER_SCOPE = 0.98  # of the loss: below it an effect's other scope is taken
+FIRSTS = 2  # effects that are not believed alone, tried with another one besides
+NOTHING_LEFT = 1.05  # of the noise's square: nothing is looked for beside what leaves no more
 RIVALS = 6  # of an effect, that are tried in its place at the end
 NEEDLESS = 0.02  # of the loss: an effect without which no more is lost is left out again
 DOUBTED = 3  # of those that fit better and are not believed that are fitted from other starts
@@ -140,6 +143,8 @@ def search(chain: Chain, start: Point, progress: OnProgress) -> Search:
             largest = max(result.base.loss - result.found.loss, 0.0) if result.rounds else 0.0
             continue
         if best is None:
+            if both(result, tried, largest):
+                continue
             break
         before = _without_it(result, best)
         if before is not result.found:  # some of the gain is the other course's or the other starts'
@@ -154,6 +159,9 @@ def search(chain: Chain, start: Point, progress: OnProgress) -> Search:
         )
         result.rounds.append(Round(before, result.found, others))
         _rescope(result)
+        if result.tones:
+            _listen_again(result)
+            largest = max(result.base.loss - result.found.loss, 0.0)
     progress("trying to swap and to drop", SEARCHED)
     swap(result)
     _drop(result, largest)
@@ -175,10 +183,9 @@ def _finalists(result: Search, tried: list[tuple[Chain, Fitted]], largest: float
 
     def believed(one: tuple[Chain, Fitted]) -> bool:
         on, after = one
-        if after.loss > (1.0 - WORTH) * result.found.loss or degenerate(on, after):
+        if after.loss > (1.0 - WORTH) * result.found.loss:
             return False
-        known = before.get(id(on), result.found)
-        return worth(known, after) and fair(on, known, after, largest)
+        return _believed(on, before.get(id(on), result.found), after, largest)
 
     tried = sorted(tried, key=lambda one: one[1].loss)
     better = [one for one in tried if believed(one)]
@@ -186,6 +193,51 @@ def _finalists(result: Search, tried: list[tuple[Chain, Fitted]], largest: float
     doubted = [one for one in tried if one[1].loss < limit and not degenerate(*one)][:DOUBTED]
     anew = [one for one in each(suited_anew, doubted) if one is not None and believed(one)]
     return each(settled, sorted(better + anew, key=lambda one: one[1].loss)[:FINALISTS])
+
+
+def _believed(chain: Chain, before: Fitted, after: Fitted, largest: float) -> bool:
+    """Whether one more effect is what its name says, gains enough and is more than the remainder of a larger one."""
+    return not degenerate(chain, after) and worth(before, after) and fair(chain, before, after, largest)
+
+
+def both(result: Search, tried: Sequence[tuple[Chain, Fitted]], largest: float) -> bool:
+    """Two effects at once of which none is believed alone, since each leaves what the other one is; if they are found.
+
+    Each must be believed beside the other, and one of them have a shape that does not bend to what is left.
+    """
+    if len(result.names) + 2 > MOST_EFFECTS:
+        return False
+    alone = [one for on, one in tried if on is result.chain and worth(result.found, one) and not degenerate(on, one)]
+    for first in [one for one in _first_of_each(alone)[:FIRSTS] if one.loss > NOTHING_LEFT]:
+        beside = on_each_course(result.chain, first, result.past)
+        pairs = []
+        for chain, pair in _finalists(replace(result, found=first), beside, largest):
+            turned = _turned(pair)
+            point = replace(turned.point, values=turned.point.values[:-1])
+            shaped = first.effects[-1] not in LOOSE or pair.effects[-1] not in LOOSE
+            if shaped and _believed(chain, fit(chain, turned.terms[:-1], point), turned, largest):
+                pairs.append((chain, pair))
+        if pairs:
+            chain, pair = min(pairs, key=lambda one: weighed(one[1]))
+            others = tuple(one for one in alone if one.effects[-1] not in pair.effects)
+            result.rounds += [Round(result.found, first, others), Round(first, pair, ())]
+            if chain is not result.chain:
+                result.chain, result.base = chain, fit(chain, (), result.base.point)
+            result.found = pair
+            return True
+    return False
+
+
+def _turned(pair: Fitted) -> Fitted:
+    """The same with the last two effects the other way round."""
+    order = [*range(len(pair.terms) - 2), len(pair.terms) - 1, len(pair.terms) - 2]
+    point = replace(pair.point, values=tuple(pair.point.values[k] for k in order))
+    return replace(
+        pair,
+        terms=tuple(pair.terms[k] for k in order),
+        point=point,
+        spread=tuple(pair.spread[k] for k in order),
+    )
 
 
 def _sharper(result: Search, best: tuple[Chain, Fitted] | None) -> tuple[Chain, Fitted] | None:
@@ -275,15 +327,31 @@ def _dominates(result: Search, heard: Heard) -> bool:
 
 
 def _listen(result: Search, heard: Heard) -> None:
-    """Take a tone off; what was counted as noise before may have been the tone."""
+    """Take a tone off."""
     chain, _, new = heard
-    series = list(chain.series)
-    for number in {tone.number for tone in new}:
+    result.tones += new
+    _without_tones(result, chain.series, new)
+
+
+def _listen_again(result: Search) -> None:
+    """Follow the tones anew: what was taken off while more was missing was not the tone alone."""
+    normal = Normal.at(result.chain, result.found.terms, result.found.point)
+    series = result.chain.series
+    left = [one.reading_N - modelled for one, modelled in zip(series, normal.readings, strict=True)]
+    again = heard_again(series, left, result.tones)
+    back = with_tones(series, result.tones)
+    result.tones = again
+    _without_tones(result, without_tones(back, again), again)
+
+
+def _without_tones(result: Search, series: Sequence[Series], heard: Sequence[Tone]) -> None:
+    """Go on with these readings; what was counted as noise before may have been a tone."""
+    series = list(series)
+    for number in {tone.number for tone in heard}:
         one = series[number]
         if one.trust is None:
             series[number] = replace(one, noise_N=noise_of(one.command_V, one.reading_N, one.counts))
-    result.chain = chain.like(series)
-    result.tones += new
+    result.chain = result.chain.like(series)
     result.found = fit(result.chain, result.found.terms, result.found.point)
     result.base = fit(result.chain, (), result.base.point)
 

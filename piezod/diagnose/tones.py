@@ -94,6 +94,25 @@ def tones(series: Sequence[Series], residuals: Sequence[Array], known: Sequence[
     return sorted(groups, key=lambda group: -sum(float(tone.heard_N @ tone.heard_N) for tone in group))
 
 
+def heard_again(series: Sequence[Series], residuals: Sequence[Array], known: Sequence[Tone]) -> list[Tone]:
+    """Tones that were taken off, followed anew beside what is left by now.
+
+    Parameters
+    ----------
+    series, residuals
+        With the tones off; reading less simulation, each shape (N,) [N].
+    known
+        The tones.
+    """
+    left, again = [residual.copy() for residual in residuals], []
+    for tone in known:
+        follow = _hum if tone.name == "mains_hum" else _vibration
+        beside_N = left[tone.number] + tone.heard_N
+        again.append(follow(tone.number, series[tone.number], beside_N, tone.values["frequency_Hz"]))
+        left[tone.number] = beside_N - again[-1].heard_N
+    return again
+
+
 def _same_machine(group: Sequence[Tone], tone: Tone) -> bool:
     first = group[0]
     near = abs(first.values["frequency_Hz"] - tone.values["frequency_Hz"]) < ALIKE_HZ
@@ -103,10 +122,11 @@ def _same_machine(group: Sequence[Tone], tone: Tone) -> bool:
 def _of(number: int, series: Series, residual_N: Array, hum_Hz: Sequence[float]) -> list[Tone]:
     seen = lines(series, residual_N)
     mains = [one for one in seen if min(abs(one.frequency_Hz - f) for f in MAINS_HZ) < MAINS_WITHIN_HZ]
-    found = [_hum(number, series, residual_N, mains[0])] if mains else []
+    found = [_hum(number, series, residual_N, mains[0].frequency_Hz)] if mains else []
     hum_Hz = [*hum_Hz, *(one.frequency_Hz for one in mains[:1])]
     strange = [one for one in seen if not any(_multiple(one.frequency_Hz, f, series.dt_s) for f in hum_Hz)]
-    return found + [_vibration(number, series, residual_N, line) for line in _steady_lines(series, residual_N, strange)]
+    steady = _steady_lines(series, residual_N, strange)
+    return found + [_vibration(number, series, residual_N, line.frequency_Hz) for line in steady]
 
 
 def _steady_lines(series: Series, residual_N: Array, seen: Sequence[Line]) -> list[Line]:
@@ -156,12 +176,12 @@ def _folded(frequency_Hz: float, dt_s: float) -> float:
     return abs(frequency_Hz - round(frequency_Hz * dt_s) / dt_s)
 
 
-def _hum(number: int, series: Series, residual_N: Array, line: Line) -> Tone:
-    envelope, carrier = _followed(series, residual_N, line.frequency_Hz)
-    values = _steady("mains_hum", series, envelope, line)
+def _hum(number: int, series: Series, residual_N: Array, frequency_Hz: float) -> Tone:
+    envelope, carrier = _followed(series, residual_N, frequency_Hz)
+    values = _steady("mains_hum", series, envelope, frequency_Hz)
     heard = 2.0 * (envelope * carrier).real
     unit = carrier * np.exp(1j * np.angle(envelope))
-    appear_Hz = {h: _folded(h * line.frequency_Hz, series.dt_s) for h in (1, *HARMONICS)}
+    appear_Hz = {h: _folded(h * frequency_Hz, series.dt_s) for h in (1, *HARMONICS)}
     parts = {h: np.zeros(unit.size, dtype=np.complex128) for h in HARMONICS if appear_Hz[h] >= LOWEST_HZ}
     for turn in range(TURNS):
         for h in parts:
@@ -176,9 +196,9 @@ def _hum(number: int, series: Series, residual_N: Array, line: Line) -> Tone:
     return Tone("mains_hum", number, _inside("mains_hum", values), heard)
 
 
-def _vibration(number: int, series: Series, residual_N: Array, line: Line) -> Tone:
-    envelope, carrier = _followed(series, residual_N, line.frequency_Hz)
-    values = _steady("vibration", series, envelope, line)
+def _vibration(number: int, series: Series, residual_N: Array, frequency_Hz: float) -> Tone:
+    envelope, carrier = _followed(series, residual_N, frequency_Hz)
+    values = _steady("vibration", series, envelope, frequency_Hz)
     return Tone("vibration", number, _inside("vibration", values), 2.0 * (envelope * carrier).real)
 
 
@@ -214,13 +234,13 @@ def _smoothed(series: Series, values: Complex) -> Complex:
     return result
 
 
-def _steady(name: str, series: Series, envelope: Complex, line: Line) -> dict[str, float]:
+def _steady(name: str, series: Series, envelope: Complex, frequency_Hz: float) -> dict[str, float]:
     """Frequency, amplitude and phase that come nearest, as the effect counts them."""
     heard = envelope[series.counts]  # where nothing counts it is nothing
     phase, weight = np.unwrap(np.angle(heard)), np.abs(heard)
     slope, start = np.polyfit(series.time_s[series.counts], phase, 1, w=weight)
     values = {one.name: one.starts[0] for one in EFFECTS[name].parameters if not one.choices}
-    values["frequency_Hz"] = line.frequency_Hz + float(slope) / (2.0 * np.pi)
+    values["frequency_Hz"] = frequency_Hz + float(slope) / (2.0 * np.pi)
     values["amplitude_N"] = 2.0 * float(np.mean(weight))
     values["phase_rad"] = (float(start) + 0.5 * np.pi) % (2.0 * np.pi)  # a cosine's as a sine's
     return values

@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
 from scipy import signal
 from unit.diagnose.residuals import mixed_work, noise, series, time
 from unit.diagnose.test_sharp import many_plays
@@ -10,7 +11,8 @@ from unit.diagnose.test_sharp import many_plays
 from piezod.diagnose.basis import ForceLaw, PlayDensity
 from piezod.diagnose.chain import Chain, Term, empty_point
 from piezod.diagnose.fit import fit
-from piezod.diagnose.search import Round, Search, search, swap
+from piezod.diagnose.ideas import screened
+from piezod.diagnose.search import Round, Search, both, search, swap
 from piezod.effects import EFFECTS
 
 SAMPLES, RATE_HZ, NOISE_N = 12_000, 200.0, 0.2
@@ -129,3 +131,79 @@ def test_a_large_step_of_the_load_is_found_in_front_of_a_filter_and_of_a_delay()
     assert abs(step["step_N"] - 60.0) < 1.0
     assert abs(step["on_s"] - 12.2) < 0.02
     assert abs(step["off_s"] - 25.3) < 0.02
+
+
+def worked(rng, missing):
+    """Identification and recording on the same drive, each with what is missing from it; noise besides."""
+    seconds, made = time(SAMPLES, RATE_HZ), []
+    u = np.clip(mixed_work(seconds) - mixed_work(seconds)[0], 0.0, None)
+    for role in ("identification", "recording"):
+        force_N = missing(many_plays(u), u, role) + NOISE_N * noise(SAMPLES, 0.0, rng)
+        made.append(series(seconds, u, force_N, NOISE_N, role=role))
+    chain = Chain(made, PlayDensity.up_to(119.4), ForceLaw(-4.0, 120.0), 216.0)
+    return chain, empty_point(chain, 1.8, 0.0)
+
+
+def test_a_vibration_that_was_taken_off_beside_a_larger_effect_is_followed_anew_when_that_is_found():
+    def missing(force_N, u, role):
+        if role == "identification":
+            return force_N
+        limit_V, moved = 30.0 / RATE_HZ, [u[0]]  # from a sample to the next
+        for wanted in u[1:]:
+            moved.append(moved[-1] + np.clip(wanted - moved[-1], -limit_V, limit_V))
+        return many_plays(np.array(moved)) + 20.0 * np.sin(2.0 * np.pi * 2.6 * time(SAMPLES, RATE_HZ) + 0.4)
+
+    found = search(*worked(np.random.default_rng(8), missing), lambda *_: None)
+    assert set(found.names) == {"slew_limit", "vibration"}
+    assert abs(found.tones[0].values["amplitude_N"] - 20.0) < 0.03
+    assert found.found.loss < 1.05
+
+
+def slipping(force_N, force, presliding_N):
+    """Less what a guide takes that sticks for so long and then slips."""
+    taken = np.zeros(force_N.size)
+    for k in range(1, force_N.size):
+        taken[k] = np.clip(taken[k - 1] + (force_N[k] - force_N[k - 1]) * force / presliding_N, -force, force)
+    return force_N - taken
+
+
+@pytest.mark.parametrize("coupled_N_s_per_V", [0.0012, 0.0])
+def test_two_effects_are_found_at_once_where_each_leaves_what_the_other_one_is(coupled_N_s_per_V):
+    def missing(force_N, u, role):
+        if role == "recording":
+            force_N = slipping(force_N, 0.35, 20.0)
+        leaking = signal.butter(1, 1.0 / (2.0 * np.pi * 40.0), "high", fs=RATE_HZ)
+        read_N = force_N[0] + signal.lfilter(*leaking, force_N - force_N[0])
+        if role == "recording":
+            read_N[1:] += coupled_N_s_per_V * np.diff(u) * RATE_HZ
+        return read_N
+
+    chain, start = worked(np.random.default_rng(3), missing)
+    base = fit(chain, (), start)
+    leak = fit(
+        chain, (Term(EFFECTS["charge_leakage"], "already"),), replace(start, values=({"time_constant_s": 30.0},))
+    )
+    values = {"force_N": 0.5, "presliding_N": 15.0, "exponent": 1.5, "closing": 0.7}
+    terms = (*leak.terms, Term(EFFECTS["friction"], "since"))
+    alone = fit(chain, terms, replace(leak.point, values=(*leak.point.values, values)))
+    result = Search(chain, base, leak, start)
+    assert both(result, [(chain, alone)], base.loss - leak.loss) == (coupled_N_s_per_V > 0.0)
+    if coupled_N_s_per_V:
+        assert result.names == ("charge_leakage", "friction", "feedthrough")
+        assert result.found.loss < 1.05
+        assert abs(result.found.point.values[2]["coefficient_N_s_per_V"] / coupled_N_s_per_V - 1.0) < 0.05
+    else:
+        assert result.found is leak
+
+
+@pytest.mark.parametrize("coupled_N_s_per_V", [0.004, -0.004])
+def test_what_adds_so_much_of_either_sign_is_begun_at_its_own_sign_and_size(coupled_N_s_per_V):
+    def missing(force_N, u, role):
+        if role == "recording":
+            force_N[1:] += coupled_N_s_per_V * np.diff(u) * RATE_HZ
+        return force_N
+
+    chain, start = worked(np.random.default_rng(6), missing)
+    ideas = screened(chain, (), fit(chain, (), start).point)
+    begun = [one for one in ideas if one.term.effect.name == "feedthrough" and one.term.scope == "since"]
+    assert begun[0].values["coefficient_N_s_per_V"] == pytest.approx(coupled_N_s_per_V, rel=0.1)
