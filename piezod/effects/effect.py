@@ -59,8 +59,9 @@ class Parameter:
     stiffness
         What a value of one costs a sample, in parts of its noise's variance: it stays near zero where little tells.
     only_if
-        Another parameter and the choice of it with which this one is searched; None: with any. A model may leave it
-        out: it is at its first start then.
+        Another parameter and the choice of it with which this one is searched; None: with any.
+    may_lack
+        Whether a model may leave it out: it is at its first start then.
     """
 
     name: str
@@ -74,6 +75,7 @@ class Parameter:
     place: bool = False
     stiffness: float = 0.0
     only_if: tuple[str, float] | None = None
+    may_lack: bool = False
 
     def __post_init__(self) -> None:
         assert self.low < self.high

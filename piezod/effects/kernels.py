@@ -14,6 +14,8 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 NODES, FURTHEST = 1024, 24.0  # of the table; beyond that way the state no longer changes
+ABOUT_V, PER_V = 60.0, 100.0  # the middle of the usual stack's range: what a time constant and its swell belong to
+LEAST = 0.2  # of a time constant, whatever the voltage
 ARISEN = 1.0 - math.exp(-1.0)  # of the limit, within `travel`
 
 
@@ -46,6 +48,25 @@ def first_order_run(x: Array, time_constant_s: float, dt_s: float, between: floa
     y = x[0]
     out[0] = y
     for k in range(1, x.size):
+        y = first_order_step(y, x[k - 1], x[k], keep, ramp)
+        out[k] = y
+    return out
+
+
+@numba.njit(cache=True, nogil=True)
+def time_constant_at(voltage_V: float, time_constant_s: float, swell: float) -> float:
+    """Of a lag into a capacitance that grows with its voltage [s]; `time_constant_s` at 60 V."""
+    return time_constant_s * max(1.0 + swell * (voltage_V - ABOUT_V) / PER_V, LEAST)
+
+
+@numba.njit(cache=True, nogil=True)
+def swelling_run(x: Array, time_constant_s: float, swell: float, dt_s: float, between: float = 0.0) -> Array:
+    """`first_order_run` with the time constant of `time_constant_at`, as it stands at each sample's start."""
+    out = np.empty(x.size)
+    y = x[0]
+    out[0] = y
+    for k in range(1, x.size):
+        keep, ramp = first_order_coefficients(time_constant_at(y, time_constant_s, swell), dt_s, between)
         y = first_order_step(y, x[k - 1], x[k], keep, ramp)
         out[k] = y
     return out

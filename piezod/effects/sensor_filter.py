@@ -41,7 +41,9 @@ EFFECT = Effect(
     parameters=(
         Parameter("cutoff_Hz", "Hz", 0.1, 5000.0, starts=(5.0, 30.0, 150.0), logarithmic=True),
         Parameter("order", "1", 1.0, 2.0, starts=(1.0,), nuisance=True, choices=(1.0, 2.0)),
-        Parameter("damping_ratio", "1", 0.5, 1.2, starts=(BUTTERWORTH,), nuisance=True, only_if=("order", 2.0)),
+        Parameter(
+            "damping_ratio", "1", 0.5, 1.2, starts=(BUTTERWORTH,), nuisance=True, only_if=("order", 2.0), may_lack=True
+        ),
     ),
     forward=forward,
     handling="corrected in the reading",

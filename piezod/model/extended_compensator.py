@@ -196,7 +196,7 @@ def chain_constants(model: Model, found: Found, dt_s: float) -> Array:
     chain[at.LIMIT_V], chain[at.KNEE_V] = clamp.get("limit_V", math.inf), clamp.get("knee_V", 0.0)
     chain[at.SLEW_V] = slew.get("limit_V_per_s", math.inf) * dt_s
     if lag := found.get("electrical_lag"):
-        chain[at.LAG_KEEP], chain[at.LAG_RAMP] = first_order_coefficients(lag["time_constant_s"], dt_s)
+        chain[at.LAG_S], chain[at.LAG_SWELL] = lag["time_constant_s"], lag.get("swell", 0.0)
     rate = found.get("rate_dependent_hysteresis", {})
     chain[at.GROWTH], chain[at.KIND] = rate.get("growth", 0.0), round(rate.get("kind", 0.0))
     chain[at.REFERENCE_V_PER_S], chain[at.RATE_WAY_V] = (

@@ -14,7 +14,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from piezod.effects.kernels import first_order_step
+from piezod.effects.kernels import first_order_coefficients, first_order_step, time_constant_at
 from piezod.effects.output_nonlinearity import law_step
 from piezod.effects.rate_dependent_hysteresis import OFFSET, POWER, rate_step
 from piezod.effects.slew_limit import slew_step
@@ -26,7 +26,7 @@ from piezod.operators.prandtl_ishlinskii import HEADER
 Array = NDArray[np.float64]
 
 # Constants, then states, then the elements of the creep: keep, ramp, weight and state of each.
-LIMIT_V, KNEE_V, SLEW_V, LAG_KEEP, LAG_RAMP = 0, 1, 2, 3, 4
+LIMIT_V, KNEE_V, SLEW_V, LAG_S, LAG_SWELL = 0, 1, 2, 3, 4
 GROWTH, REFERENCE_V_PER_S, RATE_WAY_V, KIND, OFFSET_V, DT_S = 5, 6, 7, 8, 9, 10
 GAIN, SQUARE, CUBE, LOW, HIGH, SPAN_N, GAP_N, SOFT_N = 11, 12, 13, 14, 15, 16, 17, 18
 CREEP_BY_VOLTAGE = 19
@@ -120,9 +120,18 @@ def plan_chain_step(packed: Array, chain: Array, force: float) -> float:
     if ratio > 0.0 and by_drive > 0.0:
         drive_V = ratio * (applied_V - chain[START_V])
         applied_V = _through_plays(packed, chain, plays, stroke_V - constant - by_drive * drive_V)
-    if chain[LAG_KEEP] > 0.0:
-        applied_V = chain[APPLIED_V] + (applied_V - chain[APPLIED_V]) / (1.0 - chain[LAG_KEEP])
+    if chain[LAG_S] > 0.0:
+        keep, _ = _lag(chain, 1.0)
+        applied_V = chain[APPLIED_V] + (applied_V - chain[APPLIED_V]) / (1.0 - keep)
     return _through_clamp(applied_V, chain[LIMIT_V], chain[KNEE_V])
+
+
+@numba.njit(cache=True)
+def _lag(chain: Array, between: float) -> tuple[float, float]:
+    """`keep` and `ramp` of the lag at the voltage that the stack stands at."""
+    tau_s = time_constant_at(chain[APPLIED_V], chain[LAG_S], chain[LAG_SWELL])
+    keep, ramp = first_order_coefficients(tau_s, chain[DT_S], between)
+    return keep, ramp
 
 
 @numba.njit(cache=True)
@@ -157,10 +166,9 @@ def commit_chain_step(packed: Array, chain: Array, voltage_V: float) -> None:
     before_V, applied_V = chain[SLEWED_V], chain[APPLIED_V]
     slewed_V = slew_step(before_V, given_V, given_V, chain[SLEW_V]) if given_V != before_V else given_V
     chain[SLEWED_V] = slewed_V
-    if chain[LAG_KEEP] > 0.0:
-        straight = slewed_V != given_V
-        ramp = chain[LAG_RAMP] if straight else 1.0 - chain[LAG_KEEP]
-        applied_V = first_order_step(applied_V, before_V, slewed_V, chain[LAG_KEEP], ramp)
+    if chain[LAG_S] > 0.0:
+        keep, ramp = _lag(chain, 0.0 if slewed_V != given_V else 1.0)  # what the current limits runs straight
+        applied_V = first_order_step(applied_V, before_V, slewed_V, keep, ramp)
     else:
         applied_V = slewed_V
     if chain[GROWTH] > 0.0:

@@ -168,7 +168,7 @@ class EffectValues(Section):
             raise ValueError(f"name is '{self.name}', must be one of {', '.join(EFFECTS)}")
         for one in effect.parameters:
             value = self.parameters.get(one.name)
-            if value is None and one.only_if is not None:
+            if value is None and one.may_lack:
                 continue
             if value is None:
                 raise ValueError(f"{self.name}: parameters has no {one.name}")

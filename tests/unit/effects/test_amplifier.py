@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.integrate import solve_ivp
 
 from piezod.effects.effect import HELD_BEFORE
 from piezod.effects.slew_limit import slew_step
@@ -82,3 +83,17 @@ def test_a_lag_reaches_63_percent_of_a_step_after_its_time_constant():
     u[100:] = 1.0
     lagged = forward("electrical_lag", u, DT_s, {"time_constant_s": 0.05}, between=HELD)
     assert lagged[150] == pytest.approx(1.0 - np.exp(-1.0), rel=1e-8)
+
+
+@pytest.mark.parametrize("swell", [-0.15, 0.3, 0.8])
+def test_a_lag_into_a_capacitance_that_grows_with_its_voltage_is_the_equation_solved_finely(swell):
+    u = triangle(2.0, DT_s, 2)
+    time_s = DT_s * np.arange(u.size)
+
+    def slope(t, y):
+        return (np.interp(t, time_s, u) - y) / (0.02 * (1.0 + swell * (y - 60.0) / 100.0))
+
+    solved = solve_ivp(slope, (0.0, time_s[-1]), [u[0]], t_eval=time_s, max_step=DT_s, rtol=1e-8, atol=1e-8).y[0]
+    lagged = forward("electrical_lag", u, DT_s, {"time_constant_s": 0.02, "swell": swell})
+    plain = forward("electrical_lag", u, DT_s, {"time_constant_s": 0.02})
+    assert np.max(np.abs(lagged - solved)) < 0.02 * np.max(np.abs(plain - solved))

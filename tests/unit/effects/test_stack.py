@@ -131,3 +131,15 @@ def test_the_gain_has_changed_by_relative_change_at_the_end(bend, half_way):
     assert drifted[0] == 20.0
     assert drifted[500] == pytest.approx(20.0 * (1.0 - 0.1 * half_way), rel=1e-6)
     assert drifted[-1] == pytest.approx(18.0, rel=1e-12)
+
+
+@pytest.mark.parametrize(("s_shape", "after_a_tenth"), [(1.0, 0.00645), (0.5, 0.05323), (-1.0, 0.19355)])
+def test_a_drift_of_the_gain_may_set_in_and_end_gently(s_shape, after_a_tenth):
+    """p - s sin(2 pi p) / (2 pi), worked out by hand; symmetrical about the middle."""
+    x = np.full(1001, 20.0)
+    values = {"relative_change": -0.1, "bend": 0.0, "s_shape": s_shape}
+    share = (forward("gain_drift", x, DT_s, values, duration_s=1.0) / 20.0 - 1.0) / -0.1
+    assert share[[0, 100, 500, 900, 1000]] == pytest.approx(
+        [0.0, after_a_tenth, 0.5, 1.0 - after_a_tenth, 1.0], abs=1e-5
+    )
+    assert np.all(np.diff(share) >= -1e-12)

@@ -45,6 +45,17 @@ def test_what_is_planned_with_an_effect_gives_the_reference(model, name):
     assert np.max(np.abs(reading - reference)) < 1e-8 * span
 
 
+@pytest.mark.parametrize("swell", [-0.15, 0.4])
+def test_a_lag_that_grows_with_the_voltage_is_driven_against(model, swell):
+    with_it = with_effects(model, "electrical_lag", swell=swell)
+    t, reference = reference_N(model)
+    voltage_V = driven(with_it, reference, low_V=-1e3)
+    span = model.output.high - model.output.low
+    assert np.max(np.abs(run_chain(with_it, with_it.operator(), t, voltage_V) - reference)) < 1e-8 * span
+    plain = driven(with_effects(model, "electrical_lag"), reference, low_V=-1e3)
+    assert np.max(np.abs(run_chain(with_it, with_it.operator(), t, plain) - reference)) > 1e-4 * span
+
+
 def test_all_of_them_at_once_and_within_limits(model):
     with_them = with_effects(model, *FROM_START)
     t, reference = reference_N(model)
