@@ -44,7 +44,7 @@ def with_a_filter(chain):
     """The lag of the amplifier, and a filter for what is later still."""
     terms = tuple(Term(EFFECTS[name], "since") for name in ("electrical_lag", "sensor_filter"))
     point = empty_point(chain, 1.8, 0.0)
-    values = ({"time_constant_s": LAG_S}, {"cutoff_Hz": 100.0})
+    values = ({"time_constant_s": LAG_S, "swell": 0.0}, {"cutoff_Hz": 100.0})
     return fit(chain, terms, replace(point, values=values))
 
 
