@@ -18,7 +18,8 @@ from piezod.diagnose.locate import locate
 from piezod.diagnose.motion import motion
 from piezod.diagnose.parallel import each
 from piezod.diagnose.prepare import Source, chain_of, even, stand_in, started, without_frozen, without_unknown
-from piezod.diagnose.search import OnProgress, Search, search, without
+from piezod.diagnose.search import OnProgress, search, without
+from piezod.diagnose.search_state import Search
 from piezod.diagnose.series import Series
 from piezod.diagnose.testable import untestable
 from piezod.diagnose.told import as_told

@@ -11,7 +11,8 @@ from piezod.diagnose.direct import level_about
 from piezod.diagnose.findings import Finding, Place, Rival, Value
 from piezod.diagnose.fit import Fitted, fit
 from piezod.diagnose.places import place_of
-from piezod.diagnose.search import Search, without
+from piezod.diagnose.search import without
+from piezod.diagnose.search_state import Search
 from piezod.diagnose.series import Series
 from piezod.diagnose.tones import Tone
 from piezod.diagnose.verdict import held_out_rms, power_of

@@ -63,9 +63,12 @@ class Layout:
         wide[self.plays : self.effects] = LAW_WITHIN * span_N
         wide[HATS : self.plays] = wide[self.plays + SPLINES : self.offsets] = FACTOR
         for place, (number, one) in enumerate(self.searched, start=self.effects):
-            value = abs(float(point.values[number][one.name]))
-            least = max(value, 1e-3 * min(one.high - one.low, 1e3))
-            wide[place] = FACTOR if one.logarithmic else sample_s if one.place else least
+            if one.logarithmic:
+                wide[place] = FACTOR
+            elif one.place:
+                wide[place] = sample_s
+            else:
+                wide[place] = max(abs(float(point.values[number][one.name])), 1e-3 * min(one.high - one.low, 1e3))
         prior = np.diag(wide**-2.0)
         for first, count, bend in ((0, HATS, 0.5 * wide[0]), (self.plays, SPLINES, LAW_BENDS * span_N)):
             bends = np.diff(np.eye(count), 2, axis=0) / bend

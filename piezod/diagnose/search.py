@@ -1,7 +1,7 @@
 """The search: grow a hypothesis by the effect that explains most of what is left, then try to swap and to drop."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -22,12 +22,12 @@ from piezod.diagnose.acceptance import (
 )
 from piezod.diagnose.chain import Chain, Point, Term
 from piezod.diagnose.courses import best_course, coarse, settled, started_as_usual, suited_anew
-from piezod.diagnose.direct import noise_of
-from piezod.diagnose.fit import MOST_STEPS, Fitted, Normal, fit
+from piezod.diagnose.fit import MOST_STEPS, Fitted, fit
+from piezod.diagnose.listening import dominates, heard, listen, listen_again
 from piezod.diagnose.parallel import each
+from piezod.diagnose.search_state import Beside, Round, Search
 from piezod.diagnose.series import Series
 from piezod.diagnose.sharp import sharpened
-from piezod.diagnose.tones import Tone, heard_again, tones, with_tones, without_tones
 from piezod.diagnose.trials import on_each_course, with_a_step
 
 Array = NDArray[np.float64]
@@ -45,62 +45,6 @@ RIVALS = 6  # of an effect, that are tried in its place at the end
 NEEDLESS = 0.02  # of the loss: an effect without which no more is lost is left out again
 DOUBTED = 3  # of those that fit better and are not believed that are fitted from other starts
 SHARPER = 0.98  # of the loss: below it plays of their own width are taken into the base
-NEAR_A_MODE = 0.05  # of its frequency: a line there is its own ringing
-DOMINANT = 0.3  # of its recordings' loss: a tone without which so little is left is taken off before all else is tried
-
-
-@dataclass(frozen=True)
-class Round:
-    """One effect that was accepted, and what else was tried that is what its name says."""
-
-    before: Fitted
-    accepted: Fitted
-    others: tuple[Fitted, ...]
-
-
-@dataclass(frozen=True)
-class Beside:
-    """Losses beside all else that was found: without an effect, with it, and with each rival in its place."""
-
-    without: float
-    with_it: float
-    rivals: Mapping[str, float]
-
-
-@dataclass
-class Search:
-    """What was found and on which way.
-
-    Parameters
-    ----------
-    chain
-        Recordings, with the course between samples that fits best.
-    base
-        Nothing but the base.
-    found
-        The hypothesis at the end.
-    past
-        The base as the recordings show it that the model was identified on.
-    rounds
-        In the order of the search.
-    tones
-        What was taken off the readings of the chain's series.
-    beside
-        By effect, what was tried in its place at the end.
-    """
-
-    chain: Chain
-    base: Fitted
-    found: Fitted
-    past: Point
-    rounds: list[Round] = field(default_factory=list)
-    tones: list[Tone] = field(default_factory=list)
-    beside: dict[str, Beside] = field(default_factory=dict)
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Effects that were found, tones last."""
-        return tuple(dict.fromkeys((*self.found.effects, *(tone.name for tone in self.tones))))
 
 
 def search(chain: Chain, start: Point, progress: OnProgress) -> Search:
@@ -125,16 +69,16 @@ def search(chain: Chain, start: Point, progress: OnProgress) -> Search:
         progress(
             f"looking for effect {len(result.names) + 1}", SEARCHED - (SEARCHED - 0.1) * FURTHER ** len(result.names)
         )
-        heard = _heard(result)
-        if heard is not None and _dominates(result, heard):
-            _listen(result, heard)
+        tone = heard(result)
+        if tone is not None and dominates(result, tone):
+            listen(result, tone)
             largest = max(result.base.loss - result.found.loss, 0.0)
             continue
         tried = on_each_course(result.chain, result.found, result.past) + _beside_the_last_step(result)
         finalists = _finalists(result, tried, largest)
         best = min(finalists, key=lambda one: weighed(one[1]), default=None)
-        if heard is not None and (best is None or heard[1].loss < best[1].loss):
-            _listen(result, heard)
+        if tone is not None and (best is None or tone[1].loss < best[1].loss):
+            listen(result, tone)
             largest = max(result.base.loss - result.found.loss, 0.0)
             continue
         sharp = _sharper(result, best)
@@ -160,7 +104,7 @@ def search(chain: Chain, start: Point, progress: OnProgress) -> Search:
         result.rounds.append(Round(before, result.found, others))
         _rescope(result)
         if result.tones:
-            _listen_again(result)
+            listen_again(result)
             largest = max(result.base.loss - result.found.loss, 0.0)
     progress("trying to swap and to drop", SEARCHED)
     swap(result)
@@ -271,9 +215,6 @@ def _beside_the_last_step(result: Search) -> list[tuple[Chain, Fitted]]:
     return with_a_step(result.chain, result.found, others[:BESIDE_A_STEP])
 
 
-Heard = tuple[Chain, Fitted, list[Tone]]
-
-
 def _without_it(result: Search, best: tuple[Chain, Fitted]) -> Fitted:
     """What was found so far: on the course and from the starts that came with one more effect, if it fits better."""
     if best[0] is result.chain:
@@ -295,65 +236,6 @@ def _rescope(result: Search) -> None:
     best = min(tried, key=lambda one: one.loss, default=known)
     if best.loss < OTHER_SCOPE * known.loss:
         result.found = fit(result.chain, best.terms, best.point, most_steps=6)
-
-
-def _heard(result: Search) -> Heard | None:
-    """The strongest tone taken off, where that lowers the loss enough."""
-    normal = Normal.at(result.chain, result.found.terms, result.found.point)
-    residuals = [one.reading_N - modelled for one, modelled in zip(result.chain.series, normal.readings, strict=True)]
-    modes_Hz = [
-        values["frequency_Hz"]
-        for term, values in zip(result.found.terms, result.found.point.values, strict=True)
-        if term.effect.name == "resonance"
-    ]
-    for group in tones(result.chain.series, residuals, result.tones)[:2]:
-        if any(abs(group[0].values["frequency_Hz"] / mode_Hz - 1.0) < NEAR_A_MODE for mode_Hz in modes_Hz):
-            continue
-        chain = result.chain.like(without_tones(result.chain.series, group))
-        fitted = fit(chain, result.found.terms, result.found.point, most_steps=6)
-        heard = chain, fitted, group
-        if result.found.loss - fitted.loss > WORTH * fitted.loss or _dominates(result, heard):
-            return heard
-    return None
-
-
-def _dominates(result: Search, heard: Heard) -> bool:
-    """Whether a tone is most of what is left of its recordings; beside others it may be lost in what they lack."""
-    chain, without, group = heard
-    mine = {tone.number for tone in group}
-    parts = np.repeat([k in mine for k in range(len(chain.series))], [len(one.blocks) for one in chain.series])
-    before, after = (one.losses[parts] @ one.samples[parts] for one in (result.found, without))
-    return bool(after < DOMINANT * before)
-
-
-def _listen(result: Search, heard: Heard) -> None:
-    """Take a tone off."""
-    chain, _, new = heard
-    result.tones += new
-    _without_tones(result, chain.series, new)
-
-
-def _listen_again(result: Search) -> None:
-    """Follow the tones anew: what was taken off while more was missing was not the tone alone."""
-    normal = Normal.at(result.chain, result.found.terms, result.found.point)
-    series = result.chain.series
-    left = [one.reading_N - modelled for one, modelled in zip(series, normal.readings, strict=True)]
-    again = heard_again(series, left, result.tones)
-    back = with_tones(series, result.tones)
-    result.tones = again
-    _without_tones(result, without_tones(back, again), again)
-
-
-def _without_tones(result: Search, series: Sequence[Series], heard: Sequence[Tone]) -> None:
-    """Go on with these readings; what was counted as noise before may have been a tone."""
-    series = list(series)
-    for number in {tone.number for tone in heard}:
-        one = series[number]
-        if one.trust is None:
-            series[number] = replace(one, noise_N=noise_of(one.command_V, one.reading_N, one.counts))
-    result.chain = result.chain.like(series)
-    result.found = fit(result.chain, result.found.terms, result.found.point)
-    result.base = fit(result.chain, (), result.base.point)
 
 
 def _polish(result: Search) -> None:

@@ -184,9 +184,8 @@ def suggested(chain: Chain, found: Fitted) -> list[Idea]:
             shown = _idea("load_step", number, places)
             beside = replace(found.point, values=(*found.point.values, shown.values))
             late_s = shown_late_s(chain, (*found.terms, shown.term), beside)
-            ideas.append(
-                _idea("load_step", number, {**places, "on_s": places["on_s"] - late_s, "off_s": end_s - late_s})
-            )
+            places |= {name: places[name] - late_s for name in ("on_s", "off_s")}
+            ideas.append(_idea("load_step", number, places))
     return ideas
 
 

@@ -11,7 +11,7 @@ from piezod.diagnose.findings import Finding, Findings, Verdict
 from piezod.diagnose.fit import Fitted
 from piezod.diagnose.guard import Guard
 from piezod.diagnose.motion import Motion
-from piezod.diagnose.search import Search
+from piezod.diagnose.search_state import Search
 from piezod.diagnose.series import Series
 from piezod.diagnose.tones import Tone
 from piezod.diagnose.words import Wording, effect_words

@@ -12,7 +12,8 @@ from piezod.diagnose.basis import ForceLaw, PlayDensity
 from piezod.diagnose.chain import Chain, Term, empty_point
 from piezod.diagnose.fit import fit
 from piezod.diagnose.ideas import screened
-from piezod.diagnose.search import Round, Search, both, search, swap
+from piezod.diagnose.search import both, search, swap
+from piezod.diagnose.search_state import Round, Search
 from piezod.effects import EFFECTS
 
 SAMPLES, RATE_HZ, NOISE_N = 12_000, 200.0, 0.2
