@@ -17,6 +17,9 @@ from piezod.effects.effect import Effect, Parameter
 Array = NDArray[np.float64]
 
 SHIFTED = 0.5  # of the squares: what a shift must bring for a recording to be shifted
+SEEN = 1e-6  # of a change's square: what is fitted already must leave so much of it,
+APART = 1e-4  # and another one beside it
+TOGETHER = 1.1  # times the best gain alone, that two must promise
 DIRECT = ("sensor_dropout", "quantisation", "load_step", "vibration", "mains_hum")  # found by tests of their own
 
 
@@ -150,11 +153,83 @@ def _skews(chain: Chain, terms: Sequence[Term], point: Point) -> dict[str, tuple
     return {"clock_skew skew_ppm": (*starts, *(ppm for ppm in seen if ppm is not None))}
 
 
+@dataclass(frozen=True)
+class _Change:
+    """What an idea changes in the readings that are compared, everything to first order.
+
+    Parameters
+    ----------
+    term, values
+        Effect and scope, and what it was looked at with.
+    parts
+        Multiples of its parts that fit best alone; of one that is no sum 1.
+    readings_N
+        Change of every recording with these, shape (rows,) [N].
+    alone, gain
+        The multiple of it that fits best alone, and what that gains, as an idea's.
+    """
+
+    term: Term
+    values: dict[str, float]
+    parts: Array
+    readings_N: list[Array]
+    alone: float
+    gain: float
+
+    def possible(self, multiple: float) -> bool:
+        """Whether there can be so much of it."""
+        return multiple > 0.0 or self.parts.size > 1 or self.term.effect.parameters[0].low < 0.0
+
+    def idea(self, multiple: float, gain: float) -> Idea:
+        """The idea; what is a sum, or adds so much of something, begins with this multiple."""
+        effect, names = self.term.effect, list(parts_of(self.term.effect, self.values))
+        if len(names) > 1 or _is_a_signed_sum(effect):
+            named = names if len(names) > 1 else (effect.parameters[0].name,)
+            sizes = {name: multiple * part * self.values[name] for name, part in zip(named, self.parts, strict=True)}
+            return Idea(self.term, {**self.values, **_inside(effect, sizes)}, gain)
+        return Idea(self.term, self.values, gain)
+
+
 def screened(chain: Chain, terms: Sequence[Term], point: Point) -> list[Idea]:
     """Every idea that could be added to a fitted hypothesis, the most promising first.
 
     One finite perturbation an idea, projected off the tangent space of everything that is fitted already.
     """
+    _, changes = _changes(chain, terms, point)
+    ideas = [one.idea(one.alone, one.gain) for one in changes if one.possible(one.alone)]
+    return sorted(ideas, key=lambda idea: -idea.gain)
+
+
+def screened_pairs(chain: Chain, terms: Sequence[Term], point: Point) -> list[tuple[Idea, Idea]]:
+    """Pairs of ideas that promise more together than any idea alone, the most promising first.
+
+    Of every two effects the best pair: each fitted beside the other, which may be what it hides behind.
+    """
+    normal, changes = _changes(chain, terms, point)
+    columns = [np.array([one.readings_N[k] for one in changes]).T for k in range(len(chain.series))]
+    free, along, squares = normal.projected(columns)
+    own = np.diag(free)
+    apart = np.outer(own, own) - free**2
+    seen = own > SEEN * squares
+    told = seen[:, None] & seen[None, :] & (apart > APART * np.outer(own, own))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        multiples = (along[:, None] * own[None, :] - along[None, :] * free) / apart  # of the first beside the second
+        gains = multiples * along[:, None] + multiples.T * along[None, :]
+    alone = max((one.gain for one in changes if one.possible(one.alone)), default=0.0)
+    best: dict[tuple[str, str], tuple[Idea, Idea]] = {}
+    for first, second in np.argwhere(np.triu(told & (gains > TOGETHER * alone), 1)):
+        one, other = changes[first], changes[second]
+        names, gain = (one.term.effect.name, other.term.effect.name), float(gains[first, second])
+        sizes = float(multiples[first, second]), float(multiples[second, first])
+        if names[0] == names[1] or not (one.possible(sizes[0]) and other.possible(sizes[1])):
+            continue
+        if names not in best or gain > best[names][0].gain:
+            best[names] = one.idea(sizes[0], gain), other.idea(sizes[1], gain)
+    return sorted(best.values(), key=lambda pair: -pair[0].gain)
+
+
+def _changes(chain: Chain, terms: Sequence[Term], point: Point) -> tuple[Normal, list[_Change]]:
+    """What every idea changes, in both scopes."""
     normal = Normal.at(chain, terms, point)
     channels = ["temperature_C"] if all(one.temperature_C is not None for one in chain.series) else []
     tops_Hz = [
@@ -166,32 +241,27 @@ def screened(chain: Chain, terms: Sequence[Term], point: Point) -> list[Idea]:
     ringing = (*tops_Hz, *EFFECTS["resonance"].parameter("frequency_Hz").starts)
     known = {"resonance frequency_Hz": ringing, **_skews(chain, terms, point)}
 
-    def looked_at(one: tuple[Effect, dict[str, float], tuple[tuple[str, float], ...]]) -> list[Idea]:
+    def looked_at(one: tuple[Effect, dict[str, float], tuple[tuple[str, float], ...]]) -> list[_Change]:
         effect, values, choices = one
         term = Term(effect, "already", choices=choices)
-        parts = parts_of(effect, values)
-        changes = [
+        parts = [
             [
                 chain.compared(number, (*terms, term), replace(point, values=(*point.values, part)))
                 - normal.readings[number][chain.rows[number]]
                 for number in range(len(chain.series))
             ]
-            for part in parts.values()
+            for part in parts_of(effect, values).values()
         ]
-        ideas = []
+        changes = []
         for scope in ("since", "already"):
             term = Term(effect, scope, choices=choices)
-            acting = [
-                [c if term.acts_on(k, chain.series[k]) else None for k, c in enumerate(change)] for change in changes
-            ]
+            acts = [term.acts_on(k, series) for k, series in enumerate(chain.series)]
+            acting = [[c if acts[k] else np.zeros_like(c) for k, c in enumerate(part)] for part in parts]
             gain, sizes = normal.gain_of(acting)
-            if len(acting) > 1 or _is_a_signed_sum(effect):
-                named = parts if len(acting) > 1 else (effect.parameters[0].name,)
-                found = {name: size * values[name] for name, size in zip(named, sizes, strict=True)}
-                ideas.append(Idea(term, {**values, **_inside(effect, found)}, gain))
-            elif sizes[0] > 0.0 or effect.parameters[0].low < 0.0:
-                ideas.append(Idea(term, values, gain))
-        return ideas
+            multiples, alone = (sizes, 1.0) if sizes.size > 1 else (np.ones(1), float(sizes[0]))
+            readings_N = [multiples @ np.array([part[k] for part in acting]) for k in range(len(chain.series))]
+            changes.append(_Change(term, values, multiples, readings_N, alone, gain))
+        return changes
 
     new = [one for one in catalogue_ideas(chain, channels, known) if not any(term.effect is one[0] for term in terms)]
-    return sorted((idea for ideas in each(looked_at, new) for idea in ideas), key=lambda idea: -idea.gain)
+    return normal, [change for changes in each(looked_at, new) for change in changes]

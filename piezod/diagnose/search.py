@@ -28,7 +28,7 @@ from piezod.diagnose.parallel import each
 from piezod.diagnose.search_state import Beside, Round, Search
 from piezod.diagnose.series import Series
 from piezod.diagnose.sharp import sharpened
-from piezod.diagnose.trials import on_each_course, with_a_step
+from piezod.diagnose.trials import on_each_course, two_at_once, with_a_step
 
 Array = NDArray[np.float64]
 OnProgress = Callable[[str, float], None]
@@ -39,7 +39,7 @@ FINALISTS = 3  # of them that are tried with every course of the command between
 BESIDE_A_STEP = 2  # effects that a step was preferred to are tried with a step of their own
 OTHER_START = 0.99  # of the loss: below it what was found is believed to have started otherwise
 OTHER_SCOPE = 0.98  # of the loss: below it an effect's other scope is taken
-FIRSTS = 2  # effects that are not believed alone, tried with another one besides
+PAIRS_SETTLED = 2  # of effects, that are tried with every course of the command between samples
 NOTHING_LEFT = 1.05  # of the noise's square: nothing is looked for beside what leaves no more
 RIVALS = 6  # of an effect, that are tried in its place at the end
 NEEDLESS = 0.02  # of the loss: an effect without which no more is lost is left out again
@@ -149,27 +149,26 @@ def both(result: Search, tried: Sequence[tuple[Chain, Fitted]], largest: float) 
 
     Each must be believed beside the other, and one of them have a shape that does not bend to what is left.
     """
-    if len(result.names) + 2 > MOST_EFFECTS:
+    if len(result.names) + 2 > MOST_EFFECTS or result.found.loss <= NOTHING_LEFT:
         return False
+    pairs = [pair for pair in two_at_once(result.chain, result.found) if not set(pair.effects[-2:]) <= set(LOOSE)]
+    believed = []
+    for chain, pair in each(settled, [(result.chain, pair) for pair in sorted(pairs, key=weighed)[:PAIRS_SETTLED]]):
+        orders = pair, _turned(pair)
+        firsts = [fit(chain, one.terms[:-1], replace(one.point, values=one.point.values[:-1])) for one in orders]
+        beside = zip(firsts, orders, strict=True)
+        if worth(result.found, pair) and all(_believed(chain, *one, largest) for one in beside):
+            believed.append((chain, firsts[0], pair))
+    if not believed:
+        return False
+    chain, first, pair = min(believed, key=lambda one: weighed(one[2]))
     alone = [one for on, one in tried if on is result.chain and worth(result.found, one) and not degenerate(on, one)]
-    for first in [one for one in _first_of_each(alone)[:FIRSTS] if one.loss > NOTHING_LEFT]:
-        beside = on_each_course(result.chain, first, result.past)
-        pairs = []
-        for chain, pair in _finalists(replace(result, found=first), beside, largest):
-            turned = _turned(pair)
-            point = replace(turned.point, values=turned.point.values[:-1])
-            shaped = first.effects[-1] not in LOOSE or pair.effects[-1] not in LOOSE
-            if shaped and _believed(chain, fit(chain, turned.terms[:-1], point), turned, largest):
-                pairs.append((chain, pair))
-        if pairs:
-            chain, pair = min(pairs, key=lambda one: weighed(one[1]))
-            others = tuple(one for one in alone if one.effects[-1] not in pair.effects)
-            result.rounds += [Round(result.found, first, others), Round(first, pair, ())]
-            if chain is not result.chain:
-                result.chain, result.base = chain, fit(chain, (), result.base.point)
-            result.found = pair
-            return True
-    return False
+    others = tuple(one for one in alone if one.effects[-1] not in pair.effects)
+    result.rounds += [Round(result.found, first, others), Round(first, pair, ())]
+    if chain is not result.chain:
+        result.chain, result.base = chain, fit(chain, (), result.base.point)
+    result.found = pair
+    return True
 
 
 def _turned(pair: Fitted) -> Fitted:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from piezod.diagnose.chain import Chain, Point, Scope, Term
 from piezod.diagnose.courses import coarse, started_alike
 from piezod.diagnose.fit import MOST_STEPS, Fitted, Normal, fit
-from piezod.diagnose.ideas import Idea, screened, since
+from piezod.diagnose.ideas import Idea, screened, screened_pairs, since
 from piezod.diagnose.parallel import each
 from piezod.diagnose.steps import NEVER_S, edge_near, likely_steps, sharpest_steps, shown_late_s
 from piezod.effects import EFFECTS
@@ -22,6 +22,7 @@ TRIED = 7  # effects that are really fitted in a round, first coarsely
 TRIED_FROM_PAST = 3
 REFINED = 4  # of them thoroughly
 COMPARED = 6  # of all these on more samples
+PAIRS = 4  # of effects that are fitted at once
 NEAR = 0.4  # of the best one's gain, from which one is fitted thoroughly, or on more samples
 FEWEST_REFINED, FEWEST_COMPARED = 2, 3
 COARSE_STEPS = 7
@@ -65,6 +66,21 @@ def with_a_step(chain: Chain, found: Fitted, others: Sequence[Fitted]) -> list[t
     tried = each(lambda one: _extended(few, *one), starts)
     few.forget()
     return [(chain, one) for one in _fine(chain, found, tried)]
+
+
+def two_at_once(chain: Chain, found: Fitted) -> list[Fitted]:
+    """Hypotheses with two more effects, of the pairs that promise most."""
+    few = coarse(chain)
+
+    def fitted(pair: tuple[Idea, Idea]) -> Fitted:
+        point = replace(found.point, values=(*found.point.values, *(idea.values for idea in pair)))
+        return fit(few, (*found.terms, *(idea.term for idea in pair)), point)
+
+    tried = sorted(each(fitted, screened_pairs(few, found.terms, found.point)[:PAIRS]), key=lambda one: one.loss)
+    for place in (len(found.terms), len(found.terms) + 1):
+        tried = each(partial(_varied, few, place=place), tried[:FEWEST_REFINED])
+    few.forget()
+    return _fine(chain, found, tried)
 
 
 def _fine(chain: Chain, before: Fitted, tried: Sequence[Fitted]) -> list[Fitted]:
@@ -140,14 +156,20 @@ def _refined(chain: Chain, found: Fitted, first: Fitted, ideas: Sequence[Idea]) 
     others = [idea for idea in ideas[1:] if idea.values != ideas[0].values and idea.gain > 0.3 * ideas[0].gain]
     for idea in others[:2]:
         best = min(best, _extended(chain, found, idea), key=lambda one: one.loss)
+    return _varied(chain, best, len(best.terms) - 1)
+
+
+def _varied(chain: Chain, best: Fitted, place: int) -> Fitted:
+    """The best fit with the other scope or another choice of an effect."""
     scopes: tuple[Scope, ...] = ("since", "already")
     for scope in scopes:
-        if scope != best.terms[-1].scope:
-            best = min(best, _again(chain, best, scope=scope), key=lambda one: one.loss)
-    for parameter in best.terms[-1].effect.parameters:
+        if scope != best.terms[place].scope:
+            best = min(best, _again(chain, best, place, scope=scope), key=lambda one: one.loss)
+    for parameter in best.terms[place].effect.parameters:
         for choice in parameter.choices:
-            if (parameter.name, choice) not in best.terms[-1].choices:
-                best = min(best, _again(chain, best, choice=(parameter.name, choice)), key=lambda one: one.loss)
+            if (parameter.name, choice) not in best.terms[place].choices:
+                other = _again(chain, best, place, choice=(parameter.name, choice))
+                best = min(best, other, key=lambda one: one.loss)
     return best
 
 
@@ -157,15 +179,15 @@ def _extended(chain: Chain, found: Fitted, idea: Idea, most_steps: int = MOST_ST
 
 
 def _again(
-    chain: Chain, fitted: Fitted, *, scope: Scope | None = None, choice: tuple[str, float] | None = None
+    chain: Chain, fitted: Fitted, place: int, *, scope: Scope | None = None, choice: tuple[str, float] | None = None
 ) -> Fitted:
-    """The same hypothesis with another scope or choice of its last effect."""
-    last = fitted.terms[-1]
+    """The same hypothesis with another scope or choice of an effect."""
+    other = fitted.terms[place]
     if scope is not None:
-        last = replace(last, scope=scope)
+        other = replace(other, scope=scope)
     if choice is not None:
-        last = replace(last, choices=tuple(choice if one[0] == choice[0] else one for one in last.choices))
-    return fit(chain, (*fitted.terms[:-1], last), fitted.point, most_steps=6)
+        other = replace(other, choices=tuple(choice if one[0] == choice[0] else one for one in other.choices))
+    return fit(chain, (*fitted.terms[:place], other, *fitted.terms[place + 1 :]), fitted.point, most_steps=6)
 
 
 def suggested(chain: Chain, found: Fitted) -> list[Idea]:

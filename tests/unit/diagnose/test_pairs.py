@@ -1,0 +1,72 @@
+"""Two effects at once: what both promise together is what least squares says, and they are found."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy import signal
+from unit.diagnose.residuals import time
+from unit.diagnose.test_search import RATE_HZ, SAMPLES, worked
+from unit.diagnose.test_sharp import many_plays
+
+from piezod.diagnose.fit import Normal, fit
+from piezod.diagnose.ideas import screened, screened_pairs
+from piezod.diagnose.search import both
+from piezod.diagnose.search_state import Search
+
+FINE = 20  # steps of the plant in a sample
+
+
+def behind(cutoff_Hz, coupled_N_s_per_V):
+    """A reading behind a filter, late by what couples from the drive is early; simulated in finer steps."""
+
+    def missing(force_N, u, role):
+        if role == "identification":
+            return force_N
+        rate_Hz = FINE * RATE_HZ
+        fine_V = np.interp(time(FINE * SAMPLES, rate_Hz), time(SAMPLES, RATE_HZ), u)
+        fine_N = many_plays(fine_V)
+        smooth = signal.butter(2, cutoff_Hz, fs=rate_Hz)
+        read_N = fine_N[0] + signal.lfilter(*smooth, fine_N - fine_N[0])
+        read_N[1:] += coupled_N_s_per_V * np.diff(fine_V) * rate_Hz
+        return read_N[::FINE]
+
+    return missing
+
+
+def test_what_a_pair_promises_is_what_least_squares_gains_with_both():
+    chain, start = worked(np.random.default_rng(4), behind(12.0, 0.033))
+    point = fit(chain, (), start).point
+    first, second = screened_pairs(chain, (), point)[0]
+    assert first.gain > screened(chain, (), point)[0].gain
+    normal = Normal.at(chain, (), point)
+    columns, left = [], []
+    for number, one in enumerate(chain.series):
+        weight = np.sqrt(normal.weights[number])
+        moved = []
+        for idea in (first, second):
+            at = replace(point, values=(idea.values,))
+            change = chain.compared(number, (idea.term,), at) - normal.readings[number][chain.rows[number]]
+            moved.append(change / one.noise_N * idea.term.acts_on(number, one))
+        columns.append(weight[:, None] * np.column_stack((normal.jacobians[number], *moved)))
+        residual, _ = one.residual(chain.rows[number], normal.readings[number][chain.rows[number]])
+        left.append(weight * residual)
+    columns, left = np.concatenate(columns), np.concatenate(left)
+    columns /= np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
+
+    def squares(these):
+        return float(np.sum((left - these @ np.linalg.lstsq(these, left, rcond=1e-12)[0]) ** 2))
+
+    assert first.gain == pytest.approx(squares(columns[:, :-2]) - squares(columns), rel=0.02)
+
+
+def test_a_filter_and_a_coupling_that_nearly_cancel_are_found_together():
+    chain, start = worked(np.random.default_rng(5), behind(12.0, 0.033))
+    base = fit(chain, (), start)
+    result = Search(chain, base, base, start)
+    assert both(result, [], 0.0)
+    assert set(result.names) == {"sensor_filter", "feedthrough"}
+    assert [one.accepted.effects for one in result.rounds] == [result.names[:1], result.names]
+    values = {name: value for one in result.found.point.values for name, value in one.items()}
+    assert values["coefficient_N_s_per_V"] == pytest.approx(0.033, rel=0.01)
+    assert values["cutoff_Hz"] == pytest.approx(12.0, rel=0.01)
