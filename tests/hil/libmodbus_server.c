@@ -8,6 +8,7 @@
    205 command sequence again, 206 status, 207-208 temperature [degC]. */
 
 #include <arpa/inet.h>
+#include <errno.h>
 #include <modbus/modbus.h>
 #include <stdint.h>
 #include <stdio.h>
@@ -96,8 +97,10 @@ int main(int argc, char **argv)
             return 1;
         printf("0\n");
         fflush(stdout);
-        for (;;)
+        do
             serve(link, map); /* noise ends no serial line */
+        while (errno != EIO && errno != ECONNRESET);
+        return 0;
     }
     int listener = modbus_tcp_listen(link, 4);
     if (listener < 0)
