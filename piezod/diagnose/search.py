@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 
 from piezod.diagnose.acceptance import (
     FAIR_SHARE,
-    LOOSE,
     STEADY_WHEN_SMALL,
     WORTH,
     acts_locally,
@@ -87,9 +86,10 @@ def search(chain: Chain, start: Point, progress: OnProgress) -> Search:
             largest = max(result.base.loss - result.found.loss, 0.0) if result.rounds else 0.0
             continue
         if best is None:
-            if both(result, tried, largest):
-                continue
-            break
+            if not both(result, tried, largest):
+                break
+            largest = _followed(result, max(largest, result.rounds[-2].before.loss - result.found.loss))
+            continue
         before = _without_it(result, best)
         if before is not result.found:  # some of the gain is the other course's or the other starts'
             result.base = fit(best[0], (), result.base.point)
@@ -103,14 +103,20 @@ def search(chain: Chain, start: Point, progress: OnProgress) -> Search:
         )
         result.rounds.append(Round(before, result.found, others))
         _rescope(result)
-        if result.tones:
-            listen_again(result)
-            largest = max(result.base.loss - result.found.loss, 0.0)
+        largest = _followed(result, largest)
     progress("trying to swap and to drop", SEARCHED)
     swap(result)
     _drop(result, largest)
     _polish(result)
     return result
+
+
+def _followed(result: Search, largest: float) -> float:
+    """The tones followed anew beside what was found, if there are any; the largest gain by then."""
+    if not result.tones:
+        return largest
+    listen_again(result)
+    return max(result.base.loss - result.found.loss, 0.0)
 
 
 def _finalists(result: Search, tried: list[tuple[Chain, Fitted]], largest: float) -> list[tuple[Chain, Fitted]]:
@@ -151,7 +157,7 @@ def both(result: Search, tried: Sequence[tuple[Chain, Fitted]], largest: float) 
     """
     if len(result.names) + 2 > MOST_EFFECTS or result.found.loss <= NOTHING_LEFT:
         return False
-    pairs = [pair for pair in two_at_once(result.chain, result.found) if not set(pair.effects[-2:]) <= set(LOOSE)]
+    pairs = two_at_once(result.chain, result.found)
     believed = []
     for chain, pair in each(settled, [(result.chain, pair) for pair in sorted(pairs, key=weighed)[:PAIRS_SETTLED]]):
         orders = pair, _turned(pair)

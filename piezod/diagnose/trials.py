@@ -7,6 +7,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
+from piezod.diagnose.acceptance import LOOSE
 from piezod.diagnose.chain import Chain, Point, Scope, Term
 from piezod.diagnose.courses import coarse, started_alike
 from piezod.diagnose.fit import MOST_STEPS, Fitted, Normal, fit
@@ -69,14 +70,16 @@ def with_a_step(chain: Chain, found: Fitted, others: Sequence[Fitted]) -> list[t
 
 
 def two_at_once(chain: Chain, found: Fitted) -> list[Fitted]:
-    """Hypotheses with two more effects, of the pairs that promise most."""
+    """Hypotheses with two more effects, of the pairs that promise most; one of both has a shape of its own."""
     few = coarse(chain)
+    promising = screened_pairs(few, found.terms, found.point)
+    shaped = [pair for pair in promising if any(idea.term.effect.name not in LOOSE for idea in pair)]
 
     def fitted(pair: tuple[Idea, Idea]) -> Fitted:
         point = replace(found.point, values=(*found.point.values, *(idea.values for idea in pair)))
         return fit(few, (*found.terms, *(idea.term for idea in pair)), point)
 
-    tried = sorted(each(fitted, screened_pairs(few, found.terms, found.point)[:PAIRS]), key=lambda one: one.loss)
+    tried = sorted(each(fitted, shaped[:PAIRS]), key=lambda one: one.loss)
     for place in (len(found.terms), len(found.terms) + 1):
         tried = each(partial(_varied, few, place=place), tried[:FEWEST_REFINED])
     few.forget()
