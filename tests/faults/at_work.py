@@ -159,6 +159,7 @@ class Watch:
             "highest_V": report["highest_V"] or 0.0,
             "deeds": report["deeds"],
             "late_ms": report["late_ms"],
+            "behind_ms": report["behind_ms"],
         }
         if safe is not None:
             figures["ticks_to_command"] = _ticks_to_command(rows, safe)

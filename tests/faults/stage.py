@@ -191,6 +191,7 @@ class Stage:
         self.device = StagedDevice(self.bench, Firmware())
         self.unit = StagedUnit(self.device, self.judge)
         self.proxy: TcpProxy | PtyProxy | None = None
+        self.behind_s = 0.0  # by so much this process was woken late at most, since the mark
 
     async def open(self, stack: contextlib.AsyncExitStack) -> dict[str, Any]:
         """Serve; returns where."""
@@ -280,7 +281,7 @@ class Stage:
         self.device.catch_up()
         self.judge.mark()
         self.proxy.done.clear()
-        self.proxy.late_s = 0.0
+        self.proxy.late_s = self.behind_s = 0.0
         self.device.commands = 0
         return self._now()
 
@@ -304,28 +305,31 @@ class Stage:
             "done": [asdict(deed) for deed in self.proxy.done[:50]],
             "deeds": len(self.proxy.done),
             "late_ms": 1e3 * self.proxy.late_s,
+            "behind_ms": 1e3 * self.behind_s,
         }
 
     def _now(self) -> dict[str, Any]:
         return {"now_ns": time.monotonic_ns()}
+
+    async def keep_up(self) -> None:
+        """Let the physics go on while nobody asks, and see by how much this process is woken late."""
+        while True:
+            self.device.catch_up()
+            begun_s = time.monotonic()
+            await asyncio.sleep(BACKGROUND_S)
+            self.behind_s = max(self.behind_s, time.monotonic() - begun_s - BACKGROUND_S)
 
 
 async def _serve(settings: dict[str, Any]) -> None:
     async with contextlib.AsyncExitStack() as stack:
         stage = Stage(settings)
         _say(await stage.open(stack))
-        background = asyncio.create_task(_keep_up(stage.device))
+        background = asyncio.create_task(stage.keep_up())
         reader = asyncio.StreamReader()
         await asyncio.get_running_loop().connect_read_pipe(lambda: asyncio.StreamReaderProtocol(reader), sys.stdin)
         while line := await reader.readline():
             _say(await stage.obey(json.loads(line)))
         background.cancel()
-
-
-async def _keep_up(device: Device) -> None:
-    while True:
-        device.catch_up()
-        await asyncio.sleep(BACKGROUND_S)
 
 
 def _say(answer: dict[str, Any]) -> None:

@@ -1,11 +1,16 @@
 """The list of faults: each is injected, and what comes of it is as the list says."""
 
+import os
+import signal
+import time
+
 import pytest
 
 from piezod.errors import ConfigurationError
 from tests.faults import run
 from tests.faults.catalogue import load_faults
-from tests.faults.probe import Probe
+from tests.faults.live import Stage
+from tests.faults.probe import STILL_MS, Probe
 from tests.faults.stand import standing
 
 FAULTS = run.faults()
@@ -29,11 +34,26 @@ def test_the_fault_is_survived_as_the_list_says(fault, stand, probe):
     result = run.run(fault, stand, probe)
     if result.skipped:
         pytest.skip(f"{fault.id}: {result.skipped}")
-    assert not result.problems, result.text()
+    assert not result.problems, f"{result.text()}\nseen: {result.seen and result.seen.figures}"
 
 
 def test_at_least_a_hundred_faults_are_injected_here_and_not_by_tests_of_their_own():
     assert sum(fault.injector != "checked" for fault in FAULTS) >= 100
+
+
+def test_a_device_that_stood_still_meanwhile_says_for_how_long():
+    stage = Stage({})
+    try:
+        stage.ask("mark")
+        os.kill(stage.process.pid, signal.SIGSTOP)
+        time.sleep(0.05)
+        os.kill(stage.process.pid, signal.SIGCONT)
+        time.sleep(0.05)
+        assert stage.ask("report")["behind_ms"] > 50.0 - 2 * STILL_MS
+        stage.ask("mark")
+        assert stage.ask("report")["behind_ms"] < 50.0 - 2 * STILL_MS
+    finally:
+        stage.close()
 
 
 ROW = """\
