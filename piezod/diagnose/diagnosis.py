@@ -271,7 +271,7 @@ class _Asked:
         if not result.names and findings.verdict == "matches":
             return findings, self.model
         hashes = [""] * self.stand_ins + [source.sha256 for source in self.sources]
-        found = all_terms(result.found, result.tones)
+        found = all_terms(result.found, result.tones_asked_about)
         try:
             return findings, extended_model(self.model, result.chain, found, hashes, findings.after)
         except ModelError as error:

@@ -91,7 +91,7 @@ def all_terms(found: Fitted, tones: Sequence[Tone]) -> Fitted:
 def tone_finding(result: Search, name: str) -> Finding:
     """A tone as a finding."""
     effect, after = EFFECTS[name], held_out_rms(result.chain, result.found)
-    mine = [tone for tone in result.tones if tone.name == name]
+    mine = [tone for tone in result.tones_asked_about if tone.name == name]
     parameters = {}
     for one in effect.catalogued:
         values = np.array([tone.values[one.name] for tone in mine])

@@ -60,3 +60,8 @@ class Search:
     def names(self) -> tuple[str, ...]:
         """Effects that were found, tones last."""
         return tuple(dict.fromkeys((*self.found.effects, *(tone.name for tone in self.tones))))
+
+    @property
+    def tones_asked_about(self) -> list[Tone]:
+        """Those in the recordings, without what was taken off the readings that the model was identified on."""
+        return [tone for tone in self.tones if self.chain.series[tone.number].role == "recording"]

@@ -70,6 +70,9 @@ def with_tones(series: Sequence[Series], heard: Sequence[Tone]) -> list[Series]:
 def tones(series: Sequence[Series], residuals: Sequence[Array], known: Sequence[Tone]) -> list[list[Tone]]:
     """Tones in the recordings asked about, those with the most power first; one machine's together.
 
+    Where a machine is heard in what the model was identified on too, that comes after its other tones: left there it
+    would drown what is weaker in the recordings.
+
     Parameters
     ----------
     series, residuals
@@ -79,18 +82,14 @@ def tones(series: Sequence[Series], residuals: Sequence[Array], known: Sequence[
     """
     names = {one.name for one in known}
     hum_Hz = [one.values["frequency_Hz"] for one in known if one.name == "mains_hum"]
-    found: list[Tone] = []
-    for number, (one, residual) in enumerate(zip(series, residuals, strict=True)):
-        if one.role == "recording":
-            found += [tone for tone in _of(number, one, residual, hum_Hz) if tone.name not in names]
     groups: list[list[Tone]] = []
-    for tone in found:
-        for group in groups:
-            if _same_machine(group, tone):
-                group.append(tone)
-                break
-        else:
-            groups.append([tone])
+    for number in sorted(range(len(series)), key=lambda k: series[k].role != "recording"):
+        for tone in _of(number, series[number], residuals[number], hum_Hz):
+            mine = next((group for group in groups if _same_machine(group, tone)), None)
+            if mine is not None:
+                mine.append(tone)
+            elif tone.name not in names and series[number].role == "recording":
+                groups.append([tone])
     return sorted(groups, key=lambda group: -sum(float(tone.heard_N @ tone.heard_N) for tone in group))
 
 
@@ -115,7 +114,8 @@ def heard_again(series: Sequence[Series], residuals: Sequence[Array], known: Seq
 
 def _same_machine(group: Sequence[Tone], tone: Tone) -> bool:
     first = group[0]
-    near = abs(first.values["frequency_Hz"] - tone.values["frequency_Hz"]) < ALIKE_HZ
+    within_Hz = MAINS_WITHIN_HZ if tone.name == "mains_hum" else ALIKE_HZ
+    near = abs(first.values["frequency_Hz"] - tone.values["frequency_Hz"]) < within_Hz
     return first.name == tone.name and near and tone.number not in {one.number for one in group}
 
 

@@ -79,7 +79,7 @@ def remaining(result: Search, left: Guard, moving: Motion) -> tuple[float, float
     by_level = moving.level_share if moving.level_share > BY_LEVEL else 0.0
     share = max(left.share if left.p < SURE else 0.0, moving.share, by_level, local)
     before, after = (held_out_rms(result.chain, one) ** 2 for one in (result.base, result.found))
-    before += power_of(result.chain, result.tones)
+    before += power_of(result.chain, result.tones_asked_about)
     explainable_N2 = before - (1.0 - share) * after
     return share, float(np.clip((before - after) / explainable_N2, 0.0, 1.0)) if explainable_N2 > 0.0 else 1.0
 

@@ -19,7 +19,7 @@ from piezod.effects import EFFECTS
 SAMPLES, RATE_HZ, NOISE_N = 12_000, 200.0, 0.2
 
 
-def chain_over(missing_N, temperature_C):
+def chain_over(missing_N, temperature_C, there_already_N=np.zeros_like):
     """An identification without, and a recording with what is missing; both with a temperature that rises."""
     seconds, rng, made = time(SAMPLES, RATE_HZ), np.random.default_rng(7), []
     for role in ("identification", "recording"):
@@ -30,8 +30,7 @@ def chain_over(missing_N, temperature_C):
         )
         u = np.clip(u - u[0], 0.0, None)
         force_N = many_plays(u) + NOISE_N * noise(SAMPLES, 0.0, rng)
-        if role == "recording":
-            force_N += missing_N(seconds)
+        force_N += missing_N(seconds) if role == "recording" else there_already_N(seconds)
         made.append(series(seconds, u, force_N, NOISE_N, temperature_C=temperature_C, role=role))
     chain = Chain(made, PlayDensity.up_to(119.4), ForceLaw(-4.0, 120.0), 216.0)
     return chain, empty_point(chain, 1.8, 0.0)
@@ -45,6 +44,21 @@ def test_a_step_that_goes_again_does_not_hide_a_drift():
     found = search(*chain_over(missing_N, temperature_C), lambda *_: None)
     assert set(found.names) == {"thermal_drift", "load_step"}
     assert found.found.loss < 1.05
+
+
+def test_a_hum_that_was_there_already_hides_nothing_that_is_a_hundredth_of_it():
+    def hum_N(seconds):
+        return 10.0 * np.sin(2.0 * np.pi * 50.02 * seconds) + np.sin(4.0 * np.pi * 50.02 * seconds + 1.0)
+
+    def missing_N(seconds):
+        return 0.04 * (temperature_C - 20.0) + hum_N(seconds + 3.0)
+
+    temperature_C = 20.0 + 8.0 * (1.0 - np.exp(-time(SAMPLES, RATE_HZ) / 25.0))
+    found = search(*chain_over(missing_N, temperature_C, hum_N), lambda *_: None)
+    assert set(found.names) == {"thermal_drift", "mains_hum"}
+    assert found.found.loss < 1.05
+    assert [found.chain.series[tone.number].role for tone in found.tones] == ["recording", "identification"]
+    assert len(found.tones_asked_about) == 1
 
 
 def test_a_start_that_was_estimated_without_an_effect_is_no_part_of_what_the_effect_gains():

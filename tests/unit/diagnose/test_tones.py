@@ -40,6 +40,23 @@ def test_harmonics_that_appear_beside_each_other_are_both_the_hums(mains_Hz):
     assert not tones([one], [white_N + 0.5 * np.sin(7.0 * angle)], groups[0])  # no vibration either when it is alone
 
 
+@pytest.mark.parametrize(("mains_Hz", "machine_Hz", "together"), [(49.9, 17.02, True), (60.1, 19.0, False)])
+def test_a_tone_of_the_identification_goes_with_the_recordings_and_never_alone(mains_Hz, machine_Hz, together):
+    time_s = np.arange(0.0, 40.0, 2e-3)
+    u, made, residuals_N = mixed_work(time_s), [], []
+    for number, (role, f_Hz) in enumerate((("identification", (mains_Hz, machine_Hz)), ("recording", (50.1, 17.0)))):
+        white_N = NOISE_N * noise(time_s.size, 0.0, np.random.default_rng(number))
+        residuals_N.append(
+            white_N + sum(size * np.sin(2.0 * np.pi * f * time_s) for size, f in zip((20.0, 5.0), f_Hz, strict=True))
+        )
+        made.append(Series("by hand", role, time_s, u, u + residuals_N[-1], np.ones(time_s.size, bool), NOISE_N))
+    groups = tones(made, residuals_N, ())
+    heard = [[(tone.name, tone.number) for tone in group] for group in groups]
+    numbers = (1, 0) if together else (1,)
+    assert heard == [[("mains_hum", k) for k in numbers], [("vibration", k) for k in numbers]]
+    assert not tones(made, residuals_N, [group[0] for group in groups])
+
+
 @pytest.mark.parametrize("swing", [0.0, 0.3, 1.0, 3.0, 30.0])
 def test_a_tone_that_swings_with_the_command_is_no_vibration(swing):
     time_s = np.arange(0.0, 40.0, 1e-3)
