@@ -157,11 +157,15 @@ def _share(result: Search, place: int) -> Value:
 
 
 def _rivals(result: Search, term: Term) -> tuple[Rival, ...]:
-    """Other effects that came near, by how far they stay behind in noises: beside all that was found, or when tried."""
+    """Other effects that came near, by how far they stay behind in noises: beside all that was found, or when tried.
+
+    What was found besides is no rival, though it may have been one before both were found.
+    """
     behind: dict[str, float] = {}
     for round_ in result.rounds:
         if round_.accepted.terms[-1].effect is term.effect:
-            losses = {one.terms[-1].effect.name: one.loss for one in sorted(round_.others, key=_loss, reverse=True)}
+            others = [one for one in round_.others if one.effects[-1] not in result.names]
+            losses = {one.effects[-1]: one.loss for one in sorted(others, key=_loss, reverse=True)}
             behind |= _near(round_.before.loss, round_.accepted.loss, losses)
     beside = result.beside.get(term.effect.name)
     if beside is not None:

@@ -10,6 +10,7 @@ from unit.diagnose.test_sharp import many_plays
 
 from piezod.diagnose.basis import ForceLaw, PlayDensity
 from piezod.diagnose.chain import Chain, Term, empty_point
+from piezod.diagnose.evidence import finding_of
 from piezod.diagnose.fit import fit
 from piezod.diagnose.ideas import screened
 from piezod.diagnose.search import both, search, swap
@@ -77,7 +78,9 @@ def test_a_start_that_was_estimated_without_an_effect_is_no_part_of_what_the_eff
     assert found.found.loss < 1.05
 
 
-def test_what_fits_better_beside_all_else_that_was_found_is_swapped_in_and_the_other_is_its_rival():
+def recordings_late_and_bent():
+    """A recording read late by 6 samples, of a bent law; and a way to fit effects to it."""
+
     def late_and_bent(u):
         late_N = np.concatenate((np.zeros(6), many_plays(u)))[: u.size]
         return late_N - 0.1 * late_N * (late_N / 216.0 - 1.0)
@@ -94,6 +97,11 @@ def test_what_fits_better_beside_all_else_that_was_found_is_swapped_in_and_the_o
         terms = tuple(Term(EFFECTS[name], "since") for name in values)
         return fit(chain, terms, replace(base.point, values=tuple(values.values())))
 
+    return chain, base, with_effects
+
+
+def test_what_fits_better_beside_all_else_that_was_found_is_swapped_in_and_the_other_is_its_rival():
+    chain, base, with_effects = recordings_late_and_bent()
     bent = {"curvature": 0.1, "cubic": 0.0}
     found = with_effects(sensor_filter={"cutoff_Hz": 5.0}, output_nonlinearity=bent)
     early = Round(
@@ -106,6 +114,19 @@ def test_what_fits_better_beside_all_else_that_was_found_is_swapped_in_and_the_o
     assert abs(delay["delay_s"] - 6 / RATE_HZ) < 0.1 / RATE_HZ
     assert result.beside["transport_delay"].rivals["sensor_filter"] == found.loss
     assert result.beside["transport_delay"].with_it < found.loss
+
+
+def test_what_was_found_besides_is_no_rival():
+    chain, base, with_effects = recordings_late_and_bent()
+    delay, bent = {"delay_s": 6 / RATE_HZ}, {"curvature": 0.1, "cubic": 0.0}
+    first, second = with_effects(transport_delay=delay), with_effects(output_nonlinearity=bent)
+    round_ = Round(base, first, (replace(second, losses=first.losses),))  # as near as can be, before both were found
+    found = Search(chain, base, first, base.point, [round_])
+    assert [one.name for one in finding_of(found, "transport_delay").rivals] == ["output_nonlinearity"]
+    found.found = with_effects(transport_delay=delay, output_nonlinearity=bent)
+    alone = finding_of(found, "transport_delay")
+    assert alone.rivals == ()
+    assert alone.confidence > 0.8
 
 
 def test_a_bessel_filter_of_the_reading_is_one_filter_without_a_rival_that_does_not_ring():
