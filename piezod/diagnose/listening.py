@@ -23,13 +23,8 @@ def heard(result: Search) -> Heard | None:
     """The strongest tone taken off, where that lowers the loss enough."""
     normal = Normal.at(result.chain, result.found.terms, result.found.point)
     residuals = [one.reading_N - modelled for one, modelled in zip(result.chain.series, normal.readings, strict=True)]
-    modes_Hz = [
-        values["frequency_Hz"]
-        for term, values in zip(result.found.terms, result.found.point.values, strict=True)
-        if term.effect.name == "resonance"
-    ]
     for group in tones(result.chain.series, residuals, result.tones)[:2]:
-        if any(abs(group[0].values["frequency_Hz"] / mode_Hz - 1.0) < NEAR_A_MODE for mode_Hz in modes_Hz):
+        if _near_a_mode(result, group[0]):
             continue
         chain = result.chain.like(without_tones(result.chain.series, group))
         fitted = fit(chain, result.found.terms, result.found.point, most_steps=6)
@@ -37,6 +32,15 @@ def heard(result: Search) -> Heard | None:
         if result.found.loss - fitted.loss > WORTH * fitted.loss or dominates(result, candidate):
             return candidate
     return None
+
+
+def _near_a_mode(result: Search, tone: Tone) -> bool:
+    modes_Hz = [
+        values["frequency_Hz"]
+        for term, values in zip(result.found.terms, result.found.point.values, strict=True)
+        if term.effect.name == "resonance"
+    ]
+    return any(abs(tone.values["frequency_Hz"] / mode_Hz - 1.0) < NEAR_A_MODE for mode_Hz in modes_Hz)
 
 
 def dominates(result: Search, candidate: Heard) -> bool:
@@ -57,6 +61,7 @@ def listen(result: Search, new: Heard) -> None:
 
 def listen_again(result: Search) -> None:
     """Follow the tones anew: what was taken off while more was missing was not the tone alone."""
+    _give_back(result)
     normal = Normal.at(result.chain, result.found.terms, result.found.point)
     series = result.chain.series
     left = [one.reading_N - modelled for one, modelled in zip(series, normal.readings, strict=True)]
@@ -64,6 +69,20 @@ def listen_again(result: Search) -> None:
     back = with_tones(series, result.tones)
     result.tones = again
     _without_tones(result, without_tones(back, again), again)
+
+
+def _give_back(result: Search) -> None:
+    """Put back what was taken off near a mode that was found since, where the mode explains it as well."""
+    mine = [tone for tone in result.tones if _near_a_mode(result, tone)]
+    others = [tone for tone in result.tones if not _near_a_mode(result, tone)]
+    if not mine:
+        return
+    chain = result.chain.like(with_tones(result.chain.series, mine))
+    fitted = fit(chain, result.found.terms, result.found.point)
+    if fitted.loss < (1.0 + WORTH) * result.found.loss:
+        result.chain, result.found = chain, fitted
+        result.base = fit(chain, (), result.base.point)
+        result.tones = others
 
 
 def _without_tones(result: Search, series: Sequence[Series], heard: Sequence[Tone]) -> None:

@@ -13,8 +13,10 @@ from piezod.diagnose.chain import Chain, Term, empty_point
 from piezod.diagnose.evidence import finding_of
 from piezod.diagnose.fit import fit
 from piezod.diagnose.ideas import screened
+from piezod.diagnose.listening import listen_again
 from piezod.diagnose.search import both, search, swap
 from piezod.diagnose.search_state import Round, Search
+from piezod.diagnose.tones import Tone, heard_again, without_tones
 from piezod.effects import EFFECTS
 
 SAMPLES, RATE_HZ, NOISE_N = 12_000, 200.0, 0.2
@@ -127,6 +129,41 @@ def test_what_was_found_besides_is_no_rival():
     alone = finding_of(found, "transport_delay")
     assert alone.rivals == ()
     assert alone.confidence > 0.8
+
+
+@pytest.mark.parametrize("vibration_N", [0.0, 3.0])
+def test_a_tone_that_was_the_ringing_of_a_mode_is_given_back_to_it(vibration_N):
+    """Steps ring at 11 Hz, which is a line; taken off it leaves a mode that is a little beside."""
+    seconds, rng, made, mode_Hz, zeta = time(SAMPLES, RATE_HZ), np.random.default_rng(13), [], 11.1, 0.045
+    turns = 2.0 * np.pi * mode_Hz
+    for role in ("identification", "recording"):
+        u = mixed_work(seconds)
+        if role == "recording":
+            u += 20.0 * (np.floor(seconds / 1.7) % 2)
+        u = np.clip(u - u[0], 0.0, None)
+        stiff_N = many_plays(u)
+        ringing = signal.lsim(([turns**2], [1.0, 2.0 * zeta * turns, turns**2]), stiff_N - stiff_N[0], seconds)[1]
+        force_N = stiff_N[0] + ringing + NOISE_N * noise(SAMPLES, 0.0, rng)
+        if role == "recording":
+            force_N += vibration_N * np.sin(2.0 * np.pi * 11.3 * seconds)
+        made.append(series(seconds, u, force_N, NOISE_N, role=role))
+    chain = Chain(made, PlayDensity.up_to(140.0), ForceLaw(-4.0, 140.0), 256.0)
+    base = fit(chain, (), empty_point(chain, 1.8, 0.0))
+    residuals_N = [one.reading_N - chain.run(k, (), base.point).reading_N for k, one in enumerate(chain.series)]
+    guess = Tone("vibration", 1, {"frequency_Hz": 11.05}, np.zeros(SAMPLES))
+    group = heard_again(chain.series, residuals_N, [guess])
+    assert float(np.std(group[0].heard_N)) > NOISE_N
+    quiet = chain.like(without_tones(chain.series, group))
+    mode = Term(EFFECTS["resonance"], "already")
+    start = replace(base.point, values=({"frequency_Hz": 11.3, "damping_ratio": 0.04},))
+    result = Search(quiet, fit(quiet, (), base.point), fit(quiet, (mode,), start), base.point, tones=group)
+    listen_again(result)
+    assert [tone.name for tone in result.tones_asked_about] == (["vibration"] if vibration_N else [])
+    assert result.found.point.values[0]["frequency_Hz"] == pytest.approx(
+        mode_Hz, rel=2e-3 if vibration_N == 0.0 else 0.02
+    )
+    if vibration_N == 0.0:
+        assert result.found.loss < 1.05
 
 
 def test_a_bessel_filter_of_the_reading_is_one_filter_without_a_rival_that_does_not_ring():
