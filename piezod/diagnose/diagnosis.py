@@ -7,10 +7,11 @@ import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
+from piezod.diagnose.acceptance import weighed
 from piezod.diagnose.evidence import all_terms, finding_of, read_off, tone_finding
 from piezod.diagnose.extended import extended_model
 from piezod.diagnose.findings import Findings, Place
-from piezod.diagnose.fit import Normal, fit
+from piezod.diagnose.fit import Fitted, Normal, fit
 from piezod.diagnose.guard import explainable
 from piezod.diagnose.ideas import DIRECT
 from piezod.diagnose.lattice import unrounded
@@ -18,13 +19,13 @@ from piezod.diagnose.locate import locate
 from piezod.diagnose.motion import motion
 from piezod.diagnose.parallel import each
 from piezod.diagnose.prepare import Source, chain_of, even, stand_in, started, without_frozen, without_unknown
-from piezod.diagnose.search import OnProgress, search, without
-from piezod.diagnose.search_state import Search
+from piezod.diagnose.search import OnProgress, instead, search, without
+from piezod.diagnose.search_state import Beside, Search
 from piezod.diagnose.series import Series
 from piezod.diagnose.testable import untestable
 from piezod.diagnose.told import as_told
 from piezod.diagnose.tones import with_tones
-from piezod.diagnose.unfolded import unfolded
+from piezod.diagnose.unfolded import rises, unfolded
 from piezod.diagnose.verdict import (
     held_out_rms,
     less_sure,
@@ -44,6 +45,7 @@ Array = NDArray[np.float64]
 
 MOSTLY = 0.8  # of the catalogue: recordings that could not have shown so much of it tell nothing
 COSTS = 0.1  # of what was gained, or of what is left: what plays that do not fold may cost
+STILL_GAINS = 0.5  # of what was gained by plays that fold: what another effect must gain without
 FOLDED = 0.6  # of its confidence that an effect keeps when the plays fold that were refitted with it
 BETTER = 0.99  # of the given model's error
 LEAST_CONFIDENCE = 0.6  # below which an effect is not named: more likely it is the shape of something else,
@@ -123,23 +125,41 @@ def _diagnosed(
     result = search(chain, start, progress)
     result.chain.forget()
     result.chain, result.found = as_told(result.chain, result.found)
-    result = _rising(result)
+    result = rising(result)
     progress("judging what is left", 0.9)
     asked_for = _Asked(model, [*past, *asked], given, frozen, said, stand_ins=int(not past))
     diagnosis = asked_for.judged(result)
     while doubtful := _doubtful(result, diagnosis.findings):
         progress("leaving out what is doubtful", 0.95)
         said += _not_believed(diagnosis.findings, doubtful)
-        result = _rising(_without(result, doubtful))
+        result = rising(_without(result, doubtful))
         diagnosis = asked_for.judged(result)
     return diagnosis
 
 
-def _rising(result: Search) -> Search:
-    """The same with plays that do not fold, where that costs little of what was gained."""
-    found = unfolded(result.chain, result.found)
-    costs, gained = found.loss - result.found.loss, result.base.loss - result.found.loss
-    return replace(result, found=found) if costs <= COSTS * max(gained, result.found.loss) else result
+def _fewer(result: Search, name: str) -> Fitted:
+    """The hypothesis without an effect, fitted anew."""
+    terms, values = without(result.found, name)
+    return fit(result.chain, terms, replace(result.found.point, values=tuple(values)))
+
+
+def rising(result: Search) -> Search:
+    """The same with plays that do not fold, where that costs little of what was gained.
+
+    Where it costs much, what was found fits by them alone: the best in an effect's place that gains without.
+    """
+    found = result.found
+    gained = result.base.loss - found.loss
+    straight = unfolded(result.chain, found)
+    if straight.loss <= found.loss + COSTS * max(gained, found.loss):
+        return replace(result, found=straight)
+    others = [(name, unfolded(result.chain, one)) for name in found.effects for one in instead(result, name)]
+    rising = [(name, one) for name, one in others if rises(result.chain, one)]
+    name, best = min(rising, key=lambda one: weighed(one[1]), default=("", found))
+    if name == "" or result.base.loss - best.loss < STILL_GAINS * gained:
+        return result
+    beside = Beside(_fewer(result, name).loss, best.loss, {name: found.loss})
+    return replace(result, found=best, beside={**result.beside, best.effects[-1]: beside})
 
 
 def _doubtful(result: Search, findings: Findings) -> list[str]:

@@ -295,6 +295,20 @@ def swap(result: Search) -> None:
         result.beside[taken] = Beside(fewer.loss, losses.pop(taken), losses)
 
 
+def instead(result: Search, name: str) -> list[Fitted]:
+    """The whole with the effects in another's place that were tried when that was accepted, fitted anew; best first."""
+    found = result.found
+    rivals = [
+        one
+        for round_ in result.rounds
+        if round_.accepted.effects[-1] == name
+        for one in round_.others
+        if one.effects[-1] not in found.effects
+    ]
+    fitted = each(partial(_with_instead, result.chain, found, name), _first_of_each(rivals)[:RIVALS])
+    return sorted(fitted, key=lambda one: one.loss)
+
+
 def _first_of_each(tried: Sequence[Fitted]) -> list[Fitted]:
     """The best with each last effect, the best one first."""
     best: dict[str, Fitted] = {}

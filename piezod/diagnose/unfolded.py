@@ -25,9 +25,14 @@ def loading_slopes(chain: Chain, density: Array) -> Array:
     return np.cumsum(chain.density.weights(density))
 
 
+def rises(chain: Chain, found: Fitted) -> bool:
+    """Whether the loading curve rises everywhere."""
+    return bool(loading_slopes(chain, found.point.density).min() >= EPS)
+
+
 def unfolded(chain: Chain, found: Fitted) -> Fitted:
     """The same hypothesis, fitted where its plays do not fold; itself where they do not, or where no fit is found."""
-    if loading_slopes(chain, found.point.density).min() >= EPS:
+    if rises(chain, found):
         return found
     layout = Layout(chain, found.terms)
     constraints = _rising(chain, layout)

@@ -1,12 +1,19 @@
 """Plays that fold are fitted again where they do not: within the bound, and better than what is nearest."""
 
+from dataclasses import replace
+
 import numpy as np
+import pytest
 from unit.diagnose.residuals import mixed_work, noise, played, series, time
 
+from piezod.diagnose import diagnosis
 from piezod.diagnose.basis import ForceLaw, PlayDensity
-from piezod.diagnose.chain import Chain, empty_point
+from piezod.diagnose.chain import Chain, Term, empty_point
+from piezod.diagnose.evidence import finding_of
 from piezod.diagnose.fit import fit
+from piezod.diagnose.search_state import Round, Search
 from piezod.diagnose.unfolded import SMALLEST, loading_slopes, unfolded
+from piezod.effects import EFFECTS
 
 SAMPLES, RATE_HZ, NOISE_N = 12_000, 200.0, 0.05
 DENSITY = PlayDensity.up_to(119.4)
@@ -44,3 +51,28 @@ def test_what_does_not_fold_stays_as_it_is():
     chain = chain_over(lambda u: 0.7 * u + 0.2 * played(np.concatenate(([0.0], u)), 15.0)[1:])
     found = fit(chain, (), empty_point(chain, 0.8, 0.0))
     assert unfolded(chain, found) is found
+
+
+@pytest.mark.parametrize(("kept", "taken"), [(0.9, True), (0.3, False)])
+def test_what_fits_by_plays_that_fold_alone_gives_way_to_what_gains_without(monkeypatch, kept, taken):
+    """A lag whose plays fold, as it cannot be had without; a delay in its place keeps a part of what it gained."""
+    chain = chain_over(lambda u: 0.7 * np.concatenate((np.zeros(4), u[:-4])))
+    base = fit(chain, (), empty_point(chain, 0.7, 0.0))
+    starts = {"electrical_lag": {"time_constant_s": 0.02, "swell": 0.0}, "transport_delay": {"delay_s": 0.02}}
+    lag, delay = (
+        fit(chain, (Term(EFFECTS[name], "already"),), replace(base.point, values=(values,)))
+        for name, values in starts.items()
+    )
+    gained = base.losses - lag.losses
+    delay = replace(delay, losses=base.losses - kept * gained)
+    folded = replace(lag, point=replace(lag.point, density=lag.point.density - 2.0))
+    result = Search(chain, base, folded, base.point, [Round(base, folded, (delay,))])
+    straight = replace(lag, losses=base.losses)
+    monkeypatch.setattr(diagnosis, "unfolded", lambda _, one: straight if one is folded else one)
+    monkeypatch.setattr(diagnosis, "instead", lambda *_: [delay])
+    found = diagnosis.rising(result)
+    assert found.found is (delay if taken else folded)
+    if taken:
+        finding = finding_of(found, "transport_delay")
+        assert [one.name for one in finding.rivals] == ["electrical_lag"]
+        assert finding.confidence < 0.6
