@@ -11,7 +11,7 @@ from piezod.diagnose.acceptance import weighed
 from piezod.diagnose.evidence import all_terms, finding_of, read_off, tone_finding
 from piezod.diagnose.extended import extended_model
 from piezod.diagnose.findings import Findings, Place
-from piezod.diagnose.fit import Fitted, Normal, fit
+from piezod.diagnose.fit import Normal, fit
 from piezod.diagnose.guard import explainable
 from piezod.diagnose.ideas import DIRECT
 from piezod.diagnose.lattice import unrounded
@@ -19,7 +19,7 @@ from piezod.diagnose.locate import locate
 from piezod.diagnose.motion import motion
 from piezod.diagnose.parallel import each
 from piezod.diagnose.prepare import Source, chain_of, even, stand_in, started, without_frozen, without_unknown
-from piezod.diagnose.search import OnProgress, instead, search, without
+from piezod.diagnose.search import OnProgress, fitted_without, instead, search, without
 from piezod.diagnose.search_state import Beside, Search
 from piezod.diagnose.series import Series
 from piezod.diagnose.testable import untestable
@@ -137,12 +137,6 @@ def _diagnosed(
     return diagnosis
 
 
-def _fewer(result: Search, name: str) -> Fitted:
-    """The hypothesis without an effect, fitted anew."""
-    terms, values = without(result.found, name)
-    return fit(result.chain, terms, replace(result.found.point, values=tuple(values)))
-
-
 def rising(result: Search) -> Search:
     """The same with plays that do not fold, where that costs little of what was gained.
 
@@ -153,12 +147,16 @@ def rising(result: Search) -> Search:
     straight = unfolded(result.chain, found)
     if straight.loss <= found.loss + COSTS * max(gained, found.loss):
         return replace(result, found=straight)
-    others = [(name, unfolded(result.chain, one)) for name in found.effects for one in instead(result, name)]
-    rising = [(name, one) for name, one in others if rises(result.chain, one)]
-    name, best = min(rising, key=lambda one: weighed(one[1]), default=("", found))
-    if name == "" or result.base.loss - best.loss < STILL_GAINS * gained:
+    able = [
+        (name, one)
+        for name in found.effects
+        for one in (unfolded(result.chain, rival) for rival in instead(result, name))
+        if rises(result.chain, one) and result.base.loss - one.loss >= STILL_GAINS * gained
+    ]
+    if not able:
         return result
-    beside = Beside(_fewer(result, name).loss, best.loss, {name: found.loss})
+    name, best = min(able, key=lambda one: weighed(one[1]))
+    beside = Beside(fitted_without(result.chain, found, name).loss, best.loss, {name: found.loss})
     return replace(result, found=best, beside={**result.beside, best.effects[-1]: beside})
 
 

@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 from piezod.diagnose.chain import Term
 from piezod.diagnose.direct import level_about
 from piezod.diagnose.findings import Finding, Place, Rival, Value
-from piezod.diagnose.fit import Fitted, fit
+from piezod.diagnose.fit import Fitted
 from piezod.diagnose.places import place_of
-from piezod.diagnose.search import without
+from piezod.diagnose.search import fitted_without
 from piezod.diagnose.search_state import Search
 from piezod.diagnose.series import Series
 from piezod.diagnose.tones import Tone
@@ -34,8 +34,7 @@ def finding_of(result: Search, name: str) -> Finding:
     chain, found = result.chain, result.found
     place = next(k for k, term in enumerate(found.terms) if term.effect.name == name)
     term, values = found.terms[place], found.point.values[place]
-    terms, others = without(found, name)
-    fewer = fit(chain, terms, replace(found.point, values=tuple(others))) if terms else result.base
+    fewer = fitted_without(chain, found, name) if len(found.effects) > 1 else result.base
     parameters = {}
     for one in term.effect.catalogued:
         value = {**values, **dict(term.choices)}[one.name]

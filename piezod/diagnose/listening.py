@@ -62,6 +62,8 @@ def listen(result: Search, new: Heard) -> None:
 def listen_again(result: Search) -> None:
     """Follow the tones anew: what was taken off while more was missing was not the tone alone."""
     _give_back(result)
+    if not result.tones:
+        return
     normal = Normal.at(result.chain, result.found.terms, result.found.point)
     series = result.chain.series
     left = [one.reading_N - modelled for one, modelled in zip(series, normal.readings, strict=True)]

@@ -269,19 +269,12 @@ def swap(result: Search) -> None:
     if len(result.found.effects) == 1:
         return
     for name in result.found.effects:
-        rivals = [
-            one
-            for round_ in result.rounds
-            if round_.accepted.effects[-1] == name
-            for one in round_.others
-            if one.effects[-1] not in result.found.effects
-        ]
+        rivals = _rivals(result, name)
         if not rivals:
             continue
-        terms, values = without(result.found, name)
-        fewer = fit(result.chain, terms, replace(result.found.point, values=tuple(values)))
+        fewer = fitted_without(result.chain, result.found, name)
         few = coarse(result.chain)
-        tried = each(partial(_with_instead, few, result.found, name, most_steps=4), _first_of_each(rivals)[:RIVALS])
+        tried = each(partial(_with_instead, few, result.found, name, most_steps=4), rivals)
         few.forget()
         best = sorted(tried, key=lambda one: one.loss)[:2]
         swapped = each(partial(_with_instead, result.chain, result.found, name), best)
@@ -296,17 +289,15 @@ def swap(result: Search) -> None:
 
 
 def instead(result: Search, name: str) -> list[Fitted]:
-    """The whole with the effects in another's place that were tried when that was accepted, fitted anew; best first."""
-    found = result.found
-    rivals = [
-        one
-        for round_ in result.rounds
-        if round_.accepted.effects[-1] == name
-        for one in round_.others
-        if one.effects[-1] not in found.effects
-    ]
-    fitted = each(partial(_with_instead, result.chain, found, name), _first_of_each(rivals)[:RIVALS])
-    return sorted(fitted, key=lambda one: one.loss)
+    """The hypothesis with each rival that is what its name says in an effect's place, fitted anew."""
+    fitted = each(partial(_with_instead, result.chain, result.found, name), _rivals(result, name))
+    return [one for one in fitted if not degenerate(result.chain, one)]
+
+
+def _rivals(result: Search, name: str) -> list[Fitted]:
+    """What was tried when an effect was accepted and was not found since, the best with each effect."""
+    tried = [one for round_ in result.rounds if round_.accepted.effects[-1] == name for one in round_.others]
+    return _first_of_each([one for one in tried if one.effects[-1] not in result.found.effects])[:RIVALS]
 
 
 def _first_of_each(tried: Sequence[Fitted]) -> list[Fitted]:
@@ -325,6 +316,12 @@ def _with_instead(chain: Chain, found: Fitted, name: str, rival: Fitted, most_st
     return fit(chain, terms, replace(found.point, values=tuple(values)), most_steps=most_steps)
 
 
+def fitted_without(chain: Chain, found: Fitted, name: str) -> Fitted:
+    """The hypothesis without an effect, fitted anew."""
+    terms, values = without(found, name)
+    return fit(chain, terms, replace(found.point, values=tuple(values)))
+
+
 def without(found: Fitted, name: str) -> tuple[list[Term], list[Mapping[str, float]]]:
     """Terms of all other effects, and their values."""
     kept = [k for k, term in enumerate(found.terms) if term.effect.name != name]
@@ -337,9 +334,8 @@ def _drop(result: Search, largest: float) -> None:
     while left and len(result.found.effects) > 1:
         found = result.found
         name = left.pop(0)
-        terms, values = without(found, name)
         once = all(term.scope == "once" for term in found.terms if term.effect.name == name)
-        fewer = fit(result.chain, terms, replace(found.point, values=tuple(values)))
+        fewer = fitted_without(result.chain, found, name)
         gain = fewer.loss - found.loss
         least = max(NEEDLESS * found.loss, *(price(found, term) for term in found.terms if term.effect.name == name))
         small = gain < FAIR_SHARE * largest and steadiness(fewer, found) < STEADY_WHEN_SMALL
