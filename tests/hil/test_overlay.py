@@ -81,7 +81,9 @@ def test_found_is_a_name_that_comes_in_addition_with_its_parameter(with_it, with
     row = compared("bench", "transport_delay", {"delay_s": 0.01}, 3.0, with_it, without_it)
     assert row.found is found
     assert row.extra == (("creep",) if "creep" in with_it.named else ())
-    assert summary([OverlayRow("bench", "none", found=True), row]).startswith(f"{int(found)} of 1 found")
+    named = "transport_delay" in with_it.named
+    words = summary([OverlayRow("bench", "none", found=True), row])
+    assert words.startswith(f"{int(found)} of 1 found, {int(named)} named, {len(row.extra)} extra names")
 
 
 @pytest.mark.parametrize(("option", "name"), [("--only", "gremlins"), ("--bench", "gremlins")])

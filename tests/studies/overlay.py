@@ -177,8 +177,9 @@ def summary(rows: Sequence[OverlayRow]) -> str:
     extra = sum(len(row.extra) for row in laid)
     said = f"; not: {', '.join(missed)}" if missed else ""
     return (
-        f"{len(laid) - len(missed)} of {len(laid)} found, {extra} extra names{said}. size: change over what is left of "
-        "the bare recording; ~: another law, its parameter is not judged"
+        f"{len(laid) - len(missed)} of {len(laid)} found, {sum(row.named for row in laid)} named, {extra} extra names"
+        f"{said}. size: change over what is left of the bare recording; found: named in addition, with the parameter "
+        "that was laid over it; a bench that has some of the effect itself shows more; ~: another law, not judged"
     )
 
 
