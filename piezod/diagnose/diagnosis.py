@@ -10,7 +10,7 @@ from threadpoolctl import threadpool_limits
 from piezod.diagnose.acceptance import weighed
 from piezod.diagnose.evidence import all_terms, finding_of, read_off, tone_finding
 from piezod.diagnose.extended import extended_model
-from piezod.diagnose.findings import Findings, Place
+from piezod.diagnose.findings import Findings, Place, gap_closed
 from piezod.diagnose.fit import Normal, fit
 from piezod.diagnose.guard import explainable
 from piezod.diagnose.ideas import DIRECT
@@ -27,6 +27,7 @@ from piezod.diagnose.told import as_told
 from piezod.diagnose.tones import with_tones
 from piezod.diagnose.unfolded import rises, unfolded
 from piezod.diagnose.verdict import (
+    above_noise,
     held_out_rms,
     less_sure,
     noise_floor,
@@ -250,7 +251,11 @@ class _Asked:
         effects += [tone_finding(result, name) for name in dict.fromkeys(tone.name for tone in result.tones)]
         effects += read_off(chain.series, self.frozen, residuals, before)
         sure = [less_sure(one, share, 1.0) for one in effects]
-        verdict, blind = verdict_of(share, closed, sure), untestable(chain, found.terms, found.point)
+        above = above_noise(series, after, floor)
+        if above:
+            closed = min(closed, max(gap_closed(before, after, floor), 0.0))
+        verdict = verdict_of(share, closed, sure, above=above)
+        blind = untestable(chain, found.terms, found.point)
         if verdict == "matches" and len(blind) > MOSTLY * (len(EFFECTS) - len(DIRECT)):
             verdict = "not_testable"
         chain.forget()  # what follows takes memory of its own

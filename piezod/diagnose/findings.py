@@ -4,8 +4,15 @@ from dataclasses import dataclass, field
 from typing import Any, Literal
 
 Verdict = Literal["matches", "explained", "partly_explained", "unexplained", "not_testable"]
-ABOVE_NOISE = 1.5  # times it: what is left then is said to be more
+ABOVE_NOISE = 1.3  # times it: what is left then is more; coloured noise is seen up to 1.25 times weaker in holds
+NO_GAP = 0.02  # of the noise's square: so little above it is nothing
 SCHEMA = "piezod.findings/1"
+
+
+def gap_closed(before: float, after: float, floor: float) -> float:
+    """(e0^2 - e1^2) / (e0^2 - floor^2) of errors [output unit] and noise: 1 down to it, 0 where there was no gap."""
+    gap = before**2 - floor**2
+    return (before**2 - after**2) / gap if gap > NO_GAP * floor**2 else 0.0
 
 
 @dataclass(frozen=True)
@@ -197,13 +204,13 @@ class Findings:
 
     @property
     def gap_closed(self) -> float | None:
-        """(e0^2 - e1^2) / (e0^2 - floor^2), None where there was no gap."""
-        gap = self.before**2 - self.floor**2
-        return (self.before**2 - self.after**2) / gap if gap > 0.02 * self.floor**2 else None
+        """Down to the noise; None where there was no gap."""
+        no_gap = self.before**2 <= (1.0 + NO_GAP) * self.floor**2
+        return None if no_gap else gap_closed(self.before, self.after, self.floor)
 
     @property
-    def far_above_noise(self) -> bool:
-        """Whether much more than noise is left, though it may be that nothing tells what it is."""
+    def above_noise(self) -> bool:
+        """Whether more than noise is left, though it may be that nothing tells what it is."""
         return self.after > ABOVE_NOISE * self.floor
 
     def as_dict(self) -> dict[str, Any]:

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piezod.diagnose.chain import Chain
-from piezod.diagnose.findings import Finding, Findings, Verdict
+from piezod.diagnose.findings import ABOVE_NOISE, Finding, Findings, Verdict
 from piezod.diagnose.fit import Fitted
 from piezod.diagnose.guard import Guard
 from piezod.diagnose.motion import Motion
@@ -24,6 +24,7 @@ BY_LEVEL = 0.25  # share of what is left that must lie above that at the lowest 
 SURE = 0.01  # p below which that share is believed
 CLOSED = 0.97  # part of what could be explained, from which it counts as explained
 BELIEVED = 0.5  # confidence that one of the names must have where something is left
+FINEST = 2e-4  # of the readings' range: nobody is asked to simulate better, whatever the noise
 PARTLY = 0.9  # most that a name is believed whose effect leaves much to explain
 
 
@@ -84,13 +85,22 @@ def remaining(result: Search, left: Guard, moving: Motion) -> tuple[float, float
     return share, float(np.clip((before - after) / explainable_N2, 0.0, 1.0)) if explainable_N2 > 0.0 else 1.0
 
 
-def verdict_of(share: float, closed: float, effects: Sequence[Finding]) -> Verdict:
-    """From what is left to explain, how much of all that could be was explained, and how far the names are believed."""
-    missing = share > STILL_EXPLAINABLE
+def above_noise(series: Sequence[Series], after_N: float, floor_N: float) -> bool:
+    """Whether more than noise is left on data left out [output unit], of whatever shape."""
+    finest_N = FINEST * max(float(np.ptp(one.reading_N[one.counts])) for one in series if one.role == "recording")
+    return after_N > ABOVE_NOISE * max(floor_N, finest_N)
+
+
+def verdict_of(share: float, closed: float, effects: Sequence[Finding], *, above: bool) -> Verdict:
+    """From what is left to explain, how much of all that could be was explained, and how far the names are believed.
+
+    `above` says that more than noise is left: then something is missing though nothing tells what it is.
+    """
+    missing = share > STILL_EXPLAINABLE or above
     if not effects:
         return "unexplained" if missing else "matches"
     doubted = missing and max(one.confidence for one in effects) < BELIEVED
-    partly = share > MUCH_EXPLAINABLE or (missing and closed < CLOSED) or doubted
+    partly = above or share > MUCH_EXPLAINABLE or (missing and closed < CLOSED) or doubted
     return "partly_explained" if partly else "explained"
 
 
@@ -119,9 +129,9 @@ def words_of(findings: Findings, wording: Wording) -> str:
         "not_testable": "The recordings do not excite the bench enough to tell",
     }[findings.verdict]
     more = f"{100 * findings.explainable:.0f} % of what is left is no noise"
-    if findings.explainable <= STILL_EXPLAINABLE and findings.far_above_noise:
-        more = "what is left is far above the noise, and nothing tells what it is"
-    done = findings.explainable <= STILL_EXPLAINABLE and not findings.far_above_noise
+    if findings.explainable <= STILL_EXPLAINABLE and findings.above_noise:
+        more = "what is left is more than noise, and nothing tells what it is"
+    done = findings.explainable <= STILL_EXPLAINABLE and not findings.above_noise
     rest = {
         "matches": "nothing is missing" if done else more,
         "explained": "nothing else is left" if done else more,

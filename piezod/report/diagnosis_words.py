@@ -45,7 +45,7 @@ def headline(findings: Findings) -> str:
     titles = listed([hedged(one) for one in findings.effects])
     return {
         "matches": "The model matches the recordings: "
-        + ("nothing more can be told from them" if findings.far_above_noise else "nothing is missing"),
+        + ("nothing more can be told from them" if findings.above_noise else "nothing is missing"),
         "explained": f"Left out by the model: {titles}",
         "partly_explained": f"Left out by the model: {titles}, and something unknown besides",
         "unexplained": "Something is missing that no known effect explains",
@@ -170,7 +170,9 @@ def docstring_field(effect: Effect, field: str) -> str:
 def left_over(findings: Findings) -> list[str]:
     """Error that is left against the noise, and how much of it anything could explain."""
     unit, share = unit_words(findings.unit), percent(findings.explainable)
-    error = f"{rounded(findings.after)} {unit} rms are left on data left out; noise: {rounded(findings.floor)} {unit}."
+    more = ", so that more than noise is left" if findings.above_noise else ""
+    noise = f"noise: {rounded(findings.floor)} {unit}{more}."
+    error = f"{rounded(findings.after)} {unit} rms are left on data left out; {noise}"
     flexible = f"A flexible model without physics could explain {share} of what is left"
     if findings.verdict == "matches":
         return [error, f"{flexible}: nothing worth a name."]

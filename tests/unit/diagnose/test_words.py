@@ -124,8 +124,8 @@ def test_ends_that_hardly_differ_are_one_except_in_time():
     ("verdict", "explainable", "after", "said"),
     [
         ("matches", 0.0, 0.11, "nothing is missing"),
-        ("matches", 0.0, 0.25, "what is left is far above the noise, and nothing tells what it is"),
-        ("explained", 0.05, 0.25, "what is left is far above the noise, and nothing tells what it is"),
+        ("matches", 0.0, 0.25, "what is left is more than noise, and nothing tells what it is"),
+        ("explained", 0.05, 0.25, "what is left is more than noise, and nothing tells what it is"),
         ("explained", 0.05, 0.11, "nothing else is left"),
         ("explained", 0.4, 0.11, "40 % of what is left is no noise"),
         ("unexplained", 0.4, 0.25, "40 % of what is left is no noise"),
@@ -138,4 +138,4 @@ def test_nobody_is_told_that_nothing_is_left_while_far_more_than_noise_is(verdic
 
 def test_a_floor_of_nothing_is_said_too():
     findings = Findings("matches", "", "N", 0.0, "spectrum", (), (), 2.0, 1.0, 90.0, 99.0, 0.0)
-    assert words_of(findings, WORDING).endswith("what is left is far above the noise, and nothing tells what it is")
+    assert words_of(findings, WORDING).endswith("what is left is more than noise, and nothing tells what it is")

@@ -1,0 +1,56 @@
+"""The verdict: more than noise that is left is never called explained, whatever tells what it is."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from piezod.diagnose.findings import Finding, gap_closed
+from piezod.diagnose.verdict import above_noise, less_sure, verdict_of
+
+
+def named(confidence):
+    return SimpleNamespace(confidence=confidence)
+
+
+@pytest.mark.parametrize(
+    ("share", "closed", "confidences", "above", "verdict"),
+    [
+        (0.0, 1.0, (), False, "matches"),
+        (0.0, 1.0, (), True, "unexplained"),
+        (0.2, 0.0, (), False, "unexplained"),
+        (0.0, 1.0, (0.9,), False, "explained"),
+        (0.0, 0.999, (0.9,), True, "partly_explained"),
+        (0.2, 0.99, (0.9,), False, "explained"),
+        (0.2, 0.9, (0.9,), False, "partly_explained"),
+        (0.2, 0.99, (0.4,), False, "partly_explained"),
+    ],
+)
+def test_a_verdict_follows_from_what_is_left(share, closed, confidences, above, verdict):
+    assert verdict_of(share, closed, [named(one) for one in confidences], above=above) == verdict
+
+
+def recorded(role, range_N):
+    reading_N = np.linspace(0.0, range_N, 1000)
+    return SimpleNamespace(role=role, reading_N=reading_N, counts=np.ones(reading_N.size, dtype=bool))
+
+
+@pytest.mark.parametrize(
+    ("after_N", "floor_N", "above"), [(0.12, 0.1, False), (0.14, 0.1, True), (0.024, 0.0, False), (0.03, 0.0, True)]
+)
+def test_more_than_noise_is_left_beyond_what_holds_show_and_any_model_can_reach(after_N, floor_N, above):
+    series = [recorded("identification", 1e6), recorded("recording", 100.0)]
+    assert above_noise(series, after_N, floor_N) is above
+
+
+def test_names_beside_which_more_than_noise_is_left_are_believed_less():
+    closed = gap_closed(1.1, 0.2, 0.1)
+    assert closed == pytest.approx((1.21 - 0.04) / (1.21 - 0.01))
+    found = Finding("creep", "creep", 0.99, "since", (), {}, 1.1, 0.2)
+    assert less_sure(found, 0.0, closed).confidence == pytest.approx(0.99 * 0.9 * 0.975)
+    assert less_sure(found, 0.0, 1.0).confidence == 0.99
+
+
+def test_where_there_was_no_gap_nothing_closed_it():
+    assert gap_closed(0.1, 0.1, 0.1) == 0.0
+    assert gap_closed(1.0, 1.2, 0.1) < 0.0
