@@ -10,7 +10,7 @@ from threadpoolctl import threadpool_limits
 from piezod.diagnose.acceptance import weighed
 from piezod.diagnose.evidence import all_terms, finding_of, read_off, tone_finding
 from piezod.diagnose.extended import extended_model
-from piezod.diagnose.findings import Findings, Place, gap_closed
+from piezod.diagnose.findings import Findings, Place, above_noise, gap_closed
 from piezod.diagnose.fit import Normal, fit
 from piezod.diagnose.guard import explainable
 from piezod.diagnose.ideas import DIRECT
@@ -27,12 +27,12 @@ from piezod.diagnose.told import as_told
 from piezod.diagnose.tones import with_tones
 from piezod.diagnose.unfolded import rises, unfolded
 from piezod.diagnose.verdict import (
-    above_noise,
     held_out_rms,
     less_sure,
     noise_floor,
     remaining,
     rms_of,
+    span_of,
     verdict_of,
     words_of,
 )
@@ -247,11 +247,14 @@ class _Asked:
         simulated = [one.reading_N - residual for one, residual in zip(series, residuals, strict=True)]
         base_residuals = [one.reading_N - given for one, given in zip(series, self.given, strict=True)]
         before, after = rms_of(base_residuals, series), held_out_rms(chain, found)
+        if not result.names:
+            after = min(after, before)
         effects = each(lambda name: finding_of(result, name), found.effects)
         effects += [tone_finding(result, name) for name in dict.fromkeys(tone.name for tone in result.tones)]
         effects += read_off(chain.series, self.frozen, residuals, before)
         sure = [less_sure(one, share, 1.0) for one in effects]
-        above = above_noise(series, after, floor)
+        span = span_of(series)
+        above = above_noise(after, floor, span)
         if above:
             closed = min(closed, max(gap_closed(before, after, floor), 0.0))
         verdict = verdict_of(share, closed, sure, above=above)
@@ -273,7 +276,8 @@ class _Asked:
             ),
             effects=tuple(sure),
             before=before,
-            after=after if result.names else min(after, before),
+            after=after,
+            span=span,
             nrmse_before=_nrmse_percent(series, self.given),
             nrmse_after=_nrmse_percent(series, simulated),
             explainable=share,

@@ -5,6 +5,7 @@ from typing import Any, Literal
 
 Verdict = Literal["matches", "explained", "partly_explained", "unexplained", "not_testable"]
 ABOVE_NOISE = 1.3  # times it: what is left then is more; coloured noise is seen up to 1.25 times weaker in holds
+FINEST = 2e-4  # of the readings' range: nobody is asked to simulate better, whatever the noise
 NO_GAP = 0.02  # of the noise's square: so little above it is nothing
 SCHEMA = "piezod.findings/1"
 
@@ -13,6 +14,11 @@ def gap_closed(before: float, after: float, floor: float) -> float:
     """(e0^2 - e1^2) / (e0^2 - floor^2) of errors [output unit] and noise: 1 down to it, 0 where there was no gap."""
     gap = before**2 - floor**2
     return (before**2 - after**2) / gap if gap > NO_GAP * floor**2 else 0.0
+
+
+def above_noise(after: float, floor: float, span: float) -> bool:
+    """Whether an error is more than noise, of whatever shape: both and the readings' range in the output's unit."""
+    return after > ABOVE_NOISE * max(floor, FINEST * span)
 
 
 @dataclass(frozen=True)
@@ -179,6 +185,8 @@ class Findings:
         What was noticed on the way.
     not_testable
         Effects that these recordings would not have shown in their usual size.
+    span
+        Widest range of readings of a recording asked about [output unit].
     held_out
         Recordings that nothing was fitted to.
     recordings
@@ -199,6 +207,7 @@ class Findings:
     explainable: float
     notes: tuple[str, ...] = ()
     not_testable: tuple[str, ...] = ()
+    span: float = 0.0
     held_out: tuple[HeldOut, ...] = ()
     recordings: tuple[dict[str, Any], ...] = field(default_factory=tuple)
 
@@ -211,7 +220,7 @@ class Findings:
     @property
     def above_noise(self) -> bool:
         """Whether more than noise is left, though it may be that nothing tells what it is."""
-        return self.after > ABOVE_NOISE * self.floor
+        return above_noise(self.after, self.floor, self.span)
 
     def as_dict(self) -> dict[str, Any]:
         """For JSON (DESIGN.md, section 6)."""

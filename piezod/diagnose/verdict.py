@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piezod.diagnose.chain import Chain
-from piezod.diagnose.findings import ABOVE_NOISE, Finding, Findings, Verdict
+from piezod.diagnose.findings import Finding, Findings, Verdict
 from piezod.diagnose.fit import Fitted
 from piezod.diagnose.guard import Guard
 from piezod.diagnose.motion import Motion
@@ -24,7 +24,6 @@ BY_LEVEL = 0.25  # share of what is left that must lie above that at the lowest 
 SURE = 0.01  # p below which that share is believed
 CLOSED = 0.97  # part of what could be explained, from which it counts as explained
 BELIEVED = 0.5  # confidence that one of the names must have where something is left
-FINEST = 2e-4  # of the readings' range: nobody is asked to simulate better, whatever the noise
 PARTLY = 0.9  # most that a name is believed whose effect leaves much to explain
 
 
@@ -85,10 +84,9 @@ def remaining(result: Search, left: Guard, moving: Motion) -> tuple[float, float
     return share, float(np.clip((before - after) / explainable_N2, 0.0, 1.0)) if explainable_N2 > 0.0 else 1.0
 
 
-def above_noise(series: Sequence[Series], after_N: float, floor_N: float) -> bool:
-    """Whether more than noise is left on data left out [output unit], of whatever shape."""
-    finest_N = FINEST * max(float(np.ptp(one.reading_N[one.counts])) for one in series if one.role == "recording")
-    return after_N > ABOVE_NOISE * max(floor_N, finest_N)
+def span_of(series: Sequence[Series]) -> float:
+    """Widest range of readings of a recording asked about [output unit]."""
+    return max(float(np.ptp(one.reading_N[one.counts])) for one in series if one.role == "recording")
 
 
 def verdict_of(share: float, closed: float, effects: Sequence[Finding], *, above: bool) -> Verdict:

@@ -1,12 +1,13 @@
 """The verdict: more than noise that is left is never called explained, whatever tells what it is."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from piezod.diagnose.findings import Finding, gap_closed
-from piezod.diagnose.verdict import above_noise, less_sure, verdict_of
+from piezod.diagnose.findings import Finding, Findings, above_noise, gap_closed
+from piezod.diagnose.verdict import less_sure, span_of, verdict_of
 
 
 def named(confidence):
@@ -30,17 +31,22 @@ def test_a_verdict_follows_from_what_is_left(share, closed, confidences, above, 
     assert verdict_of(share, closed, [named(one) for one in confidences], above=above) == verdict
 
 
+@pytest.mark.parametrize(
+    ("after", "floor", "above"), [(0.12, 0.1, False), (0.14, 0.1, True), (0.024, 0.0, False), (0.03, 0.0, True)]
+)
+def test_more_than_noise_is_left_beyond_what_holds_show_and_any_model_can_reach(after, floor, above):
+    assert above_noise(after, floor, span_of([recorded("identification", 1e6), recorded("recording", 100.0)])) is above
+
+
 def recorded(role, range_N):
     reading_N = np.linspace(0.0, range_N, 1000)
     return SimpleNamespace(role=role, reading_N=reading_N, counts=np.ones(reading_N.size, dtype=bool))
 
 
-@pytest.mark.parametrize(
-    ("after_N", "floor_N", "above"), [(0.12, 0.1, False), (0.14, 0.1, True), (0.024, 0.0, False), (0.03, 0.0, True)]
-)
-def test_more_than_noise_is_left_beyond_what_holds_show_and_any_model_can_reach(after_N, floor_N, above):
-    series = [recorded("identification", 1e6), recorded("recording", 100.0)]
-    assert above_noise(series, after_N, floor_N) is above
+def test_words_and_verdict_mean_the_same_by_more_than_noise():
+    findings = Findings("matches", "", "N", 0.0, "quiet", (), (), 1.0, 0.024, 90.0, 99.0, 0.0)
+    assert findings.above_noise
+    assert not replace(findings, span=100.0).above_noise
 
 
 def test_names_beside_which_more_than_noise_is_left_are_believed_less():
