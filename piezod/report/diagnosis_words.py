@@ -170,10 +170,10 @@ def docstring_field(effect: Effect, field: str) -> str:
 def left_over(findings: Findings) -> list[str]:
     """Error that is left against the noise, and how much of it anything could explain."""
     unit, share = unit_words(findings.unit), percent(findings.explainable)
-    more = ", so that more than noise is left" if findings.above_noise else ""
-    noise = f"noise: {rounded(findings.floor)} {unit}{more}."
-    error = f"{rounded(findings.after)} {unit} rms are left on data left out; {noise}"
+    error = f"{rounded(findings.after)} {unit} rms are left on data left out; noise: {rounded(findings.floor)} {unit}."
     flexible = f"A flexible model without physics could explain {share} of what is left"
+    if findings.above_noise:
+        flexible = f"More than noise is left. {flexible}"
     if findings.verdict == "matches":
         return [error, f"{flexible}: nothing worth a name."]
     if findings.verdict == "explained":
