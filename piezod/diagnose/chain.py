@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from piezod.diagnose.basis import HATS, SPLINES, ForceLaw, PlayDensity
 from piezod.diagnose.kept import Kept, Key
-from piezod.diagnose.passages import passages
+from piezod.diagnose.passages import Passage, passages
 from piezod.diagnose.series import Series
 from piezod.effects import EFFECTS
 from piezod.effects.effect import HELD_BEFORE, Context, Effect, Parameter, Seat
@@ -154,6 +154,7 @@ class Chain:
         }
         kept = [CACHED if one.time_s.size < LONG else CACHED_WHEN_LONG for one in self.series]
         self._plays: list[Kept[tuple[Array, Array, float, dict[str, tuple[Array, Array]]]]] = [*map(Kept, kept)]
+        self._sums: list[Kept[Array]] = [*map(Kept, kept)]
         self._strokes: list[Kept[tuple[Array, float]]] = [*map(Kept, kept)]
         self._additions: list[Kept[Array]] = [*map(Kept, kept)]
 
@@ -169,10 +170,11 @@ class Chain:
 
     def forget(self) -> None:
         """Let go of what is only kept for speed: a recording's plays are a hundred bytes a sample."""
-        for plays, strokes, additions in zip(self._plays, self._strokes, self._additions, strict=True):
+        for plays, sums, strokes, added in zip(self._plays, self._sums, self._strokes, self._additions, strict=True):
             plays.forget()
+            sums.forget()
             strokes.forget()
-            additions.forget()
+            added.forget()
 
     def parameter(self, effect: Effect, name: str) -> Parameter:
         """A parameter in the range that these recordings can show."""
@@ -246,10 +248,12 @@ class Chain:
         """What stands in front of the force law of a recording, shape (N,) [V]."""
         applied_V, columns, context = self.played(number, here)
         stack = [(term, values) for term, values in here if term.effect.seat == Seat.STACK]
-        key = (self._front(number, here), point.density.tobytes(), _named(stack))
+        of_plays = (self._front(number, here), point.density.tobytes())
+        key = (*of_plays, _named(stack))
 
         def strained() -> tuple[Array, float]:
-            stroke_V, now = applied_V + columns @ point.density, context
+            stroke_V = self._sums[number].get(of_plays, lambda: applied_V + columns @ point.density)
+            now = context
             for term, values in stack:
                 stroke_V = term.effect.forward(stroke_V, now, values)
                 now = behind(term.effect, now)
@@ -308,8 +312,8 @@ class Chain:
             key, lambda: term.effect.forward(np.zeros(context.time_s.size), context, values)
         )
 
-    def base_tangents(self, number: int, terms: Sequence[Term], point: Point) -> Array:
-        """How the readings that are compared change with density and force law, shape (rows, all columns).
+    def tangents(self, number: int, terms: Sequence[Term], point: Point) -> Array:
+        """How the readings that are compared change with density, force law and effects' weights, shape (rows, all).
 
         Carried through the chain column by column: those of a long recording are most of what a diagnosis holds.
         """
@@ -332,14 +336,24 @@ class Chain:
                 column = passage.through(column, kept)
             return column[rows] if remembers else column
 
-        tangents = np.empty((self.series[number].counts[rows].size, columns.shape[1] + splines.shape[1]))
-        for k in range(columns.shape[1]):
-            column = np.ascontiguousarray(columns[:, k])
-            for passage in through_stack:
+        def through(column: Array, stack: Sequence[Passage]) -> Array:
+            for passage in stack:
                 column = passage.through(column)
-            tangents[:, k] = compared(slope * column[kept])
+            return compared(slope * column[kept])
+
+        base, count = columns.shape[1] + splines.shape[1], sum(len(term.effect.weights) for term in terms)
+        tangents = np.zeros((self.series[number].counts[rows].size, base + count))
+        for k in range(columns.shape[1]):
+            tangents[:, k] = through(np.ascontiguousarray(columns[:, k]), through_stack)
         for k in range(splines.shape[1]):
             tangents[:, columns.shape[1] + k] = compared(np.ascontiguousarray(splines[:, k]))
+        in_stack, first = [term for term, _ in here if term.effect.seat == Seat.STACK], base
+        for term in terms:
+            if term.effect.columns is not None and term in in_stack:
+                own, *later = through_stack[in_stack.index(term) :]
+                for k, column in enumerate(term.effect.columns(own.context, own.values).T, start=first):
+                    tangents[:, k] = through(np.ascontiguousarray(column), later)
+            first += len(term.effect.weights)
         return tangents
 
 

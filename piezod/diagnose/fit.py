@@ -12,7 +12,7 @@ from piezod.diagnose.layout import Layout, scaled, step_of, unscaled
 Array = NDArray[np.float64]
 
 MOST_STEPS = 14
-REUSED, SETTLED = 2, 0.3  # how often the base's tangents serve again after steps that change the loss less than this
+REUSED, SETTLED = 2, 0.3  # how often tangents serve again after steps that change the loss less than this
 DONE = 1e-5  # relative fall of the loss below which a fit ends
 FIRST_DAMPING, MOST_DAMPING = 1e-4, 1e4  # after a step that did not help
 HUBER = 3.0  # residuals beyond so many standard deviations count less
@@ -70,7 +70,7 @@ def fit(chain: Chain, terms: Sequence[Term], start: Point, *, most_steps: int = 
     layout = Layout(chain, terms)
     vector, damping = layout.vector(start), 1e-8
     current = Normal.at(chain, terms, layout.point(vector, start))
-    steps, age = 0, 0  # age: of the base's tangents, which change little from step to step
+    steps, age = 0, 0  # age: of the tangents, which change little from step to step
     while steps < most_steps and damping < MOST_DAMPING:
         trial = _within(layout, vector, current, damping)
         beyond = current.loss_at(layout.point(trial, start))
@@ -115,7 +115,7 @@ class Normal:
     layout: Layout
     readings: list[Array]  # simulated, one a recording
     jacobians: list[Array]  # (N, P), 0 where a reading does not count
-    tangents: list[Array]  # (N, base), as they are simulated
+    tangents: list[Array]  # (N, base and effects' weights), as they are simulated
     told: list[Array]  # weights of the readings that tell
     weighted: list[Array]  # residuals times the robust weights
     weights: list[Array]
@@ -131,7 +131,7 @@ class Normal:
 
     @classmethod
     def at(cls, chain: Chain, terms: Sequence[Term], point: Point, near: "Normal | None" = None) -> "Normal":
-        """Normal equations of a hypothesis at a point, with the base's tangents of one that is near or its own."""
+        """Normal equations of a hypothesis at a point, with the tangents of one that is near or its own."""
         layout = Layout(chain, terms)
         none = np.empty(0)
         made = cls(
@@ -160,7 +160,7 @@ class Normal:
             reading, jacobian = _jacobian(chain, terms, point, layout, number, near)
             rows = chain.rows[number]
             residual, told = series.residual(rows, reading[rows])
-            tangents = jacobian[:, : layout.offsets].copy()
+            tangents = jacobian[:, layout.carried]
             jacobian *= told[:, None] / series.noise_N
             trusted = series.weights(rows)
             made.told.append(told)
@@ -300,14 +300,12 @@ def _jacobian(
     reading = chain.run(number, terms, point).reading_N
     compared_N = reading[rows]
     jacobian = np.zeros((series.counts[rows].size, layout.size))
-    if near is None:
-        jacobian[:, : layout.offsets] = chain.base_tangents(number, terms, point)
-    else:
-        jacobian[:, : layout.offsets] = near.tangents[number]
+    tangents = chain.tangents(number, terms, point) if near is None else near.tangents[number]
+    jacobian[:, layout.carried] = tangents
     if number:
         jacobian[:, layout.offsets + number - 1] = 1.0
     for place, (term, one) in enumerate(layout.searched, start=layout.effects):
-        if terms[term].acts_on(number, series):
+        if place not in layout.carried and terms[term].acts_on(number, series):
             here = scaled(one, point.values[term][one.name])
             size = step_of(one, here)
             moved = _moved(point, term, one.name, unscaled(one, here + size))

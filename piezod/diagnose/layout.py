@@ -27,6 +27,12 @@ class Layout:
         ]
         self.effects = self.offsets + self.recordings - 1
         self.size = self.effects + len(self.searched)
+        weights = [
+            place
+            for place, (number, one) in enumerate(self.searched, start=self.effects)
+            if one.name in terms[number].effect.weights
+        ]
+        self.carried = [*range(self.offsets), *weights]  # of which the chain knows the tangents
 
     def vector(self, point: Point) -> Array:
         """All parameters of a point."""

@@ -157,13 +157,13 @@ def _columns(chain: Chain, normal: Normal, plays_V: Array, kinks_V: Array) -> li
         wider = chain.with_base(chain.density.beside(some_V, np.eye(some_V.size)), chain.law)
         there = replace(point, density=np.concatenate((point.density, np.zeros(some_V.size))))
         part = slice(count, count + some_V.size)
-        found.append([wider.base_tangents(number, normal.terms, there)[:, part] for number in numbers])
+        found.append([wider.tangents(number, normal.terms, there)[:, part] for number in numbers])
         wider.forget()
     for first in range(0, kinks_V.size, TOGETHER):
         some_V = kinks_V[first : first + TOGETHER]
         wider = chain.with_base(chain.density, chain.law.beside(some_V, np.eye(some_V.size)))
         there = replace(point, law=np.concatenate((point.law, np.zeros(some_V.size))))
-        part = slice(count + chain.law.count, None)
-        found.append([wider.base_tangents(number, normal.terms, there)[:, part] for number in numbers])
+        part = slice(count + chain.law.count, count + chain.law.count + some_V.size)
+        found.append([wider.tangents(number, normal.terms, there)[:, part] for number in numbers])
         wider.forget()
     return found

@@ -133,6 +133,7 @@ class Context:
 
 Forward = Callable[[Array, Context, Values], Array]
 Widening = Callable[[Context, Values], tuple[Array, Array]]
+Columns = Callable[[Context, Values], Array]
 
 
 @dataclass(frozen=True)
@@ -162,6 +163,10 @@ class Effect:
         Why it is corrected in the reading or refused; empty where it is compensated.
     widening
         Of the seat HYSTERESIS alone: factor (1) and offset [V] of all play thresholds, each shape (N,).
+    weights
+        Names of parameters, next to each other, that what it adds is linear in, where `columns` knows them.
+    columns
+        Of the seat STACK alone: how the output changes with each weight, shape (N, weights).
     smooths
         Whether a held signal runs straight between samples behind it.
     needs
@@ -180,6 +185,8 @@ class Effect:
     docstring: str
     why: str = ""
     widening: Widening | None = None
+    weights: tuple[str, ...] = ()
+    columns: Columns | None = None
     smooths: bool = False
     needs: str | None = None
     separate_by: str = ""

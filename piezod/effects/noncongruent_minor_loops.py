@@ -24,7 +24,7 @@ HATS = 4
 DEGREES = 5
 STIFF = 0.1  # curvature a sample; what the data tell well is far stiffer, and what they do not stays 0
 OF_MEMORY = 1e-4  # the same for what shapes the memory that fades
-OF_THE_MEMORY = "noncongruent_minor_loops, memory"
+OF_ONE, ADDED, OF_THE_MEMORY = "minor loops, columns", "minor loops, added", "minor loops, memory"  # memos
 TRAVEL = 0.3  # of the voltage range: what the memory's way is counted in
 NAMES = (
     *(f"degree_{d}_{j}" for d in range(1, DEGREES + 1) for j in range(HATS)),
@@ -45,9 +45,13 @@ def _polynomials(x: float, out: Array) -> None:
 def _columns(u: Array, path: Array, span: float, hats: Array, degrees: int) -> Array:
     """What every polynomial of the plays' places adds, hat by hat, and of the voltage's, shape (N, NAMES) [V]."""
     n, count = hats.shape
-    z, out = np.zeros(n), np.zeros((u.size, degrees * count + degrees - 1))
-    of_play, of_voltage, at_rest = np.empty(degrees), np.empty(degrees), np.empty(degrees)
+    z, out = np.zeros(n), np.empty((u.size, degrees * count + degrees - 1))
+    x, before, now = np.empty(n), np.empty(n), np.empty(n)  # a polynomial of every play at once
+    of_voltage, at_rest = np.empty(degrees), np.empty(degrees)
     _polynomials(-1.0, at_rest)
+    parts, all_plays = np.ascontiguousarray(hats.T), hats.sum(axis=0)
+    first = np.array([np.flatnonzero(one)[0] for one in parts])
+    end = np.array([np.flatnonzero(one)[-1] + 1 for one in parts])
     r = span * ((np.arange(n) + 0.5) / n) ** 1.5
     for k in range(path.size):
         for i in range(n):
@@ -56,11 +60,16 @@ def _columns(u: Array, path: Array, span: float, hats: Array, degrees: int) -> A
         _polynomials((2.0 * u[k] - span) / span, of_voltage)
         for i in range(n):
             z[i] = max(u[k] - r[i], min(u[k] + r[i], z[i]))
-            _polynomials((2.0 * z[i] - span) / span, of_play)
-            for d in range(degrees):
-                more = 0.5 * span / n * (of_play[d] - of_voltage[d])
-                for j in range(count):
-                    out[k, d * count + j] += hats[i, j] * more
+            x[i] = (2.0 * z[i] - span) / span
+            before[i], now[i] = 1.0, x[i]
+        for d in range(degrees):
+            for j in range(count):
+                of_plays = 0.0
+                for i in range(first[j], end[j]):
+                    of_plays += parts[j, i] * now[i]
+                out[k, d * count + j] = 0.5 * span / n * (of_plays - all_plays[j] * of_voltage[d])
+            for i in range(n):
+                before[i], now[i] = now[i], 2.0 * x[i] * now[i] - before[i]
         for d in range(1, degrees):
             out[k, degrees * count + d - 1] = 0.5 * span * (of_voltage[d] - at_rest[d])
     return out
@@ -74,20 +83,36 @@ def _hats() -> Array:
 
 def forward(signal: Array, context: Context, values: Values) -> Array:
     """What the plays give with those whose weight depends on the bias, shape (N,) [V]."""
-    known = context.memo.get("noncongruent_minor_loops")
-    if known is None or known[0] is not context.applied_V:
-        path = np.array(context.path_V, dtype=np.float64)
-        columns = _columns(context.applied_V, path, context.voltage_span_V, _hats(), DEGREES)
-        known = context.applied_V, columns
-        context.memo["noncongruent_minor_loops"] = known
-        context.memo.pop(OF_THE_MEMORY, None)
     weights = np.array([values.get(name, 0.0) for name in NAMES])
     share, span_V = values.get("share", 1.0), context.voltage_span_V
-    result: Array = signal + known[1] @ (share * weights)
+    of_one = _of_one(context)
+    known = context.memo.get(ADDED)
+    if known is None or (known[0] != weights).any():
+        known = weights, of_one @ weights
+        context.memo[ADDED] = known
+    result: Array = signal + share * known[1]
     memory = values.get("memory", 0.0)
     if memory != 0.0:
         result -= (0.5 * span_V * share * memory) * _remembered(context, values)
     return result
+
+
+def columns(context: Context, values: Values) -> Array:
+    """What one of every weight adds, shape (N, weights) [V]."""
+    memory = -0.5 * context.voltage_span_V * _remembered(context, values)
+    return values.get("share", 1.0) * np.column_stack((_of_one(context), memory))
+
+
+def _of_one(context: Context) -> Array:
+    """What `_columns` gives for the voltage at hand; it is kept, and what was kept of another voltage is not."""
+    known = context.memo.get(OF_ONE)
+    if known is None or known[0] is not context.applied_V:
+        path = np.array(context.path_V, dtype=np.float64)
+        known = context.applied_V, _columns(context.applied_V, path, context.voltage_span_V, _hats(), DEGREES)
+        context.memo[OF_ONE] = known
+        for name in (ADDED, OF_THE_MEMORY):
+            context.memo.pop(name, None)
+    return known[1]
 
 
 def _remembered(context: Context, values: Values) -> Array:
@@ -120,6 +145,8 @@ EFFECT = Effect(
         _shape("memory_closing", 0.3, 1.0, 0.7),
     ),
     forward=forward,
+    weights=(*NAMES, "memory"),
+    columns=columns,
     handling="refused",
     docstring=__doc__,
     why="its inverse is not a play operator; a model identified on the biases that are driven comes closest",

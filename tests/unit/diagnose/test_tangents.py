@@ -18,6 +18,8 @@ BEHIND = [
     ("creep", "output_nonlinearity", "charge_leakage", "vibration"),
     ("voltage_clamp", "contact_gap", "resonance"),
     ("rate_dependent_hysteresis", "feedthrough"),
+    ("creep", "noncongruent_minor_loops", "gain_drift", "sensor_filter"),
+    ("noncongruent_minor_loops", "output_nonlinearity"),
 ]
 
 
@@ -37,17 +39,22 @@ def test_tangents_are_what_a_small_change_of_each_column_does(names):
     law = ForceLaw(-4.0, 120.0).beside(np.array([40.0]), np.eye(1))
     chain = Chain([series(seconds, u, many_plays(u))], density, law, 216.0, most_rows=1000)
     terms, values = zip(*map(term_of, names), strict=True) if names else ((), ())
-    size = 1e-3
     bent = chain.law.straight(0.0, 1.8) * (1.0 + 0.05 * rng.uniform(-1.0, 1.0, law.count))
     point = Point(0.3 * rng.uniform(0.0, 1.0, density.count), bent, np.zeros(1), values)
-    found = chain.base_tangents(0, terms, point)
-    assert found.shape == (1000, density.count + law.count)
-    for k in range(density.count + law.count):
-        sides = []
+    weights = [(k, name) for k, term in enumerate(terms) for name in term.effect.weights]
+    found = chain.tangents(0, terms, point)
+    base = density.count + law.count
+    assert found.shape == (1000, base + len(weights))
+    for k in range(base + len(weights)):
+        sides, size = [], 1e-3 if k < base else 1e-5  # V, and parts of half the voltage's range
         for sign in (1.0, -1.0):
-            both = np.concatenate((point.density, point.law))
-            both[k] += sign * size
-            moved = Point(both[: density.count], both[density.count :], point.offsets_N, values)
+            both, moved_values = np.concatenate((point.density, point.law)), [*map(dict, values)]
+            if k < base:
+                both[k] += sign * size
+            else:
+                term, name = weights[k - base]
+                moved_values[term][name] += sign * size
+            moved = Point(both[: density.count], both[density.count :], point.offsets_N, tuple(moved_values))
             sides.append(chain.compared(0, terms, moved))
         difference = (sides[0] - sides[1]) / (2.0 * size)
         reach = np.abs(difference).max()
