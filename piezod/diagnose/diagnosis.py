@@ -247,14 +247,14 @@ class _Asked:
         simulated = [one.reading_N - residual for one, residual in zip(series, residuals, strict=True)]
         base_residuals = [one.reading_N - given for one, given in zip(series, self.given, strict=True)]
         before, after = rms_of(base_residuals, series), held_out_rms(chain, found)
-        if not result.names:
-            after = min(after, before)
+        refitted = None if result.names else min(after, before)
+        least = after if refitted is None else refitted
         effects = each(lambda name: finding_of(result, name), found.effects)
         effects += [tone_finding(result, name) for name in dict.fromkeys(tone.name for tone in result.tones)]
         effects += read_off(chain.series, self.frozen, residuals, before)
         sure = [less_sure(one, share, 1.0) for one in effects]
         span = span_of(series)
-        above = above_noise(after, floor, span)
+        above = above_noise(least, floor, span)
         if above:
             closed = min(closed, max(gap_closed(before, after, floor), 0.0))
         verdict = verdict_of(share, closed, sure, above=above)
@@ -268,7 +268,7 @@ class _Asked:
             verdict=verdict,
             words="",
             unit=self.model.output.unit,
-            floor=min(floor, after),
+            floor=min(floor, least),
             floor_from=floor_from,
             where=tuple(
                 Place(one.axis, one.low, one.high, one.share, one.p)
@@ -276,10 +276,11 @@ class _Asked:
             ),
             effects=tuple(sure),
             before=before,
-            after=after,
+            after=after if refitted is None else before,
+            refitted=refitted,
             span=span,
             nrmse_before=_nrmse_percent(series, self.given),
-            nrmse_after=_nrmse_percent(series, simulated),
+            nrmse_after=_nrmse_percent(series, simulated if result.names else self.given),
             explainable=share,
             not_testable=blind,
             notes=tuple(self.notes),
@@ -294,8 +295,11 @@ class _Asked:
         return Diagnosis(findings, extended, series, self.given, simulated)
 
     def _extended(self, findings: Findings, result: Search) -> tuple[Findings, Model]:
-        """The model with what was found, and the findings less sure where there can be none."""
-        if not result.names and findings.verdict == "matches":
+        """The model with what was found, and the findings less sure where there can be none.
+
+        The given one where nothing was found: a hysteresis refitted beside what is missing may be worse elsewhere.
+        """
+        if not result.names:
             return findings, self.model
         hashes = [""] * self.stand_ins + [source.sha256 for source in self.sources]
         found = all_terms(result.found, result.tones_asked_about)

@@ -176,7 +176,8 @@ class Findings:
     effects
         What was found, the largest first.
     before, after
-        Root mean square error of given and extended model on data left out [output unit].
+        Root mean square error of given and extended model on data left out [output unit]; equal where nothing was
+        found, as the given model stays then.
     nrmse_before, nrmse_after
         Fit as MATLAB's `compare` defines it [%].
     explainable
@@ -187,6 +188,8 @@ class Findings:
         Effects that these recordings would not have shown in their usual size.
     span
         Widest range of readings of a recording asked about [output unit].
+    refitted
+        Where nothing was found: the same error of the given model with its hysteresis refitted to the recordings.
     held_out
         Recordings that nothing was fitted to.
     recordings
@@ -208,6 +211,7 @@ class Findings:
     notes: tuple[str, ...] = ()
     not_testable: tuple[str, ...] = ()
     span: float = 0.0
+    refitted: float | None = None
     held_out: tuple[HeldOut, ...] = ()
     recordings: tuple[dict[str, Any], ...] = field(default_factory=tuple)
 
@@ -218,9 +222,14 @@ class Findings:
         return None if no_gap else gap_closed(self.before, self.after, self.floor)
 
     @property
+    def left(self) -> float:
+        """What no name and no other hysteresis takes away [output unit]."""
+        return self.after if self.refitted is None else self.refitted
+
+    @property
     def above_noise(self) -> bool:
         """Whether more than noise is left, though it may be that nothing tells what it is."""
-        return above_noise(self.after, self.floor, self.span)
+        return above_noise(self.left, self.floor, self.span)
 
     def as_dict(self) -> dict[str, Any]:
         """For JSON (DESIGN.md, section 6)."""

@@ -118,7 +118,10 @@ def words_of(findings: Findings, wording: Wording) -> str:
     """The verdict in a few sentences."""
     unit = findings.unit
     parts = [effect_words(one, wording) for one in findings.effects]
-    fell = f"held-out error {findings.before:.3g} -> {findings.after:.3g} {unit}, noise {findings.floor:.3g} {unit}"
+    fell = f"held-out error {findings.before:.3g} -> {findings.after:.3g} {unit}"
+    if findings.refitted is not None:
+        fell = f"held-out error {findings.before:.3g} {unit}, {findings.refitted:.3g} {unit} once refitted"
+    fell += f", noise {findings.floor:.3g} {unit}"
     opening = {
         "matches": "The model matches the recordings",
         "explained": "; ".join(parts),

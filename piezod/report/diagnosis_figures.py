@@ -80,10 +80,10 @@ def bars_of(findings: Findings, extended: str) -> list[tuple[str, float, str]]:
     rows = [
         ("given model", findings.before, GIVEN),
         *((f"without {one.title}", one.before, GREY) for one in fitted),
-        (extended, findings.after, EXTENDED),
+        (extended, findings.left, EXTENDED),
     ]
     if findings.verdict in ("partly_explained", "unexplained"):
-        reached = findings.after * float(np.sqrt(max(1.0 - findings.explainable, 0.0)))
+        reached = findings.left * float(np.sqrt(max(1.0 - findings.explainable, 0.0)))
         rows.append(("a flexible model without physics", reached, FLEXIBLE))
     return [*rows, ("noise floor", findings.floor, GREEN)]
 

@@ -92,7 +92,7 @@ class _Page:
     @property
     def extended(self) -> str:
         """What the model after the diagnosis is called."""
-        return "extended model" if self.diagnosis.findings.effects else "refitted model"
+        return "extended model" if self.diagnosis.findings.refitted is None else "refitted model"
 
     @property
     def shown(self) -> list[tuple[int, Residuals]]:

@@ -108,7 +108,7 @@ def held_out_html(findings: Findings, rows: Sequence[tuple[str, float, float]]) 
     first = [
         "data left out",
         rounded(findings.before),
-        rounded(findings.after),
+        rounded(findings.left),
         rounded(findings.floor),
         closed,
         f"{findings.nrmse_before:.2f} → {findings.nrmse_after:.2f} %",
@@ -121,7 +121,7 @@ def held_out_html(findings: Findings, rows: Sequence[tuple[str, float, float]]) 
     header = [
         "",
         f"given model [{unit}]",
-        f"with what was found [{unit}]",
+        f"{'with what was found' if findings.refitted is None else 'refitted'} [{unit}]",
         f"noise floor [{unit}]",
         "gap to the noise closed",
     ]

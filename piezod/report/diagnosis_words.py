@@ -57,8 +57,8 @@ def lead(findings: Findings) -> str:
     """How far the error falls, against the noise."""
     unit = unit_words(findings.unit)
     floor = f"noise floor {rounded(findings.floor)} {unit} ({FLOORS.get(findings.floor_from, findings.floor_from)})"
-    if not findings.effects:
-        refitted = f", {rounded(findings.after)} {unit} once refitted" if findings.after < findings.before else ""
+    if findings.refitted is not None:
+        refitted = f", {rounded(findings.left)} {unit} once refitted" if findings.left < findings.before else ""
         return f"Error on data left out: {rounded(findings.before)} {unit}{refitted}; {floor}."
     fall = f"Error on data left out: {rounded(findings.before)} {unit} → {rounded(findings.after)} {unit}; {floor}"
     closed = findings.gap_closed
@@ -170,7 +170,7 @@ def docstring_field(effect: Effect, field: str) -> str:
 def left_over(findings: Findings) -> list[str]:
     """Error that is left against the noise, and how much of it anything could explain."""
     unit, share = unit_words(findings.unit), percent(findings.explainable)
-    error = f"{rounded(findings.after)} {unit} rms are left on data left out; noise: {rounded(findings.floor)} {unit}."
+    error = f"{rounded(findings.left)} {unit} rms are left on data left out; noise: {rounded(findings.floor)} {unit}."
     flexible = f"A flexible model without physics could explain {share} of what is left"
     if findings.above_noise:
         flexible = f"More than noise is left. {flexible}"

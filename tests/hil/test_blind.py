@@ -9,6 +9,7 @@ import subprocess
 import sys
 import time
 
+import numpy as np
 import psutil
 import pytest
 from hil.emulator import piezod
@@ -16,6 +17,7 @@ from hil.emulator import piezod
 from piezod.recording import Recording, read_csv, write_csv
 
 SEED = 13  # its cases are short
+FOREIGN_SEED = 12  # nothing comes near it
 FILES = {"findings.json", "run.json", "simulated_held_out.csv", "simulated_held_out_base.csv"}
 LONG_S = 120.0
 
@@ -119,6 +121,18 @@ def running(*arguments):
     hears = ["env", "--default-signal=INT"]
     command = [*hears, sys.executable, "-m", "piezod", "blind", "run", *map(str, arguments)]
     return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+
+
+def test_what_no_effect_explains_leaves_the_model_as_it_was(tmp_path):
+    made = piezod("blind", "make", tmp_path / "study", "--cases", 1, "--kind", "foreign", "--seed", FOREIGN_SEED)
+    assert made.returncode == 0, made.stderr
+    done = piezod("blind", "run", tmp_path / "study", "-o", tmp_path / "verdicts", "--jobs", 1)
+    assert done.returncode == 0, done.stdout + done.stderr
+    findings, _, extended, base = verdict(tmp_path / "verdicts" / "case_0001")
+    assert findings["verdict"] == "unexplained"
+    assert findings["effects"] == []
+    assert findings["fit"]["held_out"]["gap_closed"] == 0.0
+    np.testing.assert_array_equal(extended, base)
 
 
 def test_the_cases_are_judged_without_the_truth_and_then_scored_with_it(study, judged):
