@@ -36,6 +36,11 @@ SLIDES = 0.16  # of the force's range: friction with a longer presliding hardly 
 NO_LONGER = 0.99  # of the range
 PLAINER = 0.01  # of the loss, that a parameter must bring,
 MOST_COUNTED = 8  # if not so many count already: of many that are stiff few are used
+GENERAL = ("noncongruent_minor_loops",)  # bend to nearly whatever is a hysteresis: friction, a law of the output
+MORE, AND_LEFT = (
+    0.1,
+    0.5,
+)  # of its gain, but no more of what it leaves, that it must be better than one of its own shape
 
 
 def worth(before: Fitted, after: Fitted) -> bool:
@@ -70,6 +75,13 @@ def weighed(fitted: Fitted) -> float:
 def price(fitted: Fitted, term: Term) -> float:
     """What an effect must gain for the parameters that it is shaped by."""
     return PLAINER * min(len(term.searched), MOST_COUNTED) * fitted.loss
+
+
+def counted(name: str, without_it: float, with_it: float) -> float:
+    """The loss that an effect is compared with others by in its place: less of what a general one gains counts."""
+    if name not in GENERAL:
+        return with_it
+    return with_it + min(MORE * max(without_it - with_it, 0.0), AND_LEFT * with_it)
 
 
 def steadiness(before: Fitted, after: Fitted) -> float:

@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from piezod.diagnose.acceptance import counted
 from piezod.diagnose.chain import Term
 from piezod.diagnose.direct import level_about
 from piezod.diagnose.findings import Finding, Place, Rival, Value
@@ -164,8 +165,12 @@ def _rivals(result: Search, term: Term) -> tuple[Rival, ...]:
     for round_ in result.rounds:
         if round_.accepted.terms[-1].effect is term.effect:
             others = [one for one in round_.others if one.effects[-1] not in result.names]
-            losses = {one.effects[-1]: one.loss for one in sorted(others, key=_loss, reverse=True)}
-            behind |= _near(round_.before.loss, round_.accepted.loss, losses)
+            without_it = round_.before.loss
+            losses = {
+                one.effects[-1]: counted(one.effects[-1], without_it, one.loss)
+                for one in sorted(others, key=_loss, reverse=True)
+            }
+            behind |= _near(without_it, counted(term.effect.name, without_it, round_.accepted.loss), losses)
     beside = result.beside.get(term.effect.name)
     if beside is not None:
         early = {name: loss for name, loss in behind.items() if name not in beside.rivals}

@@ -9,9 +9,11 @@ from numpy.typing import NDArray
 
 from piezod.diagnose.acceptance import (
     FAIR_SHARE,
+    GENERAL,
     STEADY_WHEN_SMALL,
     WORTH,
     acts_locally,
+    counted,
     degenerate,
     fair,
     price,
@@ -41,6 +43,7 @@ OTHER_SCOPE = 0.98  # of the loss: below it an effect's other scope is taken
 PAIRS_SETTLED = 2  # of effects, that are tried with every course of the command between samples
 NOTHING_LEFT = 1.05  # of the noise's square: nothing is looked for beside what leaves no more
 RIVALS = 6  # of an effect, that are tried in its place at the end
+BETTER_INSTEAD = 0.98  # of the loss: below it a rival takes an effect's place
 NEEDLESS = 0.02  # of the loss: an effect without which no more is lost is left out again
 DOUBTED = 3  # of those that fit better and are not believed that are fitted from other starts
 SHARPER = 0.98  # of the loss: below it plays of their own width are taken into the base
@@ -266,7 +269,7 @@ def _past(chain: Chain, start: Point) -> Point:
 
 def swap(result: Search) -> None:
     """Put a rival in an effect's place where the whole fits better with it, beside all that was found since."""
-    if len(result.found.effects) == 1:
+    if len(result.found.effects) == 1 and result.found.effects[0] not in GENERAL:
         return
     for name in result.found.effects:
         rivals = _rivals(result, name)
@@ -279,12 +282,13 @@ def swap(result: Search) -> None:
         best = sorted(tried, key=lambda one: one.loss)[:2]
         swapped = each(partial(_with_instead, result.chain, result.found, name), best)
         fitting = [one for one in swapped if worth(fewer, one) and not degenerate(result.chain, one)]
-        losses = {name: result.found.loss} | {one.effects[-1]: np.inf for one in swapped}
-        losses |= {one.effects[-1]: one.loss for one in fitting}
-        taken = name
-        if fitting and min(one.loss for one in fitting) < 0.98 * result.found.loss:
-            result.found = min(fitting, key=lambda one: one.loss)
-            taken = result.found.effects[-1]
+        losses = {name: counted(name, fewer.loss, result.found.loss)} | {one.effects[-1]: np.inf for one in swapped}
+        losses |= {one.effects[-1]: counted(one.effects[-1], fewer.loss, one.loss) for one in fitting}
+        taken = min(losses, key=lambda one: losses[one])
+        if losses[taken] < BETTER_INSTEAD * losses[name]:
+            result.found = next(one for one in fitting if one.effects[-1] == taken)
+        else:
+            taken = name
         result.beside[taken] = Beside(fewer.loss, losses.pop(taken), losses)
 
 

@@ -19,7 +19,10 @@ class Round:
 
 @dataclass(frozen=True)
 class Beside:
-    """Losses beside all else that was found: without an effect, with it, and with each rival in its place."""
+    """Losses beside all else that was found: without an effect, with it, and with each rival in its place.
+
+    Those with an effect as they are counted (`acceptance.counted`).
+    """
 
     without: float
     with_it: float

@@ -24,6 +24,7 @@ TRIED_FROM_PAST = 3
 REFINED = 4  # of them thoroughly
 COMPARED = 6  # of all these on more samples
 PAIRS = 4  # of effects that are fitted at once
+LATE_BY = (1.0, 2.0, 4.0, 8.0, 16.0, 32.0)  # samples, behind which a coupling of the drive is looked for
 NEAR = 0.4  # of the best one's gain, from which one is fitted thoroughly, or on more samples
 FEWEST_REFINED, FEWEST_COMPARED = 2, 3
 COARSE_STEPS = 7
@@ -79,11 +80,32 @@ def two_at_once(chain: Chain, found: Fitted) -> list[Fitted]:
         point = replace(found.point, values=(*found.point.values, *(idea.values for idea in pair)))
         return fit(few, (*found.terms, *(idea.term for idea in pair)), point)
 
-    tried = sorted(each(fitted, shaped[:PAIRS]), key=lambda one: one.loss)
+    tried = sorted(each(fitted, shaped[:PAIRS]) + _coupled_late(few, found), key=lambda one: one.loss)
     for place in (len(found.terms), len(found.terms) + 1):
         tried = each(partial(_varied, few, place=place), tried[:FEWEST_REFINED])
     few.forget()
     return _fine(chain, found, tried)
+
+
+def _coupled_late(chain: Chain, found: Fitted) -> list[Fitted]:
+    """The drive's coupling behind a delay, the best of each: its jumps are a sample wide, and no other place shows it."""
+    names = "transport_delay", "feedthrough"
+    if any(name in found.effects for name in names):
+        return []
+    dt_s = min(one.dt_s for one in chain.series)
+    scopes: tuple[Scope, ...] = ("since", "already")
+    starts = [
+        (_idea(names[0], -1, {"delay_s": late * dt_s}, scope), _idea(names[1], -1, {}, other))
+        for late in LATE_BY
+        for scope in scopes
+        for other in scopes
+    ]
+
+    def fitted(pair: tuple[Idea, Idea]) -> Fitted:
+        point = replace(found.point, values=(*found.point.values, *(idea.values for idea in pair)))
+        return fit(chain, (*found.terms, *(idea.term for idea in pair)), point, most_steps=COARSE_STEPS)
+
+    return sorted(each(fitted, starts), key=lambda one: one.loss)[:FEWEST_REFINED]
 
 
 def _fine(chain: Chain, before: Fitted, tried: Sequence[Fitted]) -> list[Fitted]:
@@ -214,7 +236,7 @@ def suggested(chain: Chain, found: Fitted) -> list[Idea]:
     return ideas
 
 
-def _idea(name: str, number: int, known: dict[str, float]) -> Idea:
+def _idea(name: str, number: int, known: dict[str, float], scope: Scope = "once") -> Idea:
     effect = EFFECTS[name]
     values = {one.name: one.starts[0] for one in effect.parameters if not one.choices}
     choices = tuple((one.name, one.choices[0]) for one in effect.parameters if one.choices)
@@ -224,4 +246,4 @@ def _idea(name: str, number: int, known: dict[str, float]) -> Idea:
             for key, value in known.items()
         }
     )
-    return Idea(Term(effect, "once", number, choices), values)
+    return Idea(Term(effect, scope, number, choices), values)

@@ -118,6 +118,49 @@ def test_what_fits_better_beside_all_else_that_was_found_is_swapped_in_and_the_o
     assert result.beside["transport_delay"].with_it < found.loss
 
 
+def sliding(force_N):
+    """A guide that holds back up to 1.5 N in front of the load cell: a spring that yields, of sixteen that do one by one."""
+    limits_N, stretched = np.linspace(4.0, 16.0, 16), np.zeros(16)
+    held_N = np.empty(force_N.size)
+    for k, moved in enumerate(np.diff(force_N, prepend=force_N[0])):
+        stretched = np.clip(stretched + moved, -limits_N, limits_N)
+        held_N[k] = 1.5 * np.mean(stretched / limits_N)
+    return force_N - held_N
+
+
+def leaning(u):
+    """A stack whose wide plays weigh more the higher they stand."""
+    places, before = np.zeros(8), many_plays(u)
+    radii_V, added_N = np.linspace(4.0, 40.0, 8), np.empty(u.size)
+    for k, now in enumerate(u):
+        places = np.clip(places, now - radii_V, now + radii_V)
+        added_N[k] = 0.3 * np.sum((places - now) * places) / 120.0
+    return before + added_N
+
+
+@pytest.mark.parametrize(
+    ("plant", "taken"),
+    [(lambda u: sliding(many_plays(u)), "friction"), (leaning, "noncongruent_minor_loops")],
+    ids=["friction", "minor loops"],
+)
+def test_what_bends_to_any_hysteresis_gives_way_to_what_has_a_shape_and_says_nearly_as_much(plant, taken):
+    chain, start = worked(np.random.default_rng(3), lambda force_N, u, role: force_N if role[0] == "i" else plant(u))
+    base = fit(chain, (), start)
+
+    def with_one(name, values):
+        choices = tuple((one.name, one.choices[0]) for one in EFFECTS[name].parameters if one.choices)
+        return fit(chain, (Term(EFFECTS[name], "since", choices=choices),), replace(base.point, values=(values,)))
+
+    weights = [one for one in EFFECTS["noncongruent_minor_loops"].parameters if not one.choices]
+    loops = with_one("noncongruent_minor_loops", {one.name: one.starts[0] for one in weights})
+    rubbing = with_one("friction", {"force_N": 1.0, "presliding_N": 10.0, "exponent": 1.5, "closing": 0.7})
+    result = Search(chain, base, loops, base.point, [Round(base, loops, (rubbing,))])
+    swap(result)
+    assert result.names == (taken,)
+    rival = next(iter(finding_of(result, taken).rivals), None)
+    assert taken != "friction" or (rival.name == "noncongruent_minor_loops" and rival.separation > 0.15)
+
+
 def test_what_was_found_besides_is_no_rival():
     chain, base, with_effects = recordings_late_and_bent()
     delay, bent = {"delay_s": 6 / RATE_HZ}, {"curvature": 0.1, "cubic": 0.0}

@@ -141,7 +141,9 @@ def test_a_floor_of_nothing_is_said_too():
     assert words_of(findings, WORDING).endswith("what is left is more than noise, and nothing tells what it is")
 
 
-@pytest.mark.parametrize(("refitted", "rest"), [(0.12, "nothing is missing"), (0.14, "what is left is more than noise")])
+@pytest.mark.parametrize(
+    ("refitted", "rest"), [(0.12, "nothing is missing"), (0.14, "what is left is more than noise")]
+)
 def test_the_error_of_the_given_model_is_told_beside_what_refitting_would_leave(refitted, rest):
     findings = Findings("matches", "", "N", 0.1, "quiet", (), (), 0.2, 0.2, 90.0, 90.0, 0.0, refitted=refitted)
     assert f"held-out error 0.2 N, {refitted} N once refitted, noise 0.1 N; {rest}" in words_of(findings, WORDING)
