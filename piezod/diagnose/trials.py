@@ -88,7 +88,7 @@ def two_at_once(chain: Chain, found: Fitted) -> list[Fitted]:
 
 
 def _coupled_late(chain: Chain, found: Fitted) -> list[Fitted]:
-    """The drive's coupling behind a delay, the best of each: its jumps are a sample wide, and no other place shows it."""
+    """The drive's coupling behind a delay: its jumps are a sample wide, and only their own place shows them."""
     names = "transport_delay", "feedthrough"
     if any(name in found.effects for name in names):
         return []

@@ -13,6 +13,7 @@ from piezod.diagnose.fit import Normal, fit
 from piezod.diagnose.ideas import screened, screened_pairs
 from piezod.diagnose.search import both
 from piezod.diagnose.search_state import Search
+from piezod.diagnose.trials import two_at_once
 
 FINE = 20  # steps of the plant in a sample
 
@@ -70,3 +71,23 @@ def test_a_filter_and_a_coupling_that_nearly_cancel_are_found_together():
     values = {name: value for one in result.found.point.values for name, value in one.items()}
     assert values["coefficient_N_s_per_V"] == pytest.approx(0.033, rel=0.01)
     assert values["cutoff_Hz"] == pytest.approx(12.0, rel=0.01)
+
+
+def test_a_coupling_behind_a_delay_is_found_where_its_jumps_are():
+    def late_and_coupled(force_N, u, role):
+        read_N = force_N + 0.05 * RATE_HZ * np.diff(u, prepend=u[0])
+        return read_N if role == "identification" else np.concatenate((np.full(4, read_N[0]), read_N[:-4]))
+
+    chain, start = worked(np.random.default_rng(6), late_and_coupled, stairs(np.random.default_rng(7)))
+    pairs = two_at_once(chain, fit(chain, (), start))
+    best = min(pairs, key=lambda one: one.loss)
+    assert best.effects == ("transport_delay", "feedthrough")
+    assert [term.scope for term in best.terms] == ["since", "already"]
+    assert best.loss < 1.05
+    assert best.point.values[0]["delay_s"] == pytest.approx(4.0 / RATE_HZ, rel=0.01)
+    assert best.point.values[1]["coefficient_N_s_per_V"] == pytest.approx(0.05, rel=0.02)
+
+
+def stairs(rng):
+    """A drive that stands and jumps."""
+    return np.repeat(rng.uniform(0.0, 110.0, SAMPLES // 40), 40) * np.minimum(np.arange(SAMPLES) / 400, 1.0)

@@ -119,7 +119,7 @@ def test_what_fits_better_beside_all_else_that_was_found_is_swapped_in_and_the_o
 
 
 def sliding(force_N):
-    """A guide that holds back up to 1.5 N in front of the load cell: a spring that yields, of sixteen that do one by one."""
+    """A guide that holds back up to 1.5 N in front of the load cell: sixteen springs that yield one by one."""
     limits_N, stretched = np.linspace(4.0, 16.0, 16), np.zeros(16)
     held_N = np.empty(force_N.size)
     for k, moved in enumerate(np.diff(force_N, prepend=force_N[0])):
@@ -249,10 +249,10 @@ def test_a_large_step_of_the_load_is_found_in_front_of_a_filter_and_of_a_delay()
     assert abs(step["off_s"] - 25.3) < 0.02
 
 
-def worked(rng, missing):
+def worked(rng, missing, drive=None):
     """Identification and recording on the same drive, each with what is missing from it; noise besides."""
     seconds, made = time(SAMPLES, RATE_HZ), []
-    u = np.clip(mixed_work(seconds) - mixed_work(seconds)[0], 0.0, None)
+    u = np.clip(mixed_work(seconds) - mixed_work(seconds)[0], 0.0, None) if drive is None else drive
     for role in ("identification", "recording"):
         force_N = missing(many_plays(u), u, role) + NOISE_N * noise(SAMPLES, 0.0, rng)
         made.append(series(seconds, u, force_N, NOISE_N, role=role))
