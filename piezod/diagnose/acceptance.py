@@ -37,10 +37,7 @@ NO_LONGER = 0.99  # of the range
 PLAINER = 0.01  # of the loss, that a parameter must bring,
 MOST_COUNTED = 8  # if not so many count already: of many that are stiff few are used
 GENERAL = ("noncongruent_minor_loops",)  # bend to nearly whatever is a hysteresis: friction, a law of the output
-MORE, AND_LEFT = (
-    0.1,
-    0.5,
-)  # of its gain, but no more of what it leaves, that it must be better than one of its own shape
+MORE, LEAVES = 0.1, 0.5  # of its gain, though no more of its loss, that it must be better than one with a shape
 
 
 def worth(before: Fitted, after: Fitted) -> bool:
@@ -81,7 +78,7 @@ def counted(name: str, without_it: float, with_it: float) -> float:
     """The loss that an effect is compared with others by in its place: less of what a general one gains counts."""
     if name not in GENERAL:
         return with_it
-    return with_it + min(MORE * max(without_it - with_it, 0.0), AND_LEFT * with_it)
+    return with_it + min(MORE * max(without_it - with_it, 0.0), LEAVES * with_it)
 
 
 def steadiness(before: Fitted, after: Fitted) -> float:

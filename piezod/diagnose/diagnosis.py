@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
-from piezod.diagnose.acceptance import weighed
+from piezod.diagnose.acceptance import counted, weighed
 from piezod.diagnose.evidence import all_terms, finding_of, read_off, tone_finding
 from piezod.diagnose.extended import extended_model
 from piezod.diagnose.findings import Findings, Place, above_noise, gap_closed
@@ -157,8 +157,10 @@ def rising(result: Search) -> Search:
     if not able:
         return result
     name, best = min(able, key=lambda one: weighed(one[1]))
-    beside = Beside(fitted_without(result.chain, found, name).loss, best.loss, {name: found.loss})
-    return replace(result, found=best, beside={**result.beside, best.effects[-1]: beside})
+    taken, without_it = best.effects[-1], fitted_without(result.chain, found, name).loss
+    losses = [counted(called, without_it, one.loss) for called, one in ((taken, best), (name, found))]
+    beside = Beside(without_it, losses[0], {name: losses[1]})
+    return replace(result, found=best, beside={**result.beside, taken: beside})
 
 
 def _doubtful(result: Search, findings: Findings) -> list[str]:

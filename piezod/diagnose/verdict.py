@@ -120,7 +120,8 @@ def words_of(findings: Findings, wording: Wording) -> str:
     parts = [effect_words(one, wording) for one in findings.effects]
     fell = f"held-out error {findings.before:.3g} -> {findings.after:.3g} {unit}"
     if findings.refitted is not None:
-        fell = f"held-out error {findings.before:.3g} {unit}, {findings.refitted:.3g} {unit} once refitted"
+        again = f", {findings.refitted:.3g} {unit} once refitted" if findings.refitted < findings.before else ""
+        fell = f"held-out error {findings.before:.3g} {unit}{again}"
     fell += f", noise {findings.floor:.3g} {unit}"
     opening = {
         "matches": "The model matches the recordings",

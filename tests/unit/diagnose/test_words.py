@@ -147,3 +147,4 @@ def test_a_floor_of_nothing_is_said_too():
 def test_the_error_of_the_given_model_is_told_beside_what_refitting_would_leave(refitted, rest):
     findings = Findings("matches", "", "N", 0.1, "quiet", (), (), 0.2, 0.2, 90.0, 90.0, 0.0, refitted=refitted)
     assert f"held-out error 0.2 N, {refitted} N once refitted, noise 0.1 N; {rest}" in words_of(findings, WORDING)
+    assert "held-out error 0.2 N, noise 0.1 N" in words_of(replace(findings, refitted=0.2), WORDING)
