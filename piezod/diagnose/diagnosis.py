@@ -29,6 +29,7 @@ from piezod.diagnose.unfolded import rises, unfolded
 from piezod.diagnose.verdict import (
     held_out_rms,
     less_sure,
+    no_noise,
     noise_floor,
     remaining,
     rms_of,
@@ -50,7 +51,7 @@ STILL_GAINS = 0.5  # of what was gained by plays that fold: what another effect 
 FOLDED = 0.6  # of its confidence that an effect keeps when the plays fold that were refitted with it
 BETTER = 0.99  # of the given model's error
 LEAST_CONFIDENCE = 0.6  # below which an effect is not named: more likely it is the shape of something else,
-LEFT_BY_ONE = 1.0 / 3.0  # unless it leaves no more of the squared error than that
+LEFT_BY_ONE = 0.25  # unless it leaves no more of the squared error than that: it halves the error
 
 
 @dataclass(frozen=True)
@@ -254,18 +255,19 @@ class _Asked:
         effects = each(lambda name: finding_of(result, name), found.effects)
         effects += [tone_finding(result, name) for name in dict.fromkeys(tone.name for tone in result.tones)]
         effects += read_off(chain.series, self.frozen, residuals, before)
-        sure = [less_sure(one, share, 1.0) for one in effects]
         span = span_of(series)
         above = above_noise(least, floor, span)
         if above:
             closed = min(closed, max(gap_closed(before, after, floor), 0.0))
+        unlike_noise = no_noise(share, least, floor, above=above)
+        sure = [less_sure(one, unlike_noise, 1.0) for one in effects]
         verdict = verdict_of(share, closed, sure, above=above)
         blind = untestable(chain, found.terms, found.point)
         if verdict == "matches" and len(blind) > MOSTLY * (len(EFFECTS) - len(DIRECT)):
             verdict = "not_testable"
         chain.forget()  # what follows takes memory of its own
         if verdict == "partly_explained":
-            sure = [less_sure(one, share, closed) for one in effects]
+            sure = [less_sure(one, unlike_noise, closed) for one in effects]
         findings = Findings(
             verdict=verdict,
             words="",

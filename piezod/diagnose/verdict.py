@@ -64,6 +64,21 @@ def _holds(series: Series, residual: Array) -> list[float]:
     return found
 
 
+def no_noise(share: float, after: float, floor: float, *, above: bool) -> float:
+    """Share of the squared error that is left and is no noise: what could be explained, or all `above` the floor.
+
+    Parameters
+    ----------
+    share
+        That something could explain.
+    after, floor
+        Error that is left, and noise [output unit].
+    above
+        Whether that is more than noise.
+    """
+    return max(share, 1.0 - (floor / after) ** 2) if above else share
+
+
 def less_sure(one: Finding, share: float, closed: float) -> Finding:
     """The same, believed less where as much is left to explain as it explains."""
     own, left = max(one.before**2 - one.after**2, 0.0), share * one.after**2

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from piezod.diagnose.findings import Finding, Findings, above_noise, gap_closed
-from piezod.diagnose.verdict import less_sure, span_of, verdict_of
+from piezod.diagnose.verdict import less_sure, no_noise, span_of, verdict_of
 
 
 def named(confidence):
@@ -55,6 +55,16 @@ def test_names_beside_which_more_than_noise_is_left_are_believed_less():
     found = Finding("creep", "creep", 0.99, "since", (), {}, 1.1, 0.2)
     assert less_sure(found, 0.0, closed).confidence == pytest.approx(0.99 * 0.9 * 0.975)
     assert less_sure(found, 0.0, 1.0).confidence == 0.99
+
+
+def test_a_name_is_believed_by_what_it_explains_beside_all_that_is_no_noise():
+    # Three squared units explained, three left beside one of noise, of no shape that anything could explain.
+    left = no_noise(0.0, 2.0, 1.0, above=True)
+    assert left == pytest.approx(0.75)
+    found = Finding("friction", "friction", 0.8, "since", (), {}, 7.0**0.5, 2.0)
+    assert less_sure(found, left, 1.0).confidence == pytest.approx(0.4)
+    assert no_noise(0.9, 2.0, 1.0, above=True) == 0.9
+    assert no_noise(0.05, 2.0, 1.9, above=False) == 0.05
 
 
 def test_where_there_was_no_gap_nothing_closed_it():
