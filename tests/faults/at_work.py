@@ -343,11 +343,6 @@ def _trace(bench, arguments):
         raise CannotBeDoneHereError(f"strace cannot trace here: {refusal.strip()[:80]}")
 
 
-def _restart(bench, _):
-    bench.stage.ask("restart")
-    return _wire(bench, "reset")
-
-
 DOES = {
     "rules": _rules,
     "wire": _wire,
@@ -358,7 +353,7 @@ DOES = {
     "second_master": lambda bench, arguments: bench.stage.ask("second_master", **arguments),
     "idle": lambda bench, after_s: bench.stage.ask("idle", closes_after_s=after_s),
     "write_beside": _write_beside,
-    "restart": _restart,
+    "restart": lambda bench, _: bench.stage.ask("restart"),
     "flap": _flap,
     "stop_and_go": _stop_and_go,
     "load": _load,

@@ -32,6 +32,7 @@ from firmware_sim.tcp import serve_tcp
 from tests.contract.judged_bench import Judge, JudgedBench, restart
 from tests.faults.proxy import PtyProxy, Rule, TcpProxy
 
+IN_FLIGHT_TURNS = 3  # of the event loop: what the proxy passed on is with the device then; to reconnect takes more
 REST_V = 0.5  # so near to zero the output is at rest
 RAIL_N = 32767.0  # of a converter whose counts are taken for newtons
 
@@ -255,7 +256,10 @@ class Stage:
         return self._now()
 
     async def do_restart(self) -> dict[str, Any]:
-        """Power-on of the firmware; connections to it break."""
+        """Power-on of the firmware. Its connections break first: no request of before reaches what has started anew."""
+        await self.proxy.act("reset")
+        for _ in range(IN_FLIGHT_TURNS):
+            await asyncio.sleep(0)
         self.device.catch_up()
         restart(self.device, self.bench)
         return self._now()
