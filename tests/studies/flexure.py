@@ -89,7 +89,7 @@ def study(folder: Path) -> Iterator[FlexureRow]:
     run("identify", REAL / "identification.csv", folder / "first.csv", "-o", folder / "model.yaml", *COLUMNS)
     run("diagnose", folder / "first.csv", "--model", folder / "model.yaml", "-o", folder / "out", *COLUMNS)
     findings = json.loads((folder / "out" / "findings.json").read_text(encoding="utf-8"))
-    named = ", ".join(one["name"] for one in findings["effects"]) or "nothing"
+    named = ", ".join(f"{one['name']} {one['confidence']:.2f}" for one in findings["effects"]) or "nothing"
     reference = rest.channel("reference_um")
     settled = rest.time_s > rest.time_s[0] + SETTLES_S
     yield _row("the author's, as recorded", rest.channel("displacement_um") - reference, reference, settled, "measured")
