@@ -8,10 +8,10 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from firmware_sim.config import EmulatorConfig, Line, Rtu, Tcp, load_config
-from firmware_sim.effects import Effects
 from firmware_sim.errors import ConfigurationError, PortBusyError
-from firmware_sim.punctual import be_punctual
+from firmware_sim.physics.effects import Effects
 from firmware_sim.server import build_device, serve
+from firmware_sim.wire.scheduling import be_punctual
 
 EXIT_BUSY = 75
 EXIT_CONFIGURATION = 78

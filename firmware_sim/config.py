@@ -6,9 +6,9 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, field_validator, model_validator
 
-from firmware_sim.effects import Effects, Finite, Positive, Section
 from firmware_sim.errors import ConfigurationError
-from firmware_sim.scenario import Scenario, load_scenario
+from firmware_sim.physics.effects import Effects, Finite, Positive, Section
+from firmware_sim.physics.scenario import Scenario, load_scenario
 from firmware_sim.yaml_reader import checked, read_document
 
 UnitId = Annotated[int, Field(ge=1, le=247)]

@@ -10,15 +10,15 @@ import threading
 import time
 from collections.abc import Callable
 
-from firmware_sim.bench import Bench
 from firmware_sim.config import EmulatorConfig, configured_scenario
-from firmware_sim.device import Device
-from firmware_sim.line import LineProtocol, serve_lines
-from firmware_sim.modbus import ModbusUnit
-from firmware_sim.pty import PseudoTerminal
-from firmware_sim.rtu import RtuStation
-from firmware_sim.scenario import with_effects
-from firmware_sim.tcp import serve_tcp
+from firmware_sim.firmware.device import Device
+from firmware_sim.firmware.line import LineProtocol, serve_lines
+from firmware_sim.firmware.modbus import ModbusUnit
+from firmware_sim.physics.bench import Bench
+from firmware_sim.physics.scenario import with_effects
+from firmware_sim.wire.pty import PseudoTerminal
+from firmware_sim.wire.rtu import RtuStation
+from firmware_sim.wire.tcp import serve_tcp
 
 BACKGROUND_S = 0.004  # so far the physics may lag behind when nobody asks
 

@@ -17,14 +17,12 @@ from pathlib import Path
 import yaml
 from PIL import Image
 
+from tests.benches.browser import VIEWPORTS, chromium
+from tests.benches.daemon import daemon
+from tests.benches.emulator import EMULATOR, bench_file, emulator
+
 ROOT = Path(__file__).parents[1]
 FOLDER = ROOT / ".screenshots"
-sys.path.insert(0, str(ROOT / "tests"))
-
-from hil.browser import VIEWPORTS, chromium  # noqa: E402  # tests import each other from their own folder
-from hil.daemon import daemon  # noqa: E402
-from hil.emulator import EMULATOR, bench_file, emulator  # noqa: E402
-
 COLOURS = 256  # of a palette that keeps the rare ones: pages have few, and the files stay small
 LIMIT_BYTES = 200_000
 RATE_HZ = 100  # what any machine holds

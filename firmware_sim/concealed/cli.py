@@ -6,13 +6,13 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from firmware_sim.concealed.catalogue import ENTRIES
 from firmware_sim.concealed.errors import StudyError
-from firmware_sim.concealed.foreign import FOREIGN
-from firmware_sim.concealed.make import make
-from firmware_sim.concealed.plan import KINDS
-from firmware_sim.concealed.report import as_json, as_text
-from firmware_sim.concealed.score import score
+from firmware_sim.concealed.plant.foreign import FOREIGN
+from firmware_sim.concealed.scoring.report import as_json, as_text
+from firmware_sim.concealed.scoring.score import score
+from firmware_sim.concealed.study.catalogue import ENTRIES
+from firmware_sim.concealed.study.make import make
+from firmware_sim.concealed.study.plan import KINDS
 
 EXIT_CONFIGURATION = 78
 

@@ -7,8 +7,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from piezod.blind.apart import ATTEMPTS, judge_apart
 from piezod.blind.case import read_case
+from piezod.blind.isolated import ATTEMPTS, judge_apart
 from piezod.blind.verdict import Verdict, failed_verdict
 from piezod.errors import ConfigurationError, PiezodError, UnreachableError, UsageError
 

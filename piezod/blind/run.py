@@ -7,7 +7,7 @@ from pathlib import Path
 
 from piezod.blind.case import case_folders
 from piezod.blind.cluster import judge_there
-from piezod.blind.here import cores, judge_here
+from piezod.blind.local import cores, judge_here
 from piezod.blind.verdict import Verdict, Verdicts
 
 OnVerdict = Callable[[Verdict | None, int, int], None]

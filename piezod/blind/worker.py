@@ -8,7 +8,7 @@ import time
 import traceback
 from pathlib import Path
 
-from piezod.blind.judging import judge
+from piezod.blind.diagnose_case import judge
 from piezod.blind.verdict import RUN, failed_verdict, run_json
 from piezod.errors import PiezodError
 

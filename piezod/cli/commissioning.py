@@ -26,7 +26,7 @@ def commission(
     """Record every excitation, identify a model from each and validate them side by side."""
     from contextlib import ExitStack, redirect_stdout
 
-    from piezod.daemon.emulator import emulated_bench_file
+    from piezod.commissioning.emulator import emulated_bench_file
     from piezod.excitation import EXCITATIONS, IDENTIFICATION
 
     if (config is None) == (emulated is None):

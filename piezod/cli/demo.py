@@ -20,7 +20,7 @@ def demo(
     report: Annotated[Path, typer.Option(metavar="FILE", help="The page to write.")] = Path("piezod-demo.html"),
 ) -> None:
     """Show the whole path on the emulated bench: no hardware, no root, about a minute."""
-    from piezod.daemon.demo import run_demo
+    from piezod.commissioning.demo import run_demo
     from piezod.report.demo import judge, live_line, print_hidden, print_table, write_demo_page
 
     names: list[str] = []
@@ -46,8 +46,8 @@ def _demo_hidden() -> "tuple[HiddenVerdict, dict[tuple[str, str], Recording]]":
     """Record a bench that hides something, diagnose it, follow a reference with what was known and what was found."""
     from tempfile import TemporaryDirectory
 
-    from piezod.daemon.demo_hidden import follow_hidden, record_hidden
-    from piezod.daemon.shipped import shipped
+    from piezod.commissioning.demo_hidden import follow_hidden, record_hidden
+    from piezod.commissioning.shipped_files import shipped
     from piezod.diagnose.command import diagnose_files
     from piezod.model import load_model
     from piezod.recording import write_csv

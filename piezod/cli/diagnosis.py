@@ -34,8 +34,8 @@ def diagnose(
 ) -> None:
     """Find out what a model leaves out of recordings: where, which physics, how sure, and the model that has it."""
     from piezod.diagnose.command import diagnose_files
-    from piezod.report.diagnosis import print_findings
-    from piezod.report.diagnosis_page import write_diagnosis_page
+    from piezod.report.diagnosis.page import write_diagnosis_page
+    from piezod.report.diagnosis.terminal import print_findings
     from piezod.report.progress import steps
 
     recordings = list(recordings or ())

@@ -129,8 +129,8 @@ def compare(
     as_json: JsonOption = False,
 ) -> None:
     """Compare a measured output with simulated ones and with models in free run: fit as MATLAB's compare defines it."""
-    from piezod.report.compared import compare_files
     from piezod.report.comparison import comparison_as_dict, comparison_text, write_comparison_page
+    from piezod.report.output_comparison import compare_files
 
     comparison = compare_files(recordings[0], recordings[1:], model or (), output_column, start_window)
     if report is not None:
@@ -178,7 +178,7 @@ def validate(
     as_json: JsonOption = False,
 ) -> None:
     """Follow six triangular force references without and with each model; say which model is better."""
-    from piezod.daemon.validate import plan_validation, run_validation
+    from piezod.commissioning.validate import plan_validation, run_validation
     from piezod.report.progress import progress
     from piezod.report.validation import judge_validation, validation_text, write_validation_page
 

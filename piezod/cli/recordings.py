@@ -33,8 +33,8 @@ def record(
     reset_cycle: Annotated[bool, typer.Option(help="Drive 0 -> highest -> 0 first.")] = False,
 ) -> None:
     """Drive an excitation through the bench and record what it answers."""
-    from piezod.daemon.record import excitation_s
-    from piezod.daemon.record import record as record_excitation
+    from piezod.commissioning.record import excitation_s
+    from piezod.commissioning.record import record as record_excitation
     from piezod.excitation import usual_periods
     from piezod.recording import check_target, write_recording
     from piezod.report.progress import progress

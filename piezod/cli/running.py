@@ -68,7 +68,7 @@ def stop(
         return
     if config is None or socket is not None:
         raise UsageError("--direct needs CONFIG, which names the device, and no --socket")
-    from piezod.daemon.safe_stop import stop_directly
+    from piezod.commissioning.safe_stop import stop_directly
 
     message = stop_directly(config)
     print(json.dumps({"ok": True, "message": message}, indent=2) if as_json else message)

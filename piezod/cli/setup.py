@@ -14,7 +14,7 @@ from piezod.errors import UsageError
 @app.command(epilog="Example: piezod check config/bench.yaml")
 def check(config: ConfigArgument, as_json: JsonOption = False) -> None:
     """Check configuration, model, link, device, clock and rights; never energises."""
-    from piezod.daemon.check import check_bench
+    from piezod.commissioning.check import check_bench
 
     checks = check_bench(config)
     if as_json:
@@ -48,8 +48,8 @@ def init(
     as_json: JsonOption = False,
 ) -> None:
     """Make a commented bench file from a device profile and a few answers."""
-    from piezod.daemon.init import Answers, draft, look, profiles, write
-    from piezod.daemon.wizard import ask
+    from piezod.commissioning.init import Answers, draft, look, profiles, write
+    from piezod.commissioning.wizard import ask
 
     if output.exists() and not force:
         raise UsageError(f"{output} is there already; name another with -o, or replace it with --force")
@@ -81,8 +81,8 @@ app.add_typer(configuration, name="config")
 @configuration.command("schema", epilog="Example: piezod config schema > bench.schema.json")
 def config_schema() -> None:
     """Print the JSON schema of a bench file, for completion in an editor."""
+    from piezod.commissioning.shipped_files import shipped
     from piezod.config import bench_schema, comments_of
-    from piezod.daemon.shipped import shipped
 
     comments = comments_of(shipped("bench.yaml").read_text(encoding="utf-8"))
     print(json.dumps(bench_schema(comments), indent=2))
@@ -125,7 +125,7 @@ def support_bundle(
     as_json: JsonOption = False,
 ) -> None:
     """Pack what somebody elsewhere needs to help: configuration without secrets, versions, machine, last ticks."""
-    from piezod.daemon.support import write_bundle
+    from piezod.commissioning.support_bundle import write_bundle
 
     about = write_bundle(config, output, force=force)
     if as_json:
@@ -145,7 +145,7 @@ def latency(
     """Measure how late this machine wakes up, and the highest rate it holds."""
     from piezod.config import RealTimeConfig
     from piezod.control.latency import RATES_HZ, measure_lateness, rate_held_Hz
-    from piezod.daemon.history import percentiles
+    from piezod.session.history import percentiles
 
     measured = [measure_lateness(rate_Hz, seconds, RealTimeConfig()) for rate_Hz in rate or RATES_HZ]
     rows: list[dict[str, Any]] = [

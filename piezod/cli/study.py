@@ -33,7 +33,7 @@ def blind_make(
     jobs: Annotated[int | None, typer.Option(min=1, help="Processes; as many as cores when left out.")] = None,
 ) -> None:
     """Draw cases of a plant that shares no code with this program, and seal the truth."""
-    from piezod.blind.here import cores
+    from piezod.blind.local import cores
     from piezod.blind.plant import make_study
     from piezod.report.progress import steps
 

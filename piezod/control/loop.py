@@ -13,11 +13,11 @@ from math import inf, isfinite, isnan, nan
 
 from piezod.config import LimitsConfig, SignCheckConfig
 from piezod.control.arming import SignCheck
-from piezod.control.course import Course, Segment
 from piezod.control.interlocks import STATUS_WATCHDOG
 from piezod.control.limits import Limiter
 from piezod.control.rate_keeper import RateKeeper
-from piezod.control.safety import Cause, State, Supervisor
+from piezod.control.segment_planner import Course, Segment
+from piezod.control.supervisor import Cause, State, Supervisor
 from piezod.recording.ring_log import RingLog
 from piezod.transport import ACKNOWLEDGED, ExchangeResult, Link
 

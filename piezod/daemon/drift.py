@@ -16,11 +16,11 @@ from numpy.typing import NDArray
 
 from piezod.config import BenchConfig, load_bench, model_path
 from piezod.control import State
-from piezod.daemon.history import GOOD
 from piezod.errors import CheckFailedError, ConfigurationError, PiezodError
 from piezod.model import Model
 from piezod.model.expected import ExpectedReading
 from piezod.recording import HELD, Recording, write_csv
+from piezod.session.history import GOOD
 
 Array = NDArray[np.float64]
 

@@ -13,9 +13,9 @@ from prometheus_client.registry import Collector
 
 from piezod.control import State
 from piezod.daemon.drift import DriftWatch
-from piezod.daemon.recording import RecorderWatch
-from piezod.daemon.tally import BOUNDS_S, Durations, Tally
+from piezod.daemon.statistics import BOUNDS_S, Durations, Tally
 from piezod.errors import BusyError
+from piezod.recorder.watch import RecorderWatch
 from piezod.transport import ExchangeResult
 
 ADDRESS = "127.0.0.1"  # read by whoever has an account here, and by nobody else

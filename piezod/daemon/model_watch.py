@@ -7,11 +7,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piezod.config import BenchConfig, model_path
-from piezod.daemon.assembly import load_drivable
 from piezod.daemon.drift import DriftWatch
+from piezod.daemon.journal import say
 from piezod.daemon.preview import MissingPreview, missing_preview
-from piezod.daemon.say import say
 from piezod.errors import PiezodError
+from piezod.session.assembly import load_drivable
 
 
 class ModelWatch:

@@ -6,14 +6,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from piezod.config import load_bench
-from piezod.daemon.lock import BenchLock
-from piezod.daemon.say import say
-from piezod.daemon.session import Session
-from piezod.daemon.task import Outcome
+from piezod.daemon.journal import say
+from piezod.session.lock import BenchLock
+from piezod.session.session import Session
+from piezod.session.task import Outcome
 
 if TYPE_CHECKING:
     from piezod.daemon.preview import MissingPreview
-    from piezod.daemon.tally import TrackingError
+    from piezod.daemon.statistics import TrackingError
 
 
 @dataclass(frozen=True)

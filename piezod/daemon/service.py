@@ -16,18 +16,18 @@ import numpy as np
 from piezod import __version__
 from piezod.config import BenchConfig, loosened, model_path
 from piezod.control import CAUSE_TEXT, Cause, State
-from piezod.daemon.assembly import load
 from piezod.daemon.control_socket import ControlSocket, Peer
-from piezod.daemon.lock import BenchLock
+from piezod.daemon.journal import say
 from piezod.daemon.metrics import BenchMetrics, MetricsServer
 from piezod.daemon.model_watch import ModelWatch
-from piezod.daemon.recording import RecorderWatch
-from piezod.daemon.say import say
-from piezod.daemon.session import LOOK_EVERY_S, Session, deliberate_error
+from piezod.daemon.statistics import Tally
 from piezod.daemon.systemd import Notifier
-from piezod.daemon.tally import Tally
-from piezod.daemon.task import Outcome
 from piezod.errors import CheckFailedError, PiezodError, TemporaryError
+from piezod.recorder.watch import RecorderWatch
+from piezod.session.assembly import load
+from piezod.session.lock import BenchLock
+from piezod.session.session import LOOK_EVERY_S, Session, deliberate_error
+from piezod.session.task import Outcome
 
 RETRY_S = (0.5, 1.0, 2.0, 5.0, 10.0)  # then every ten seconds
 READY_WITHIN_S = 30.0  # a control process that is not connected then hangs, and systemd may know

@@ -17,9 +17,9 @@ from piezod.identify.suitability import FEWEST_SAMPLES
 from piezod.model import file_sha256
 from piezod.model.parameters import RecordingSource
 from piezod.recording import TIME, Recording, column_names, open_stream
+from piezod.recording.formats.stream import foreign
 from piezod.recording.names import unit_of
 from piezod.recording.quality import irregular, missing, standing
-from piezod.recording.source import foreign
 from piezod.recording.stretches import gaps
 
 Array = NDArray[np.float64]

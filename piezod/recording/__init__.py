@@ -1,7 +1,7 @@
 """Recordings: a time axis and named channels with units, and the files they live in."""
 
-from piezod.recording.csv import read_csv, write_csv
 from piezod.recording.files import check_target, column_names, convert, open_stream, read_recording, write_recording
+from piezod.recording.formats.csv import read_csv, write_csv
 from piezod.recording.recording import HELD, TIME, Recording
 
 __all__ = [

@@ -9,16 +9,16 @@ from pathlib import Path
 import numpy as np
 
 from piezod.errors import RecordingError
-from piezod.recording.csv import open_csv, write_csv
-from piezod.recording.hdf5 import open_hdf5, write_hdf5
-from piezod.recording.mat import open_mat, write_mat
-from piezod.recording.mdf4 import open_mdf4, write_mdf4
+from piezod.recording.formats.csv import open_csv, write_csv
+from piezod.recording.formats.hdf5 import open_hdf5, write_hdf5
+from piezod.recording.formats.mat import open_mat, write_mat
+from piezod.recording.formats.mdf4 import open_mdf4, write_mdf4
+from piezod.recording.formats.parquet import open_parquet, write_parquet
+from piezod.recording.formats.sqlite import open_sqlite, write_sqlite
+from piezod.recording.formats.stream import Source, foreign, require, whole
+from piezod.recording.formats.tdms import open_tdms, write_tdms
 from piezod.recording.names import TIME
-from piezod.recording.parquet import open_parquet, write_parquet
 from piezod.recording.recording import Recording, check_time
-from piezod.recording.source import Source, foreign, require, whole
-from piezod.recording.sqlite import open_sqlite, write_sqlite
-from piezod.recording.tdms import open_tdms, write_tdms
 
 
 @dataclass(frozen=True)

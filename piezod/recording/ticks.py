@@ -8,9 +8,9 @@ from collections.abc import Collection, Iterable, Iterator
 
 import numpy as np
 
-from piezod.recording.blocks import Block
+from piezod.recording.formats.sqlite_blocks import Block
+from piezod.recording.formats.stream import Table
 from piezod.recording.names import TIME
-from piezod.recording.source import Table
 
 GOOD = 0
 """`result` of an exchange that did not fail."""

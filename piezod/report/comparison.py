@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from piezod.diagnose.words import unit_words
 from piezod.recording import Recording
-from piezod.report.compared import Candidate, Comparison
+from piezod.report.output_comparison import Candidate, Comparison
 from piezod.report.page import Part, axis_label, head_html, table_html, write_page
 from piezod.report.residual_test import ResidualTest
 from piezod.report.style import BLUE, GREEN, GREY, ORANGE, RED

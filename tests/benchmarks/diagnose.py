@@ -15,8 +15,8 @@ from pathlib import Path
 
 import numpy as np
 
-from firmware_sim.bench import Bench
-from firmware_sim.scenario import load_scenario
+from firmware_sim.physics.bench import Bench
+from firmware_sim.physics.scenario import load_scenario
 from piezod.effects import EFFECTS
 from piezod.excitation import IDENTIFICATION, excitation
 from piezod.identify.identification import Options, identify

@@ -13,10 +13,10 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
+from piezod.commissioning.shipped_files import shipped
 from piezod.config import RealTimeConfig, load_bench
 from piezod.config.link import LinkConfig, ModbusRtuLink
 from piezod.control import real_time
-from piezod.daemon.shipped import shipped
 from piezod.errors import PiezodError
 from piezod.transport import ExchangeResult, make_link
 from tests.benchmarks import modbus_peers as peers

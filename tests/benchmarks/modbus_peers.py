@@ -13,8 +13,8 @@ from pathlib import Path
 import numpy as np
 from pymodbus.client import ModbusSerialClient, ModbusTcpClient
 
-from piezod.daemon.emulator import emulated_bench
-from piezod.daemon.shipped import shipped
+from piezod.commissioning.emulator import emulated_bench
+from piezod.commissioning.shipped_files import shipped
 from tests.benchmarks.compiled import compiled
 from tests.benchmarks.rounds import Figures, percentiles
 from tests.benchmarks.table import NotMeasuredError

@@ -17,8 +17,8 @@ from pathlib import Path
 import numpy as np
 import yaml
 
+from piezod.commissioning.shipped_files import shipped
 from piezod.daemon.client import Client
-from piezod.daemon.shipped import shipped
 from tests.benchmarks import modbus_peers as peers
 from tests.benchmarks.table import NotMeasuredError, Row
 

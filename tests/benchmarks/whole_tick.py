@@ -10,12 +10,12 @@ from pathlib import Path
 
 import numpy as np
 
+from piezod.commissioning.shipped_files import shipped
 from piezod.config.reference import WaveformReference
 from piezod.control import State
-from piezod.daemon.assembly import Work, load
-from piezod.daemon.history import History
-from piezod.daemon.session import Session
-from piezod.daemon.shipped import shipped
+from piezod.session.assembly import Work, load
+from piezod.session.history import History
+from piezod.session.session import Session
 from tests.benchmarks import modbus_peers as peers
 from tests.benchmarks.exchange import link_config
 from tests.benchmarks.rounds import ROUNDS

@@ -7,10 +7,10 @@ import struct
 
 from pymodbus.framer import FramerSocket
 
-from firmware_sim.bench import Bench
 from firmware_sim.config import Firmware
-from firmware_sim.device import Device
-from firmware_sim.modbus import ModbusUnit
+from firmware_sim.firmware.device import Device
+from firmware_sim.firmware.modbus import ModbusUnit
+from firmware_sim.physics.bench import Bench
 from piezod.transport import ExchangeResult
 from piezod.transport.frames import classify
 

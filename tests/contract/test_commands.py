@@ -12,7 +12,7 @@ import pytest
 import typer.main
 
 from piezod import cli
-from piezod.daemon.shipped import shipped
+from piezod.commissioning.shipped_files import shipped
 from piezod.model import load_model
 from piezod.recording import Recording, write_recording
 

@@ -16,7 +16,7 @@ from prometheus_client.parser import text_string_to_metric_families
 from piezod.control import ROW_DTYPE, Cause, State
 from piezod.daemon.metrics import BenchMetrics
 from piezod.daemon.service import COMMANDS
-from piezod.daemon.tally import Tally
+from piezod.daemon.statistics import Tally
 from piezod.identify.intake import take_in
 from piezod.recording import Recording, convert, read_recording, write_recording
 

@@ -7,7 +7,6 @@ from math import nan
 from pathlib import Path
 
 import numpy as np
-from contract.judged_bench import MS, FaultyWire, HandClock, Judge, make_device, restart
 from hypothesis import HealthCheck, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
@@ -16,6 +15,7 @@ from piezod.config import load_bench
 from piezod.control import Cause, ControlLoop, RingLog, Segment, State, TableReference, check_ready
 from piezod.errors import PiezodError
 from piezod.transport.modbus import ModbusLink
+from tests.contract.judged_bench import MS, FaultyWire, HandClock, Judge, make_device, restart
 
 BENCH = Path(__file__).parents[2] / "config" / "bench.yaml"
 PERIOD_NS = MS

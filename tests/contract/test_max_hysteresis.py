@@ -1,10 +1,10 @@
 """The hysteresis that piezod reads off a recording is the one that the emulated bench was made with."""
 
 import pytest
-from unit.firmware_sim.waves import DT_S, opening_percent, triangles
 
-from firmware_sim.bench import Bench
+from firmware_sim.physics.bench import Bench
 from piezod.identify.scores import max_hysteresis_percent
+from tests.unit.firmware_sim.waves import DT_S, opening_percent, triangles
 
 
 @pytest.mark.parametrize("peaks_V", [[140.0] * 4, [14.0 * k for k in (*range(1, 11), *range(9, 0, -1))]])

@@ -73,7 +73,7 @@ def test_an_unpacked_wheel_finds_its_profiles_and_nothing_of_the_checkout(wheel,
     )
     assert done.returncode == 0, done.stderr
     found = subprocess.run(
-        [sys.executable, "-c", "import piezod.daemon.shipped as s; print(s.shipped('bench.yaml'))"],
+        [sys.executable, "-c", "import piezod.commissioning.shipped_files as s; print(s.shipped('bench.yaml'))"],
         cwd=tmp_path,
         env=environment,
         capture_output=True,
@@ -85,8 +85,8 @@ def test_an_unpacked_wheel_finds_its_profiles_and_nothing_of_the_checkout(wheel,
 
 @pytest.mark.parametrize("device", DEVICES)
 def test_the_page_of_a_profile_names_its_file_and_a_call_that_works(device, tmp_path, capsys):
+    from piezod.commissioning.init import Answers, draft
     from piezod.config import load_bench
-    from piezod.daemon.init import Answers, draft
 
     text = (CONFIG / f"{device}.md").read_text(encoding="utf-8")
     bench = load_bench(CONFIG / f"{device}.yaml")

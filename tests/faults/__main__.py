@@ -7,8 +7,6 @@ import sys
 import time
 from pathlib import Path
 
-sys.path.insert(0, str(Path(__file__).parents[1]))  # as pytest has it: hil and unit are found there
-
 from tests.faults import kills, replies, run
 from tests.faults.probe import Probe
 from tests.faults.stand import served_first, standing

@@ -20,10 +20,10 @@ import yaml
 from piezod.config import load_bench
 from piezod.errors import PiezodError
 from piezod.transport import make_link
+from tests.benches.certificates import Authority
 from tests.faults.at_work import Watch
 from tests.faults.live import BENCH, ROOT
 from tests.faults.stand import CannotBeDoneHereError, Seen, apart, command
-from tests.hil.certificates import Authority
 from tests.unit.transport.conftest import line_config
 from tests.unit.transport.scripted import ScriptedLine
 
@@ -142,7 +142,7 @@ def tls(stand, fault):
 
 @contextlib.contextmanager
 def _tls_device(folder, device, authority):
-    from tests.hil.emulator import EMULATOR, emulator
+    from tests.benches.emulator import EMULATOR, emulator
 
     content = yaml.safe_load(EMULATOR.read_text(encoding="utf-8"))
     settings = {"certificate": str(device.certificate), "key": str(device.key), "ca": str(authority.ca)}

@@ -19,16 +19,16 @@ from typing import Any
 
 from pymodbus.pdu import ExceptionResponse, ModbusPDU
 
-from firmware_sim.bench import Bench, Sample
 from firmware_sim.config import Firmware, Tcp
-from firmware_sim.device import Device
-from firmware_sim.modbus import ModbusUnit
-from firmware_sim.pty import PseudoTerminal
-from firmware_sim.punctual import be_punctual
-from firmware_sim.rtu import RtuStation
-from firmware_sim.scenario import load_scenario, with_effects
+from firmware_sim.firmware.device import Device
+from firmware_sim.firmware.modbus import ModbusUnit
+from firmware_sim.physics.bench import Bench, Sample
+from firmware_sim.physics.scenario import load_scenario, with_effects
 from firmware_sim.server import BACKGROUND_S
-from firmware_sim.tcp import serve_tcp
+from firmware_sim.wire.pty import PseudoTerminal
+from firmware_sim.wire.rtu import RtuStation
+from firmware_sim.wire.scheduling import be_punctual
+from firmware_sim.wire.tcp import serve_tcp
 from tests.contract.judged_bench import Judge, JudgedBench, restart
 from tests.faults.proxy import PtyProxy, Rule, TcpProxy
 

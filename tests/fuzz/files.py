@@ -13,13 +13,13 @@ import numpy as np
 import yaml
 from pydantic import BaseModel
 
+from piezod.commissioning.shipped_files import shipped
 from piezod.config import BenchConfig, load_bench
-from piezod.daemon.assembly import check_wire
-from piezod.daemon.shipped import shipped
 from piezod.effects import EFFECTS
 from piezod.errors import PiezodError
 from piezod.model import load_model
 from piezod.recording import Recording, open_stream, read_recording, write_recording
+from piezod.session.assembly import check_wire
 from piezod.transport import make_link
 from tests.fuzz.mutation import mutate_yaml
 from tests.fuzz.target import Check, Target, peak_resident_KiB

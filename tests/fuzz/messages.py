@@ -6,9 +6,9 @@ import socket
 import weakref
 from typing import Any
 
+from piezod.commissioning.shipped_files import shipped
 from piezod.config import load_bench
 from piezod.daemon.control_socket import ControlSocket, Peer
-from piezod.daemon.shipped import shipped
 from tests.fuzz.target import Check, Target
 
 COMMANDS = ("status", "arm", "disarm", "stop", "reset", "reload")

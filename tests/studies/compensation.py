@@ -18,8 +18,8 @@ from pathlib import Path
 
 import numpy as np
 
-from firmware_sim.bench import Bench
-from firmware_sim.scenario import load_scenario
+from firmware_sim.physics.bench import Bench
+from firmware_sim.physics.scenario import load_scenario
 from piezod.config.reference import WaveformReference
 from piezod.errors import PiezodError
 from piezod.excitation import IDENTIFICATION

@@ -11,15 +11,15 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from firmware_sim.bench import Bench
 from firmware_sim.config import Firmware
-from firmware_sim.device import Device
-from firmware_sim.scenario import Scenario
+from firmware_sim.firmware.device import Device
+from firmware_sim.physics.bench import Bench
+from firmware_sim.physics.scenario import Scenario
 from piezod.config import BenchConfig, load_bench
 from piezod.config.reference import WaveformReference
 from piezod.control import RingLog, RingReader, State
-from piezod.daemon.assembly import Work, make_loop, make_rate_keeper, make_segment
 from piezod.model import Model
+from piezod.session.assembly import Work, make_loop, make_rate_keeper, make_segment
 from piezod.transport.modbus import ModbusLink
 from tests.contract.judged_bench import FaultyWire, HandClock
 from tests.studies.scenarios import LIMITS, ROOT

@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from firmware_sim.scenario import load_scenario
+from firmware_sim.physics.scenario import load_scenario
 from piezod.config.reference import WaveformReference
 from piezod.effects import EFFECTS
 from piezod.errors import PiezodError

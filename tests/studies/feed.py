@@ -18,10 +18,10 @@ from typing import Self
 
 import numpy as np
 
-from piezod.daemon.recorder import Plan, Report, report_of
-from piezod.daemon.segment import segments
+from piezod.recorder.segment_files import segments
+from piezod.recorder.writer import Plan, Report, report_of
+from piezod.recording.formats.sqlite import read_ticks
 from piezod.recording.ring_log import ROW_DTYPE, RingLog
-from piezod.recording.sqlite import read_ticks
 
 WITHIN_S = 120.0  # however busy the machine is
 BEGAN_NS = 10**12
@@ -107,7 +107,7 @@ class RecorderProcess:
         self.problems: list[str] = []
         self.words: list[tuple[float, int]] = []
         self.process = subprocess.Popen(
-            [*prefix, sys.executable, "-m", "piezod.daemon.recorder", json.dumps(asdict(plan))],
+            [*prefix, sys.executable, "-m", "piezod.recorder.writer", json.dumps(asdict(plan))],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             start_new_session=True,

@@ -17,14 +17,14 @@ import numpy as np
 from numba import njit
 from scipy.interpolate import CubicSpline
 
-from firmware_sim.acquisition import acquire
 from firmware_sim.errors import ConfigurationError
-from firmware_sim.layout import Record, Records
-from firmware_sim.load_cell import sense
-from firmware_sim.mechanics import load
-from firmware_sim.parameters import initial_state, parameter_record
-from firmware_sim.scenario import load_scenario
-from firmware_sim.stack import deform
+from firmware_sim.physics.acquisition import acquire
+from firmware_sim.physics.layout import Record, Records
+from firmware_sim.physics.load_cell import sense
+from firmware_sim.physics.mechanics import load
+from firmware_sim.physics.parameters import initial_state, parameter_record
+from firmware_sim.physics.scenario import load_scenario
+from firmware_sim.physics.stack import deform
 from piezod.recording import Recording
 
 FINER = 40  # steps a sample

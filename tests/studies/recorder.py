@@ -17,9 +17,9 @@ from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-from piezod.daemon.recorder import Plan
-from piezod.daemon.segment import segments
-from piezod.recording.sqlite import read_ticks
+from piezod.recorder.segment_files import segments
+from piezod.recorder.writer import Plan
+from piezod.recording.formats.sqlite import read_ticks
 from tests.studies.feed import Feed, Kept, RecorderProcess, judge
 from tests.studies.powercut import cannot_cut, cannot_mount, disk, fill, small_folder
 from tests.studies.served import Served, served

@@ -22,8 +22,8 @@ from pathlib import Path
 import numpy as np
 import yaml
 
-from firmware_sim.bench import Bench
-from firmware_sim.scenario import load_scenario
+from firmware_sim.physics.bench import Bench
+from firmware_sim.physics.scenario import load_scenario
 from piezod.excitation import IDENTIFICATION
 from piezod.recording import Recording, read_csv, write_csv
 from tests.studies.mixed_work import mixed_work

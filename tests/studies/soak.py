@@ -22,9 +22,9 @@ from pathlib import Path
 import numpy as np
 import yaml
 
+from piezod.commissioning.shipped_files import shipped
 from piezod.control import Cause, State
 from piezod.daemon.client import Client
-from piezod.daemon.shipped import shipped
 from piezod.errors import PiezodError, TemporaryError
 from piezod.recording.ring_log import RingReader
 from tests.benchmarks import modbus_peers as peers

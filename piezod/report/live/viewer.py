@@ -13,7 +13,7 @@ from bokeh.models.widgets import Button, Div, PasswordInput
 from piezod.report.durations import bars
 from piezod.report.live.feed import Feed, WINDOW_s
 from piezod.report.live.figures import Figures, show_all
-from piezod.report.live.lamp import EVENTS_STYLE, LAMP_STYLE, events_html, lamp_html, state_words
+from piezod.report.live.status_banner import EVENTS_STYLE, LAMP_STYLE, events_html, lamp_html, state_words
 
 UPDATE_EVERY_ms = 250
 SUMMED_EVERY_s = 1.0

@@ -1,8 +1,8 @@
 """The table: every method on the same cases, judged against the truth, which is opened here and not before.
 
-- gap closed: as `firmware_sim.concealed.judge` defines it, against the noise-free held-out force, for the cases that it
-  counts. A prediction that diverged was cut at the measured range, so it closes less than nothing; one that is missing
-  closes nothing.
+- gap closed: as `firmware_sim.concealed.scoring.judge` defines it, against the noise-free held-out force, for the
+  cases that it counts. A prediction that diverged was cut at the measured range, so it closes less than nothing; one
+  that is missing closes nothing.
 - made worse: of those cases, the held-out error is above the identified model's by more than 1 %.
 - nulls, nothing said: no term beside the identified model; of `piezod`, no name and a verdict that nothing is there.
 - nulls made worse: as above, of the nulls.
@@ -18,11 +18,11 @@ from pathlib import Path
 
 import numpy as np
 
-from firmware_sim.concealed.judge import HeldOut, Judgement, gap_closed
-from firmware_sim.concealed.score import score
-from firmware_sim.concealed.seal import sealed_arrays, unpack_arrays
-from firmware_sim.concealed.truth import TrueCase
-from firmware_sim.concealed.verdicts import EXTENDED, read_simulation
+from firmware_sim.concealed.scoring.judge import HeldOut, Judgement, gap_closed
+from firmware_sim.concealed.scoring.score import score
+from firmware_sim.concealed.scoring.verdicts import EXTENDED, read_simulation
+from firmware_sim.concealed.study.seal import sealed_arrays, unpack_arrays
+from firmware_sim.concealed.study.truth import TrueCase
 from tests.studies.peers.run import PEERS, Answer, read_answer, read_prediction
 
 BASE = "base"  # the identified model's simulation lies beside the predictions

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from piezod.blind.case import Description, read_description
-from piezod.blind.judging import BASE, PLAYS, ZONES
+from piezod.blind.diagnose_case import BASE, PLAYS, ZONES
 from piezod.errors import ConfigurationError
 from piezod.identify.identification import Options, identify
 from piezod.identify.intake import take_in

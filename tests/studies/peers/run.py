@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from piezod.blind.apart import ONE_THREAD
+from piezod.blind.isolated import ONE_THREAD
 from tests.studies.peers.exchange import PREDICTION, SAID
 from tests.studies.peers.given import Given
 

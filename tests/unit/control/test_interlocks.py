@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from unit.control.test_limits import limits
 
 from piezod.control.interlocks import (
     ForceInterlock,
@@ -16,6 +15,7 @@ from piezod.control.interlocks import (
     TrackingInterlock,
 )
 from piezod.control.states import Cause
+from tests.unit.control.test_limits import limits
 
 MS = 1_000_000
 

@@ -2,8 +2,6 @@
 
 import numpy as np
 import pytest
-from unit.control.fake_bench import FakeClock, FakeLink
-from unit.control.test_limits import limits
 
 from piezod.config import SignCheckConfig
 from piezod.control import Cause, ControlLoop, RingLog, RingReader, Segment, State, TableReference
@@ -11,6 +9,8 @@ from piezod.control.references import Freshness
 from piezod.model import DirectDrive
 from piezod.operators import ImplicitInverse, PrandtlIshlinskii
 from piezod.transport import ExchangeResult
+from tests.unit.control.fake_bench import FakeClock, FakeLink
+from tests.unit.control.test_limits import limits
 
 DT_S = 0.001
 

@@ -1,9 +1,9 @@
 """The state machine: what trips, what latches, what never happens by itself."""
 
 import pytest
-from unit.control.test_limits import limits
 
-from piezod.control.safety import Cause, State, Supervisor
+from piezod.control.supervisor import Cause, State, Supervisor
+from tests.unit.control.test_limits import limits
 
 MS = 1_000_000
 

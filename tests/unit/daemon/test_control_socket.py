@@ -11,10 +11,10 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from piezod.commissioning.shipped_files import shipped
 from piezod.config import load_bench
 from piezod.daemon import control_socket as module
 from piezod.daemon.control_socket import ControlSocket
-from piezod.daemon.shipped import shipped
 from piezod.errors import BusyError, ConfigurationError
 
 

@@ -8,7 +8,7 @@ from prometheus_client.parser import text_string_to_metric_families
 
 from piezod.control import ROW_DTYPE, Cause, State
 from piezod.daemon.metrics import BenchMetrics, MetricsServer
-from piezod.daemon.tally import Tally
+from piezod.daemon.statistics import Tally
 from piezod.errors import BusyError
 from piezod.transport import ExchangeResult
 

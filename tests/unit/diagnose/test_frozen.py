@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
-from unit.diagnose.residuals import lagged, mixed_work, model_of, noise, series, time
 
 from piezod.diagnose.direct import frozen_stretches
+from tests.unit.diagnose.residuals import lagged, mixed_work, model_of, noise, series, time
 
 SAMPLES = 20_000
 TIME_s = time(SAMPLES)

@@ -2,7 +2,10 @@
 
 import numpy as np
 import pytest
-from unit.diagnose.residuals import (
+
+from piezod.diagnose.guard import explainable
+from piezod.diagnose.verdict import STILL_EXPLAINABLE, SURE
+from tests.unit.diagnose.residuals import (
     crept,
     lagged,
     mixed_work,
@@ -15,9 +18,6 @@ from unit.diagnose.residuals import (
     triangles,
     yielded,
 )
-
-from piezod.diagnose.guard import explainable
-from piezod.diagnose.verdict import STILL_EXPLAINABLE, SURE
 
 SAMPLES = 30_000
 NOISE_N = 0.5

@@ -4,7 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from unit.diagnose.residuals import (
+
+from piezod.diagnose.locate import locate
+from tests.unit.diagnose.residuals import (
     crept,
     lagged,
     mixed_work,
@@ -15,8 +17,6 @@ from unit.diagnose.residuals import (
     time,
     triangles,
 )
-
-from piezod.diagnose.locate import locate
 
 SAMPLES = 30_000
 

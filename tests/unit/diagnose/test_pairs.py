@@ -5,15 +5,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy import signal
-from unit.diagnose.residuals import time
-from unit.diagnose.test_search import RATE_HZ, SAMPLES, worked
-from unit.diagnose.test_sharp import many_plays
 
 from piezod.diagnose.fit import Normal, fit
 from piezod.diagnose.ideas import screened, screened_pairs
 from piezod.diagnose.search import both
 from piezod.diagnose.search_state import Search
 from piezod.diagnose.trials import two_at_once
+from tests.unit.diagnose.residuals import time
+from tests.unit.diagnose.test_search import RATE_HZ, SAMPLES, worked
+from tests.unit.diagnose.test_sharp import many_plays
 
 FINE = 20  # steps of the plant in a sample
 

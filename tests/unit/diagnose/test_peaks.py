@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 from scipy.signal import bilinear, lfilter
-from unit.diagnose.residuals import mixed_work, series, time
 
 from piezod.diagnose.direct import peaks_Hz
+from tests.unit.diagnose.residuals import mixed_work, series, time
 
 SAMPLES = 60_000
 TIME_s = time(SAMPLES)

@@ -5,7 +5,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from unit.diagnose.residuals import mixed_work, series, time
 
 from piezod.diagnose.basis import PlayDensity
 from piezod.diagnose.prepare import Source, chain_of, even, started, without_frozen, without_unknown
@@ -13,6 +12,7 @@ from piezod.errors import RecordingError
 from piezod.identify.start import remembered
 from piezod.model import load_model
 from piezod.recording import Recording
+from tests.unit.diagnose.residuals import mixed_work, series, time
 
 RATE_Hz = 200.0
 

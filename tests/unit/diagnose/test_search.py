@@ -5,8 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy import signal
-from unit.diagnose.residuals import mixed_work, noise, series, time
-from unit.diagnose.test_sharp import many_plays
 
 from piezod.diagnose.basis import ForceLaw, PlayDensity
 from piezod.diagnose.chain import Chain, Term, empty_point
@@ -18,6 +16,8 @@ from piezod.diagnose.search import both, search, swap
 from piezod.diagnose.search_state import Round, Search
 from piezod.diagnose.tones import Tone, heard_again, without_tones
 from piezod.effects import EFFECTS
+from tests.unit.diagnose.residuals import mixed_work, noise, series, time
+from tests.unit.diagnose.test_sharp import many_plays
 
 SAMPLES, RATE_HZ, NOISE_N = 12_000, 200.0, 0.2
 

@@ -2,13 +2,13 @@
 
 import numpy as np
 import pytest
-from unit.diagnose.residuals import mixed_work, noise, played, series, time, triangles
 
 from piezod.diagnose.basis import ForceLaw, PlayDensity
 from piezod.diagnose.chain import Chain, empty_point
 from piezod.diagnose.fit import fit
 from piezod.diagnose.search import SHARPER, search
 from piezod.diagnose.sharp import sharpened
+from tests.unit.diagnose.residuals import mixed_work, noise, played, series, time, triangles
 
 SAMPLES = 20_000
 NOISE_N = 0.05

@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
-from unit.diagnose.residuals import mixed_work, model_of, noise, series, time
 
 from piezod.diagnose.direct import SKEWS_PPM, skew_ppm
+from tests.unit.diagnose.residuals import mixed_work, model_of, noise, series, time
 
 SAMPLES, NOISE_N = 60_000, 2.0
 

@@ -2,12 +2,12 @@
 
 import numpy as np
 import pytest
-from unit.diagnose.residuals import mixed_work, series, time
-from unit.diagnose.test_sharp import many_plays
 
 from piezod.diagnose.basis import ForceLaw, PlayDensity
 from piezod.diagnose.chain import Chain, Point, Term
 from piezod.effects import EFFECTS
+from tests.unit.diagnose.residuals import mixed_work, series, time
+from tests.unit.diagnose.test_sharp import many_plays
 
 SAMPLES, RATE_HZ = 4000, 200.0
 BEHIND = [

@@ -2,11 +2,11 @@
 
 import numpy as np
 import pytest
-from unit.diagnose.residuals import mixed_work, model_of, noise
 
 from piezod.diagnose.direct import level_about, lines
 from piezod.diagnose.series import Series
 from piezod.diagnose.tones import swing_with_command, tones
+from tests.unit.diagnose.residuals import mixed_work, model_of, noise
 
 NOISE_N = 0.5
 

@@ -4,7 +4,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from unit.diagnose.residuals import mixed_work, noise, played, series, time
 
 from piezod.diagnose import diagnosis
 from piezod.diagnose.basis import ForceLaw, PlayDensity
@@ -14,6 +13,7 @@ from piezod.diagnose.fit import fit
 from piezod.diagnose.search_state import Round, Search
 from piezod.diagnose.unfolded import SMALLEST, loading_slopes, unfolded
 from piezod.effects import EFFECTS
+from tests.unit.diagnose.residuals import mixed_work, noise, played, series, time
 
 SAMPLES, RATE_HZ, NOISE_N = 12_000, 200.0, 0.05
 DENSITY = PlayDensity.up_to(119.4)

@@ -3,9 +3,9 @@ import os
 import numpy as np
 import pytest
 
-from firmware_sim.bench import Bench
-from firmware_sim.compiled_cache import forget_older_than_sources
-from firmware_sim.scenario import scenario_names
+from firmware_sim.physics.bench import Bench
+from firmware_sim.physics.compiled_cache import forget_older_than_sources
+from firmware_sim.physics.scenario import scenario_names
 from tests.unit.firmware_sim.waves import bench, forces, opening_percent, triangles
 
 

@@ -2,7 +2,7 @@ import pytest
 
 from firmware_sim.config import LineCommand, configured_scenario, load_config
 from firmware_sim.errors import ConfigurationError
-from firmware_sim.scenario import load_scenario, with_effects
+from firmware_sim.physics.scenario import load_scenario, with_effects
 
 HEAD = "schema: firmware_sim.emulator/1\n"
 

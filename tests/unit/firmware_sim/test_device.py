@@ -4,10 +4,10 @@ import struct
 import numpy as np
 import pytest
 
-from firmware_sim.bench import Bench
 from firmware_sim.config import Firmware
-from firmware_sim.device import Device
 from firmware_sim.errors import RefusedError
+from firmware_sim.firmware.device import Device
+from firmware_sim.physics.bench import Bench
 from tests.unit.firmware_sim.waves import bench
 
 

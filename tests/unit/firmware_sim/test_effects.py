@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from firmware_sim.effects import Effects
+from firmware_sim.physics.effects import Effects
 from tests.unit.firmware_sim.waves import bench, forces, hold, opening_percent, triangles
 
 STEP_V = np.concatenate([hold(0.0, 0.1), hold(100.0, 0.9)])  # at sample 100, thus 0.1 s

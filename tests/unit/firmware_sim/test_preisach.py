@@ -3,10 +3,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from firmware_sim.layout import REVERSALS, STATE
-from firmware_sim.parameters import parameter_record
-from firmware_sim.preisach import everett, move_field
-from firmware_sim.scenario import Scenario, load_scenario
+from firmware_sim.physics.layout import REVERSALS, STATE
+from firmware_sim.physics.parameters import parameter_record
+from firmware_sim.physics.preisach import everett, move_field
+from firmware_sim.physics.scenario import Scenario, load_scenario
 
 FULL_V = 140.0
 voltages = st.floats(0.0, FULL_V, allow_nan=False, width=32)

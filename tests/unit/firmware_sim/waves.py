@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from firmware_sim.bench import Bench
-from firmware_sim.scenario import load_scenario
+from firmware_sim.physics.bench import Bench
+from firmware_sim.physics.scenario import load_scenario
 
 DT_S = 1e-3
 

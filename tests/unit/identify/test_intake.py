@@ -7,7 +7,6 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
-from unit.recording.formats import suffixes
 
 from piezod.errors import ConfigurationError, RecordingError, UsageError
 from piezod.excitation import constant_triangles, staircase_minor_loops_multisine
@@ -15,6 +14,7 @@ from piezod.identify.intake import check_result, take_in, take_whole
 from piezod.identify.suitability import check_suitable
 from piezod.operators import PrandtlIshlinskii
 from piezod.recording import Recording, write_csv, write_recording
+from tests.unit.recording.formats import suffixes
 
 RATE_HZ = 100.0
 U = constant_triangles(140.0, 0.1, 4, RATE_HZ)

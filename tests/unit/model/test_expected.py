@@ -2,11 +2,11 @@
 
 import numpy as np
 import pytest
-from unit.model.chains import DT_S, FOUND, held_model, with_effects
 
 from piezod.model.expected import ExpectedReading
 from piezod.model.parameters import EffectValues
 from piezod.model.plant import run_chain
+from tests.unit.model.chains import DT_S, FOUND, held_model, with_effects
 
 OF_THE_CELL = ("charge_leakage", "sensor_filter", "feedthrough", "transport_delay")
 

@@ -2,11 +2,11 @@
 
 import numpy as np
 import pytest
-from unit.model.chains import DT_S, held_model, with_effects
 
 from piezod.errors import ModelError
 from piezod.model.extended_compensator import ExtendedCompensator, before_mode, ticks_late
 from piezod.model.plant import run_chain
+from tests.unit.model.chains import DT_S, held_model, with_effects
 
 FROM_START = ("rate_dependent_hysteresis", "creep", "electrical_lag", "output_nonlinearity", "voltage_clamp")
 

@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
-from unit.model.chains import held_model, with_effects
 
 from piezod.model.plant import run_chain
+from tests.unit.model.chains import held_model, with_effects
 
 
 @pytest.mark.parametrize("seconds", [5.0, 20.0])

@@ -8,7 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from piezod.errors import RecordingError
-from piezod.recording import Recording, csv, csv_cells, read_csv, write_csv
+from piezod.recording import Recording, read_csv, write_csv
+from piezod.recording.formats import csv, csv_cells
 
 
 def test_what_is_written_is_read_back(tmp_path):

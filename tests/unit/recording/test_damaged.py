@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from unit.recording.formats import sample, suffixes
 
 from piezod.errors import RecordingError
 from piezod.recording import open_stream, read_recording, write_recording
 from piezod.recording.files import FORMATS
+from tests.unit.recording.formats import sample, suffixes
 
 many = settings(max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow])
 

@@ -5,7 +5,6 @@ import sys
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
-from unit.recording.formats import PACKAGES, REAL, recordings, same, sample, suffixes
 
 from piezod.errors import RecordingError
 from piezod.recording import (
@@ -18,6 +17,7 @@ from piezod.recording import (
     write_recording,
 )
 from piezod.recording.files import FORMATS
+from tests.unit.recording.formats import PACKAGES, REAL, recordings, same, sample, suffixes
 
 quick = settings(max_examples=25, suppress_health_check=[HealthCheck.function_scoped_fixture])
 

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from unit.recording.formats import REAL
 
 from piezod.errors import RecordingError
 from piezod.recording import Recording, read_recording
+from tests.unit.recording.formats import REAL
 
 
 def noisy(n=2000, dt_s=0.01):

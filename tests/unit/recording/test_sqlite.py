@@ -11,13 +11,13 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from unit.recording.formats import sample
 
 from piezod.errors import RecordingError
 from piezod.recording import open_stream, read_recording, write_recording
-from piezod.recording.blocks import Block, layout_of, pack, unpack
+from piezod.recording.formats.sqlite import About, append, create, read_end, read_ticks
+from piezod.recording.formats.sqlite_blocks import Block, layout_of, pack, unpack
 from piezod.recording.ring_log import ROW_DTYPE
-from piezod.recording.sqlite import About, append, create, read_end, read_ticks
+from tests.unit.recording.formats import sample
 
 
 def ticks(count, first=0):

@@ -6,11 +6,10 @@ import numpy as np
 import pytest
 from scipy import signal
 
-from piezod.daemon.shipped import shipped
+from piezod.commissioning.shipped_files import shipped
 from piezod.errors import UsageError
 from piezod.model import load_model
 from piezod.recording import Recording, write_recording
-from piezod.report.compared import compare_files
 from piezod.report.comparison import (
     comparison_as_dict,
     comparison_text,
@@ -18,6 +17,7 @@ from piezod.report.comparison import (
     write_comparison_page,
     write_residual_page,
 )
+from piezod.report.output_comparison import compare_files
 from piezod.report.residual_test import residual_of, residual_test
 
 MODEL = shipped("model.yaml")

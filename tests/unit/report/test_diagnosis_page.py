@@ -13,10 +13,10 @@ from piezod.diagnose.diagnosis import Diagnosis
 from piezod.diagnose.findings import Finding, Findings, HeldOut, Place, Rival, Value
 from piezod.diagnose.series import Series
 from piezod.model import load_model
-from piezod.report.diagnosis_figures import driver_figure, time_lines
-from piezod.report.diagnosis_page import write_diagnosis_page
-from piezod.report.residual_views import Residuals, memory, owners, since_reversal, views
-from piezod.report.spectra import spectrum, time_frequency
+from piezod.report.diagnosis.figures import driver_figure, time_lines
+from piezod.report.diagnosis.page import write_diagnosis_page
+from piezod.report.diagnosis.residual_views import Residuals, memory, owners, since_reversal, views
+from piezod.report.diagnosis.spectra import spectrum, time_frequency
 from piezod.report.thinning import envelope, envelope_times, extremes
 
 MODEL = load_model(Path(__file__).parents[3] / "config" / "model.yaml")

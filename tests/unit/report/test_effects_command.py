@@ -3,11 +3,11 @@
 import json
 
 import pytest
-from hil.emulator import piezod
 
 from piezod.effects import EFFECTS
 from piezod.errors import UsageError
 from piezod.report.effects import effect_named, effect_page, effects_table
+from tests.benches.emulator import piezod
 
 
 def test_the_table_has_a_line_for_every_effect_with_its_seat_parameters_and_handling():

@@ -6,15 +6,15 @@ import time
 import numpy as np
 import pytest
 
+from piezod.commissioning.shipped_files import shipped
 from piezod.config import load_bench
 from piezod.control import ROW_DTYPE, Cause, RingLog, State
-from piezod.daemon.shipped import shipped
 from piezod.errors import ConfigurationError
 from piezod.report.durations import EDGES_us, RecentDurations
 from piezod.report.live.curves import Curves, Table
 from piezod.report.live.feed import MOST_EVENTS, Feed
-from piezod.report.live.lamp import events_html, lamp_html, state_words
 from piezod.report.live.server import read_token
+from piezod.report.live.status_banner import events_html, lamp_html, state_words
 
 
 def rows_of(count, first=0, **fields):

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from firmware_sim.concealed.drives import PIECES, identification_voltage, mixed_work
+from firmware_sim.concealed.plant.drives import PIECES, identification_voltage, mixed_work
 
 
 @pytest.mark.parametrize("seed", range(5))

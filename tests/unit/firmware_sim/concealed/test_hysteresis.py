@@ -5,7 +5,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from firmware_sim.concealed.hysteresis import (
+from firmware_sim.concealed.plant.hysteresis import (
     LEAST_OPENING,
     MOST_OPENING,
     draw_hysteresis,
@@ -13,7 +13,7 @@ from firmware_sim.concealed.hysteresis import (
     loop_opening,
     major_cycles,
 )
-from firmware_sim.concealed.plays_and_stops import Stops, master_curve
+from firmware_sim.concealed.plant.plays_and_stops import Stops, master_curve
 
 KINDS = ("preisach", "bouc_wen", "plays")
 REACH_V = 120.0

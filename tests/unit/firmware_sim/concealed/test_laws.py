@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from firmware_sim.concealed.creep import LAWS, curve, slope_per_decade
-from firmware_sim.concealed.friction import rub
-from firmware_sim.concealed.mechanics import BENDS, amount_of, bend, curvature
-from firmware_sim.concealed.reader import frozen, quantised
-from firmware_sim.concealed.stroke import COURSES, course
+from firmware_sim.concealed.plant.creep import LAWS, curve, slope_per_decade
+from firmware_sim.concealed.plant.friction import rub
+from firmware_sim.concealed.plant.mechanics import BENDS, amount_of, bend, curvature
+from firmware_sim.concealed.plant.reader import frozen, quantised
+from firmware_sim.concealed.plant.stroke import COURSES, course
 from tests.unit.firmware_sim.concealed.benches import (
     FULL_N,
     RATE_HZ,

@@ -7,18 +7,18 @@ import numpy as np
 import pytest
 
 import piezod
-from firmware_sim.concealed.case import effects_in
-from firmware_sim.concealed.catalogue import ENTRIES, SINCE
 from firmware_sim.concealed.cli import main
-from firmware_sim.concealed.drawing import Wish, draw_case
 from firmware_sim.concealed.errors import SealError, StudyError
-from firmware_sim.concealed.foreign import FOREIGN
-from firmware_sim.concealed.make import make
-from firmware_sim.concealed.plan import KINDS, wishes
-from firmware_sim.concealed.reader import frozen, quantised
-from firmware_sim.concealed.seal import open_truth, unpack_arrays
-from firmware_sim.concealed.strength import neighbours
-from firmware_sim.effects import Effects
+from firmware_sim.concealed.plant.foreign import FOREIGN
+from firmware_sim.concealed.plant.reader import frozen, quantised
+from firmware_sim.concealed.study.case import effects_in
+from firmware_sim.concealed.study.catalogue import ENTRIES, SINCE
+from firmware_sim.concealed.study.drawing import Wish, draw_case
+from firmware_sim.concealed.study.make import make
+from firmware_sim.concealed.study.plan import KINDS, wishes
+from firmware_sim.concealed.study.seal import open_truth, unpack_arrays
+from firmware_sim.concealed.study.strength import neighbours
+from firmware_sim.physics.effects import Effects
 
 COLUMNS = ("time_s", "voltage_V", "force_N", "temperature_C")
 

@@ -9,13 +9,13 @@ import pytest
 
 from firmware_sim.concealed.cli import main
 from firmware_sim.concealed.errors import SealError, StudyError
-from firmware_sim.concealed.figures import calibration_bins, figures, wilson
-from firmware_sim.concealed.judge import HeldOut, gap_closed, judge, same_place
-from firmware_sim.concealed.report import as_json, as_text, confusions, failures
-from firmware_sim.concealed.score import score
-from firmware_sim.concealed.seal import TRUTH, pack, pack_arrays, sealed_arrays, write_seal
-from firmware_sim.concealed.truth import Place, TrueCase, TrueEffect
-from firmware_sim.concealed.verdicts import parse_findings
+from firmware_sim.concealed.scoring.figures import calibration_bins, figures, wilson
+from firmware_sim.concealed.scoring.judge import HeldOut, gap_closed, judge, same_place
+from firmware_sim.concealed.scoring.report import as_json, as_text, confusions, failures
+from firmware_sim.concealed.scoring.score import score
+from firmware_sim.concealed.scoring.verdicts import parse_findings
+from firmware_sim.concealed.study.seal import TRUTH, pack, pack_arrays, sealed_arrays, write_seal
+from firmware_sim.concealed.study.truth import Place, TrueCase, TrueEffect
 
 SAMPLES = 500
 TRUE_N = np.sin(np.arange(SAMPLES) / 20.0)

@@ -1,0 +1,1 @@
+"""The concealed plant: its physics, its drives and its noise."""

@@ -1,0 +1,76 @@
+"""Creep by superposition: every past rise of the stroke goes on answering by one curve of time, drawn at random.
+
+The curve J(t) is closed: `logarithmic` log10(1 + t/a) - log10(1 + t/b), `fractional` (1 + t/a)^p - 1 that ends at b,
+and `stretched` 1 - exp(-(t/c)^q). It is scaled to its own slope per decade, fitted between `from_s` and `to_s`. The
+response to a record is the convolution of its rises with J, by transforms; there is no chain of elements.
+"""
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+
+from firmware_sim.concealed.plant.arrays import Array
+
+LAWS = ("logarithmic", "fractional", "stretched")
+BEYOND = 2.0  # how far J's own times lie outside the span, so that its slope holds up to its ends
+CLIMB_DECADES = 1.34  # times 1/q: decades in which a stretched exponential goes from 10 to 90 %
+
+Curve = Callable[[Array], Array]
+
+
+def curve(law: str, shape: float, from_s: float, to_s: float) -> Curve:
+    """J of a law, with a slope of 1 a decade between two times.
+
+    Parameters
+    ----------
+    law
+        One of `LAWS`.
+    shape
+        0 to 1: the exponent of the fractional law, the middle of the stretched one; of no meaning to the logarithmic.
+    from_s, to_s
+        The span [s].
+    """
+    raw = _raw(law, shape, from_s / BEYOND, to_s * BEYOND)
+    slope = slope_per_decade(raw, from_s, to_s)
+
+    def scaled(after_s: Array) -> Array:
+        return raw(after_s) / slope
+
+    return scaled
+
+
+def slope_per_decade(response: Curve, from_s: float, to_s: float) -> float:
+    """Slope of a step's response against the logarithm of time, fitted between two times."""
+    times_s = np.geomspace(from_s, to_s, 200)
+    return float(np.polyfit(np.log10(times_s), response(times_s), 1)[0])
+
+
+def crept(stroke: Array, response: Curve, dt_s: float) -> Array:
+    """What a stroke's past rises add to it, shape (n,).
+
+    A rise is taken to lie in the middle of its step of the grid.
+    """
+    rises = np.diff(stroke, prepend=0.0)
+    after_s: Array = np.asarray((np.arange(stroke.size) + 0.5) * dt_s, dtype=np.float64)
+    size = _transform_size(2 * stroke.size)
+    product = np.fft.rfft(rises, size)
+    product *= np.fft.rfft(response(after_s), size)
+    result: Array = np.fft.irfft(product, size)[: stroke.size]
+    return result
+
+
+def _raw(law: str, shape: float, a: float, b: float) -> Curve:
+    if law == "logarithmic":
+        return lambda t: np.log10(1.0 + t / a) - np.log10(1.0 + t / b)
+    if law == "fractional":
+        power = 0.03 + 0.07 * shape
+        return lambda t: (1.0 + t / (a * (1.0 + t / b))) ** power - 1.0
+    decades = math.log10(b / a) + 0.6
+    middle_s = a * (b / a) ** (0.55 + 0.15 * shape)
+    return lambda t: -np.expm1(-((t / middle_s) ** (CLIMB_DECADES / decades)))
+
+
+def _transform_size(least: int) -> int:
+    """Smallest size of 2, 3 or 5 times a power of two that is enough."""
+    return min(part << max(0, math.ceil(math.log2(least / part))) for part in (2, 3, 5))

@@ -1,0 +1,71 @@
+"""The force laws of a concealed plant: the one it has, how it may bend, and contact."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from firmware_sim.concealed.plant.arrays import Array
+
+
+@dataclass(frozen=True)
+class ForceLaw:
+    """`F = full x (1 + a x + b x^2) / (1 + a + b)` of the relative stroke x.
+
+    Parameters
+    ----------
+    full_N
+        Force at x = 1 [N].
+    a, b
+        Bend (1).
+    """
+
+    full_N: float
+    a: float
+    b: float
+
+    def __call__(self, x: Array) -> Array:
+        """Force at relative strokes, shape (n,) [N]."""
+        return self.full_N * x * (1.0 + self.a * x + self.b * x * x) / (1.0 + self.a + self.b)
+
+
+MOST_AMOUNT = 0.48
+BENDS = ("hyperbolic", "power", "logarithmic")
+
+
+def bend(force: Array, amount: float, shape: str) -> Array:
+    """A relative force that stiffens (amount > 0) or saturates, by one of `BENDS`; unit slope at zero."""
+    if shape == "hyperbolic":
+        return force / (1.0 - amount * force)
+    if shape == "power":
+        power: Array = ((1.0 + force) ** (1.0 + 2.0 * amount) - 1.0) / (1.0 + 2.0 * amount)
+        return power
+    return -np.log1p(-2.0 * amount * force) / (2.0 * amount)
+
+
+def curvature(amount: float, shape: str) -> float:
+    """Second-order part c of the law g (x + c x^2) that comes closest to a bend over 0 to 1."""
+    x = np.linspace(0.0, 1.0, 501)
+    slope, square = np.linalg.lstsq(np.column_stack((x, x * x)), bend(x, amount, shape), rcond=None)[0]
+    return float(square / slope)
+
+
+def amount_of(wanted: float, shape: str) -> float:
+    """Amount of a bend whose curvature is the one wanted, by bisection."""
+    low, high = (0.0, MOST_AMOUNT) if wanted > 0.0 else (-MOST_AMOUNT, 0.0)
+    for _ in range(50):
+        middle = 0.5 * (low + high)
+        if curvature(middle, shape) < wanted:
+            low = middle
+        else:
+            high = middle
+    return 0.5 * (low + high)
+
+
+def contact(force_N: Array, gap_N: float, softness_N: float) -> Array:
+    """What arrives of a force when the first `gap_N` close a gap; a hyperbola about the corner [N]."""
+
+    def arrives(f: Array) -> Array:
+        excess = f - gap_N
+        return 0.5 * (excess + np.hypot(excess, softness_N))
+
+    return arrives(force_N) - arrives(np.zeros(1))

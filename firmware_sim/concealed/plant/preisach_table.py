@@ -1,0 +1,139 @@
+"""Preisach operators from tabulated Everett functions, with a last-in first-out memory of reversals.
+
+The weight between two reversals x < y is `E(x, y)`. Two kinds: a density of the relays' width alone, drawn at random,
+whose E depends on y - x only; and a density that also depends on the place, `E(x, y)` on a lattice, bilinear in
+between.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+
+from firmware_sim.concealed.plant.arrays import Array
+
+WIDTH_POINTS = 20_001
+LATTICE = 401
+DEEPEST = 512  # reversals remembered
+
+
+@dataclass(frozen=True)
+class Everett:
+    """Tables over -`reach_V` to `reach_V`, scaled to an output of `reach_V` on the virgin curve's end.
+
+    Parameters
+    ----------
+    reach_V
+        Largest input [V].
+    by_width
+        E over y - x from 0 to 2 reach, shape (WIDTH_POINTS,), or one zero.
+    by_place
+        E over x and y, shape (LATTICE, LATTICE), or one zero.
+    virgin
+        Output on the first rise over 0 to reach, shape (WIDTH_POINTS,).
+    """
+
+    reach_V: float
+    by_width: Array
+    by_place: Array
+    virgin: Array
+
+    def run(self, voltage_V: Array) -> Array:
+        """Output over inputs from the demagnetised state, shape (n,) [V]."""
+        result: Array = _run(self.reach_V, self.by_width, self.by_place, self.virgin, voltage_V)
+        return result
+
+
+def everett_by_width(rng: np.random.Generator, reach_V: float) -> Everett:
+    """Density of the width alone: a mixture of two to four smooth bumps."""
+    d = np.linspace(0.0, 2.0 * reach_V, WIDTH_POINTS)
+    density = np.zeros(d.size)
+    for _ in range(rng.integers(2, 5)):
+        centre, spread = rng.uniform(0.0, 0.9) * reach_V, rng.uniform(0.15, 0.5) * reach_V
+        density += rng.uniform(0.3, 1.0) * np.exp(-0.5 * ((d - centre) / spread) ** 2)
+    table = _integral(_integral(density, d), d)
+    virgin = 0.5 * table
+    scale = reach_V / virgin[-1]
+    return Everett(reach_V, scale * table, np.zeros((1, 1)), scale * virgin)
+
+
+def everett_by_place(rng: np.random.Generator, reach_V: float) -> Everett:
+    """Density that changes with the bias (a + b) / 2 as well: ridges across the plane."""
+    axis = np.linspace(-reach_V, reach_V, LATTICE)
+    b, a = np.meshgrid(axis, axis, indexing="ij")
+    width, bias = a - b, 0.5 * (a + b)
+    density = np.exp(-width / (rng.uniform(0.25, 0.6) * reach_V))
+    place, spread = rng.uniform(0.1, 0.9) * reach_V, rng.uniform(0.15, 0.35) * reach_V
+    density *= 0.25 + np.exp(-0.5 * ((bias - place) / spread) ** 2)
+    density[a < b] = 0.0
+    density[a == b] *= 0.5
+    cell = (axis[1] - axis[0]) ** 2
+    # E(x, y): sum over b >= x and a <= y.
+    table = np.cumsum(np.cumsum(density[::-1, :], axis=0)[::-1, :], axis=1) * cell
+    table[a <= b] = 0.0
+    up = np.where((a > 0.0) & (b > -a), density, 0.0).sum(axis=0) * cell
+    virgin = np.interp(np.linspace(0.0, reach_V, WIDTH_POINTS), axis, np.cumsum(up))
+    virgin -= virgin[0]
+    scale = reach_V / virgin[-1]
+    return Everett(reach_V, np.zeros(1), scale * table, scale * virgin)
+
+
+def _integral(values: Array, at: Array) -> Array:
+    steps = 0.5 * (values[1:] + values[:-1]) * np.diff(at)
+    return np.concatenate(([0.0], np.cumsum(steps)))
+
+
+@njit(cache=True)
+def _lookup(reach_V: float, by_width: Array, by_place: Array, low: float, high: float) -> float:
+    total = 0.0
+    if by_width.size > 1:
+        at = (high - low) / (2.0 * reach_V) * (by_width.size - 1)
+        k = min(int(at), by_width.size - 2)
+        total += by_width[k] + (at - k) * (by_width[k + 1] - by_width[k])
+    if by_place.shape[0] > 1:
+        n = by_place.shape[0] - 1
+        p, q = (low / reach_V + 1.0) * 0.5 * n, (high / reach_V + 1.0) * 0.5 * n
+        i, j = min(max(int(p), 0), n - 1), min(max(int(q), 0), n - 1)
+        f, g = p - i, q - j
+        left = by_place[i, j] * (1.0 - g) + by_place[i, j + 1] * g
+        right = by_place[i + 1, j] * (1.0 - g) + by_place[i + 1, j + 1] * g
+        total += left * (1.0 - f) + right * f
+    return total
+
+
+@njit(cache=True)
+def _virgin(reach_V: float, virgin: Array, u: float) -> float:
+    at = max(u, 0.0) / reach_V * (virgin.size - 1)
+    k = min(int(at), virgin.size - 2)
+    value: float = virgin[k] + (at - k) * (virgin[k + 1] - virgin[k])
+    return value
+
+
+@njit(cache=True)
+def _run(reach_V: float, by_width: Array, by_place: Array, virgin: Array, u: Array) -> Array:
+    corner, level = np.empty(DEEPEST), np.empty(DEEPEST)
+    out = np.empty(u.size)
+    depth, heading = 0, 0.0
+    last, value = 0.0, 0.0
+    for k in range(u.size):
+        move = u[k] - last
+        if move != 0.0:
+            way = 1.0 if move > 0.0 else -1.0
+            if heading * way < 0.0:
+                if depth == DEEPEST:
+                    depth -= 2
+                corner[depth], level[depth] = last, value
+                depth += 1
+            heading, last = way, u[k]
+            while depth >= 2 and way * (last - corner[depth - 2]) >= 0.0:
+                depth -= 2
+            if depth == 1 and last >= corner[0]:
+                depth = 0
+            if depth == 0:
+                value = _virgin(reach_V, virgin, last)
+            else:
+                x = corner[depth - 1]
+                weight = _lookup(reach_V, by_width, by_place, min(x, last), max(x, last))
+                value = level[depth - 1] + way * weight
+        out[k] = value
+    return out

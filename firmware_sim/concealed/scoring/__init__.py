@@ -1,0 +1,1 @@
+"""The scoring of verdicts against the sealed truth."""

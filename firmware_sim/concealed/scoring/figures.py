@@ -1,0 +1,198 @@
+"""The figures that a study is judged by, each with what it must be at least and what is aimed at.
+
+Which cases and names count where:
+
+- exact sets: singles (at 4 and 20 times the noise, and at 0.8 times), pairs and triples;
+- precision: every name given in every case, nulls and foreign cases too; right is a name that is in the case;
+- truth among named or rivals: every effect of the catalogue in every case;
+- false "unexplained": singles, pairs and triples whose exact set was named;
+- places and parameters: those of the effects of the catalogue in every case; parameters only where the name was given.
+  Lag, delay and frequency are `time_constant_s` of the electrical lag, `delay_s`, and `frequency_Hz`;
+- calibration: names in ten equal bins of confidence; the mean over all names of |share right - mean confidence| of
+  their bin;
+- time: median over the cases that say how long they took.
+
+Intervals are Wilson's at 95 %.
+"""
+
+import math
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from firmware_sim.concealed.scoring.judge import Judgement, ParameterError
+
+BINS = 10
+FALSELY_OPEN = 'false "unexplained" on solved cases'
+Z = 1.959964
+STRONG = 2.0  # in parts of the noise: between the weakest strength and the others
+SWIFT = frozenset({("electrical_lag", "time_constant_s"), ("transport_delay", "delay_s")})
+
+
+@dataclass(frozen=True)
+class Figure:
+    """One line of the table.
+
+    Parameters
+    ----------
+    name
+        What it says.
+    value
+        In the unit of `limits`; None: nothing to count.
+    count
+        How many cases, names or places it rests on.
+    least, aim
+        What it must be at least, and what is aimed at.
+    rising
+        Larger is better.
+    interval
+        Of a share; None: not one.
+    percent
+        Shown in percent.
+    """
+
+    name: str
+    value: float | None
+    count: int
+    least: float
+    aim: float
+    rising: bool = True
+    interval: tuple[float, float] | None = None
+    percent: bool = True
+
+    @property
+    def reached(self) -> str:
+        """`aim`, `yes` (what it must be at least), `no`, or `-` where there is nothing to count."""
+        if self.value is None:
+            return "-"
+        for limit, word in ((self.aim, "aim"), (self.least, "yes")):
+            if (self.value >= limit) if self.rising else (self.value <= limit):
+                return word
+        return "no"
+
+
+@dataclass(frozen=True)
+class Bin:
+    """Names of nearly one confidence: their mean confidence, the share that is right, and how many."""
+
+    low: float
+    high: float
+    count: int
+    confidence: float
+    right: float
+
+
+def figures(judged: Sequence[Judgement]) -> list[Figure]:
+    """The whole table."""
+    kinds = ("null", "single", "pair", "triple", "foreign")
+    of_kind = {kind: [j for j in judged if j.case.kind == kind] for kind in kinds}
+    strong = [j for j in of_kind["single"] if j.case.effects[0].strength >= STRONG]
+    weak = [j for j in of_kind["single"] if j.case.effects[0].strength < STRONG]
+    solved = [j for kind in ("single", "pair", "triple") for j in of_kind[kind] if j.exact]
+    right = [is_right for j in judged for _, is_right in j.names_right]
+    covered = [effect.name in j.covered for j in judged for effect in j.case.effects]
+    places = [place.found for j in judged for place in j.places]
+    return [
+        _share("false alarm on nulls", _each(of_kind["null"], lambda j: j.alarm), 0.05, 0.0, rising=False),
+        _share("singles, exact set, 4x and 20x noise", _each(strong, _exact), 0.90, 0.97),
+        _share("singles, exact set, 0.8x noise", _each(weak, _exact), 0.80, 0.92),
+        _share("pairs, exact set", _each(of_kind["pair"], _exact), 0.75, 0.88),
+        _share("triples, exact set", _each(of_kind["triple"], _exact), 0.60, 0.78),
+        _share("precision over all names given", right, 0.95, 0.98),
+        _share("truth among named or their rivals", covered, 0.95, 0.98),
+        _share("foreign effects flagged", _each(of_kind["foreign"], _flagged), 0.90, 0.97),
+        _share("foreign effects given a sure name", _each(of_kind["foreign"], _sure), 0.10, 0.03, rising=False),
+        _share(FALSELY_OPEN, _each(solved, _flagged), 0.05, 0.02, rising=False),
+        _share("places found", places, 0.85, 0.95),
+        *_parameters(judged),
+        *_gaps(judged),
+        _calibration(judged),
+        _time(judged),
+    ]
+
+
+def calibration_bins(judged: Iterable[Judgement]) -> list[Bin]:
+    """Names in equal bins of confidence, empty bins left out."""
+    names = [name for j in judged for name in j.names_right]
+    bins = []
+    for k in range(BINS):
+        inside = [(c, r) for c, r in names if min(int(min(max(c, 0.0), 1.0) * BINS), BINS - 1) == k]
+        if inside:
+            confidence, right = (float(np.mean(column)) for column in zip(*inside, strict=True))
+            bins.append(Bin(k / BINS, (k + 1) / BINS, len(inside), confidence, right))
+    return bins
+
+
+def wilson(hits: int, count: int) -> tuple[float, float]:
+    """Wilson's interval of a share at 95 % (1)."""
+    middle = (hits + 0.5 * Z * Z) / (count + Z * Z)
+    half = Z / (count + Z * Z) * math.sqrt(hits * (count - hits) / count + 0.25 * Z * Z)
+    return max(middle - half, 0.0), min(middle + half, 1.0)
+
+
+def _each(judged: Iterable[Judgement], what: Callable[[Judgement], bool]) -> list[bool]:
+    return [what(j) for j in judged]
+
+
+def _flagged(judgement: Judgement) -> bool:
+    return judgement.verdict.flagged
+
+
+def _exact(judgement: Judgement) -> bool:
+    return judgement.exact
+
+
+def _sure(judgement: Judgement) -> bool:
+    return judgement.sure_name
+
+
+def _share(name: str, hits: Sequence[bool], least: float, aim: float, *, rising: bool = True) -> Figure:
+    if not hits:
+        return Figure(name, None, 0, least, aim, rising)
+    interval = wilson(sum(hits), len(hits))
+    return Figure(name, sum(hits) / len(hits), len(hits), least, aim, rising, interval)
+
+
+def _parameters(judged: Sequence[Judgement]) -> list[Figure]:
+    def swift(error: ParameterError) -> bool:
+        return error.parameter == "frequency_Hz" or (error.effect, error.parameter) in SWIFT
+
+    errors = [error for j in judged for error in j.errors]
+    of_swift, of_others = [e.error for e in errors if swift(e)], [e.error for e in errors if not swift(e)]
+    name = "parameter error, median"
+    return [
+        Figure(f"{name}: lag, delay, frequency", _quantile(of_swift, 0.5), len(of_swift), 0.02, 0.005, rising=False),
+        Figure(f"{name}: others", _quantile(of_others, 0.5), len(of_others), 0.10, 0.03, rising=False),
+    ]
+
+
+def _gaps(judged: Sequence[Judgement]) -> list[Figure]:
+    gaps = [j.gap_closed for j in judged if j.gap_closed is not None]
+    name = "held-out gap closed"
+    return [
+        Figure(f"{name}, median", _quantile(gaps, 0.5), len(gaps), 0.98, 0.998, percent=False),
+        Figure(f"{name}, 10th percentile", _quantile(gaps, 0.1), len(gaps), 0.90, 0.98, percent=False),
+    ]
+
+
+def _calibration(judged: Sequence[Judgement]) -> Figure:
+    bins = calibration_bins(judged)
+    count = sum(b.count for b in bins)
+    error = sum(b.count * abs(b.right - b.confidence) for b in bins) / count if count else None
+    return Figure("calibration error of the confidence (ECE)", error, count, 0.05, 0.03, rising=False, percent=False)
+
+
+def _time(judged: Sequence[Judgement]) -> Figure:
+    times = [j.verdict.elapsed_s for j in judged if j.verdict.elapsed_s is not None]
+    return Figure("time a case, median [s]", _quantile(times, 0.5), len(times), 60.0, 10.0, rising=False, percent=False)
+
+
+def _quantile(values: Sequence[float], share: float) -> float | None:
+    """Quantile by straight lines between the ranks, infinite values allowed; None of nothing."""
+    if not values:
+        return None
+    ordered = sorted(values)
+    at = share * (len(ordered) - 1)
+    low, high = ordered[math.floor(at)], ordered[math.ceil(at)]
+    return low if low == high else low + (at - math.floor(at)) * (high - low)

@@ -1,0 +1,124 @@
+"""Makes a study: draws its cases, writes what an engineer would have, seals what only the maker knows."""
+
+import json
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from itertools import repeat
+from multiprocessing import get_context
+from pathlib import Path
+
+import numpy as np
+
+from firmware_sim.concealed.errors import StudyError
+from firmware_sim.concealed.study.case import Case, Record
+from firmware_sim.concealed.study.drawing import Wish, draw_case
+from firmware_sim.concealed.study.plan import wishes
+from firmware_sim.concealed.study.seal import SEAL, TRUTH, pack, pack_arrays, sealed_arrays, write_seal
+
+SCHEMA = "firmware_sim.concealed.truth/1"
+CASE_SCHEMA = "firmware_sim.concealed.case/1"
+ROWS = 2**14
+
+
+def make(
+    directory: Path,
+    cases: int,
+    *,
+    seed: int | None = None,
+    kind: str = "all",
+    effect: str | None = None,
+    strength: float | None = None,
+    jobs: int = 1,
+    progress: Callable[[int, int], None] | None = None,
+) -> None:
+    """Make a study in a directory that has none.
+
+    Parameters
+    ----------
+    directory
+        Made if it is not there.
+    cases
+        How many.
+    seed
+        The same seed makes the same study; None: from the operating system.
+    kind, effect, strength
+        See `plan.wishes`.
+    jobs
+        Processes.
+    progress
+        Told how many of how many are done.
+
+    Raises
+    ------
+    StudyError
+        The directory has a study.
+    """
+    if (directory / SEAL).exists():
+        raise StudyError(f"{directory}: has a study already; take another directory")
+    entropy = np.random.SeedSequence(seed)
+    plan, *children = entropy.spawn(cases + 1)
+    planned = wishes(np.random.Generator(np.random.PCG64(plan)), cases, kind, effect, strength)
+    (directory / "sealed").mkdir(parents=True, exist_ok=True)
+    names = [f"case_{k:04d}" for k in range(1, cases + 1)]
+    truths = {}
+    for done, truth in enumerate(_made(directory, names, planned, children, jobs), 1):
+        truths[names[done - 1]] = truth
+        if progress:
+            progress(done, cases)
+    text = json.dumps({"schema": SCHEMA, "entropy": str(entropy.entropy), "cases": truths})
+    (directory / TRUTH).write_bytes(pack(text.encode()))
+    write_seal(directory, [directory / TRUTH, *(sealed_arrays(directory, name) for name in names)], cases=cases)
+
+
+def _made(
+    directory: Path, names: Sequence[str], planned: Sequence[Wish], seeds: Sequence[np.random.SeedSequence], jobs: int
+) -> Iterator[dict[str, object]]:
+    if jobs <= 1:
+        yield from map(make_case, repeat(directory), names, planned, seeds)
+        return
+    with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
+        yield from pool.map(make_case, repeat(directory), names, planned, seeds)
+
+
+def make_case(directory: Path, name: str, wish: Wish, seed: np.random.SeedSequence) -> dict[str, object]:
+    """Draw and write one case; return its truth."""
+    case = draw_case(wish, seed)
+    folder = directory / name
+    folder.mkdir(exist_ok=True)
+    for record in case.records:
+        _write_record(folder / record.name, case, record)
+    described = json.dumps(_what_an_engineer_knows(case), indent=1) + "\n"
+    (folder / "case.json").write_text(described, encoding="utf-8")
+    held_out = case.records[-1]
+    sealed_arrays(directory, name).write_bytes(pack_arrays({"held_out_true_N": case.repeatable_N(held_out)}))
+    return case.truth
+
+
+def _what_an_engineer_knows(case: Case) -> dict[str, object]:
+    names = [record.name for record in case.records]
+    return {
+        "schema": CASE_SCHEMA,
+        "identification": names[0],
+        "recordings": names[1:-1],
+        "held_out": names[-1],
+        "input": "voltage_V",
+        "output": "force_N",
+        "start": "every record starts at rest, depoled, at 0 V",
+    }
+
+
+def _write_record(path: Path, case: Case, record: Record) -> None:
+    columns = {
+        "time_s": (record.drive.time_s, "%.6f"),
+        "voltage_V": (record.drive.voltage_V, "%.4f"),
+        "force_N": (case.reading_N(record), "%.7g"),
+    }
+    if case.shows_temperature:
+        columns["temperature_C"] = (case.temperature_C(record), "%.3f")
+    row = ",".join(form for _, form in columns.values()) + "\n"
+    table = np.column_stack([values for values, _ in columns.values()])
+    with path.open("w", encoding="utf-8") as file:
+        file.write(",".join(columns) + "\n")
+        for start in range(0, len(table), ROWS):
+            block = table[start : start + ROWS]
+            file.write("".join(repeat(row, len(block))) % tuple(block.ravel().tolist()))

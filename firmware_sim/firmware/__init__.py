@@ -1,0 +1,1 @@
+"""The firmware of the emulated device: registers, commands, watchdog, protocols."""

@@ -1,0 +1,1 @@
+"""The physics of the emulated bench: amplifier, stack, mechanics, load cell."""

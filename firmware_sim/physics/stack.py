@@ -1,0 +1,58 @@
+"""The piezo stack: voltage to free stroke (in volts' worth), with hysteresis, rate, creep and ageing.
+
+- Rate: the field that the relays see trails the voltage by a coercive offset that grows with the logarithm of the rate.
+  It builds up over a path travelled in volts, not over time, so that nothing moves while the voltage rests.
+- Creep: a dense spectrum of relaxations, several a decade with faded edges, driven by the hysteresis' output and
+  integrated by the trapezoidal rule; its step response climbs with the logarithm of time.
+- Ageing: the stroke's gain saturates exponentially.
+"""
+
+import math
+
+from numba import njit
+
+from firmware_sim.physics.layout import Record
+from firmware_sim.physics.preisach import move_field
+
+
+@njit(cache=True)
+def deform(state: Record, parameters: Record) -> None:
+    """Advance the free stroke [V] by one physics step under the amplifier's output."""
+    _trail(state, parameters)
+    move_field(state, parameters, state.output_V - state.coercive_V)
+    state.previous_hysteresis = state.hysteresis
+    state.hysteresis = parameters.reversible * state.output_V + state.irreversible
+    state.stroke = state.hysteresis
+    if parameters.creep_modes > 0:
+        _creep(state, parameters)
+    if parameters.gain_change != 0.0:
+        age = state.steps * parameters.step_s / parameters.gain_time_s
+        state.stroke *= 1.0 - parameters.gain_change * math.expm1(-age) / (1.0 - math.exp(-1.0))
+
+
+@njit(cache=True)
+def _trail(state: Record, parameters: Record) -> None:
+    """Let the coercive offset approach the one that belongs to the present rate."""
+    travel_V = state.output_V - state.previous_output_V
+    if parameters.rate_growth == 0.0 or travel_V == 0.0:
+        return
+    rate = abs(travel_V) / parameters.step_s / parameters.rate_reference_V_per_s
+    offset_V = parameters.rate_growth * parameters.width_scale_V * math.log1p(rate)
+    path = abs(travel_V) / (parameters.rate_path_V + 3.0 * offset_V)
+    parts = 1 + int(4.0 * path)
+    for _ in range(parts):  # a midpoint step longer than the path would overshoot
+        gap_V = math.copysign(offset_V, travel_V) - state.coercive_V
+        state.coercive_V += gap_V * (path / parts) / (1.0 + 0.5 * path / parts)
+
+
+@njit(cache=True)
+def _creep(state: Record, parameters: Record) -> None:
+    """Relax every mode towards its share of the hysteresis' output and add it to the stroke."""
+    middle = 0.5 * (state.previous_hysteresis + state.hysteresis)
+    total = 0.0
+    for mode in range(parameters.creep_modes):
+        half = 0.5 * parameters.step_s / parameters.creep_tau_s[mode]
+        goal = parameters.creep_weight[mode] * middle
+        state.creep[mode] = (state.creep[mode] * (1.0 - half) + 2.0 * half * goal) / (1.0 + half)
+        total += state.creep[mode]
+    state.stroke += total

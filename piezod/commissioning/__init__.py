@@ -1,0 +1,1 @@
+"""Tools that use sessions: check, init, record, validate, demo, safe stop, support bundle."""

@@ -1,0 +1,63 @@
+"""The questions of `piezod init` on a terminal."""
+
+from dataclasses import replace
+
+import typer
+
+from piezod.commissioning.init import Answers, profiles
+from piezod.commissioning.shipped_files import shipped
+from piezod.config import load_bench
+from piezod.config.link import ModbusTcpLink
+from piezod.transport.probe import serial_ports
+
+
+def ask(profile: str | None, given: Answers) -> tuple[str, Answers]:
+    """Ask for what was not given; the profile's values are offered.
+
+    Parameters
+    ----------
+    profile
+        As given.
+    given
+        What the options said already.
+    """
+    known = profiles()
+    if profile not in known:
+        for name, words in known.items():
+            typer.echo(f"  {name:22} {words}")
+        profile = typer.prompt("device profile", default="bench")
+    if profile not in known:
+        return str(profile), given  # refused by whoever drafts
+    bench = load_bench(shipped(f"{profile}.yaml"))
+    answers = replace(given, name=given.name or typer.prompt("name of the bench", default=bench.name))
+    link = bench.link
+    if isinstance(link, ModbusTcpLink):
+        answers = replace(
+            answers,
+            host=given.host or typer.prompt("address of the device", default=link.host),
+            port=given.port or typer.prompt("its port", default=link.port, type=int),
+            unit_id=link.unit_id if given.unit_id is None else given.unit_id,
+        )
+    else:
+        answers = replace(answers, serial=given.serial or _serial_port(link.port))
+    cell, limits = bench.load_cell_link, bench.limits
+    if isinstance(cell, ModbusTcpLink):
+        asked = given.load_cell_host or typer.prompt("address of the load cell's device", default=cell.host)
+        answers = replace(answers, load_cell_host=asked)
+    return profile, replace(
+        answers,
+        rate_Hz=given.rate_Hz or typer.prompt("ticks per second [Hz]", default=bench.rate_Hz, type=float),
+        voltage_max_V=given.voltage_max_V
+        or typer.prompt("highest voltage of the stack [V]", default=limits.voltage_max_V, type=float),
+        force_trip_N=given.force_trip_N
+        or typer.prompt("trip when the force is above [N]", default=limits.force_trip_N, type=float),
+    )
+
+
+def _serial_port(usual: str) -> str:
+    """One of the ports that are there, by its number, or any path."""
+    found = serial_ports()
+    for number, port in enumerate(found, 1):
+        typer.echo(f"  {number}  {port.path}  ({port.description})")
+    said: str = typer.prompt("serial port, by number or path", default=found[0].path if found else usual)
+    return found[int(said) - 1].path if said.isdigit() and 0 < int(said) <= len(found) else said

@@ -1,0 +1,140 @@
+"""What the ring log told so far, summed up in memory that does not grow: for the log, the status and the metrics."""
+
+from collections.abc import Callable
+from math import isfinite, sqrt
+
+import numpy as np
+from numpy.typing import NDArray
+
+from piezod.control import CAUSE_TEXT, Cause, State
+from piezod.session.history import GOOD
+from piezod.transport import ExchangeResult
+
+BOUNDS_S = (1e-5, 2e-5, 5e-5, 1e-4, 2e-4, 5e-4, 1e-3, 2e-3, 5e-3, 1e-2, 5e-2, 0.1)
+
+
+class TrackingError:
+    """Error of force against reference, summed up as it goes."""
+
+    def __init__(self) -> None:
+        self.ticks = 0
+        self.max_N = 0.0
+        self._sum_of_squares = 0.0
+        self._last: np.void | None = None
+
+    @property
+    def rms_N(self) -> float:
+        """Root of the mean square so far [N]; nan before the first tick."""
+        return sqrt(self._sum_of_squares / self.ticks) if self.ticks else float("nan")
+
+    def add(self, rows: NDArray[np.void]) -> None:
+        """Take in new rows; a force answers the command one row before it."""
+        if not rows.size:
+            return
+        joined = rows if self._last is None else np.concatenate((np.atleast_1d(self._last), rows))
+        self._last = rows[-1].copy()
+        commands, answers = joined[:-1], joined[1:]
+        followed = (
+            (commands["state"] == State.RUNNING) & (answers["state"] == State.RUNNING) & (answers["result"] == GOOD)
+        )
+        error = answers["force_N"][followed] - commands["reference_N"][followed]
+        if error.size:
+            self.ticks += int(error.size)
+            self._sum_of_squares += float(np.sum(error**2))
+            self.max_N = max(self.max_N, float(np.abs(error).max()))
+
+
+class Durations:
+    """Durations counted into fixed classes."""
+
+    def __init__(self) -> None:
+        self.counts = np.zeros(len(BOUNDS_S) + 1, dtype=np.int64)
+        self.sum_s = 0.0
+
+    def add(self, values_ns: NDArray[np.int64]) -> None:
+        """Count more [ns]."""
+        values_s = values_ns * 1e-9
+        classes = np.searchsorted(BOUNDS_S, values_s)
+        self.counts += np.bincount(classes, minlength=self.counts.size)
+        self.sum_s += float(values_s.sum())
+
+
+class Tally:
+    """Everything that is counted over the rows of one or several sessions.
+
+    Parameters
+    ----------
+    on_transition
+        Called with state, cause and row at every transition.
+    """
+
+    def __init__(self, on_transition: Callable[[State, Cause, np.void], None]) -> None:
+        self._on_transition = on_transition
+        self._state = State.DISARMED
+        self._next_tick: int | None = None
+        self.last: np.void | None = None
+        self.ticks = self.missed = 0
+        self.results = np.zeros(len(ExchangeResult), dtype=np.int64)
+        self.faults: dict[str, int] = {}
+        self.transitions = 0
+        self.was_driving = False
+        self.lateness, self.exchange = Durations(), Durations()
+        self.tracking = TrackingError()
+
+    def begin(self) -> None:
+        """Start over with the ticks of a new session; the sums stay."""
+        self._next_tick = None
+        self.last = None
+
+    def add(self, rows: NDArray[np.void]) -> None:
+        """Take in new rows."""
+        if not rows.size:
+            return
+        self.last = rows[-1].copy()
+        self.ticks += int(rows.size)
+        first = int(rows["tick"][0]) if self._next_tick is None else self._next_tick
+        self._next_tick = int(rows["tick"][-1]) + 1
+        self.missed += max(0, self._next_tick - first - int(rows.size))
+        self.results += np.bincount(rows["result"], minlength=self.results.size)
+        self.lateness.add(rows["lateness_ns"])
+        self.exchange.add(rows["exchange_ns"])
+        self.was_driving = self.was_driving or bool(np.isin(rows["state"], (1, 2, 3, 4)).any())
+        self.tracking.add(rows)
+        for row in rows[np.flatnonzero(np.diff(rows["state"], prepend=self._state))]:
+            self._state = State(row["state"])
+            self.transitions += 1
+            if self._state is State.FAULT:
+                name = Cause(row["cause"]).name.lower()
+                self.faults[name] = self.faults.get(name, 0) + 1
+            self._on_transition(self._state, Cause(row["cause"]), row)
+
+    @property
+    def state(self) -> State:
+        """Of the last row."""
+        return self._state
+
+    def as_dict(self) -> dict[str, object]:
+        """State, values and counts, for `status`; a value that the device does not have is None."""
+        row = self.last
+        cause = Cause.NONE if row is None else Cause(row["cause"])
+        names = ("reference_N", "voltage_V", "force_N", "readback_V", "temperature_C")
+        values = {name: _finite(None if row is None else float(row[name])) for name in names}
+        return {
+            "state": self._state.name,
+            "cause": CAUSE_TEXT[cause],
+            "fault": CAUSE_TEXT[cause] if self._state is State.FAULT else "",
+            **values,
+            "ticks": self.ticks,
+            "missed": self.missed,
+            "failed_exchanges": int(self.results.sum() - self.results[GOOD]),
+            "results": {result.name.lower(): int(self.results[result]) for result in ExchangeResult},
+            "tracking": {
+                "ticks": self.tracking.ticks,
+                "rms_error_N": _finite(self.tracking.rms_N),
+                "max_error_N": self.tracking.max_N,
+            },
+        }
+
+
+def _finite(value: float | None) -> float | None:
+    return value if value is not None and isfinite(value) else None

@@ -1,0 +1,1 @@
+"""The recorder: a process of its own that keeps every tick on the disk."""

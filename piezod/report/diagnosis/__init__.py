@@ -1,0 +1,1 @@
+"""A diagnosis for people: text for a terminal, and one page."""

@@ -1,0 +1,100 @@
+"""What a support bundle holds, and what it must not."""
+
+import json
+import zipfile
+
+import numpy as np
+import pytest
+import yaml
+
+from piezod.commissioning.shipped_files import shipped
+from piezod.commissioning.support_bundle import write_bundle
+from piezod.config import read_document
+from piezod.control import ROW_DTYPE, Cause, RingLog, State
+from piezod.errors import ConfigurationError, UsageError
+
+SECRET = {"ca": "/etc/pki/plant-ca.pem", "certificate": "/etc/pki/me.pem", "key": "/etc/pki/secret.key"}
+
+
+@pytest.fixture
+def config(tmp_path):
+    """A bench in a secret place, with a ring that a daemon left behind."""
+    content = yaml.safe_load(shipped("bench.yaml").read_text(encoding="utf-8"))
+    content["link"] |= {"host": "press.plant.example", "tls": SECRET}
+    content["daemon"] |= {"ring_log": str(tmp_path / "ring"), "socket_group": "pressroom"}
+    path = tmp_path / "bench.yaml"
+    path.write_text(yaml.safe_dump(content), encoding="utf-8")
+    (tmp_path / "model.yaml").write_bytes(shipped("model.yaml").read_bytes())
+    rows = np.zeros(30, ROW_DTYPE)
+    rows["tick"] = np.arange(30)
+    rows["state"], rows["force_N"] = State.RUNNING, 12.25
+    rows["state"][20:], rows["cause"][20:] = State.FAULT, Cause.OVER_FORCE
+    log = RingLog(tmp_path / "ring", 100)
+    for row in rows:
+        log.append(*row.tolist())
+    log.close()
+    return path
+
+
+def contents(path):
+    with zipfile.ZipFile(path) as bundle:
+        return {name: bundle.read(name).decode() for name in bundle.namelist()}
+
+
+def test_no_secret_leaves_the_house(config, tmp_path):
+    write_bundle(config, tmp_path / "out.zip")
+    text = "".join(contents(tmp_path / "out.zip").values())
+    for secret in (*SECRET.values(), "press.plant.example", "pressroom"):
+        assert secret not in text
+    assert text.count("REMOVED") >= 5
+    assert (tmp_path / "out.zip").stat().st_mode & 0o777 == 0o600
+
+
+def test_lines_of_a_protocol_are_removed_and_numbers_are_not(tmp_path):
+    write_bundle(shipped("pi_e625.yaml"), tmp_path / "out.zip")
+    shown = yaml.safe_load(contents(tmp_path / "out.zip")["bench.yaml"])
+    assert shown["link"]["set_voltage"]["send"] == "REMOVED"
+    assert shown["link"]["setup"] == [{"reply": None, "send": "REMOVED"}]
+    assert shown["link"]["baudrate"] == 115200
+    assert shown["load_cell_link"]["host"].startswith("192.168.")
+
+
+def test_the_bundle_tells_versions_machine_model_and_the_last_ticks(config, tmp_path):
+    about = write_bundle(config, tmp_path / "out.zip")
+    parts = contents(tmp_path / "out.zip")
+    assert json.loads(parts["bundle.json"]) == about
+    assert len(about["model"]["sha256"]) == 64
+    assert about["versions"]["numpy"] == np.__version__
+    assert list(about["left_out"]) == ["status.json"]
+    assert parts["transitions.txt"].splitlines() == [
+        "tick 0: RUNNING, started",
+        "tick 20: FAULT, force above limits.force_trip_N; check specimen, reference and load cell",
+    ]
+    lines = parts["ticks.csv"].splitlines()
+    assert len(lines) == 31
+    assert lines[0].startswith("tick,time_ns,reference_N")
+    assert ",12.25," in lines[1]
+
+
+def test_the_configuration_in_it_can_be_read_as_yaml(config, tmp_path):
+    write_bundle(config, tmp_path / "out.zip")
+    path = tmp_path / "shown.yaml"
+    path.write_text(contents(tmp_path / "out.zip")["bench.yaml"], encoding="utf-8")
+    assert read_document(path).content["limits"]["slew_V_per_s"] == 4000.0
+
+
+def test_a_bundle_is_made_of_a_bench_that_never_ran(tmp_path):
+    path = tmp_path / "bench.yaml"
+    text = shipped("bench.yaml").read_text(encoding="utf-8").replace("/dev/shm/", f"{tmp_path}/none/")
+    path.write_text(text, encoding="utf-8")
+    about = write_bundle(path, tmp_path / "out.zip")
+    assert set(about["left_out"]) == {"status.json", "ticks.csv", "transitions.txt"}
+    assert "cannot be read" in about["model"]["problem"]
+
+
+def test_a_bundle_that_is_there_is_not_replaced(config, tmp_path):
+    (tmp_path / "out.zip").write_text("mine", encoding="utf-8")
+    with pytest.raises(UsageError, match="is there already"):
+        write_bundle(config, tmp_path / "out.zip")
+    with pytest.raises(ConfigurationError, match="cannot be written"):
+        write_bundle(config, tmp_path / "nowhere" / "out.zip")

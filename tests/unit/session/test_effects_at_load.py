@@ -1,0 +1,67 @@
+"""A model with an effect that has no inverse is refused before anything is opened; an operator may drive without it."""
+
+from pathlib import Path
+
+import pytest
+import yaml
+
+from piezod.commissioning.check import _effects as effects_checked
+from piezod.effects import EFFECTS
+from piezod.errors import ConfigurationError, ModelError
+from piezod.model import load_model, make_compensator, save_model
+from piezod.model.parameters import EffectValues
+from piezod.session.assembly import load
+
+CONFIG = Path(__file__).parents[3] / "config"
+REFUSED = [name for name, effect in EFFECTS.items() if effect.handling == "refused"]
+
+
+def values(name):
+    return EffectValues(
+        name=name, parameters={one.name: (one.choices or one.starts)[0] for one in EFFECTS[name].parameters}
+    )
+
+
+def bench_with(folder, *names, **changes):
+    model = load_model(CONFIG / "model.yaml")
+    save_model(model.model_copy(update={"effects": tuple(map(values, names))}), folder / "model.yaml")
+    content = yaml.safe_load((CONFIG / "bench.yaml").read_text(encoding="utf-8")) | {"model": "model.yaml"} | changes
+    path = folder / "bench.yaml"
+    path.write_text(yaml.safe_dump(content), encoding="utf-8")
+    return path
+
+
+@pytest.mark.parametrize("name", REFUSED)
+def test_an_effect_without_an_inverse_is_refused_in_one_line_with_reason_and_remedy(name, tmp_path):
+    with pytest.raises(ModelError) as refused:
+        load(bench_with(tmp_path, "creep", name))
+    text = str(refused.value)
+    assert "\n" not in text
+    assert f"model.yaml: {name} cannot be compensated: " in text
+    assert EFFECTS[name].why in text
+    assert f"compensation_without: [{name}]" in text
+
+
+@pytest.mark.parametrize("name", REFUSED)
+def test_an_operator_may_drive_without_it_and_the_check_warns(name, tmp_path):
+    path = bench_with(tmp_path, "creep", name, compensation_without=[name])
+    bench, model = load(path)
+    checks = list(effects_checked(bench, model, path))
+    assert [(one.level, one.found.partition(":")[0]) for one in checks] == [("OK", "creep"), ("WARN", name)]
+    with_it, without = (
+        make_compensator("inverse", one, bench.dt_s, bench.compensation_without)
+        for one in (model, model.model_copy(update={"effects": (values("creep"),)}))
+    )
+    assert with_it.plan(100.0) == without.plan(100.0)
+
+
+def test_a_plain_gain_needs_no_inverse(tmp_path):
+    load(bench_with(tmp_path, "friction", compensation="gain"))
+
+
+def test_what_is_left_out_must_be_in_the_catalogue_and_in_the_model(tmp_path):
+    with pytest.raises(ConfigurationError, match="compensation_without is 'gremlins', must be one of"):
+        load(bench_with(tmp_path, compensation_without=["gremlins"]))
+    path = bench_with(tmp_path, compensation_without=["creep"])
+    (check,) = effects_checked(*load(path), path)
+    assert (check.level, check.found) == ("WARN", "creep: left out, but the model has none")
