@@ -117,7 +117,8 @@ def staircase_minor_loops_multisine(peak_V: float, frequency_Hz: float, periods:
     In this order: the virgin rise in steps at an eighth of the slew, a full triangle, minor loops of two sizes at three
     biases, a staircase down and up with dwells, a fan of reversals from the peak, nested reversals that decay to the
     middle, a multisine, and the return to 0. Steady triangles leave every play with a threshold above `peak_V` / 2
-    frozen (THEORY 1.3); the virgin rise moves them, and the reversals separate those below.
+    frozen (piezod/operators/README.md, "Limits of validity"); the virgin rise moves them, and the reversals separate
+    those below.
 
     Parameters
     ----------

@@ -232,7 +232,7 @@ class Findings:
         return above_noise(self.left, self.floor, self.span)
 
     def as_dict(self) -> dict[str, Any]:
-        """For JSON (DESIGN.md, section 6)."""
+        """For `findings.json`, schema "piezod.findings/1"."""
         return {
             "schema": SCHEMA,
             "verdict": self.verdict,

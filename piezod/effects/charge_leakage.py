@@ -6,7 +6,8 @@ Signature  holds decay towards the start, slow loops lean and run clockwise, 12.
            (goes on in the step's direction), thermal_drift (stays)
 Seat       load cell
 Valid      tau from a few samples to some hundred times the record; beyond, a drift of nothing
-Source     THEORY 3 H
+Source     Kistler Instrumente AG, Basics of Piezoelectric Measuring Technology, time constant and drift;
+           piezod/effects/README.md, "Charge leakage"
 """
 
 from piezod.effects.effect import Array, Context, Effect, Parameter, Seat, Values

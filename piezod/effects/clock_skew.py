@@ -5,7 +5,7 @@ Inverse    resample the reading on the command's clock
 Signature  a delay that grows in proportion to time; look-alike transport_delay is the same from the start on
 Seat       acquisition
 Valid      crystals 1 to 100 ppm, RC oscillators up to 1 %; skew times duration of a sample and more
-Source     THEORY 3 T
+Source     derived here; piezod/effects/README.md, "Clock skew"
 """
 
 import numpy as np

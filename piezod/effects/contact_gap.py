@@ -6,7 +6,8 @@ Signature  no force and no slope at the bottom, then a kink; look-alikes output_
            voltage_clamp (flat at the top)
 Seat       mechanics
 Valid      records that come down to the gap; softness is at most the gap, so nothing arrives from F = 0
-Source     THEORY 3 L; the parabola derived here
+Source     K. L. Johnson (1985), Contact Mechanics, unilateral contact; the parabola derived here;
+           piezod/effects/README.md, "Contact gap"
 """
 
 import numba

@@ -1,12 +1,14 @@
 """The stack goes on moving after a step, with the logarithm of time.
 
 Forward    x + sum_j c_j y_j, tau_j y_j' = x - x(0) - y_j: a Kelvin-Voigt chain, four elements a decade
-Inverse    subtract the states, then advance them: exact (THEORY 1.10)
+Inverse    subtract the states, then advance them: exact (derived here)
 Signature  a hold keeps moving towards the last step, straight in log t, in proportion to the step; loops open alike at
            every frequency, so plays absorb it; look-alikes thermal_drift (not after steps), charge_leakage (to zero)
 Seat       stack, behind the plays and in front of the force law
 Valid      holds of a decade and more between from_s and to_s, at least 3 from_s; without holds it hides in the plays
-Source     THEORY 3 A and 1.10; weights of the end elements derived here
+Source     Physik Instrumente (2005), Designing with Piezoelectric Transducers, creep; Jung and Gweon (2000), Creep
+           Characteristics of Piezoelectric Actuators; weights of the end elements derived here;
+           piezod/effects/README.md, "Creep"
 """
 
 import math

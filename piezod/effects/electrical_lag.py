@@ -2,12 +2,13 @@
 
 Forward    tau du'/dt = u - u', tau = R C, exact for a voltage that runs straight between samples; C grows with the
            voltage, tau = time constant (1 + swell (u' - 60 V) / 100 V), u' as it stands at the sample's start
-Inverse    u = u' + tau du'/dt: one sample of preview (THEORY 1.10)
+Inverse    u = u' + tau du'/dt: reached at the end of the tick (derived here)
 Signature  loops widen in proportion to the rate, corners are rounded; nothing is left while the voltage rests;
            look-alikes sensor_filter (shapes the noise too), transport_delay (sharp corners), slew_limit (above a rate)
 Seat       amplifier, in front of the hysteresis
 Valid      0.1 ms to 0.5 s; below 1.5 samples it cannot be told from a filter or a delay
-Source     THEORY 3 B; R 10 to 1000 ohm into 0.1 to 10 uF, which changes with the bias; in proportion: chosen here
+Source     derived here: R of 10 to 1000 ohm into C of 0.1 to 10 uF; linear growth of C with the voltage chosen here;
+           piezod/effects/README.md, "Electrical lag"
 """
 
 from piezod.effects.effect import Array, Context, Effect, Parameter, Seat, Values

@@ -6,7 +6,8 @@ Signature  on triangles a square wave that jumps at the corners and is there wit
            electrical_lag has the same plateau and reaches it slowly
 Seat       load cell
 Valid      drives of several slopes; rise_s above half a sample
-Source     THEORY 3 S (k1); its k0 is a gain and cannot be told from the stack's
+Source     H. W. Ott (1988), Noise Reduction Techniques in Electronic Systems, capacitive coupling; a term in proportion
+           to u is a gain of the stack; piezod/effects/README.md, "Feedthrough"
 """
 
 import math

@@ -7,7 +7,8 @@ Signature  loops whose width stops growing with the amplitude, at twice the forc
            look-alike the plays themselves, which absorb it, and output_nonlinearity, which has one branch
 Seat       mechanics
 Valid      loops from below presliding_N to several times it; presliding_N is the travel, in force, in which 63 % arise
-Source     THEORY 3 N (Dahl's equation), in Bouc's and Wen's form
+Source     P. R. Dahl (1968), A Solid Friction Model, DTIC ADA041920; Ismail, Ikhouane and Rodellar (2009), The
+           Hysteresis Bouc-Wen Model, a Survey, doi:10.1007/s11831-009-9031-8; piezod/effects/README.md, "Friction"
 """
 
 import numpy as np

@@ -7,7 +7,8 @@ Signature  the same loop grows or shrinks in proportion to itself, time after ti
            add something that does not scale with the loop
 Seat       stack, in front of the force law
 Valid      records of several loops of one amplitude; another record is taken to change as much from end to end
-Source     THEORY 3 O; the course chosen here: straight for b = s = 0, late for b < 0, steepest at the ends for s < 0
+Source     Physik Instrumente (2005), Designing with Piezoelectric Transducers, ageing; the course chosen here: straight
+           for b = s = 0, late for b < 0, steepest at the ends for s < 0; piezod/effects/README.md, "Gain drift"
 """
 
 import math

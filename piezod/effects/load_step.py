@@ -6,7 +6,7 @@ Signature  one sharp edge, or two, at an instant of which the command knows noth
            edge, sensor_dropout does not move at all
 Seat       mechanics
 Valid      edges inside the record; an off_s beyond its end stands for a load that stays
-Source     THEORY 3 M (what remounting changes); the ramp chosen here
+Source     derived here; the ramp chosen here; piezod/effects/README.md, "Load step"
 """
 
 import numpy as np

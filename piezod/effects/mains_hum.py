@@ -6,7 +6,8 @@ Signature  narrow lines at 50 or 60 Hz and multiples, folded at half the samplin
            vibration has a frequency of its own
 Seat       load cell
 Valid      sampling fast enough for the line itself; harmonics above half the sampling rate appear folded
-Source     THEORY 3 Q
+Source     H. W. Ott (1988), Noise Reduction Techniques in Electronic Systems, electric and magnetic pick-up;
+           piezod/effects/README.md, "Mains hum"
 """
 
 import math

@@ -8,7 +8,9 @@ Signature  equal minor loops open differently at different biases, and drift fro
            friction, which slides after a small part of the range
 Seat       hysteresis
 Valid      any Preisach operator is a sum of functions of play states (Krejci 1996); here up to degree 5
-Source     THEORY 3 R; s is the identified voltage range, z_i the states of n plays up to it, h_j hats over their
+Source     I. D. Mayergoyz (2003), Mathematical Models of Hysteresis and Their Applications, congruency;
+           piezod/effects/README.md, "Noncongruent minor loops".
+           s is the identified voltage range, z_i the states of n plays up to it, h_j hats over their
            thresholds, T_d Chebyshev's polynomials. w_j1 alone is congruent, and c_d the same on both branches: a
            share of another hysteresis changes both as well. Memory that fades (accommodation): Bouc and Wen
 """

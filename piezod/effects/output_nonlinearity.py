@@ -7,7 +7,8 @@ Signature  an error that depends on the force alone, the same on both branches; 
            voltage), contact_gap (flat at the bottom)
 Seat       mechanics
 Valid      forces of the identified span and up to half of it beyond; a model that was fitted with it has absorbed it
-Source     THEORY 3 K and M; continued straight so that it stays invertible: derived here
+Source     K. Kuhnen (2003), European Journal of Control 9(4), saturation; K. L. Johnson (1985), Contact Mechanics; the
+           polynomial and its straight continuation derived here; piezod/effects/README.md, "Output nonlinearity"
 """
 
 import math

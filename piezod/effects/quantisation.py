@@ -6,7 +6,8 @@ Signature  few distinct values at equal distances, plateaus where dF/dt T < step
            in one place only
 Seat       acquisition
 Valid      steps above the noise; below it noise dithers the lattice away
-Source     THEORY 3 P
+Source     Widrow, Kollar and Liu (1996), Statistical Theory of Quantization, doi:10.1109/19.492784;
+           piezod/effects/README.md, "Quantisation"
 """
 
 import math

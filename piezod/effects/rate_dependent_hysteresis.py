@@ -2,12 +2,14 @@
 
 Forward    r_i(t) = r_i (1 + growth ln(1 + rate / reference)); rate is |du/dt|, smoothed over a short way of u and so
            kept while u rests
-Inverse    implicit, with the thresholds of this rate; exact for any schedule of thresholds (THEORY 1.9, 1.6)
+Inverse    implicit, with the thresholds of this rate; exact for any schedule of thresholds
+           (piezod/operators/README.md, "Thresholds that change with time")
 Signature  loops widen with the logarithm of the rate, flats after a reversal lengthen, nothing relaxes in a hold;
            look-alike electrical_lag widens in proportion to the rate and rounds corners, creep goes on in a hold
 Seat       the hysteresis itself
 Valid      one decade of rates at least; r_0 = 0 has no width that could grow
-Source     THEORY 3 J (the logarithm) and 1.9 (thresholds that depend on the rate)
+Source     Al Janaideh and Krejci (2013), IEEE/ASME Trans. Mechatronics 18(5), 1498-1507: thresholds that depend on the
+           rate; the logarithm chosen here; piezod/effects/README.md, "Rate-dependent hysteresis"
 """
 
 import math

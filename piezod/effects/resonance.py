@@ -6,7 +6,8 @@ Signature  ringing at f after corners, a peak of the gain at f, far below it an 
            look-alikes vibration (rings without corners), sensor_filter (hardly overshoots), electrical_lag
 Seat       mechanics
 Valid      f from a few 1/T to near half the sampling rate; zeta 0.001 to 1
-Source     THEORY 3 E
+Source     Adriaens, de Koning and Banning (2000), Modeling Piezoelectric Actuators, IEEE/ASME Trans. Mechatronics 5(4);
+           piezod/effects/README.md, "Resonance"
 """
 
 from piezod.effects.effect import Array, Context, Effect, Parameter, Seat, Values

@@ -7,7 +7,7 @@ Signature  corners rounded and late, noise rolls off at f_c; look-alikes electri
            transport_delay (corners stay sharp), resonance (overshoots)
 Seat       load cell
 Valid      f_c from a few 1/T to a third of the sampling rate; above, it cannot be told from a delay
-Source     THEORY 3 G; r from |H(f_c)|^2 = 1/2
+Source     derived here: r from |H(f_c)|^2 = 1/2; piezod/effects/README.md, "Sensor filter"
 """
 
 import math

@@ -6,7 +6,8 @@ Signature  nothing below a rate, then ramps whose duration grows with the step; 
            as long for every step
 Seat       amplifier, in front of the hysteresis
 Valid      one limit for both directions; one that no command exceeds cannot be seen
-Source     THEORY 3 C; |du/dt| <= I_max / C; the catching up inside an interval derived here
+Source     Physik Instrumente (2005), Designing with Piezoelectric Transducers: |du/dt| <= I_max / C; the catching up
+           inside an interval derived here; piezod/effects/README.md, "Slew limit"
 """
 
 import numba

@@ -6,7 +6,8 @@ Signature  an offset that follows the recorded temperature, whatever is driven; 
            charge_leakage (goes to zero), gain_drift (scales with the loop)
 Seat       mechanics
 Valid      records in which the temperature changes; needs the channel temperature_C
-Source     THEORY 3 I; 0.5 to 30 N/K from 5 to 50 N/um, 20 to 40 mm, 5 to 15 ppm/K
+Source     derived here: 0.5 to 30 N/K from 5 to 50 N/um, 20 to 40 mm, 5 to 15 ppm/K;
+           piezod/effects/README.md, "Thermal drift"
 """
 
 from piezod.effects.effect import Array, Context, Effect, Parameter, Seat, Values

@@ -6,7 +6,8 @@ Signature  an error in proportion to dF/dt with corners as sharp as before; look
            round them, clock_skew grows with time
 Seat       acquisition
 Valid      half a sample to 0.5 s; below 1.5 samples it cannot be told from a lag or a filter
-Source     THEORY 3 F; 1 to 20 ms over USB
+Source     Laakso, Valimaki, Karjalainen and Laine (1996), Splitting the Unit Delay, doi:10.1109/79.482137; 1 to 20 ms
+           over USB; piezod/effects/README.md, "Transport delay"
 """
 
 import numba

@@ -6,7 +6,7 @@ Signature  flat tops at one voltage and at any rate; look-alikes output_nonlinea
            slew_limit (needs a rate)
 Seat       amplifier, in front of the hysteresis
 Valid      limits inside the range that was driven; one that is never reached cannot be seen
-Source     THEORY 3 D; the parabola derived here
+Source     derived here, the parabola too; piezod/effects/README.md, "Voltage clamp"
 """
 
 import numba

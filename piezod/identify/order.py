@@ -159,7 +159,7 @@ def prune(
     """Drop operators that hardly matter from the direct table and refit, as long as the held-out error allows it.
 
     The smallest weights go first, all that hardly matter at once; where that costs too much, half of them. The inverse
-    is computed from what is left, so the two never part (THEORY 1.8).
+    is computed from the direct table, so that both agree (piezod/operators/README.md, "Slopes and weights").
 
     Parameters
     ----------

@@ -32,7 +32,9 @@ def nrmse_percent(measured: Array, modelled: Array) -> float:
 def max_hysteresis_percent(drive: Array, response: Array, cells: int = 100) -> float:
     """Widest opening of the loops response(drive) in percent of the response's range.
 
-        100 max_x |down(x) - up(x)| / (max response - min response)          (THEORY 1.8)
+        100 max_x |down(x) - up(x)| / (max response - min response)
+
+    Source: the thesis, chapter 6; piezod/operators/README.md, "Maximum hysteresis".
 
     The record is cut into branches where the drive turns back by more than a hundredth of its range. Branches between
     the same ends after the same turn are one, and are averaged over cells of the drive. Of a record with loops of

@@ -52,7 +52,8 @@ def play_reach(u: Array, path: Sequence[float], *, at_rest: bool) -> Reach:
     """Which plays this input tells anything about, from the start that it had.
 
     A play follows after its input has moved by twice its threshold, so half the swing is the end. A first rise from the
-    de-energised state shows the wider ones too, up to the peak; without one they stand still for ever (THEORY 1.3).
+    de-energised state shows the wider ones too, up to the peak; without one they stand still for ever
+    (piezod/operators/README.md, "Limits of validity").
     Of a rise that passes an old peak the part above shows the sum of the wider ones: one threshold stands for all.
 
     Parameters

@@ -46,7 +46,7 @@ def play_value(packed: Array, base: int, count: int) -> float:
 
 @numba.njit(cache=True)
 def play_solve(packed: Array, base: int, count: int, v: float) -> float:
-    """Find the input u at which the plays would sum to `v`, moving no state (THEORY 1.6).
+    """Find the input u at which the plays would sum to `v`, moving no state (derived here).
 
     The sum is a strictly increasing, piecewise linear function of u. From consistent states the plays join the
     movement one after the other, play i at z_i + r_i upwards and at z_i - r_i downwards, so one scan finds u.
@@ -70,7 +70,10 @@ def play_solve(packed: Array, base: int, count: int, v: float) -> float:
 
 @numba.njit(cache=True)
 def play_wider_step(packed: Array, base: int, count: int, u: float, factor: float, more: float) -> float:
-    """`play_step` with thresholds above 0 multiplied by `factor` and widened by `more` (THEORY 1.9)."""
+    """`play_step` with thresholds above 0 multiplied by `factor` and widened by `more`.
+
+    Source: Al Janaideh and Krejci (2013), IEEE/ASME Trans. Mechatronics 18(5), 1498-1507: rate-dependent thresholds.
+    """
     v = 0.0
     weights, states = base + WEIGHT * count, base + STATE * count
     for i in range(count):
@@ -139,7 +142,7 @@ def play_run(packed: Array, base: int, count: int, u: Array, factor: Array, offs
     """Weighted sum of the plays over the record `u`, shape (N,), into `v`.
 
     Thresholds above 0 are multiplied by `factor` and widened by `offset`, each of shape (N,) or empty: rate-dependent
-    plays (THEORY 1.9).
+    plays (piezod/operators/README.md, "Thresholds that change with time").
     """
     weights, states = base + WEIGHT * count, base + STATE * count
     for k in range(u.size):

@@ -181,7 +181,10 @@ class PrandtlIshlinskii:
         self.packed[HEADER + 2 * n : HEADER + 3 * n] = values
 
     def reset(self, peak: float) -> None:
-        """Start from the states that a drive 0 -> `peak` -> 0 of the de-energised stack leaves behind (THEORY 1.7)."""
+        """Start from the states that a drive 0 -> `peak` -> 0 of the de-energised stack leaves behind.
+
+        z_i = min(r_i, max(peak - r_i, 0)), derived here: piezod/operators/README.md, "Forward chain".
+        """
         n = int(self.packed[0])
         self.packed[HEADER + 2 * n : HEADER + 3 * n] = 0.0
         for u in (0.0, peak, 0.0):

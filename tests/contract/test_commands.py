@@ -18,7 +18,7 @@ from piezod.recording import Recording, write_recording
 
 ROOT = Path(__file__).parents[2]
 
-# DESIGN.md, section 6, and issue 7.
+# Commands that README.md promises.
 COMMANDS = {
     "demo", "run", "check", "record", "identify", "simulate", "diagnose", "validate", "blind make", "blind run",
     "blind score", "latency", "effects", "status", "arm", "disarm", "stop", "reset", "reload", "commission",

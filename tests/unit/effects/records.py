@@ -25,7 +25,10 @@ def triangle(frequency_Hz, dt_s, periods, peak=1.0):
 
 
 def opening(x, y, samples_a_period):
-    """Largest distance of the branches of the last loop at one x, over the range of x (THEORY 1.8)."""
+    """Largest distance of the branches of the last loop at one x, over the range of x.
+
+    Source: piezod/operators/README.md, "Maximum hysteresis".
+    """
     half = samples_a_period // 2
     up, down = y[-samples_a_period - 1 : -half], y[-half - 1 :][::-1]
     return np.abs(down - up).max() / np.ptp(x)
