@@ -18,7 +18,7 @@ from piezod.recording import Recording, write_recording
 
 ROOT = Path(__file__).parents[2]
 
-# Commands that README.md promises.
+# The commands that other programs rely on.
 COMMANDS = {
     "demo", "run", "check", "record", "identify", "simulate", "diagnose", "validate", "blind make", "blind run",
     "blind score", "latency", "effects", "status", "arm", "disarm", "stop", "reset", "reload", "commission",
@@ -32,6 +32,15 @@ WITHOUT_JSON = {
     "blind make": "writes a study",
     "blind run": "writes verdicts",
 }
+READMES = sorted(
+    [ROOT / "README.md"]
+    + [
+        path
+        for room in ("config", "firmware_sim", "piezod", "systemd", "tests")
+        for path in (ROOT / room).rglob("README.md")
+    ]
+)
+PICTURE = re.compile(r"!\[[^\]]+\]\(([^)]+)\)")
 NOT_THERE = "/nowhere/nothing.yaml"
 REFUSALS = [
     # arguments, exit code, said
@@ -79,6 +88,12 @@ def leaves(group, above=""):
             yield from leaves(command, f"{above}{name} ")
         else:
             yield f"{above}{name}", command
+
+
+def headings(path):
+    """Every heading of a page as a link names it: small letters, hyphens, no other signs."""
+    titles = re.findall(r"^#+ (.+)$", path.read_text(encoding="utf-8"), re.MULTILINE)
+    return {re.sub(r"[^\w\- ]", "", title.lower()).replace(" ", "-") for title in titles}
 
 
 ALL = dict(leaves(typer.main.get_command(cli.app)))
@@ -135,16 +150,36 @@ def test_every_command_has_a_refusal_in_the_table():
     assert {name for name in COMMANDS if any(line.startswith(name) for line, _, _ in REFUSALS)} == COMMANDS
 
 
-def test_the_readme_names_every_command_and_shows_pictures_that_are_there():
-    text = (ROOT / "README.md").read_text(encoding="utf-8")
+def test_the_readme_of_the_package_names_every_command():
+    text = (ROOT / "piezod" / "README.md").read_text(encoding="utf-8")
     missing = [name for name in COMMANDS if not re.search(rf"piezod (?:[a-z]+ \S* ?\|.*)?{name.split()[0]}\b", text)]
     assert missing == []
-    pictures = re.findall(r"!\[[^\]]+\]\(([^)]+)\)", text)
+
+
+def test_the_first_readme_is_short_and_shows_a_picture():
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    assert len(text.encode()) <= 8000
+    assert len(PICTURE.findall(text)) == 1
+
+
+def test_readmes_show_pictures_that_are_there():
+    pictures = [
+        readme.parent / picture for readme in READMES for picture in PICTURE.findall(readme.read_text(encoding="utf-8"))
+    ]
     assert len(pictures) >= 6
     for picture in pictures:
-        assert 0 < (ROOT / picture).stat().st_size <= 200_000, picture
-    for link in re.findall(r"\]\((config/[^)]+)\)", text):
-        assert (ROOT / link).is_file(), link
+        assert 0 < picture.stat().st_size <= 200_000, picture
+
+
+@pytest.mark.parametrize("readme", READMES, ids=lambda path: str(path.relative_to(ROOT)))
+def test_every_relative_link_of_a_readme_leads_to_a_file_and_a_heading(readme):
+    for link in re.findall(r"\]\(([^)]+)\)", readme.read_text(encoding="utf-8")):
+        if "://" in link:
+            continue
+        path, _, heading = link.partition("#")
+        target = (readme.parent / path).resolve() if path else readme
+        assert target.is_file(), f"{readme}: {link}"
+        assert not heading or heading in headings(target), f"{readme}: {link}"
 
 
 def test_without_words_the_help_is_shown_and_that_is_misuse(capsys):

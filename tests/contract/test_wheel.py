@@ -12,7 +12,7 @@ import pytest
 
 ROOT = Path(__file__).parents[2]
 CONFIG = ROOT / "config"
-DEVICES = sorted(path.stem for path in CONFIG.glob("*.md"))
+DEVICES = sorted({path.stem for path in CONFIG.glob("*.md")} - {"README"})
 
 
 @pytest.fixture(scope="module")
