@@ -71,7 +71,7 @@ def _library() -> Any:  # noqa: ANN401  # an optional library
     try:
         return importlib.import_module("distributed")
     except ImportError as error:
-        raise ConfigurationError("--scheduler: needs distributed; pip install 'piezod[cluster]'") from error
+        raise ConfigurationError("--scheduler: needs distributed; pip install 'piezod-bench[cluster]'") from error
 
 
 @contextmanager

@@ -4,6 +4,6 @@
 
 Every case runs in a child process that may crash, hang or swell, and is watched: only a `PiezodError` of one printable
 line may leave a parser, and what a parser accepts is compared with what the standard, read a second time, says. With
-atheris (`pip install 'piezod[fuzz]'`) the cases are guided by coverage, without it they are mutated at random from a
-seed. An input that fails is kept, and printed with the command that repeats it.
+atheris (`pip install 'piezod-bench[fuzz]'`) the cases are guided by coverage, without it they are mutated at random
+from a seed. An input that fails is kept, and printed with the command that repeats it.
 """

@@ -104,7 +104,7 @@ def _engine(wanted: str | None) -> str:
     """Which engine, and why when it is the lesser one."""
     guided = importlib.util.find_spec("atheris") is not None
     if wanted == "atheris" and not guided:
-        sys.exit("atheris is not installed: pip install 'piezod[fuzz]', or --engine mutation")
+        sys.exit("atheris is not installed: pip install 'piezod-bench[fuzz]', or --engine mutation")
     engine = wanted or ("atheris" if guided else "mutation")
     reason = "" if guided or wanted else " (atheris is not installed: cases are random, not guided by coverage)"
     print(f"engine: {engine}{reason}")

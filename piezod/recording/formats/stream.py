@@ -124,7 +124,8 @@ def require(module: str, extra: str, path: Path) -> Any:  # noqa: ANN401  a modu
     try:
         return importlib.import_module(module)
     except ImportError as error:
-        raise RecordingError(f"{path}: needs {module.partition('.')[0]}; pip install 'piezod[{extra}]'") from error
+        package = module.partition(".")[0]
+        raise RecordingError(f"{path}: needs {package}; pip install 'piezod-bench[{extra}]'") from error
 
 
 @contextmanager

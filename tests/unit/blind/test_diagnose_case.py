@@ -111,5 +111,5 @@ def test_a_case_whose_process_dies_every_time_has_failed(monkeypatch, tmp_path):
 
 def test_a_cluster_without_its_library_says_what_to_install(monkeypatch):
     monkeypatch.setitem(sys.modules, "distributed", None)
-    with pytest.raises(ConfigurationError, match=r"pip install 'piezod\[cluster\]'"):
+    with pytest.raises(ConfigurationError, match=r"pip install 'piezod-bench\[cluster\]'"):
         next(judge_there([], "tcp://127.0.0.1:8786"))

@@ -99,7 +99,7 @@ def test_a_target_is_refused_before_the_work_when_it_could_not_be_written_after_
     with pytest.raises(RecordingError, match=r"no/rec\.csv: cannot be written: .*no must be a folder"):
         check_target(tmp_path / "no" / "rec.csv")
     monkeypatch.setitem(sys.modules, "nptdms", None)
-    with pytest.raises(RecordingError, match=r"needs nptdms; pip install 'piezod\[tdms\]'"):
+    with pytest.raises(RecordingError, match=r"needs nptdms; pip install 'piezod-bench\[tdms\]'"):
         check_target(tmp_path / "rec.tdms")
 
 
@@ -118,7 +118,7 @@ def test_what_exists_stays_when_writing_fails(tmp_path, suffix):
 def test_a_missing_package_is_named_with_the_extra_to_install(tmp_path, suffix, monkeypatch):
     monkeypatch.setitem(sys.modules, PACKAGES[suffix], None)
     extra = {".h5": "hdf5", ".mf4": "mdf"}.get(suffix, suffix[1:])
-    with pytest.raises(RecordingError, match=rf"needs {PACKAGES[suffix]}; pip install 'piezod\[{extra}\]'"):
+    with pytest.raises(RecordingError, match=rf"needs {PACKAGES[suffix]}; pip install 'piezod-bench\[{extra}\]'"):
         write_recording(sample(3), tmp_path / f"rec{suffix}")
 
 
