@@ -19,7 +19,7 @@ from piezod.control import State
 from piezod.errors import CheckFailedError, ConfigurationError, PiezodError
 from piezod.model import Model
 from piezod.model.expected import ExpectedReading
-from piezod.recording import HELD, Recording, write_csv
+from piezod.recording import HELD_ONE_SAMPLE, Recording, write_csv
 from piezod.session.history import GOOD
 
 Array = NDArray[np.float64]
@@ -184,7 +184,7 @@ class DriftWatch:
         if np.isfinite(answers["temperature_C"][good]).all():
             columns["temperature_C"] = answers["temperature_C"][good]
         time_s = answers["tick"][good] * self._bench.dt_s
-        metadata = {"bench": self._bench.name, "model": self._name, "kept": "left its model"} | HELD
+        metadata = {"bench": self._bench.name, "model": self._name, "kept": "left its model"} | HELD_ONE_SAMPLE.metadata
         try:
             write_csv(Recording(time_s - time_s[0], columns, metadata=metadata), self.path)
         except (PiezodError, OSError) as error:

@@ -17,8 +17,9 @@ from piezod.diagnose.kept import Kept, Key
 from piezod.diagnose.passages import Passage, passages
 from piezod.diagnose.series import Series
 from piezod.effects import EFFECTS
-from piezod.effects.effect import HELD_BEFORE, Context, Effect, Parameter, Seat
+from piezod.effects.effect import Context, Effect, Parameter, Seat
 from piezod.model.plant import behind
+from piezod.recording.hold import HELD_BEFORE, Hold
 
 Array = NDArray[np.float64]
 
@@ -153,9 +154,9 @@ class Chain:
             "frequency_Hz": (0.0, FASTEST_MODE / min(one.dt_s for one in self.series)),
         }
         kept = [CACHED if one.time_s.size < LONG else CACHED_WHEN_LONG for one in self.series]
-        self._plays: list[Kept[tuple[Array, Array, float, dict[str, tuple[Array, Array]]]]] = [*map(Kept, kept)]
+        self._plays: list[Kept[tuple[Array, Array, Hold, dict[str, tuple[Array, Array]]]]] = [*map(Kept, kept)]
         self._sums: list[Kept[Array]] = [*map(Kept, kept)]
-        self._strokes: list[Kept[tuple[Array, float]]] = [*map(Kept, kept)]
+        self._strokes: list[Kept[tuple[Array, Hold]]] = [*map(Kept, kept)]
         self._additions: list[Kept[Array]] = [*map(Kept, kept)]
 
     def like(self, series: Sequence[Series], most_rows: int | None = None) -> "Chain":
@@ -204,7 +205,7 @@ class Chain:
         """What effects may look at; the command as it stands at the samples."""
         one = self.series[number]
         command_V = one.command_V
-        if one.between == HELD_BEFORE:
+        if one.hold == HELD_BEFORE:
             command_V = np.concatenate((command_V[:1], command_V[:-1]))
         return Context(
             one.dt_s,
@@ -214,7 +215,7 @@ class Chain:
             one.duration_s,
             self.force_span_N,
             one.temperature_C,
-            one.between,
+            one.hold,
             self.voltage_span_V,
             one.path_V,
         )
@@ -223,7 +224,7 @@ class Chain:
         """Applied voltage and play columns of a recording."""
         context = self.context(number)
 
-        def moved() -> tuple[Array, Array, float, dict[str, tuple[Array, Array]]]:
+        def moved() -> tuple[Array, Array, Hold, dict[str, tuple[Array, Array]]]:
             now, applied_V, factor, offset_V = context, context.command_V, None, None
             for term, values in here:
                 if term.effect.seat == Seat.AMPLIFIER:
@@ -232,15 +233,15 @@ class Chain:
                 elif term.effect.seat == Seat.HYSTERESIS and term.effect.widening is not None:
                     factor, offset_V = term.effect.widening(now, values)
             path_V = np.array(self.series[number].path_V)
-            return applied_V, self.density.columns(applied_V, path_V, factor, offset_V), now.between, now.memo
+            return applied_V, self.density.columns(applied_V, path_V, factor, offset_V), now.hold, now.memo
 
-        applied_V, columns, between, memo = self._plays[number].get(self._front(number, here), moved)
-        return applied_V, columns, replace(context, applied_V=applied_V, between=between, memo=memo)
+        applied_V, columns, hold, memo = self._plays[number].get(self._front(number, here), moved)
+        return applied_V, columns, replace(context, applied_V=applied_V, hold=hold, memo=memo)
 
     def _front(self, number: int, here: Sequence[tuple[Term, Mapping[str, float]]]) -> Key:
         """What the plays of a recording depend on."""
         front = [(term, values) for term, values in here if term.effect.seat <= Seat.HYSTERESIS]
-        return (self.series[number].between, self.series[number].path_V, _named(front))
+        return (self.series[number].hold, self.series[number].path_V, _named(front))
 
     def stroke(
         self, number: int, here: Sequence[tuple[Term, Mapping[str, float]]], point: Point
@@ -251,16 +252,16 @@ class Chain:
         of_plays = (self._front(number, here), point.density.tobytes())
         key = (*of_plays, _named(stack))
 
-        def strained() -> tuple[Array, float]:
+        def strained() -> tuple[Array, Hold]:
             stroke_V = self._sums[number].get(of_plays, lambda: applied_V + columns @ point.density)
             now = context
             for term, values in stack:
                 stroke_V = term.effect.forward(stroke_V, now, values)
                 now = behind(term.effect, now)
-            return stroke_V, now.between
+            return stroke_V, now.hold
 
-        stroke_V, between = self._strokes[number].get(key, strained)
-        return stroke_V, replace(context, between=between)
+        stroke_V, hold = self._strokes[number].get(key, strained)
+        return stroke_V, replace(context, hold=hold)
 
     def run(self, number: int, terms: Sequence[Term], point: Point) -> Trace:
         """Simulate a recording."""
@@ -307,7 +308,7 @@ class Chain:
         values: Mapping[str, float],
     ) -> Array:
         """What an effect adds to any signal."""
-        key = (self._front(number, here), context.between, _named([(term, values)]))
+        key = (self._front(number, here), context.hold, _named([(term, values)]))
         return self._additions[number].get(
             key, lambda: term.effect.forward(np.zeros(context.time_s.size), context, values)
         )

@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from piezod.diagnose.chain import Chain, Point, Term
 from piezod.diagnose.fit import MOST_STEPS, Fitted, fit
-from piezod.effects.effect import HELD_BEFORE, STRAIGHT
 from piezod.identify.start import CLEARLY, start_at_zero, starts_at_rest
+from piezod.recording.hold import HELD_BEFORE, STRAIGHT, Hold
 
 Array = NDArray[np.float64]
 
@@ -107,32 +107,32 @@ def best_course(chain: Chain, terms: Sequence[Term], point: Point, known: Fitted
     Held commands differ from each other only where something smooths them.
     """
     smooth = any(term.effect.smooths for term in terms)
-    results: dict[float, tuple[Chain, Fitted]] = {}
+    results: dict[Hold, tuple[Chain, Fitted]] = {}
     if known is not None:
-        results[chain.series[0].between] = (chain, known)
+        results[chain.series[0].hold] = (chain, known)
 
-    def best() -> float:
-        found = min(results, key=lambda between: results[between][1].loss)
+    def best() -> Hold:
+        found = min(results, key=lambda hold: results[hold][1].loss)
         straight = results.get(STRAIGHT)
         if straight is not None and straight[1].loss <= (1.0 + SAME) * results[found][1].loss:
             return STRAIGHT  # a held command read late and a delay are the same
         return found
 
-    def judged(between: float) -> None:
-        if between not in results:
-            series = [replace(one, between=between) for one in chain.series]
+    def judged(hold: Hold) -> None:
+        if hold not in results:
+            series = [replace(one, hold=hold) for one in chain.series]
             other = chain.like(series)
-            results[between] = (other, fit(other, terms, point, most_steps=MOST_STEPS if known is None else 6))
+            results[hold] = (other, fit(other, terms, point, most_steps=MOST_STEPS if known is None else 6))
             other.forget()
 
-    for between in (STRAIGHT, *(HELD_PARTS if smooth else ()), HELD_BEFORE):
-        judged(between)
+    for hold in (STRAIGHT, *(Hold("held", part) for part in HELD_PARTS if smooth), HELD_BEFORE):
+        judged(hold)
     width = 0.5 * (HELD_PARTS[1] - HELD_PARTS[0])
-    while STRAIGHT < best() < HELD_BEFORE and width > SMALLEST_PART:
-        middle = best()
-        for between in (middle - width, middle + width):
-            if 0.0 < between <= 1.0:
-                judged(between)
+    while best().sampling == "held" and width > SMALLEST_PART:
+        middle = best().read_after
+        for read_after in (middle - width, middle + width):
+            if 0.0 < read_after <= 1.0:
+                judged(Hold("held", read_after))
         width *= 0.5
     return results[best()]
 

@@ -18,7 +18,6 @@ from piezod.diagnose.series import Series
 from piezod.diagnose.tones import Tone
 from piezod.diagnose.verdict import held_out_rms, power_of
 from piezod.effects import EFFECTS
-from piezod.effects.effect import STRAIGHT
 from piezod.effects.noncongruent_minor_loops import DEGREES
 
 Array = NDArray[np.float64]
@@ -73,10 +72,10 @@ def _with_the_course(delay_s: Value, series: Series, *, smoothed: bool) -> Value
     when within a sample a held command comes, where nothing smooths its steps. Where a lag does, the delay is taken
     straight between samples and the lag's curve bends: at most f (1 - f) / 2 of a sample for its part f.
     """
-    told, held = series.between == series.held_for, series.between != STRAIGHT
+    told, held = series.hold == series.recorded_hold, not series.hold.straight
     within_s = (BENT if smoothed else 1.0) * series.dt_s if held else 0.0
     shorter_s, longer_s = (
-        (0.0, 0.0) if told else (series.read_after * series.dt_s, (1.0 - series.read_after) * series.dt_s)
+        (0.0, 0.0) if told else (series.hold.read_after * series.dt_s, (1.0 - series.hold.read_after) * series.dt_s)
     )
     return replace(delay_s, low=max(delay_s.low - shorter_s - within_s, 0.0), high=delay_s.high + longer_s + within_s)
 

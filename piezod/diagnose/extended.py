@@ -5,7 +5,6 @@ from numpy.typing import NDArray
 
 from piezod.diagnose.chain import Chain
 from piezod.diagnose.fit import Fitted
-from piezod.effects.effect import HELD_BEFORE, STRAIGHT
 from piezod.errors import ModelError
 from piezod.identify.start import starts_at_rest
 from piezod.model import Model
@@ -16,7 +15,6 @@ Array = NDArray[np.float64]
 
 PIECES = 30  # of the force law
 BESIDE_A_KINK = 1e-2  # of the strokes' range: nearer than that to a kink no other piece begins
-SAMPLING = {STRAIGHT: "straight", HELD_BEFORE: "held_before"}
 
 
 def extended_model(model: Model, chain: Chain, found: Fitted, hashes: list[str], rms_held_out: float) -> Model:
@@ -50,8 +48,8 @@ def extended_model(model: Model, chain: Chain, found: Fitted, hashes: list[str],
     changed = {
         "hysteresis": hysteresis_of(chain, found),
         "effects": effects,
-        "sampling": SAMPLING.get(asked[0].between, "held"),
-        "read_after": min(asked[0].between, 1.0),
+        "sampling": asked[0].hold.sampling,
+        "read_after": asked[0].hold.read_after,
         "seen_s": max(one.duration_s for one in asked),
         "sample_s": asked[0].dt_s,
         "statistics": None,

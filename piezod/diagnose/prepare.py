@@ -17,7 +17,7 @@ from piezod.excitation import varying_triangles
 from piezod.identify.simulation import where
 from piezod.identify.start import estimate_path, remembered, start_at_zero, starts_at_rest
 from piezod.model import Model, file_sha256
-from piezod.recording import HELD, Recording, read_recording
+from piezod.recording import Hold, Recording, read_recording
 
 Array = NDArray[np.float64]
 
@@ -160,20 +160,9 @@ def even(source: Source, model: Model) -> tuple[Series, list[str]]:
         temperature_C=None if temperature is None else np.nan_to_num(temperature, nan=float(np.nanmedian(temperature))),
         start_s=float(recording.time_s[0]),
         lattice_N=lattice_step_N(readings[good]),
-        held_for=_read_after(recording),
+        recorded_hold=Hold.from_metadata(recording.metadata),
     )
     return series, notes
-
-
-def _read_after(recording: Recording) -> float | None:
-    """For how many samples a command had been held when it was read; None where the recording does not say."""
-    if recording.metadata.get("sampling") != HELD["sampling"]:
-        return None
-    try:
-        read_after = float(recording.metadata.get("read_after", ""))
-    except ValueError:
-        return None
-    return read_after if 0.0 < read_after <= 1.0 else None
 
 
 def _ticks(time_s: Array, dt_s: float) -> NDArray[np.int64] | None:

@@ -7,7 +7,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from piezod.effects.effect import HELD_BEFORE, STRAIGHT
+from piezod.recording.hold import STRAIGHT, Hold
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -39,11 +39,10 @@ class Series:
         Shape (N,), or None.
     start_s
         Time of the first sample in the recording's own time [s].
-    between
+    hold
         How the command runs between samples.
-    held_for
-        For what part of a sample a command had been held when it was read, as the recording says itself; None: it
-        does not.
+    recorded_hold
+        The same as the recording states it; None: it does not state it.
     lattice_N
         Step of a converter's lattice on which all readings stand; 0 where there is none [N].
     rounding_N
@@ -67,8 +66,8 @@ class Series:
     path_V: tuple[float, ...] = ()
     temperature_C: Array | None = None
     start_s: float = 0.0
-    between: float = STRAIGHT
-    held_for: float | None = None
+    hold: Hold = STRAIGHT
+    recorded_hold: Hold | None = None
     lattice_N: float = 0.0
     rounding_N: Array | None = None
     trust: Array | None = None
@@ -112,11 +111,6 @@ class Series:
             beyond_N = error_N - np.clip(error_N, -self.within_N[rows], self.within_N[rows])
             error_N, told = beyond_N, told * (beyond_N != 0.0)
         return np.where(told > 0.0, told * error_N, 0.0) / self.noise_N, told
-
-    @property
-    def read_after(self) -> float:
-        """Parts of a sample from its command to the reading."""
-        return 0.0 if self.between == HELD_BEFORE else self.between
 
     @property
     def dt_s(self) -> float:

@@ -21,16 +21,16 @@ def as_told(chain: Chain, fitted: Fitted) -> tuple[Chain, Fitted]:
     The search takes the course that fits best, and on another one part of a sample may pass for a delay, for the lack
     of one, or for a lag. It stays as it is where the recordings do not say, or nothing fits there as well.
     """
-    told = {one.held_for for one in chain.series if one.role == "recording"}
-    held_for, read_after = told.pop(), chain.series[-1].read_after
-    if told or held_for is None:
+    told = {one.recorded_hold for one in chain.series if one.role == "recording"}
+    hold, fitted_hold = told.pop(), chain.series[-1].hold
+    if told or hold is None:
         return chain, fitted
-    series = [one if one.held_for is None else replace(one, between=held_for) for one in chain.series]
-    later_s = (held_for - read_after) * chain.series[-1].dt_s
+    series = [one if one.recorded_hold is None else replace(one, hold=hold) for one in chain.series]
+    later_s = (hold.read_after - fitted_hold.read_after) * chain.series[-1].dt_s
     place = next((k for k, term in enumerate(fitted.terms) if term.effect.name == "transport_delay"), None)
     if place is None:
-        again = None if chain.series[-1].between == held_for else _made_late(chain.like(series), fitted, later_s)
-    elif fitted.terms[place].scope == "already" and any(one.held_for is None for one in series):
+        again = None if fitted_hold == hold else _made_late(chain.like(series), fitted, later_s)
+    elif fitted.terms[place].scope == "already" and any(one.recorded_hold is None for one in series):
         again = None
     else:
         again = _delayed(chain.like(series), fitted.terms, fitted.point, place, later_s)
@@ -42,7 +42,7 @@ def _made_late(chain: Chain, fitted: Fitted, later_s: float) -> Fitted | None:
     plain = fit(chain, fitted.terms, fitted.point)
     if _as_good(plain, fitted):
         return None
-    told = all(one.held_for is not None for one in chain.series)
+    told = all(one.recorded_hold is not None for one in chain.series)
     terms = (*fitted.terms, Term(EFFECTS["transport_delay"], "already" if told else "since"))
     values = (*fitted.point.values, {"delay_s": 0.0})
     late = _delayed(chain, terms, replace(fitted.point, values=values), len(terms) - 1, later_s)

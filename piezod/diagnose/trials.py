@@ -15,7 +15,7 @@ from piezod.diagnose.ideas import Idea, screened, screened_pairs, since
 from piezod.diagnose.parallel import each
 from piezod.diagnose.steps import NEVER_S, edge_near, likely_steps, sharpest_steps, shown_late_s
 from piezod.effects import EFFECTS
-from piezod.effects.effect import STRAIGHT
+from piezod.recording.hold import STRAIGHT
 
 Array = NDArray[np.float64]
 
@@ -40,8 +40,8 @@ def on_each_course(chain: Chain, found: Fitted, past: Point) -> list[tuple[Chain
     an effect that came since may have passed for that.
     """
     chains = [(chain, found)]
-    if chain.series[0].between != STRAIGHT and not any(term.effect.smooths for term in found.terms):
-        straight = chain.like([replace(one, between=STRAIGHT) for one in chain.series])
+    if not chain.series[0].hold.straight and not any(term.effect.smooths for term in found.terms):
+        straight = chain.like([replace(one, hold=STRAIGHT) for one in chain.series])
         chains.append((straight, fit(straight, found.terms, found.point, most_steps=6)))
     found_on = []
     for on, known in chains:

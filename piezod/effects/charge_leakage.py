@@ -16,7 +16,7 @@ from piezod.effects.kernels import first_order_run
 
 def forward(signal: Array, context: Context, values: Values) -> Array:
     """Signal of the charge amplifier, at rest at the first sample, shape (N,) [N]."""
-    forgotten = first_order_run(signal, values["time_constant_s"], context.dt_s, context.between)
+    forgotten = first_order_run(signal, values["time_constant_s"], context.dt_s, context.hold.number)
     out: Array = signal - (forgotten - signal[0])
     return out
 

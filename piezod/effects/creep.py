@@ -50,7 +50,7 @@ def forward(signal: Array, context: Context, values: Values) -> Array:
     driver = signal
     if round(values.get("driven_by", PLAYS)) == VOLTAGE:
         driver = _as_large_as(signal, context.applied_V)
-    crept = chain_run(driver, tau_s, values["per_decade"] * weights, context.dt_s, context.between)
+    crept = chain_run(driver, tau_s, values["per_decade"] * weights, context.dt_s, context.hold.number)
     out: Array = signal + crept
     return out
 

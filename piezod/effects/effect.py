@@ -8,11 +8,10 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from piezod.recording.hold import STRAIGHT, Hold
+
 Array = NDArray[np.float64]
 Values = Mapping[str, float]
-
-
-STRAIGHT, HELD_BEFORE = 0.0, 2.0  # between them a part of a sample: held, and read so long after its command
 
 
 class Seat(IntEnum):
@@ -103,10 +102,8 @@ class Context:
         Range of the force that the model was identified over [N].
     temperature_C
         Where it was recorded, shape (N,) [degC].
-    between
-        How the signal at hand runs between two samples. STRAIGHT (0). Above 0 up to 1: it is held until the next
-        sample, and sample k shows it so many parts of a sample after it began. HELD_BEFORE (2): it is held, and
-        sample k shows it just before it ends.
+    hold
+        How the signal runs between two samples.
     voltage_span_V
         Range of the voltage that the model was identified over [V].
     path_V
@@ -124,7 +121,7 @@ class Context:
     duration_s: float
     force_span_N: float
     temperature_C: Array | None = None
-    between: float = STRAIGHT
+    hold: Hold = STRAIGHT
     voltage_span_V: float = 100.0
     path_V: tuple[float, ...] = ()
     seen_s: float | None = None

@@ -19,8 +19,8 @@ def forward(signal: Array, context: Context, values: Values) -> Array:
     """Voltage at the stack, shape (N,) [V]."""
     swell = values.get("swell", 0.0)
     if swell == 0.0:
-        return first_order_run(signal, values["time_constant_s"], context.dt_s, context.between)
-    out: Array = swelling_run(signal, values["time_constant_s"], swell, context.dt_s, context.between)
+        return first_order_run(signal, values["time_constant_s"], context.dt_s, context.hold.number)
+    out: Array = swelling_run(signal, values["time_constant_s"], swell, context.dt_s, context.hold.number)
     return out
 
 

@@ -15,7 +15,7 @@ import math
 import numba
 import numpy as np
 
-from piezod.effects.effect import STRAIGHT, Array, Context, Effect, Parameter, Seat, Values
+from piezod.effects.effect import Array, Context, Effect, Parameter, Seat, Values
 
 
 @numba.njit(cache=True, nogil=True)
@@ -35,20 +35,20 @@ def _run(u: Array, keep: float, jump: float) -> Array:
     return out
 
 
-def coefficients(rise_s: float, dt_s: float, between: float) -> tuple[float, float]:
+def coefficients(rise_s: float, dt_s: float, hold: float) -> tuple[float, float]:
     """How much of y is kept from sample to sample (1), and how much a change of the voltage adds to it [1/s].
 
     A straight voltage pulls y towards its slope all the time; a held one jumps once, which fades until it is read.
     """
     keep = math.exp(-dt_s / rise_s) if rise_s > 0.0 else 0.0
-    if between <= STRAIGHT:
+    if hold <= 0.0:
         return keep, (1.0 - keep) / dt_s
-    return keep, math.exp(-min(between, 1.0) * dt_s / rise_s) / rise_s if rise_s > 0.0 else 0.0
+    return keep, math.exp(-min(hold, 1.0) * dt_s / rise_s) / rise_s if rise_s > 0.0 else 0.0
 
 
 def forward(signal: Array, context: Context, values: Values) -> Array:
     """Signal with what the drive adds, shape (N,) [N]."""
-    keep, jump = coefficients(values.get("rise_s", 0.0), context.dt_s, context.between)
+    keep, jump = coefficients(values.get("rise_s", 0.0), context.dt_s, context.hold.number)
     out: Array = signal + values["coefficient_N_s_per_V"] * _run(context.applied_V, keep, jump)
     return out
 

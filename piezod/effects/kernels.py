@@ -30,20 +30,20 @@ def first_order_step(y: float, before: float, now: float, keep: float, ramp: flo
 
 
 @numba.njit(cache=True, nogil=True)
-def first_order_coefficients(time_constant_s: float, dt_s: float, between: float = 0.0) -> tuple[float, float]:
+def first_order_coefficients(time_constant_s: float, dt_s: float, hold: float = 0.0) -> tuple[float, float]:
     """`keep` and `ramp` of `first_order_step`; of a held input `ramp` is what its last part of a sample adds."""
     part = dt_s / time_constant_s
     keep = math.exp(-part)
-    if between > 0.0:
-        return keep, -math.expm1(-part * min(between, 1.0))
+    if hold > 0.0:
+        return keep, -math.expm1(-part * min(hold, 1.0))
     ramp = 1.0 + math.expm1(-part) / part if part > 1e-6 else 0.5 * part
     return keep, ramp
 
 
 @numba.njit(cache=True, nogil=True)
-def first_order_run(x: Array, time_constant_s: float, dt_s: float, between: float = 0.0) -> Array:
-    """`first_order_step` over a record, from rest at its first sample; `between` as in `Context`."""
-    keep, ramp = first_order_coefficients(time_constant_s, dt_s, between)
+def first_order_run(x: Array, time_constant_s: float, dt_s: float, hold: float = 0.0) -> Array:
+    """`first_order_step` over a record, from rest at its first sample; `hold` is the number of a `Hold`."""
+    keep, ramp = first_order_coefficients(time_constant_s, dt_s, hold)
     out = np.empty(x.size)
     y = x[0]
     out[0] = y
@@ -60,13 +60,13 @@ def time_constant_at(voltage_V: float, time_constant_s: float, swell: float) -> 
 
 
 @numba.njit(cache=True, nogil=True)
-def swelling_run(x: Array, time_constant_s: float, swell: float, dt_s: float, between: float = 0.0) -> Array:
+def swelling_run(x: Array, time_constant_s: float, swell: float, dt_s: float, hold: float = 0.0) -> Array:
     """`first_order_run` with the time constant of `time_constant_at`, as it stands at each sample's start."""
     out = np.empty(x.size)
     y = x[0]
     out[0] = y
     for k in range(1, x.size):
-        keep, ramp = first_order_coefficients(time_constant_at(y, time_constant_s, swell), dt_s, between)
+        keep, ramp = first_order_coefficients(time_constant_at(y, time_constant_s, swell), dt_s, hold)
         y = first_order_step(y, x[k - 1], x[k], keep, ramp)
         out[k] = y
     return out
@@ -90,12 +90,12 @@ def chain_step(states: Array, keep: Array, ramp: Array, weights: Array, before: 
 
 
 @numba.njit(cache=True, nogil=True)
-def chain_run(x: Array, time_constants_s: Array, weights: Array, dt_s: float, between: float = 0.0) -> Array:
+def chain_run(x: Array, time_constants_s: Array, weights: Array, dt_s: float, hold: float = 0.0) -> Array:
     """`chain_step` over a record, counted from rest at its first sample."""
     count = time_constants_s.size
     keep, ramp, states = np.empty(count), np.empty(count), np.zeros(count)
     for j in range(count):
-        keep[j], ramp[j] = first_order_coefficients(time_constants_s[j], dt_s, between)
+        keep[j], ramp[j] = first_order_coefficients(time_constants_s[j], dt_s, hold)
     out = np.empty(x.size)
     out[0] = 0.0
     for k in range(1, x.size):
@@ -117,13 +117,13 @@ def second_order_run(x: Array, matrix: Array, before: Array, now: Array) -> Arra
     return out
 
 
-def second_order(x: Array, frequency_Hz: float, damping_ratio: float, dt_s: float, between: float = 0.0) -> Array:
+def second_order(x: Array, frequency_Hz: float, damping_ratio: float, dt_s: float, hold: float = 0.0) -> Array:
     """Mode over a record, from rest, as `second_order_matrices` has it."""
-    return second_order_run(np.ascontiguousarray(x), *second_order_matrices(frequency_Hz, damping_ratio, dt_s, between))
+    return second_order_run(np.ascontiguousarray(x), *second_order_matrices(frequency_Hz, damping_ratio, dt_s, hold))
 
 
 def second_order_matrices(
-    frequency_Hz: float, damping_ratio: float, dt_s: float, between: float = 0.0
+    frequency_Hz: float, damping_ratio: float, dt_s: float, hold: float = 0.0
 ) -> tuple[Array, Array, Array]:
     """M, before and now of `second_order_run`, exact for a straight or held input: y'' + 2 zeta w y' + w^2 y = w^2 x.
 
@@ -136,7 +136,7 @@ def second_order_matrices(
     system[2, 3] = 1.0
     step = exponential(system * dt_s)
     all_of_it = step[:2, 2].copy()
-    now = step[:2, 3] / dt_s if between <= 0.0 else exponential(system * (dt_s * min(between, 1.0)))[:2, 2].copy()
+    now = step[:2, 3] / dt_s if hold <= 0.0 else exponential(system * (dt_s * min(hold, 1.0)))[:2, 2].copy()
     return step[:2, :2].copy(), all_of_it - now, now
 
 

@@ -16,7 +16,7 @@ from piezod.effects.kernels import second_order
 
 def forward(signal: Array, context: Context, values: Values) -> Array:
     """Force behind the mode, shape (N,) [N]."""
-    return second_order(signal, values["frequency_Hz"], values["damping_ratio"], context.dt_s, context.between)
+    return second_order(signal, values["frequency_Hz"], values["damping_ratio"], context.dt_s, context.hold.number)
 
 
 EFFECT = Effect(

@@ -22,8 +22,8 @@ def forward(signal: Array, context: Context, values: Values) -> Array:
     """Filtered signal, shape (N,) [N]."""
     cutoff = values["cutoff_Hz"]
     if round(values.get("order", 1.0)) == 1:
-        return first_order_run(signal, 1.0 / (2.0 * math.pi * cutoff), context.dt_s, context.between)
-    return second_order(signal, *mode(values), context.dt_s, context.between)
+        return first_order_run(signal, 1.0 / (2.0 * math.pi * cutoff), context.dt_s, context.hold.number)
+    return second_order(signal, *mode(values), context.dt_s, context.hold.number)
 
 
 def mode(values: Values) -> tuple[float, float]:

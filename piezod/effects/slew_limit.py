@@ -29,13 +29,13 @@ def slew_step(y: float, before: float, now: float, most: float) -> float:
 
 
 @numba.njit(cache=True, nogil=True)
-def _run(x: Array, most: float, between: float) -> Array:
+def _run(x: Array, most: float, hold: float) -> Array:
     out = np.empty(x.size)
     y = x[0]
     out[0] = y
-    late = min(between, 1.0)
+    late = min(hold, 1.0)
     for k in range(1, x.size):
-        if between > 0.0:
+        if hold > 0.0:
             y = slew_step(y, x[k - 1], x[k - 1], most * (1.0 - late)) if late < 1.0 else y
             y = slew_step(y, x[k], x[k], most * late)
         else:
@@ -46,7 +46,7 @@ def _run(x: Array, most: float, between: float) -> Array:
 
 def forward(signal: Array, context: Context, values: Values) -> Array:
     """Voltage at the stack, shape (N,) [V]."""
-    return _run(signal, values["limit_V_per_s"] * context.dt_s, context.between)
+    return _run(signal, values["limit_V_per_s"] * context.dt_s, context.hold.number)
 
 
 EFFECT = Effect(

@@ -21,7 +21,6 @@ from numpy.typing import NDArray
 
 from piezod.effects import EFFECTS
 from piezod.effects.contact_gap import contact_step
-from piezod.effects.effect import STRAIGHT
 from piezod.effects.feedthrough import coefficients, coupling_step
 from piezod.effects.kernels import first_order_coefficients, first_order_step, second_order_matrices
 from piezod.effects.mains_hum import HARMONICS
@@ -34,6 +33,7 @@ from piezod.model.parameters import Model
 from piezod.operators.dead_zone import dead_zone_step
 from piezod.operators.play import play_value
 from piezod.operators.prandtl_ishlinskii import HEADER
+from piezod.recording.hold import HELD_ONE_SAMPLE, STRAIGHT
 
 Array = NDArray[np.float64]
 
@@ -231,31 +231,33 @@ def _cell(model: Model, found: Mapping[str, Mapping[str, float]], dt_s: float, d
     cell = np.zeros(SIZE)
     cell[LAST] = math.nan
     smooth = any(EFFECTS[name].smooths for name in found if EFFECTS[name].seat < EFFECTS["resonance"].seat)
-    between = STRAIGHT if smooth else 1.0
+    hold = STRAIGHT if smooth else HELD_ONE_SAMPLE
     if mode := found.get("resonance"):
         cell[MODE] = 1.0
-        cell[MODE_AT : MODE_AT + 8] = _flat(mode["frequency_Hz"], mode["damping_ratio"], dt_s, between)
-        between = STRAIGHT
+        cell[MODE_AT : MODE_AT + 8] = _flat(mode["frequency_Hz"], mode["damping_ratio"], dt_s, hold.number)
+        hold = STRAIGHT
     if leak := found.get("charge_leakage"):
-        cell[LEAK_KEEP], cell[LEAK_RAMP] = first_order_coefficients(leak["time_constant_s"], dt_s, between)
+        cell[LEAK_KEEP], cell[LEAK_RAMP] = first_order_coefficients(leak["time_constant_s"], dt_s, hold.number)
     if low_pass := found.get("sensor_filter"):
         cell[LOW_PASS] = max(1.0, round(low_pass.get("order", 1.0)))
         time_s = 0.5 / math.pi / low_pass["cutoff_Hz"]
-        cell[KEEP], cell[RAMP] = first_order_coefficients(time_s, dt_s, between)
-        cell[LOW_PASS_AT : LOW_PASS_AT + 8] = _flat(*mode_of_filter(low_pass), dt_s, between)
+        cell[KEEP], cell[RAMP] = first_order_coefficients(time_s, dt_s, hold.number)
+        cell[LOW_PASS_AT : LOW_PASS_AT + 8] = _flat(*mode_of_filter(low_pass), dt_s, hold.number)
     if coupling := found.get("feedthrough"):
         cell[COUPLING] = coupling["coefficient_N_s_per_V"]
-        runs_on = "electrical_lag" in found or "slew_limit" in found or model.sampling == "straight"
-        held = STRAIGHT if runs_on else 1.0  # as in the fit, where a held command may have passed for a straight one
-        cell[COUPLING_KEEP], cell[COUPLING_JUMP] = coefficients(coupling.get("rise_s", 0.0), dt_s, held)
+        runs_on = "electrical_lag" in found or "slew_limit" in found or model.hold.straight
+        held = (
+            STRAIGHT if runs_on else HELD_ONE_SAMPLE
+        )  # as in the fit, which may take a held command for a straight one
+        cell[COUPLING_KEEP], cell[COUPLING_JUMP] = coefficients(coupling.get("rise_s", 0.0), dt_s, held.number)
     lag_s = found.get("electrical_lag", {}).get("time_constant_s", 0.0)
     cell[LATE] = ticks_late(delay_s, lag_s, dt_s)
     return cell
 
 
-def _flat(frequency_Hz: float, damping_ratio: float, dt_s: float, between: float) -> Array:
+def _flat(frequency_Hz: float, damping_ratio: float, dt_s: float, hold: float) -> Array:
     """M (4), `before` (2) and `now` (2) of `second_order_matrices`."""
-    matrix, before, now = second_order_matrices(frequency_Hz, damping_ratio, dt_s, between)
+    matrix, before, now = second_order_matrices(frequency_Hz, damping_ratio, dt_s, hold)
     return np.concatenate((matrix.ravel(), before, now))
 
 

@@ -19,6 +19,7 @@ from piezod.model.inverse_chain import commit_chain_step, plan_chain_step, start
 from piezod.model.parameters import Model
 from piezod.operators import ImplicitInverse
 from piezod.operators.compiled_cache import OPERATORS, forget_outdated_steps
+from piezod.recording.hold import HELD_ONE_SAMPLE, STRAIGHT
 
 Array = NDArray[np.float64]
 Found = Mapping[str, Mapping[str, float]]
@@ -146,8 +147,7 @@ def _delay_s(model: Model, found: Found, without: Collection[str]) -> float:
     """
     if "transport_delay" in without:
         return 0.0
-    sampled = {"held_before": 1.0, "held": 1.0 - model.read_after, "straight": 0.5}[model.sampling]
-    return found.get("transport_delay", {}).get("delay_s", 0.0) + sampled * (model.sample_s or 0.0)
+    return found.get("transport_delay", {}).get("delay_s", 0.0) + model.hold.until_next * (model.sample_s or 0.0)
 
 
 def ticks_late(delay_s: float, lag_s: float, dt_s: float) -> float:
@@ -225,8 +225,8 @@ def _creep(found: Found, dt_s: float, seen_s: float) -> tuple[Array, Array, Arra
         return np.empty(0), np.empty(0), np.empty(0)
     to_s = min(creep["to_s"], MEMORY_S)
     tau_s, weights = spectrum(creep["from_s"], to_s, creep.get("slope", 0.0), seen_s)
-    between = 0.0 if "electrical_lag" in found or "slew_limit" in found else 1.0
-    keep, ramp = np.array([first_order_coefficients(one, dt_s, between) for one in tau_s]).T
+    hold = STRAIGHT if "electrical_lag" in found or "slew_limit" in found else HELD_ONE_SAMPLE
+    keep, ramp = np.array([first_order_coefficients(one, dt_s, hold.number) for one in tau_s]).T
     return keep, ramp, creep["per_decade"] * weights
 
 

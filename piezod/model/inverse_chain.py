@@ -127,10 +127,10 @@ def plan_chain_step(packed: Array, chain: Array, force: float) -> float:
 
 
 @numba.njit(cache=True)
-def _lag(chain: Array, between: float) -> tuple[float, float]:
+def _lag(chain: Array, hold: float) -> tuple[float, float]:
     """`keep` and `ramp` of the lag at the voltage that the stack stands at."""
     tau_s = time_constant_at(chain[APPLIED_V], chain[LAG_S], chain[LAG_SWELL])
-    keep, ramp = first_order_coefficients(tau_s, chain[DT_S], between)
+    keep, ramp = first_order_coefficients(tau_s, chain[DT_S], hold)
     return keep, ramp
 
 

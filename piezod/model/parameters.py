@@ -18,6 +18,7 @@ from piezod.config import Section, check, read_document, shortened
 from piezod.effects import EFFECTS
 from piezod.errors import ConfigurationError, ModelError
 from piezod.operators import EPS, PrandtlIshlinskii
+from piezod.recording.hold import Hold
 
 SCHEMA = "piezod.model/1"
 
@@ -201,6 +202,11 @@ class Model(Section):
     start: Start = Start()
     provenance: Provenance
     statistics: Statistics | None = None
+
+    @property
+    def hold(self) -> Hold:
+        """How the command runs between samples, as `sampling` and `read_after` state it."""
+        return Hold(self.sampling, self.read_after if self.sampling == "held" else 0.0)
 
     def operator(self) -> PrandtlIshlinskii:
         """Build the operator in the model's start state.

@@ -7,9 +7,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from piezod.effects import EFFECTS, Context, Effect, Seat
-from piezod.effects.effect import HELD_BEFORE, STRAIGHT
 from piezod.model.parameters import Model
 from piezod.operators import PrandtlIshlinskii
+from piezod.recording.hold import HELD_BEFORE, STRAIGHT
 
 Array = NDArray[np.float64]
 
@@ -90,9 +90,9 @@ def run_chain(
         Voltages that led the operator to its state.
     """
     effects = effects_in(model, sha256)
-    if not effects and model.sampling != "held_before":
+    if not effects and model.hold != HELD_BEFORE:
         return operator.run(command_V)
-    if model.sampling == "held_before":
+    if model.hold == HELD_BEFORE:
         command_V = np.concatenate((command_V[:1], command_V[:-1]))
     seconds = time_s - time_s[0]
     context = Context(
@@ -103,7 +103,7 @@ def run_chain(
         float(seconds[-1]),
         model.output.high - model.output.low,
         temperature_C,
-        between_of(model),
+        model.hold,
         model.input.high - model.input.low,
         path_V,
         model.seen_s,
@@ -124,11 +124,6 @@ def run_chain(
     return signal
 
 
-def between_of(model: Model) -> float:
-    """How the command runs between samples, as `Context` has it."""
-    return {"straight": STRAIGHT, "held": max(model.read_after, 1e-6), "held_before": HELD_BEFORE}[model.sampling]
-
-
 def widened(effects: Sequence[tuple[Effect, dict[str, float]]], context: Context) -> tuple[Array | None, Array | None]:
     """Factor and offset of the play thresholds, each of shape (N,) or None."""
     factor: Array | None = None
@@ -143,7 +138,7 @@ def widened(effects: Sequence[tuple[Effect, dict[str, float]]], context: Context
 
 def behind(effect: Effect, context: Context) -> Context:
     """How a signal runs between samples once an effect has acted."""
-    return replace(context, between=STRAIGHT) if effect.smooths else context
+    return replace(context, hold=STRAIGHT) if effect.smooths else context
 
 
 def _seated(

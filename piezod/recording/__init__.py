@@ -2,11 +2,13 @@
 
 from piezod.recording.files import check_target, column_names, convert, open_stream, read_recording, write_recording
 from piezod.recording.formats.csv import read_csv, write_csv
-from piezod.recording.recording import HELD, TIME, Recording
+from piezod.recording.hold import HELD_ONE_SAMPLE, Hold
+from piezod.recording.recording import TIME, Recording
 
 __all__ = [
-    "HELD",
+    "HELD_ONE_SAMPLE",
     "TIME",
+    "Hold",
     "Recording",
     "check_target",
     "column_names",

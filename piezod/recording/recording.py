@@ -11,17 +11,13 @@ from piezod.recording.names import TIME
 from piezod.recording.stretches import Array
 from piezod.recording.stuck import Stuck, stuck
 
-__all__ = ["HELD", "TIME", "Array", "Recording", "check_time"]
+__all__ = ["TIME", "Array", "Recording", "check_time"]
 
 MOST_RESAMPLED = 2**29
 """Numbers that a resampled recording may hold: 4.3 GB."""
 
 UNIFORM_WITHIN = 0.01
 """Share of the median period by which the periods of uniformly sampled time may differ from it."""
-
-
-HELD = {"sampling": "held", "read_after": "1"}
-"""Metadata of a recording whose commands were held until the reading beside them, as the ring log has them."""
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piezod.control import ROW_DTYPE, State
-from piezod.recording import HELD, Recording
+from piezod.recording import HELD_ONE_SAMPLE, Recording
 
 GOOD = 0  # ExchangeResult.OK
 
@@ -68,7 +68,7 @@ class History:
         for name, field in (("readback_V", "readback_V"), ("temperature_C", "temperature_C")):
             if np.isfinite(answers[field]).any():
                 channels[name] = answers[field].copy()
-        return Recording((answers["time_ns"] - start_ns) * 1e-9, channels, metadata | HELD)
+        return Recording((answers["time_ns"] - start_ns) * 1e-9, channels, metadata | HELD_ONE_SAMPLE.metadata)
 
     def timing(self) -> TimingFigures:
         """Percentiles over every tick that wrote."""

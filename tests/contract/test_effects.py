@@ -14,9 +14,9 @@ from numba.core.registry import CPUDispatcher
 
 import piezod.effects
 from piezod.effects import EFFECTS, Context, Seat
-from piezod.effects.effect import HELD_BEFORE, STRAIGHT
+from piezod.recording.hold import HELD_BEFORE, STRAIGHT, Hold
 
-HELD = 1e-9  # read at once after its command
+HELD = Hold("held", 1e-9)  # read at once after its command
 
 CATALOGUE = {
     "voltage_clamp": ["limit_V"],
@@ -202,11 +202,11 @@ def test_a_search_has_somewhere_to_begin(name):
 
 
 @every_effect
-@pytest.mark.parametrize("between", [STRAIGHT, HELD, HELD_BEFORE])
-def test_rest_stays_rest(name, between):
+@pytest.mark.parametrize("hold", [STRAIGHT, HELD, HELD_BEFORE])
+def test_rest_stays_rest(name, hold):
     level = np.full(500, 37.0)
     nothing = 0.0 * level
-    context = context_of(duration_s=0.5, applied_V=level, command_V=level, temperature_C=level, between=between)
+    context = context_of(duration_s=0.5, applied_V=level, command_V=level, temperature_C=level, hold=hold)
     for values in ends(name):
         if name == "gain_drift":
             assert not results(name, nothing, context, values)[0].any()
@@ -218,10 +218,10 @@ def test_rest_stays_rest(name, between):
 
 
 @every_effect
-@pytest.mark.parametrize("between", [STRAIGHT, HELD, HELD_BEFORE])
-def test_everything_is_finite_over_random_signals_at_the_ends_of_all_ranges(name, between):
+@pytest.mark.parametrize("hold", [STRAIGHT, HELD, HELD_BEFORE])
+def test_everything_is_finite_over_random_signals_at_the_ends_of_all_ranges(name, hold):
     u = wandering(600, seed=2)
-    context = context_of(duration_s=0.6, applied_V=u, command_V=u, between=between)
+    context = context_of(duration_s=0.6, applied_V=u, command_V=u, hold=hold)
     for values in ends(name):
         for result in results(name, wandering(600, seed=3), context, values):
             assert result.shape == u.shape
@@ -238,9 +238,9 @@ def test_a_signal_is_left_as_it_was_and_gives_the_same_again(name):
 
 
 @of_form("linear")
-@pytest.mark.parametrize("between", [STRAIGHT, HELD, HELD_BEFORE])
-def test_linear_effects_pass_a_sum_as_the_sum_of_its_parts(name, between):
-    context = context_of(between=between)
+@pytest.mark.parametrize("hold", [STRAIGHT, HELD, HELD_BEFORE])
+def test_linear_effects_pass_a_sum_as_the_sum_of_its_parts(name, hold):
+    context = context_of(hold=hold)
     x, y = wandering(2048, seed=5), wandering(2048, seed=6)
     for values in ends(name):
         of_x, of_y, of_both = (EFFECTS[name].forward(one, context, values) for one in (x, y, 2.0 * x - 0.7 * y))
@@ -266,11 +266,11 @@ def test_a_memoryless_effect_looks_at_the_present_sample_alone(name):
 
 
 @every_effect
-@pytest.mark.parametrize("between", [STRAIGHT, HELD, HELD_BEFORE])
-def test_what_is_to_come_changes_nothing_before(name, between):
+@pytest.mark.parametrize("hold", [STRAIGHT, HELD, HELD_BEFORE])
+def test_what_is_to_come_changes_nothing_before(name, hold):
     now = 900
     x, u = wandering(2048, seed=11), wandering(2048, seed=12)
-    context = context_of(applied_V=u, command_V=u, between=between)
+    context = context_of(applied_V=u, command_V=u, hold=hold)
     later_x, later_u, later_T = x.copy(), u.copy(), context.temperature_C.copy()
     later_x[now:], later_u[now:], later_T[now:] = 3.0, 90.0, 40.0
     later = replace(context, applied_V=later_u, command_V=later_u, temperature_C=later_T)

@@ -9,7 +9,7 @@ from firmware_sim.physics.bench import Bench
 from firmware_sim.physics.scenario import load_scenario
 from piezod.excitation import varying_triangles
 from piezod.model import load_model
-from piezod.recording import HELD, Recording, write_csv
+from piezod.recording import HELD_ONE_SAMPLE, Recording, write_csv
 from tests.benches.emulator import piezod
 
 RATE_HZ = 500.0
@@ -43,7 +43,7 @@ def record(path, voltage_V, effects, seed, *, rows_of_ring_log=False):
     force_N = Bench(scenario, seed=seed).run(voltage_V, 1.0 / RATE_HZ)
     columns, said = {"voltage_V": voltage_V, "force_N": force_N}, {}
     if rows_of_ring_log:
-        columns, said = {"voltage_V": voltage_V[:-1], "force_N": force_N[1:]}, HELD
+        columns, said = {"voltage_V": voltage_V[:-1], "force_N": force_N[1:]}, HELD_ONE_SAMPLE.metadata
     write_csv(Recording(np.arange(columns["force_N"].size) / RATE_HZ, columns, said), path)
 
 

@@ -19,8 +19,9 @@ import numpy as np
 from piezod.errors import RecordingError
 from piezod.recording.formats.sqlite_blocks import Block, layout_of, layout_text, pack, unpack
 from piezod.recording.formats.stream import MANY, Source, Table, check_claim, replacing, spans
+from piezod.recording.hold import HELD_ONE_SAMPLE
 from piezod.recording.names import TIME, name_columns
-from piezod.recording.recording import HELD, Recording
+from piezod.recording.recording import Recording
 from piezod.recording.ticks import as_samples, sample_names
 
 SCHEMA = "piezod.recording/1"
@@ -125,7 +126,7 @@ def open_sqlite(path: Path) -> Iterator[Source]:
     with closing(connect(path)) as connection:
         about = read_about(connection, path)
         last = newest_block(connection)
-        metadata = dict(about.metadata) | (HELD if about.rows == "ticks" else {})
+        metadata = dict(about.metadata) | (HELD_ONE_SAMPLE.metadata if about.rows == "ticks" else {})
         fields = sample_names(about.absent) if about.rows == "ticks" else tuple(about.layout.names or ())
         names = name_columns(path, [(name, "") for name in fields])
         stored = dict(zip(names, fields, strict=True))

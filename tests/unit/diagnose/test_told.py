@@ -10,13 +10,14 @@ from piezod.diagnose.chain import Chain, Term, empty_point
 from piezod.diagnose.fit import fit
 from piezod.diagnose.told import as_told
 from piezod.effects import EFFECTS
+from piezod.recording import HELD_ONE_SAMPLE, Hold
 from tests.unit.diagnose.residuals import lagged, mixed_work, noise, series, time
 from tests.unit.diagnose.test_sharp import many_plays
 
 SAMPLES, RATE_HZ, FINE = 6_000, 200.0, 50
 LAG_S, DELAY_S, NOISE_N = 0.008, 0.0064, 0.1
 STRAIGHT = 0.1  # of a sample: a delay is taken straight between samples, where the force approaches in curves
-HELD_A_SAMPLE_EARLIER = 1e-6  # what the search takes for the course where everything is a sample late
+HELD_A_SAMPLE_EARLIER = Hold("held", 1e-6)  # what the search takes for the course where everything is a sample late
 
 
 def read(commands_V, delay_s):
@@ -27,16 +28,16 @@ def read(commands_V, delay_s):
     return many_plays(delayed_V[FINE - 1 :: FINE])
 
 
-def chain_over(delay_s, *, held_for):
+def chain_over(delay_s, *, recorded_hold):
     seconds, rng, made = time(SAMPLES, RATE_HZ), np.random.default_rng(3), []
     for role in ("identification", "recording"):
         u = mixed_work(seconds)
         u = np.clip(u - u[0], 0.0, None)
         force_N = many_plays(u) if role == "identification" else read(u, delay_s)
         force_N += NOISE_N * noise(SAMPLES, 0.0, rng)
-        told = held_for if role == "recording" else None
+        told = recorded_hold if role == "recording" else None
         one = series(seconds, u, force_N, NOISE_N, role=role)
-        made.append(replace(one, held_for=told, between=HELD_A_SAMPLE_EARLIER))
+        made.append(replace(one, recorded_hold=told, hold=HELD_A_SAMPLE_EARLIER))
     return Chain(made, PlayDensity.up_to(119.4), ForceLaw(-4.0, 120.0), 216.0)
 
 
@@ -49,7 +50,7 @@ def with_a_filter(chain):
 
 
 def test_a_filter_that_is_part_of_a_sample_gives_way_to_the_delay_that_the_told_course_needs():
-    chain = chain_over(DELAY_S, held_for=1.0)
+    chain = chain_over(DELAY_S, recorded_hold=HELD_ONE_SAMPLE)
     _, found = as_told(chain, with_a_filter(chain))
     assert set(found.effects) == {"electrical_lag", "transport_delay"}
     values = dict(zip((term.effect.name for term in found.terms), found.point.values, strict=True))
@@ -60,6 +61,6 @@ def test_a_filter_that_is_part_of_a_sample_gives_way_to_the_delay_that_the_told_
 
 
 def test_a_recording_that_does_not_say_leaves_a_hypothesis_as_it_is():
-    chain = chain_over(DELAY_S, held_for=None)
+    chain = chain_over(DELAY_S, recorded_hold=None)
     found = with_a_filter(chain)
     assert as_told(chain, found) == (chain, found)

@@ -8,12 +8,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
-from piezod.effects.effect import HELD_BEFORE
 from piezod.effects.slew_limit import slew_step
+from piezod.recording.hold import HELD_BEFORE, Hold
 
 from .records import forward, opening, triangle
 
-HELD = 1e-9  # read at once after its command
+HELD = Hold("held", 1e-9)  # read at once after its command
 
 DT_s = 1e-3
 
@@ -38,7 +38,7 @@ def test_the_knee_joins_both_lines_in_value_and_slope_and_takes_a_quarter_of_its
 def test_a_step_takes_its_size_over_the_limit(size_V):
     u = np.zeros(1000)
     u[100:] = size_V
-    slewed = forward("slew_limit", u, DT_s, {"limit_V_per_s": 100.0}, between=HELD)
+    slewed = forward("slew_limit", u, DT_s, {"limit_V_per_s": 100.0}, hold=HELD)
     arrived = np.flatnonzero(slewed >= size_V - 1e-9)[0] * DT_s
     assert arrived - 0.1 == pytest.approx(size_V / 100.0, abs=1.01 * DT_s)
 
@@ -67,8 +67,8 @@ def test_one_slew_step_is_a_thousand_small_ones(y, before, now, most):
 def test_a_held_command_is_followed_from_the_sample_on_at_which_it_comes():
     u = np.array([0.0, 0.0, 5.0, 5.0, -5.0])
     slow = {"limit_V_per_s": 1.0 / DT_s}
-    np.testing.assert_allclose(forward("slew_limit", u, DT_s, slow, between=HELD), [0.0, 0.0, 0.0, 1.0, 2.0], atol=1e-8)
-    np.testing.assert_allclose(forward("slew_limit", u, DT_s, slow, between=HELD_BEFORE), [0.0, 0.0, 1.0, 2.0, 1.0])
+    np.testing.assert_allclose(forward("slew_limit", u, DT_s, slow, hold=HELD), [0.0, 0.0, 0.0, 1.0, 2.0], atol=1e-8)
+    np.testing.assert_allclose(forward("slew_limit", u, DT_s, slow, hold=HELD_BEFORE), [0.0, 0.0, 1.0, 2.0, 1.0])
 
 
 @pytest.mark.parametrize(("frequency_Hz", "percent"), [(0.1, 0.2), (1.0, 2.0)])
@@ -81,7 +81,7 @@ def test_a_lag_of_5_ms_opens_the_loop_by_400_f_tau_percent(frequency_Hz, percent
 def test_a_lag_reaches_63_percent_of_a_step_after_its_time_constant():
     u = np.zeros(400)
     u[100:] = 1.0
-    lagged = forward("electrical_lag", u, DT_s, {"time_constant_s": 0.05}, between=HELD)
+    lagged = forward("electrical_lag", u, DT_s, {"time_constant_s": 0.05}, hold=HELD)
     assert lagged[150] == pytest.approx(1.0 - np.exp(-1.0), rel=1e-8)
 
 

@@ -3,9 +3,11 @@
 import numpy as np
 import pytest
 
+from piezod.recording.hold import Hold
+
 from .records import forward, opening, triangle
 
-HELD = 1e-9  # read at once after its command
+HELD = Hold("held", 1e-9)  # read at once after its command
 
 DT_s = 1e-3
 
@@ -27,7 +29,7 @@ def test_leakage_turns_the_loop_clockwise():
 def test_a_held_force_decays_to_its_start_with_the_time_constant():
     force = np.full(5001, 50.0)
     force[0] = 10.0
-    read = forward("charge_leakage", force, DT_s, {"time_constant_s": 2.0}, between=HELD)
+    read = forward("charge_leakage", force, DT_s, {"time_constant_s": 2.0}, hold=HELD)
     assert read[1] == pytest.approx(50.0)
     assert read[2001] == pytest.approx(10.0 + 40.0 * np.exp(-1.0), rel=1e-9)
 

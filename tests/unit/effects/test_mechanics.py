@@ -5,9 +5,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from piezod.recording.hold import Hold
+
 from .records import forward, opening, triangle
 
-HELD = 1e-9  # read at once after its command
+HELD = Hold("held", 1e-9)  # read at once after its command
 
 DT_s = 1e-3
 shapes = pytest.mark.parametrize(("exponent", "closing"), [(1.0, 1.0), (0.5, 0.3), (1.5, 0.5), (3.0, 0.7), (8.0, 0.5)])
@@ -87,14 +89,14 @@ def test_a_load_steps_on_and_off_and_one_without_an_end_stays():
 def test_a_mode_overshoots_a_step_by_its_closed_form(zeta):
     step = np.ones(20_000)
     step[0] = 0.0
-    rung = forward("resonance", step, 1e-5, {"frequency_Hz": 50.0, "damping_ratio": zeta}, between=HELD)
+    rung = forward("resonance", step, 1e-5, {"frequency_Hz": 50.0, "damping_ratio": zeta}, hold=HELD)
     assert rung.max() - 1.0 == pytest.approx(np.exp(-np.pi * zeta / np.sqrt(1.0 - zeta**2)), rel=1e-5)
 
 
 def test_a_mode_rings_at_its_own_frequency():
     step = np.ones(100_000)
     step[0] = 0.0
-    rung = forward("resonance", step, 1e-5, {"frequency_Hz": 50.0, "damping_ratio": 0.005}, between=HELD) - 1.0
+    rung = forward("resonance", step, 1e-5, {"frequency_Hz": 50.0, "damping_ratio": 0.005}, hold=HELD) - 1.0
     crossings = np.flatnonzero((rung[:-1] < 0.0) & (rung[1:] >= 0.0))
     assert (crossings.size - 1) / ((crossings[-1] - crossings[0]) * 1e-5) == pytest.approx(50.0, rel=1e-4)
 
