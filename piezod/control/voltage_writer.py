@@ -118,7 +118,7 @@ class VoltageWriter:
         return result
 
     def _verify_and_write(self, planned_V: float, begun_ns: int, change_V: float) -> ExchangeResult:
-        """Write only if the device has kept its output, and will keep it until the command arrives."""
+        """Write only if the device still drives its output as commanded, and will until the command arrives."""
         result = self._verify()
         silent_ns = self._clock.now_ns() - self._acknowledged_ns
         self.output_uncertain = True
