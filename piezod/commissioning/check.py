@@ -18,7 +18,7 @@ import numpy as np
 from piezod.config import BenchConfig, load_bench, model_path
 from piezod.config.link import ModbusTcpLink
 from piezod.config.reference import RegisterReference, StreamReference
-from piezod.control import RealTimeWarning, TableReference, check_named, make_reference, real_time
+from piezod.control import RealTimeWarning, TableReference, check_safeguards, make_reference, real_time
 from piezod.daemon.preview import missing_preview
 from piezod.effects import EFFECTS
 from piezod.errors import PiezodError
@@ -162,7 +162,7 @@ _UNNOTICED = {
 def _arming(bench: BenchConfig) -> Iterator[Check]:
     """What is asked before a voltage is written, and what the configuration says that this device goes without."""
     try:
-        check_named(bench)
+        check_safeguards(bench)
     except PiezodError as error:
         yield Check("arming", "FAIL", str(error))
     for name in bench.arming.without:

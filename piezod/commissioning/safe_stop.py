@@ -9,11 +9,11 @@ from pathlib import Path
 
 from piezod.config import BenchConfig
 from piezod.control import CAUSE_TEXT, Cause, RingLog
-from piezod.control.interlocks import STATUS_WATCHDOG
 from piezod.errors import CheckFailedError, UnreachableError
 from piezod.session.assembly import load_without_model, make_loop, make_rate_keeper, opened_link
 from piezod.session.lock import BenchLock
 from piezod.transport import ExchangeResult, Link
+from piezod.transport.status import STATUS_WATCHDOG
 
 LOCK_WITHIN_S = 2.0  # and the time of a ramp: a control process whose parent was killed holds the lock until its end
 LOOKS = 5

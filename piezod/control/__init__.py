@@ -1,6 +1,6 @@
-"""The control loop and what it is made of; nothing here knows a solver or a plot."""
+"""The control loop and its parts: references, planner, limits, interlocks, supervisor and clock."""
 
-from piezod.control.arming import check_named, check_ready
+from piezod.control.arming import check_ready, check_safeguards
 from piezod.control.loop import ControlLoop, LoopCounts
 from piezod.control.rate_keeper import RateKeeper, RealRateKeeper, VirtualRateKeeper
 from piezod.control.realtime import RealTimeWarning, real_time
@@ -25,8 +25,8 @@ __all__ = [
     "State",
     "TableReference",
     "VirtualRateKeeper",
-    "check_named",
     "check_ready",
+    "check_safeguards",
     "make_reference",
     "real_time",
 ]

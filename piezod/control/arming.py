@@ -1,42 +1,42 @@
-"""What must hold before a voltage is written, and the first step that is: it must raise the force."""
+"""Preconditions of arming: they are checked before the first voltage is written."""
 
 import time
 from collections.abc import Callable
-from math import ceil, isfinite, isnan
+from math import isfinite, isnan
 
-from piezod.config import ArmingConfig, BenchConfig, SignCheckConfig
+from piezod.config import ArmingConfig, BenchConfig
 from piezod.errors import CheckFailedError
 from piezod.transport import ExchangeResult, Link, verify_identity
 
-MOST_LOOKS = 20  # for one new sample
-FEWEST_SAMPLES = 4  # that a force is averaged over, whatever the rate
+MOST_WAITED_TICKS = 20  # for one new sample
+MOST_POLLS = 5  # for one good reading
 
 
 def check_ready(bench: BenchConfig, link: Link, sleep: Callable[[float], None] = time.sleep) -> None:
-    """Identity, map version, two readings that agree, rest, and a device watchdog that reads back; writes no voltage.
+    """Check identity, register map, two force readings, rest and device watchdog; no voltage is written.
 
     Parameters
     ----------
     bench
-        What must hold.
+        Bench configuration with the limits to check.
     link
-        Opened.
+        Opened link.
     sleep
-        Lets seconds pass.
+        Function that waits for a time [s].
 
     Raises
     ------
     CheckFailedError
-        Names what does not hold.
+        A precondition fails; the message names it.
     IdentityError
-        Another device, map or byte order than configured.
+        The device, its register map or its byte order differs from the configuration.
     TemporaryError
         The device does not answer.
     """
-    check_named(bench)
+    check_safeguards(bench)
     verify_identity(link)
     first_N = _force_at_rest(bench, link)
-    _await_another_sample(bench, link, sleep)
+    _wait_for_new_sample(bench, link, sleep)
     second_N = _force_at_rest(bench, link)
     span_N = bench.limits.force_trip_N - bench.limits.force_min_N
     within_N = bench.arming.agree_within_N or 0.05 * span_N
@@ -49,13 +49,18 @@ def check_ready(bench: BenchConfig, link: Link, sleep: Callable[[float], None] =
     _set_device_watchdog(bench, link)
 
 
-def check_named(bench: BenchConfig) -> None:
-    """Refuse a bench that cannot be checked before it is armed, unless the configuration says that it must go without.
+def check_safeguards(bench: BenchConfig) -> None:
+    """Refuse a bench without the roles that arming needs, unless `arming.without` lists them.
+
+    Parameters
+    ----------
+    bench
+        Bench configuration.
 
     Raises
     ------
     CheckFailedError
-        Names the precondition.
+        A role or the device watchdog is missing; the message names it.
     """
     without = bench.arming.without
     consequence = {
@@ -71,37 +76,39 @@ def check_named(bench: BenchConfig) -> None:
             )
     if "device_watchdog" not in without and bench.limits.device_watchdog_ms == 0:
         raise CheckFailedError(
-            "arming: limits.device_watchdog_ms is 0, must be above 0: the output would stay on when this machine dies; "
-            "set it, or list device_watchdog in arming.without"
+            "arming: limits.device_watchdog_ms is 0, must be above 0: the output would stay on when this machine "
+            "fails; set it, or list device_watchdog in arming.without"
         )
 
 
-def _await_another_sample(bench: BenchConfig, link: Link, sleep: Callable[[float], None]) -> None:
-    """Two readings of the same sample agree however broken the load cell is."""
+def _wait_for_new_sample(bench: BenchConfig, link: Link, sleep: Callable[[float], None]) -> None:
+    """Wait until the heartbeat changes: two readings of one sample agree even when the load cell is broken."""
     before = link.reading.heartbeat
-    for _ in range(MOST_LOOKS):
+    for _ in range(MOST_WAITED_TICKS):
         sleep(bench.dt_s)
         if not link.has("heartbeat"):
             return
         if link.poll() == ExchangeResult.OK and link.reading.heartbeat != before:
             return
     raise CheckFailedError(
-        f"arming: {link.description}: heartbeat stands at {before} for {MOST_LOOKS} ticks; does the device sample?"
+        f"arming: {link.description}: heartbeat stays at {before} for {MOST_WAITED_TICKS} ticks, must change; "
+        "check that the device samples"
     )
 
 
 def _check_at_rest(arming: ArmingConfig, readback_V: float, safe_V: float) -> None:
-    if isnan(readback_V):  # there is none, and the configuration says so
+    if isnan(readback_V):  # the device has no readback, and arming.without lists it
         return
     if not isfinite(readback_V) or abs(readback_V - safe_V) > arming.readback_within_V:
         raise CheckFailedError(
             f"arming: the amplifier reads back {readback_V:.3g} V, must be within "
-            f"{arming.readback_within_V:g} V of {safe_V:g} V; bring it down first (piezod stop CONFIG --direct)"
+            f"{arming.readback_within_V:g} V of {safe_V:g} V; ramp it down first (piezod stop CONFIG --direct)"
         )
 
 
 def _force_at_rest(bench: BenchConfig, link: Link) -> float:
-    for _ in range(5):
+    """Force of one good reading [N], checked against the force limits."""
+    for _ in range(MOST_POLLS):
         if (result := link.poll()) == ExchangeResult.OK:
             break
     else:
@@ -126,80 +133,5 @@ def _set_device_watchdog(bench: BenchConfig, link: Link) -> None:
     if found_ms != wanted_ms:
         raise CheckFailedError(
             f"arming: the device's watchdog reads back {found_ms:g} ms after {wanted_ms} ms were written; "
-            "without it the output stays on when this machine dies"
+            "without it the output stays on when this machine fails; check the watchdog_ms register"
         )
-
-
-class SignCheck:
-    """A small step up from rest: the mean force must rise with it; then back to rest.
-
-    Parameters
-    ----------
-    config
-        Step, rise and time.
-    dt_s
-        Tick period [s].
-    converter_step_V
-        The output comes only so near to what is wished [V].
-
-    Attributes
-    ----------
-    done
-        Passed, and back at rest.
-    rise_N
-        What the step raised the force by [N].
-    """
-
-    __slots__ = (
-        "_base_N",
-        "_base_V",
-        "_config",
-        "_count",
-        "_near_V",
-        "_sum_N",
-        "_ticks",
-        "_window",
-        "done",
-        "passed",
-        "rise_N",
-    )
-
-    def __init__(self, config: SignCheckConfig, dt_s: float, converter_step_V: float = 0.0) -> None:
-        self._config = config
-        self._near_V = max(0.1 * config.step_V, converter_step_V)
-        self._window = max(FEWEST_SAMPLES, ceil(config.settle_s / dt_s))
-        self.start(0.0)
-
-    def start(self, base_V: float) -> None:
-        """Begin at rest, at `base_V`."""
-        self._base_V, self._base_N = base_V, 0.0
-        self._ticks = self._count = 0
-        self._sum_N = self.rise_N = 0.0
-        self.done = self.passed = False
-
-    def wish(self, applied_V: float) -> float:
-        """Voltage for this tick [V]: rest, step, rest again."""
-        if self._ticks < self._window or self.passed:
-            self.done = self.passed and abs(applied_V - self._base_V) <= self._near_V
-            return self._base_V
-        return self._base_V + self._config.step_V
-
-    def take(self, force_N: float, applied_V: float) -> bool:
-        """Take a good reading; False when the step is over and the force has not risen."""
-        stepped = self._ticks >= self._window
-        if self.passed or (stepped and abs(applied_V - self._base_V - self._config.step_V) > self._near_V):
-            return True  # on the way back, or up
-        self._ticks += 1
-        at = self._ticks - self._window if stepped else self._ticks
-        if 2 * at > self._window:  # the first half is for settling
-            self._sum_N += force_N
-            self._count += 1
-        if at < self._window:
-            return True
-        mean_N, self._sum_N, self._count = self._sum_N / self._count, 0.0, 0
-        if not stepped:
-            self._base_N = mean_N
-            return True
-        self.rise_N = mean_N - self._base_N
-        self.passed = self.rise_N >= self._config.rise_N
-        return self.passed

@@ -1,7 +1,7 @@
-"""What is watched in every good reading: each interlock keeps what it needs and says when its limit is passed.
+"""Interlocks: each checks one quantity of every good reading and returns the cause of a trip, or `Cause.NONE`.
 
-All are plain floats and integers, made once; nothing is allocated in a tick. `begin` is called when the bench is armed,
-`judge` with every good reading while it is driven.
+The supervisor calls `clear` when the bench is armed, and `check` with every good reading while voltages are written.
+The states are plain floats and integers, so a check allocates no container.
 """
 
 from math import inf, isfinite, nan, pi
@@ -9,25 +9,25 @@ from math import inf, isfinite, nan, pi
 from piezod.config import LimitsConfig
 from piezod.control.states import Cause
 
-STATUS_WATCHDOG = 2
-STATUS_AMPLIFIER_FAULT = 8
-STATUS_OVER_TEMPERATURE = 16
-STATUS_MAINS_LOST = 32
-STATUS_FAULTS = STATUS_AMPLIFIER_FAULT | STATUS_OVER_TEMPERATURE | STATUS_MAINS_LOST
-
 
 class ForceInterlock:
-    """Force above, below, or risen faster than is possible; a single wrong sample is counted and does not trip.
+    """Force above or below its limits, or changed faster than its rate limit.
 
-    A sample is implausible when it lies further from the last plausible one than the greatest rate explains in the time
-    between them. A spike is over with the next sample, a jump is not.
+    It trips after `limits.force_debounce_samples` wrong samples in a row. A sample exceeds the rate limit when it
+    differs too much from the last right sample, for the time since then. A spike ends with the next sample; a lasting
+    jump stays wrong.
+
+    Parameters
+    ----------
+    limits
+        Force limits and debounce.
 
     Attributes
     ----------
-    suspicious
-        The last sample was outside a limit: the voltage must not rise until the next one says more.
+    suspect
+        True after a wrong sample, until the next sample decides. The voltage must not rise meanwhile.
     spikes
-        Suspicions that were not confirmed.
+        Number of wrong samples that the next sample did not confirm.
     """
 
     __slots__ = (
@@ -39,7 +39,7 @@ class ForceInterlock:
         "_rate_N_per_ns",
         "_time_ns",
         "spikes",
-        "suspicious",
+        "suspect",
     )
 
     def __init__(self, limits: LimitsConfig) -> None:
@@ -47,51 +47,75 @@ class ForceInterlock:
         self._rate_N_per_ns = inf if limits.force_rate_trip_N_per_s is None else 1e-9 * limits.force_rate_trip_N_per_s
         self._needed = limits.force_debounce_samples
         self.spikes = 0
-        self.suspicious = False
-        self.begin()
+        self.suspect = False
+        self.clear()
 
-    def begin(self) -> None:
-        """Forget the samples before."""
+    def clear(self) -> None:
+        """Discard the earlier samples."""
         self._force_N, self._time_ns = nan, 0
         self._in_a_row = 0
-        self.suspicious = False
+        self.suspect = False
 
-    def judge(self, force_N: float, now_ns: int) -> Cause:
-        """Say which limit is passed, Cause.NONE as long as none is or the debounce runs."""
+    def check(self, force_N: float, now_ns: int) -> Cause:
+        """Cause of a trip; `Cause.NONE` inside the limits and during the debounce.
+
+        Parameters
+        ----------
+        force_N
+            Force read [N].
+        now_ns
+            Monotonic time of the reading [ns].
+        """
         cause = Cause.NONE
         if force_N > self._max_N:
             cause = Cause.OVER_FORCE
         elif force_N < self._min_N:
             cause = Cause.UNDER_FORCE
-        elif abs(force_N - self._force_N) > self._rate_N_per_ns * (now_ns - self._time_ns):  # never, with nan
+        elif abs(force_N - self._force_N) > self._rate_N_per_ns * (now_ns - self._time_ns):  # False for nan
             cause = Cause.FORCE_RATE
         if cause is Cause.NONE:
-            self.spikes += self.suspicious
+            self.spikes += self.suspect
             self._force_N, self._time_ns, self._in_a_row = force_N, now_ns, 0
-            self.suspicious = False
+            self.suspect = False
             return cause
         self._in_a_row += 1
-        self.suspicious = True
+        self.suspect = True
         return cause if self._in_a_row >= self._needed else Cause.NONE
 
 
 class StuckInterlock:
-    """Equal force readings, one after the other, while the voltage moves."""
+    """Equal force readings in a row while the voltage moves.
+
+    Parameters
+    ----------
+    limits
+        Number of equal readings, and the travel of the voltage [V].
+    """
 
     __slots__ = ("_equal", "_force_N", "_heartbeat", "_high_V", "_low_V", "_samples", "_travel_V")
 
     def __init__(self, limits: LimitsConfig) -> None:
         self._samples = limits.stuck_samples or 0
         self._travel_V = limits.stuck_travel_V
-        self.begin()
+        self.clear()
 
-    def begin(self) -> None:
-        """Forget the samples before."""
+    def clear(self) -> None:
+        """Discard the earlier samples."""
         self._force_N, self._heartbeat, self._equal = nan, -1, 0
         self._low_V = self._high_V = 0.0
 
-    def judge(self, force_N: float, heartbeat: int, written_V: float) -> Cause:
-        """Count new samples (the heartbeat moved, or there is none); one that differs starts again."""
+    def check(self, force_N: float, heartbeat: int, written_V: float) -> Cause:
+        """Count equal samples; a different force starts the count again.
+
+        Parameters
+        ----------
+        force_N
+            Force read [N].
+        heartbeat
+            Sample counter of the device; an unchanged counter is the same sample. 0: the device has no counter.
+        written_V
+            Voltage in force [V].
+        """
         if self._samples == 0:
             return Cause.NONE
         if force_N != self._force_N:
@@ -106,82 +130,120 @@ class StuckInterlock:
 
 
 class ReadbackInterlock:
-    """The voltage read back lies outside what was commanded lately.
+    """Voltage readback outside the band of the voltages that were written recently.
 
-    The amplifier needs time to follow, so the band is what was commanded within the last one to two
-    `readback_trip_ms`: two stretches of that length, of which the older is dropped.
+    The amplifier needs time to follow. The band therefore covers the current window of `readback_trip_ms` and the
+    window before it.
+
+    Parameters
+    ----------
+    limits
+        Margin of the band [V] and length of a window [ms].
     """
 
-    __slots__ = ("_before_high", "_before_low", "_begun_ns", "_high", "_low", "_outside", "_stretch_ns", "_trip_V")
+    __slots__ = ("_begun_ns", "_earlier_high", "_earlier_low", "_high", "_low", "_outside", "_trip_V", "_window_ns")
 
     def __init__(self, limits: LimitsConfig) -> None:
         self._trip_V = inf if limits.readback_trip_V is None else limits.readback_trip_V
-        self._stretch_ns = round(1e6 * limits.readback_trip_ms)
-        self.begin()
+        self._window_ns = round(1e6 * limits.readback_trip_ms)
+        self.clear()
 
-    def begin(self) -> None:
-        """Forget what was commanded before."""
-        self._low = self._before_low = inf
-        self._high = self._before_high = -inf
+    def clear(self) -> None:
+        """Discard the voltages written earlier."""
+        self._low = self._earlier_low = inf
+        self._high = self._earlier_high = -inf
         self._begun_ns = self._outside = 0
 
-    def judge(self, readback_V: float, written_V: float, now_ns: int) -> Cause:
-        """Two samples in a row outside the band: one could be a spike of the monitor."""
-        if now_ns - self._begun_ns > self._stretch_ns:
-            self._before_low, self._before_high = self._low, self._high
+    def check(self, readback_V: float, written_V: float, now_ns: int) -> Cause:
+        """Trip at the second sample in a row outside the band: a single sample can be a spike of the monitor.
+
+        Parameters
+        ----------
+        readback_V
+            Voltage read back [V]; nan where the device has none.
+        written_V
+            Voltage in force [V].
+        now_ns
+            Monotonic time of the reading [ns].
+        """
+        if now_ns - self._begun_ns > self._window_ns:
+            self._earlier_low, self._earlier_high = self._low, self._high
             self._low = self._high = written_V
             self._begun_ns = now_ns
         self._low, self._high = min(self._low, written_V), max(self._high, written_V)
-        low, high = min(self._low, self._before_low), max(self._high, self._before_high)
+        low, high = min(self._low, self._earlier_low), max(self._high, self._earlier_high)
         inside = low - self._trip_V <= readback_V <= high + self._trip_V
         self._outside = 0 if inside or not isfinite(readback_V) else self._outside + 1
         return Cause.READBACK if self._outside > 1 else Cause.NONE
 
 
 class TrackingInterlock:
-    """Force far from the reference whose voltage was written unchanged: then the model says they are equal."""
+    """Force far from its reference for a time, although the planned voltage was written unchanged.
 
-    __slots__ = ("_due_N", "_lasting_ns", "_since_ns", "_trip_N")
+    Parameters
+    ----------
+    limits
+        Largest error [N] and its duration [ms].
+    """
+
+    __slots__ = ("_duration_ns", "_expected_N", "_since_ns", "_trip_N")
 
     def __init__(self, limits: LimitsConfig) -> None:
         self._trip_N = inf if limits.tracking_trip_N is None else limits.tracking_trip_N
-        self._lasting_ns = round(1e6 * limits.tracking_trip_ms)
-        self.begin()
+        self._duration_ns = round(1e6 * limits.tracking_trip_ms)
+        self.clear()
 
-    def begin(self) -> None:
-        """Forget the error before."""
-        self._due_N, self._since_ns = nan, -1
+    def clear(self) -> None:
+        """Discard the earlier error."""
+        self._expected_N, self._since_ns = nan, -1
 
-    def judge(self, force_N: float, reference_N: float, now_ns: int) -> Cause:
-        """Compare with the reference of the exchange before; `reference_N` is nan where none could be followed."""
-        due_N, self._due_N = self._due_N, reference_N
-        if not isfinite(due_N):
+    def check(self, force_N: float, reference_N: float, now_ns: int) -> Cause:
+        """Compare the force with the reference of the exchange before.
+
+        Parameters
+        ----------
+        force_N
+            Force read [N].
+        reference_N
+            Reference of this exchange [N]; nan where the voltage could not be written as planned.
+        now_ns
+            Monotonic time of the reading [ns].
+        """
+        expected_N, self._expected_N = self._expected_N, reference_N
+        if not isfinite(expected_N):
             return Cause.NONE
-        if abs(force_N - due_N) <= self._trip_N:
+        if abs(force_N - expected_N) <= self._trip_N:
             self._since_ns = -1
             return Cause.NONE
         if self._since_ns < 0:
             self._since_ns = now_ns
-        return Cause.TRACKING if now_ns - self._since_ns >= self._lasting_ns else Cause.NONE
+        return Cause.TRACKING if now_ns - self._since_ns >= self._duration_ns else Cause.NONE
 
 
 class HeatInterlock:
-    """Power that the stack turns into heat, from the voltage alone.
+    """Mean power that the stack turns into heat, computed from the voltage.
 
-    A full cycle between two voltages s apart loses E = pi C tan(delta) s^2, so P = pi f C tan(delta) Vpp^2; half of it
-    is lost on the way up and half on the way down, and within one way dE = pi C tan(delta) s ds, s counted from the
-    last reversal. Reversals smaller than a hundredth of the range are ripple. The mean fades over `dissipation_over_s`.
+    A full cycle with the peak-to-peak voltage s loses E = pi C tan(delta) s^2, so P = pi f C tan(delta) s^2. Half of E
+    is lost on the way up and half on the way down: dE = pi C tan(delta) s ds, with s counted from the last reversal.
+    Reversals smaller than 1 % of the range are ripple. The mean decays with the time constant `dissipation_over_s`.
+
+    Parameters
+    ----------
+    limits
+        Largest power [W], capacitance [F], loss tangent [1], time constant [s].
+    dt_s
+        Tick period [s].
 
     Attributes
     ----------
     power_W
-        The mean now.
+        Mean power now [W]. It survives disarming, because the heat does.
     """
 
-    __slots__ = ("_extreme_V", "_factor", "_max_W", "_ripple_V", "_rising", "_share", "_turn_V", "_watched", "power_W")
+    __slots__ = ("_checked", "_extreme_V", "_factor", "_max_W", "_ripple_V", "_rising", "_share", "_turn_V", "power_W")
 
     def __init__(self, limits: LimitsConfig, dt_s: float) -> None:
-        self._watched = limits.dissipation_max_W is not None
+        self._checked = limits.dissipation_max_W is not None
         self._max_W = limits.dissipation_max_W or inf
         self._factor = 0.5 * pi * limits.capacitance_F * (limits.loss_tangent or 0.0) / limits.dissipation_over_s
         self._share = dt_s / limits.dissipation_over_s
@@ -190,9 +252,15 @@ class HeatInterlock:
         self._rising = True
         self.power_W = 0.0
 
-    def judge(self, written_V: float) -> Cause:
-        """Add what the last change has turned into heat; heat stays when the bench is disarmed."""
-        if not self._watched:
+    def check(self, written_V: float) -> Cause:
+        """Add the heat of the last change of voltage.
+
+        Parameters
+        ----------
+        written_V
+            Voltage in force [V].
+        """
+        if not self._checked:
             return Cause.NONE
         beyond_V = written_V - self._extreme_V if self._rising else self._extreme_V - written_V
         self.power_W -= self._share * self.power_W
@@ -206,5 +274,5 @@ class HeatInterlock:
         return Cause.OVERHEATED if self.power_W > self._max_W else Cause.NONE
 
     def _add(self, before_V: float) -> None:
-        """Heat of the way from `before_V` to the extreme."""
+        """Add the heat of the way from `before_V` [V] to the extreme."""
         self.power_W += self._factor * ((self._extreme_V - self._turn_V) ** 2 - (before_V - self._turn_V) ** 2)

@@ -1,4 +1,4 @@
-"""How late this machine wakes up, and the highest rate it holds."""
+"""Measurement of the wake-up lateness of this machine, and of the highest rate that it holds."""
 
 from dataclasses import dataclass
 
@@ -14,7 +14,17 @@ RATES_HZ = (200.0, 500.0, 1000.0, 2000.0, 4000.0)
 
 @dataclass(frozen=True)
 class Lateness:
-    """Wake-ups at one rate."""
+    """Measured lateness at one rate.
+
+    Parameters
+    ----------
+    rate_Hz
+        Wake-ups per second [Hz].
+    missed
+        Number of missed deadlines.
+    lateness_us
+        Lateness of each wake-up, shape (N,) [us].
+    """
 
     rate_Hz: float
     missed: int
@@ -22,16 +32,16 @@ class Lateness:
 
 
 def measure_lateness(rate_Hz: float, duration_s: float, config: RealTimeConfig) -> Lateness:
-    """Keep a rate without doing anything in between.
+    """Measure the lateness of wake-ups at one rate, without any work in between.
 
     Parameters
     ----------
     rate_Hz
-        Wake-ups a second.
+        Wake-ups per second [Hz].
     duration_s
-        How long [s].
+        Duration of the measurement [s].
     config
-        What is asked of the kernel.
+        Real-time settings.
     """
     count = max(2, round(rate_Hz * duration_s))
     lateness_ns = np.zeros(count)
@@ -45,6 +55,6 @@ def measure_lateness(rate_Hz: float, duration_s: float, config: RealTimeConfig) 
 
 
 def rate_held_Hz(measured: list[Lateness]) -> float | None:
-    """Highest measured rate of which at most one tick in ten thousand was missed; None when there is none."""
-    held = [one.rate_Hz for one in measured if one.missed <= 1e-4 * one.lateness_us.size]
+    """Highest measured rate with at most one missed tick in ten thousand [Hz]; None without such a rate."""
+    held = [lateness.rate_Hz for lateness in measured if lateness.missed <= 1e-4 * lateness.lateness_us.size]
     return max(held, default=None)

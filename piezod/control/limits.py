@@ -1,4 +1,4 @@
-"""The limiter: the last thing before the wire, and the only way to the voltage register."""
+"""The limiter: the last step before the wire, and the only way to the voltage register."""
 
 from math import inf, isfinite, sqrt
 
@@ -6,17 +6,22 @@ from piezod.config import LimitsConfig
 
 
 class Limiter:
-    """Hold a voltage finite, inside its range, on the converter's lattice, within slew and acceleration.
+    """Limits a voltage to a finite number inside range, slew and acceleration, rounded to the converter's step.
 
-    A command that was sent and not acknowledged may stand at the device or not; until the next acknowledged one, what
-    is permitted is within the slew of both.
+    A command without an acknowledgement may or may not have reached the device. Until the next acknowledged command,
+    the limiter allows only voltages within the slew of both possibilities.
 
     Parameters
     ----------
     limits
-        Range, step, slew and acceleration of the amplifier.
+        Range, converter step, slew and acceleration of the amplifier.
     dt_s
         Tick period [s].
+
+    Attributes
+    ----------
+    lowest_sent_V, highest_sent_V
+        Range of the voltages that the device may have in force [V].
     """
 
     __slots__ = (
@@ -29,24 +34,18 @@ class Limiter:
         "_low_V",
         "_rise_V",
         "_step_V",
-        "clamped",
         "highest_sent_V",
         "lowest_sent_V",
-        "refused",
-        "slewed",
     )
 
     def __init__(self, limits: LimitsConfig, dt_s: float) -> None:
         self._dt_s = dt_s
         self._last_change_V = 0.0
-        self.clamped = 0
-        self.slewed = 0
-        self.refused = 0
-        self.take_limits(limits)
+        self.set_limits(limits)
         self.applied_V = limits.voltage_safe_V
 
-    def take_limits(self, limits: LimitsConfig) -> None:
-        """Limit by these from now on; the voltage in force stays."""
+    def set_limits(self, limits: LimitsConfig) -> None:
+        """Replace the limits; the voltage in force stays."""
         self._low_V, self._high_V = limits.voltage_min_V, limits.voltage_max_V
         self._step_V = limits.voltage_step_V
         self._rise_V = limits.slew_V_per_s * self._dt_s
@@ -56,7 +55,7 @@ class Limiter:
 
     @property
     def applied_V(self) -> float:
-        """The voltage that the device acknowledged last [V]; set once it is known from elsewhere."""
+        """Voltage that the device acknowledged last [V]; set it when the output is known from a readback."""
         return self._applied_V
 
     @applied_V.setter
@@ -65,66 +64,57 @@ class Limiter:
         self._last_change_V = 0.0
 
     def acknowledged(self, voltage_V: float) -> None:
-        """The device took this voltage [V]."""
+        """Note that the device has acknowledged the voltage `voltage_V` [V]."""
         self._last_change_V = voltage_V - self._applied_V
         self._applied_V = self.lowest_sent_V = self.highest_sent_V = voltage_V
 
     def perhaps_sent(self, voltage_V: float) -> None:
-        """The device may have taken this voltage [V], or not."""
+        """Note that the device may have received the voltage `voltage_V` [V]."""
         if isfinite(voltage_V):
             self.lowest_sent_V = min(self.lowest_sent_V, voltage_V)
             self.highest_sent_V = max(self.highest_sent_V, voltage_V)
 
-    def limit(self, wished_V: float, change_V: float = inf, share: float = 1.0) -> float:
+    def limit(self, planned_V: float, change_V: float = inf, share: float = 1.0) -> float:
         """Nearest permitted voltage [V].
 
         Parameters
         ----------
-        wished_V
-            What the compensator planned; anything not finite leaves the voltage where it is and is counted.
+        planned_V
+            Voltage that the compensator planned [V]. A value that is not finite keeps the voltage in force.
         change_V
-            Largest change from the voltage applied before, if smaller than the slew limit allows.
+            Largest change from the voltage in force [V], where it is smaller than the slew limit.
         share
-            Part of a tick that has passed since the last command, at most 1.
+            Time since the last command [ticks], 0 to 1.
         """
-        if not isfinite(wished_V):
-            self.refused += 1
-            wished_V = self._applied_V
-        if wished_V > self._high_V:
-            wished_V = self._high_V
-            self.clamped += 1
-        elif wished_V < self._low_V:
-            wished_V = self._low_V
-            self.clamped += 1
+        voltage_V = self.nearest(planned_V if isfinite(planned_V) else self._applied_V)
+        if self._acceleration_V != inf:
+            voltage_V = self._accelerated(voltage_V)
         low = self.highest_sent_V - min(change_V, self._fall_V) * share
         high = self.lowest_sent_V + min(change_V, self._rise_V) * share
-        if self._acceleration_V != inf:
-            wished_V = self._accelerated(wished_V)
-        if wished_V > high:
-            wished_V = high
-            self.slewed += 1
-        elif wished_V < low:
-            wished_V = low
-            self.slewed += 1
-        return wished_V if self._step_V == 0.0 else self._on_lattice(wished_V, low, high)
+        if voltage_V > high:
+            voltage_V = high
+        elif voltage_V < low:
+            voltage_V = low
+        return voltage_V if self._step_V == 0.0 else self._rounded(voltage_V, low, high)
 
-    def nearest(self, wished_V: float) -> float:
-        """The wished voltage inside the range [V], whatever the slew."""
-        return min(max(wished_V, self._low_V), self._high_V)
+    def nearest(self, planned_V: float) -> float:
+        """Nearest voltage inside the range [V]; slew and acceleration are ignored."""
+        return min(max(planned_V, self._low_V), self._high_V)
 
-    def _accelerated(self, wished_V: float) -> float:
-        """Change no faster than what can be braked before the wish, and by one acceleration from the last change.
+    def _accelerated(self, planned_V: float) -> float:
+        """Voltage [V] whose change can still stop at `planned_V`, and differs by one acceleration from the last change.
 
-        Braking from a change d by A a tick covers d(d + A) / 2A; the greatest d that ends at a gap g follows from it.
+        Stopping from a change d with the acceleration A per tick covers d(d + A) / 2A. The largest d that stops within
+        a gap g follows from it.
         """
         acceleration, last = self._acceleration_V, self._last_change_V
-        gap = wished_V - self._applied_V
+        gap = planned_V - self._applied_V
         braked = 0.5 * acceleration * (sqrt(1.0 + 8.0 * abs(gap) / acceleration) - 1.0)
         change = min(gap, braked) if gap >= 0.0 else max(gap, -braked)
         return self.nearest(self._applied_V + min(max(change, last - acceleration), last + acceleration))
 
-    def _on_lattice(self, voltage_V: float, low: float, high: float) -> float:
-        """Nearest multiple of the converter's step that exceeds neither range nor slew; what was applied if none is."""
+    def _rounded(self, voltage_V: float, low: float, high: float) -> float:
+        """Nearest multiple of the converter's step inside range and slew; without one, the voltage in force [V]."""
         if self._low_V <= self._applied_V <= self._high_V:
             low, high = max(low, self._low_V), min(high, self._high_V)
         nearest = round(voltage_V / self._step_V) * self._step_V

@@ -1,10 +1,7 @@
 """The control loop: reference -> plan -> limit -> exchange -> commit -> ring log -> keep time, once a tick.
 
-The states that matter are those of the stack, so they move with the voltage that was really written, after every
-limit and rounding (`link.written_V`), and only when the device acknowledged it. Nothing here raises for a bad sample.
-
-After an exchange that failed, or a pause, the loop looks before it writes: a device that was restarted, or whose
-watchdog has acted, drives its output by itself, and any voltage written then would be a jump.
+The compensator's states are those of the stack. They advance with the voltage that was written after every limit and
+rounding (`link.written_V`), and only when the device has acknowledged it. A bad sample raises no error in the loop.
 """
 
 from collections.abc import Callable
@@ -12,24 +9,23 @@ from dataclasses import dataclass
 from math import inf, isfinite, isnan, nan
 
 from piezod.config import LimitsConfig, SignCheckConfig
-from piezod.control.arming import SignCheck
-from piezod.control.interlocks import STATUS_WATCHDOG
 from piezod.control.limits import Limiter
 from piezod.control.rate_keeper import RateKeeper
-from piezod.control.segment_planner import Course, Segment
-from piezod.control.supervisor import Cause, State, Supervisor
+from piezod.control.segment_planner import Segment, SegmentPlanner
+from piezod.control.sign_check import SignCheck
+from piezod.control.states import Cause, State
+from piezod.control.supervisor import Supervisor
+from piezod.control.voltage_writer import VoltageWriter
 from piezod.recording.ring_log import RingLog
 from piezod.transport import ACKNOWLEDGED, ExchangeResult, Link
 
-__all__ = ["ControlLoop", "LoopCounts", "Segment"]
-
-MOST_FAILURES = 3  # ticks that may raise before the loop itself is given up
-AS_PLANNED_V = 1e-3  # float32 on the wire and a rounding in between
+MOST_FAILED_TICKS = 3  # ticks that may raise an exception before the loop ends
+AS_PLANNED_V = 1e-3  # rounding of a float32 on the wire
 
 
 @dataclass
 class LoopCounts:
-    """What one run of the loop counted."""
+    """Number of ticks and of failed exchanges since the loop was created."""
 
     ticks: int = 0
     failed_exchanges: int = 0
@@ -41,23 +37,34 @@ class ControlLoop:
     Parameters
     ----------
     link
-        An opened link whose identity was verified.
+        Opened link whose identity was verified.
     limits
-        The `limits` section.
+        Section `limits` of the bench configuration.
     rate_keeper
-        The clock.
+        Clock of the loop.
     ring_log
-        Where every tick is written.
+        Log of every tick.
     dt_s
         Tick period [s].
     approach_V_per_s
-        How fast the first reference of a segment is approached [V/s].
+        Rate of the approach to the first reference of a segment [V/s].
     sign_check
-        The step that must raise the force after arming; None: without.
+        Voltage step that must raise the force after arming; None: no sign check.
     readback_within_V
-        How near to the safe voltage the output must be read back before a ramp down is over [V].
-    watchdog_shows
-        Whether the device's status says that its watchdog has tripped.
+        Largest difference between safe voltage and readback at the end of a ramp down [V].
+    watchdog_in_status
+        Whether the device's status has the bit of its watchdog.
+
+    Attributes
+    ----------
+    limiter
+        Limiter of every voltage.
+    supervisor
+        State machine of the loop.
+    counts
+        Number of ticks and of failed exchanges.
+    failure
+        Type and text of the first exception of a tick; empty without one.
     """
 
     def __init__(
@@ -71,47 +78,50 @@ class ControlLoop:
         *,
         sign_check: SignCheckConfig | None = None,
         readback_within_V: float = inf,
-        watchdog_shows: bool = True,
+        watchdog_in_status: bool = True,
     ) -> None:
         self._link = link
         self._clock = rate_keeper
         self._ring = ring_log
         self._dt_s, self._dt_ns = dt_s, round(dt_s * 1e9)
-        self._approach_V = approach_V_per_s * dt_s
         self._readback_within_V = readback_within_V
-        self._watchdog_shows = watchdog_shows
         self._stops_requested = 0
-        self._begun_ns = self._acknowledged_ns = 0
-        self._sent_ns = -self._dt_ns
-        self._doubtful = False
+        self._begun_ns = 0
         self._settling_ns = -1
-        self._failures = 0
+        self._failed_ticks = 0
         self.limiter = Limiter(limits, dt_s)
         self.supervisor = Supervisor(limits, dt_s)
         check = None if sign_check is None else SignCheck(sign_check, dt_s, limits.voltage_step_V)
-        self._course = Course(self.limiter, self.supervisor, check, self._approach_V)
+        self._planner = SegmentPlanner(self.limiter, self.supervisor, check, approach_V_per_s * dt_s)
+        self._writer = VoltageWriter(
+            link,
+            self.limiter,
+            self.supervisor,
+            rate_keeper,
+            limits,
+            dt_s,
+            readback_within_V=readback_within_V,
+            watchdog_in_status=watchdog_in_status,
+        )
         self.counts = LoopCounts()
         self.failure = ""
-        self._keep(limits)
+        self._set_own_limits(limits)
 
-    def _keep(self, limits: LimitsConfig) -> None:
+    def set_limits(self, limits: LimitsConfig) -> None:
+        """Replace the limits between two ticks; state, voltage and latched fault stay."""
+        self._set_own_limits(limits)
+        self.limiter.set_limits(limits)
+        self.supervisor.set_limits(limits)
+        self._writer.set_limits(limits)
+
+    def _set_own_limits(self, limits: LimitsConfig) -> None:
         self._ramp_V = limits.ramp_down_V_per_s * self._dt_s
         self._safe_V = limits.voltage_safe_V
         self._as_planned_V = max(limits.voltage_step_V, AS_PLANNED_V)
         self._comm_loss_ns = round(1e6 * limits.comm_loss_ms)
-        self._watchdog_ns = round(1e6 * limits.device_watchdog_ms)
-        self._look_after_ns = self._watchdog_ns // 2 or self._comm_loss_ns
-        margin_ns = max(2 * self._dt_ns, self._watchdog_ns // 10)
-        self._too_late_ns = self._watchdog_ns - margin_ns if self._watchdog_ns else 1 << 62
-
-    def take_limits(self, limits: LimitsConfig) -> None:
-        """Go on within these, between two ticks; state, voltage and latched fault stay."""
-        self._keep(limits)
-        self.limiter.take_limits(limits)
-        self.supervisor.take_limits(limits)
 
     def request_stop(self) -> None:
-        """Ramp down at the next tick, a second time: in haste; safe to call from a signal handler."""
+        """Ramp down at the next tick; after a second request, as fast as the slew allows. Safe in a signal handler."""
         self._stops_requested += 1
 
     @property
@@ -120,11 +130,11 @@ class ControlLoop:
         return self._stops_requested > 0
 
     def begin(self, segment: Segment) -> None:
-        """Take up a segment; it starts when the loop is armed."""
-        self._course.begin(segment, self._clock.tick)
+        """Select `segment`; it starts when the loop is armed."""
+        self._planner.begin(segment, self._clock.tick)
 
     def arm(self, segment: Segment) -> None:
-        """Start `segment` from the voltage that is read back; nothing happens unless the bench is disarmed."""
+        """Start `segment` from the voltage that is read back; no effect unless the state is DISARMED."""
         if self.supervisor.state is not State.DISARMED:
             return
         readback_V = self._link.reading.voltage_readback_V
@@ -133,39 +143,36 @@ class ControlLoop:
         self.supervisor.arm(self._clock.now_ns())
 
     def drive(self, segment: Segment) -> Cause:
-        """Arm, follow `segment` to its end, ramp down; returns the fault that ended it, or Cause.NONE."""
+        """Arm, follow `segment` to its end and ramp down; the result is the fault, or `Cause.NONE`."""
         self.arm(segment)
         return self._drive_to_rest()
 
     def bring_down(self, from_V: float) -> Cause:
-        """Ramp down from an output that was found at `from_V`; returns the fault, or Cause.NONE."""
+        """Ramp down an output that stands at `from_V` [V]; the result is the fault, or `Cause.NONE`."""
         self._start_from(from_V)
         self.supervisor.bring_down(self._clock.now_ns())
         return self._drive_to_rest()
 
     def watch(self, ticks: int | None = None) -> None:
-        """Read without writing, for so many ticks or until stopped."""
+        """Read without writing, for a number of ticks or until a stop is requested."""
         self._clock.start()
         while not self._stops_requested and ticks != 0:
             self.run_tick()
             self._clock.wait()
             ticks = None if ticks is None else ticks - 1
 
-    def serve(self, attend: Callable[[], None]) -> None:
-        """Tick until a stop was requested and the bench is at rest; `attend` is called in the pause after each tick."""
+    def serve(self, after_tick: Callable[[], None]) -> None:
+        """Run ticks until a stop is requested and the bench is at rest; call `after_tick` after each."""
         self._clock.start()
         while self.supervisor.driving or not self._stops_requested:
             self.run_tick()
-            attend()
+            after_tick()
             self._clock.wait()
 
     def _start_from(self, output_V: float) -> None:
-        self.limiter.applied_V = output_V
         self._clock.start()
-        now_ns = self._clock.now_ns()
-        self._begun_ns = self._acknowledged_ns = now_ns
-        self._sent_ns = now_ns - self._dt_ns
-        self._doubtful = False
+        self._begun_ns = self._clock.now_ns()
+        self._writer.start_from(output_V)
 
     def _drive_to_rest(self) -> Cause:
         while self.supervisor.driving:
@@ -174,140 +181,107 @@ class ControlLoop:
         return self.supervisor.fault
 
     def run_tick(self) -> None:
-        """One tick; when the controller raises, the bench is ramped down without it.
+        """Run one tick; after an exception in it, ramp down without the compensator.
 
         Raises
         ------
         Exception
-            Ramping down raises too: the loop is given up, and the device's watchdog acts.
+            More than `MOST_FAILED_TICKS` ticks raised one. The loop ends, and the device watchdog takes over.
         """
         try:
             self.tick()
         except Exception as error:
-            self._failures += 1
-            if self._failures > MOST_FAILURES:
+            self._failed_ticks += 1
+            if self._failed_ticks > MOST_FAILED_TICKS:
                 raise
             self.failure = self.failure or f"{type(error).__name__}: {error}"
             self.supervisor.trip(Cause.CONTROLLER)
 
     def tick(self) -> None:
-        """One tick."""
+        """Run one tick: plan, exchange, check, log."""
         clock, supervisor = self._clock, self.supervisor
         begun_ns = clock.now_ns()
-        supervisor.judge_gap(begun_ns - self._begun_ns)
+        supervisor.check_pause(begun_ns - self._begun_ns)
         self._begun_ns = begun_ns
         if self._stops_requested:
-            supervisor.stop(hasty=self._stops_requested > 1)
-        planned_V = self._course.wish(clock.tick, begun_ns, self._safe_V)
-        self._link.patience_s = supervisor.patience_s(begun_ns)
-        if not supervisor.driving:
-            result = self._link.poll()
-        elif self._doubtful or begun_ns - self._acknowledged_ns >= self._look_after_ns:
-            result = self._look_and_write(planned_V, begun_ns)
-        else:
-            result = self._write(planned_V, begun_ns)
+            supervisor.stop(fast=self._stops_requested > 1)
+        planned_V = self._planner.plan_voltage(clock.tick, begun_ns, self._safe_V)
+        self._act_on(self._planner.event)
+        result = self._exchange(planned_V, begun_ns)
         done_ns = clock.now_ns()
-        self._judge(result, planned_V, done_ns)
+        self._check(result, planned_V, done_ns)
         self._log(planned_V, result, begun_ns, done_ns)
 
-    def _write(self, planned_V: float, begun_ns: int) -> ExchangeResult:
-        """Limit, write, commit: the one place where a voltage goes onto the wire.
+    def _act_on(self, event: Cause) -> None:
+        """Change the state by an event of the planner."""
+        supervisor, segment = self.supervisor, self._planner.segment
+        if event is Cause.NONE or segment is None:
+            return
+        if event is Cause.REFERENCE_REACHED:
+            supervisor.start_running()
+        elif event is Cause.REFERENCE_LIVE:
+            supervisor.resume()
+        elif segment.reference.ramp_down_on_lapse:
+            supervisor.stop(event)
+        else:
+            supervisor.hold(event)
 
-        A process that was stopped since the tick began does not write: the device may have taken over meanwhile.
-        """
-        limiter, link, segment = self.limiter, self._link, self._course.segment
-        stopped_ns = self._clock.now_ns() - begun_ns
-        if stopped_ns >= self._look_after_ns:
-            self._doubtful = True
-            self.supervisor.judge_gap(stopped_ns)
-            return ExchangeResult.TIMEOUT
-        elapsed_ns = begun_ns - self._sent_ns
-        share = 1.0 if 10 * elapsed_ns >= 9 * self._dt_ns else elapsed_ns / self._dt_ns
-        result = link.exchange(limiter.limit(planned_V, self._change_V(), share))
-        self._sent_ns = begun_ns
-        self._doubtful = result not in ACKNOWLEDGED
-        if self._doubtful:
-            limiter.perhaps_sent(link.written_V)
-            return result
-        limiter.acknowledged(link.written_V)
-        self._acknowledged_ns = begun_ns
-        if segment is not None and self.supervisor.fault is not Cause.CONTROLLER:
+    def _exchange(self, planned_V: float, begun_ns: int) -> ExchangeResult:
+        """Write and commit while voltages are driven; only read otherwise."""
+        supervisor, segment, link = self.supervisor, self._planner.segment, self._link
+        link.patience_s = supervisor.exchange_time_left_s(begun_ns)
+        if not supervisor.driving:
+            return link.poll()
+        result = self._writer.write(planned_V, begun_ns, self._largest_change_V())
+        failed = self._writer.output_uncertain or supervisor.fault is Cause.CONTROLLER
+        if segment is not None and not failed:
             segment.compensator.commit(link.written_V)
-            if segment.feel is not None:
-                segment.feel(link.reading.temperature_C)
+            if segment.update_temperature is not None:
+                segment.update_temperature(link.reading.temperature_C)
         return result
 
-    def _change_V(self) -> float:
-        """Largest change in this tick [V], if smaller than the slew limit allows."""
+    def _largest_change_V(self) -> float:
+        """Largest change in this tick [V]; infinite where only the slew limits it."""
         supervisor = self.supervisor
-        if supervisor.suspicious or (supervisor.state is State.RAMP_DOWN and not supervisor.in_haste):
+        if supervisor.force_suspect or (supervisor.state is State.RAMP_DOWN and not supervisor.fast_ramp):
             return self._ramp_V
-        return self._approach_V if self._course.gentle else inf
+        return self._planner.largest_change_V
 
-    def _look_and_write(self, planned_V: float, begun_ns: int) -> ExchangeResult:
-        """Write only if the device is still where it was left, and will be when the command arrives."""
-        result = self._look()
-        silent_ns = self._clock.now_ns() - self._acknowledged_ns
-        self._doubtful = True
-        if result != ExchangeResult.OK or not self.supervisor.driving or silent_ns >= self._too_late_ns:
-            return result
-        result = self._write(planned_V, begun_ns)
-        if result == ExchangeResult.HEARTBEAT_STOOD:  # no new sample since the look, whose reading is good
-            return ExchangeResult.OK
-        return result
-
-    def _look(self) -> ExchangeResult:
-        """Read, and leave the output to a device that has taken it over."""
-        reading, supervisor = self._link.reading, self.supervisor
-        heartbeat = reading.heartbeat
-        result = self._link.poll()
-        if result != ExchangeResult.OK:
-            return result
-        silent = 0 < self._watchdog_ns <= self._clock.now_ns() - self._acknowledged_ns
-        if silent and (not self._watchdog_shows or reading.status & STATUS_WATCHDOG):
-            supervisor.trip(Cause.DEVICE_WATCHDOG)
-        elif (reading.heartbeat - heartbeat) & 0xFFFF >= 0x8000 or self._has_fallen(reading.voltage_readback_V):
-            supervisor.trip(Cause.DEVICE_RESTARTED)
-        return result
-
-    def _has_fallen(self, readback_V: float) -> bool:
-        """Whether the output is nearer to rest than it was left: the device was restarted, or is off."""
-        limiter, safe_V = self.limiter, self._safe_V
-        left_V = min(abs(limiter.lowest_sent_V - safe_V), abs(limiter.highest_sent_V - safe_V))
-        return abs(readback_V - safe_V) < left_V - self._readback_within_V  # never, with nan
-
-    def _judge(self, result: int, planned_V: float, now_ns: int) -> None:
-        supervisor, reading = self.supervisor, self._link.reading
-        withheld = self._doubtful and supervisor.driving
-        good = result == ExchangeResult.OK and not withheld
+    def _check(self, result: int, planned_V: float, now_ns: int) -> None:
+        """Check the exchange and its reading against every limit."""
+        supervisor, reading, planner = self.supervisor, self._link.reading, self._planner
+        not_written = self._writer.output_uncertain and supervisor.driving
+        good = result == ExchangeResult.OK and not not_written
         if not good:
             self.counts.failed_exchanges += 1
-        answered = result in ACKNOWLEDGED and not withheld
-        supervisor.judge_exchange(good, now_ns, answered=answered, ahead_ns=self._dt_ns // 2)
+        answered = result in ACKNOWLEDGED and not not_written
+        supervisor.check_exchange(good, now_ns, answered=answered, ahead_ns=self._dt_ns // 2)
         if good and supervisor.driving:
-            applied_V, course = self.limiter.applied_V, self._course
+            applied_V = self.limiter.applied_V
             as_planned = abs(planned_V - applied_V) <= self._as_planned_V
-            supervisor.judge_reading(reading.force_N, reading.status, now_ns, reading.temperature_C)
-            supervisor.judge_drive(reading, applied_V, course.due_reference_N if as_planned else nan, now_ns)
-            course.take(reading.force_N)
-        supervisor.judge_clock(self._clock.missed_in_a_row)
+            expected_N = planner.expected_force_N if as_planned else nan
+            supervisor.check_reading(reading.force_N, reading.status, now_ns, reading.temperature_C)
+            supervisor.check_response(reading, applied_V, expected_N, now_ns)
+            if not planner.sign_is_right(reading.force_N):
+                supervisor.trip(Cause.SIGN_CHECK)
+        supervisor.check_rate(self._clock.missed_in_a_row)
         if supervisor.state is State.RAMP_DOWN:
-            self._judge_rest(good, reading.voltage_readback_V, now_ns)
+            self._check_rest(good, reading.voltage_readback_V, now_ns)
         else:
             self._settling_ns = -1
 
-    def _judge_rest(self, good: bool, readback_V: float, now_ns: int) -> None:
-        """The ramp is over when the safe voltage is written and read back; an output that does not come is a fault."""
+    def _check_rest(self, good: bool, readback_V: float, now_ns: int) -> None:
+        """End the ramp down when the safe voltage is written and read back; trip when the readback stays away."""
         if not good or abs(self.limiter.applied_V - self._safe_V) > 1e-6:
             self._settling_ns = -1
             return
         if self._settling_ns < 0:
             self._settling_ns = now_ns
         if isnan(readback_V) or abs(readback_V - self._safe_V) <= self._readback_within_V:
-            self.supervisor.safe()
+            self.supervisor.end_ramp_down()
         elif now_ns - self._settling_ns > self._comm_loss_ns:
             self.supervisor.trip(Cause.READBACK)
-            self.supervisor.safe()
+            self.supervisor.end_ramp_down()
 
     def _log(self, planned_V: float, result: int, begun_ns: int, done_ns: int) -> None:
         reading, supervisor, clock = self._link.reading, self.supervisor, self._clock
@@ -315,7 +289,7 @@ class ControlLoop:
         self._ring.append(
             clock.tick,
             begun_ns,
-            self._course.reference,
+            self._planner.reference,
             planned_V,
             self.limiter.applied_V,
             reading.force_N,
@@ -325,6 +299,6 @@ class ControlLoop:
             done_ns - begun_ns,
             supervisor.state,
             result,
-            self._course.number,
+            self._planner.number,
             supervisor.cause,
         )

@@ -1,11 +1,23 @@
-"""Keep a fixed rate against absolute deadlines; a missed tick is skipped and counted, never replayed."""
+"""The clock of the loop: absolute deadlines at a fixed rate. A missed tick is skipped and counted, never replayed."""
 
 import time
 from typing import Protocol
 
 
 class RateKeeper(Protocol):
-    """What the loop asks of a clock."""
+    """Clock of the loop.
+
+    Attributes
+    ----------
+    tick
+        Number of the current tick; skipped ticks count.
+    missed
+        Number of ticks skipped since the start.
+    missed_in_a_row
+        Number of waits in a row that skipped a tick.
+    lateness_ns
+        Delay of the last wake-up after its deadline [ns].
+    """
 
     tick: int
     missed: int
@@ -13,7 +25,7 @@ class RateKeeper(Protocol):
     lateness_ns: int
 
     def start(self) -> None:
-        """Take the first deadline: now."""
+        """Set the first deadline to the present time."""
         ...
 
     def now_ns(self) -> int:
@@ -21,12 +33,12 @@ class RateKeeper(Protocol):
         ...
 
     def wait(self) -> None:
-        """Sleep until the next deadline that is still ahead."""
+        """Sleep until the next deadline in the future."""
         ...
 
 
 class RealRateKeeper:
-    """Deadlines of the monotonic clock: sleep until one comes, and say how late the wake-up was.
+    """Deadlines of the monotonic clock.
 
     Parameters
     ----------
@@ -45,15 +57,15 @@ class RealRateKeeper:
         self.lateness_ns = 0
 
     def start(self) -> None:
-        """Take the first deadline: now."""
+        """Set the first deadline to the present time."""
         self._deadline_ns = time.monotonic_ns()
 
     def now_ns(self) -> int:
-        """Monotonic time [ns], a suspended machine's included: what it slept through is a pause like any other."""
+        """Monotonic time [ns]; it includes the time in which the machine was suspended."""
         return time.clock_gettime_ns(time.CLOCK_BOOTTIME)
 
     def wait(self) -> None:
-        """Sleep until the next deadline that is still ahead; `tick` counts the skipped ones too."""
+        """Sleep until the next deadline in the future; `tick` counts the skipped deadlines too."""
         deadline = self._deadline_ns + self._period_ns
         late_ns = time.monotonic_ns() - deadline
         if late_ns >= 0:
@@ -71,7 +83,13 @@ class RealRateKeeper:
 
 
 class VirtualRateKeeper:
-    """Time that advances by one period a tick without waiting, for an emulated bench that does the same."""
+    """Virtual time that advances by one period a tick without waiting, for an emulated bench in virtual time.
+
+    Parameters
+    ----------
+    period_s
+        Tick period [s].
+    """
 
     __slots__ = ("_period_ns", "lateness_ns", "missed", "missed_in_a_row", "tick")
 
@@ -83,12 +101,12 @@ class VirtualRateKeeper:
         self.lateness_ns = 0
 
     def start(self) -> None:
-        """Nothing to take."""
+        """No effect: virtual time has no deadlines."""
 
     def now_ns(self) -> int:
         """Virtual time [ns]."""
         return self.tick * self._period_ns
 
     def wait(self) -> None:
-        """The next tick is now."""
+        """Advance to the next tick at once."""
         self.tick += 1

@@ -1,8 +1,7 @@
-"""Everything that is asked of the operating system for the sake of time, in one place, each optional.
+"""Real-time settings of the operating system and of Python; each is optional.
 
-Measured on two cores without PREEMPT_RT: SCHED_FIFO decides whether a loaded machine loses whole periods; a full
-garbage collection with numba imported costs 8 to 9 ms; deep sleep states of the cores cost tens of microseconds a
-wake-up.
+Measured on two cores without PREEMPT_RT: without SCHED_FIFO a loaded machine loses whole periods. A full garbage
+collection with numba imported takes 8 to 9 ms. Deep sleep states of the cores delay a wake-up by tens of microseconds.
 """
 
 import contextlib
@@ -16,19 +15,27 @@ from pathlib import Path
 
 from piezod.config import RealTimeConfig
 
-_MCL_CURRENT, _MCL_FUTURE, _MCL_ONFAULT = 1, 2, 4  # on fault: what is never touched needs no memory
+_MCL_CURRENT, _MCL_FUTURE, _MCL_ONFAULT = 1, 2, 4  # ONFAULT: a page that is never used needs no memory
 _DMA_LATENCY = Path("/dev/cpu_dma_latency")
 
 
 class RealTimeWarning(UserWarning):
-    """A right is missing; the loop runs without it."""
+    """A real-time right is missing; the loop runs without it."""
 
 
 @contextlib.contextmanager
 def real_time(config: RealTimeConfig) -> Iterator[None]:
-    """Run the body with what `config` asks for; what cannot be had is warned about with its remedy.
+    """Run the body with the real-time settings of `config`; all are undone at the end.
 
-    Memory stays locked and the collector frozen until the end; scheduler, affinity and latency request are given back.
+    Parameters
+    ----------
+    config
+        Section `real_time` of the bench configuration.
+
+    Warns
+    -----
+    RealTimeWarning
+        A setting cannot be made; the message names the remedy.
     """
     with contextlib.ExitStack() as undo:
         if config.lock_memory:
@@ -37,12 +44,16 @@ def real_time(config: RealTimeConfig) -> Iterator[None]:
         if config.cpu is not None:
             undo.callback(os.sched_setaffinity, 0, os.sched_getaffinity(0))
             cores = {config.cpu}
-            _try(lambda: os.sched_setaffinity(0, cores), "real_time.cpu", f"this machine has no free core {config.cpu}")
+            _try(
+                lambda: os.sched_setaffinity(0, cores),
+                "real_time.cpu",
+                f"choose an allowed core instead of {config.cpu}",
+            )
         if config.hold_cpu_latency:
             _try(
                 lambda: undo.enter_context(_zero_latency()),
                 "real_time.hold_cpu_latency",
-                f"let {_DMA_LATENCY} be written",
+                f"allow writing to {_DMA_LATENCY}",
             )
         if config.fifo_priority:
             undo.callback(os.sched_setscheduler, 0, os.sched_getscheduler(0), os.sched_getparam(0))
@@ -56,9 +67,9 @@ def real_time(config: RealTimeConfig) -> Iterator[None]:
         yield
 
 
-def _try(act: object, key: str, remedy: str) -> None:
+def _try(setting: object, key: str, remedy: str) -> None:
     try:
-        act()  # type: ignore[operator]  # any callable without arguments
+        setting()  # type: ignore[operator]  # any callable without arguments
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or error
         warnings.warn(f"{key}: {reason}; {remedy}, or switch it off", RealTimeWarning, stacklevel=4)
@@ -73,7 +84,7 @@ def _lock_memory() -> None:
 
 @contextlib.contextmanager
 def _zero_latency() -> Iterator[None]:
-    """The kernel honours the request as long as the file stays open."""
+    """Request a wake-up latency of zero; the kernel grants it as long as the file is open."""
     with _DMA_LATENCY.open("wb", buffering=0) as file:
         file.write(struct.pack("<i", 0))
         yield
@@ -81,6 +92,7 @@ def _zero_latency() -> Iterator[None]:
 
 @contextlib.contextmanager
 def _frozen_collector() -> Iterator[None]:
+    """Collect once, then keep the garbage collector off."""
     was_on = gc.isenabled()
     gc.collect()
     gc.freeze()

@@ -1,34 +1,35 @@
-"""The course of one segment: sign check, reset cycle, approach, then the reference; what is wished, tick by tick."""
+"""The planned voltage of every tick of a segment: sign check, reset cycle, approach, then the reference."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from math import isnan, nan
+from math import inf, isnan, nan
 
-from piezod.control.arming import SignCheck
 from piezod.control.limits import Limiter
 from piezod.control.references import Freshness, Reference, TableReference
-from piezod.control.supervisor import Cause, State, Supervisor
+from piezod.control.sign_check import SignCheck
+from piezod.control.states import Cause, State
+from piezod.control.supervisor import Supervisor
 from piezod.model import Compensator
 
 
 @dataclass(frozen=True)
 class Segment:
-    """One stretch of work: what is followed, how, and how it is approached.
+    """One reference, with the compensator and the preparation that belong to it.
 
     Parameters
     ----------
     name
-        For people.
+        Name for messages.
     reference
-        What is followed [N], or driven [V] by a direct drive.
+        Force to follow [N]; voltage to write [V] with `DirectDrive`.
     compensator
-        From reference to voltage.
+        Conversion of the reference into a voltage.
     reset_cycle
-        Voltages [V] driven before the first reference is approached, one a tick; None: straight to the reference.
+        Voltages [V] that are written before the approach, one a tick; None: no reset cycle.
     follows_force
-        Whether the reference is a force; a direct drive's is not.
-    feel
-        Takes every temperature that is read [degC]; None where nothing depends on it.
+        Whether the reference is a force. With `DirectDrive` it is a voltage.
+    update_temperature
+        Function that takes every temperature read [degC]; None: the compensator needs no temperature.
     """
 
     name: str
@@ -36,33 +37,38 @@ class Segment:
     compensator: Compensator
     reset_cycle: TableReference | None = None
     follows_force: bool = True
-    feel: Callable[[float], None] | None = None
+    update_temperature: Callable[[float], None] | None = None
 
 
-class Course:
-    """What is wished for each tick of a segment, whatever the limits then make of it.
+class SegmentPlanner:
+    """Plans the voltage of every tick of a segment, before the limits apply.
+
+    The planner never changes the supervisor's state. It reports what happened as `event`, and the loop acts on it.
 
     Parameters
     ----------
     limiter
-        Knows the voltage in force.
+        Source of the voltage in force; only read.
     supervisor
-        Whose state machine the course moves along.
+        Source of the state; only read.
     sign_check
-        The step that must raise the force after arming; None: without.
+        Voltage step that must raise the force after arming; None: no sign check.
     approach_V
-        Change in a tick while the first reference is approached [V].
+        Largest change per tick while the first reference is approached [V].
 
     Attributes
     ----------
     segment
-        What is followed; None before the first.
+        Segment that is driven; None before the first.
     number
-        Of the segment, from 0; -1 before the first.
+        Number of the segment, from 0; -1 before the first.
     reference
-        The value followed last.
-    due_reference_N
-        The force that this tick's voltage should lead to [N]; nan where none is due.
+        Value of the reference in the last tick that followed it.
+    expected_force_N
+        Force that the planned voltage should produce [N]; nan where none is expected.
+    event
+        Event of the tick planned last: `Cause.NONE`, REFERENCE_REACHED (the first reference), REFERENCE_LIVE (again,
+        after a hold), REFERENCE_ENDED or REFERENCE_STALE.
     """
 
     def __init__(
@@ -71,24 +77,30 @@ class Course:
         self._limiter, self._supervisor = limiter, supervisor
         self._sign_check = sign_check
         self._approach_V = approach_V
-        self._probing = self._cycling = self._approaching = False
+        self._checking_sign = self._cycling = self._approaching = False
         self.segment: Segment | None = None
         self.number = -1
         self.reference = 0.0
-        self.due_reference_N = nan
+        self.expected_force_N = nan
+        self.event = Cause.NONE
 
     @property
-    def gentle(self) -> bool:
-        """Whether the way is gone no faster than the approach."""
-        return self._supervisor.state is State.ARMING and (self._approaching or self._probing)
+    def largest_change_V(self) -> float:
+        """Largest change in this tick [V]; infinite except in the sign check and the approach."""
+        slow = self._supervisor.state is State.ARMING and (self._approaching or self._checking_sign)
+        return self._approach_V if slow else inf
 
     def begin(self, segment: Segment, tick: int) -> None:
-        """Take up a segment; one taken up again without a reset cycle knows the stack already."""
+        """Select `segment` and start its preparation at `tick`.
+
+        The compensator is reset, except where the same segment begins again without a reset cycle: its states still
+        match the stack then.
+        """
         if segment is not self.segment or segment.reset_cycle is not None:
             segment.compensator.reset()
         self.segment = segment
         self.number += 1
-        self._probing = self._sign_check is not None
+        self._checking_sign = self._sign_check is not None
         self._cycling = segment.reset_cycle is not None
         self._approaching = False
         if self._sign_check is not None:
@@ -96,24 +108,33 @@ class Course:
         elif segment.reset_cycle is not None:
             segment.reset_cycle.start(tick)
 
-    def take(self, force_N: float) -> None:
-        """Take a good reading; while the sign is checked it must rise with the step."""
+    def sign_is_right(self, force_N: float) -> bool:
+        """Add a good reading [N] to the sign check; False when the force has not risen with the step."""
         check = self._sign_check
-        if (
-            self._probing
-            and check is not None
-            and self._supervisor.state is State.ARMING
-            and not check.take(force_N, self._limiter.applied_V)
-        ):
-            self._supervisor.trip(Cause.SIGN_CHECK)
+        if check is None or not self._checking_sign or self._supervisor.state is not State.ARMING:
+            return True
+        return check.add_reading(force_N, self._limiter.applied_V)
 
-    def wish(self, tick: int, now_ns: int, safe_V: float) -> float:
-        """Voltage for this tick [V]; moves the state machine along."""
+    def plan_voltage(self, tick: int, now_ns: int, safe_V: float) -> float:
+        """Voltage of one tick [V]; sets `event`.
+
+        Parameters
+        ----------
+        tick
+            Number of the tick.
+        now_ns
+            Monotonic time at its begin [ns].
+        safe_V
+            Voltage of a bench at rest [V].
+        """
         supervisor, segment = self._supervisor, self.segment
-        self.due_reference_N = nan
-        if segment is None or not supervisor.driving or supervisor.state is State.RAMP_DOWN or supervisor.suspicious:
+        self.expected_force_N = nan
+        # The event is an attribute: a returned pair (voltage, event) would be a new container in every tick.
+        self.event = Cause.NONE
+        ramps_down = not supervisor.driving or supervisor.state is State.RAMP_DOWN or supervisor.force_suspect
+        if segment is None or ramps_down:
             return safe_V
-        if supervisor.blind:
+        if supervisor.readings_stale:
             return self._limiter.applied_V
         if supervisor.state is State.ARMING and not self._approaching:
             planned_V = self._prepare(segment, tick, now_ns)
@@ -124,12 +145,12 @@ class Course:
         return self._follow(segment, tick, now_ns, safe_V)
 
     def _prepare(self, segment: Segment, tick: int, now_ns: int) -> float:
-        """Sign check, then reset cycle [V]; nan when both are over."""
-        if self._probing and self._sign_check is not None:
-            wish_V = self._sign_check.wish(self._limiter.applied_V)
+        """Voltage of the sign check, then of the reset cycle [V]; nan after both."""
+        if self._checking_sign and self._sign_check is not None:
+            planned_V = self._sign_check.plan_voltage(self._limiter.applied_V)
             if not self._sign_check.done:
-                return wish_V
-            self._probing = False
+                return planned_V
+            self._checking_sign = False
             if segment.reset_cycle is not None:
                 segment.reset_cycle.start(tick)
         if self._cycling and segment.reset_cycle is not None:
@@ -140,28 +161,27 @@ class Course:
         return nan
 
     def _follow(self, segment: Segment, tick: int, now_ns: int, safe_V: float) -> float:
-        """Plan for the reference; while the first one is approached the reference stands at its start."""
-        supervisor, reference = self._supervisor, segment.reference
-        if supervisor.state is State.ARMING:
+        """Voltage for the reference [V]; during the approach the reference stays at its first value."""
+        state, reference = self._supervisor.state, segment.reference
+        if state is State.ARMING:
             reference.start(tick)
         value = reference.read(tick, now_ns)
         if reference.freshness is Freshness.LIVE:
-            supervisor.resume()
             self.reference = value
+            if state is State.HOLD:
+                self.event = Cause.REFERENCE_LIVE
             planned_V = segment.compensator.plan(reference.ahead)
-            if supervisor.state is State.ARMING and self._is_reached(planned_V):
-                supervisor.reached()
-            if segment.follows_force and supervisor.state is State.RUNNING:
-                self.due_reference_N = value
+            reached = state is not State.ARMING or self._is_reached(planned_V)
+            if state is State.ARMING and reached:
+                self.event = Cause.REFERENCE_REACHED
+            if segment.follows_force and reached:
+                self.expected_force_N = value
             return planned_V
-        if supervisor.state is State.ARMING and reference.freshness is Freshness.STALE:
+        if state is State.ARMING and reference.freshness is Freshness.STALE:
             return self._limiter.applied_V
-        lapse = Cause.REFERENCE_ENDED if reference.freshness is Freshness.ENDED else Cause.REFERENCE_STALE
-        if reference.ramp_down_on_lapse:
-            supervisor.stop(lapse)
-            return safe_V
-        supervisor.hold(lapse)
-        return self._limiter.applied_V
+        ended = reference.freshness is Freshness.ENDED
+        self.event = Cause.REFERENCE_ENDED if ended else Cause.REFERENCE_STALE
+        return safe_V if reference.ramp_down_on_lapse else self._limiter.applied_V
 
     def _is_reached(self, planned_V: float) -> bool:
         limiter = self._limiter

@@ -1,10 +1,14 @@
-"""The states of the bench, and the causes that lead from one to the other, each with its remedy."""
+"""The states of the control loop, and the causes of a transition with their remedies."""
 
 from enum import IntEnum
 
 
 class State(IntEnum):
-    """What the loop does this tick."""
+    """State of the control loop in one tick.
+
+    DISARMED and FAULT: it only reads. ARMING: it drives the sign check and the reset cycle, then approaches the first
+    reference. RUNNING: it follows the reference. HOLD: it keeps the voltage. RAMP_DOWN: it drives to the safe voltage.
+    """
 
     DISARMED = 0
     ARMING = 1
@@ -15,7 +19,7 @@ class State(IntEnum):
 
 
 class Cause(IntEnum):
-    """Why the last transition happened."""
+    """Cause of the last transition."""
 
     NONE = 0
     ARMED = 1
@@ -53,30 +57,31 @@ CAUSE_TEXT = {
     Cause.REFERENCE_REACHED: "first reference reached",
     Cause.STOPPED: "stop requested",
     Cause.REFERENCE_ENDED: "reference ended",
-    Cause.REFERENCE_STALE: "reference stale; check who sends it",
+    Cause.REFERENCE_STALE: "reference stale; check its sender",
     Cause.REFERENCE_LIVE: "reference live again",
     Cause.COMM_LOSS: "no good exchange for limits.comm_loss_ms; check cable, device and timeout_s",
     Cause.OVER_FORCE: "force above limits.force_trip_N; check specimen, reference and load cell",
     Cause.UNDER_FORCE: "force below limits.force_min_N; check preload and load cell",
-    Cause.MISSED_TICKS: "too many ticks missed in a row; lower rate_Hz or free the machine (piezod latency)",
+    Cause.MISSED_TICKS: "too many ticks missed in a row; lower rate_Hz or the load of this machine (piezod latency)",
     Cause.DEVICE_FAULT: "the amplifier reports a fault; read its display",
-    Cause.DEVICE_WATCHDOG: "the device's watchdog tripped; check tick and device_watchdog_ms",
+    Cause.DEVICE_WATCHDOG: "the device's watchdog tripped; check rate_Hz and limits.device_watchdog_ms",
     Cause.SAFE: "safe voltage reached",
     Cause.RESET: "fault reset",
-    Cause.BAD_READING: "the device answers, but with no believable reading for limits.stale_after_ms; check load cell, "
+    Cause.BAD_READING: "the device answers, but with no valid reading for limits.stale_after_ms; check load cell, "
     "converter range and heartbeat",
-    Cause.FORCE_RATE: "force jumped faster than limits.force_rate_trip_N_per_s; check load cell, cable and specimen",
+    Cause.FORCE_RATE: "force changed faster than limits.force_rate_trip_N_per_s; check load cell, cable and specimen",
     Cause.SENSOR_STUCK: "limits.stuck_samples equal force readings while the voltage moved; check load cell and cable",
-    Cause.TRACKING: "force off its reference by limits.tracking_trip_N; check load cell, specimen and model",
-    Cause.READBACK: "the voltage read back is not what was written; look for a second master or a broken monitor",
+    Cause.TRACKING: "force differs from its reference by more than limits.tracking_trip_N; check load cell, specimen "
+    "and model",
+    Cause.READBACK: "the voltage read back is not the voltage written; look for a second master or a broken monitor",
     Cause.OVERHEATED: "the stack dissipates more than limits.dissipation_max_W; lower frequency or amplitude",
     Cause.TEMPERATURE: "temperature above limits.temperature_trip_degC; let it cool",
     Cause.SIGN_CHECK: "the force did not rise by arming.sign_check.rise_N; check polarity, cable and preload",
-    Cause.STOOD_STILL: "the control process stood still for longer than the device waits; see who stopped it",
-    Cause.DEVICE_RESTARTED: "the device was restarted, or is not where it was left; check its supply",
+    Cause.STOOD_STILL: "the control process paused for longer than the device waits; find what stopped it",
+    Cause.DEVICE_RESTARTED: "the device restarted, or its output dropped by itself; check its supply",
     Cause.CONTROLLER: "the controller failed; see the log",
     Cause.DEVICE_TOO_HOT: "the amplifier reports over-temperature; let it cool, check its fan",
-    Cause.MAINS_LOST: "the amplifier reports that its mains are lost; check its supply",
+    Cause.MAINS_LOST: "the amplifier reports a loss of mains; check its supply",
 }
 
-DEVICE_HAS_TAKEN_OVER = frozenset({Cause.DEVICE_WATCHDOG, Cause.DEVICE_RESTARTED})
+DEVICE_HAS_TAKEN_OVER = frozenset({Cause.DEVICE_WATCHDOG, Cause.DEVICE_RESTARTED})  # the device drives its output

@@ -1,20 +1,16 @@
-"""The state machine: what the bench may do now, and why.
+"""The supervisor: the state machine of the control loop, with every reason to change its state.
 
     DISARMED -> ARMING -> RUNNING <-> HOLD -> RAMP_DOWN -> DISARMED
                                  fault ----> RAMP_DOWN -> FAULT (latched)
 
-DISARMED and FAULT only read. Nothing re-arms by itself. A fault after which the device drives its output by itself (its
-watchdog, a restart) goes straight to FAULT: whatever were written then would be a jump.
+In DISARMED and FAULT the loop only reads. Only an operator arms the bench or resets a fault. A device that drives its
+output by itself (its watchdog tripped, it restarted) leads straight to FAULT: a voltage written then would be a jump.
 """
 
 from math import inf, nan
 
 from piezod.config import LimitsConfig
 from piezod.control.interlocks import (
-    STATUS_FAULTS,
-    STATUS_MAINS_LOST,
-    STATUS_OVER_TEMPERATURE,
-    STATUS_WATCHDOG,
     ForceInterlock,
     HeatInterlock,
     ReadbackInterlock,
@@ -23,29 +19,32 @@ from piezod.control.interlocks import (
 )
 from piezod.control.states import CAUSE_TEXT, DEVICE_HAS_TAKEN_OVER, Cause, State
 from piezod.transport import Reading
+from piezod.transport.status import STATUS_FAULTS, STATUS_MAINS_LOST, STATUS_OVER_TEMPERATURE, STATUS_WATCHDOG
 
 __all__ = ["CAUSE_TEXT", "Cause", "State", "Supervisor"]
 
-_DRIVING = (State.ARMING, State.RUNNING, State.HOLD)
-_OF_THE_AMPLIFIER = (Cause.DEVICE_FAULT, Cause.DEVICE_TOO_HOT, Cause.MAINS_LOST)
+_FOLLOWING = (State.ARMING, State.RUNNING, State.HOLD)
+_AMPLIFIER_FAULTS = (Cause.DEVICE_FAULT, Cause.DEVICE_TOO_HOT, Cause.MAINS_LOST)
 
 
 class Supervisor:
-    """Owns the state and every reason to change it.
+    """State machine of the control loop.
 
     Parameters
     ----------
     limits
-        Force, communication and timing limits.
+        Limits of force, communication and timing.
     dt_s
         Tick period [s].
 
     Attributes
     ----------
-    blind
-        Readings are stale: the voltage stays where it is.
-    state, cause
-        What the bench does, and why since.
+    readings_stale
+        True when the last good reading is older than `stale_after_ms`. The loop then keeps the voltage.
+    state
+        Current state.
+    cause
+        Cause of the last transition.
     """
 
     def __init__(self, limits: LimitsConfig, dt_s: float = 1e-3) -> None:
@@ -53,15 +52,15 @@ class Supervisor:
         self._last_good_ns = 0
         self._bad_in_a_row = 0
         self._fault = Cause.NONE
-        self._hasty = False
-        self._watchdog_calm = False
-        self.blind = False
+        self._fast_stop = False
+        self._watchdog_clear = False
+        self.readings_stale = False
         self.state = State.DISARMED
         self.cause = Cause.NONE
-        self.take_limits(limits)
+        self.set_limits(limits)
 
-    def take_limits(self, limits: LimitsConfig) -> None:
-        """Judge by these from now on; state and latched fault stay."""
+    def set_limits(self, limits: LimitsConfig) -> None:
+        """Replace the limits; state and latched fault stay."""
         self._limits = limits
         self._stale_ns = round(limits.stale_after_ms * 1e6)
         self._comm_loss_ns = round(limits.comm_loss_ms * 1e6)
@@ -77,89 +76,95 @@ class Supervisor:
 
     @property
     def driving(self) -> bool:
-        """Whether voltages are written this tick."""
-        return self.state in _DRIVING or self.state is State.RAMP_DOWN
+        """Whether voltages are written in this tick."""
+        return self.state in _FOLLOWING or self.state is State.RAMP_DOWN
 
     @property
-    def in_haste(self) -> bool:
-        """Whether the ramp down goes as fast as the slew limit allows."""
-        if self._hasty or self._fault in _OF_THE_AMPLIFIER:
+    def fast_ramp(self) -> bool:
+        """Whether the ramp down is as fast as the slew limit allows."""
+        if self._fast_stop or self._fault in _AMPLIFIER_FAULTS:
             return True
         return self._fault is Cause.COMM_LOSS and self._limits.comm_loss_action == "zero"
 
     @property
-    def suspicious(self) -> bool:
-        """Whether the last force was outside a limit, and the next one decides."""
-        return self._force.suspicious
+    def force_suspect(self) -> bool:
+        """Whether the last force was outside a limit and the next one decides."""
+        return self._force.suspect
 
     @property
     def spikes(self) -> int:
-        """Forces outside a limit that the next sample did not confirm."""
+        """Number of forces outside a limit that the next sample did not confirm."""
         return self._force.spikes
 
-    @property
-    def dissipation_W(self) -> float:
-        """Mean power that the stack turns into heat [W]."""
-        return self._heat.power_W
+    def exchange_time_left_s(self, now_ns: int) -> float:
+        """Longest duration of an exchange that begins now [s]; infinite when no voltage is written.
 
-    def patience_s(self, now_ns: int) -> float:
-        """How long an exchange may last that begins now [s]: silence is judged when it has lasted `comm_loss_ms`."""
+        An exchange that lasts longer is a communication loss: the silence then exceeds `comm_loss_ms`.
+        """
         left_ns = self._last_good_ns + self._comm_loss_ns - now_ns
         return 1e-9 * left_ns if left_ns > 0 and self.driving else inf
 
     @property
     def fault(self) -> Cause:
-        """The latched fault, or Cause.NONE."""
+        """Latched fault; `Cause.NONE` without a fault."""
         return self._fault
 
     def arm(self, now_ns: int) -> None:
-        """DISARMED -> ARMING; from any other state nothing happens."""
+        """DISARMED -> ARMING at the monotonic time `now_ns` [ns]; no effect in any other state."""
         if self.state is State.DISARMED and self._fault is Cause.NONE:
             self._last_good_ns = now_ns
             self._bad_in_a_row = 0
-            self._hasty = self.blind = False
-            self._watchdog_calm = False  # one that tripped before is calmed by our first command
+            self._fast_stop = self.readings_stale = False
+            self._watchdog_clear = False  # a watchdog that tripped earlier is cleared by the first command
             for interlock in (self._force, self._stuck, self._readback, self._tracking):
-                interlock.begin()
+                interlock.clear()
             self._go(State.ARMING, Cause.ARMED)
 
-    def reached(self) -> None:
-        """ARMING -> RUNNING: the bench stands at its first reference."""
+    def start_running(self) -> None:
+        """ARMING -> RUNNING: the output has reached the first reference."""
         if self.state is State.ARMING:
             self._go(State.RUNNING, Cause.REFERENCE_REACHED)
 
-    def stop(self, cause: Cause = Cause.STOPPED, *, hasty: bool = False) -> None:
-        """Ramp down and disarm; in haste, as fast as the slew limit allows."""
-        self._hasty = self._hasty or hasty
-        if self.state in _DRIVING:
+    def stop(self, cause: Cause = Cause.STOPPED, *, fast: bool = False) -> None:
+        """Ramp down and disarm.
+
+        Parameters
+        ----------
+        cause
+            Cause of the stop.
+        fast
+            Ramp down as fast as the slew limit allows.
+        """
+        self._fast_stop = self._fast_stop or fast
+        if self.state in _FOLLOWING:
             self._go(State.RAMP_DOWN, cause)
 
     def bring_down(self, now_ns: int) -> None:
-        """DISARMED -> RAMP_DOWN: a voltage was found that nobody drives any more."""
+        """DISARMED -> RAMP_DOWN at the monotonic time `now_ns` [ns]: for an output that no process drives."""
         if self.state is State.DISARMED:
             self._last_good_ns = now_ns
             self._go(State.RAMP_DOWN, Cause.STOPPED)
 
     def hold(self, cause: Cause) -> None:
-        """RUNNING -> HOLD: keep the voltage."""
+        """RUNNING -> HOLD: keep the voltage, because of `cause`."""
         if self.state is State.RUNNING:
             self._go(State.HOLD, cause)
 
     def resume(self) -> None:
-        """HOLD -> RUNNING: a live reference came back."""
-        if self.state is State.HOLD and not self.blind:
+        """HOLD -> RUNNING: the reference is live again."""
+        if self.state is State.HOLD and not self.readings_stale:
             self._go(State.RUNNING, Cause.REFERENCE_LIVE)
 
     def trip(self, cause: Cause) -> None:
-        """Latch a fault and ramp down, or leave the output to a device that has taken over."""
+        """Latch the fault `cause` and ramp down; end at once when the device has taken over its output."""
         if self.driving and self._fault is Cause.NONE:
             self._fault = cause
             self._go(State.RAMP_DOWN, cause)
         if cause in DEVICE_HAS_TAKEN_OVER:
-            self.safe()
+            self.end_ramp_down()
 
-    def safe(self) -> None:
-        """RAMP_DOWN -> DISARMED, or FAULT when one is latched."""
+    def end_ramp_down(self) -> None:
+        """RAMP_DOWN -> DISARMED, or -> FAULT when a fault is latched."""
         if self.state is State.RAMP_DOWN:
             if self._fault is Cause.NONE:
                 self._go(State.DISARMED, Cause.SAFE)
@@ -167,38 +172,46 @@ class Supervisor:
                 self._go(State.FAULT, self._fault)
 
     def reset(self) -> None:
-        """FAULT -> DISARMED, by an operator's word only."""
+        """FAULT -> DISARMED; only a command of an operator calls it."""
         if self.state is State.FAULT:
             self._fault = Cause.NONE
             self._go(State.DISARMED, Cause.RESET)
 
-    def judge_gap(self, gap_ns: int) -> None:
-        """Before anything is written: trip when this process stood still for longer than the device, or we, wait."""
-        if self._watchdog_ns and gap_ns >= self._watchdog_ns:
+    def check_pause(self, pause_ns: int) -> None:
+        """Trip when this process has paused too long; call it before a voltage is written.
+
+        After a pause as long as the device watchdog, the device has taken over: the ramp down ends at once.
+
+        Parameters
+        ----------
+        pause_ns
+            Time without a step of the loop [ns].
+        """
+        if self._watchdog_ns and pause_ns >= self._watchdog_ns:
             self.trip(Cause.STOOD_STILL)
-            self.safe()
-        elif gap_ns > self._comm_loss_ns:
+            self.end_ramp_down()
+        elif pause_ns > self._comm_loss_ns:
             self.trip(Cause.STOOD_STILL)
 
-    def judge_exchange(self, good: bool, now_ns: int, *, answered: bool = False, ahead_ns: int = 0) -> None:
-        """Take note of an exchange: blind when readings are stale, trip on a long silence or on unbelievable values.
+    def check_exchange(self, good: bool, now_ns: int, *, answered: bool = False, ahead_ns: int = 0) -> None:
+        """Evaluate an exchange: mark stale readings; trip on a long silence or on invalid readings.
 
         Parameters
         ----------
         good
-            Its reading is believed.
+            Whether its reading is valid.
         now_ns
-            When it ended, monotonic [ns].
+            Monotonic time of its end [ns].
         answered
-            The device took the voltage, but its reading cannot be believed.
+            Whether the device took the voltage, even if its reading is invalid.
         ahead_ns
-            Silence counts that is longer than `comm_loss_ms` after so much time more: half a tick for a loop that
-            judges once a tick, so that it trips at the tick that is nearest.
+            Time added to the silence before it is compared with `comm_loss_ms` [ns]. The loop checks once a tick and
+            adds half a tick, so that it trips at the nearest tick.
         """
         if good:
             self._last_good_ns = now_ns
             self._bad_in_a_row = 0
-            self.blind = False
+            self.readings_stale = False
             return
         silent_ns = now_ns - self._last_good_ns
         self._bad_in_a_row += 1
@@ -206,51 +219,63 @@ class Supervisor:
             if answered and self._bad_in_a_row > 1:
                 self.trip(Cause.BAD_READING)
             else:
-                self.blind = True
+                self.readings_stale = True
         if silent_ns + ahead_ns > self._comm_loss_ns:
             self.trip(Cause.COMM_LOSS)
         holds = self._holds_on_comm_loss and self._fault is Cause.COMM_LOSS
         if self._fault is not Cause.NONE and (holds or silent_ns > self._give_up_ns):
-            self.safe()
+            self.end_ramp_down()
 
-    def judge_reading(self, force_N: float, status: int, now_ns: int = 0, temperature_C: float = nan) -> None:
-        """Trip on a force outside its limits, a device that reports a fault, or one that is too hot."""
-        cause = self._force.judge(force_N, now_ns)
-        self._watchdog_calm = self._watchdog_calm or not status & STATUS_WATCHDOG
+    def check_reading(self, force_N: float, status: int, now_ns: int = 0, temperature_C: float = nan) -> None:
+        """Trip on a force outside its limits, a fault that the device reports, or a temperature above its limit.
+
+        Parameters
+        ----------
+        force_N
+            Force read [N].
+        status
+            Status bits of the device; see `piezod.transport.status`.
+        now_ns
+            Monotonic time of the reading [ns].
+        temperature_C
+            Temperature read [degC]; nan without a sensor.
+        """
+        cause = self._force.check(force_N, now_ns)
+        self._watchdog_clear = self._watchdog_clear or not status & STATUS_WATCHDOG
         if cause is not Cause.NONE:
             self.trip(cause)
         elif status & STATUS_FAULTS:
-            self.trip(_named(status))
-        elif status & STATUS_WATCHDOG and (self._watchdog_calm or self.state is not State.ARMING):
+            self.trip(_device_fault(status))
+        elif status & STATUS_WATCHDOG and (self._watchdog_clear or self.state is not State.ARMING):
             self.trip(Cause.DEVICE_WATCHDOG)
         elif self._limits.temperature_trip_degC is not None and temperature_C > self._limits.temperature_trip_degC:
             self.trip(Cause.TEMPERATURE)
 
-    def judge_drive(self, reading: Reading, written_V: float, reference_N: float, now_ns: int) -> None:
-        """Trip when what is read does not follow what is written.
+    def check_response(self, reading: Reading, written_V: float, reference_N: float, now_ns: int) -> None:
+        """Trip when the readings do not follow the written voltages, or the stack gets too hot.
 
         Parameters
         ----------
         reading
-            A good one.
+            A good reading.
         written_V
-            The voltage in force since this exchange [V].
+            Voltage in force since this exchange [V].
         reference_N
-            Its reference, if the voltage was written as planned and is one for a force; else nan.
+            Reference of this voltage [N]; nan when it is no force, or the voltage was not written as planned.
         now_ns
-            When the exchange ended, monotonic [ns].
+            Monotonic time of the end of the exchange [ns].
         """
         cause = (
-            self._stuck.judge(reading.force_N, reading.heartbeat, written_V)
-            or self._readback.judge(reading.voltage_readback_V, written_V, now_ns)
-            or self._tracking.judge(reading.force_N, reference_N, now_ns)
-            or self._heat.judge(written_V)
+            self._stuck.check(reading.force_N, reading.heartbeat, written_V)
+            or self._readback.check(reading.voltage_readback_V, written_V, now_ns)
+            or self._tracking.check(reading.force_N, reference_N, now_ns)
+            or self._heat.check(written_V)
         )
         if cause:
             self.trip(cause)
 
-    def judge_clock(self, missed_in_a_row: int) -> None:
-        """Trip when the loop cannot hold its rate."""
+    def check_rate(self, missed_in_a_row: int) -> None:
+        """Trip when the loop misses too many ticks in a row: `missed_in_a_row`."""
         if missed_in_a_row >= self._limits.missed_ticks_in_a_row:
             self.trip(Cause.MISSED_TICKS)
 
@@ -259,8 +284,8 @@ class Supervisor:
         self.cause = cause
 
 
-def _named(status: int) -> Cause:
-    """The cause behind a status that reports a fault: mains before heat before anything else."""
+def _device_fault(status: int) -> Cause:
+    """Cause of a reported fault; the order is mains, temperature, any other."""
     if status & STATUS_MAINS_LOST:
         return Cause.MAINS_LOST
     return Cause.DEVICE_TOO_HOT if status & STATUS_OVER_TEMPERATURE else Cause.DEVICE_FAULT

@@ -217,7 +217,7 @@ def make_segment(work: Work, bench: BenchConfig, model: Model | None, link: Link
         return Segment(work.name, reference, compensator, reset_cycle)
     if isinstance(reference, TableReference):
         reference.plan_ahead(compensator.ahead, compensator.preview_ticks)
-    return Segment(work.name, reference, compensator, reset_cycle, feel=compensator.feel)
+    return Segment(work.name, reference, compensator, reset_cycle, update_temperature=compensator.feel)
 
 
 def _reset_cycle(bench: BenchConfig) -> TableReference:
@@ -239,7 +239,7 @@ def make_loop(bench: BenchConfig, link: Link, clock: RateKeeper, ring: RingLog) 
         arming.voltage_V_per_s,
         sign_check=None if "sign_check" in arming.without else arming.sign_check,
         readback_within_V=arming.readback_within_V,
-        watchdog_shows=link.has("status"),
+        watchdog_in_status=link.has("status"),
     )
 
 

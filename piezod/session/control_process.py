@@ -169,7 +169,7 @@ class Desk:
             case "arm":
                 return self._arm()
             case "disarm" | "stop":
-                supervisor.stop(hasty=name == "stop")
+                supervisor.stop(fast=name == "stop")
                 return "ramping down" if supervisor.driving else f"{supervisor.state.name}: nothing is driven"
             case "reset":
                 if supervisor.state is not State.FAULT:
@@ -203,7 +203,7 @@ class Desk:
 
     def _take(self, limits: LimitsConfig) -> str:
         self._bench = self._bench.model_copy(update={"limits": limits})
-        self._loop.take_limits(limits)
+        self._loop.set_limits(limits)
         return "limits taken"
 
 

@@ -162,7 +162,7 @@ class Envelope(RuleBasedStateMachine):
 
     @rule(hasty=st.booleans())
     def stop(self, hasty):
-        self.loop.supervisor.stop(hasty=hasty)
+        self.loop.supervisor.stop(fast=hasty)
 
     @rule()
     def reset(self):
@@ -179,7 +179,7 @@ class Envelope(RuleBasedStateMachine):
             }
         )
         if limits.slew_down_V_per_s is not None or limits.acceleration_V_per_s2 is None:
-            self.loop.take_limits(tighter)
+            self.loop.set_limits(tighter)
 
     @rule(ms=st.integers(1, 3000))
     def stand_still(self, ms):

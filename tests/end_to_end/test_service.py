@@ -247,7 +247,7 @@ def test_a_control_process_that_stood_still_finds_the_device_safe_and_writes_not
         with client(serves) as modbus:
             before = modbus.read_holding_registers(102, count=1, device_id=1).registers
             os.kill(child, signal.SIGCONT)
-            service.wait_for("FAULT: the control process stood still")
+            service.wait_for("FAULT: the control process paused")
             assert modbus.read_holding_registers(102, count=1, device_id=1).registers == before
         assert register(serves, READBACK) == pytest.approx(0.0, abs=0.1)
 

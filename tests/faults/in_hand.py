@@ -39,9 +39,9 @@ def _tell(bench, fault, *, most_ms, begun_ns=None):
         "missed": bench.clock.missed,
         "highest_V": float(rows["voltage_V"].max()) if rows.size else nan,
         "spikes": bench.loop.supervisor.spikes,
-        "clamped": bench.loop.limiter.clamped,
-        "refused": bench.loop.limiter.refused,
-        "slewed": bench.loop.limiter.slewed,
+        "clamped": int((np.abs(rows["planned_V"] - 70.0) > 70.0).sum()),  # outside 0 to 140 V
+        "refused": int((~np.isfinite(rows["planned_V"])).sum()),
+        "slewed": int((np.abs(rows["planned_V"] - rows["voltage_V"]) > 1e-3).sum()),
     }
     return seen
 

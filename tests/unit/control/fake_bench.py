@@ -1,10 +1,10 @@
-"""A link to a bench that lives in a variable, with a clock that a test turns."""
+"""Fake link and fake clock for tests of the loop."""
 
 from piezod.transport import ExchangeResult, Reading
 
 
 class FakeClock:
-    """Time that moves when told to."""
+    """Clock that advances by one period per `wait`."""
 
     def __init__(self, period_ns=1_000_000):
         self.period_ns = period_ns
@@ -21,7 +21,7 @@ class FakeClock:
 
 
 class FakeLink:
-    """Force = 2 N/V x voltage, one exchange later; keeps every voltage it was given."""
+    """Force = 2 N/V x voltage, one exchange later; lists every voltage written."""
 
     description = "fake"
     last_exception = stale_bytes = 0

@@ -1,4 +1,4 @@
-"""What must hold before a voltage is written: each precondition alone."""
+"""Preconditions of arming, each alone."""
 
 from itertools import count, cycle
 from pathlib import Path
@@ -15,7 +15,7 @@ REGISTERS = {"watchdog_ms": 0.0, "heartbeat": 0.0}
 
 
 class Rest:
-    """A device at rest, its heartbeat counting."""
+    """Device at rest with a counting heartbeat."""
 
     def __init__(self, forces_N=(0.1, -0.1), readback_V=0.01, beats=None):
         self.forces_N, self.readback_V = cycle(forces_N), readback_V
@@ -55,17 +55,17 @@ def test_a_device_at_rest_is_ready_and_its_watchdog_is_set():
         (Rest(forces_N=(400.0,)), BENCH, "force is 400 N at rest"),
         (Rest(readback_V=2.1), BENCH, "reads back 2.1 V, must be within 2 V of 0 V"),
         (Rest(readback_V=float("inf")), BENCH, "reads back inf V"),
-        (Rest(beats=(7,)), BENCH, "heartbeat stands at 7"),
+        (Rest(beats=(7,)), BENCH, "heartbeat stays at 7"),
         (Rest(), changed("limits", device_watchdog_ms=0), "device_watchdog_ms is 0, must be above 0"),
     ],
 )
-def test_what_does_not_hold_is_named_and_nothing_is_written(device, bench, says):
+def test_a_failed_precondition_is_named_and_no_voltage_is_written(device, bench, says):
     with pytest.raises(CheckFailedError, match=says):
         check(device, bench)
     assert device.writes == []
 
 
-def test_a_watchdog_that_does_not_keep_its_time_refuses():
+def test_a_watchdog_that_does_not_keep_its_time_is_refused():
     class Forgetful(NullLink):
         def write_register(self, role, value):
             pass
@@ -102,7 +102,7 @@ def test_identity_is_compared_at_every_arming():
 
 
 @pytest.mark.parametrize("role", ["identity", "map_version", "voltage_readback"])
-def test_what_the_map_does_not_name_is_listed_or_refused(role):
+def test_a_role_missing_in_the_map_is_refused_unless_listed_in_arming_without(role):
     registers = BENCH.link.registers.model_copy(update={role: None})
     bench = BENCH.model_copy(update={"link": BENCH.link.model_copy(update={"registers": registers})})
     with pytest.raises(CheckFailedError, match=f"the link names no {role}"):

@@ -1,4 +1,4 @@
-"""Each interlock: what trips it, and what must not."""
+"""Each interlock: which readings trip it, and which must not."""
 
 from math import inf, nan, pi
 
@@ -20,45 +20,45 @@ from tests.unit.control.test_limits import limits
 MS = 1_000_000
 
 
-def judge_all(interlock, forces_N):
-    return [interlock.judge(force_N, k * MS) for k, force_N in enumerate(forces_N)]
+def check_all(interlock, forces_N):
+    return [interlock.check(force_N, k * MS) for k, force_N in enumerate(forces_N)]
 
 
 def test_a_single_spike_is_counted_and_trips_nothing():
     interlock = ForceInterlock(limits(force_debounce_samples=2, force_rate_trip_N_per_s=1e4))
-    causes = judge_all(interlock, [10.0, 10.1, 900.0, 10.2, -300.0, 10.1, 45.0, 10.0])
+    causes = check_all(interlock, [10.0, 10.1, 900.0, 10.2, -300.0, 10.1, 45.0, 10.0])
     assert set(causes) == {Cause.NONE}
     assert interlock.spikes == 3
 
 
-def test_the_first_sample_outside_a_limit_makes_it_suspicious_and_the_second_trips():
+def test_the_first_sample_outside_a_limit_is_suspect_and_the_second_trips():
     interlock = ForceInterlock(limits(force_debounce_samples=2))
-    assert interlock.judge(360.1, 0) is Cause.NONE
-    assert interlock.suspicious
-    assert interlock.judge(360.2, MS) is Cause.OVER_FORCE
+    assert interlock.check(360.1, 0) is Cause.NONE
+    assert interlock.suspect
+    assert interlock.check(360.2, MS) is Cause.OVER_FORCE
 
 
 @pytest.mark.parametrize(("force_N", "cause"), [(361.0, Cause.OVER_FORCE), (-21.0, Cause.UNDER_FORCE)])
-def test_absolute_limits_hold_whatever_came_before(force_N, cause):
+def test_absolute_limits_trip_for_any_earlier_samples(force_N, cause):
     slowly = np.linspace(0.0, force_N, 500)
-    assert judge_all(ForceInterlock(limits()), slowly)[-1] is cause
+    assert check_all(ForceInterlock(limits()), slowly)[-1] is cause
 
 
-def test_an_offset_jump_trips_although_the_force_then_stands_still():
+def test_an_offset_jump_trips_although_the_force_is_constant_afterwards():
     interlock = ForceInterlock(limits(force_debounce_samples=3, force_rate_trip_N_per_s=1e4))
-    assert judge_all(interlock, [50.0, 50.0, 150.0, 150.0])[-1] is Cause.NONE
-    assert interlock.judge(150.0, 4 * MS) is Cause.FORCE_RATE
+    assert check_all(interlock, [50.0, 50.0, 150.0, 150.0])[-1] is Cause.NONE
+    assert interlock.check(150.0, 4 * MS) is Cause.FORCE_RATE
 
 
-def test_a_pause_between_two_samples_widens_what_is_plausible():
+def test_a_pause_between_two_samples_allows_a_larger_change():
     interlock = ForceInterlock(limits(force_rate_trip_N_per_s=1e4))
-    interlock.judge(0.0, 0)
-    assert interlock.judge(90.0, 10 * MS) is Cause.NONE
+    interlock.check(0.0, 0)
+    assert interlock.check(90.0, 10 * MS) is Cause.NONE
 
 
 @given(st.lists(st.floats(-20, 360), min_size=2, max_size=50))
 def test_without_a_rate_limit_no_force_inside_the_limits_trips(forces_N):
-    assert set(judge_all(ForceInterlock(limits()), forces_N)) == {Cause.NONE}
+    assert set(check_all(ForceInterlock(limits()), forces_N)) == {Cause.NONE}
 
 
 def stuck(samples, travel_V=5.0):
@@ -67,24 +67,24 @@ def stuck(samples, travel_V=5.0):
 
 def test_equal_readings_while_the_voltage_moves_are_a_stuck_sensor():
     interlock = stuck(10)
-    causes = [interlock.judge(42.0, k + 1, float(k)) for k in range(10)]
+    causes = [interlock.check(42.0, k + 1, float(k)) for k in range(10)]
     assert causes[-1] is Cause.SENSOR_STUCK
     assert set(causes[:-1]) == {Cause.NONE}
 
 
-def test_equal_readings_at_rest_are_not():
+def test_equal_readings_at_rest_are_no_stuck_sensor():
     interlock = stuck(10)
-    assert {interlock.judge(42.0, k + 1, 30.0) for k in range(100)} == {Cause.NONE}
+    assert {interlock.check(42.0, k + 1, 30.0) for k in range(100)} == {Cause.NONE}
 
 
 def test_the_same_sample_read_again_is_not_counted():
     interlock = stuck(10)
-    assert {interlock.judge(42.0, 7, float(k)) for k in range(100)} == {Cause.NONE}
+    assert {interlock.check(42.0, 7, float(k)) for k in range(100)} == {Cause.NONE}
 
 
 def test_a_reading_that_flickers_is_not_stuck():
     interlock = stuck(10)
-    assert {interlock.judge(42.0 + 0.1 * (k % 9 == 0), k + 1, float(k)) for k in range(100)} == {Cause.NONE}
+    assert {interlock.check(42.0 + 0.1 * (k % 9 == 0), k + 1, float(k)) for k in range(100)} == {Cause.NONE}
 
 
 def readback(**changes):
@@ -96,12 +96,12 @@ def test_an_output_that_follows_within_the_time_never_trips(lag, seed):
     commands = np.cumsum(np.random.default_rng(seed).uniform(-4.0, 4.0, 300))
     interlock = readback()
     for k, command in enumerate(commands):
-        assert interlock.judge(commands[max(0, k - lag)], command, k * MS) is Cause.NONE
+        assert interlock.check(commands[max(0, k - lag)], command, k * MS) is Cause.NONE
 
 
-def test_an_output_that_stays_behind_trips_when_the_time_is_over():
+def test_an_output_that_does_not_follow_trips_after_the_time():
     interlock = readback()
-    causes = [interlock.judge(0.0, min(0.5 * k, 60.0), k * MS) for k in range(80)]
+    causes = [interlock.check(0.0, min(0.5 * k, 60.0), k * MS) for k in range(80)]
     first = next(k for k, cause in enumerate(causes) if cause is Cause.READBACK)
     assert 20 < first <= 46  # 2 V are left after 4 ms; then one to two times 20 ms
 
@@ -109,36 +109,36 @@ def test_an_output_that_stays_behind_trips_when_the_time_is_over():
 def test_a_second_master_is_noticed_with_its_second_sample():
     interlock = readback()
     for k in range(100):
-        assert interlock.judge(50.0, 50.0, k * MS) is Cause.NONE
-    assert interlock.judge(20.0, 50.0, 100 * MS) is Cause.NONE
-    assert interlock.judge(20.0, 50.0, 101 * MS) is Cause.READBACK
+        assert interlock.check(50.0, 50.0, k * MS) is Cause.NONE
+    assert interlock.check(20.0, 50.0, 100 * MS) is Cause.NONE
+    assert interlock.check(20.0, 50.0, 101 * MS) is Cause.READBACK
 
 
-def test_a_device_without_read_back_never_trips_it():
+def test_a_device_without_readback_never_trips_the_readback_interlock():
     interlock = readback()
-    assert {interlock.judge(nan, 0.5 * k, k * MS) for k in range(200)} == {Cause.NONE}
+    assert {interlock.check(nan, 0.5 * k, k * MS) for k in range(200)} == {Cause.NONE}
 
 
 def tracking():
     return TrackingInterlock(limits(tracking_trip_N=30.0, tracking_trip_ms=10.0))
 
 
-def test_a_force_off_its_reference_trips_after_its_time():
+def test_a_force_far_from_its_reference_trips_after_the_time():
     interlock = tracking()
-    causes = [interlock.judge(100.0, 150.0, k * MS) for k in range(13)]
-    assert causes.index(Cause.TRACKING) == 11  # due from the second sample on, then 10 ms
+    causes = [interlock.check(100.0, 150.0, k * MS) for k in range(13)]
+    assert causes.index(Cause.TRACKING) == 11  # compared from the second sample on, then 10 ms
 
 
-def test_a_force_answers_the_reference_of_the_exchange_before():
+def test_a_force_is_compared_with_the_reference_of_the_exchange_before():
     interlock = tracking()
     references = [0.0, 100.0] * 50
     for k in range(1, 100):
-        assert interlock.judge(references[k - 1], references[k], k * MS) is Cause.NONE
+        assert interlock.check(references[k - 1], references[k], k * MS) is Cause.NONE
 
 
-def test_what_was_limited_is_not_judged():
+def test_a_limited_voltage_is_not_compared_with_its_reference():
     interlock = tracking()
-    assert {interlock.judge(0.0, nan, k * MS) for k in range(100)} == {Cause.NONE}
+    assert {interlock.check(0.0, nan, k * MS) for k in range(100)} == {Cause.NONE}
 
 
 def heat(**changes):
@@ -152,33 +152,33 @@ def test_the_power_of_a_full_cycle_is_pi_f_c_tan_delta_vpp_squared(shape):
     frequency_Hz, amplitude_V = 25.0, 50.0  # forty ticks a period, with one on each peak
     time_s = np.arange(20_000) * 0.001
     for voltage_V in 70.0 + amplitude_V * shape(2 * pi * frequency_Hz * time_s):
-        interlock.judge(float(voltage_V))
+        interlock.check(float(voltage_V))
     expected_W = pi * frequency_Hz * 1e-5 * 0.02 * (2 * amplitude_V) ** 2
     assert interlock.power_W == pytest.approx(expected_W, rel=0.03)
 
 
-def test_ripple_is_no_reversal():
+def test_ripple_is_not_counted_as_reversals():
     smooth, rippled = heat(dissipation_max_W=1e6), heat(dissipation_max_W=1e6)
     for k in range(4000):
         voltage_V = 140.0 * abs((k / 1000.0) % 2.0 - 1.0)
-        smooth.judge(voltage_V)
-        rippled.judge(voltage_V + 0.5 * (k % 2))
+        smooth.check(voltage_V)
+        rippled.check(voltage_V + 0.5 * (k % 2))
     assert rippled.power_W == pytest.approx(smooth.power_W, rel=0.05)
 
 
-def test_more_heat_than_permitted_trips_and_it_stays_hot():
+def test_more_heat_than_permitted_trips_and_the_heat_outlasts_the_drive():
     interlock = heat()
-    causes = [interlock.judge(140.0 * (k // 4 % 2)) for k in range(4000)]
+    causes = [interlock.check(140.0 * (k // 4 % 2)) for k in range(4000)]
     assert causes[-1] is Cause.OVERHEATED
-    assert interlock.judge(0.0) is Cause.OVERHEATED
+    assert interlock.check(0.0) is Cause.OVERHEATED
 
 
-def test_without_limits_nothing_is_watched():
+def test_an_interlock_without_a_limit_never_trips():
     values = {"tracking_trip_N": None, "readback_trip_V": None, "stuck_samples": None, "dissipation_max_W": None}
     without = limits(**values)
-    assert {StuckInterlock(without).judge(1.0, k, 10.0 * k) for k in range(50)} == {Cause.NONE}
+    assert {StuckInterlock(without).check(1.0, k, 10.0 * k) for k in range(50)} == {Cause.NONE}
     readback_without, tracking_without = ReadbackInterlock(without), TrackingInterlock(without)
     for k in range(100):
-        assert readback_without.judge(1000.0, 0.0, k * MS) is Cause.NONE
-        assert tracking_without.judge(1000.0, 0.0, k * MS) is Cause.NONE
-    assert HeatInterlock(without, 0.001).judge(inf) is Cause.NONE
+        assert readback_without.check(1000.0, 0.0, k * MS) is Cause.NONE
+        assert tracking_without.check(1000.0, 0.0, k * MS) is Cause.NONE
+    assert HeatInterlock(without, 0.001).check(inf) is Cause.NONE

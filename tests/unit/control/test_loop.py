@@ -1,4 +1,4 @@
-"""The loop on a bench in a variable: what is written, when, and what never is."""
+"""The loop on an emulated link: which voltages are written, and when."""
 
 import numpy as np
 import pytest
@@ -16,7 +16,7 @@ DT_S = 0.001
 
 
 class Halving:
-    """Reference [N] -> volts by 2 N/V, and a note of every commit."""
+    """Reference [N] -> volts by 2 N/V, with a list of every commit."""
 
     def __init__(self):
         self.committed = []
@@ -60,7 +60,7 @@ def test_a_table_is_followed_from_approach_to_ramp_down(tmp_path, ring):
     assert compensator.committed == link.voltages
 
 
-def test_the_first_reference_is_approached_no_faster_than_asked(ring):
+def test_the_first_reference_is_approached_no_faster_than_configured(ring):
     link = FakeLink()
     make_loop(link, ring).drive(Segment("jump", TableReference(np.full(10, 200.0)), Halving()))
     rise = np.diff([0.0, *link.voltages])
@@ -126,7 +126,7 @@ def test_a_device_that_falls_silent_is_ramped_down_by_the_loop_and_then_left_to_
     assert loop._clock.tick < 100 + 200 + 350 + 10
 
 
-def test_a_stop_request_ramps_down_and_a_second_one_does_it_in_haste(ring):
+def test_a_stop_request_ramps_down_and_a_second_one_ramps_at_the_slew_limit(ring):
     for requests, fall in ((1, 0.4), (2, 4.0)):
         link = FakeLink()
         loop = make_loop(link, ring)
@@ -146,7 +146,7 @@ def test_a_stop_request_ramps_down_and_a_second_one_does_it_in_haste(ring):
         assert link.voltages[-1] == pytest.approx(0.0, abs=1e-6)
 
 
-def test_a_plan_that_is_no_number_leaves_the_voltage_where_it_is(ring):
+def test_a_plan_that_is_not_finite_keeps_the_voltage(ring):
     link = FakeLink()
     broken = Halving()
     broken.plan = lambda reference: float("nan") if reference > 15.0 else reference / 2.0
@@ -195,7 +195,7 @@ def test_a_live_reference_that_falls_silent_is_held_and_followed_again_when_it_r
     assert link.voltages[-1] == 11.0
 
 
-def test_watching_writes_nothing(ring):
+def test_watch_writes_no_voltage(ring):
     link = FakeLink()
     make_loop(link, ring).watch(50)
     assert link.voltages == []
@@ -224,7 +224,7 @@ def test_a_direct_drive_writes_its_table_as_it_is(tmp_path, ring):
     np.testing.assert_allclose(rows[rows["state"] == State.RUNNING]["voltage_V"], values, atol=1e-12)
 
 
-def test_a_voltage_whose_reading_was_no_number_was_written_all_the_same_and_is_committed(ring):
+def test_a_voltage_with_an_invalid_reading_was_written_and_is_committed(ring):
     link, compensator = FakeLink(), Halving()
     exchange = link.exchange
     link.exchange = lambda voltage_V: (exchange(voltage_V), ExchangeResult.NOT_FINITE)[link.exchanges % 2]
@@ -236,7 +236,7 @@ SIGN_CHECK = SignCheckConfig(step_V=2.0, rise_N=1.0, settle_s=0.02)
 
 
 def armed_loop(link, ring, *, values=None, **changes):
-    """A loop that has been armed and approaches 60 N, 30 V."""
+    """Armed loop that approaches 60 N, 30 V."""
     loop = ControlLoop(link, limits(**changes), FakeClock(), ring, DT_S, 200.0, readback_within_V=2.0)
     loop.arm(Segment("work", TableReference(np.full(10**5, 60.0) if values is None else values), Halving()))
     return loop
@@ -248,7 +248,7 @@ def run(loop, ticks):
         loop._clock.wait()
 
 
-def test_the_sign_check_steps_up_and_back_before_anything_else(tmp_path, ring):
+def test_the_sign_check_steps_up_and_back_before_the_approach(tmp_path, ring):
     link = FakeLink()
     loop = ControlLoop(link, limits(), FakeClock(), ring, DT_S, 200.0, sign_check=SIGN_CHECK)
     assert loop.drive(Segment("work", TableReference(np.full(10, 10.0)), Halving())) is Cause.NONE
@@ -264,12 +264,12 @@ def test_the_sign_check_steps_up_and_back_before_anything_else(tmp_path, ring):
 @pytest.mark.parametrize(
     "plant",
     [
-        lambda voltage_V: -2.0 * voltage_V,  # polarity of the load cell or of the stack
-        lambda voltage_V: 0.0,  # cable
-        lambda voltage_V: 0.4 * voltage_V,  # hardly touching
+        lambda voltage_V: -2.0 * voltage_V,  # wrong polarity of load cell or stack
+        lambda voltage_V: 0.0,  # broken cable
+        lambda voltage_V: 0.4 * voltage_V,  # too little preload
     ],
 )
-def test_a_force_that_does_not_rise_with_the_step_is_a_latched_fault_and_no_more_is_driven(ring, plant):
+def test_a_force_that_does_not_rise_with_the_step_is_a_latched_fault_and_ends_the_drive(ring, plant):
     link = FakeLink(plant)
     loop = ControlLoop(link, limits(), FakeClock(), ring, DT_S, 200.0, sign_check=SIGN_CHECK)
     assert loop.drive(Segment("work", TableReference(np.full(10, 10.0)), Halving())) is Cause.SIGN_CHECK
@@ -278,19 +278,19 @@ def test_a_force_that_does_not_rise_with_the_step_is_a_latched_fault_and_no_more
     assert link.voltages[-1] == pytest.approx(0.0, abs=1e-9)
 
 
-def test_after_a_failed_exchange_the_loop_looks_before_it_writes(ring):
+def test_after_a_failed_exchange_the_loop_reads_before_it_writes(ring):
     link, asked = FakeLink(), []
     exchange = link.exchange
     link.exchange = lambda voltage_V: (asked.append("write"), exchange(voltage_V))[1]
-    link.poll = lambda: (asked.append("look"), ExchangeResult.OK)[1]
+    link.poll = lambda: (asked.append("read"), ExchangeResult.OK)[1]
     loop = armed_loop(link, ring)
     link.fails = lambda number: number == 50
     run(loop, 60)
-    assert asked[50] == "look"
-    assert asked.count("look") == 1
+    assert asked[50] == "read"
+    assert asked.count("read") == 1
 
 
-def test_a_device_found_restarted_is_never_driven_again(ring):
+def test_a_device_that_has_restarted_gets_no_more_voltages(ring):
     link = FakeLink()
     loop = armed_loop(link, ring)
     run(loop, 300)
@@ -309,7 +309,7 @@ def test_a_device_found_restarted_is_never_driven_again(ring):
     assert len(link.voltages) == written
 
 
-def test_a_device_found_at_rest_was_restarted_even_without_a_heartbeat(ring):
+def test_an_output_found_at_rest_is_a_restart_even_without_a_heartbeat(ring):
     link = FakeLink()
     loop = armed_loop(link, ring)
     run(loop, 300)
@@ -327,7 +327,7 @@ def test_a_device_found_at_rest_was_restarted_even_without_a_heartbeat(ring):
     assert len(link.voltages) == written
 
 
-def test_a_process_that_stood_still_writes_nothing_when_it_goes_on(ring):
+def test_a_process_that_has_paused_writes_no_voltage_afterwards(ring):
     link = FakeLink()
     loop = armed_loop(link, ring)
     run(loop, 300)
@@ -338,11 +338,11 @@ def test_a_process_that_stood_still_writes_nothing_when_it_goes_on(ring):
     assert len(link.voltages) == written
 
 
-def test_a_process_that_was_stopped_within_its_tick_does_not_write_what_it_had_planned(ring):
+def test_a_process_that_pauses_within_a_tick_does_not_write_its_plan(ring):
     link = FakeLink()
     loop = armed_loop(link, ring)
     run(loop, 300)
-    compensator, written = loop._course.segment.compensator, len(link.voltages)
+    compensator, written = loop._planner.segment.compensator, len(link.voltages)
     plan = compensator.plan
 
     def stopped_while_planning(reference):
@@ -371,18 +371,18 @@ def test_a_spike_lowers_the_voltage_by_one_tick_of_the_ramp_and_trips_nothing(ri
     assert link.voltages[-1] == pytest.approx(30.0)
 
 
-def test_a_controller_that_raises_is_ramped_down_without_it(ring):
+def test_after_an_exception_of_the_compensator_the_loop_ramps_down_without_it(ring):
     link = FakeLink()
     loop = armed_loop(link, ring)
     run(loop, 300)
 
     def fail(*_):
-        raise ZeroDivisionError("by nought")
+        raise ZeroDivisionError("by zero")
 
-    loop._course.segment.compensator.plan = loop._course.segment.compensator.commit = fail
+    loop._planner.segment.compensator.plan = loop._planner.segment.compensator.commit = fail
     run(loop, 300)
     assert (loop.supervisor.state, loop.supervisor.fault) == (State.FAULT, Cause.CONTROLLER)
-    assert loop.failure == "ZeroDivisionError: by nought"
+    assert loop.failure == "ZeroDivisionError: by zero"
     assert link.voltages[-1] == pytest.approx(0.0, abs=1e-9)
     assert np.diff(link.voltages).min() >= -0.4 - 1e-9
 
@@ -399,7 +399,7 @@ def test_a_link_that_raises_again_and_again_ends_the_loop(ring):
         run(loop, 10)
 
 
-def test_an_output_that_is_not_read_back_at_rest_is_a_fault(ring):
+def test_an_output_that_does_not_read_back_at_rest_is_a_fault(ring):
     link = FakeLink()
     loop = armed_loop(link, ring)
     run(loop, 300)
@@ -416,7 +416,7 @@ def test_an_output_that_is_not_read_back_at_rest_is_a_fault(ring):
     assert (loop.supervisor.state, loop.supervisor.fault) == (State.FAULT, Cause.READBACK)
 
 
-def test_an_output_found_high_is_ramped_down_from_where_it_is(ring):
+def test_an_output_that_nobody_drives_is_ramped_down_from_its_readback(ring):
     link = FakeLink()
     loop = ControlLoop(link, limits(), FakeClock(), ring, DT_S, 200.0, readback_within_V=2.0)
     link.written_V = 60.0

@@ -1,4 +1,4 @@
-"""The voltage register has one writer, and the limiter stands directly before it."""
+"""The voltage register has one writer, directly behind the limiter."""
 
 import ast
 from pathlib import Path
@@ -15,7 +15,7 @@ SET_POINT = {"address": 100, "function": 16, "unit": "V"}
 
 
 def calls_of(method):
-    """(file, enclosing source line) of every call of `method` in the package, the links' own delegation left out."""
+    """(file, enclosing source line) of every call of `method` in the package, without the delegation between links."""
     found = []
     for path in sorted(PACKAGE.rglob("*.py")):
         source = path.read_text(encoding="utf-8")
@@ -27,14 +27,14 @@ def calls_of(method):
     return found
 
 
-def test_a_voltage_goes_onto_the_wire_at_one_place_and_through_the_limiter():
+def test_voltages_are_written_at_one_place_and_through_the_limiter():
     outside_links = [(path, call) for path, call in calls_of("exchange") if not path.startswith("transport/")]
     assert outside_links == [
-        ("control/loop.py", "link.exchange(limiter.limit(planned_V, self._change_V(), share))"),
+        ("control/voltage_writer.py", "link.exchange(limiter.limit(planned_V, change_V, share))"),
     ]
 
 
-def test_links_only_pass_on_what_they_were_given():
+def test_links_pass_on_voltages_unchanged():
     inside_links = {call for path, call in calls_of("exchange") if path.startswith("transport/")}
     assert inside_links == {
         "self._amplifier.exchange(voltage_V)",  # a pair to its amplifier
@@ -49,7 +49,7 @@ def test_no_set_up_write_names_the_set_point():
 
 
 @pytest.mark.parametrize("role", ["voltage_setpoint", "command_sequence"])
-def test_a_set_up_write_of_what_the_tick_writes_is_refused(role):
+def test_a_set_up_write_to_a_register_of_the_tick_is_refused(role):
     registers = {
         "voltage_setpoint": SET_POINT,
         "command_sequence": {"address": 102, "function": 16, "type": "uint16"},

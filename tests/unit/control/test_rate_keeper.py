@@ -1,4 +1,4 @@
-"""Absolute deadlines: skipped, counted, never replayed."""
+"""Absolute deadlines: missed ticks are skipped and counted, never replayed."""
 
 import time
 
@@ -21,7 +21,7 @@ def test_a_missed_tick_is_skipped_and_counted_and_the_next_deadline_stays_on_the
     assert time.monotonic_ns() >= keeper._deadline_ns
 
 
-def test_it_never_returns_before_its_deadline():
+def test_wait_never_returns_before_its_deadline():
     keeper = RealRateKeeper(0.002)
     keeper.start()
     for _ in range(50):
@@ -30,7 +30,7 @@ def test_it_never_returns_before_its_deadline():
 
 
 @pytest.mark.parametrize("reads_before", range(1, 6))
-def test_a_machine_that_stands_still_at_any_moment_of_the_wait_makes_no_negative_sleep(monkeypatch, reads_before):
+def test_a_pause_at_any_moment_of_the_wait_makes_no_negative_sleep(monkeypatch, reads_before):
     slept, reads = [], []
 
     def monotonic_ns():

@@ -1,4 +1,4 @@
-"""References: tables, files, registers and streams, and what happens when they end or fall silent."""
+"""References: tables, files, registers and streams, and their behaviour at the end or without new values."""
 
 import socket
 import struct
@@ -11,7 +11,7 @@ from piezod.config.reference import FileReference, RegisterReference, StreamRefe
 from piezod.control.references import (
     DatagramStream,
     Freshness,
-    LiveReading,
+    RegisterValue,
     TableReference,
     file_table,
     make_reference,
@@ -60,7 +60,7 @@ def test_a_period_that_is_no_whole_number_of_ticks_repeats_without_a_slip():
     )
 
 
-def test_a_table_ends_holds_its_last_value_and_says_so():
+def test_a_table_that_has_ended_gives_its_last_value_and_is_ended():
     reference = TableReference([1.0, 2.0, 3.0])
     reference.start(10)
     assert [reference.read(k, 0) for k in (10, 11, 12)] == [1.0, 2.0, 3.0]
@@ -79,7 +79,7 @@ def test_a_waveform_too_fast_for_the_tick_is_refused():
         waveform_table(waveform(frequency_Hz=300.0), 1000.0)
 
 
-def test_a_waveform_too_long_to_keep_is_refused():
+def test_a_waveform_with_too_many_ticks_is_refused():
     with pytest.raises(ConfigurationError, match="shorten duration_s"):
         waveform_table(waveform(duration_s=1e6), 1000.0)
 
@@ -92,16 +92,16 @@ def test_a_column_of_a_recording_is_interpolated_scaled_and_shifted(tmp_path):
     np.testing.assert_allclose(values_of(reference, 31), 7.0 + 2.0 * np.arange(31), atol=1e-5)
 
 
-def test_a_missing_column_names_those_that_are_there(tmp_path):
+def test_a_missing_column_is_refused_with_the_names_of_the_others(tmp_path):
     write_csv(Recording(np.array([0.0, 1.0]), {"force_N": np.zeros(2)}), tmp_path / "rec.csv")
     with pytest.raises(ConfigurationError, match="has no column reference_N, has force_N"):
         file_table(FileReference(kind="file", path="rec.csv"), 1000.0, tmp_path)
 
 
-def test_a_register_whose_counter_stands_still_goes_stale_and_comes_back():
+def test_a_register_gets_stale_with_an_unchanged_counter_and_live_with_a_new_one():
     reading = Reading()
     reading.reference_N, reading.reference_counter = 12.0, 1
-    reference = LiveReading(reading, RegisterReference(kind="register", stale_after_s=0.5), counted=True)
+    reference = RegisterValue(reading, RegisterReference(kind="register", stale_after_s=0.5), counted=True)
     reference.start(0)
     assert reference.read(0, 1000 * MS) == 12.0
     assert reference.freshness is Freshness.LIVE
@@ -114,10 +114,10 @@ def test_a_register_whose_counter_stands_still_goes_stale_and_comes_back():
     assert reference.freshness is Freshness.LIVE
 
 
-def test_a_register_that_holds_no_number_keeps_the_last_one():
+def test_a_register_with_nan_keeps_the_last_value():
     reading = Reading()
     reading.reference_N = 12.0
-    reference = LiveReading(reading, RegisterReference(kind="register"), counted=False)
+    reference = RegisterValue(reading, RegisterReference(kind="register"), counted=False)
     reference.read(0, MS)
     reading.reference_N = float("nan")
     assert reference.read(1, 2 * MS) == 12.0
@@ -147,7 +147,7 @@ def datagram(sequence, value):
     return struct.pack("<QQd", sequence, 0, value)
 
 
-def test_the_newest_datagram_counts_and_silence_makes_it_stale(stream):
+def test_the_newest_datagram_is_used_and_silence_makes_the_reference_stale(stream):
     reference, sender = stream
     reference.read(0, 0)
     assert reference.freshness is Freshness.STALE
@@ -193,13 +193,13 @@ def test_an_address_that_is_neither_udp_nor_path_is_refused(listen):
 def test_make_reference_builds_what_the_configuration_names():
     kinds = {
         "sine": (waveform("sine"), TableReference),
-        "register": (RegisterReference(kind="register"), LiveReading),
+        "register": (RegisterReference(kind="register"), RegisterValue),
     }
     for config, expected in kinds.values():
         assert isinstance(make_reference(config, 1000.0, Path(), Reading(), counted=True), expected)
 
 
-def test_a_table_that_is_planned_ahead_holds_its_ends_until_all_of_it_has_arrived():
+def test_a_table_planned_ahead_repeats_its_end_values_until_the_readings_arrive():
     reference = TableReference([1.0, 2.0, 3.0])
     reference.plan_ahead(lambda values, *, loop: np.append(values, [values[-1]] * 2)[2:], 2)
     reference.start(10)
@@ -213,7 +213,7 @@ def test_a_table_that_is_planned_ahead_holds_its_ends_until_all_of_it_has_arrive
     assert reference.freshness is Freshness.ENDED
 
 
-def test_a_loop_that_is_planned_ahead_runs_in_once_and_then_never_stands():
+def test_a_loop_planned_ahead_runs_in_once_and_then_repeats_without_a_pause():
     reference = TableReference([1.0, 2.0, 3.0], loop=True)
     reference.plan_ahead(lambda values, *, loop: np.roll(values, -1) if loop else np.append(values, values[-1])[1:], 1)
     reference.start(0)

@@ -67,7 +67,7 @@ def test_an_arm_that_comes_late_is_refused_and_a_stop_never_is(bench):
     command("arm")
     assert command("stop", age_s=600.0)[1][1] == "ok"
     assert loop.supervisor.state is State.RAMP_DOWN
-    assert loop.supervisor.in_haste
+    assert loop.supervisor.fast_ramp
 
 
 def test_a_precondition_that_does_not_hold_leaves_it_disarmed(bench, monkeypatch):

@@ -1,4 +1,4 @@
-"""The state machine: what trips, what latches, what never happens by itself."""
+"""The supervisor: which readings trip, which faults latch, and which transitions need an operator."""
 
 import pytest
 
@@ -11,16 +11,16 @@ MS = 1_000_000
 def running(**changes):
     supervisor = Supervisor(limits(**changes))
     supervisor.arm(0)
-    supervisor.reached()
+    supervisor.start_running()
     assert supervisor.state is State.RUNNING
     return supervisor
 
 
 def test_a_force_above_the_trip_ramps_down_and_latches():
     supervisor = running()
-    supervisor.judge_reading(360.1, 1)
+    supervisor.check_reading(360.1, 1)
     assert (supervisor.state, supervisor.cause) == (State.RAMP_DOWN, Cause.OVER_FORCE)
-    supervisor.safe()
+    supervisor.end_ramp_down()
     assert supervisor.state is State.FAULT
     supervisor.arm(0)
     assert supervisor.state is State.FAULT
@@ -30,57 +30,57 @@ def test_a_force_above_the_trip_ramps_down_and_latches():
 
 def test_silence_for_comm_loss_ms_trips_and_a_good_exchange_before_it_does_not():
     supervisor = running()
-    supervisor.judge_exchange(False, 200 * MS)
+    supervisor.check_exchange(False, 200 * MS)
     assert supervisor.state is State.RUNNING
-    supervisor.judge_exchange(True, 200 * MS)
-    supervisor.judge_exchange(False, 399 * MS)
+    supervisor.check_exchange(True, 200 * MS)
+    supervisor.check_exchange(False, 399 * MS)
     assert supervisor.state is State.RUNNING
-    supervisor.judge_exchange(False, 401 * MS)
+    supervisor.check_exchange(False, 401 * MS)
     assert (supervisor.state, supervisor.cause) == (State.RAMP_DOWN, Cause.COMM_LOSS)
 
 
-def test_silence_is_judged_at_the_tick_that_is_nearest_to_comm_loss_ms():
+def test_silence_trips_at_the_tick_nearest_to_comm_loss_ms():
     supervisor = running()
-    supervisor.judge_exchange(False, 197 * MS, ahead_ns=2 * MS)
+    supervisor.check_exchange(False, 197 * MS, ahead_ns=2 * MS)
     assert supervisor.state is State.RUNNING
-    supervisor.judge_exchange(False, 199 * MS, ahead_ns=2 * MS)
+    supervisor.check_exchange(False, 199 * MS, ahead_ns=2 * MS)
     assert (supervisor.state, supervisor.cause) == (State.RAMP_DOWN, Cause.COMM_LOSS)
 
 
 def test_a_device_that_stays_silent_through_the_ramp_ends_in_fault():
     supervisor = running()
-    supervisor.judge_exchange(False, 201 * MS)
-    supervisor.judge_exchange(False, 540 * MS)
+    supervisor.check_exchange(False, 201 * MS)
+    supervisor.check_exchange(False, 540 * MS)
     assert supervisor.state is State.RAMP_DOWN
-    supervisor.judge_exchange(False, 560 * MS)
+    supervisor.check_exchange(False, 560 * MS)
     assert supervisor.state is State.FAULT
 
 
 def test_comm_loss_action_hold_stops_writing_at_once():
     supervisor = running(comm_loss_action="hold")
-    supervisor.judge_exchange(False, 201 * MS)
+    supervisor.check_exchange(False, 201 * MS)
     assert supervisor.state is State.FAULT
 
 
-def test_comm_loss_action_zero_goes_as_fast_as_the_slew_allows():
+def test_comm_loss_action_zero_ramps_as_fast_as_the_slew_allows():
     supervisor = running(comm_loss_action="zero")
-    supervisor.judge_exchange(False, 201 * MS)
+    supervisor.check_exchange(False, 201 * MS)
     assert supervisor.state is State.RAMP_DOWN
-    assert supervisor.in_haste
+    assert supervisor.fast_ramp
 
 
 def test_a_stop_ends_disarmed_without_a_fault():
     supervisor = running()
     supervisor.stop()
-    supervisor.safe()
+    supervisor.end_ramp_down()
     assert (supervisor.state, supervisor.fault) == (State.DISARMED, Cause.NONE)
 
 
 def test_five_ticks_missed_in_a_row_trip():
     supervisor = running()
-    supervisor.judge_clock(4)
+    supervisor.check_rate(4)
     assert supervisor.state is State.RUNNING
-    supervisor.judge_clock(5)
+    supervisor.check_rate(5)
     assert supervisor.cause is Cause.MISSED_TICKS
 
 
@@ -93,109 +93,109 @@ def test_amplifier_fault_bits_and_a_tripped_watchdog_trip():
         (2, Cause.DEVICE_WATCHDOG),
     ):
         supervisor = running()
-        supervisor.judge_reading(10.0, status)
+        supervisor.check_reading(10.0, status)
         assert supervisor.cause is cause
-        assert supervisor.in_haste is (cause is not Cause.DEVICE_WATCHDOG)
+        assert supervisor.fast_ramp is (cause is not Cause.DEVICE_WATCHDOG)
 
 
-def test_nothing_trips_while_nothing_is_driven():
+def test_no_reading_trips_while_no_voltage_is_written():
     supervisor = Supervisor(limits())
-    supervisor.judge_reading(1000.0, 8)
-    supervisor.judge_exchange(False, 10_000 * MS)
+    supervisor.check_reading(1000.0, 8)
+    supervisor.check_exchange(False, 10_000 * MS)
     assert supervisor.state is State.DISARMED
 
 
-def test_values_that_cannot_be_believed_trip_once_they_are_stale_and_one_alone_does_not():
+def test_invalid_readings_trip_once_they_are_stale_and_a_single_one_does_not():
     supervisor = running()
-    supervisor.judge_exchange(False, 6 * MS, answered=True)
+    supervisor.check_exchange(False, 6 * MS, answered=True)
     assert supervisor.state is State.RUNNING
-    supervisor.judge_exchange(False, 7 * MS, answered=True)
+    supervisor.check_exchange(False, 7 * MS, answered=True)
     assert (supervisor.state, supervisor.cause) == (State.RAMP_DOWN, Cause.BAD_READING)
 
 
-def test_stale_readings_blind_and_a_good_one_lets_see_again():
+def test_readings_get_stale_and_a_good_one_ends_it():
     supervisor = running()
-    supervisor.judge_exchange(False, 5 * MS)
-    assert not supervisor.blind
-    supervisor.judge_exchange(False, 6 * MS)
-    assert supervisor.blind
-    supervisor.judge_exchange(True, 7 * MS)
-    assert not supervisor.blind
+    supervisor.check_exchange(False, 5 * MS)
+    assert not supervisor.readings_stale
+    supervisor.check_exchange(False, 6 * MS)
+    assert supervisor.readings_stale
+    supervisor.check_exchange(True, 7 * MS)
+    assert not supervisor.readings_stale
     assert supervisor.state is State.RUNNING
 
 
-def test_a_device_that_took_over_is_not_written_to_any_more():
+def test_a_device_that_has_taken_over_its_output_gets_no_more_voltages():
     for cause in (Cause.DEVICE_WATCHDOG, Cause.DEVICE_RESTARTED):
         supervisor = running()
         supervisor.trip(cause)
         assert (supervisor.state, supervisor.fault) == (State.FAULT, cause)
 
 
-def test_a_pause_longer_than_the_device_waits_ends_in_fault_before_anything_is_written():
+def test_a_pause_as_long_as_the_device_watchdog_ends_in_fault_before_a_voltage_is_written():
     supervisor = running()
-    supervisor.judge_gap(99 * MS)
+    supervisor.check_pause(99 * MS)
     assert supervisor.state is State.RUNNING
-    supervisor.judge_gap(100 * MS)
+    supervisor.check_pause(100 * MS)
     assert (supervisor.state, supervisor.cause) == (State.FAULT, Cause.STOOD_STILL)
 
 
 def test_without_a_device_watchdog_a_pause_longer_than_comm_loss_ramps_down():
     supervisor = running(device_watchdog_ms=0)
-    supervisor.judge_gap(200 * MS)
+    supervisor.check_pause(200 * MS)
     assert supervisor.state is State.RUNNING
-    supervisor.judge_gap(201 * MS)
+    supervisor.check_pause(201 * MS)
     assert (supervisor.state, supervisor.cause) == (State.RAMP_DOWN, Cause.STOOD_STILL)
 
 
-def test_a_watchdog_that_tripped_before_arming_is_calmed_and_then_counts():
+def test_a_watchdog_that_tripped_before_arming_counts_once_it_was_clear():
     supervisor = Supervisor(limits())
     supervisor.arm(0)
-    supervisor.judge_reading(0.0, 2)
+    supervisor.check_reading(0.0, 2)
     assert supervisor.state is State.ARMING
-    supervisor.judge_reading(0.0, 1)
-    supervisor.judge_reading(0.0, 2)
+    supervisor.check_reading(0.0, 1)
+    supervisor.check_reading(0.0, 2)
     assert supervisor.fault is Cause.DEVICE_WATCHDOG
 
 
 def test_a_device_too_hot_trips():
     supervisor = running(temperature_trip_degC=70.0)
-    supervisor.judge_reading(10.0, 1, 0, 69.9)
+    supervisor.check_reading(10.0, 1, 0, 69.9)
     assert supervisor.state is State.RUNNING
-    supervisor.judge_reading(10.0, 1, 1, 70.1)
+    supervisor.check_reading(10.0, 1, 1, 70.1)
     assert supervisor.cause is Cause.TEMPERATURE
 
 
-def test_the_first_fault_is_the_one_that_is_kept():
+def test_the_first_fault_stays_latched():
     supervisor = running()
     supervisor.trip(Cause.OVER_FORCE)
     supervisor.trip(Cause.COMM_LOSS)
-    supervisor.safe()
+    supervisor.end_ramp_down()
     assert supervisor.fault is Cause.OVER_FORCE
 
 
-def test_tighter_limits_hold_at_once_and_neither_state_nor_fault_is_lost():
+def test_new_limits_apply_at_once_and_keep_state_and_fault():
     supervisor = running()
-    supervisor.take_limits(limits(force_trip_N=100.0))
+    supervisor.set_limits(limits(force_trip_N=100.0))
     assert supervisor.state is State.RUNNING
-    supervisor.judge_reading(101.0, 1)
-    supervisor.take_limits(limits())
+    supervisor.check_reading(101.0, 1)
+    supervisor.set_limits(limits())
     assert supervisor.fault is Cause.OVER_FORCE
 
 
-def test_a_fault_whose_device_never_says_anything_believable_again_ends_latched():
+def test_a_fault_without_any_later_valid_reading_ends_latched():
     supervisor = running()
-    supervisor.judge_exchange(False, 6 * MS, answered=True)
-    supervisor.judge_exchange(False, 7 * MS, answered=True)
+    supervisor.check_exchange(False, 6 * MS, answered=True)
+    supervisor.check_exchange(False, 7 * MS, answered=True)
     assert (supervisor.state, supervisor.cause) == (State.RAMP_DOWN, Cause.BAD_READING)
-    supervisor.judge_exchange(False, 549 * MS, answered=True)
+    supervisor.check_exchange(False, 549 * MS, answered=True)
     assert supervisor.state is State.RAMP_DOWN
-    supervisor.judge_exchange(False, 551 * MS, answered=True)
+    supervisor.check_exchange(False, 551 * MS, answered=True)
     assert (supervisor.state, supervisor.cause) == (State.FAULT, Cause.BAD_READING)
 
 
-def test_an_exchange_may_last_until_the_silence_is_a_loss_and_as_long_as_it_likes_when_nothing_is_driven():
+def test_an_exchange_may_last_until_the_silence_is_a_loss_and_without_limit_while_no_voltage_is_written():
     supervisor = running()
-    supervisor.judge_exchange(True, 10 * MS)
-    assert supervisor.patience_s(150 * MS) == pytest.approx(0.06)
-    assert supervisor.patience_s(250 * MS) == float("inf")
-    assert Supervisor(limits()).patience_s(0) == float("inf")
+    supervisor.check_exchange(True, 10 * MS)
+    assert supervisor.exchange_time_left_s(150 * MS) == pytest.approx(0.06)
+    assert supervisor.exchange_time_left_s(250 * MS) == float("inf")
+    assert Supervisor(limits()).exchange_time_left_s(0) == float("inf")

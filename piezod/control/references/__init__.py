@@ -1,0 +1,17 @@
+"""References: the force to follow, from a table, a register of the device, or a stream of datagrams."""
+
+from piezod.control.references.live import DatagramStream, RegisterValue
+from piezod.control.references.make import make_reference
+from piezod.control.references.reference import Freshness, Reference
+from piezod.control.references.table import TableReference, file_table, waveform_table
+
+__all__ = [
+    "DatagramStream",
+    "Freshness",
+    "Reference",
+    "RegisterValue",
+    "TableReference",
+    "file_table",
+    "make_reference",
+    "waveform_table",
+]
