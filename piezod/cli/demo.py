@@ -11,7 +11,7 @@ from piezod.cli.root import app
 
 if TYPE_CHECKING:
     from piezod.recording import Recording
-    from piezod.report.demo import HiddenVerdict
+    from piezod.report.tracking.demo import HiddenVerdict
 
 
 @app.command(epilog="Example: piezod demo --report demo.html --json demo.json")
@@ -21,7 +21,7 @@ def demo(
 ) -> None:
     """Show the whole path on the emulated bench: no hardware, no root, about a minute."""
     from piezod.commissioning.demo import run_demo
-    from piezod.report.demo import judge, live_line, print_hidden, print_table, write_demo_page
+    from piezod.report.tracking.demo import judge, live_line, print_hidden, print_table, write_demo_page
 
     names: list[str] = []
     print("emulated bench and control process are starting ...", flush=True)
@@ -51,8 +51,8 @@ def _demo_hidden() -> "tuple[HiddenVerdict, dict[tuple[str, str], Recording]]":
     from piezod.diagnose.command import diagnose_files
     from piezod.model import load_model
     from piezod.recording import write_csv
-    from piezod.report.demo import judge_hidden
     from piezod.report.progress import steps
+    from piezod.report.tracking.demo import judge_hidden
 
     with TemporaryDirectory() as name, steps() as show:
         folder, given = Path(name), shipped("model.yaml")

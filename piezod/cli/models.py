@@ -129,8 +129,8 @@ def compare(
     as_json: JsonOption = False,
 ) -> None:
     """Compare a measured output with simulated ones and with models in free run: fit as MATLAB's compare defines it."""
-    from piezod.report.comparison import comparison_as_dict, comparison_text, write_comparison_page
-    from piezod.report.output_comparison import compare_files
+    from piezod.report.comparison.output_comparison import compare_files
+    from piezod.report.comparison.output_page import comparison_as_dict, comparison_text, write_comparison_page
 
     comparison = compare_files(recordings[0], recordings[1:], model or (), output_column, start_window)
     if report is not None:
@@ -152,8 +152,8 @@ def resid(
     """Test whether what a model leaves is white and independent of the input, with the bounds of MATLAB's resid."""
     from piezod.identify.intake import take_whole
     from piezod.model import load_model
-    from piezod.report.comparison import residual_as_dict, residual_text, write_residual_page
-    from piezod.report.residual_test import residual_of, residual_test
+    from piezod.report.comparison.output_page import residual_as_dict, residual_text, write_residual_page
+    from piezod.report.comparison.whiteness import residual_of, residual_test
 
     loaded = load_model(model)
     taken = take_whole(recording, loaded.input.channel, loaded.output.channel)
@@ -180,7 +180,7 @@ def validate(
     """Follow six triangular force references without and with each model; say which model is better."""
     from piezod.commissioning.validate import plan_validation, run_validation
     from piezod.report.progress import progress
-    from piezod.report.validation import judge_validation, validation_text, write_validation_page
+    from piezod.report.tracking.validation import judge_validation, validation_text, write_validation_page
 
     plan = plan_validation(config, model)
     with progress(f"{len(plan.works)} runs", plan.duration_s) as show:

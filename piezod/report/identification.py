@@ -15,10 +15,10 @@ from piezod.identify.order import Candidate
 from piezod.identify.scores import max_hysteresis_percent
 from piezod.identify.tables import OperatorRow, dead_zone_rows, play_rows
 from piezod.recording import Recording
+from piezod.report.figures.thinning import usual_range
 from piezod.report.page import Part, axis_label, head_html, table_html, write_page
 from piezod.report.style import BLUE, GREY, ORANGE
-from piezod.report.thinning import usual_range
-from piezod.report.tracking import finish, thin
+from piezod.report.tracking.page import finish, thin
 
 Array = NDArray[np.float64]
 

@@ -12,7 +12,7 @@ from bokeh.resources import Resources
 
 from piezod.diagnose.words import unit_words
 from piezod.errors import ConfigurationError
-from piezod.report.figure_data import write_figure_data
+from piezod.report.figures.data_files import write_figure_data
 from piezod.report.style import DATA_NOTE, PAGE, SCRIPT, STYLE
 
 Group = tuple[str, int]  # words above neighbouring columns, and how many

@@ -14,11 +14,11 @@ from numpy.typing import NDArray
 from piezod.control import CAUSE_TEXT, Cause, State
 from piezod.errors import RecordingError
 from piezod.recording import Recording
-from piezod.report.durations import EDGES_us, bars, histogram
+from piezod.report.figures.durations import EDGES_us, bars, histogram
+from piezod.report.figures.thinning import envelope, envelope_times, extremes
 from piezod.report.page import Part, axis_label, head_html, table_html, write_page
 from piezod.report.style import BLUE, GREEN, GREY, ORANGE, RED
-from piezod.report.thinning import envelope, envelope_times, extremes
-from piezod.report.tracking import finish
+from piezod.report.tracking.page import finish
 
 Array = NDArray[np.float64]
 

@@ -15,7 +15,7 @@ from piezod.recording import Recording, read_recording, write_recording
 from piezod.report.diagnosis.page import write_diagnosis_page
 from piezod.report.identification import write_identification_page
 from piezod.report.run import run_figures, write_run_page
-from piezod.report.validation import judge_validation, write_validation_page
+from piezod.report.tracking.validation import judge_validation, write_validation_page
 from piezod.session.task import Outcome
 from tests.benches.browser import chromium, open_page
 from tests.benches.daemon import WITHIN_S, daemon

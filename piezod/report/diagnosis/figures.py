@@ -25,8 +25,8 @@ from piezod.diagnose.words import rounded, unit_words
 from piezod.report.diagnosis.residual_views import Memory, Residuals, State, View
 from piezod.report.diagnosis.spectra import Map
 from piezod.report.diagnosis.wording import read_off
+from piezod.report.figures.thinning import envelope, envelope_times, extremes, usual_range
 from piezod.report.style import BLUE, GREEN, GREY, ORANGE, RED
-from piezod.report.thinning import envelope, envelope_times, extremes, usual_range
 
 Array = NDArray[np.float64]
 Columns = dict[str, Array]

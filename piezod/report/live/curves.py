@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from piezod.control import State
 from piezod.recording.ticks import GOOD
-from piezod.report.thinning import envelope, envelope_times
+from piezod.report.figures.thinning import envelope, envelope_times
 
 Array = NDArray[np.float64]
 Rows = NDArray[np.void]

@@ -16,7 +16,7 @@ import numpy as np
 from piezod.config import BenchConfig
 from piezod.control import CAUSE_TEXT, Cause, RingReader, State
 from piezod.errors import PiezodError
-from piezod.report.durations import RecentDurations
+from piezod.report.figures.durations import RecentDurations
 from piezod.report.live.curves import Curves, Rows
 
 WINDOW_s, BUCKET_s = 30.0, 0.05

@@ -13,7 +13,7 @@ from bokeh.plotting import figure
 from numpy.typing import NDArray
 
 from piezod.config import BenchConfig
-from piezod.report.durations import LEAST, EDGES_us, bars, histogram
+from piezod.report.figures.durations import LEAST, EDGES_us, bars, histogram
 from piezod.report.live.curves import LOOP, OVER_TIME
 from piezod.report.live.feed import WINDOW_s
 from piezod.report.style import BLUE, GREEN, GREY, ORANGE, RED

@@ -10,7 +10,7 @@ from bokeh.document import Document
 from bokeh.layouts import row
 from bokeh.models.widgets import Button, Div, PasswordInput
 
-from piezod.report.durations import bars
+from piezod.report.figures.durations import bars
 from piezod.report.live.feed import Feed, WINDOW_s
 from piezod.report.live.figures import Figures, show_all
 from piezod.report.live.status_banner import EVENTS_STYLE, LAMP_STYLE, events_html, lamp_html, state_words

@@ -10,15 +10,15 @@ from piezod.commissioning.shipped_files import shipped
 from piezod.errors import UsageError
 from piezod.model import load_model
 from piezod.recording import Recording, write_recording
-from piezod.report.comparison import (
+from piezod.report.comparison.output_comparison import compare_files
+from piezod.report.comparison.output_page import (
     comparison_as_dict,
     comparison_text,
     residual_as_dict,
     write_comparison_page,
     write_residual_page,
 )
-from piezod.report.output_comparison import compare_files
-from piezod.report.residual_test import residual_of, residual_test
+from piezod.report.comparison.whiteness import residual_of, residual_test
 
 MODEL = shipped("model.yaml")
 

@@ -17,7 +17,7 @@ from piezod.report.diagnosis.figures import driver_figure, time_lines
 from piezod.report.diagnosis.page import write_diagnosis_page
 from piezod.report.diagnosis.residual_views import Residuals, memory, owners, since_reversal, views
 from piezod.report.diagnosis.spectra import spectrum, time_frequency
-from piezod.report.thinning import envelope, envelope_times, extremes
+from piezod.report.figures.thinning import envelope, envelope_times, extremes
 
 MODEL = load_model(Path(__file__).parents[3] / "config" / "model.yaml")
 DT_S = 0.002

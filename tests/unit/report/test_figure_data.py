@@ -6,9 +6,9 @@ import numpy as np
 from bokeh.models import ColumnDataSource
 from bokeh.plotting import figure
 
-from piezod.report.figure_data import figure_csv
+from piezod.report.figures.data_files import figure_csv
 from piezod.report.page import write_page
-from piezod.report.tracking import finish
+from piezod.report.tracking.page import finish
 
 
 def rows(text):

@@ -10,7 +10,7 @@ from piezod.commissioning.shipped_files import shipped
 from piezod.config import load_bench
 from piezod.control import ROW_DTYPE, Cause, RingLog, State
 from piezod.errors import ConfigurationError
-from piezod.report.durations import EDGES_us, RecentDurations
+from piezod.report.figures.durations import EDGES_us, RecentDurations
 from piezod.report.live.curves import Curves, Table
 from piezod.report.live.feed import MOST_EVENTS, Feed
 from piezod.report.live.server import read_token

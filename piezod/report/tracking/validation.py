@@ -11,10 +11,10 @@ from bokeh.plotting import figure
 
 from piezod.identify.scores import max_hysteresis_percent
 from piezod.recording import Recording
-from piezod.report.demo import SessionOutcome
 from piezod.report.page import Part, head_html, table_html, write_page
 from piezod.report.style import BLUE, GREEN, GREY, ORANGE, RED
-from piezod.report.tracking import TrackingFigures, finish, loop_figure, thin, tracking_figures
+from piezod.report.tracking.demo import SessionOutcome
+from piezod.report.tracking.page import TrackingFigures, finish, loop_figure, thin, tracking_figures
 
 MODEL_COLOURS = (BLUE, GREEN, RED, GREY)
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from piezod.recording import Recording
 from piezod.report.page import table_html
-from piezod.report.tracking import LABELS, TrackingFigures, tracking_figures, write_tracking_page
+from piezod.report.tracking.page import LABELS, TrackingFigures, tracking_figures, write_tracking_page
 
 QUARTER = 0.25  # compensated hysteresis may be at most this part of the uncompensated
 STATES = ("DISARMED", "ARMING", "RUNNING", "HOLD", "RAMP_DOWN", "FAULT")

@@ -12,12 +12,12 @@ from numpy.typing import NDArray
 
 from piezod.diagnose.words import unit_words
 from piezod.recording import Recording
-from piezod.report.output_comparison import Candidate, Comparison
+from piezod.report.comparison.output_comparison import Candidate, Comparison
+from piezod.report.comparison.whiteness import ResidualTest
+from piezod.report.figures.thinning import envelope, envelope_times
 from piezod.report.page import Part, axis_label, head_html, table_html, write_page
-from piezod.report.residual_test import ResidualTest
 from piezod.report.style import BLUE, GREEN, GREY, ORANGE, RED
-from piezod.report.thinning import envelope, envelope_times
-from piezod.report.tracking import finish
+from piezod.report.tracking.page import finish
 
 Array = NDArray[np.float64]
 

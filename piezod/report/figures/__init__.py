@@ -1,0 +1,1 @@
+"""Figures that several pages share: their layout, thinned curves, histograms of durations, and their data as CSV."""
