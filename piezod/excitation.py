@@ -187,7 +187,7 @@ def excitation(name: str, peak_V: float, frequency_Hz: float, periods: int, rate
     return makers[name](peak_V, frequency_Hz, periods, rate_Hz)
 
 
-def usual_periods(name: str) -> int:
+def default_periods(name: str) -> int:
     """How often an excitation is repeated unless one says so: five triangles; what tells all in one run, once."""
     return 5 if name in TRIANGLES else 1
 

@@ -35,12 +35,12 @@ def record(
     """Drive an excitation through the bench and record what it answers."""
     from piezod.commissioning.record import excitation_s
     from piezod.commissioning.record import record as record_excitation
-    from piezod.excitation import usual_periods
+    from piezod.excitation import default_periods
     from piezod.recording import check_target, write_recording
     from piezod.report.progress import progress
 
     check_target(output)
-    periods = periods or usual_periods(excitation)
+    periods = periods or default_periods(excitation)
     with progress(f"recording {excitation}", excitation_s(excitation, frequency, periods)) as show:
         recording, outcome = record_excitation(
             config,

@@ -91,9 +91,9 @@ def config_schema() -> None:
 @configuration.command("show", epilog="Example: piezod config show config/bench.yaml")
 def config_show(config: ConfigArgument, as_json: JsonOption = False) -> None:
     """Print every key with its value, its unit, and whether it is a default; as YAML that can be read again."""
-    from piezod.config import dumped, effective_text, entries, load_bench, read_document
+    from piezod.config import all_values, effective_text, entries, load_bench, read_document
 
-    values, content = dumped(load_bench(config)), read_document(config).content
+    values, content = all_values(load_bench(config)), read_document(config).content
     if not as_json:
         print(effective_text(values, content), end="")
         return

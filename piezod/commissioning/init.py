@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from piezod.commissioning.shipped_files import shipped
-from piezod.config import BenchConfig, Document, bench_of, edited, read_document
+from piezod.config import BenchConfig, Document, bench_of, read_document, replace_values
 from piezod.config.bench import SCHEMA
 from piezod.config.link import ModbusTcpLink
 from piezod.errors import ConfigurationError, PiezodError, UsageError
@@ -81,7 +81,7 @@ def draft(profile: str, answers: Answers, path: Path) -> Draft:
         raise UsageError(f"--profile is '{profile}', must be one of {', '.join(known)}")
     text = shipped(f"{profile}.yaml").read_text(encoding="utf-8")
     before = bench_of(Document(path, text))
-    text = edited(path, text, _changes(before, answers))
+    text = replace_values(path, text, _changes(before, answers))
     return Draft(path, text, bench_of(Document(path, text)))
 
 

@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 
 from piezod import __version__
-from piezod.config import BenchConfig, dumped, effective_text, load_bench, model_path, read_document
+from piezod.config import BenchConfig, all_values, effective_text, load_bench, model_path, read_document
 from piezod.control import CAUSE_TEXT, ROW_DTYPE, Cause, RingReader, State
 from piezod.daemon.client import Client
 from piezod.errors import ConfigurationError, PiezodError, UsageError
@@ -107,14 +107,14 @@ def redacted(bench: BenchConfig, content: dict[str, Any]) -> str:
     Replaced are file names and names of TLS, host names and public addresses, groups, and the lines of an ASCII
     protocol, which may carry a password. Numbers, registers and private addresses stay: they are what is asked about.
     """
-    return effective_text(_redacted(dumped(bench), _secrets(bench)), content)
+    return effective_text(_redacted(all_values(bench), _secrets(bench)), content)
 
 
 def _secrets(bench: BenchConfig) -> set[str]:
     """Texts that must not leave the house, wherever they stand."""
     found: set[str] = set()
     for name in ("link", "load_cell_link"):
-        link = dumped(bench)[name]
+        link = all_values(bench)[name]
         if link is None:
             continue
         found |= {value for value in (link.get("tls") or {}).values() if value}

@@ -1,41 +1,35 @@
-"""Bench configuration: YAML in, frozen and cross-checked objects out."""
+"""Bench configuration: reads a YAML file into frozen, cross-checked objects."""
 
-from piezod.config.bench import (
-    ArmingConfig,
-    BenchConfig,
-    RealTimeConfig,
-    SignCheckConfig,
-    bench_of,
-    load_bench,
-    model_path,
-)
+from piezod.config.bench import BenchConfig, bench_of, load_bench, model_path
 from piezod.config.checked import Section, check, shortened
 from piezod.config.comments import comments_of
-from piezod.config.edited import edited
-from piezod.config.effective import dumped, effective_text, entries
-from piezod.config.limits import LimitsConfig, loosened
+from piezod.config.effective import all_values, effective_text, entries
+from piezod.config.limits import LimitsConfig, loosened_limit
 from piezod.config.schema import bench_schema
+from piezod.config.sections import ArmingConfig, DriftConfig, RealTimeConfig, SignCheckConfig
+from piezod.config.value_edit import replace_values
 from piezod.config.yaml_reader import Document, read_document
 
 __all__ = [
     "ArmingConfig",
     "BenchConfig",
     "Document",
+    "DriftConfig",
     "LimitsConfig",
     "RealTimeConfig",
     "Section",
     "SignCheckConfig",
+    "all_values",
     "bench_of",
     "bench_schema",
     "check",
     "comments_of",
-    "dumped",
-    "edited",
     "effective_text",
     "entries",
     "load_bench",
-    "loosened",
+    "loosened_limit",
     "model_path",
     "read_document",
+    "replace_values",
     "shortened",
 ]

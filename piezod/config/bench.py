@@ -1,72 +1,26 @@
-"""The bench configuration: everything that `piezod run` needs to know, cross-checked before anything is energised."""
+"""The bench configuration: every setting that `piezod run` needs, cross-checked before any voltage is written."""
 
 from pathlib import Path
 from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
-from piezod.config.checked import Section, check, shortened
-from piezod.config.drift import DriftConfig
+from piezod.config.checked import Section, check, require, shortened
 from piezod.config.limits import LimitsConfig
-from piezod.config.link import LinkConfig, ModbusRtuLink, ModbusTcpLink, Registers, SerialLineLink
-from piezod.config.recorder import RecorderConfig
+from piezod.config.link import LinkConfig, ModbusRtuLink, ModbusTcpLink, SerialLineLink
 from piezod.config.reference import ReferenceConfig, RegisterReference
+from piezod.config.sections import ArmingConfig, DaemonConfig, DriftConfig, RealTimeConfig, RecorderConfig
 from piezod.config.yaml_reader import Document, read_document
 from piezod.errors import ConfigurationError
 
 SCHEMA = "piezod.bench/1"
 
 
-class RealTimeConfig(Section):
-    """What the control process asks of the kernel; each is optional and warned about when the right is missing."""
-
-    fifo_priority: Annotated[int, Field(ge=0, le=99)] = 80
-    lock_memory: bool = True
-    cpu: Annotated[int, Field(ge=0)] | None = None
-    hold_cpu_latency: bool = True
-
-
-class SignCheckConfig(Section):
-    """The step that must raise the force before anything else is driven: polarity, cable and preload in one."""
-
-    step_V: Annotated[float, Field(gt=0)] = 2.0
-    rise_N: Annotated[float, Field(gt=0)] = 0.5
-    settle_s: Annotated[float, Field(gt=0, le=60)] = 0.1
-
-
-Precondition = Literal["identity", "map_version", "device_watchdog", "voltage_readback", "sign_check"]
-
-
-class ArmingConfig(Section):
-    """What must hold before a voltage is written, and how the bench is brought from rest to the first reference.
-
-    `without` names the preconditions that this device cannot meet; each is one thing that will not be noticed.
-    """
-
-    reset_cycle: bool = True
-    voltage_V_per_s: Annotated[float, Field(gt=0)] = 200.0
-    readback_within_V: Annotated[float, Field(gt=0)] = 2.0
-    agree_within_N: Annotated[float, Field(gt=0)] | None = None
-    sign_check: SignCheckConfig = SignCheckConfig()
-    without: Annotated[tuple[Precondition, ...], Field(strict=False)] = ()
-
-
-class DaemonConfig(Section):
-    """Where the daemon keeps what it shows to others, and where it listens."""
-
-    ring_log: str = "/dev/shm/piezod-{name}.ring"  # noqa: S108  # shared memory is meant to be seen
-    ring_seconds: Annotated[float, Field(gt=0, le=3600)] = 60.0
-    socket: str | None = None
-    socket_group: Annotated[str, Field(min_length=1)] | None = None
-    socket_mode: Annotated[str, Field(pattern=r"^0?[0-7]{3}$")] = "0660"
-    metrics_port: Annotated[int, Field(ge=0, le=65535)] | None = None
-
-
 class BenchConfig(Section):
-    """One bench.
+    """All settings of one bench.
 
-    `compensation_without` names effects of the model that are knowingly not driven against: those that have no
-    inverse, or whose inverse is not wanted.
+    `compensation_without` lists effects of the model that are deliberately not compensated: effects without an inverse,
+    or with an unwanted inverse.
     """
 
     schema_: Annotated[Literal["piezod.bench/1"], Field(alias="schema")]
@@ -87,37 +41,37 @@ class BenchConfig(Section):
 
     @property
     def dt_s(self) -> float:
-        """The tick's period [s]."""
+        """Tick period [s]."""
         return 1.0 / self.rate_Hz
 
     @property
     def ring_log_path(self) -> Path:
-        """Where the ring log lies."""
+        """Path of the ring log."""
         return Path(self.daemon.ring_log.replace("{name}", self.name))
 
     @property
     def lock_path(self) -> Path:
-        """What a program holds while it drives or watches this bench: beside the ring log."""
+        """Lock file beside the ring log; a program holds it while it drives or watches this bench."""
         return self.ring_log_path.with_name(self.ring_log_path.name + ".lock")
 
     @property
     def socket_path(self) -> Path:
-        """Where the daemon is spoken to: beside the ring log unless named."""
+        """Path of the daemon's control socket; beside the ring log unless configured."""
         if self.daemon.socket is None:
             return self.ring_log_path.with_name(self.ring_log_path.name + ".sock")
         return Path(self.daemon.socket.replace("{name}", self.name))
 
     @property
     def recordings_path(self) -> Path | None:
-        """Folder that every tick is recorded in; None: nothing is."""
+        """Folder of the recorded ticks; None: nothing is recorded."""
         return None if self.recorder is None else Path(self.recorder.folder.replace("{name}", self.name))
 
-    def names(self, role: str) -> bool:
-        """Whether amplifier or load cell has something for this role."""
-        return self.link.names(role) or (self.load_cell_link is not None and self.load_cell_link.names(role))
+    def has_role(self, role: str) -> bool:
+        """Whether the amplifier or the load cell has a register or reply field for this role."""
+        return self.link.has_role(role) or (self.load_cell_link is not None and self.load_cell_link.has_role(role))
 
     @model_validator(mode="after")
-    def _link_has_what_the_loop_needs(self) -> Self:
+    def _link_has_the_roles_of_the_loop(self) -> Self:
         _require_voltage(self.link)
         _require_force(self.load_cell_link or self.link, "load_cell_link" if self.load_cell_link else "link")
         if isinstance(self.reference, RegisterReference):
@@ -129,42 +83,46 @@ class BenchConfig(Section):
 
     @model_validator(mode="after")
     def _arming_is_within_limits(self) -> Self:
-        if self.arming.voltage_V_per_s > self.limits.slew_V_per_s:
-            raise ValueError(
-                f"arming.voltage_V_per_s is {self.arming.voltage_V_per_s:g}, must be at most limits.slew_V_per_s, "
-                f"{self.limits.slew_V_per_s:g}"
-            )
-        highest_V = self.limits.voltage_max_V - self.limits.voltage_safe_V
-        if self.arming.sign_check.step_V > highest_V:
-            raise ValueError(
-                f"arming.sign_check.step_V is {self.arming.sign_check.step_V:g}, must be at most {highest_V:g}, from "
-                "the safe voltage to limits.voltage_max_V"
-            )
+        arming, limits = self.arming, self.limits
+        require(
+            arming.voltage_V_per_s <= limits.slew_V_per_s,
+            "arming.voltage_V_per_s",
+            arming.voltage_V_per_s,
+            f"at most limits.slew_V_per_s, {limits.slew_V_per_s:g}",
+        )
+        highest_V = limits.voltage_max_V - limits.voltage_safe_V
+        require(
+            arming.sign_check.step_V <= highest_V,
+            "arming.sign_check.step_V",
+            arming.sign_check.step_V,
+            f"at most {highest_V:g}, from the safe voltage to limits.voltage_max_V",
+        )
         return self
 
     @model_validator(mode="after")
-    def _limits_can_be_watched(self) -> Self:
+    def _limited_quantities_are_read(self) -> Self:
         for limit, role in (("readback_trip_V", "voltage_readback"), ("temperature_trip_degC", "temperature")):
-            if getattr(self.limits, limit) is not None and not self.names(role):
+            value = getattr(self.limits, limit)
+            if value is not None and not self.has_role(role):
                 raise ValueError(
-                    f"limits.{limit} is {getattr(self.limits, limit):g}, but the link reads no {role}; "
-                    f"name it, or set {limit}: null"
+                    f"limits.{limit} is {value:g}, but the link reads no {role}; name it, or set {limit}: null"
                 )
         return self
 
     @model_validator(mode="after")
-    def _a_force_above_the_trip_can_be_read(self) -> Self:
-        """A reading outside low..high is refused as impossible, so a trip outside it would never be seen."""
+    def _force_limits_lie_within_the_readable_range(self) -> Self:
+        """Require trip limits inside low..high: a reading outside low..high is discarded and would never trip."""
         link, limits = self.load_cell_link or self.link, self.limits
         force = None if isinstance(link, SerialLineLink) else link.registers.force
-        if force is not None and force.high is not None and limits.force_trip_N >= force.high:
-            raise ValueError(
-                f"limits.force_trip_N is {limits.force_trip_N:g}, must be below registers.force.high, {force.high:g}"
-            )
-        if force is not None and force.low is not None and limits.force_min_N <= force.low:
-            raise ValueError(
-                f"limits.force_min_N is {limits.force_min_N:g}, must be above registers.force.low, {force.low:g}"
-            )
+        if force is None:
+            return self
+        trip, low = "limits.force_trip_N", "limits.force_min_N"
+        if force.high is not None:
+            below = f"below registers.force.high, {force.high:g}"
+            require(limits.force_trip_N < force.high, trip, limits.force_trip_N, below)
+        if force.low is not None:
+            above = f"above registers.force.low, {force.low:g}"
+            require(limits.force_min_N > force.low, low, limits.force_min_N, above)
         return self
 
     @model_validator(mode="after")
@@ -175,55 +133,43 @@ class BenchConfig(Section):
             ("limits.ramp_down_V_per_s", self.limits.ramp_down_V_per_s),
             ("arming.voltage_V_per_s", self.arming.voltage_V_per_s),
         ):
-            if self.limits.voltage_step_V > rate * self.dt_s:
-                raise ValueError(
-                    f"limits.voltage_step_V is {self.limits.voltage_step_V:g}, must be at most one tick of {name}, "
-                    f"{rate * self.dt_s:g} V: the output would never move"
-                )
+            most_V, step_V = rate * self.dt_s, self.limits.voltage_step_V
+            limit = f"at most one tick of {name}, {most_V:g} V: the output would never move"
+            require(step_V <= most_V, "limits.voltage_step_V", step_V, limit)
         return self
 
     @model_validator(mode="after")
-    def _a_watchdog_can_be_set(self) -> Self:
-        if self.limits.device_watchdog_ms and not self.link.names("watchdog_ms"):
+    def _the_watchdog_has_a_register(self) -> Self:
+        if self.limits.device_watchdog_ms and not self.link.has_role("watchdog_ms"):
             raise ValueError(
-                f"limits.device_watchdog_ms is {self.limits.device_watchdog_ms}, but the link names no watchdog to be "
-                "set; name its register, or set 0 and set the device's own by hand"
-            )
-        return self
-
-    @model_validator(mode="after")
-    def _a_slow_disk_is_outlived(self) -> Self:
-        recorder = self.recorder
-        if recorder is not None and self.daemon.ring_seconds < 4 * recorder.sync_every_s:
-            raise ValueError(
-                f"daemon.ring_seconds is {self.daemon.ring_seconds:g}, must be at least four times "
-                f"recorder.sync_every_s, {4 * recorder.sync_every_s:g}: ticks would be lost between two looks"
+                f"limits.device_watchdog_ms is {self.limits.device_watchdog_ms}, but the link has no watchdog_ms; add "
+                "its register, or write 0 and set the watchdog on the device"
             )
         return self
 
     @model_validator(mode="after")
-    def _watchdog_outlives_a_tick(self) -> Self:
-        watchdog_ms = self.limits.device_watchdog_ms
-        tick_ms = 1000.0 / self.rate_Hz
-        if watchdog_ms and watchdog_ms <= 2 * tick_ms:
+    def _the_ring_holds_four_recorder_periods(self) -> Self:
+        if self.recorder is not None:
+            least_s = 4 * self.recorder.sync_every_s
+            limit = f"at least four times recorder.sync_every_s, {least_s:g}: a slow disk would lose ticks"
+            require(self.daemon.ring_seconds >= least_s, "daemon.ring_seconds", self.daemon.ring_seconds, limit)
+        return self
+
+    @model_validator(mode="after")
+    def _times_fit_the_tick(self) -> Self:
+        limits, tick_ms = self.limits, 1000.0 / self.rate_Hz
+        watchdog_ms, comm_loss_ms, stale_ms = limits.device_watchdog_ms, limits.comm_loss_ms, limits.stale_after_ms
+        two_ticks = f"above two ticks, {2 * tick_ms:g} ms at rate_Hz {self.rate_Hz:g}"
+        require(not 0 < watchdog_ms <= 2 * tick_ms, "limits.device_watchdog_ms", watchdog_ms, two_ticks)
+        one_tick = f"at least one tick, {tick_ms:g} ms"
+        require(comm_loss_ms >= tick_ms, "limits.comm_loss_ms", comm_loss_ms, one_tick)
+        require(stale_ms >= tick_ms, "limits.stale_after_ms", stale_ms, f"{one_tick}: every reading would be stale")
+        samples = limits.force_debounce_samples
+        debounce_ms = samples * tick_ms
+        if debounce_ms + 2 * tick_ms > comm_loss_ms:
             raise ValueError(
-                f"limits.device_watchdog_ms is {watchdog_ms}, must be above two ticks, {2 * tick_ms:g} ms at "
-                f"rate_Hz {self.rate_Hz:g}"
-            )
-        if self.limits.comm_loss_ms < tick_ms:
-            raise ValueError(
-                f"limits.comm_loss_ms is {self.limits.comm_loss_ms:g}, must be at least one tick, {tick_ms:g} ms"
-            )
-        if self.limits.stale_after_ms < tick_ms:
-            raise ValueError(
-                f"limits.stale_after_ms is {self.limits.stale_after_ms:g}, must be at least one tick, {tick_ms:g} ms: "
-                "every reading would be stale"
-            )
-        if (2 + self.limits.force_debounce_samples) * tick_ms > self.limits.comm_loss_ms:
-            raise ValueError(
-                f"limits.force_debounce_samples is {self.limits.force_debounce_samples}, which is "
-                f"{self.limits.force_debounce_samples * tick_ms:g} ms, must be two ticks below limits.comm_loss_ms, "
-                f"{self.limits.comm_loss_ms:g}"
+                f"limits.force_debounce_samples is {samples}, which is {debounce_ms:g} ms, must be two ticks below "
+                f"limits.comm_loss_ms, {comm_loss_ms:g}"
             )
         return self
 
@@ -231,9 +177,9 @@ class BenchConfig(Section):
 def _require_voltage(link: ModbusTcpLink | ModbusRtuLink | SerialLineLink) -> None:
     if isinstance(link, SerialLineLink):
         if link.set_voltage is None:
-            raise ValueError("link.set_voltage is missing: nothing could be driven")
+            raise ValueError("link.set_voltage is missing: no voltage can be written")
     elif link.registers.voltage_setpoint is None:
-        raise ValueError("link.registers.voltage_setpoint is missing: nothing could be driven")
+        raise ValueError("link.registers.voltage_setpoint is missing: no voltage can be written")
 
 
 def _require_force(link: ModbusTcpLink | ModbusRtuLink | SerialLineLink, name: str) -> None:
@@ -261,7 +207,7 @@ def load_bench(path: Path) -> BenchConfig:
 
 
 def bench_of(document: Document) -> BenchConfig:
-    """Check what was read from a bench file.
+    """Validate a bench file that is already read.
 
     Raises
     ------
@@ -275,8 +221,5 @@ def bench_of(document: Document) -> BenchConfig:
 
 
 def model_path(bench: BenchConfig, bench_path: Path) -> Path:
-    """Where the model lies: beside the bench configuration unless absolute."""
+    """Path of the model file; a relative path is relative to the folder of the bench file."""
     return bench_path.parent / bench.model
-
-
-__all__ = ["BenchConfig", "RealTimeConfig", "Registers", "load_bench", "model_path"]

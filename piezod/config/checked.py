@@ -1,4 +1,4 @@
-"""From a YAML document to a frozen pydantic model, with one clear line where it does not fit."""
+"""Conversion of a YAML document into a frozen pydantic model, with an error message of one line."""
 
 import difflib
 from collections.abc import Iterable
@@ -12,14 +12,14 @@ from piezod.errors import ConfigurationError
 
 
 class Section(BaseModel):
-    """One mapping of a configuration file: frozen, strict, every key known, every number finite."""
+    """One mapping of a configuration file: immutable, no type conversion, no unknown keys, finite numbers only."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
 
 
 SectionT = TypeVar("SectionT", bound=BaseModel)
 
-LONGEST_VALUE = 60  # signs of a value or key in a message
+LONGEST_VALUE = 60  # characters of a value or key in a message
 _LIMIT_WORDS = {
     "greater_than": ("gt", "above"),
     "greater_than_equal": ("ge", "at least"),
@@ -39,12 +39,12 @@ _TYPE_WORDS = {
 
 
 def check(document: Document, section: type[SectionT]) -> SectionT:
-    """Turn `document` into `section`.
+    """Convert `document` into `section`.
 
     Raises
     ------
     ConfigurationError
-        One line: file, line, key, value, limit; and how many more errors there are.
+        One line with file, line, key, value and limit of the first error, and the number of further errors.
     """
     try:
         return section.model_validate(document.content)
@@ -52,6 +52,27 @@ def check(document: Document, section: type[SectionT]) -> SectionT:
         details = sorted(error.errors(), key=lambda detail: detail["type"] != "extra_forbidden")
         more = f" (and {len(details) - 1} more)" if len(details) > 1 else ""
         raise ConfigurationError(_explain(details[0], document, section) + more) from error
+
+
+def require(holds: bool, name: str, value: float, limit: str) -> None:
+    """Check a value against another key of its section.
+
+    Parameters
+    ----------
+    holds
+        Result of the comparison.
+    name, value
+        Key and value, for the message.
+    limit
+        Text after "must be", such as "at most slew_V_per_s, 400".
+
+    Raises
+    ------
+    ValueError
+        `holds` is false; pydantic turns it into an error of the section.
+    """
+    if not holds:
+        raise ValueError(f"{name} is {value:g}, must be {limit}")
 
 
 def _explain(detail: ErrorDetails, document: Document, section: type[BaseModel]) -> str:
@@ -67,24 +88,24 @@ def _explain(detail: ErrorDetails, document: Document, section: type[BaseModel])
         return f"{where}: {name} is {value}, must be {_TYPE_WORDS[kind]}"
     match kind:
         case "missing":
-            says = f"{name} is missing"
+            text = f"{name} is missing"
         case "extra_forbidden":
-            says = f"unknown key {name}{_suggestion(str(keys[-1]), _known_keys(section))}"
+            text = f"unknown key {name}{_suggestion(str(keys[-1]), _known_keys(section))}"
         case "literal_error" | "enum":
-            says = f"{name} is {value}, must be {context['expected']}"
+            text = f"{name} is {value}, must be {context['expected']}"
         case "value_error":
-            says = f"{name}: {context['error']}" if keys else str(context["error"])
+            text = f"{name}: {context['error']}" if keys else str(context["error"])
         case "union_tag_invalid":
-            says = f"{name}.kind is {shortened(context['tag'])}, must be one of {context['expected_tags']}"
+            text = f"{name}.kind is {shortened(context['tag'])}, must be one of {context['expected_tags']}"
         case "union_tag_not_found":
-            says = f"{name}.kind is missing"
+            text = f"{name}.kind is missing"
         case _:
-            says = f"{name} is {value}: {detail['msg']}"
-    return f"{where}: {says}"
+            text = f"{name} is {value}: {detail['msg']}"
+    return f"{where}: {text}"
 
 
 def _is_union_tag(key: str | int, document: Document, loc: tuple[str | int, ...]) -> bool:
-    """Pydantic puts the chosen kind of a union into the path; it is a value in the file, not a key."""
+    """Whether pydantic inserted `key` into the path as the kind of a union; the file has no such key."""
     node: Any = document.content
     for step in loc:
         if step == key and isinstance(node, dict) and step not in node and node.get("kind") == step:
@@ -102,7 +123,7 @@ def _suggestion(key: str, known: Iterable[str]) -> str:
 
 
 def _known_keys(section: type[BaseModel]) -> set[str]:
-    """Every key that may stand anywhere in the file: a typo is near one of them."""
+    """All keys that the file may contain, at any depth; a misspelt key resembles one of them."""
     known: set[str] = set()
     definitions = section.model_json_schema()
     pending: list[Any] = [definitions]
@@ -121,6 +142,6 @@ def _brief(text: str) -> str:
 
 
 def shortened(value: object) -> str:
-    """A value as it stands in a message: some sixty signs at most."""
+    """Text of a value for a message, at most 60 characters."""
     text = repr(value).replace("True", "true").replace("False", "false") if not isinstance(value, dict) else "a mapping"
     return _brief(text)

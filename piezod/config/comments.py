@@ -1,4 +1,4 @@
-"""What the commented bench file says about each key: the words for editors, `config show` and the wizard."""
+"""The comment of each key in a bench file; editors, `piezod config show` and the wizard print it."""
 
 import re
 
@@ -8,18 +8,19 @@ _CONTINUED = re.compile(r"^\s{8,}#\s*(?P<words>.*)$")
 
 
 def comments_of(text: str) -> dict[str, str]:
-    """Comments behind the keys of a YAML text, by dotted path.
+    """Comments after the keys of a YAML text, by dotted path.
 
     Parameters
     ----------
     text
-        A bench file in the manner of `config/bench.yaml`: one key a line, its comment behind it, continued on lines of
-        their own. A section that is commented out counts as if it were not.
+        A bench file formatted like `config/bench.yaml`: one key per line, followed by its comment. Further lines of
+        comment may follow, indented by at least eight columns. A section that is commented out is read too.
 
     Returns
     -------
     dict
-        Such as `{"limits.slew_V_per_s": "at most current_max_A / capacitance_F"}`; keys without a comment are left out.
+        For example `{"limits.slew_V_per_s": "at most current_max_A / capacitance_F"}`.
+        Keys without a comment are omitted.
     """
     found: dict[str, str] = {}
     above: list[tuple[int, str]] = []
@@ -44,5 +45,5 @@ def comments_of(text: str) -> dict[str, str]:
 
 
 def _outside_quotes(rest: str) -> str:
-    """The rest of a line with every quoted text blanked: a # inside it begins no comment."""
+    """The rest of a line with each quoted string replaced by underscores: a # in a string begins no comment."""
     return re.sub(r"'[^']*'|\"[^\"]*\"", lambda quoted: "_" * len(quoted[0]), rest)

@@ -1,4 +1,4 @@
-"""What a bench file comes to: every key with its value, its unit, and whether it is a default."""
+"""The effective configuration: each key with its value, its unit, and whether the value is a default."""
 
 import json
 from collections.abc import Iterator
@@ -10,12 +10,12 @@ import yaml
 from piezod.config.bench import BenchConfig
 from piezod.config.units import unit_of
 
-COLUMN = 44  # where the remarks stand
+COLUMN = 44  # column of unit and "default"
 
 
 @dataclass(frozen=True)
 class Entry:
-    """One key: its path, its value, whether the file leaves it to its default, and whether it heads a section."""
+    """One key: path, value, whether the value is the default, and whether the key opens a section."""
 
     path: tuple[str, ...]
     value: Any
@@ -23,20 +23,20 @@ class Entry:
     section: bool
 
 
-def dumped(bench: BenchConfig) -> dict[str, Any]:
-    """Every key with its value as a file would have it, in the order of the readers."""
+def all_values(bench: BenchConfig) -> dict[str, Any]:
+    """All keys and values as in a file, in the order of the pydantic models."""
     return bench.model_dump(by_alias=True, mode="json")
 
 
 def entries(values: dict[str, Any], content: dict[str, Any]) -> Iterator[Entry]:
-    """Every key, section by section.
+    """All keys, section by section.
 
     Parameters
     ----------
     values
-        As `dumped`.
+        Result of `all_values`.
     content
-        What the file holds, to tell what it leaves out.
+        Content of the file; keys that it omits are marked as default.
     """
     return _entries(values, content, ())
 
@@ -53,20 +53,20 @@ def _entries(values: dict[str, Any], content: object, above: tuple[str, ...]) ->
 
 
 def effective_text(values: dict[str, Any], content: dict[str, Any]) -> str:
-    """The whole configuration as YAML that can be read again, units and defaults in comments."""
+    """The whole configuration as valid YAML, with units and defaults in comments."""
     lines = []
     for entry in entries(values, content):
         indent = "  " * (len(entry.path) - 1)
-        said = f"{indent}{entry.path[-1]}:" + ("" if entry.section else f" {_scalar(entry.value)}")
+        line = f"{indent}{entry.path[-1]}:" + ("" if entry.section else f" {_scalar(entry.value)}")
         remarks = [unit_of(entry.path[-1])] if not entry.section else []
         remarks += ["default"] if entry.default else []
-        remark = ", ".join(one for one in remarks if one)
-        lines.append(f"{said:{COLUMN}}# {remark}" if remark else said)
+        remark = ", ".join(text for text in remarks if text)
+        lines.append(f"{line:{COLUMN}}# {remark}" if remark else line)
     return "\n".join(lines) + "\n"
 
 
 def _scalar(value: object) -> str:
-    """One value on one line."""
+    """A value as YAML on one line."""
     if isinstance(value, str) and not value.isprintable():
         return json.dumps(value)
     text: str = yaml.safe_dump(value, default_flow_style=True, width=float("inf"), allow_unicode=True)

@@ -1,17 +1,17 @@
-"""The `limits` section: what may never be exceeded, whatever is asked."""
+"""The `limits` section: values that no command may exceed."""
 
 from math import sqrt
 from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
-from piezod.config.checked import Section
+from piezod.config.checked import Section, require
 
 Positive = Annotated[float, Field(gt=0)]
 
 
 class LimitsConfig(Section):
-    """Electrical, thermal, mechanical and timing limits of stack, amplifier and specimen; null: not watched."""
+    """Electrical, thermal, mechanical and timing limits of stack, amplifier and specimen; null: not monitored."""
 
     voltage_min_V: float
     voltage_max_V: float
@@ -45,17 +45,17 @@ class LimitsConfig(Section):
 
     @property
     def voltage_safe_V(self) -> float:
-        """The voltage a safe state ends at: zero, or the end of the range nearest to it."""
+        """Final voltage of the safe state [V]: zero, or the end of the range nearest to zero."""
         return min(max(0.0, self.voltage_min_V), self.voltage_max_V)
 
     @property
     def fall_V_per_s(self) -> float:
-        """Fastest fall [V/s]."""
+        """Highest rate of a falling voltage [V/s]."""
         return self.slew_down_V_per_s or self.slew_V_per_s
 
     @property
     def full_range_s(self) -> float:
-        """Shortest time over the whole voltage range [s], within slew and acceleration."""
+        """Shortest time for the whole voltage range [s] at the given slew and acceleration."""
         span_V, slew = self.voltage_max_V - self.voltage_min_V, max(self.slew_V_per_s, self.fall_V_per_s)
         acceleration = self.acceleration_V_per_s2
         if acceleration is None:
@@ -65,32 +65,28 @@ class LimitsConfig(Section):
         return span_V / slew + slew / acceleration
 
     @model_validator(mode="after")
-    def _ranges_are_ranges(self) -> Self:
-        for low, high, unit in (("voltage_min", "voltage_max", "V"), ("force_min", "force_trip", "N")):
-            low_value, high_value = getattr(self, f"{low}_{unit}"), getattr(self, f"{high}_{unit}")
-            if low_value >= high_value:
-                raise ValueError(f"{low}_{unit} is {low_value:g}, must be below {high}_{unit}, {high_value:g}")
+    def _low_ends_lie_below_high_ends(self) -> Self:
+        for low, high in (("voltage_min_V", "voltage_max_V"), ("force_min_N", "force_trip_N")):
+            low_value, high_value = getattr(self, low), getattr(self, high)
+            require(low_value < high_value, low, low_value, f"below {high}, {high_value:g}")
         return self
 
     @model_validator(mode="after")
-    def _amplifier_can_charge_the_stack_so_fast(self) -> Self:
+    def _the_amplifier_current_allows_the_slew(self) -> Self:
         possible = self.current_max_A / self.capacitance_F
         for name in ("slew_V_per_s", "slew_down_V_per_s", "ramp_down_V_per_s"):
             rate = getattr(self, name)
-            if rate is not None and rate > possible * (1 + 1e-9):
-                raise ValueError(
-                    f"{name} is {rate:g}, must be at most current_max_A / capacitance_F = {possible:g}; lower it"
-                )
-        if self.ramp_down_V_per_s > self.fall_V_per_s:
-            name = "slew_V_per_s" if self.slew_down_V_per_s is None else "slew_down_V_per_s"
-            raise ValueError(
-                f"ramp_down_V_per_s is {self.ramp_down_V_per_s:g}, must be at most {name}, {self.fall_V_per_s:g}"
-            )
+            if rate is not None:
+                limit = f"at most current_max_A / capacitance_F = {possible:g}; lower it"
+                require(rate <= possible * (1 + 1e-9), name, rate, limit)
+        down = "slew_V_per_s" if self.slew_down_V_per_s is None else "slew_down_V_per_s"
+        limit = f"at most {down}, {self.fall_V_per_s:g}"
+        require(self.ramp_down_V_per_s <= self.fall_V_per_s, "ramp_down_V_per_s", self.ramp_down_V_per_s, limit)
         return self
 
     @model_validator(mode="after")
-    def _resonance_is_not_rung(self) -> Self:
-        """A move over the range that lasts half a period of the loaded resonance rings it; a longer one less."""
+    def _the_slew_does_not_excite_the_resonance(self) -> Self:
+        """Require at least half a period of the loaded resonance for a move over the whole range."""
         if self.resonance_Hz is not None and self.full_range_s < 0.5 / self.resonance_Hz:
             raise ValueError(
                 f"resonance_Hz is {self.resonance_Hz:g}, but the range can be crossed in {1e3 * self.full_range_s:.3g} "
@@ -100,27 +96,23 @@ class LimitsConfig(Section):
         return self
 
     @model_validator(mode="after")
-    def _heat_can_be_reckoned(self) -> Self:
+    def _dissipation_has_both_keys(self) -> Self:
         if (self.dissipation_max_W is None) != (self.loss_tangent is None):
             missing = "loss_tangent" if self.loss_tangent is None else "dissipation_max_W"
-            raise ValueError(f"{missing} is missing: dissipation_max_W and loss_tangent are given both or not at all")
+            raise ValueError(f"{missing} is missing: give both dissipation_max_W and loss_tangent, or neither")
         return self
 
     @model_validator(mode="after")
     def _times_are_in_order(self) -> Self:
-        if self.stale_after_ms > self.comm_loss_ms:
-            raise ValueError(
-                f"stale_after_ms is {self.stale_after_ms:g}, must be at most comm_loss_ms, {self.comm_loss_ms:g}"
-            )
-        if self.device_watchdog_ms >= self.comm_loss_ms:
-            raise ValueError(
-                f"device_watchdog_ms is {self.device_watchdog_ms}, must be below comm_loss_ms, {self.comm_loss_ms:g}"
-            )
+        loss = f"comm_loss_ms, {self.comm_loss_ms:g}"
+        require(self.stale_after_ms <= self.comm_loss_ms, "stale_after_ms", self.stale_after_ms, f"at most {loss}")
+        watchdog_ms = self.device_watchdog_ms
+        require(watchdog_ms < self.comm_loss_ms, "device_watchdog_ms", watchdog_ms, f"below {loss}")
         return self
 
 
-# Which way a limit may be moved while the bench is armed: +1 up, -1 down. Every other one stays as it is.
-_TIGHTER = {
+# Direction in which a limit may change while the bench is armed: +1 up, -1 down. All other limits must not change.
+_TIGHTER_DIRECTION = {
     "voltage_max_V": -1,
     "slew_V_per_s": -1,
     "dissipation_max_W": -1,
@@ -140,28 +132,29 @@ _TIGHTER = {
 }
 
 
-def loosened(old: LimitsConfig, new: LimitsConfig) -> str:
-    """Name the first limit that `new` loosens, or changes in a way that an armed bench cannot take; empty: none.
+def loosened_limit(old: LimitsConfig, new: LimitsConfig) -> str:
+    """Message about the first limit that may not change this way while the bench is armed; empty: all may.
 
     Parameters
     ----------
     old
-        In force.
+        Present limits.
     new
-        To be in force.
+        Requested limits.
     """
     for name in LimitsConfig.model_fields:
         before, after = getattr(old, name), getattr(new, name)
         if before == after:
             continue
-        way = _TIGHTER.get(name)
-        if way is None:
-            return f"limits.{name} would change from {before} to {after}; only when disarmed"
-        # null is the loosest of all
-        if after is None or (before is not None and (after - before) * way < 0):
-            return f"limits.{name} would go from {_told(before)} to {_told(after)}, which is looser; disarm first"
+        direction = _TIGHTER_DIRECTION.get(name)
+        if direction is None:
+            return f"limits.{name} would change from {before} to {after}; disarm first"
+        # null switches the limit off: the loosest value
+        if after is None or (before is not None and (after - before) * direction < 0):
+            change = f"from {_limit_text(before)} to {_limit_text(after)}"
+            return f"limits.{name} would go {change}, which is looser; disarm first"
     return ""
 
 
-def _told(value: float | None) -> str:
+def _limit_text(value: float | None) -> str:
     return "null" if value is None else f"{value:g}"

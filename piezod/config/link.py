@@ -1,4 +1,4 @@
-"""The `link` section: how the amplifier and the load cell are reached, and what stands where in their memory."""
+"""The `link` section: connection to amplifier and load cell, and their register maps."""
 
 from ipaddress import ip_address
 from typing import Annotated, Any, ClassVar, Literal, Self
@@ -11,13 +11,13 @@ Positive = Annotated[float, Field(gt=0)]
 WordOrder = Literal["AB", "BA", "ABCD", "CDAB", "BADC", "DCBA"]
 RegisterType = Literal["int16", "uint16", "int32", "float32"]
 
-READ_WRITE = 23  # FC 0x17 writes the set point and reads the answer in one exchange
+READ_WRITE = 23  # function code 0x17: one exchange writes the set point and reads the block
 READ_FUNCTIONS = (READ_WRITE, 3, 4)
 WRITE_FUNCTIONS = (READ_WRITE, 16, 6)
 
 
 class Register(Section):
-    """One quantity in the device's map: `value = raw * scale + offset`, in `unit`."""
+    """One quantity in the register map: `value = raw * scale + offset`, in `unit`."""
 
     address: Annotated[int, Field(ge=0, le=65535)]
     function: Literal[23, 3, 4, 6, 16] = 23
@@ -31,18 +31,18 @@ class Register(Section):
 
     @property
     def words(self) -> int:
-        """How many 16-bit registers the value takes."""
+        """Number of 16-bit registers of the value."""
         return 1 if self.type in ("int16", "uint16") else 2
 
     @property
     def byte_order(self) -> str:
-        """The order of the bytes on the wire; big-endian (AB, ABCD) unless named."""
+        """Order of the bytes on the wire; default is big-endian (AB, ABCD)."""
         return self.order or ("AB" if self.words == 1 else "ABCD")
 
     @model_validator(mode="after")
     def _order_fits_type(self) -> Self:
         if self.scale == 0.0:
-            raise ValueError("scale is 0, must be another number")
+            raise ValueError("scale is 0, must be different from 0")
         if len(self.byte_order) != 2 * self.words:
             expected = "AB or BA" if self.words == 1 else "ABCD, CDAB, BADC or DCBA"
             raise ValueError(f"order is {self.order}, must be {expected} for {self.type}")
@@ -54,7 +54,7 @@ class Register(Section):
 
 
 class ExpectedRegister(Register):
-    """A register whose value is known; another value means another device, map or byte order."""
+    """A register with a known value; a different value indicates another device, map or byte order."""
 
     expect: float
 
@@ -71,10 +71,10 @@ ROLE_UNITS = {
 
 
 class Registers(Section):
-    """The device's map, by what each register is for.
+    """The register map of a device: one key per role.
 
-    The tick writes `voltage_setpoint` (and `command_sequence`) and reads the others down to `reference_counter` as one
-    block; the rest is read or written once, before arming.
+    Each tick writes `voltage_setpoint` and `command_sequence`. It reads `force` to `reference_counter` as one block.
+    The other registers are read or written once, before arming.
     """
 
     voltage_setpoint: Register | None = None
@@ -109,11 +109,11 @@ class Registers(Section):
     )
 
     def tick_writes(self) -> dict[str, Register]:
-        """Registers written every tick, by role, in the order of their addresses."""
+        """Registers written in each tick, by role, in ascending order of address."""
         return self._present(self.TICK_WRITES)
 
     def tick_reads(self) -> dict[str, Register]:
-        """Registers read every tick, by role, in the order of their addresses."""
+        """Registers read in each tick, by role, in ascending order of address."""
         return self._present(self._TICK_READS)
 
     def _present(self, names: tuple[str, ...]) -> dict[str, Register]:
@@ -135,14 +135,14 @@ class Registers(Section):
         writes, reads = self.tick_writes(), self.tick_reads()
         both = {register.function for register in (*writes.values(), *reads.values())}
         if READ_WRITE in both and both != {READ_WRITE}:
-            raise ValueError("function 23 writes and reads in one exchange: give it to all tick registers or to none")
+            raise ValueError("function 23 writes and reads in one exchange: use it for all tick registers or for none")
         return self
 
 
 def _check_block(
     what: str, registers: dict[str, Register], functions: tuple[int, ...], most: int, *, contiguous: bool
 ) -> None:
-    """Refuse registers that one Modbus request cannot carry."""
+    """Refuse registers that do not fit one Modbus request."""
     if not registers:
         return
     end: int | None = None
@@ -154,32 +154,33 @@ def _check_block(
             raise ValueError(f"{name}.address is {register.address}, must be {'' if contiguous else 'at least '}{end}")
         end = register.address + register.words
     if len({register.function for register in registers.values()}) > 1:
-        raise ValueError(f"the {what} name different functions; one request needs one")
+        raise ValueError(f"the {what} have different functions, must have the same: one request carries them")
     first = next(iter(registers.values()))
     if end is not None and end - first.address > most:
-        raise ValueError(f"the {what} span {end - first.address} registers, one request carries {most}")
+        raise ValueError(f"the {what} span {end - first.address} registers, must be at most {most} for one request")
 
 
 class _ModbusLink(Section):
-    """What both Modbus transports have."""
+    """Keys of both Modbus transports."""
 
     unit_id: Annotated[int, Field(ge=0, le=255)] = 1
     timeout_s: Annotated[float, Field(gt=0, le=10)] = 0.02
     heartbeat_within_s: Annotated[float, Field(ge=0, le=10)] = 0.0
     registers: Registers
 
-    def names(self, role: str) -> bool:
-        """Whether the map has a register for this role."""
+    def has_role(self, role: str) -> bool:
+        """Whether the register map has this role."""
         return getattr(self.registers, role, None) is not None
 
 
-PLAIN_PORT, SECURE_PORT = 502, 802  # as registered for mbap and mbap-s
+PLAIN_PORT, SECURE_PORT = 502, 802  # IANA service names mbap and mbap-s
 
 
 class TlsConfig(Section):
-    """Modbus/TCP Security: both sides show a certificate. `ca` signs the device's, `certificate` and `key` are ours.
+    """Files for Modbus/TCP Security, in which both sides present a certificate.
 
-    Paths are absolute, or begin with $CREDENTIALS_DIRECTORY/, where systemd's LoadCredential= puts them.
+    `ca` signs the certificate of the device; `certificate` and `key` belong to piezod.
+    Paths are absolute, or begin with $CREDENTIALS_DIRECTORY/, the folder of systemd's LoadCredential=.
     """
 
     ca: Annotated[str, Field(pattern=r"^(/|\$CREDENTIALS_DIRECTORY/).+")]
@@ -189,7 +190,7 @@ class TlsConfig(Section):
 
 
 class ModbusTcpLink(_ModbusLink):
-    """Modbus over TCP; with `tls` encrypted and authenticated, and never plain again."""
+    """Modbus over TCP; with `tls`, the connection is always encrypted and authenticated."""
 
     kind: Literal["modbus_tcp"]
     host: Annotated[str, Field(min_length=1)]
@@ -200,19 +201,19 @@ class ModbusTcpLink(_ModbusLink):
 
     @model_validator(mode="before")
     @classmethod
-    def _port_follows_tls(cls, content: Any) -> Any:  # noqa: ANN401  # whatever the file holds, not yet checked
+    def _port_follows_tls(cls, content: Any) -> Any:  # noqa: ANN401  # unchecked content of the file
         if isinstance(content, dict) and content.get("tls") is not None and "port" not in content:
             return content | {"port": SECURE_PORT}
         return content
 
     @model_validator(mode="after")
-    def _plain_stays_at_home(self) -> Self:
-        if refusal := self.refusal_of(self.host):
-            raise ValueError(refusal)
+    def _plain_modbus_needs_a_local_host(self) -> Self:
+        if message := self.plaintext_refusal(self.host):
+            raise ValueError(message)
         return self
 
-    def refusal_of(self, host: str) -> str:
-        """Say why plain Modbus must not go to this address; empty: it may, or `host` is a name yet to be resolved."""
+    def plaintext_refusal(self, host: str) -> str:
+        """Message why plain Modbus must not use this address; empty: it may, or `host` is an unresolved name."""
         try:
             routable = ip_address(host.partition("%")[0]).is_global
         except ValueError:
@@ -220,13 +221,13 @@ class ModbusTcpLink(_ModbusLink):
         if not routable or self.tls is not None or self.allow_plaintext_remote:
             return ""
         return (
-            f"host {self.host} is the routable address {host}, and plain Modbus lets anybody on the way write the "
-            "voltage; set tls, or say allow_plaintext_remote: true"
+            f"host {self.host} is the routable address {host}: everybody on the route can write the voltage by plain "
+            "Modbus; set tls, or set allow_plaintext_remote: true"
         )
 
 
 class _SerialPort(Section):
-    """A serial port as pyserial opens it."""
+    """Parameters of a serial port."""
 
     port: Annotated[str, Field(min_length=1)]
     baudrate: Annotated[int, Field(ge=300, le=12_000_000)] = 115200
@@ -236,7 +237,7 @@ class _SerialPort(Section):
 
     @property
     def bits_per_character(self) -> int:
-        """Start bit, data, parity and stop bits."""
+        """Number of bits per character: start, data, parity and stop bits."""
         return 1 + self.bytesize + (self.parity != "N") + self.stopbits
 
 
@@ -249,14 +250,14 @@ class ModbusRtuLink(_ModbusLink, _SerialPort):
 
 
 class LineCommand(Section):
-    """One line sent, and the pattern that its reply must match as a whole (a regular expression, named groups)."""
+    """A line to send, and a regular expression with named groups that must match the whole reply."""
 
     send: Annotated[str, Field(min_length=1, max_length=200)]
     reply: str | None = None
 
 
 class SerialLineLink(_SerialPort):
-    """A device that speaks lines of ASCII, such as `SVA A 10.0` or `XV10.0`."""
+    """A device with an ASCII line protocol, such as `SVA A 10.0` or `XV10.0`."""
 
     kind: Literal["serial_line"]
     timeout_s: Annotated[float, Field(gt=0, le=10)] = 0.05
@@ -268,8 +269,8 @@ class SerialLineLink(_SerialPort):
     setup: Annotated[tuple[LineCommand, ...], Field(strict=False)] = ()
     watchdog: LineCommand | None = None
 
-    def names(self, role: str) -> bool:
-        """Whether a line is named for this role; one answer to `identity` stands for device and firmware."""
+    def has_role(self, role: str) -> bool:
+        """Whether a line has this role; the reply to `identity` covers both device and firmware version."""
         lines = {
             "voltage_setpoint": self.set_voltage,
             "watchdog_ms": self.watchdog,

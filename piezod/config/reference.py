@@ -1,4 +1,4 @@
-"""The `reference` section: where the force to be followed comes from."""
+"""The `reference` section: the source of the reference force."""
 
 from typing import Annotated, Literal, Self
 
@@ -7,11 +7,11 @@ from pydantic import Field, model_validator
 from piezod.config.checked import Section
 
 Positive = Annotated[float, Field(gt=0)]
-Lapse = Literal["hold", "ramp_down"]
+EndAction = Literal["hold", "ramp_down"]
 
 
 class WaveformReference(Section):
-    """A built-in waveform [N]: `offset_N` + `amplitude_N` x shape, the shape within -1 and 1."""
+    """A built-in waveform: `offset_N` + `amplitude_N` * shape [N], with the shape between -1 and 1."""
 
     kind: Literal["triangle", "sine", "staircase", "steps", "multisine"]
     amplitude_N: Annotated[float, Field(ge=0)]
@@ -20,11 +20,11 @@ class WaveformReference(Section):
     duration_s: Positive | None = None
     levels: Annotated[int, Field(ge=2, le=1000)] = 8
     seed: Annotated[int, Field(ge=0)] = 1
-    at_end: Lapse = "ramp_down"
+    at_end: EndAction = "ramp_down"
 
 
 class FileReference(Section):
-    """A column of a recording, interpolated to the tick: `value * scale + offset_N`."""
+    """A column of a recording, interpolated at the ticks: `value * scale + offset_N` [N]."""
 
     kind: Literal["file"]
     path: Annotated[str, Field(min_length=1)]
@@ -32,28 +32,28 @@ class FileReference(Section):
     scale: float = 1.0
     offset_N: float = 0.0
     loop: bool = False
-    at_end: Lapse = "ramp_down"
+    at_end: EndAction = "ramp_down"
 
 
 class RegisterReference(Section):
-    """The `reference` register, written by the test bench's PLC; stale when `reference_counter` stands still."""
+    """The `reference` register, written by a PLC; stale when `reference_counter` does not change."""
 
     kind: Literal["register"]
     stale_after_s: Positive = 0.5
-    when_stale: Lapse = "hold"
+    when_stale: EndAction = "hold"
 
 
 class StreamReference(Section):
-    """Datagrams of 24 bytes, little-endian: sequence number (uint64), timestamp [ns] (uint64), value [N] (float64)."""
+    """Datagrams of 24 bytes, little-endian: sequence number (uint64), time [ns] (uint64), force [N] (float64)."""
 
     kind: Literal["stream"]
     listen: Annotated[str, Field(min_length=1)]
     stale_after_s: Positive = 0.1
-    when_stale: Lapse = "hold"
+    when_stale: EndAction = "hold"
 
     @property
     def udp_address(self) -> tuple[str, int] | None:
-        """Host and port of `udp://HOST:PORT`, None for a unix socket's path."""
+        """Host and port of `udp://HOST:PORT`; None for the path of a Unix socket."""
         if not self.listen.startswith("udp://"):
             return None
         host, _, port = self.listen.removeprefix("udp://").rpartition(":")

@@ -1,4 +1,4 @@
-"""The JSON schema of a bench file, for completion and checks in an editor, made from the readers themselves."""
+"""The JSON schema of a bench file for editors, generated from the pydantic models."""
 
 from typing import Any
 
@@ -14,12 +14,12 @@ def bench_schema(comments: dict[str, str]) -> dict[str, Any]:
     Parameters
     ----------
     comments
-        Words by dotted path, as `comments_of` reads them.
+        Comments by dotted path, from `comments_of`.
 
     Returns
     -------
     dict
-        Types, ranges, choices and defaults are the readers'; what holds between keys only a check of the file tells.
+        Types, ranges, choices and defaults. Conditions between keys are missing: only `load_bench` checks them.
     """
     schema = BenchConfig.model_json_schema(by_alias=True)
     definitions: dict[str, Any] = schema.get("$defs", {})
@@ -30,23 +30,23 @@ def bench_schema(comments: dict[str, str]) -> dict[str, Any]:
 def _describe(
     node: dict[str, Any], definitions: dict[str, Any], comments: dict[str, str], path: str, seen: set[tuple[str, str]]
 ) -> None:
-    """Put unit and comment beside every property, section by section."""
+    """Write unit and comment into the description of each property, recursively."""
     for key, about in node.get("properties", {}).items():
         about.pop("title", None)
-        here = f"{path}{key}"
+        dotted = f"{path}{key}"
         unit = unit_of(key)
-        words = comments.get(here, "")
+        words = comments.get(dotted, "")
         if "description" not in about and (unit or words):
             about["description"] = f"[{unit}] {words}".strip() if unit else words
         for name in _references(about):
-            if (name, here) not in seen:
-                _describe(definitions[name], definitions, comments, f"{here}.", seen | {(name, here)})
+            if (name, dotted) not in seen:
+                _describe(definitions[name], definitions, comments, f"{dotted}.", seen | {(name, dotted)})
 
 
 def _references(node: object) -> list[str]:
-    """Names of the definitions that a property leads to."""
+    """Names of the definitions that a property refers to."""
     if isinstance(node, list):
-        return [name for one in node for name in _references(one)]
+        return [name for part in node for name in _references(part)]
     if not isinstance(node, dict):
         return []
     own = [str(node["$ref"]).rpartition("/")[2]] if "$ref" in node else []

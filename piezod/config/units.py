@@ -1,4 +1,4 @@
-"""The unit that a key's name ends with."""
+"""Units at the end of key names."""
 
 _UNITS = {
     "V_per_s2": "V/s\N{SUPERSCRIPT TWO}",
@@ -22,7 +22,7 @@ _UNITS = {
 
 
 def unit_of(key: str) -> str:
-    """The unit of a key such as `slew_V_per_s`, as one reads it; empty: it has none."""
+    """The unit in the name of a key, such as V/s for `slew_V_per_s`; empty: no unit."""
     for suffix, unit in _UNITS.items():
         if key.endswith(f"_{suffix}"):
             return unit

@@ -1,8 +1,8 @@
-"""Read YAML so strictly that what was written is what is meant.
+"""Strict YAML reader: each value has one possible meaning.
 
-PyYAML's defaults let a duplicate key win silently, read `12:30` as 750, `0400` as 256 and `no` as false. Here a
-number is decimal, a truth value is `true` or `false`, a key stands once, aliases and tags do not exist, and every
-error names file and line.
+PyYAML by default accepts duplicate keys and reads `12:30` as 750, `0400` as 256 and `no` as false.
+This reader accepts decimal numbers, `true` and `false`. It refuses duplicate keys, aliases and tags.
+Each error message names file and line.
 """
 
 import re
@@ -14,15 +14,15 @@ import yaml
 
 from piezod.errors import ConfigurationError
 
-MAX_BYTES = 1 << 20  # a configuration or a model is some kilobytes; more is a mistake or an attack
+MAX_BYTES = 1 << 20  # a configuration or a model has some kilobytes
 MAX_DEPTH = 32
 
 
 class _StrictLoader(yaml.SafeLoader):
-    """Safe loader with the scalars of YAML 1.2 and nothing that surprises."""
+    """PyYAML's safe loader with the scalar types of YAML 1.2."""
 
-    def compose_node(self, parent: yaml.Node | None, index: Any) -> yaml.Node | None:  # noqa: ANN401  as PyYAML has it
-        """Refuse tags: they make another value of what stands there, and PyYAML fails on one that does not fit."""
+    def compose_node(self, parent: yaml.Node | None, index: Any) -> yaml.Node | None:  # noqa: ANN401  of PyYAML
+        """Refuse tags: a tag changes the type of a value."""
         event = self.peek_event()  # type: ignore[no-untyped-call]
         if getattr(event, "tag", None) is not None:
             raise yaml.composer.ComposerError(None, None, "a tag (!name); write the plain value", event.start_mark)
@@ -47,14 +47,14 @@ for _tag, _pattern, _first in _RESOLVERS:
 
 
 class Document:
-    """A YAML mapping together with the line each of its keys stands on.
+    """A YAML mapping with the line number of each key.
 
     Parameters
     ----------
     path
-        The file, as the user named it; used in messages.
+        File name for messages.
     text
-        Its contents.
+        YAML text.
     """
 
     def __init__(self, path: Path, text: str) -> None:
@@ -62,10 +62,10 @@ class Document:
         try:
             loader = _StrictLoader(text)
         except yaml.reader.ReaderError as error:
-            raise ConfigurationError(_sign_message(path, text, error)) from error
+            raise ConfigurationError(_character_message(path, text, error)) from error
         try:
             self._root = loader.get_single_node()
-            _refuse_surprises(self._root, path)
+            _refuse_ambiguities(self._root, path)
             self.content: Any = loader.construct_document(self._root) if self._root is not None else None
         except yaml.YAMLError as error:
             raise ConfigurationError(_syntax_message(path, error)) from error
@@ -77,7 +77,7 @@ class Document:
             raise ConfigurationError(f"{path}: holds {_kind(self.content)}, must be a mapping of keys to values")
 
     def line_of(self, keys: Sequence[str | int]) -> int:
-        """Line (from 1) of the value found by following `keys`; of the nearest parent where there is none."""
+        """Line number (from 1) of the value at the path `keys`; if absent, of its nearest parent."""
         node, line = self._root, 1
         for key in keys:
             child = _child(node, key)
@@ -87,7 +87,7 @@ class Document:
         return line
 
     def span_of(self, keys: Sequence[str]) -> tuple[int, int] | None:
-        """Where the single value at `keys` begins and ends in the text; None where there is none."""
+        """Start and end index of the scalar at the path `keys` in the text; None: no scalar there."""
         node = self._root
         for key in keys:
             if not isinstance(node, yaml.MappingNode):
@@ -102,7 +102,7 @@ def read_document(path: Path) -> Document:
     Raises
     ------
     ConfigurationError
-        The file is missing, unreadable, larger than 1 MiB, not UTF-8, not YAML, or uses aliases or duplicate keys.
+        The file is missing, unreadable, above 1 MiB, not UTF-8 or not YAML, or it has aliases or duplicate keys.
     """
     try:
         with path.open("rb") as file:
@@ -120,8 +120,8 @@ def read_document(path: Path) -> Document:
     return Document(path, text)
 
 
-def _refuse_surprises(root: yaml.Node | None, path: Path) -> None:
-    """Refuse aliases, duplicate keys, keys that are no words, and bottomless nesting."""
+def _refuse_ambiguities(root: yaml.Node | None, path: Path) -> None:
+    """Refuse aliases, duplicate keys, keys that are not scalars, and more than `MAX_DEPTH` levels."""
     seen: set[int] = set()
     pending = [(root, 0)]
     while pending:
@@ -146,10 +146,10 @@ def _refuse_duplicate_keys(node: yaml.MappingNode, path: Path) -> None:
     for key, _ in node.value:
         line = key.start_mark.line + 1
         if not isinstance(key, yaml.ScalarNode):
-            raise ConfigurationError(f"{path}:{line}: a key must be a word")
+            raise ConfigurationError(f"{path}:{line}: a key must be a single word")
         if key.value in lines:
             raise ConfigurationError(
-                f"{path}:{line}: key '{key.value}' stands twice, first on line {lines[key.value]}; remove one"
+                f"{path}:{line}: key '{key.value}' appears twice, first on line {lines[key.value]}; remove one"
             )
         lines[key.value] = line
 
@@ -171,7 +171,7 @@ def _syntax_message(path: Path, error: yaml.YAMLError) -> str:
     return f"{path}: not valid YAML: {' '.join(str(error).split())}"
 
 
-def _sign_message(path: Path, text: str, error: yaml.reader.ReaderError) -> str:
+def _character_message(path: Path, text: str, error: yaml.reader.ReaderError) -> str:
     line = text.count("\n", 0, error.position) + 1
     return f"{path}:{line}: character {error.character:#x} is not allowed in YAML; remove it, or save the file as text"
 

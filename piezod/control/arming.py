@@ -69,7 +69,7 @@ def check_safeguards(bench: BenchConfig) -> None:
         "voltage_readback": "a wrong output would not be noticed",
     }
     for role, noticed in consequence.items():
-        named = bench.names(role) if role == "voltage_readback" else bench.link.names(role)
+        named = bench.has_role(role) if role == "voltage_readback" else bench.link.has_role(role)
         if role not in without and not named:
             raise CheckFailedError(
                 f"arming: the link names no {role}, so {noticed}; name it, or list it in arming.without"

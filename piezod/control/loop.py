@@ -229,7 +229,7 @@ class ControlLoop:
     def _exchange(self, planned_V: float, begun_ns: int) -> ExchangeResult:
         """Write and commit while voltages are driven; only read otherwise."""
         supervisor, segment, link = self.supervisor, self._planner.segment, self._link
-        link.patience_s = supervisor.exchange_time_left_s(begun_ns)
+        link.time_limit_s = supervisor.exchange_time_left_s(begun_ns)
         if not supervisor.driving:
             return link.poll()
         result = self._writer.write(planned_V, begun_ns, self._largest_change_V())

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from piezod import __version__
-from piezod.config import BenchConfig, loosened, model_path
+from piezod.config import BenchConfig, loosened_limit, model_path
 from piezod.control import CAUSE_TEXT, Cause, State
 from piezod.daemon.control_socket import ControlSocket, Peer
 from piezod.daemon.journal import say
@@ -341,7 +341,7 @@ class Service:
             return "configuration taken; starting again, disarmed"
         if bench.model_copy(update={"limits": old.limits}) != old or model_text != self._model_text:
             raise CheckFailedError(f"reload: while {self.tally.state.name} only limits may change; disarm first")
-        if looser := loosened(old.limits, bench.limits):
+        if looser := loosened_limit(old.limits, bench.limits):
             raise CheckFailedError(f"reload: {looser}")
         answer = await self._command("limits", bench.limits)
         self._bench = bench

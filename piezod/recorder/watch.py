@@ -203,5 +203,5 @@ def plan_of(bench: BenchConfig) -> Plan:
             "program": f"piezod {__version__}",
             "states": states,
         },
-        absent=tuple(column for column, role in roles if not bench.names(role)),
+        absent=tuple(column for column, role in roles if not bench.has_role(role)),
     )

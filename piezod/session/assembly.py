@@ -28,8 +28,8 @@ from piezod.transport import (
     Link,
     check_encodable,
     make_link,
+    max_wire_rate_Hz,
     verify_identity,
-    wire_floor_rate_Hz,
 )
 
 
@@ -160,7 +160,7 @@ def check_wire(bench: BenchConfig) -> None:
     """
     check_encodable(bench.link, bench.limits.voltage_min_V, bench.limits.voltage_max_V)
     for name, link in (("link", bench.link), ("load_cell_link", bench.load_cell_link)):
-        floor_Hz = None if link is None else wire_floor_rate_Hz(link)
+        floor_Hz = None if link is None else max_wire_rate_Hz(link)
         if floor_Hz is not None and bench.rate_Hz > floor_Hz:
             raise ConfigurationError(
                 f"rate_Hz is {bench.rate_Hz:g}, must be at most {floor_Hz:.0f}: more exchanges a second do not fit the "

@@ -1,19 +1,17 @@
-"""Links to the bench: Modbus TCP, Modbus RTU, lines of ASCII, two devices as one, and one in this process."""
+"""Links to the bench: Modbus TCP, Modbus RTU, ASCII lines over a serial port, and two devices combined."""
 
 from piezod.transport.factory import check_encodable, make_link
 from piezod.transport.identity import verify_identity
 from piezod.transport.link import ACKNOWLEDGED, ExchangeResult, Link, Reading
-from piezod.transport.null import NullLink
-from piezod.transport.wire_rate import wire_floor_rate_Hz
+from piezod.transport.wire_rate import max_wire_rate_Hz
 
 __all__ = [
     "ACKNOWLEDGED",
     "ExchangeResult",
     "Link",
-    "NullLink",
     "Reading",
     "check_encodable",
     "make_link",
+    "max_wire_rate_Hz",
     "verify_identity",
-    "wire_floor_rate_Hz",
 ]

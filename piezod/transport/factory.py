@@ -1,4 +1,4 @@
-"""From the `link` section of a bench to the link that it describes."""
+"""Creation of a link from the `link` section of a bench configuration."""
 
 from piezod.config.link import LinkConfig, ModbusRtuLink, ModbusTcpLink, SerialLineLink
 from piezod.transport.line_template import LineTemplate
@@ -12,19 +12,19 @@ from piezod.transport.serial_line import SerialLineDevice
 
 
 def make_link(link: LinkConfig, load_cell: LinkConfig | None = None) -> Link:
-    """Build the link; nothing is opened yet.
+    """Create the link; the connection is not yet opened.
 
     Parameters
     ----------
     link
-        The amplifier, and the load cell too unless it has a link of its own.
+        Link of the amplifier; also of the load cell if `load_cell` is None.
     load_cell
-        The load cell's own link.
+        Separate link of the load cell.
 
     Raises
     ------
     ConfigurationError
-        A register map, a template or a pattern that cannot be exchanged.
+        The register map, a line template or a reply pattern is invalid.
     """
     if load_cell is None:
         return _single(link)
@@ -32,19 +32,19 @@ def make_link(link: LinkConfig, load_cell: LinkConfig | None = None) -> Link:
 
 
 def check_encodable(link: LinkConfig, low_V: float, high_V: float) -> None:
-    """Refuse voltage limits that cannot be put on the wire.
+    """Check that the link can transmit every voltage within the limits.
 
     Parameters
     ----------
     link
-        The amplifier's link.
+        Link of the amplifier.
     low_V, high_V
-        The range that will be commanded [V].
+        Range of commanded voltages [V].
 
     Raises
     ------
     ConfigurationError
-        Names the limit, and what the register or the line can carry.
+        A limit lies outside the range of the register, or the line template is invalid.
     """
     if isinstance(link, SerialLineLink):
         if link.set_voltage is not None:

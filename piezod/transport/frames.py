@@ -1,15 +1,15 @@
-"""Request templates and the replies they must get, built once by pymodbus' own PDU and framer classes.
+"""Modbus request templates with the expected reply, built once with the PDU and framer classes of pymodbus.
 
-The tick patches value bytes, transaction id or CRC into the template; nothing is encoded there::
+Each tick writes only value bytes, transaction id and CRC into the template::
 
-    TCP  [ tid | 0 0 | length | unit ][ function | ... | values ]             tid: 2 bytes, counts requests
+    TCP  [ tid | 0 0 | length | unit ][ function | ... | values ]             tid: 2 bytes, request number
     RTU                       [ unit ][ function | ... | values ][ CRC ]      CRC: 2 bytes
 
-    function 23   read address | read count | write address | write count | byte count | values
-                  -> byte count | registers
-    function 3, 4 address | count                                -> byte count | registers
-    function 16   address | count | byte count | values          -> address | count
-    function 6    address | value                                -> address | value
+    function 23:   read address | read count | write address | write count | byte count | values
+        reply:     byte count | registers
+    function 3, 4: address | count                          reply: byte count | registers
+    function 16:   address | count | byte count | values    reply: address | count
+    function 6:    address | value                          reply: address | value
 """
 
 from typing import TYPE_CHECKING, Literal
@@ -42,30 +42,30 @@ _CRC_TABLE = tuple(FramerRTU.crc16_table)
 
 
 class Request:
-    """One request as it stands on the wire, and what its good reply begins with.
+    """One request frame, and the fixed part of its valid reply.
 
     Attributes
     ----------
     frame
-        The whole request; value bytes, transaction id and CRC are patched in place.
+        The complete request; value bytes, transaction id and CRC are overwritten in place.
     values_at
-        Where the written values begin in `frame`; 0 when nothing is written.
+        Index of the first written value in `frame`; 0: the request writes nothing.
     reply_head
-        What the good reply begins with: all of it but registers and CRC.
+        First bytes of a valid reply: everything before registers and CRC.
     reply_size
-        Length of the good reply [bytes].
+        Length of a valid reply [bytes].
     payload_at
-        Where the registers begin in the reply.
+        Index of the first register in the reply.
     unit_at
-        Where the unit stands, in request and reply; the function follows it.
+        Index of the unit id in request and reply; the function code follows.
     reads
-        The reply carries registers.
+        Whether the reply contains registers.
     mirrors_values
-        The reply repeats the value (function 6).
+        Whether the reply repeats the written value (function 6).
     values, checksum
-        The bytes of `frame` that change, up to the CRC, and the checksum of those before.
+        The variable bytes of `frame` before the CRC, and the checksum of the bytes before them.
     reply_fixed, reply_checksum
-        How many bytes of the good reply never change, and their checksum.
+        Number of constant bytes at the start of a valid reply, and their checksum.
     """
 
     __slots__ = (
@@ -103,14 +103,14 @@ class Request:
         self.reply_checksum = crc16(memoryview(self.reply_head)[: self.reply_fixed])
 
     def mirror_values(self) -> None:
-        """Expect the values that stand in `frame` in the reply too."""
+        """Copy the value from `frame` into the expected reply."""
         self.reply_head[-2:] = self.frame[self.values_at : self.values_at + 2]
 
 
 def crc16(frame: memoryview, checksum: int = 0xFFFF) -> int:
-    """Checksum of the bytes, continued from `checksum`; 0 for a good frame together with its own.
+    """CRC-16 of the bytes, continued from `checksum`; 0 for a valid frame including its CRC.
 
-    The table is that of pymodbus' `FramerRTU`.
+    The table is from `FramerRTU` of pymodbus.
     """
     table = _CRC_TABLE
     for byte in frame:
@@ -119,38 +119,39 @@ def crc16(frame: memoryview, checksum: int = 0xFFFF) -> int:
 
 
 def classify(reply: bytearray, request: Request, size: int) -> tuple[ExchangeResult, int]:
-    """Say why a whole frame is not the good reply to `request`.
+    """Find the error in a complete frame that is not the valid reply to `request`.
 
     Parameters
     ----------
     reply
-        Begins with the frame.
+        Buffer that begins with the frame.
     request
-        What was asked.
+        The request that was sent.
     size
-        Length of the frame without its CRC [bytes].
+        Length of the frame without CRC [bytes].
 
     Returns
     -------
     tuple
-        What is wrong, and the exception code or 0.
+        Kind of error, and the Modbus exception code or 0.
     """
     unit_at, head = request.unit_at, request.reply_head
     if reply[unit_at] != head[unit_at]:
         return ExchangeResult.WRONG_UNIT, 0
-    function, asked = reply[unit_at + 1], head[unit_at + 1]
-    if function == asked | 0x80 and size == unit_at + 3:
+    function, requested = reply[unit_at + 1], head[unit_at + 1]
+    if function == requested | 0x80 and size == unit_at + 3:
         return ExchangeResult.DEVICE_EXCEPTION, reply[unit_at + 2]
-    return (ExchangeResult.WRONG_COUNT if function == asked else ExchangeResult.WRONG_FUNCTION), 0
+    return (ExchangeResult.WRONG_COUNT if function == requested else ExchangeResult.WRONG_FUNCTION), 0
 
 
 def read_request(framing: Framing, unit: int, function: int, address: int, count: int) -> Request:
-    """Build a request that reads `count` registers with function 3 or 4."""
-    ask: Callable[..., ModbusPDU] = ReadInputRegistersRequest if function == 4 else ReadHoldingRegistersRequest
-    answer: Callable[..., ModbusPDU] = ReadInputRegistersResponse if function == 4 else ReadHoldingRegistersResponse
+    """Create a request that reads `count` registers by function 3 or 4."""
+    input_registers = function == 4
+    sent: Callable[..., ModbusPDU] = ReadInputRegistersRequest if input_registers else ReadHoldingRegistersRequest
+    reply: Callable[..., ModbusPDU] = ReadInputRegistersResponse if input_registers else ReadHoldingRegistersResponse
     return Request(
-        ask(dev_id=unit, address=address, count=count),
-        answer(dev_id=unit, registers=[0] * count),
+        sent(dev_id=unit, address=address, count=count),
+        reply(dev_id=unit, registers=[0] * count),
         framing=framing,
         written=0,
         read=count,
@@ -158,7 +159,7 @@ def read_request(framing: Framing, unit: int, function: int, address: int, count
 
 
 def write_request(framing: Framing, unit: int, function: int, address: int, count: int) -> Request:
-    """Build a request that writes `count` registers with function 16, or one with function 6."""
+    """Create a request that writes `count` registers by function 16, or one register by function 6."""
     values = [0] * count
     if function == 6:
         single = WriteSingleRegisterRequest(dev_id=unit, address=address, registers=values)
@@ -176,7 +177,7 @@ def write_request(framing: Framing, unit: int, function: int, address: int, coun
 def read_write_request(
     framing: Framing, unit: int, read_address: int, read_count: int, write_address: int, write_count: int
 ) -> Request:
-    """Build a request that writes one block and reads another, function 23."""
+    """Create a request that writes one block of registers and reads another, function 23."""
     return Request(
         ReadWriteMultipleRegistersRequest(
             dev_id=unit,

@@ -1,4 +1,4 @@
-"""Whether the device that answers is the one that the configuration names, its bytes in the order named."""
+"""Comparison of the connected device with the configuration: identity, map version and byte order."""
 
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -10,12 +10,12 @@ from piezod.transport.registers import RegisterCodec
 if TYPE_CHECKING:
     from piezod.transport.link import Link
 
-_RELATIVE = 1e-6  # float32 carries seven digits
+_RELATIVE = 1e-6  # float32 has seven significant digits
 
 
 @dataclass(frozen=True)
 class Expectation:
-    """A register whose value is known, and where it is."""
+    """A register with a known value, its role, and the description of the device."""
 
     role: str
     register: ExpectedRegister
@@ -23,23 +23,23 @@ class Expectation:
 
 
 def verify_identity(link: "Link") -> None:
-    """Compare identity, map version and byte order with what the device answers.
+    """Compare identity, map version and byte order with the registers of the device.
 
     Raises
     ------
     IdentityError
-        Names what was expected and what was found.
+        A value differs; the message contains both values.
     """
     link.identify()
 
 
 def check_register(expectation: Expectation, raw: bytes) -> None:
-    """Compare the bytes of a register with the value expected.
+    """Compare the bytes of a register with the expected value.
 
     Raises
     ------
     IdentityError
-        Names both values, and the byte order in which they would agree if there is one.
+        The values differ; the message contains both, and the byte order in which they agree, if any.
     """
     register = expectation.register
     found = RegisterCodec(register).unpack_from(raw, 0)

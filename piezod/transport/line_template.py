@@ -1,23 +1,11 @@
-"""The lines that a device understands, and the patterns of what it answers."""
+"""Lines to a device with an ASCII line protocol: with one number, or constant."""
 
-import re
-from collections.abc import Mapping
 from math import isfinite, nan
 from string import Formatter
 
 from piezod.config.checked import shortened
 from piezod.config.link import LineCommand
 from piezod.errors import ConfigurationError
-
-ROLES = {
-    "force_N": "force",
-    "voltage_readback_V": "voltage_readback",
-    "temperature_C": "temperature",
-    "reference_N": "reference",
-    "heartbeat": "heartbeat",
-    "command_echo": "command_echo",
-    "status": "status",
-}
 
 
 class LineTemplate:
@@ -26,18 +14,18 @@ class LineTemplate:
     Parameters
     ----------
     template
-        As `str.format` takes it.
+        Format string for `str.format`.
     field
-        Name of the number.
+        Name of the number in the format string.
     terminator
-        Ends the line.
+        Characters at the end of the line.
     where
         Key in the configuration, for messages.
 
     Raises
     ------
     ConfigurationError
-        Another field, no field, more than one, or a format that is none of a number's.
+        The template has no field, another or several fields, or an invalid number format.
     """
 
     __slots__ = ("_after", "_before", "_format", "_terminator")
@@ -67,7 +55,7 @@ class LineTemplate:
                 )
 
     def fill(self, value: float) -> tuple[bytes, float]:
-        """The line with its terminator, and the number that it says; nan when `value` is not finite."""
+        """The line with its terminator, and the rounded number in it; nan if `value` is not finite."""
         if not isfinite(value):
             return b"", nan
         number = format(value, self._format)
@@ -75,7 +63,7 @@ class LineTemplate:
 
 
 def plain_line(command: LineCommand, terminator: str, where: str) -> bytes:
-    """A line without numbers in it, with its terminator.
+    """A constant line with its terminator.
 
     Raises
     ------
@@ -86,28 +74,3 @@ def plain_line(command: LineCommand, terminator: str, where: str) -> bytes:
         return (command.send + terminator).encode("ascii")
     except UnicodeEncodeError as error:
         raise ConfigurationError(f"{where}.send is {shortened(command.send)}, must be ASCII") from error
-
-
-def compile_reply(
-    command: LineCommand, where: str, groups: Mapping[str, object] | None = None
-) -> re.Pattern[bytes] | None:
-    """The pattern that a reply must match as a whole; None when none is awaited.
-
-    Raises
-    ------
-    ConfigurationError
-        No regular expression, or a group of a name not in `groups`.
-    """
-    if command.reply is None:
-        return None
-    try:
-        pattern = re.compile(command.reply.encode("ascii"))
-    except (re.error, UnicodeEncodeError) as error:
-        raise ConfigurationError(
-            f"{where}.reply is {shortened(command.reply)}, must be a regular expression: {str(error)[:100]}"
-        ) from error
-    unknown = set(pattern.groupindex) - set(groups or ())
-    if unknown:
-        allowed = ", ".join(groups or ()) or "none"
-        raise ConfigurationError(f"{where}.reply names the group {shortened(min(unknown))}, must be one of: {allowed}")
-    return pattern

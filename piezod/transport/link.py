@@ -1,4 +1,4 @@
-"""What the control loop asks of a link, whatever device and wire are behind it."""
+"""The interface between control loop and bench, independent of device and wire."""
 
 from enum import IntEnum
 from math import nan
@@ -6,41 +6,41 @@ from typing import Protocol
 
 
 class ExchangeResult(IntEnum):
-    """How one exchange ended; of any but OK nothing of the reply was used."""
+    """Result of one exchange; unless OK, the reply is discarded and the reading keeps its last values."""
 
     OK = 0
-    TIMEOUT = 1  # no whole reply until the deadline; the connection was closed
-    DISCONNECTED = 2  # refused, reset, closed by the other side, or the port vanished
-    WRONG_TRANSACTION = 3  # until the deadline only replies to other requests came
-    WRONG_UNIT = 4  # another unit answered
-    WRONG_FUNCTION = 5  # another function was answered
-    WRONG_COUNT = 6  # fewer or more bytes, or another address, than asked for
-    BAD_CRC = 7  # checksum wrong: noise, or another baudrate or parity
-    MALFORMED = 8  # no reply of this protocol at all
-    DEVICE_EXCEPTION = 9  # the device refused; its code is `last_exception`
+    TIMEOUT = 1  # no complete reply before the deadline; the connection was closed
+    DISCONNECTED = 2  # refused, reset or closed by the device, or the port disappeared
+    WRONG_TRANSACTION = 3  # only replies to other requests before the deadline
+    WRONG_UNIT = 4  # reply of another unit
+    WRONG_FUNCTION = 5  # reply with another function code
+    WRONG_COUNT = 6  # wrong number of bytes, or another address than requested
+    BAD_CRC = 7  # wrong checksum: noise, or another baudrate or parity
+    MALFORMED = 8  # not a reply of this protocol
+    DEVICE_EXCEPTION = 9  # Modbus exception; its code is `last_exception`
     NOT_FINITE = 10  # a value is nan or infinite
     OUT_OF_RANGE = 11  # a value lies outside low..high, or the voltage cannot be encoded (then nothing was sent)
-    HEARTBEAT_STOOD = 12  # the device's counter stood still or went back: an old reading, or a device that restarted
-    ECHO_MISMATCH = 13  # the reading answers another command than the last one
+    HEARTBEAT_STOOD = 12  # the heartbeat did not advance: an old reading, or the device restarted
+    ECHO_MISMATCH = 13  # the reading belongs to an earlier command
 
 
-# The device answered this very request, so the voltage was taken; only what it read cannot be believed.
+# The device confirmed the last request and applied its voltage; in the last three, the values read are invalid.
 ACKNOWLEDGED = frozenset(
     {ExchangeResult.OK, ExchangeResult.NOT_FINITE, ExchangeResult.OUT_OF_RANGE, ExchangeResult.HEARTBEAT_STOOD}
 )
 
 
 class Reading:
-    """What the device last said, every check passed; quantities that it does not have are nan, counters 0.
+    """Values of the last valid exchange; a missing quantity is nan, a missing counter 0.
 
-    One instance a link, overwritten in place.
+    Each link has one instance and overwrites it in place.
 
     Attributes
     ----------
     force_N, voltage_readback_V, temperature_C, reference_N
-        Values in the unit that their name carries.
+        Values in the unit of the name.
     heartbeat, command_echo, status, reference_counter
-        Raw counters and bits.
+        Raw counters and status bits.
     """
 
     __slots__ = (
@@ -66,45 +66,45 @@ class Reading:
 
 
 class Link(Protocol):
-    """A way to one bench: write a voltage, read what the bench says.
+    """Connection to one bench: writes a voltage and reads force, voltage and status.
 
     Attributes
     ----------
     reading
-        What the last good exchange read.
+        Values of the last valid exchange.
     counts
-        Exchanges by `ExchangeResult`.
-    patience_s
-        How long the next exchange may last [s], when that is less than the link's own timeout.
+        Number of exchanges by `ExchangeResult`.
+    time_limit_s
+        Longest duration of the next exchange [s]; effective if shorter than the configured timeout.
     """
 
     reading: Reading
     counts: list[int]
-    patience_s: float
+    time_limit_s: float
 
     @property
     def written_V(self) -> float:
-        """The voltage as it last went on the wire [V], after scale and rounding; nan before the first."""
+        """Last transmitted voltage [V], after scaling and rounding; nan before the first."""
         ...
 
     @property
     def description(self) -> str:
-        """Kind and address, for people."""
+        """Kind and address of the link, for messages."""
         ...
 
     @property
     def last_exception(self) -> int:
-        """Code of the last Modbus exception, 0 when there was none."""
+        """Code of the last Modbus exception; 0: none."""
         ...
 
     @property
     def stale_bytes(self) -> int:
-        """Bytes that arrived unasked or too late, and were discarded."""
+        """Number of discarded bytes: unrequested or too late."""
         ...
 
     @property
     def hint(self) -> str:
-        """What probably is wrong; empty when nothing is known."""
+        """Probable cause of the last failures; empty: unknown."""
         ...
 
     def open(self) -> None:
@@ -113,54 +113,54 @@ class Link(Protocol):
         Raises
         ------
         UnreachableError
-            Nobody answers there.
+            No device answers.
         BusyError
-            Somebody else holds the port or the device.
+            Another process or client uses the port or the device.
         """
         ...
 
     def close(self) -> None:
-        """Disconnect; may be called twice."""
+        """Disconnect; a second call has no effect."""
         ...
 
     def exchange(self, voltage_V: float) -> ExchangeResult:
-        """Write the voltage [V] and read the block; never raises, lasts at most the link's timeout."""
+        """Write the voltage [V] and read the block; never raises, returns within the timeout."""
         ...
 
     def poll(self) -> ExchangeResult:
-        """Read the block without writing; the same checks."""
+        """Read the block without writing, with the same checks."""
         ...
 
     def has(self, role: str) -> bool:
-        """Whether the device has a register (or a field of a reply) for this role."""
+        """Whether the device has a register or a reply field for this role."""
         ...
 
     def read_register(self, role: str) -> float:
-        """Read one register, outside the tick.
+        """Read one register; for set-up, not in a tick.
 
         Raises
         ------
         PiezodError
-            The device has none, refuses, or does not answer.
+            The register does not exist, or the device refuses or does not answer.
         """
         ...
 
     def write_register(self, role: str, value: float) -> None:
-        """Write one register, outside the tick.
+        """Write one register; for set-up, not in a tick.
 
         Raises
         ------
         PiezodError
-            The device has none, refuses, or does not answer; or the value does not fit the register.
+            The register does not exist or cannot hold the value, or the device refuses or does not answer.
         """
         ...
 
     def identify(self) -> None:
-        """Compare what is known of the device with what it answers.
+        """Compare the device with the expected identity, map version and byte order.
 
         Raises
         ------
         IdentityError
-            Another device, map or byte order.
+            The device, its map or its byte order differs.
         """
         ...

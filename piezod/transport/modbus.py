@@ -1,4 +1,4 @@
-"""A Modbus device as a link: the block that the tick writes and reads, and the registers of set-up, over one wire."""
+"""Link to one Modbus device: the blocks of the tick, and single registers for set-up."""
 
 from math import inf
 from time import monotonic, sleep
@@ -13,30 +13,30 @@ from piezod.transport.registers import RegisterCodec
 from piezod.transport.tick_values import Plausibility, ReadBlock, SetPoint
 from piezod.transport.wire import Wire
 
-SET_UP_TIMEOUT_S = 0.5  # outside the tick a device may take its time
-SET_UP_RETRY_S = 0.01  # meanwhile a line settles, or a device accepts connections again
-TRANSIENT_EXCEPTIONS = {4: "device failure", 5: "acknowledge", 6: "busy", 10: "gateway path", 11: "gateway target"}
-LASTING_EXCEPTIONS = {1: "illegal function", 2: "illegal address", 3: "illegal value"}
+SET_UP_TIMEOUT_S = 0.5  # shortest time limit of a set-up exchange
+SET_UP_RETRY_S = 0.01  # time between two attempts to reconnect
+TEMPORARY_EXCEPTIONS = {4: "device failure", 5: "acknowledge", 6: "busy", 10: "gateway path", 11: "gateway target"}
+PERMANENT_EXCEPTIONS = {1: "illegal function", 2: "illegal address", 3: "illegal value"}
 
 _OK = ExchangeResult.OK
 
 
 class ModbusLink:
-    """Writes the set point and reads the block, strictly checked.
+    """Writes the set point, reads the block and checks every reply.
 
-    Function 23 does both in one transaction; 16 or 6 with 3 or 4 takes two, both within the one timeout.
+    Function 23 writes and reads in one transaction. Functions 16 or 6 and 3 or 4 need two transactions in one timeout.
 
     Parameters
     ----------
     config
         The `link` section.
     wire
-        What carries the frames.
+        Wire that transmits the frames.
 
     Raises
     ------
     ConfigurationError
-        The map cannot be exchanged in a tick.
+        The register map does not allow an exchange in a tick.
     """
 
     __slots__ = (
@@ -51,8 +51,8 @@ class ModbusLink:
         "_write",
         "_written_generation",
         "counts",
-        "patience_s",
         "reading",
+        "time_limit_s",
         "written_V",
     )
 
@@ -67,12 +67,12 @@ class ModbusLink:
         self._read = self._read_template(reads)
         self._write = self._write_template(writes)
         self._written_generation = -1
-        self.patience_s = inf
+        self.time_limit_s = inf
         self.counts = [0] * len(ExchangeResult)
         self.written_V = float("nan")
 
     def _read_template(self, reads: dict[str, Register]) -> Request | None:
-        """What `poll` sends: function 3 stands in for 23, which would write."""
+        """Request for `poll`: function 3 replaces function 23, which would also write."""
         if self._block is None:
             return None
         function = 4 if next(iter(reads.values())).function == 4 else 3
@@ -85,7 +85,7 @@ class ModbusLink:
         if first.function == READ_WRITE:
             if self._block is None:
                 raise ConfigurationError(
-                    "registers.voltage_setpoint.function is 23, but nothing is read: write with 16 or 6"
+                    "registers.voltage_setpoint.function is 23, but no register is read: use 16 or 6"
                 )
             return read_write_request(
                 self._wire.framing, self._unit, self._block.first, self._block.count, first.address, words
@@ -98,42 +98,42 @@ class ModbusLink:
 
     @property
     def description(self) -> str:
-        """Kind and address, for people."""
+        """Kind and address of the link, for messages."""
         return self._wire.description
 
     @property
     def last_exception(self) -> int:
-        """Code of the last Modbus exception, 0 when there was none."""
+        """Code of the last Modbus exception; 0: none."""
         return self._wire.exception_code
 
     @property
     def stale_bytes(self) -> int:
-        """Bytes that arrived unasked or too late, and were discarded."""
+        """Number of discarded bytes: unrequested or too late."""
         return self._wire.stale_bytes
 
     @property
     def hint(self) -> str:
-        """What probably is wrong; empty when nothing is known."""
+        """Probable cause of the last failures; empty: unknown."""
         return self._wire.hint
 
     def open(self) -> None:
         """Connect; raises UnreachableError or BusyError."""
         self._wire.open()
-        self._plausibility.forget()
+        self._plausibility.forget_heartbeat()
 
     def close(self) -> None:
-        """Disconnect; may be called twice."""
+        """Disconnect; a second call has no effect."""
         self._wire.close()
 
     def exchange(self, voltage_V: float) -> ExchangeResult:
-        """Write the voltage [V] and read the block; never raises, lasts at most the link's timeout."""
-        result = self._exchange(voltage_V, monotonic() + min(self._timeout_s, self.patience_s))
+        """Write the voltage [V] and read the block; never raises, returns within the timeout."""
+        result = self._exchange(voltage_V, monotonic() + min(self._timeout_s, self.time_limit_s))
         self.counts[result] += 1
         return result
 
     def poll(self) -> ExchangeResult:
-        """Read the block without writing; the same checks, but a reconnected device may have been restarted."""
-        result = self._poll(monotonic() + min(self._timeout_s, self.patience_s))
+        """Read the block without writing, with the same checks; after a reconnection accept any heartbeat."""
+        result = self._poll(monotonic() + min(self._timeout_s, self.time_limit_s))
         self.counts[result] += 1
         return result
 
@@ -141,19 +141,21 @@ class ModbusLink:
         write, set_point = self._write, self._set_point
         if write is None or set_point is None:
             return ExchangeResult.OUT_OF_RANGE
-        result = self._command(write, set_point, voltage_V, deadline_s)
+        result = self._write_set_point(write, set_point, voltage_V, deadline_s)
         if result is not _OK or self._block is None:
             return result
-        echo = set_point.sequence if set_point.counts else -1
-        return self._take(write, echo) if write.reads else self._look(deadline_s, echo)
+        echo = set_point.sequence if set_point.has_sequence else -1
+        return self._accept_reply(write, echo) if write.reads else self._read_block(deadline_s, echo)
 
-    def _command(self, write: Request, set_point: SetPoint, voltage_V: float, deadline_s: float) -> ExchangeResult:
-        """Send the set point; a voltage that cannot be encoded sends nothing."""
+    def _write_set_point(
+        self, write: Request, set_point: SetPoint, voltage_V: float, deadline_s: float
+    ) -> ExchangeResult:
+        """Send the set point; if the voltage cannot be encoded, send nothing."""
         wire = self._wire
-        written_V = set_point.put(write, voltage_V)
+        written_V = set_point.encode_into(write, voltage_V)
         if written_V != written_V:  # noqa: PLR0124 - nan
             return ExchangeResult.OUT_OF_RANGE
-        result = wire.ready(deadline_s)
+        result = wire.ensure_open(deadline_s)
         if result is not _OK:
             return result
         self.written_V = written_V
@@ -165,44 +167,44 @@ class ModbusLink:
     def _poll(self, deadline_s: float) -> ExchangeResult:
         wire, set_point = self._wire, self._set_point
         generation = wire.generation
-        result = wire.ready(deadline_s)
+        result = wire.ensure_open(deadline_s)
         if result is not _OK:
             return result
         if wire.generation != generation:
-            self._plausibility.forget()
-        if set_point is not None and set_point.counts and self._written_generation == wire.generation:
-            return self._look(deadline_s, set_point.sequence)
-        return self._look(deadline_s, -1)
+            self._plausibility.forget_heartbeat()
+        if set_point is not None and set_point.has_sequence and self._written_generation == wire.generation:
+            return self._read_block(deadline_s, set_point.sequence)
+        return self._read_block(deadline_s, -1)
 
-    def _look(self, deadline_s: float, echo: int) -> ExchangeResult:
-        """Read the block; a link without one has nothing to look at."""
+    def _read_block(self, deadline_s: float, echo: int) -> ExchangeResult:
+        """Read the block, if the register map has one."""
         read = self._read
         if read is None:
             return _OK
         result = self._wire.transact(read, deadline_s)
-        return self._take(read, echo) if result is _OK else result
+        return self._accept_reply(read, echo) if result is _OK else result
 
-    def _take(self, request: Request, echo: int) -> ExchangeResult:
-        """Decode, check and believe the reply to `request`."""
+    def _accept_reply(self, request: Request, echo: int) -> ExchangeResult:
+        """Decode and check the valid reply to `request`, and store its values."""
         block, plausibility = self._block, self._plausibility
         assert block is not None
         result = block.decode(self._wire.payload, request.payload_at, plausibility.values, plausibility.counters)
         return plausibility.accept(echo) if result is _OK else result
 
     def has(self, role: str) -> bool:
-        """Whether the map names a register for this role."""
+        """Whether the register map has this role."""
         return isinstance(getattr(self._registers, role, None), Register)
 
     def read_register(self, role: str) -> float:
-        """Read one register, outside the tick."""
+        """Read one register; for set-up, not in a tick."""
         register = self._register(role)
         return RegisterCodec(register).unpack_from(self._read_bytes(role, register), 0)
 
     def write_register(self, role: str, value: float) -> None:
-        """Write one register, outside the tick."""
+        """Write one register; for set-up, not in a tick."""
         register = self._register(role)
         if role in Registers.TICK_WRITES:
-            raise ConfigurationError(f"registers.{role} is written by the tick alone, within every limit")
+            raise ConfigurationError(f"registers.{role} is written only in the tick, after all limits")
         if register.function in (3, 4):
             raise ConfigurationError(f"registers.{role}.function is {register.function}, must be 16 or 6 to be written")
         codec = RegisterCodec(register)
@@ -215,7 +217,7 @@ class ModbusLink:
         self._transact_or_raise(request, role, register)
 
     def identify(self) -> None:
-        """Compare identity, version and byte order where the map names them; raises IdentityError."""
+        """Compare identity, version and byte order, as far as configured; raises IdentityError."""
         for role in ("order_check", "identity", "map_version"):
             expected = getattr(self._registers, role)
             if expected is not None:
@@ -236,22 +238,22 @@ class ModbusLink:
     def _transact_or_raise(self, request: Request, role: str, register: Register) -> None:
         wire = self._wire
         deadline_s = monotonic() + max(SET_UP_TIMEOUT_S, self._timeout_s)
-        while (result := wire.ready(deadline_s)) is not _OK and monotonic() < deadline_s:
+        while (result := wire.ensure_open(deadline_s)) is not _OK and monotonic() < deadline_s:
             sleep(SET_UP_RETRY_S)
         if result is _OK:
             result = wire.transact(request, deadline_s)
         if result is not _OK:
-            self._explain(result, f"{self.description}: registers.{role} at address {register.address}")
+            self._raise_error(result, f"{self.description}: registers.{role} at address {register.address}")
 
-    def _explain(self, result: ExchangeResult, where: str) -> NoReturn:
-        """Turn a failed set-up exchange into an error for people."""
+    def _raise_error(self, result: ExchangeResult, where: str) -> NoReturn:
+        """Raise the error for a failed set-up exchange, with cause and remedy."""
         code = self._wire.exception_code
-        if result is ExchangeResult.DEVICE_EXCEPTION and code in LASTING_EXCEPTIONS:
+        if result is ExchangeResult.DEVICE_EXCEPTION and code in PERMANENT_EXCEPTIONS:
             raise ConfigurationError(
-                f"{where}: exception {code}, {LASTING_EXCEPTIONS[code]}: check address and function"
+                f"{where}: exception {code}, {PERMANENT_EXCEPTIONS[code]}: check address and function"
             )
         if result is ExchangeResult.DEVICE_EXCEPTION:
-            name = TRANSIENT_EXCEPTIONS.get(code, "unknown")
+            name = TEMPORARY_EXCEPTIONS.get(code, "unknown")
             raise TemporaryError(f"{where}: exception {code}, {name}: try again")
         if result is ExchangeResult.DISCONNECTED and self._wire.framing == "tcp" and self._wire.hint:
             raise ConfigurationError(f"{where}: {self._wire.hint}")
@@ -263,4 +265,4 @@ class ModbusLink:
             )
         what = "baudrate and parity" if result is ExchangeResult.BAD_CRC else "unit_id, address and function"
         advice = f": {self._wire.hint}" if self._wire.hint else f": check {what}"
-        raise ConfigurationError(f"{where}: the reply is of the wrong kind, {result.name.lower()}{advice}")
+        raise ConfigurationError(f"{where}: the reply is invalid, {result.name.lower()}{advice}")

@@ -1,9 +1,9 @@
-"""Modbus RTU: frames without numbers on a line that may carry noise, so every byte and the checksum are compared.
+"""Modbus RTU over a serial port; frames have no number, so every byte and the checksum are compared.
 
     silence >= 3.5 characters [ unit ][ function | data ][ CRC, low byte first ] silence >= 3.5 characters
-                                 1         1        n             2
+                              [  1   ][    1     |  n   ][         2           ] bytes
 
-What does not look like the reply is collected until the line falls silent, judged, and thrown away.
+Bytes that do not match the expected reply are collected until the line is silent, classified and discarded.
 """
 
 from time import monotonic, sleep
@@ -14,10 +14,10 @@ from piezod.transport.link import ExchangeResult
 from piezod.transport.serial_port import RECEIVE_BYTES, SerialPort
 from piezod.transport.wire_rate import gap_s
 
-QUIET_S = 0.004  # above the 1.75 ms that separate frames; adapters deliver in lumps
-OVERSLEEP_S = 0.0001  # the kernel wakes a sleeper so much later; what is left of a silence is waited out awake
-BAD_IN_A_ROW = 5  # then it is no noise
-SHORTEST_FRAME_BYTES = 5  # an exception: unit, function, code, CRC
+QUIET_S = 0.004  # above the gap of 1.75 ms between frames; adapters deliver bytes in groups
+OVERSLEEP_S = 0.0001  # the kernel may wake the process this late; the rest of a gap is a busy wait
+BAD_IN_A_ROW = 5  # wrong checksums in a row that indicate wrong line settings
+SHORTEST_FRAME_BYTES = 5  # a Modbus exception: unit, function, code, CRC
 
 _OK = ExchangeResult.OK
 _TIMEOUT = ExchangeResult.TIMEOUT
@@ -25,7 +25,7 @@ _BAD_CRC = ExchangeResult.BAD_CRC
 
 
 class RtuWire:
-    """A serial line with Modbus devices on it.
+    """A serial line with one or more Modbus devices, used by `ModbusLink`.
 
     Parameters
     ----------
@@ -59,17 +59,17 @@ class RtuWire:
 
     @property
     def description(self) -> str:
-        """Kind and address, for people."""
+        """Kind and address of the link, for messages."""
         return f"modbus_rtu {self._config.port} {self._config.baudrate} baud unit {self._config.unit_id}"
 
     @property
     def generation(self) -> int:
-        """How often the port was opened."""
+        """Number of times the port was opened."""
         return self._port.generation
 
     @property
     def stale_bytes(self) -> int:
-        """Bytes discarded."""
+        """Number of discarded bytes."""
         return self._port.stale_bytes
 
     def open(self) -> None:
@@ -78,15 +78,15 @@ class RtuWire:
         self.answered = False
 
     def close(self) -> None:
-        """Let go of the port, until the next `open`."""
+        """Close the port until the next `open`."""
         self._port.close()
 
-    def ready(self, deadline_s: float) -> ExchangeResult:  # noqa: ARG002 - opening a port does not wait
-        """Open the port again if it must be; DISCONNECTED as long as a late reply may still come."""
-        return self._port.ready()
+    def ensure_open(self, deadline_s: float) -> ExchangeResult:  # noqa: ARG002 - a port opens at once
+        """Reopen the port if necessary; DISCONNECTED while a late reply is possible."""
+        return self._port.ensure_open()
 
     def transact(self, request: Request, deadline_s: float) -> ExchangeResult:
-        """Send `request` and receive its reply into `payload`."""
+        """Send `request` and receive the reply into `payload`."""
         port, frame = self._port, request.frame
         checksum = crc16(request.values, request.checksum)
         frame[-2], frame[-1] = checksum & 255, checksum >> 8
@@ -98,7 +98,7 @@ class RtuWire:
             port.send(frame, deadline_s)
             result = self._receive(request, deadline_s)
         except OSError:
-            port.vanished()
+            port.close_lost()
             return ExchangeResult.DISCONNECTED
         self._quiet_s = monotonic() + self._gap_s
         if result is not _OK:
@@ -106,17 +106,17 @@ class RtuWire:
         return result
 
     def _receive(self, request: Request, deadline_s: float) -> ExchangeResult:
-        """Receive until the good reply is whole; anything else is collected and judged."""
+        """Receive the complete valid reply; collect and classify anything else."""
         port, buffer, head, size = self._port, self._port.buffer, request.reply_head, request.reply_size
         received = 0
         while received < size:
             if not port.wait(deadline_s):
-                return self._judge(request, received)
+                return self._classify_received(request, received)
             received += port.receive(received)
             if not buffer.startswith(head if received >= len(head) else head[:received]):
-                return self._judge(request, self._collect(request, received, deadline_s))
+                return self._classify_received(request, self._collect(request, received, deadline_s))
         if not buffer.startswith(head) or crc16(port.view[request.reply_fixed : size], request.reply_checksum):
-            return self._judge(request, self._collect(request, received, deadline_s))
+            return self._classify_received(request, self._collect(request, received, deadline_s))
         port.stale_bytes += received - size
         self.answered = True
         self._bad_crc_in_a_row = 0
@@ -124,9 +124,9 @@ class RtuWire:
         return _OK
 
     def _collect(self, request: Request, received: int, deadline_s: float) -> int:
-        """Receive on until a whole frame is there, or the line falls silent after as much as was asked for.
+        """Receive until a frame is complete, or until the line is silent after the length of the expected reply.
 
-        Less than that, and the reply proper may still be on its way: then only the deadline ends the waiting.
+        With fewer bytes, the reply may still follow, and only the deadline ends the wait.
         """
         port, size = self._port, max(request.reply_size, len(request.frame))
         while received < RECEIVE_BYTES:
@@ -138,8 +138,8 @@ class RtuWire:
             received += port.receive(received)
         return received
 
-    def _judge(self, request: Request, received: int) -> ExchangeResult:
-        """Say what is wrong with everything that was received."""
+    def _classify_received(self, request: Request, received: int) -> ExchangeResult:
+        """Classify the received bytes, which are not the valid reply."""
         port, frame = self._port, request.frame
         port.stale_bytes += received
         if received == 0:
@@ -162,13 +162,13 @@ class RtuWire:
         return _BAD_CRC
 
     def _after_failure(self, request: Request, result: ExchangeResult, deadline_s: float) -> None:
-        """Distrust the line unless the reply certainly has come: garbled as a whole, or as an exception."""
+        """Close and settle the line, unless the complete reply has arrived: damaged, or a Modbus exception."""
         if result is ExchangeResult.DEVICE_EXCEPTION:
             self._bad_crc_in_a_row = 0
         elif result is not _BAD_CRC or monotonic() >= deadline_s:
             config = self._config
             reply_s = request.reply_size * config.bits_per_character / config.baudrate
-            self._port.distrust(config.timeout_s + reply_s)
+            self._port.close_and_settle(config.timeout_s + reply_s)
 
 
 def _is_frame(view: memoryview, received: int) -> bool:

@@ -1,42 +1,45 @@
-"""Modbus over TCP: one connection, one request at a time, every byte of the reply's header compared.
+"""Modbus over TCP: one connection, one request at a time, and a check of every byte of the reply header.
 
-    [ transaction id | protocol id = 0 | length | unit ][ function | data ]
-           2 bytes          2 bytes      2 bytes   1          1       n
+    [ transaction id | protocol id = 0 | length  | unit ][ function | data ]
+    [    2 bytes     |     2 bytes     | 2 bytes |  1   ][    1     |  n   ]
 
-A reply without its own transaction id was meant for another request and is discarded. After a timeout the connection is
-closed, so what comes late has nowhere to arrive.
+A reply with another transaction id belongs to an earlier request and is discarded. After a timeout the connection is
+closed, so a late reply cannot reach the next request.
 """
 
-import contextlib
-import os
 import select
 import socket
-import ssl
 from time import monotonic
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from piezod.config.link import ModbusTcpLink
-from piezod.errors import BusyError, ConfigurationError, UnreachableError
+from piezod.errors import BusyError, ConfigurationError
 from piezod.transport.frames import MBAP_BYTES, Framing, Request, classify
 from piezod.transport.link import ExchangeResult
-from piezod.transport.tls import REFUSAL_S as TLS_REFUSAL_S
-from piezod.transport.tls import TlsStream, make_context, refusal
+from piezod.transport.tcp_connection import (
+    Connection,
+    connect,
+    connection_error,
+    input_waiter,
+    is_turned_away,
+    resolve,
+)
+from piezod.transport.tls import TlsStream, make_context
 
-RECONNECT_S = 0.05  # between two attempts to connect; a tick is no place to hammer a dead device
-REFUSAL_S = 0.01  # a device that serves one client closes a second connection at once
-RECEIVE_BYTES = 2048  # several of the longest frames
-MOST_STALE_BYTES = 65536  # a peer that sends more unasked is no Modbus device
+if TYPE_CHECKING:
+    import ssl
+
+RECONNECT_S = 0.05  # shortest time between two attempts to connect
+RECEIVE_BYTES = 2048  # several frames of the maximum length
+MOST_STALE_BYTES = 65536  # a peer that sends more without a request is not a Modbus device
 
 _OK = ExchangeResult.OK
 _TIMEOUT = ExchangeResult.TIMEOUT
 _DISCONNECTED = ExchangeResult.DISCONNECTED
 
 
-Connection = socket.socket | TlsStream
-
-
 class TcpWire:
-    """A TCP connection to one Modbus device.
+    """A TCP connection to one Modbus device, used by `ModbusLink`.
 
     Parameters
     ----------
@@ -51,9 +54,9 @@ class TcpWire:
         "_context",
         "_family",
         "_not_before_s",
-        "_poll",
         "_socket",
         "_transaction",
+        "_waiter",
         "answered",
         "exception_code",
         "generation",
@@ -66,7 +69,7 @@ class TcpWire:
     def __init__(self, config: ModbusTcpLink) -> None:
         self._config = config
         self._socket: Connection | None = None
-        self._poll: select.poll | TlsStream = select.poll()
+        self._waiter: select.poll | TlsStream = select.poll()
         self._context: ssl.SSLContext | None = None
         self._family = socket.AF_INET
         self._address: Any = None
@@ -80,7 +83,7 @@ class TcpWire:
 
     @property
     def description(self) -> str:
-        """Kind and address, for people."""
+        """Kind and address of the link, for messages."""
         kind = "modbus_tcp" if self._config.tls is None else "modbus_tcp with tls"
         return f"{kind} {self._config.host}:{self._config.port} unit {self._config.unit_id}"
 
@@ -90,32 +93,26 @@ class TcpWire:
         Raises
         ------
         UnreachableError
-            Unknown host, refused, or no answer within `connect_timeout_s`.
+            The host is unknown, refuses, or does not answer within `connect_timeout_s`.
         BusyError
             The device closed the connection at once.
+        ConfigurationError
+            The host name leads to a routable address, but the link is plain Modbus.
         """
         self.close()
-        host, port = self._config.host, self._config.port
         if self._config.tls is not None:
             self._context = make_context(self._config.tls)
-        try:
-            found = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)
-        except (OSError, UnicodeError) as error:
-            raise UnreachableError(
-                f"link: {host}:{port} cannot be resolved ({error}): check link.host and the name server"
-            ) from error
-        self._connect_first(found, monotonic() + self._config.connect_timeout_s)
+        self._connect_first(resolve(self._config), monotonic() + self._config.connect_timeout_s)
 
     def _connect_first(self, found: list[Any], deadline_s: float) -> None:
-        """Connect to the first address that takes the connection; a name may stand for several."""
+        """Connect to the first address that accepts; a host name may have several addresses."""
         failure = OSError("no address")
         for family, _, _, _, address in found:
             self._family, self._address = family, address
-            if words := self._config.refusal_of(address[0]):
-                raise ConfigurationError(f"link.{words}")
+            if message := self._config.plaintext_refusal(address[0]):
+                raise ConfigurationError(f"link.{message}")
             try:
-                self._connect(deadline_s)
-                turned_away = self._is_turned_away()
+                turned_away = is_turned_away(self._connect(deadline_s), self._waiter)
             except ConnectionResetError:
                 turned_away = True
             except OSError as error:
@@ -131,25 +128,15 @@ class TcpWire:
                 f"{where} closed the connection at once: another client may hold the device{doubt}; stop it first"
             )
         self.close()
-        raise refusal(self._config, failure) or UnreachableError(self._explain(failure)) from failure
-
-    def _explain(self, error: OSError) -> str:
-        """Say why there is no connection."""
-        where = f"link: {self._config.host}:{self._config.port}"
-        if isinstance(error, ConnectionRefusedError):
-            return f"{where} refused the connection: is the device on, and the port right?"
-        if isinstance(error, TimeoutError):
-            limit_s = self._config.connect_timeout_s
-            return f"{where} did not answer within {limit_s:g} s: check cable, address and firewall"
-        return f"{where}: {error.strerror or error}: check network and address"
+        raise connection_error(self._config, failure) from failure
 
     def close(self) -> None:
-        """Disconnect, until the next `open`."""
+        """Disconnect and stay disconnected until the next `open`."""
         self._disconnect()
         self._address = None
 
-    def ready(self, deadline_s: float) -> ExchangeResult:
-        """Connect again if the connection is gone, at most every 50 ms unless only one reply was late."""
+    def ensure_open(self, deadline_s: float) -> ExchangeResult:
+        """Reconnect if disconnected: after a single late reply at once, otherwise at most every 50 ms."""
         if self._socket is not None:
             return _OK
         now_s = monotonic()
@@ -164,7 +151,7 @@ class TcpWire:
         return _OK
 
     def transact(self, request: Request, deadline_s: float) -> ExchangeResult:
-        """Send `request` and receive its reply into `payload`."""
+        """Send `request` and receive the reply into `payload`."""
         connection = self._socket
         if connection is None:
             return _DISCONNECTED
@@ -173,11 +160,11 @@ class TcpWire:
         frame[0] = head[0] = transaction >> 8
         frame[1] = head[1] = transaction & 255
         try:
-            if self._poll.poll(0) and not self._drain(connection):
+            if self._waiter.poll(0) and not self._drain(connection):
                 self._disconnect()
                 return _DISCONNECTED
-            if monotonic() >= deadline_s:  # stopped meanwhile: what is sent now would be stale
-                raise TimeoutError  # answered below as any failure
+            if monotonic() >= deadline_s:  # the process was suspended: the request would be late
+                raise TimeoutError  # handled below like any failure
             sent = _send(connection, frame)
             if sent != len(frame):
                 self._send_rest(connection, frame, sent, deadline_s)
@@ -189,26 +176,26 @@ class TcpWire:
         return result
 
     def _receive(self, connection: Connection, request: Request, deadline_s: float) -> ExchangeResult:
-        """Wait for the reply; the good one, whole and alone, takes the first branch."""
+        """Wait for the valid reply; discard replies to earlier requests."""
         buffer, view, head, size = self._buffer, self.payload, request.reply_head, request.reply_size
-        received, strangers, space = 0, 0, view
+        received, other_replies, space = 0, 0, view
         while True:
-            if not self._poll.poll(max(0.0, 1e3 * (deadline_s - monotonic()))):
-                return ExchangeResult.WRONG_TRANSACTION if strangers else _TIMEOUT
+            if not self._waiter.poll(max(0.0, 1e3 * (deadline_s - monotonic()))):
+                return ExchangeResult.WRONG_TRANSACTION if other_replies else _TIMEOUT
             try:
                 count = connection.recv_into(space)
-            except BlockingIOError:  # woken for nothing
+            except BlockingIOError:  # the socket has no data
                 continue
             if count == 0:
                 return _DISCONNECTED
             received += count
             while not (received >= size and buffer.startswith(head)):
-                verdict, used = self._judge(request, received)
-                if verdict is not _OK:
-                    return verdict
+                failure, used = self._classify_first_frame(request, received)
+                if failure is not _OK:
+                    return failure
                 if used == 0:
                     break
-                strangers += 1
+                other_replies += 1
                 self.stale_bytes += used
                 view[: received - used] = bytes(view[used:received])
                 received -= used
@@ -218,13 +205,13 @@ class TcpWire:
                 return _OK
             space = view[received:]
 
-    def _judge(self, request: Request, received: int) -> tuple[ExchangeResult, int]:
-        """Say what is wrong with the first frame received.
+    def _classify_first_frame(self, request: Request, received: int) -> tuple[ExchangeResult, int]:
+        """Classify the first received frame, which is not the valid reply.
 
         Returns
         -------
         tuple
-            OK and 0: not whole yet. OK and a length: a reply to another request, to be discarded. Else what is wrong.
+            OK and 0: incomplete. OK and a length: reply to another request, to be discarded. Otherwise the error and 0.
         """
         buffer, head = self._buffer, request.reply_head
         if received < MBAP_BYTES:
@@ -243,19 +230,19 @@ class TcpWire:
         return result, 0
 
     def _drain(self, connection: Connection) -> bool:
-        """Discard what came unasked; False when the other side has closed or does not stop."""
+        """Discard unrequested bytes; False: the device closed the connection or sends without end."""
         most = self.stale_bytes + MOST_STALE_BYTES
         while self.stale_bytes < most:
             count = connection.recv_into(self.payload)
             self.stale_bytes += count
             if count == 0:
                 return False
-            if not self._poll.poll(0):
+            if not self._waiter.poll(0):
                 return True
         return False
 
     def _send_rest(self, connection: Connection, frame: bytearray, sent: int, deadline_s: float) -> None:
-        """Send what the kernel did not take at once; raises TimeoutError."""
+        """Send the bytes that the kernel did not accept at once; raises TimeoutError."""
         waiter = select.poll()
         waiter.register(connection, select.POLLOUT)
         while sent < len(frame):
@@ -264,7 +251,7 @@ class TcpWire:
             sent += _send(connection, frame[sent:])
 
     def _after_failure(self, result: ExchangeResult) -> None:
-        """Close what can no longer be trusted; after one late reply the next attempt to connect need not wait."""
+        """Close the connection if a late reply may follow; after a single timeout, allow an immediate reconnection."""
         if result is ExchangeResult.DEVICE_EXCEPTION or self._socket is None:
             return
         if isinstance(self._socket, TlsStream) and self._socket.reason:
@@ -274,39 +261,13 @@ class TcpWire:
                 self._not_before_s = 0.0
             self._disconnect()
 
-    def _connect(self, deadline_s: float) -> None:
+    def _connect(self, deadline_s: float) -> Connection:
         """Connect until the deadline; raises OSError."""
-        connection = socket.socket(self._family, socket.SOCK_STREAM | socket.SOCK_CLOEXEC)
-        self._socket = connection
-        connection.setblocking(False)
-        connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        with contextlib.suppress(BlockingIOError):
-            connection.connect(self._address)
-        waiter = select.poll()
-        waiter.register(connection, select.POLLOUT)
-        if not waiter.poll(max(0.0, 1e3 * (deadline_s - monotonic()))):
-            raise TimeoutError
-        error = connection.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR)
-        if error:
-            raise OSError(error, os.strerror(error))
-        if self._context is not None:
-            name = self._config.tls.server_name if self._config.tls is not None else None
-            self._socket = self._poll = TlsStream(connection, self._context, name or self._config.host, deadline_s)
-        else:
-            self._poll = select.poll()
-            self._poll.register(connection, select.POLLIN)
+        self._socket = connection = connect(self._config, self._family, self._address, self._context, deadline_s)
+        self._waiter = input_waiter(connection)
         self.generation += 1
         self.answered = False
-
-    def _is_turned_away(self) -> bool:
-        """Whether the device closes the connection at once, as one that serves a single client does to a second."""
-        connection = self._socket
-        assert connection is not None
-        if isinstance(connection, TlsStream):
-            if connection.poll(1e3 * TLS_REFUSAL_S) and connection.reason:
-                raise ssl.SSLError(1, connection.reason)
-            return connection.ended
-        return bool(self._poll.poll(1e3 * REFUSAL_S)) and not connection.recv(1, socket.MSG_PEEK)
+        return connection
 
     def _disconnect(self) -> None:
         if self._socket is None:
@@ -316,7 +277,7 @@ class TcpWire:
 
 
 def _send(connection: Connection, frame: bytearray) -> int:
-    """How much of the frame the kernel takes now; none when its buffer is full."""
+    """Number of bytes that the kernel accepts now; 0: its buffer is full."""
     try:
         return connection.send(frame)
     except BlockingIOError:

@@ -1,4 +1,4 @@
-"""Two devices as one link: the amplifier takes the voltage, the load cell gives the force."""
+"""Two devices combined into one link: an amplifier for the voltage and a load cell for the force."""
 
 from piezod.transport.link import ExchangeResult, Link, Reading
 
@@ -13,20 +13,20 @@ _FIELDS = {
     "status": "status",
     "reference_counter": "reference_counter",
 }
-_OF_LOAD_CELL_FIRST = ("force", "reference", "reference_counter")
+_PREFER_LOAD_CELL = ("force", "reference", "reference_counter")
 
 
 class PairLink:
-    """Writes to one link, then reads the other; a reading is believed when both are.
+    """Exchanges with the amplifier first, then reads the load cell; both must succeed.
 
-    What both have is taken from the amplifier; force and reference from the load cell.
+    Force and reference come from the load cell. Any other quantity of both devices comes from the amplifier.
 
     Parameters
     ----------
     amplifier
-        Takes the voltage.
+        Link of the amplifier; receives the voltage.
     load_cell
-        Gives the force.
+        Link of the load cell; measures the force.
     """
 
     __slots__ = ("_amplifier", "_load_cell", "_of_amplifier", "_of_load_cell", "counts", "reading")
@@ -36,48 +36,48 @@ class PairLink:
         of_cell = [role for role in _FIELDS if load_cell.has(role)]
         of_amplifier = [role for role in _FIELDS if amplifier.has(role)]
         self._of_load_cell = tuple(
-            _FIELDS[role] for role in of_cell if role in _OF_LOAD_CELL_FIRST or role not in of_amplifier
+            _FIELDS[role] for role in of_cell if role in _PREFER_LOAD_CELL or role not in of_amplifier
         )
         self._of_amplifier = tuple(_FIELDS[role] for role in of_amplifier if _FIELDS[role] not in self._of_load_cell)
         self.reading = Reading()
         self.counts = [0] * len(ExchangeResult)
 
     @property
-    def patience_s(self) -> float:
-        """How long the next exchange with each of them may last [s]."""
-        return self._amplifier.patience_s
+    def time_limit_s(self) -> float:
+        """Longest duration of the next exchange with each device [s]."""
+        return self._amplifier.time_limit_s
 
-    @patience_s.setter
-    def patience_s(self, value: float) -> None:
-        self._amplifier.patience_s = self._load_cell.patience_s = value
+    @time_limit_s.setter
+    def time_limit_s(self, value: float) -> None:
+        self._amplifier.time_limit_s = self._load_cell.time_limit_s = value
 
     @property
     def description(self) -> str:
-        """Kinds and addresses, for people."""
+        """Kinds and addresses of both links, for messages."""
         return f"{self._amplifier.description} and {self._load_cell.description}"
 
     @property
     def written_V(self) -> float:
-        """The voltage as it last went on the wire [V]."""
+        """Last transmitted voltage [V]."""
         return self._amplifier.written_V
 
     @property
     def last_exception(self) -> int:
-        """Code of the last Modbus exception of either, 0 when there was none."""
+        """Code of the last Modbus exception of either device; 0: none."""
         return self._amplifier.last_exception or self._load_cell.last_exception
 
     @property
     def stale_bytes(self) -> int:
-        """Bytes that either discarded."""
+        """Number of bytes discarded by both links."""
         return self._amplifier.stale_bytes + self._load_cell.stale_bytes
 
     @property
     def hint(self) -> str:
-        """What probably is wrong with either."""
+        """Probable cause of the last failures of either link; empty: unknown."""
         return self._amplifier.hint or self._load_cell.hint
 
     def open(self) -> None:
-        """Connect both, or none; raises UnreachableError or BusyError."""
+        """Connect both links, or neither; raises UnreachableError or BusyError."""
         self._amplifier.open()
         try:
             self._load_cell.open()
@@ -86,21 +86,21 @@ class PairLink:
             raise
 
     def close(self) -> None:
-        """Disconnect both; may be called twice."""
+        """Disconnect both; a second call has no effect."""
         self._amplifier.close()
         self._load_cell.close()
 
     def exchange(self, voltage_V: float) -> ExchangeResult:
-        """Write the voltage [V] to the amplifier, then read the load cell; lasts at most both timeouts."""
+        """Write the voltage [V] to the amplifier, then read the load cell; returns within the sum of both timeouts."""
         result = self._amplifier.exchange(voltage_V)
-        return self._take(self._load_cell.poll() if result is _OK else result)
+        return self._combine(self._load_cell.poll() if result is _OK else result)
 
     def poll(self) -> ExchangeResult:
         """Read both without writing."""
         result = self._amplifier.poll()
-        return self._take(self._load_cell.poll() if result is _OK else result)
+        return self._combine(self._load_cell.poll() if result is _OK else result)
 
-    def _take(self, result: ExchangeResult) -> ExchangeResult:
+    def _combine(self, result: ExchangeResult) -> ExchangeResult:
         self.counts[result] += 1
         if result is _OK:
             reading, source = self.reading, self._amplifier.reading
@@ -112,22 +112,22 @@ class PairLink:
         return result
 
     def has(self, role: str) -> bool:
-        """Whether either has a register for this role."""
+        """Whether either device has a register or a reply field for this role."""
         return self._amplifier.has(role) or self._load_cell.has(role)
 
     def read_register(self, role: str) -> float:
-        """Read one register of the one that has it."""
+        """Read one register of the device that has it."""
         return self._owner(role).read_register(role)
 
     def write_register(self, role: str, value: float) -> None:
-        """Write one register of the one that has it."""
+        """Write one register of the device that has it."""
         self._owner(role).write_register(role, value)
 
     def identify(self) -> None:
-        """Compare both with what is known of them; raises IdentityError."""
+        """Compare both devices with their expected identity; raises IdentityError."""
         self._amplifier.identify()
         self._load_cell.identify()
 
     def _owner(self, role: str) -> Link:
-        cell_first = role in _OF_LOAD_CELL_FIRST and self._load_cell.has(role)
+        cell_first = role in _PREFER_LOAD_CELL and self._load_cell.has(role)
         return self._load_cell if cell_first or not self._amplifier.has(role) else self._amplifier

@@ -1,4 +1,4 @@
-"""What can be found before a bench file exists: serial ports by their lasting names, and a Modbus device's own name."""
+"""Search for devices before a bench file exists: serial ports, and the name of a Modbus TCP device."""
 
 import logging
 from dataclasses import dataclass
@@ -8,42 +8,42 @@ from pymodbus import ModbusException
 from pymodbus.client import ModbusTcpClient
 from serial.tools import list_ports
 
-BY_ID = Path("/dev/serial/by-id")  # udev's names: they stay when another adapter is plugged in
+BY_ID = Path("/dev/serial/by-id")  # persistent names by udev, independent of other adapters
 
 
 @dataclass(frozen=True)
 class FoundPort:
-    """A serial port: the name to write down, and what the adapter says it is."""
+    """A serial port: its path for the bench file, and the description by the adapter."""
 
     path: str
     description: str
 
 
 def serial_ports(by_id: Path = BY_ID) -> list[FoundPort]:
-    """Serial ports of this machine, by their lasting names where udev gives them.
+    """Serial ports of this machine, with the persistent path where udev provides one.
 
     Parameters
     ----------
     by_id
-        Folder of the lasting names.
+        Folder of the persistent names.
     """
-    lasting = {str(link.resolve()): str(link) for link in sorted(by_id.iterdir())} if by_id.is_dir() else {}
+    persistent = {str(link.resolve()): str(link) for link in sorted(by_id.iterdir())} if by_id.is_dir() else {}
     found = {port.device: port.description for port in list_ports.comports()}
-    devices = sorted({*lasting, *found})
-    return [FoundPort(lasting.get(device, device), found.get(device) or device) for device in devices]
+    devices = sorted({*persistent, *found})
+    return [FoundPort(persistent.get(device, device), found.get(device) or device) for device in devices]
 
 
 def modbus_name(host: str, port: int, unit_id: int, timeout_s: float = 1.0) -> str:
-    """What a Modbus TCP device calls itself (function 43/14); in words where it does not say, empty where none answers.
+    """Name of a Modbus TCP device by function 43/14, or a text that it has none; empty: no device answers.
 
     Parameters
     ----------
     host, port, unit_id
-        Where it is.
+        Address of the device.
     timeout_s
-        For the connection and for its answer.
+        Time limit for the connection and for the reply [s].
     """
-    logging.getLogger("pymodbus").setLevel(logging.CRITICAL)  # that nobody answers is an answer here
+    logging.getLogger("pymodbus").setLevel(logging.CRITICAL)  # a missing device is a normal result, not an error
     with ModbusTcpClient(host, port=port, timeout=timeout_s, retries=0) as client:
         if not client.connected:
             return ""

@@ -1,4 +1,4 @@
-"""From a physical value to the bytes of a Modbus register, and back."""
+"""Conversion between a physical value and the bytes of a Modbus register."""
 
 import struct
 from math import nan
@@ -14,15 +14,15 @@ _LIMITS = {
     "float32": (-(2.0 - 2.0**-23) * 2.0**127, (2.0 - 2.0**-23) * 2.0**127),
 }
 
-_JUST_UNDER_HALF = 0.499  # what rounds back into the type's range
+_JUST_UNDER_HALF = 0.499  # a raw value this far outside the range still rounds into it
 
 Buffer = bytearray | memoryview
 
 
 class RegisterCodec:
-    """One register's way to the wire: `value = raw * scale + offset`, raw in the register's type and byte order.
+    """Encoder and decoder of one register: `value = raw * scale + offset`, with raw in type and byte order.
 
-    The letters of the order are the bytes of the big-endian number; their sequence is that on the wire::
+    The letters ABCD are the bytes of the big-endian number, written in their order on the wire::
 
         0x12345678   ABCD: 12 34 56 78   CDAB: 56 78 12 34   BADC: 34 12 78 56   DCBA: 78 56 34 12
 
@@ -31,7 +31,7 @@ class RegisterCodec:
     register
         Type, order, scale, offset, low and high.
     order
-        Another byte order than the register's.
+        Byte order in place of the one of `register`.
     """
 
     __slots__ = (
@@ -64,13 +64,13 @@ class RegisterCodec:
         self._swap = swap_positions(byte_order)
 
     def pack_into(self, buffer: Buffer, at: int, value: float) -> float:
-        """Write `value` into `buffer` from byte `at` on.
+        """Write `value` into `buffer`, starting at byte `at`.
 
         Returns
         -------
         float
-            The value that the bytes stand for, after rounding; nan when `value` cannot be encoded or lies outside the
-            register's low..high: then the buffer is as it was.
+            The encoded value, after rounding. nan: `value` cannot be encoded or lies outside low..high of the register,
+            and the buffer is unchanged.
         """
         raw = (value - self._offset) / self._scale
         if not (self._low <= value <= self._high and self._raw_low <= raw <= self._raw_high):
@@ -87,7 +87,7 @@ class RegisterCodec:
         return raw * self._scale + self._offset
 
     def unpack_from(self, buffer: Buffer | bytes, at: int) -> float:
-        """Read the value that stands in `buffer` from byte `at` on."""
+        """Decode the value in `buffer` that starts at byte `at`."""
         if self._swap:
             word = bytearray(buffer[at : at + 4])
             self._swap_bytes(word, 0)
@@ -97,12 +97,12 @@ class RegisterCodec:
         return float(raw) * self._scale + self._offset
 
     def check_encodable(self, low: float, high: float, name: str) -> None:
-        """Refuse a range that the register cannot carry.
+        """Check that the register can hold both ends of a range.
 
         Raises
         ------
         ConfigurationError
-            Names the end of the range that does not fit.
+            One end of the range does not fit.
         """
         scratch = bytearray(self.size)
         ends = sorted(raw * self._scale + self._offset for raw in _LIMITS[self._type])
@@ -126,5 +126,5 @@ class RegisterCodec:
 
 
 def swap_positions(byte_order: str) -> tuple[int, ...]:
-    """Where the bytes of a mixed order stand in the big-endian number; empty for the orders that struct knows."""
+    """Positions in the big-endian number, for the mixed orders CDAB and BADC; empty for other orders."""
     return tuple("ABCD".index(letter) for letter in byte_order) if byte_order in ("CDAB", "BADC") else ()

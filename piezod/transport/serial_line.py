@@ -1,30 +1,33 @@
-r"""A device that speaks lines of ASCII over a serial port: one line sets the voltage, another asks for a reading.
+r"""Link to a device with an ASCII line protocol on a serial port.
 
--> SVA A 10.000\n
--> VOL? A\n
-<- 9.998\n
+Example::
+
+    to the device    SVA A 10.000\n    set the voltage
+    to the device    VOL? A\n          request a reading
+    from the device  9.998\n
 """
 
 import re
-from math import inf, isfinite, nan
+from math import inf, nan
 from time import monotonic
 
 from piezod.config.checked import shortened
 from piezod.config.link import LineCommand, SerialLineLink
 from piezod.errors import CheckFailedError, ConfigurationError, IdentityError, UnreachableError
-from piezod.transport.line_template import ROLES, LineTemplate, compile_reply, plain_line
+from piezod.transport.line_reply import ROLES, ReplyFields, compile_reply, decimal
+from piezod.transport.line_template import LineTemplate, plain_line
 from piezod.transport.link import ExchangeResult, Reading
 from piezod.transport.serial_port import RECEIVE_BYTES, SerialPort
-from piezod.transport.tick_values import COUNTERS, QUANTITIES, Plausibility
+from piezod.transport.tick_values import Plausibility
 
-SET_UP_TIMEOUT_S = 0.5  # outside the tick a device may take its time
+SET_UP_TIMEOUT_S = 0.5  # shortest time limit of a set-up exchange
 WATCHDOG = "watchdog_ms"
 
 _OK = ExchangeResult.OK
 
 
 class SerialLineDevice:
-    """Sets a voltage by one line and reads by another; both within the one timeout.
+    """Sets the voltage by one line and reads by another line, both within one timeout.
 
     Parameters
     ----------
@@ -34,19 +37,18 @@ class SerialLineDevice:
     Raises
     ------
     ConfigurationError
-        A template or a pattern that cannot be used.
+        A line template or a reply pattern is invalid.
     """
 
     __slots__ = (
         "_acknowledge",
         "_config",
-        "_counters",
+        "_fields",
         "_identity",
         "_measure",
         "_pattern",
         "_plausibility",
         "_port",
-        "_quantities",
         "_set_up",
         "_set_up_generation",
         "_set_voltage",
@@ -56,8 +58,8 @@ class SerialLineDevice:
         "_watchdog_reply",
         "counts",
         "hint",
-        "patience_s",
         "reading",
+        "time_limit_s",
         "written_V",
     )
     last_exception = 0
@@ -70,18 +72,14 @@ class SerialLineDevice:
         self._measure, self._pattern = self._query(config.measure, "measure", ROLES)
         self._identity = self._query(config.identity, "identity")
         self._set_up = [self._query(command, "setup") for command in config.setup]
-        names = tuple(self._pattern.groupindex) if self._pattern is not None else ()
-        self._quantities = tuple((name, QUANTITIES[ROLES[name]]) for name in names if ROLES[name] in QUANTITIES)
-        self._counters = tuple((name, COUNTERS[ROLES[name]]) for name in names if ROLES[name] in COUNTERS)
-        self._plausibility = Plausibility(
-            frozenset(ROLES[name] for name in names) - {"command_echo"}, config.heartbeat_within_s
-        )
+        self._fields = ReplyFields(self._pattern)
+        self._plausibility = Plausibility(self._fields.roles - {"command_echo"}, config.heartbeat_within_s)
         self.reading: Reading = self._plausibility.reading
         self._set_up_generation = -1
         self._watchdog_ms = nan
         self.counts = [0] * len(ExchangeResult)
         self.written_V = nan
-        self.patience_s = inf
+        self.time_limit_s = inf
         self.hint = ""
 
     def _template(
@@ -102,19 +100,19 @@ class SerialLineDevice:
 
     @property
     def description(self) -> str:
-        """Kind and address, for people."""
+        """Kind and address of the link, for messages."""
         return f"serial_line {self._config.port} {self._config.baudrate} baud"
 
     @property
     def stale_bytes(self) -> int:
-        """Bytes that arrived unasked or too late, and were discarded."""
+        """Number of discarded bytes: unrequested or too late."""
         return self._port.stale_bytes
 
     def open(self) -> None:
-        """Open and lock the port, send the lines of `setup`; raises UnreachableError or BusyError."""
+        """Open and lock the port, and send the lines of `setup`; raises UnreachableError or BusyError."""
         self._port.open()
-        self._plausibility.forget()
-        result = self._ready(monotonic() + max(SET_UP_TIMEOUT_S, self._config.timeout_s))
+        self._plausibility.forget_heartbeat()
+        result = self._ensure_set_up(monotonic() + max(SET_UP_TIMEOUT_S, self._config.timeout_s))
         if result is not _OK:
             self.close()
             raise UnreachableError(
@@ -122,24 +120,24 @@ class SerialLineDevice:
             )
 
     def close(self) -> None:
-        """Let go of the port; may be called twice."""
+        """Close the port; a second call has no effect."""
         self._port.close()
 
     def exchange(self, voltage_V: float) -> ExchangeResult:
-        """Set the voltage [V] and read; never raises, lasts at most the link's timeout."""
-        result = self._exchange(voltage_V, monotonic() + min(self._config.timeout_s, self.patience_s))
+        """Set the voltage [V] and read; never raises, returns within the timeout."""
+        result = self._exchange(voltage_V, monotonic() + min(self._config.timeout_s, self.time_limit_s))
         self.counts[result] += 1
         return result
 
     def poll(self) -> ExchangeResult:
-        """Read without setting anything; the same checks."""
+        """Read without setting the voltage, with the same checks."""
         generation = self._port.generation
-        deadline_s = monotonic() + min(self._config.timeout_s, self.patience_s)
-        result = self._ready(deadline_s)
+        deadline_s = monotonic() + min(self._config.timeout_s, self.time_limit_s)
+        result = self._ensure_set_up(deadline_s)
         if self._port.generation != generation:
-            self._plausibility.forget()
+            self._plausibility.forget_heartbeat()
         if result is _OK:
-            result = self._look(deadline_s)
+            result = self._measure_reading(deadline_s)
         self.counts[result] += 1
         return result
 
@@ -150,49 +148,39 @@ class SerialLineDevice:
         line, written_V = template.fill(voltage_V)
         if not line:
             return ExchangeResult.OUT_OF_RANGE
-        result = self._ready(deadline_s)
+        result = self._ensure_set_up(deadline_s)
         if result is not _OK:
             return result
         self.written_V = written_V
-        result, _ = self._converse(line, self._acknowledge, deadline_s)
-        return self._look(deadline_s) if result is _OK else result
+        result, _ = self._exchange_line(line, self._acknowledge, deadline_s)
+        return self._measure_reading(deadline_s) if result is _OK else result
 
-    def _look(self, deadline_s: float) -> ExchangeResult:
-        """Ask for a reading, check it, believe it."""
+    def _measure_reading(self, deadline_s: float) -> ExchangeResult:
+        """Request a reading, check it and store its values."""
         if not self._measure:
             return _OK
-        result, match = self._converse(self._measure, self._pattern, deadline_s)
+        result, match = self._exchange_line(self._measure, self._pattern, deadline_s)
         if result is not _OK or match is None:
             return result
-        values, counters = self._plausibility.values, self._plausibility.counters
-        try:
-            for name, slot in self._quantities:
-                value = _decimal(match[name])
-                if not isfinite(value):
-                    return ExchangeResult.NOT_FINITE
-                values[slot] = value
-            for name, slot in self._counters:
-                counters[slot] = _whole(match[name])
-        except (TypeError, ValueError):
-            return ExchangeResult.MALFORMED
-        return self._plausibility.accept(-1)
+        result = self._fields.decode(match, self._plausibility.values, self._plausibility.counters)
+        return self._plausibility.accept(-1) if result is _OK else result
 
-    def _ready(self, deadline_s: float) -> ExchangeResult:
-        """Open the port again if it must be; a device that was gone is set up again."""
-        result = self._port.ready()
+    def _ensure_set_up(self, deadline_s: float) -> ExchangeResult:
+        """Reopen the port if necessary; after each opening send the lines of `setup`."""
+        result = self._port.ensure_open()
         if result is not _OK or self._set_up_generation == self._port.generation:
             return result
         for line, pattern in self._set_up:
-            result, _ = self._converse(line, pattern, deadline_s)
+            result, _ = self._exchange_line(line, pattern, deadline_s)
             if result is not _OK:
                 return result
         self._set_up_generation = self._port.generation
         return _OK
 
-    def _converse(
+    def _exchange_line(
         self, line: bytes, pattern: re.Pattern[bytes] | None, deadline_s: float
     ) -> tuple[ExchangeResult, re.Match[bytes] | None]:
-        """Send a line; receive one and match it if there is a pattern."""
+        """Send a line; if it has a reply pattern, receive a line and match it."""
         port = self._port
         try:
             port.drain()
@@ -201,16 +189,16 @@ class SerialLineDevice:
                 return _OK, None
             end = self._receive_line(deadline_s)
         except OSError:
-            port.vanished()
+            port.close_lost()
             return ExchangeResult.DISCONNECTED, None
         match = pattern.fullmatch(port.view[:end]) if end >= 0 else None
         if match is not None:
             return _OK, match
-        port.distrust(self._config.timeout_s)
+        port.close_and_settle(self._config.timeout_s)
         return (ExchangeResult.TIMEOUT if end < 0 else ExchangeResult.MALFORMED), None
 
     def _receive_line(self, deadline_s: float) -> int:
-        """Receive until the terminator; its place, or -1 when it did not come until the deadline."""
+        """Receive until the terminator; its index, or -1 if it is missing at the deadline."""
         port, terminator, received = self._port, self._terminator, 0
         while received < RECEIVE_BYTES:
             if not port.wait(deadline_s):
@@ -224,15 +212,15 @@ class SerialLineDevice:
         return -1
 
     def has(self, role: str) -> bool:
-        """Whether a line of the configuration carries this role."""
+        """Whether a configured line or reply field has this role."""
         if role == "voltage_setpoint":
             return self._set_voltage is not None
         if role == WATCHDOG:
             return self._watchdog is not None
-        return any(ROLES[name] == role for name, _ in (*self._quantities, *self._counters))
+        return role in self._fields.roles
 
     def read_register(self, role: str) -> float:
-        """Read one field of the reading, or the watchdog time that the device acknowledged."""
+        """Read one field of the reply to `measure`, or the watchdog time acknowledged by the device."""
         self._require(role)
         if role == WATCHDOG:
             return self._watchdog_ms
@@ -247,38 +235,38 @@ class SerialLineDevice:
         return float(getattr(self.reading, name))
 
     def write_register(self, role: str, value: float) -> None:
-        """Send the line of the watchdog; nothing else can be written outside the tick."""
+        """Set the watchdog time; no other role can be written in set-up."""
         self._require(role)
         if role != WATCHDOG or self._watchdog is None:
             raise ConfigurationError(f"{self.description}: {role} cannot be written outside the tick")
         line, written = self._watchdog.fill(value)
-        match = self._ask(line, self._watchdog_reply, "link.watchdog")
-        told = match is not None and WATCHDOG in match.re.groupindex
+        match = self._exchange_or_raise(line, self._watchdog_reply, "link.watchdog")
+        acknowledged = match is not None and WATCHDOG in match.re.groupindex
         try:
-            self._watchdog_ms = _decimal(match[WATCHDOG]) if match is not None and told else written
+            self._watchdog_ms = decimal(match[WATCHDOG]) if match is not None and acknowledged else written
         except (TypeError, ValueError):
             found = bytes(match[0][:60]) if match is not None else b""
             raise CheckFailedError(
-                f"{self.description}: link.watchdog answered {shortened(found)}, which names no time"
+                f"{self.description}: link.watchdog answered {shortened(found)}, must contain a time [ms]"
             ) from None
 
     def identify(self) -> None:
-        """Compare the answer to the identity's line with its pattern; raises IdentityError."""
+        """Compare the reply to `identity` with its pattern; raises IdentityError."""
         line, pattern = self._identity
         if not line:
             return
         try:
-            self._ask(line, pattern, "link.identity")
+            self._exchange_or_raise(line, pattern, "link.identity")
         except CheckFailedError as error:
             raise IdentityError(f"{error}: another device, or another firmware") from error
 
-    def _ask(self, line: bytes, pattern: re.Pattern[bytes] | None, where: str) -> re.Match[bytes] | None:
-        """Converse outside the tick; raises UnreachableError, or CheckFailedError naming what came instead."""
+    def _exchange_or_raise(self, line: bytes, pattern: re.Pattern[bytes] | None, where: str) -> re.Match[bytes] | None:
+        """Exchange a line in set-up; raises UnreachableError, or CheckFailedError with the unexpected reply."""
         deadline_s = monotonic() + max(SET_UP_TIMEOUT_S, self._config.timeout_s)
-        result = self._ready(deadline_s)
+        result = self._ensure_set_up(deadline_s)
         if result is not _OK:
             raise UnreachableError(f"{self.description}: {result.name.lower()}: is the device on?")
-        result, match = self._converse(line, pattern, deadline_s)
+        result, match = self._exchange_line(line, pattern, deadline_s)
         if result is ExchangeResult.MALFORMED and pattern is not None:
             found = bytes(self._port.view[:60]).split(self._terminator)[0]
             raise CheckFailedError(
@@ -292,18 +280,4 @@ class SerialLineDevice:
 
     def _require(self, role: str) -> None:
         if not self.has(role):
-            raise ConfigurationError(f"{self.description}: no line of the configuration carries '{role}'")
-
-
-def _decimal(text: bytes) -> float:
-    """The number that a field says; raises ValueError, also for the underscores that Python would skip."""
-    if b"_" in text:
-        raise ValueError
-    return float(text)
-
-
-def _whole(text: bytes) -> int:
-    """The whole number that a field says; raises ValueError, as `_decimal`."""
-    if b"_" in text:
-        raise ValueError
-    return int(text)
+            raise ConfigurationError(f"{self.description}: no configured line has the role '{role}'")

@@ -1,7 +1,7 @@
-"""A serial port held by one process, read and written by its descriptor, and distrusted after a late reply.
+"""A locked serial port, read and written by its file descriptor, with a settling time after a late reply.
 
-A serial line carries no number by which a late reply could be told from the next one. After a timeout the port is
-therefore closed, opened again, and whatever arrives is thrown away until the worst reply would have come.
+Replies on a serial line have no number. A late reply could be mistaken for the reply to the next request.
+After a timeout the port is therefore closed and reopened. Until the settling time ends, received bytes are discarded.
 """
 
 import contextlib
@@ -17,16 +17,16 @@ from piezod.config.link import ModbusRtuLink, SerialLineLink
 from piezod.errors import BusyError, PiezodError, UnreachableError
 from piezod.transport.link import ExchangeResult
 
-REOPEN_S = 0.05  # between two attempts to open a port that is gone
-RECEIVE_BYTES = 1024  # several of the longest frames
-MOST_STALE_BYTES = 65536  # a line that never falls silent is not this device's
+REOPEN_S = 0.05  # shortest time between two attempts to open a missing port
+RECEIVE_BYTES = 1024  # several frames of the maximum length
+MOST_STALE_BYTES = 65536  # more unrequested bytes than this: not the configured device
 
 _OK = ExchangeResult.OK
 _DISCONNECTED = ExchangeResult.DISCONNECTED
 
 
 class SerialPort:
-    """One port, held with an exclusive lock (flock).
+    """One serial port with an exclusive lock (flock).
 
     Parameters
     ----------
@@ -36,11 +36,11 @@ class SerialPort:
     Attributes
     ----------
     buffer, view
-        Where everything is received; the same memory.
+        Receive buffer and a view of the same memory.
     generation
-        How often the port was opened.
+        Number of times the port was opened.
     stale_bytes
-        Bytes discarded.
+        Number of discarded bytes.
     """
 
     __slots__ = (
@@ -49,8 +49,8 @@ class SerialPort:
         "_not_before_s",
         "_poll",
         "_serial",
-        "_settled_s",
-        "_wanted",
+        "_settled_at_s",
+        "_shall_be_open",
         "_whole",
         "buffer",
         "generation",
@@ -63,8 +63,8 @@ class SerialPort:
         self._serial: serial.Serial | None = None
         self._descriptor = -1
         self._poll = select.poll()
-        self._wanted = False
-        self._not_before_s = self._settled_s = 0.0
+        self._shall_be_open = False
+        self._not_before_s = self._settled_at_s = 0.0
         self.buffer = bytearray(RECEIVE_BYTES)
         self.view = memoryview(self.buffer)
         self._whole = (self.view,)
@@ -76,61 +76,61 @@ class SerialPort:
         Raises
         ------
         UnreachableError
-            There is no such port, or no right to open it.
+            The port does not exist, or the user has no permission.
         BusyError
-            Another process holds it.
+            Another process holds the lock.
         """
         self.close()
         self._open()
-        self._wanted = True
+        self._shall_be_open = True
 
     def close(self) -> None:
-        """Let go of the port, until the next `open`."""
-        self._let_go()
-        self._wanted = False
-        self._not_before_s = self._settled_s = 0.0
+        """Close the port until the next `open`."""
+        self._release()
+        self._shall_be_open = False
+        self._not_before_s = self._settled_at_s = 0.0
 
-    def ready(self) -> ExchangeResult:
-        """Open the port again if it must be; DISCONNECTED while it is gone, or a late reply may still come."""
+    def ensure_open(self) -> ExchangeResult:
+        """Reopen the port if necessary; DISCONNECTED while it is missing or a late reply is possible."""
         now_s = monotonic()
         if self._serial is None:
-            if not self._wanted or now_s < self._not_before_s:
+            if not self._shall_be_open or now_s < self._not_before_s:
                 return _DISCONNECTED
             self._not_before_s = now_s + REOPEN_S
             try:
                 self._open()
             except PiezodError:
                 return _DISCONNECTED
-        if now_s >= self._settled_s:
+        if now_s >= self._settled_at_s:
             return _OK
         try:
             self.drain()
         except OSError:
-            self._let_go()
+            self._release()
         return _DISCONNECTED
 
-    def distrust(self, settle_s: float) -> None:
-        """Close the port; when it is open again, believe nothing that comes within `settle_s` from now."""
-        self._let_go()
+    def close_and_settle(self, settle_s: float) -> None:
+        """Close the port; after it is reopened, discard all bytes until `settle_s` from now [s]."""
+        self._release()
         self._not_before_s = 0.0
-        self._settled_s = monotonic() + settle_s
+        self._settled_at_s = monotonic() + settle_s
 
-    def vanished(self) -> None:
-        """Close a port that is gone; it is looked for again after a while."""
-        self._let_go()
+    def close_lost(self) -> None:
+        """Close a port that disappeared; the next attempt to open it follows after `REOPEN_S`."""
+        self._release()
         self._not_before_s = monotonic() + REOPEN_S
 
     def wait(self, deadline_s: float) -> bool:
-        """Wait for input until `deadline_s` on the monotonic clock."""
+        """Wait for input until `deadline_s` on the monotonic clock; False: none."""
         return bool(self._poll.poll(max(0.0, 1e3 * (deadline_s - monotonic()))))
 
     def receive(self, at: int) -> int:
-        """Read what is there into `buffer` from byte `at` on.
+        """Read the available bytes into `buffer`, starting at byte `at`.
 
         Raises
         ------
         ConnectionError
-            The port is gone: it stays readable and gives nothing.
+            The port disappeared: it is readable, but contains no bytes.
         """
         count = os.readv(self._descriptor, (self.view[at:],) if at else self._whole)
         if count == 0:
@@ -138,7 +138,7 @@ class SerialPort:
         return count
 
     def drain(self) -> None:
-        """Discard what came unasked; raises OSError when the port is gone or does not fall silent."""
+        """Discard unrequested bytes; raises OSError if the port disappeared or receives without end."""
         poll = self._poll
         if not poll.poll(0):
             return
@@ -149,7 +149,7 @@ class SerialPort:
                 raise ConnectionError
 
     def send(self, frame: bytearray | bytes, deadline_s: float) -> None:
-        """Write a whole frame; raises OSError when the port is gone, takes nothing in time, or `deadline_s` is past."""
+        """Write a complete frame; raises OSError if the port disappeared, or the deadline passes before the end."""
         if monotonic() >= deadline_s:
             raise TimeoutError
         sent = 0
@@ -180,12 +180,12 @@ class SerialPort:
         except (OSError, ValueError, termios.error) as error:
             raise _explain(config.port, error) from error
         with contextlib.suppress(OSError, ValueError):
-            port.set_low_latency_mode(True)  # 1 ms instead of 16 ms in FTDI's driver; others have no such switch
+            port.set_low_latency_mode(True)  # 1 ms instead of 16 ms with FTDI's driver; other drivers raise
         self._serial, self._descriptor = port, port.fileno()
         self._poll.register(self._descriptor, select.POLLIN)
         self.generation += 1
 
-    def _let_go(self) -> None:
+    def _release(self) -> None:
         if self._serial is None:
             return
         self._poll.unregister(self._descriptor)
@@ -195,7 +195,7 @@ class SerialPort:
 
 
 def _explain(port: str, error: BaseException) -> PiezodError:
-    """Turn what pyserial raised into an error for people."""
+    """Convert an error of pyserial into an error with cause and remedy."""
     number = getattr(error, "errno", None)
     if "exclusively lock" in str(error) or number in (11, 16):
         holder = _holder(port)
@@ -208,7 +208,7 @@ def _explain(port: str, error: BaseException) -> PiezodError:
 
 
 def _holder(port: str) -> str:
-    """Name the process that has `port` open, as far as /proc shows it; empty if it does not."""
+    """Name of the process that has `port` open, from /proc; empty: not visible."""
     target = os.path.realpath(port)
     own = os.getpid()
     for folder in Path("/proc").glob("[0-9]*/fd"):

@@ -1,4 +1,4 @@
-"""The values that the tick writes and reads: patched into the request, checked and taken from the reply."""
+"""The values of a tick: encoded into the request, decoded from the reply, and checked."""
 
 import struct
 import sys
@@ -14,30 +14,30 @@ from piezod.transport.registers import RegisterCodec, swap_positions
 
 QUANTITIES = {"force": 0, "voltage_readback": 1, "temperature": 2, "reference": 3}  # role -> slot
 COUNTERS = {"heartbeat": 0, "command_echo": 1, "status": 2, "reference_counter": 3}
-_HIGHEST = sys.float_info.max  # within +- this a value is finite
+_HIGHEST = sys.float_info.max  # finite values lie within +- this value
 _COUNTS = 65536  # counters are compared modulo 16 bits
-_HALF = 32768  # an advance of more is a step back
+_HALF = 32768  # a larger advance is a step backwards
 
 _OK = ExchangeResult.OK
 
 
 class SetPoint:
-    """What the tick writes: the voltage, and the number of the command.
+    """The values written in a tick: voltage and command number.
 
     Parameters
     ----------
     registers
-        By role, in the order of their addresses and without gaps.
+        Registers by role, in ascending order of address without gaps.
 
     Attributes
     ----------
     sequence
         Number of the last command.
     counts
-        Whether the device is told that number.
+        Whether the device has a register for the command number.
     """
 
-    __slots__ = ("_modulus", "_sequence", "_sequence_at", "_voltage", "_voltage_at", "counts", "sequence")
+    __slots__ = ("_modulus", "_sequence", "_sequence_at", "_voltage", "_voltage_at", "has_sequence", "sequence")
 
     def __init__(self, registers: dict[str, Register]) -> None:
         _check_counters(registers)
@@ -45,22 +45,22 @@ class SetPoint:
         voltage = registers["voltage_setpoint"]
         self._voltage = RegisterCodec(voltage)
         self._voltage_at = 2 * (voltage.address - first)
-        self.counts = "command_sequence" in registers
+        self.has_sequence = "command_sequence" in registers
         self._sequence: RegisterCodec | None = None
         self._sequence_at, self._modulus, self.sequence = 0, _COUNTS, 0
-        if self.counts:
+        if self.has_sequence:
             counter = registers["command_sequence"]
             self._sequence = RegisterCodec(counter)
             self._sequence_at = 2 * (counter.address - first)
             self._modulus = _HALF if counter.type == "int16" else _COUNTS
 
-    def put(self, request: Request, voltage_V: float) -> float:
-        """Patch voltage and number into `request`.
+    def encode_into(self, request: Request, voltage_V: float) -> float:
+        """Encode voltage [V] and next command number into `request`.
 
         Returns
         -------
         float
-            The voltage that the bytes stand for [V]; nan, and nothing changed, when it cannot be encoded.
+            The encoded voltage [V] after rounding. nan: it cannot be encoded, and `request` is unchanged.
         """
         at = request.values_at
         written_V = self._voltage.pack_into(request.frame, at + self._voltage_at, voltage_V)
@@ -75,21 +75,21 @@ class SetPoint:
 
 
 class Plausibility:
-    """The last checks before a reading is believed, and the only writer of `reading`.
+    """Checks of heartbeat and command echo; copies accepted values into `reading`.
 
     Parameters
     ----------
     roles
-        What the device has.
+        Roles that the device has.
     heartbeat_within_s
-        How long the heartbeat may stand still [s]; 0: not from one exchange to the next.
+        Longest time with an unchanged heartbeat [s]; 0: the heartbeat must advance in each exchange.
 
     Attributes
     ----------
     values, counters
-        The newest by slot (`QUANTITIES`, `COUNTERS`), not yet believed.
+        Decoded values by slot (`QUANTITIES`, `COUNTERS`), not yet checked.
     reading
-        The last believed ones.
+        Last accepted values.
     """
 
     __slots__ = (
@@ -115,12 +115,12 @@ class Plausibility:
         self._within_s = heartbeat_within_s
         self._advanced_s = 0.0
 
-    def forget(self) -> None:
-        """Take the next heartbeat as it comes: the device may have been restarted."""
+    def forget_heartbeat(self) -> None:
+        """Accept any next heartbeat, because the device may have restarted."""
         self._heartbeat_known = False
 
     def accept(self, expected_echo: int) -> ExchangeResult:
-        """Check heartbeat and echo; believe all if good. A negative `expected_echo` is not compared."""
+        """Check heartbeat and echo, then copy the values into `reading`. A negative `expected_echo` is not compared."""
         heartbeat, echo, status, reference_counter = self.counters
         if self._has_echo and expected_echo >= 0 and (echo - expected_echo) % _COUNTS:
             return ExchangeResult.ECHO_MISMATCH
@@ -142,12 +142,12 @@ class Plausibility:
 
 
 class ReadBlock:
-    """What the tick reads, decoded with one struct call.
+    """The block of registers read in a tick, decoded by one struct call.
 
     Parameters
     ----------
     registers
-        By role, in the order of their addresses; gaps are skipped.
+        Registers by role, in ascending order of address; gaps are skipped.
     """
 
     __slots__ = ("_bytes", "_counters", "_quantities", "_struct", "count", "first")
@@ -184,7 +184,7 @@ class ReadBlock:
         self._counters = tuple((k, COUNTERS[role]) for k, role in enumerate(registers) if role in COUNTERS)
 
     def decode(self, buffer: memoryview, at: int, values: list[float], counters: list[int]) -> ExchangeResult:
-        """Decode the registers that begin at byte `at` into `values` and `counters`, by slot."""
+        """Decode the registers from byte `at` on into `values` and `counters`, by slot."""
         if self._bytes is None:
             raw = self._struct.unpack_from(buffer, at)
         else:
@@ -200,14 +200,14 @@ class ReadBlock:
 
 
 def _big_endian_positions(byte_order: str) -> tuple[int, ...]:
-    """Where the bytes of the big-endian number stand on the wire."""
+    """Positions of the bytes of the big-endian number on the wire."""
     if byte_order in ("BA", "DCBA"):
         return tuple(range(len(byte_order)))[::-1]
     return swap_positions(byte_order) or tuple(range(len(byte_order)))
 
 
 def _check_counters(registers: dict[str, Register]) -> None:
-    """Refuse counters and bits that are no plain whole numbers."""
+    """Refuse counters and status bits that are not plain integers."""
     for role in ("command_sequence", *COUNTERS):
         register = registers.get(role)
         if register is None:
@@ -215,9 +215,9 @@ def _check_counters(registers: dict[str, Register]) -> None:
         where = f"registers.{role}"
         if register.type == "float32":
             raise ConfigurationError(
-                f"{where}.type is float32, must be uint16, int16 or int32: it counts, or holds bits"
+                f"{where}.type is float32, must be uint16, int16 or int32: it is a counter or status bits"
             )
         if (register.scale, register.offset, register.low, register.high) != (1.0, 0.0, None, None):
             raise ConfigurationError(
-                f"{where} has scale, offset, low or high, must have none: it counts, or holds bits"
+                f"{where} has scale, offset, low or high, must have none: it is a counter or status bits"
             )

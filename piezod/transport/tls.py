@@ -1,7 +1,7 @@
-"""Modbus/TCP Security: the same frames through TLS, both sides with a certificate, and no way back to plain.
+"""Modbus/TCP Security: Modbus TCP frames over TLS with certificates on both sides, without fallback to plain TCP.
 
-MB-TCP-Security-v21 (Modbus Organization, 2018): TLS 1.2 or later, mutual authentication, port 802. The role that a
-client certificate may carry is the device's to judge.
+MB-TCP-Security-v21 (Modbus Organization, 2018): TLS 1.2 or later, mutual authentication, port 802.
+A client certificate may contain a role; the device checks it.
 """
 
 import contextlib
@@ -16,31 +16,31 @@ from time import monotonic
 from piezod.config.link import ModbusTcpLink, TlsConfig
 from piezod.errors import ConfigurationError, IdentityError, PiezodError
 
-HOLDS_BYTES = 16384  # the longest TLS record
-REFUSAL_S = 0.1  # with TLS 1.3 a device says only after the handshake that it does not want our certificate
+HOLDS_BYTES = 16384  # maximum length of a TLS record
+REFUSAL_S = 0.1  # in TLS 1.3 the device rejects the client certificate only after the handshake
 
 
 class TlsStream:
-    """A TLS connection that is used like a socket and waited for like a poll object.
+    """A TLS connection with the methods of a socket and of a poll object.
 
-    A readable socket may hold no data at all (a session ticket) and data may wait where no socket shows it, so waiting
-    means reading ahead.
+    `poll` reads ahead. A readable socket may contain no data, for example only a session ticket.
+    Decrypted data may wait inside OpenSSL while the socket is not readable.
 
     Parameters
     ----------
     connection
-        Connected and non-blocking; owned from here on.
+        Connected, non-blocking socket; this object closes it.
     context
-        What is verified, and what is shown.
+        TLS context from `make_context`.
     name
-        What the device's certificate must name.
+        Host name that the device certificate must contain.
     deadline_s
-        For the handshake, monotonic.
+        Time limit of the handshake on the monotonic clock [s].
 
     Raises
     ------
     OSError
-        No TLS, another certificate, or too late; `ssl.SSLError` is one.
+        The handshake failed or timed out; `ssl.SSLError` is a subclass.
     """
 
     __slots__ = ("_at", "_buffer", "_end", "_socket", "_view", "_waiter", "ended", "reason")
@@ -54,12 +54,12 @@ class TlsStream:
         self.ended = False
         self.reason = ""
         try:
-            self._shake_hands(deadline_s)
+            self._handshake(deadline_s)
         except BaseException:
             self._socket.close()
             raise
 
-    def _shake_hands(self, deadline_s: float) -> None:
+    def _handshake(self, deadline_s: float) -> None:
         while True:
             try:
                 self._socket.do_handshake()
@@ -75,11 +75,11 @@ class TlsStream:
                 raise TimeoutError
 
     def fileno(self) -> int:
-        """Of the socket below."""
+        """File descriptor of the socket."""
         return self._socket.fileno()
 
     def poll(self, timeout_ms: float) -> bool:
-        """Wait until there is data, or the end."""
+        """Wait until data is available or the connection ended; False: timeout."""
         deadline_s = monotonic() + 1e-3 * timeout_ms
         while self._at == self._end and not self.ended:
             try:
@@ -93,7 +93,7 @@ class TlsStream:
         return True
 
     def recv_into(self, space: memoryview) -> int:
-        """Hand out what was read ahead; 0 at the end."""
+        """Copy data that `poll` has read; 0: the connection ended."""
         count = min(len(space), self._end - self._at)
         space[:count] = self._view[self._at : self._at + count]
         self._at += count
@@ -104,18 +104,18 @@ class TlsStream:
         return self._socket.send(frame)
 
     def close(self) -> None:
-        """Close without farewell: the device need not answer."""
+        """Close without a TLS close message."""
         with contextlib.suppress(OSError):
             self._socket.close()
 
 
 def make_context(config: TlsConfig) -> ssl.SSLContext:
-    """Build what verifies the device and shows our certificate.
+    """TLS context that verifies the device and presents the client certificate.
 
     Raises
     ------
     ConfigurationError
-        A file is missing, does not fit, or lets everybody read the key.
+        A file is missing or invalid, or everybody can read the key.
     """
     context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)  # verifies certificate and host name
     context.minimum_version = ssl.TLSVersion.TLSv1_2
@@ -138,15 +138,15 @@ def make_context(config: TlsConfig) -> ssl.SSLContext:
 def _path_of(text: str, name: str) -> Path:
     folder = os.environ.get("CREDENTIALS_DIRECTORY")
     if text.startswith("$") and folder is None:
-        raise ConfigurationError(f"link.tls.{name} is {text}, but systemd gave no credentials; see LoadCredential=")
+        raise ConfigurationError(f"link.tls.{name} is {text}, but systemd gave no credentials; set LoadCredential=")
     path = Path(text.replace("$CREDENTIALS_DIRECTORY", folder or "", 1))
     if not path.is_file():
         raise ConfigurationError(f"link.tls.{name}: {path} is no file")
     return path
 
 
-def refusal(config: ModbusTcpLink, error: OSError) -> PiezodError | None:
-    """Say what is wrong between us and the device; None when it is nothing of TLS."""
+def tls_error(config: ModbusTcpLink, error: OSError) -> PiezodError | None:
+    """Convert a TLS failure into an error with cause and remedy; None: not a TLS failure."""
     where = f"link: {config.host}:{config.port}"
     if isinstance(error, ssl.SSLCertVerificationError):
         return IdentityError(
@@ -158,6 +158,6 @@ def refusal(config: ModbusTcpLink, error: OSError) -> PiezodError | None:
 
 
 def explain(error: OSError) -> str:
-    """Words for what OpenSSL or the system reports."""
+    """Readable text for an error of OpenSSL or of the system."""
     reason = getattr(error, "reason", None) or error.strerror or str(error)
     return str(reason).lower().replace("_", " ")

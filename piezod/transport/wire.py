@@ -1,4 +1,4 @@
-"""What a Modbus link asks of the wire below it."""
+"""The interface between a Modbus link and its wire (TCP connection or serial port)."""
 
 from typing import Protocol
 
@@ -7,18 +7,18 @@ from piezod.transport.link import ExchangeResult
 
 
 class Wire(Protocol):
-    """Carries one request and its reply at a time; nothing here raises but `open`.
+    """Transmits one request and receives its reply; only `open` raises.
 
     Attributes
     ----------
     payload
-        Where the last good reply stands, from its first byte on.
+        Buffer that begins with the last valid reply.
     exception_code
-        Code of the last Modbus exception, 0 when there was none.
+        Code of the last Modbus exception; 0: none.
     hint
-        What probably is wrong; empty when nothing is known.
+        Probable cause of the last failures; empty: unknown.
     answered
-        Whether a good reply came since it was connected.
+        Whether the device has replied on the present connection.
     """
 
     framing: Framing
@@ -29,17 +29,17 @@ class Wire(Protocol):
 
     @property
     def generation(self) -> int:
-        """How often it was connected; a new connection knows nothing of commands sent before."""
+        """Number of connections so far; the command sequence is valid within one connection only."""
         ...
 
     @property
     def stale_bytes(self) -> int:
-        """Bytes discarded."""
+        """Number of discarded bytes."""
         ...
 
     @property
     def description(self) -> str:
-        """Kind and address, for people."""
+        """Kind and address of the link, for messages."""
         ...
 
     def open(self) -> None:
@@ -47,13 +47,13 @@ class Wire(Protocol):
         ...
 
     def close(self) -> None:
-        """Disconnect, until the next `open`."""
+        """Disconnect and stay disconnected until the next `open`."""
         ...
 
-    def ready(self, deadline_s: float) -> ExchangeResult:
-        """Connect again if it must be, until `deadline_s` on the monotonic clock."""
+    def ensure_open(self, deadline_s: float) -> ExchangeResult:
+        """Reconnect if disconnected, until `deadline_s` on the monotonic clock."""
         ...
 
     def transact(self, request: Request, deadline_s: float) -> ExchangeResult:
-        """Send `request` and receive its reply into `payload`, until `deadline_s` on the monotonic clock."""
+        """Send `request` and receive the reply into `payload`, until `deadline_s` on the monotonic clock."""
         ...

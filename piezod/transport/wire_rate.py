@@ -1,17 +1,17 @@
-"""How many ticks a second a serial wire can carry at most."""
+"""The highest tick rate of a serial line."""
 
 from piezod.config.link import LinkConfig, ModbusRtuLink, ModbusTcpLink, Register, SerialLineLink
 
-GAP_CHARACTERS = 3.5  # silence between two RTU frames: Modbus over Serial Line 1.02, 2.5.1.1
-FIXED_GAP_S = 0.00175  # above 19200 baud devices may insist on this instead (same place)
+GAP_CHARACTERS = 3.5  # silence between two RTU frames: MODBUS over Serial Line 1.02, 2.5.1.1
+FIXED_GAP_S = 0.00175  # alternative above 19200 baud, same section
 
 _READ_OVERHEAD = 8 + 5  # unit, function, address, count, CRC; unit, function, byte count, CRC
 _WRITE_OVERHEAD = {16: 9 + 8, 6: 6 + 6}
 _READ_WRITE_OVERHEAD = 13 + 5
 
 
-def wire_floor_rate_Hz(config: LinkConfig) -> float | None:
-    """Highest tick rate that the wire can carry [Hz], the device answering at once; None for TCP, which sets none."""
+def max_wire_rate_Hz(config: LinkConfig) -> float | None:
+    """Highest tick rate of the wire [Hz] if the device answers without delay; None: TCP has no such limit."""
     if isinstance(config, ModbusTcpLink):
         return None
     if isinstance(config, ModbusRtuLink):
@@ -22,14 +22,14 @@ def wire_floor_rate_Hz(config: LinkConfig) -> float | None:
 
 
 def gap_s(config: ModbusRtuLink) -> float:
-    """Silence that ends a frame [s]."""
+    """Silence at the end of a frame [s]."""
     if config.silent_interval == "fixed" and config.baudrate > 19200:
         return FIXED_GAP_S
     return GAP_CHARACTERS * config.bits_per_character / config.baudrate
 
 
 def _rtu_characters(config: ModbusRtuLink) -> tuple[int, int]:
-    """Characters and gaps of one tick."""
+    """Number of characters and of gaps in one tick."""
     writes, reads = list(config.registers.tick_writes().values()), list(config.registers.tick_reads().values())
     written, read = _span_bytes(writes), _span_bytes(reads)
     if writes and writes[0].function == 23:
@@ -52,7 +52,7 @@ def _span_bytes(registers: list[Register]) -> int:
 
 
 def _line_characters(config: SerialLineLink) -> int:
-    """Characters of one tick at least: the voltage written shortest, every field of a reply one character."""
+    """Lowest number of characters in one tick: the shortest voltage, and one character per reply field."""
     end = len(config.terminator)
     characters = 0
     for command in (config.set_voltage, config.measure):

@@ -1,24 +1,21 @@
-"""What every link promises, whatever it is made of."""
+"""Properties of every link, for all kinds of device and wire."""
 
 import gc
 import sys
 import time
 from collections import deque
-from pathlib import Path
 
 import pytest
 
-from piezod.config import load_bench
 from piezod.errors import ConfigurationError
-from piezod.transport import ExchangeResult, Link, NullLink, Reading, make_link, verify_identity
+from piezod.transport import ExchangeResult, Link, Reading, make_link, verify_identity
+from tests.benches.in_process_link import InProcessLink
 from tests.unit.transport.conftest import line_config, rtu_config, tcp_config
 from tests.unit.transport.scripted import Bench, ScriptedLine, ScriptedPty, ScriptedTcp, registers, snapshot, until_good
 
-BENCH_YAML = Path(__file__).parents[2] / "config" / "bench.yaml"
 
-
-class InProcess:
-    """A device that is an object; silent when told so."""
+class InProcessDevice:
+    """A device object that can be switched to silent."""
 
     def __init__(self, bench):
         self.bench, self.silent = bench, False
@@ -37,7 +34,7 @@ class InProcess:
 
 
 class Subject:
-    """One link, its bench, and a way to silence the device."""
+    """One link, its bench, and a function that silences the device."""
 
     def __init__(self, link, bench, silence):
         self.link, self.bench, self.silence = link, bench, silence
@@ -70,13 +67,13 @@ def by_lines():
     return [server], Subject(make_link(line_config(server.port)), server.bench, silenced(server))
 
 
-def null():
-    device = InProcess(Bench())
+def in_process():
+    device = InProcessDevice(Bench())
 
     def silence():
         device.silent = True
 
-    return [], Subject(NullLink(device, {"watchdog_ms": 0.0}), device.bench, silence)
+    return [], Subject(InProcessLink(device, {"watchdog_ms": 0.0}), device.bench, silence)
 
 
 LINKS = {
@@ -87,8 +84,11 @@ LINKS = {
     "rtu, functions 16 and 3": lambda: modbus(ScriptedPty, rtu_config, 16, 3),
     "lines": by_lines,
     "lines and tcp": pair,
-    "null": null,
+    "in process": in_process,
 }
+
+
+WIRES = [(ScriptedTcp, tcp_config), (ScriptedPty, rtu_config), (ScriptedLine, line_config)]
 
 
 @pytest.fixture(params=LINKS)
@@ -126,10 +126,13 @@ def test_polling_reads_and_writes_nothing(subject):
     assert subject.bench.voltage_V == subject.link.written_V == written_V
 
 
-def test_a_voltage_that_is_no_number_reaches_no_device(subject):
+def test_a_voltage_that_is_not_finite_reaches_no_device(subject):
     subject.link.exchange(2.0)
-    assert subject.link.exchange(float("nan")) is ExchangeResult.OUT_OF_RANGE
+    sent = len(subject.bench.requests)
+    for voltage_V in (float("nan"), float("inf"), float("-inf")):
+        assert subject.link.exchange(voltage_V) is ExchangeResult.OUT_OF_RANGE
     assert subject.bench.voltage_V == subject.link.written_V == 2.0
+    assert len(subject.bench.requests) == sent
 
 
 def test_a_silent_device_costs_a_bounded_time_and_leaves_the_reading(subject):
@@ -159,19 +162,19 @@ def test_a_link_can_be_closed_twice_and_opened_again(subject):
     assert subject.bench.voltage_V == 4.0
 
 
-def test_the_watchdogs_time_is_written_and_read_back(subject):
+def test_the_watchdog_time_is_written_and_read_back(subject):
     if subject.link.has("watchdog_ms"):
         subject.link.write_register("watchdog_ms", 120.0)
         assert subject.link.read_register("watchdog_ms") == 120.0
 
 
-def test_a_role_that_the_device_has_not_is_an_error_for_people(subject):
+def test_reading_a_role_that_the_device_lacks_is_an_error_with_the_role(subject):
     assert not subject.link.has("virtual_time")
     with pytest.raises(ConfigurationError, match="virtual_time"):
         subject.link.read_register("virtual_time")
 
 
-def test_identity_is_verified_where_it_is_known(subject):
+def test_identity_is_verified_where_it_is_configured(subject):
     verify_identity(subject.link)
 
 
@@ -183,7 +186,7 @@ def test_a_link_describes_itself(subject):
     assert link.stale_bytes >= 0
 
 
-def test_exchanging_keeps_no_memory(subject):
+def test_exchanges_do_not_accumulate_memory(subject):
     exchange = subject.link.exchange
     subject.bench.requests = deque(maxlen=4)
     for _ in range(50):
@@ -195,24 +198,14 @@ def test_exchanging_keeps_no_memory(subject):
     assert sys.getallocatedblocks() - before < 100
 
 
-@pytest.mark.parametrize("kind", ["null", "fake", "NullLink"])
-def test_no_configuration_file_can_name_a_link_to_an_object(tmp_path, kind):
-    text = BENCH_YAML.read_text(encoding="utf-8").replace("kind: modbus_tcp", f"kind: {kind}", 1)
-    (tmp_path / "bench.yaml").write_text(text, encoding="utf-8")
-    with pytest.raises(ConfigurationError, match="must be one of 'modbus_tcp', 'modbus_rtu', 'serial_line'"):
-        load_bench(tmp_path / "bench.yaml")
-
-
-@pytest.mark.parametrize(
-    ("server_class", "make_config"), [(ScriptedTcp, tcp_config), (ScriptedPty, rtu_config), (ScriptedLine, line_config)]
-)
-def test_an_exchange_lasts_no_longer_than_its_patience(server_class, make_config):
+@pytest.mark.parametrize(("server_class", "make_config"), WIRES)
+def test_an_exchange_ends_at_its_time_limit(server_class, make_config):
     with server_class() as server:
         link = make_link(make_config(server.port, timeout_s=5.0))
         link.open()
         try:
             assert link.exchange(1.0) is ExchangeResult.OK
-            link.patience_s = 0.01
+            link.time_limit_s = 0.01
             server.answer = lambda _frame, _number: []
             begun_s = time.monotonic()
             assert link.exchange(2.0) is ExchangeResult.TIMEOUT
@@ -221,16 +214,14 @@ def test_an_exchange_lasts_no_longer_than_its_patience(server_class, make_config
             link.close()
 
 
-@pytest.mark.parametrize(
-    ("server_class", "make_config"), [(ScriptedTcp, tcp_config), (ScriptedPty, rtu_config), (ScriptedLine, line_config)]
-)
-def test_what_is_late_already_is_not_sent(server_class, make_config):
+@pytest.mark.parametrize(("server_class", "make_config"), WIRES)
+def test_a_request_that_is_already_late_is_not_sent(server_class, make_config):
     with server_class() as server:
         link = make_link(make_config(server.port))
         link.open()
         try:
             assert link.exchange(1.0) is ExchangeResult.OK
-            link.patience_s, sent = 0.0, len(server.bench.requests)
+            link.time_limit_s, sent = 0.0, len(server.bench.requests)
             assert link.exchange(2.0) is not ExchangeResult.OK
             time.sleep(0.05)
             assert len(server.bench.requests) == sent

@@ -6,7 +6,7 @@ from math import nan
 
 import numpy as np
 
-from piezod.config.bench import RealTimeConfig
+from piezod.config import RealTimeConfig
 from piezod.control import State, real_time
 from tests.faults.hand import TICK_MS, HandBench
 from tests.faults.stand import Seen

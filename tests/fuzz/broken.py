@@ -76,10 +76,10 @@ def believes_any_transaction() -> Check:
         wire._buffer[0:2] = request.reply_head[0:2]
         return original(wire, request, received)
 
-    original = frames.TcpWire._judge
+    original = frames.TcpWire._classify_first_frame
 
     class Believing(frames.TcpWire):
-        def _judge(self, request, received):
+        def _classify_first_frame(self, request, received):
             return judge(request, received, self)
 
     for dialogue in dialogues:

@@ -156,7 +156,7 @@ class ScriptedPort(SerialPort):
         super().__init__(config)
         self.script = script
 
-    def ready(self) -> ExchangeResult:
+    def ensure_open(self) -> ExchangeResult:
         return OK
 
     def wait(self, deadline_s: float) -> bool:
@@ -175,10 +175,10 @@ class ScriptedPort(SerialPort):
     def send(self, frame: bytearray | bytes, deadline_s: float) -> None:
         self.script.request()
 
-    def distrust(self, settle_s: float) -> None:
+    def close_and_settle(self, settle_s: float) -> None:
         pass
 
-    def vanished(self) -> None:
+    def close_lost(self) -> None:
         pass
 
 
@@ -263,9 +263,9 @@ class Dialogue:
         """Connected, one exchange was good, the next one is to come."""
         self.script.load(list(parts), PIECES[how >> 6], ends=bool(how & ENDS))
         if isinstance(self.wire, TcpWire):
-            self.wire._socket = self.wire._poll = ScriptedConnection(self.script)
+            self.wire._socket = self.wire._waiter = ScriptedConnection(self.script)
             self.wire._transaction = TRANSACTION - 1
-        if self.link._set_point.counts:
+        if self.link._set_point.has_sequence:
             self.link._set_point.sequence = SEQUENCE - 1
         self.link._plausibility._heartbeat, self.link._plausibility._heartbeat_known = HEARTBEAT, True
         self.link._written_generation = -1

@@ -105,9 +105,9 @@ def _values(feed: Feed) -> Iterable[tuple[str, str]]:
     yield "force", said("force_N", "N")
     yield "reference", said("reference_N", "N")
     yield "voltage", said("voltage_V", "V")
-    if feed.bench.names("voltage_readback"):
+    if feed.bench.has_role("voltage_readback"):
         yield "read back", said("readback_V", "V")
-    if feed.bench.names("temperature"):
+    if feed.bench.has_role("temperature"):
         yield "temperature", said("temperature_C", "\N{DEGREE SIGN}C")
     status = feed.status
     if status is None:

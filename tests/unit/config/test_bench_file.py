@@ -1,4 +1,4 @@
-"""What is made of the readers: the schema for editors, the effective configuration, a file changed in place."""
+"""The JSON schema, the effective configuration, the comments of keys, and the replacement of values."""
 
 from pathlib import Path
 
@@ -9,13 +9,13 @@ import yaml
 from piezod.config import (
     BenchConfig,
     Document,
+    all_values,
     bench_of,
     bench_schema,
     comments_of,
-    dumped,
-    edited,
     effective_text,
     load_bench,
+    replace_values,
 )
 from piezod.config.units import unit_of
 from piezod.errors import ConfigurationError
@@ -61,20 +61,20 @@ def test_every_shipped_bench_fits_the_schema(validator, path):
         {"schema": "piezod.bench/2"},
     ],
 )
-def test_the_schema_refuses_what_the_readers_refuse(validator, changes):
+def test_the_schema_refuses_the_same_values_as_load_bench(validator, changes):
     content = changed(**changes)
     assert list(validator.iter_errors(content))
     with pytest.raises(ConfigurationError):
         bench_of(Document(BENCH, yaml.safe_dump(content)))
 
 
-def test_keys_are_described_in_the_words_of_the_commented_file():
+def test_the_schema_describes_keys_by_the_comments_of_the_bench_file():
     limits = bench_schema(COMMENTS)["$defs"]["LimitsConfig"]["properties"]
     assert limits["slew_V_per_s"]["description"] == "[V/s] at most current_max_A / capacitance_F"
     assert [name for name in limits if name != "voltage_max_V" and "description" not in limits[name]] == []
 
 
-def test_comments_are_found_behind_their_keys_continued_and_commented_out():
+def test_comments_are_read_over_several_lines_and_in_a_section_that_is_commented_out():
     text = (
         "a: 1  # first\nb:\n  c: 'x # y'   # second\n                # goes on\n# r:\n#   s: 0.5   # third\nd: '#no'\n"
     )
@@ -85,14 +85,14 @@ def test_comments_are_found_behind_their_keys_continued_and_commented_out():
 def test_the_effective_configuration_read_again_is_the_same(path):
     bench = load_bench(path)
     content = yaml.safe_load(path.read_text(encoding="utf-8"))
-    text = effective_text(dumped(bench), content)
+    text = effective_text(all_values(bench), content)
     assert bench_of(Document(path, text)) == bench
 
 
-def test_defaults_and_units_stand_beside_the_values():
+def test_the_effective_configuration_shows_units_and_defaults():
     content = yaml.safe_load(BENCH.read_text(encoding="utf-8"))
     del content["limits"]["stuck_travel_V"]
-    lines = effective_text(dumped(BenchConfig.model_validate(content)), content).splitlines()
+    lines = effective_text(all_values(BenchConfig.model_validate(content)), content).splitlines()
     assert "  stuck_travel_V: 5.0                       # V, default" in lines
     assert "  slew_V_per_s: 4000.0                      # V/s" in lines
 
@@ -101,22 +101,22 @@ def test_defaults_and_units_stand_beside_the_values():
     ("key", "unit"),
     [("slew_V_per_s", "V/s"), ("timeout_s", "s"), ("name", ""), ("low", ""), ("file_MB", "MB"), ("rate_Hz", "Hz")],
 )
-def test_the_unit_of_a_key_is_what_its_name_ends_with(key, unit):
+def test_the_unit_of_a_key_is_the_suffix_of_its_name(key, unit):
     assert unit_of(key) == unit
 
 
-def test_a_value_is_changed_and_comments_stay_in_their_column():
+def test_a_value_is_replaced_and_comments_stay_in_their_column():
     text = "a: 1            # one\nlink:\n  host: 10.0.0.1  # here\n  n: {m: 5}\n"
-    made = edited(Path("x.yaml"), text, {("link", "host"): "bench.example", ("a",): 20, ("link", "n", "m"): 7})
+    made = replace_values(Path("x.yaml"), text, {("link", "host"): "bench.example", ("a",): 20, ("link", "n", "m"): 7})
     assert made == "a: 20           # one\nlink:\n  host: bench.example # here\n  n: {m: 7}\n"
 
 
 @pytest.mark.parametrize("value", ["true", "12", "a: b", "null", "1e3", "#x"])
-def test_a_text_that_looks_like_something_else_is_quoted(value):
-    made = edited(Path("x.yaml"), "a: b\n", {("a",): value})
+def test_a_text_that_yaml_would_read_differently_is_quoted(value):
+    made = replace_values(Path("x.yaml"), "a: b\n", {("a",): value})
     assert Document(Path("x.yaml"), made).content == {"a": value}
 
 
-def test_a_key_that_is_not_there_cannot_be_changed():
-    with pytest.raises(ConfigurationError, match=r"has no value link\.host"):
-        edited(Path("x.yaml"), "link: {port: 5}\n", {("link", "host"): "x"})
+def test_the_value_of_a_missing_key_cannot_be_replaced():
+    with pytest.raises(ConfigurationError, match=r"has no single value link\.host"):
+        replace_values(Path("x.yaml"), "link: {port: 5}\n", {("link", "host"): "x"})

@@ -8,7 +8,8 @@ import pytest
 from piezod.config import load_bench
 from piezod.control import check_ready
 from piezod.errors import CheckFailedError, ConfigurationError, IdentityError
-from piezod.transport import ExchangeResult, NullLink, Reading
+from piezod.transport import ExchangeResult, Reading
+from tests.benches.in_process_link import InProcessLink
 
 BENCH = load_bench(Path(__file__).parents[3] / "config" / "bench.yaml")
 REGISTERS = {"watchdog_ms": 0.0, "heartbeat": 0.0}
@@ -36,7 +37,7 @@ def changed(section, **values):
 
 
 def check(device, bench=BENCH, link=None):
-    link = link or NullLink(device, REGISTERS)
+    link = link or InProcessLink(device, REGISTERS)
     check_ready(bench, link, sleep=lambda _: None)
     assert device.writes == []
     return link
@@ -66,7 +67,7 @@ def test_a_failed_precondition_is_named_and_no_voltage_is_written(device, bench,
 
 
 def test_a_watchdog_that_does_not_keep_its_time_is_refused():
-    class Forgetful(NullLink):
+    class Forgetful(InProcessLink):
         def write_register(self, role, value):
             pass
 
@@ -77,7 +78,7 @@ def test_a_watchdog_that_does_not_keep_its_time_is_refused():
 
 def test_a_device_that_refuses_its_watchdog_refuses_arming():
     with pytest.raises(ConfigurationError, match="watchdog_ms"):
-        check(Rest(), link=NullLink(Rest(), {"heartbeat": 0.0}))
+        check(Rest(), link=InProcessLink(Rest(), {"heartbeat": 0.0}))
 
 
 def test_a_device_that_gives_no_good_reading_is_named():
@@ -92,7 +93,7 @@ def test_a_device_that_gives_no_good_reading_is_named():
 
 
 def test_identity_is_compared_at_every_arming():
-    class Other(NullLink):
+    class Other(InProcessLink):
         def identify(self):
             raise IdentityError("another device")
 

@@ -5,8 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from piezod.config import load_bench
-from piezod.config.drift import DriftConfig
+from piezod.config import DriftConfig, load_bench
 from piezod.control import ROW_DTYPE, State
 from piezod.daemon.drift import WINDOWS, DriftWatch
 from piezod.model import Plant, load_model

@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from piezod.transport import wire_floor_rate_Hz
+from piezod.transport import max_wire_rate_Hz
 from piezod.transport.frames import crc16, read_request, read_write_request, write_request
 from tests.unit.transport.conftest import line_config, rtu_config, tcp_config
 from tests.unit.transport.scripted import crc, registers
@@ -58,12 +58,12 @@ def force_and_voltage(**more):
 @pytest.mark.parametrize(("baudrate", "rate_Hz"), [(115200, 349), (921600, 2793)])
 def test_two_floats_fill_the_wire_at_the_rates_measured(baudrate, rate_Hz):
     """26 bytes and two gaps of 3.5 characters, ten bits each."""
-    assert round(wire_floor_rate_Hz(force_and_voltage(baudrate=baudrate))) == rate_Hz
+    assert round(max_wire_rate_Hz(force_and_voltage(baudrate=baudrate))) == rate_Hz
 
 
 @pytest.mark.parametrize("baudrate", [115200, 921600, 3_000_000])
 def test_with_the_fixed_gap_no_wire_carries_more_than_279_ticks_a_second(baudrate):
-    rate_Hz = wire_floor_rate_Hz(force_and_voltage(baudrate=baudrate, silent_interval="fixed"))
+    rate_Hz = max_wire_rate_Hz(force_and_voltage(baudrate=baudrate, silent_interval="fixed"))
     assert rate_Hz == pytest.approx(1.0 / (260 / baudrate + 2 * 0.00175), rel=1e-12)
     assert rate_Hz < 279
 
@@ -72,20 +72,20 @@ def test_parity_and_two_transactions_cost_what_they_take():
     split = registers(16, 3, without=FORCE_ONLY)
     config = rtu_config("/dev/none", registers=split, baudrate=19200, parity="E")
     characters = (13 + 8) + (8 + 9) + 4 * 3.5
-    assert wire_floor_rate_Hz(config) == pytest.approx(19200 / 11 / characters)
+    assert max_wire_rate_Hz(config) == pytest.approx(19200 / 11 / characters)
     single = split | {
         "voltage_setpoint": {"address": 0, "function": 6, "type": "int16", "unit": "V"},
         "force": {"address": 0, "function": 4, "type": "int16", "unit": "N"},
     }
     config = rtu_config("/dev/none", registers=single, baudrate=19200)
-    assert wire_floor_rate_Hz(config) == pytest.approx(19200 / 10 / ((8 + 8) + (8 + 7) + 4 * 3.5))
+    assert max_wire_rate_Hz(config) == pytest.approx(19200 / 10 / ((8 + 8) + (8 + 7) + 4 * 3.5))
 
 
 def test_tcp_has_no_wire_floor():
-    assert wire_floor_rate_Hz(tcp_config(502)) is None
+    assert max_wire_rate_Hz(tcp_config(502)) is None
 
 
 def test_lines_are_counted_at_their_shortest():
     config = line_config("/dev/none", baudrate=9600)
     sent, received = len("SET 0.000\nGET\n"), len("123\n")
-    assert wire_floor_rate_Hz(config) == pytest.approx(9600 / 10 / (sent + received))
+    assert max_wire_rate_Hz(config) == pytest.approx(9600 / 10 / (sent + received))

@@ -177,7 +177,7 @@ def test_random_bytes_never_raise_and_are_never_believed(rtu):
     link._timeout_s = 0.01
     for _ in range(60):
         assert link.exchange(1.0) is not ExchangeResult.OK
-        link._wire._port._settled_s = 0.0
+        link._wire._port._settled_at_s = 0.0
     assert snapshot(link.reading) == before
 
 
@@ -218,8 +218,8 @@ def test_descriptors_stay_the_same_over_200_reopenings():
     with ScriptedPty() as server, opened(server, rtu_config(server.port)) as (link, _):
         before = descriptors()
         for _ in range(200):
-            link._wire._port.distrust(0.0)
-            assert link._wire.ready(0.0) is ExchangeResult.OK
+            link._wire._port.close_and_settle(0.0)
+            assert link._wire.ensure_open(0.0) is ExchangeResult.OK
         assert descriptors() == before
 
 

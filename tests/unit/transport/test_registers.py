@@ -120,7 +120,7 @@ def test_a_block_decodes_like_its_registers_one_by_one(data):
 
 @pytest.mark.parametrize("fields", [{"scale": 2.0}, {"offset": 1.0}, {"high": 9.0}, {"kind": "float32"}])
 def test_a_counter_that_is_no_plain_whole_number_is_refused(fields):
-    with pytest.raises(ConfigurationError, match=r"registers\.heartbeat.*it counts, or holds bits"):
+    with pytest.raises(ConfigurationError, match=r"registers\.heartbeat.*it is a counter or status bits"):
         ReadBlock({"heartbeat": register(**({"kind": "uint16"} | fields))})
 
 

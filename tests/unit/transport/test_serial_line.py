@@ -130,7 +130,7 @@ def test_roles_are_those_of_the_patterns(line):
     assert link.has("heartbeat")
     assert not link.has("temperature")
     assert link.read_register("force") == 2.0
-    with pytest.raises(ConfigurationError, match="no line of the configuration carries 'temperature'"):
+    with pytest.raises(ConfigurationError, match="no configured line has the role 'temperature'"):
         link.read_register("temperature")
 
 

@@ -1,4 +1,4 @@
-"""A YAML text with some values changed and every comment kept."""
+"""Replacement of values in a YAML text; comments and layout stay."""
 
 import json
 import re
@@ -13,45 +13,45 @@ _PLAIN = re.compile(r"[A-Za-z_/](?:[\w./:@+-]*[\w/])?")
 Scalar = str | float | int | bool | None
 
 
-def edited(path: Path, text: str, changes: Mapping[tuple[str, ...], Scalar]) -> str:
-    """Change values in place.
+def replace_values(path: Path, text: str, changes: Mapping[tuple[str, ...], Scalar]) -> str:
+    """The YAML text with new values at the given keys.
 
     Parameters
     ----------
     path
-        Of the text, for messages.
+        File name for messages.
     text
-        YAML.
+        YAML text.
     changes
-        New values by path, such as `{("link", "host"): "10.0.0.7"}`; each must be a single value in the text.
+        New values by path, such as `{("link", "host"): "10.0.0.7"}`. Each path must lead to a scalar in the text.
 
     Raises
     ------
     ConfigurationError
-        The text has no such key, or it holds no single value.
+        The text has no such key, or its value is a list or a mapping.
     """
     document = Document(path, text)
     spans = []
     for keys, value in changes.items():
         span = document.span_of(keys)
         if span is None:
-            raise ConfigurationError(f"{path}: has no value {'.'.join(keys)} that could be changed")
+            raise ConfigurationError(f"{path}: has no single value {'.'.join(keys)}, cannot be changed")
         spans.append((*span, _scalar(value)))
     for start, end, value in sorted(spans, reverse=True):
         line_end = text.find("\n", end)
         rest = text[end : line_end if line_end >= 0 else len(text)]
-        text = text[:start] + value + _moved(rest, end - start - len(value)) + text[end + len(rest) :]
+        text = text[:start] + value + _aligned(rest, end - start - len(value)) + text[end + len(rest) :]
     return text
 
 
-def _moved(rest: str, by: int) -> str:
-    """What stands behind a value, its comment in the column where it was, if that is free."""
+def _aligned(rest: str, shift: int) -> str:
+    """The rest of the line after a value; a comment stays in its column if the new value leaves room."""
     words = rest.lstrip(" ")
     if not words.startswith("#"):
         return rest
-    return " " * max(1, len(rest) - len(words) + by) + words
+    return " " * max(1, len(rest) - len(words) + shift) + words
 
 
 def _scalar(value: Scalar) -> str:
     plain = isinstance(value, str) and _PLAIN.fullmatch(value) is not None and value not in ("true", "false", "null")
-    return str(value) if plain else json.dumps(value)  # YAML reads JSON's scalars as JSON does
+    return str(value) if plain else json.dumps(value)  # every JSON scalar is also a YAML scalar of the same value

@@ -1,33 +1,33 @@
-"""A link to a device inside this process, for tests and simulation; no configuration file can name it."""
+"""A link to a device object in this process, with neither socket nor port."""
 
 from math import inf, isfinite, nan
 from typing import Protocol
 
 from piezod.errors import ConfigurationError
-from piezod.transport.link import ExchangeResult, Reading
+from piezod.transport import ExchangeResult, Reading
 
 
 class Device(Protocol):
-    """What stands behind a `NullLink`."""
+    """The device object that an `InProcessLink` calls."""
 
     def exchange(self, voltage_V: float | None) -> "Reading | ExchangeResult":
-        """Take a voltage [V], None to be only looked at; answer a reading, or how the exchange failed."""
+        """Apply a voltage [V], None to read only; return a reading, or the result of a failed exchange."""
         ...
 
 
-class NullLink:
-    """Hands every voltage to a device object and believes what it answers.
+class InProcessLink:
+    """Passes every voltage to a device object and accepts its answer unchecked.
 
     Parameters
     ----------
     device
-        Stands in for the bench.
+        Replaces the bench.
     registers
-        Set-up registers by role, read and written like memory.
+        Values of the set-up registers by role.
     """
 
-    __slots__ = ("_device", "_registers", "counts", "patience_s", "reading", "written_V")
-    description = "null"
+    __slots__ = ("_device", "_registers", "counts", "reading", "time_limit_s", "written_V")
+    description = "in process"
     last_exception = 0
     stale_bytes = 0
     hint = ""
@@ -38,13 +38,13 @@ class NullLink:
         self.reading = Reading()
         self.written_V = nan
         self.counts = [0] * len(ExchangeResult)
-        self.patience_s = inf
+        self.time_limit_s = inf
 
     def open(self) -> None:
-        """Nothing to connect."""
+        """Do nothing: there is no connection."""
 
     def close(self) -> None:
-        """Nothing to disconnect."""
+        """Do nothing: there is no connection."""
 
     def exchange(self, voltage_V: float) -> ExchangeResult:
         """Write the voltage [V] and read."""
@@ -52,13 +52,13 @@ class NullLink:
             self.counts[ExchangeResult.OUT_OF_RANGE] += 1
             return ExchangeResult.OUT_OF_RANGE
         self.written_V = voltage_V
-        return self._take(self._device.exchange(voltage_V))
+        return self._store(self._device.exchange(voltage_V))
 
     def poll(self) -> ExchangeResult:
         """Read without writing."""
-        return self._take(self._device.exchange(None))
+        return self._store(self._device.exchange(None))
 
-    def _take(self, answer: "Reading | ExchangeResult") -> ExchangeResult:
+    def _store(self, answer: "Reading | ExchangeResult") -> ExchangeResult:
         result = ExchangeResult.OK
         if isinstance(answer, ExchangeResult):
             result = answer
@@ -69,13 +69,13 @@ class NullLink:
         return result
 
     def has(self, role: str) -> bool:
-        """Whether `registers` names this role."""
+        """Whether `registers` holds this role."""
         return role in self._registers
 
     def read_register(self, role: str) -> float:
         """Read one of `registers`."""
         if role not in self._registers:
-            raise ConfigurationError(f"null link: has no register '{role}'")
+            raise ConfigurationError(f"in-process link: has no register '{role}'")
         return self._registers[role]
 
     def write_register(self, role: str, value: float) -> None:
@@ -84,4 +84,4 @@ class NullLink:
         self._registers[role] = value
 
     def identify(self) -> None:
-        """Nothing is expected."""
+        """Do nothing: no identity is configured."""

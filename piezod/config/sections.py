@@ -1,0 +1,84 @@
+"""The sections `real_time`, `arming`, `daemon`, `recorder` and `drift` of a bench file."""
+
+from typing import Annotated, Literal, Self
+
+from pydantic import Field, model_validator
+
+from piezod.config.checked import Section, require
+
+Precondition = Literal["identity", "map_version", "device_watchdog", "voltage_readback", "sign_check"]
+
+
+class RealTimeConfig(Section):
+    """Real-time settings that the control process requests from the kernel; a missing right gives a warning."""
+
+    fifo_priority: Annotated[int, Field(ge=0, le=99)] = 80
+    lock_memory: bool = True
+    cpu: Annotated[int, Field(ge=0)] | None = None
+    hold_cpu_latency: bool = True
+
+
+class SignCheckConfig(Section):
+    """A small voltage step that must raise the force: it tests polarity, cable and preload before anything else."""
+
+    step_V: Annotated[float, Field(gt=0)] = 2.0
+    rise_N: Annotated[float, Field(gt=0)] = 0.5
+    settle_s: Annotated[float, Field(gt=0, le=60)] = 0.1
+
+
+class ArmingConfig(Section):
+    """Conditions before the first voltage is written, and the way from rest to the first reference.
+
+    `without` lists the preconditions that this device cannot fulfil. The corresponding faults stay undetected.
+    """
+
+    reset_cycle: bool = True
+    voltage_V_per_s: Annotated[float, Field(gt=0)] = 200.0
+    readback_within_V: Annotated[float, Field(gt=0)] = 2.0
+    agree_within_N: Annotated[float, Field(gt=0)] | None = None
+    sign_check: SignCheckConfig = SignCheckConfig()
+    without: Annotated[tuple[Precondition, ...], Field(strict=False)] = ()
+
+
+class DaemonConfig(Section):
+    """Ring log, control socket and metrics port of the daemon."""
+
+    ring_log: str = "/dev/shm/piezod-{name}.ring"  # noqa: S108  # other programs read this shared memory
+    ring_seconds: Annotated[float, Field(gt=0, le=3600)] = 60.0
+    socket: str | None = None
+    socket_group: Annotated[str, Field(min_length=1)] | None = None
+    socket_mode: Annotated[str, Field(pattern=r"^0?[0-7]{3}$")] = "0660"
+    metrics_port: Annotated[int, Field(ge=0, le=65535)] | None = None
+
+
+class RecorderConfig(Section):
+    """Folder with files of ticks; the oldest file is deleted when the folder reaches its limit."""
+
+    folder: Annotated[str, Field(min_length=1)]
+    sync_every_s: Annotated[float, Field(ge=0.05, le=60)] = 0.5
+    file_MB: Annotated[float, Field(ge=8, le=100_000)] = 256.0
+    file_h: Annotated[float, Field(gt=0, le=8760)] = 24.0
+    folder_MB: Annotated[float, Field(ge=16)] = 10_000.0
+
+    @model_validator(mode="after")
+    def _folder_holds_two_files(self) -> Self:
+        least_MB = 2 * self.file_MB
+        require(
+            self.folder_MB >= least_MB,
+            "folder_MB",
+            self.folder_MB,
+            f"at least two files of file_MB, {least_MB:g}: the previous file stays while the next is written",
+        )
+        return self
+
+
+class DriftConfig(Section):
+    """Comparison of force and model in windows of time, and the recording saved when they differ.
+
+    `beyond_N` is the difference [N] that counts as drift; None: three times the model's held-out error.
+    """
+
+    window_s: Annotated[float, Field(ge=1, le=3600)] = 10.0
+    beyond_N: Annotated[float, Field(gt=0)] | None = None
+    keep_s: Annotated[float, Field(ge=10, le=3600)] = 120.0
+    file: str | None = None
