@@ -8,7 +8,7 @@ from piezod import __version__
 from piezod.blind.case import Description, read_description
 from piezod.diagnose.command import diagnose_files
 from piezod.identify.identification import Options, identify
-from piezod.identify.intake import take_in
+from piezod.identify.intake import load_recordings
 from piezod.identify.simulation import simulate_recording
 from piezod.model import Model, save_model
 from piezod.recording import Recording, read_recording, write_csv
@@ -65,7 +65,7 @@ def judge(verdict: Path) -> Took:
 
 
 def _identified(said: Description) -> Model:
-    taken = take_in([Path(said.identification)], said.input, said.output)
+    taken = load_recordings([Path(said.identification)], said.input, said.output)
     return identify(
         [one.recording for one in taken],
         Options(input=said.input, output=said.output, plays=PLAYS, zones=ZONES),
