@@ -1,1 +1,1 @@
-"""The concealed study: cases whose truth is sealed are drawn, diagnosed without looking, and scored."""
+"""The concealed study: draws cases with a sealed truth, diagnoses them without the truth, and scores the verdicts."""

@@ -1,6 +1,6 @@
-"""One case as it is handed out: what an engineer would have, and nothing of the sealed truth.
+"""One case of a study: the recordings that an engineer would have, without the sealed truth.
 
-A case travels as the contents of its files, so that whoever judges it needs no disk of ours.
+A case is passed on as the contents of its files, so a process on another machine needs no shared disk.
 """
 
 import json
@@ -17,35 +17,35 @@ SCHEMA = "firmware_sim.concealed.case/1"
 
 @dataclass(frozen=True)
 class Case:
-    """A case on its way.
+    """Files of a case.
 
     Parameters
     ----------
     name
-        Such as `case_0001`.
+        Name of the case, such as `case_0001`.
     files
-        Compressed contents by the name of the file.
+        File name to content, compressed by zlib.
     """
 
     name: str
     files: dict[str, bytes]
 
     def unpack(self, folder: Path) -> None:
-        """Write its files into a folder that is there."""
+        """Write the files into an existing folder."""
         for name, content in self.files.items():
             (folder / name).write_bytes(zlib.decompress(content))
 
 
 @dataclass(frozen=True)
 class Description:
-    """What a case says about its files.
+    """Content of a case's description file.
 
     Parameters
     ----------
     identification, recordings, held_out
-        Names of files: to identify on, to be explained, to be simulated.
+        File names of the recordings for the identification, for the diagnosis, and for the held-out simulation.
     input, output
-        Columns.
+        Names of the input and output columns.
     """
 
     identification: str
@@ -56,24 +56,29 @@ class Description:
 
 
 def read_description(folder: Path) -> Description:
-    """Read what a case says about its files.
+    """Read the description file of a case.
+
+    Parameters
+    ----------
+    folder
+        Folder of the case.
 
     Raises
     ------
     ConfigurationError
-        It cannot be read, or names a file that is not in the folder.
+        The file cannot be read, or names a file outside of the folder.
     """
     path = folder / DESCRIPTION
     try:
-        said = json.loads(path.read_text(encoding="utf-8"))
-        if said["schema"] != SCHEMA:
-            raise ConfigurationError(f"{path}: schema is {said['schema']}, must be {SCHEMA}")
+        content = json.loads(path.read_text(encoding="utf-8"))
+        if content["schema"] != SCHEMA:
+            raise ConfigurationError(f"{path}: schema is {content['schema']}, must be {SCHEMA}")
         found = Description(
-            str(said["identification"]),
-            tuple(map(str, said["recordings"])),
-            str(said["held_out"]),
-            str(said["input"]),
-            str(said["output"]),
+            str(content["identification"]),
+            tuple(map(str, content["recordings"])),
+            str(content["held_out"]),
+            str(content["input"]),
+            str(content["output"]),
         )
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise ConfigurationError(f"{path}: is no {SCHEMA}: {error!r}") from error
@@ -84,15 +89,20 @@ def read_description(folder: Path) -> Description:
 
 
 def read_case(folder: Path) -> Case:
-    """Read one case: its description and the recordings that it names, nothing else.
+    """Read the description of a case and the recordings that it names; other files in the folder are not read.
+
+    Parameters
+    ----------
+    folder
+        Folder of the case.
 
     Raises
     ------
     ConfigurationError
-        A file of it is missing or cannot be read.
+        One of the files is missing or cannot be read.
     """
-    said = read_description(folder)
-    names = (DESCRIPTION, said.identification, *said.recordings, said.held_out)
+    description = read_description(folder)
+    names = (DESCRIPTION, description.identification, *description.recordings, description.held_out)
     try:
         return Case(folder.name, {name: zlib.compress((folder / name).read_bytes(), 1) for name in names})
     except OSError as error:
@@ -100,30 +110,30 @@ def read_case(folder: Path) -> Case:
 
 
 def case_folders(study: Path, only: tuple[str, ...] = ()) -> list[Path]:
-    """Folders of a study's cases, in order.
+    """Folders of a study's cases, in the order of their names.
 
     Parameters
     ----------
     study
-        Its directory.
+        Folder of the study.
     only
-        Names of those wanted; none: all.
+        Names of the cases to return; empty: all.
 
     Raises
     ------
     ConfigurationError
-        There is no finished study.
+        The folder holds no finished study.
     UsageError
-        A case that is wanted is not in it.
+        A name in `only` is not the name of a case.
     """
     if not (study / SEAL).is_file():
         raise ConfigurationError(f"{study}: has no {SEAL}, so it is no finished study; piezod blind make draws one")
     found = {path.parent.name: path.parent for path in sorted(study.glob(f"case_*/{DESCRIPTION}"))}
     missing = [name for name in only if name not in found]
     if missing:
-        raise UsageError(f"--only names {missing[0]}, {study} has {len(found)} cases, {_ends(list(found))}")
+        raise UsageError(f"--only names {missing[0]}, {study} has {len(found)} cases, {_first_to_last(list(found))}")
     return [folder for name, folder in found.items() if name in only or not only]
 
 
-def _ends(names: list[str]) -> str:
+def _first_to_last(names: list[str]) -> str:
     return f"{names[0]} to {names[-1]}" if names else "none"

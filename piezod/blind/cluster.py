@@ -1,4 +1,4 @@
-"""Cases judged by the workers of a Dask cluster: contents go there, contents come back, no disk is shared."""
+"""Diagnosis of cases by the workers of a Dask cluster; contents of files are sent and received, no disk is shared."""
 
 import importlib
 import logging
@@ -8,63 +8,69 @@ from pathlib import Path
 from typing import Any
 
 from piezod.blind.case import read_case
-from piezod.blind.isolated import ATTEMPTS, judge_apart
+from piezod.blind.isolated import ATTEMPTS, diagnose_isolated
 from piezod.blind.verdict import Verdict, failed_verdict
 from piezod.errors import ConfigurationError, PiezodError, UnreachableError, UsageError
 
-ANSWERS_S = 5.0  # that a scheduler may take to answer
-PATIENCE_S = 30.0  # for a first worker to be there
-AHEAD = 2  # cases a thread of the cluster has waiting, so that it never idles and the scheduler holds few
+CONNECT_S = 5.0
+"""Longest time for the scheduler to answer [s]."""
+
+PATIENCE_S = 30.0
+"""Longest time until a first worker is present [s]."""
+
+SUBMITTED_PER_THREAD = 2
+"""Cases submitted per thread of the cluster: no thread is idle, and the scheduler stores few cases."""
 
 
-def judge_there(
+def diagnose_on_cluster(
     folders: Sequence[Path], address: str, patience_s: float = PATIENCE_S
 ) -> Generator[Verdict, None, None]:
-    """Judge cases on a cluster; the verdicts come as they are ready.
+    """Diagnose cases on a cluster and yield each verdict when it is complete.
 
-    A worker that dies costs its case one attempt of a few (the scheduler's `allowed-failures`), then it has failed.
+    A case whose worker dies is tried again; the scheduler's option `allowed-failures` limits the attempts.
 
     Parameters
     ----------
     folders
-        Of the cases.
+        Folders of the cases.
     address
-        Of the scheduler, such as `tcp://10.0.0.1:8786`.
+        Address of the scheduler, such as `tcp://10.0.0.1:8786`.
     patience_s
-        How long to wait for a worker, and at most for the scheduler [s].
+        Longest time to wait for a worker [s], above 0; the scheduler must answer within it too.
 
     Raises
     ------
     ConfigurationError
         `distributed` is not installed.
     UsageError
-        It is no address.
+        The address is invalid.
     UnreachableError
-        No scheduler answers there, it has no worker, or it went away.
+        No scheduler answers, it has no worker, or the connection to it is lost.
     """
     distributed = _library()
     with _client(distributed, address, patience_s) as client:
-        waiting = distributed.as_completed(loop=client.loop)
+        submitted = distributed.as_completed(loop=client.loop)
         names: dict[str, str] = {}
-        left = iter(folders)
+        remaining = iter(folders)
 
-        def hand_out() -> Iterator[Verdict]:
-            """Keep the cluster busy; yield cases that cannot even be read."""
+        def submit() -> Iterator[Verdict]:
+            """Submit further cases; yield the failed verdicts of cases that cannot be read."""
             threads = sum(client.nthreads().values())
-            while len(names) < max(AHEAD * threads, 1) and (folder := next(left, None)) is not None:
+            most = max(SUBMITTED_PER_THREAD * threads, 1)
+            while len(names) < most and (folder := next(remaining, None)) is not None:
                 try:
                     case = read_case(folder)
                 except PiezodError as error:
                     yield failed_verdict(folder.name, str(error))
                     continue
-                future = client.submit(judge_apart, case, pure=False, retries=ATTEMPTS - 1)
+                future = client.submit(diagnose_isolated, case, pure=False, retries=ATTEMPTS - 1)
                 names[future.key] = case.name
-                waiting.add(future)
+                submitted.add(future)
 
-        yield from hand_out()
-        for future in waiting:
+        yield from submit()
+        for future in submitted:
             yield _verdict(future, names.pop(future.key), address)
-            yield from hand_out()
+            yield from submit()
 
 
 def _library() -> Any:  # noqa: ANN401  # an optional library
@@ -76,13 +82,13 @@ def _library() -> Any:  # noqa: ANN401  # an optional library
 
 @contextmanager
 def _client(distributed: Any, address: str, patience_s: float) -> Iterator[Any]:  # noqa: ANN401  # as above
-    logging.getLogger("distributed").setLevel(logging.CRITICAL)  # what it tells in pages is told here in one line
+    logging.getLogger("distributed").setLevel(logging.CRITICAL)  # its log of many lines becomes one error line
     try:
-        distributed.comm.resolve_address(address)  # a client that never began takes a minute to end
-        client = distributed.Client(address, timeout=min(patience_s, ANSWERS_S), set_as_default=False)
+        distributed.comm.resolve_address(address)  # early: a client with an invalid address takes a minute to close
+        client = distributed.Client(address, timeout=min(patience_s, CONNECT_S), set_as_default=False)
     except OSError as error:
         raise UnreachableError(
-            f"--scheduler is {address}: nobody answers there ({error}); start one with dask scheduler"
+            f"--scheduler is {address}: no scheduler answers there ({error}); start one with dask scheduler"
         ) from error
     except (ValueError, TypeError) as error:
         raise UsageError(f"--scheduler is '{address}', must be like tcp://HOST:8786: {error}") from error
@@ -101,6 +107,6 @@ def _verdict(future: Any, name: str, address: str) -> Verdict:  # noqa: ANN401  
         verdict: Verdict = future.result()
         return verdict
     if future.status == "cancelled":
-        raise UnreachableError(f"--scheduler is {address}: went away; the same command goes on where this one stopped")
+        raise UnreachableError(f"--scheduler is {address}: connection lost; run the same command again to continue")
     error = future.exception()
     return failed_verdict(name, f"{type(error).__name__} on the cluster: {error}")

@@ -1,4 +1,4 @@
-"""One case judged as an engineer would: a model identified, the recordings diagnosed, the held-out input simulated."""
+"""Diagnosis of one case: identifies a model, diagnoses the recordings, and simulates the held-out input."""
 
 import time
 from dataclasses import dataclass
@@ -8,82 +8,90 @@ from piezod import __version__
 from piezod.blind.case import Description, read_description
 from piezod.diagnose.command import diagnose_files
 from piezod.identify.identification import Options, identify
-from piezod.identify.intake import take_in
+from piezod.identify.intake import load_recordings
 from piezod.identify.simulation import simulate_recording
 from piezod.model import Model, save_model
 from piezod.recording import Recording, read_recording, write_csv
 
 PLAYS, ZONES = 14, 6
+"""Orders of the identified model."""
+
 MODEL = "model.yaml"
+"""File of the identified model."""
+
 EXTENDED, BASE = "simulated_held_out.csv", "simulated_held_out_base.csv"
+"""Files of the held-out simulations with the extended and with the identified model."""
+
 UNREPEATED = frozenset({"vibration", "mains_hum", "load_step", "sensor_dropout", "quantisation"})
-"""Tones, one-off events and the converter: another recording does not repeat them sample by sample."""
+"""Effects left out of the held-out simulation: another recording does not repeat tones, events and quantisation."""
 
 
 @dataclass(frozen=True)
-class Took:
-    """How long it took.
+class Durations:
+    """Durations of the two parts of the work.
 
     Parameters
     ----------
     identification_s, diagnosis_s
-        To identify the model, and to diagnose with it [s].
+        Duration of the identification and of the diagnosis [s].
     """
 
     identification_s: float
     diagnosis_s: float
 
 
-def judge(verdict: Path) -> Took:
-    """Judge the case in the current directory.
+def diagnose_case(verdict: Path) -> Durations:
+    """Diagnose the case in the current directory.
 
-    Its own names are all that a verdict says of files, wherever it was judged.
+    The paths in the findings are plain file names, so they are the same on every machine.
 
     Parameters
     ----------
     verdict
-        Folder, made where it is not there; `findings.json` and the two simulations go there.
+        Folder for `findings.json` and the two simulations; created if it does not exist.
 
     Raises
     ------
     RecordingError, ConfigurationError
-        A file of the case cannot be used.
+        A file of the case cannot be read or is not suitable.
     """
-    said = read_description(Path())
+    description = read_description(Path())
     begun_s = time.monotonic()
-    model = _identified(said)
+    model = _identified(description)
     save_model(model, Path(MODEL))
     identified_s = time.monotonic()
-    recordings = [Path(name) for name in said.recordings]
+    recordings = [Path(name) for name in description.recordings]
     diagnosis = diagnose_files(recordings, Path(MODEL), verdict, None, None, lambda *_: None)
     diagnosed_s = time.monotonic()
-    (verdict / MODEL).unlink()  # no part of a verdict
-    drive = _drive(said)
+    (verdict / MODEL).unlink()  # not part of a verdict
+    drive = _held_out_input(description)
     write_csv(_simulated(model, drive), verdict / BASE)
     write_csv(_simulated(_repeatable(diagnosis.model), drive), verdict / EXTENDED)
-    return Took(identified_s - begun_s, diagnosed_s - identified_s)
+    return Durations(identified_s - begun_s, diagnosed_s - identified_s)
 
 
-def _identified(said: Description) -> Model:
-    taken = take_in([Path(said.identification)], said.input, said.output)
+def _identified(description: Description) -> Model:
+    (loaded,) = load_recordings([Path(description.identification)], description.input, description.output)
     return identify(
-        [one.recording for one in taken],
-        Options(input=said.input, output=said.output, plays=PLAYS, zones=ZONES),
+        [loaded.recording],
+        Options(input=description.input, output=description.output, plays=PLAYS, zones=ZONES),
         f"piezod {__version__}",
-        sources=[one.source for one in taken],
-        notes=[note for one in taken for note in one.notes],
+        sources=[loaded.source],
+        notes=loaded.notes,
     ).model
 
 
-def _drive(said: Description) -> Recording:
-    """The held-out record without its output: nothing of it may be looked at."""
-    held_out = read_recording(Path(said.held_out))
-    channels = {name: values for name, values in held_out.channels.items() if name != said.output}
-    return Recording(held_out.time_s, channels, {}, said.held_out)
+def _held_out_input(description: Description) -> Recording:
+    """Held-out recording without its output, so that no simulation can depend on it."""
+    held_out = read_recording(Path(description.held_out))
+    channels = {name: values for name, values in held_out.channels.items() if name != description.output}
+    return Recording(held_out.time_s, channels, {}, description.held_out)
 
 
 def _repeatable(model: Model) -> Model:
-    return model.model_copy(update={"effects": tuple(one for one in model.effects if one.name not in UNREPEATED)})
+    """Model without the effects in `UNREPEATED`."""
+    effects = tuple(effect for effect in model.effects if effect.name not in UNREPEATED)
+    return model.model_copy(update={"effects": effects})
 
 
 def _simulated(model: Model, drive: Recording) -> Recording:

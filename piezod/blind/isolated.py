@@ -1,4 +1,4 @@
-"""A case judged in a process of its own: one thread in it, nothing left behind, and a crash costs one attempt."""
+"""Diagnosis of a case in a separate process with one thread; a crash affects this case only, and it is tried again."""
 
 import os
 import subprocess
@@ -12,52 +12,57 @@ from pathlib import Path
 from piezod.blind.case import Case
 from piezod.blind.verdict import Verdict, failed_verdict, read_verdict
 
-ATTEMPTS = 3  # after that many deaths it is the case, not the machine
-LONGEST_S = 3600.0  # a case takes seconds; what takes an hour never ends
+ATTEMPTS = 3
+"""Processes started for a case before it counts as failed; later crashes come from the case, not from the machine."""
+
+LONGEST_S = 3600.0
+"""Time limit of a process [s]; a case takes seconds to minutes."""
+
 ONE_THREAD = dict.fromkeys(
     ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS", "NUMEXPR_NUM_THREADS"), "1"
 )
 
 
-class Processes:
-    """Processes that judge cases, each its own; all of them can be ended at once."""
+class IsolatedProcesses:
+    """The running processes, one per case; `end` kills all of them."""
 
     def __init__(self) -> None:
         self._running: set[subprocess.Popen[bytes]] = set()
         self._lock = threading.Lock()
         self._ended = False
 
-    def judge(self, case: Case) -> Verdict:
-        """Judge a case; a process that dies is started again, up to three times.
+    def diagnose(self, case: Case) -> Verdict:
+        """Diagnose a case; a process that dies is replaced, up to `ATTEMPTS` processes in total.
 
-        Called from as many threads as there shall be processes.
+        The call blocks, so each parallel process needs a thread of its own.
         """
         begun_s = time.monotonic()
-        why = ""
+        problem = ""
         for _ in range(ATTEMPTS):
             with tempfile.TemporaryDirectory(prefix="piezod-blind-", ignore_cleanup_errors=True) as scratch:
-                given, verdict = Path(scratch, "case"), Path(scratch, case.name)
-                given.mkdir()
-                case.unpack(given)
-                why = self._run(given, verdict)
-                found = None if why else read_verdict(case.name, verdict)
-            if found is not None or self._ended:
+                folder, output = Path(scratch, "case"), Path(scratch, case.name)
+                folder.mkdir()
+                case.unpack(folder)
+                problem = self._run(folder, output)
+                verdict = None if problem else read_verdict(case.name, output)
+            if verdict is not None or self._ended:
                 break
-        took_s = time.monotonic() - begun_s
-        return found or failed_verdict(case.name, f"its process {why or 'said nothing'}, {ATTEMPTS} times", took_s)
+        elapsed_s = time.monotonic() - begun_s
+        reason = f"its process {problem or 'wrote no verdict'}, {ATTEMPTS} times"
+        return verdict or failed_verdict(case.name, reason, elapsed_s)
 
     def end(self) -> None:
-        """End all of them; none is started any more."""
+        """Kill all processes and start no others."""
         with self._lock:
             self._ended = True
             for process in self._running:
                 process.kill()
 
-    def _run(self, given: Path, verdict: Path) -> str:
-        """Run one process to its end; what was wrong with that, in words, or nothing."""
-        said = given.parent / "stderr"
-        command = [sys.executable, "-m", "piezod.blind.worker", str(given), str(verdict)]
-        with said.open("wb") as stderr, self._lock:
+    def _run(self, folder: Path, output: Path) -> str:
+        """Run one process to its end; return the problem in words, or an empty text."""
+        errors = folder.parent / "stderr"
+        command = [sys.executable, "-m", "piezod.blind.worker", str(folder), str(output)]
+        with errors.open("wb") as stderr, self._lock:
             if self._ended:
                 return "was ended"
             process = subprocess.Popen(  # noqa: S603  # our own interpreter and module
@@ -66,7 +71,7 @@ class Processes:
                 stdout=subprocess.DEVNULL,
                 stderr=stderr,
                 env=os.environ | ONE_THREAD,
-                start_new_session=True,  # Ctrl-C is for us to hear; we end them
+                start_new_session=True,  # Ctrl-C reaches this process only, which ends the others
             )
             self._running.add(process)
         try:
@@ -81,17 +86,18 @@ class Processes:
             if process.stdin:
                 with suppress(BrokenPipeError):
                     process.stdin.close()
-        return _ending(code, said)
+        return _exit_problem(code, errors)
 
 
-def judge_apart(case: Case) -> Verdict:
-    """Judge a case in a process of its own."""
-    return Processes().judge(case)
+def diagnose_isolated(case: Case) -> Verdict:
+    """Diagnose a case in a separate process."""
+    return IsolatedProcesses().diagnose(case)
 
 
-def _ending(code: int, said: Path) -> str:
+def _exit_problem(code: int, errors: Path) -> str:
+    """Exit code or signal in words, with the last line of stderr; an empty text for exit code 0."""
     if code == 0:
         return ""
     how = f"was ended by signal {-code}" if code < 0 else f"ended with {code}"
-    lines = said.read_text(encoding="utf-8", errors="replace").strip().splitlines()
+    lines = errors.read_text(encoding="utf-8", errors="replace").strip().splitlines()
     return how + (f" ({lines[-1]})" if lines else "")

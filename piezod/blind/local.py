@@ -1,4 +1,4 @@
-"""Cases judged on this machine, as many beside each other as it has cores."""
+"""Diagnosis of cases on this machine, several in parallel."""
 
 import os
 from collections.abc import Generator, Sequence
@@ -6,39 +6,41 @@ from concurrent.futures import ThreadPoolExecutor, as_completed
 from pathlib import Path
 
 from piezod.blind.case import read_case
-from piezod.blind.isolated import Processes
+from piezod.blind.isolated import IsolatedProcesses
 from piezod.blind.verdict import Verdict, failed_verdict
 from piezod.errors import PiezodError
 
 
-def cores() -> int:
-    """How many cores this process may use."""
+def core_count() -> int:
+    """Number of cores that this process may use."""
     return len(os.sched_getaffinity(0))
 
 
-def judge_here(folders: Sequence[Path], jobs: int) -> Generator[Verdict, None, None]:
-    """Judge cases; the verdicts come as they are ready.
+def diagnose_locally(folders: Sequence[Path], jobs: int) -> Generator[Verdict, None, None]:
+    """Diagnose cases and yield each verdict when it is complete.
+
+    Closing the generator early kills the running processes.
 
     Parameters
     ----------
     folders
-        Of the cases.
+        Folders of the cases.
     jobs
-        Processes beside each other, at least 1.
+        Number of parallel processes, at least 1.
     """
-    processes = Processes()
+    processes = IsolatedProcesses()
 
-    def judged(folder: Path) -> Verdict:
+    def diagnose(folder: Path) -> Verdict:
         try:
             case = read_case(folder)
         except PiezodError as error:
             return failed_verdict(folder.name, str(error))
-        return processes.judge(case)
+        return processes.diagnose(case)
 
     with ThreadPoolExecutor(jobs) as threads:
         try:
-            for done in as_completed([threads.submit(judged, folder) for folder in folders]):
+            for done in as_completed([threads.submit(diagnose, folder) for folder in folders]):
                 yield done.result()
-        finally:  # also when nobody wants more: what runs is ended, what waits is not begun
+        finally:  # also after an early close of the generator
             threads.shutdown(wait=False, cancel_futures=True)
             processes.end()

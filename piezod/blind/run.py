@@ -1,4 +1,4 @@
-"""`piezod blind run`: every case of a study that has no verdict yet is judged, and what was said is kept."""
+"""`piezod blind run`: diagnoses every case of a study that has no verdict yet, and saves the verdicts."""
 
 from collections.abc import Callable
 from contextlib import closing
@@ -6,24 +6,24 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from piezod.blind.case import case_folders
-from piezod.blind.cluster import judge_there
-from piezod.blind.local import cores, judge_here
-from piezod.blind.verdict import Verdict, Verdicts
+from piezod.blind.cluster import diagnose_on_cluster
+from piezod.blind.local import core_count, diagnose_locally
+from piezod.blind.verdict import Verdict, VerdictFolder
 
 OnVerdict = Callable[[Verdict | None, int, int], None]
 
 
 @dataclass(frozen=True)
 class Run:
-    """What came of a run.
+    """Number of cases after a run.
 
     Parameters
     ----------
-    judged, failed, already
-        Cases: with a verdict of this run, without one, and with one from before.
+    diagnosed, failed, already
+        Cases that this run diagnosed, that failed in it, and that had a verdict before.
     """
 
-    judged: int
+    diagnosed: int
     failed: int
     already: int
 
@@ -37,42 +37,44 @@ def run_study(
     only: tuple[str, ...],
     on_verdict: OnVerdict,
 ) -> Run:
-    """Judge the cases of a study. The sealed truth is not opened.
+    """Diagnose the cases of a study without the sealed truth.
 
     Parameters
     ----------
     study
-        Its directory.
+        Folder of the study.
     folder
-        Where the verdicts go; cases that have one there are left out, so a run that was stopped goes on.
+        Folder for the verdicts. Cases with a verdict in it are left out, so a second run continues an interrupted one.
     jobs
-        Processes on this machine, at least 1; None: as many as it has cores.
+        Number of processes on this machine, at least 1; None: one per core.
     scheduler
-        Address of a Dask scheduler, whose workers judge instead; None: this machine.
+        Address of a Dask scheduler whose workers diagnose the cases; None: this machine.
     only
-        Names of the cases wanted; none: all.
+        Names of the cases to diagnose; empty: all.
     on_verdict
-        Called with each verdict, how many are done and how many there are to do; with None before the first.
+        Called with (verdict, cases done, cases to do), first with None before the first verdict.
 
     Raises
     ------
     ConfigurationError
-        There is no study, or the verdicts cannot be written.
+        The folder holds no finished study, or the verdicts cannot be written.
     UsageError
-        A case is not in the study, or the verdicts there are on another one.
+        A name in `only` is not the name of a case, or the folder holds verdicts on another study.
     UnreachableError
         The scheduler does not answer.
     """
     folders = case_folders(study, only)
-    verdicts = Verdicts(folder, study)
-    left = [one for one in folders if not verdicts.has(one.name)]
+    saved = VerdictFolder(folder, study)
+    todo = [case for case in folders if not saved.has(case.name)]
     failed = 0
-    if left:
-        on_verdict(None, 0, len(left))
-    ready = judge_here(left, jobs or cores()) if scheduler is None else judge_there(left, scheduler)
-    with closing(ready):
-        for done, verdict in enumerate(ready, 1):
-            verdicts.keep(verdict)
+    if todo:
+        on_verdict(None, 0, len(todo))
+    verdicts = (
+        diagnose_locally(todo, jobs or core_count()) if scheduler is None else diagnose_on_cluster(todo, scheduler)
+    )
+    with closing(verdicts):
+        for done, verdict in enumerate(verdicts, 1):
+            saved.save(verdict)
             failed += verdict.failed is not None
-            on_verdict(verdict, done, len(left))
-    return Run(len(left) - failed, failed, len(folders) - len(left))
+            on_verdict(verdict, done, len(todo))
+    return Run(len(todo) - failed, failed, len(folders) - len(todo))

@@ -1,7 +1,7 @@
-"""What was said of a case, and where it is kept: `VERDICTS/case_0001/`, whole or not at all.
+"""Verdicts on cases and their folder: the verdict on a case is the folder `VERDICTS/case_0001/`, complete or absent.
 
-A case that failed is written down too: as findings that are wrong whatever the truth is (something is there, and no
-name for it is given), so that a score counts the failure and never leaves it out.
+A failed case has a verdict too. Its findings state that effects are present but name none, which is wrong for every
+truth. So a score counts the failure as wrong and never leaves it out.
 """
 
 import hashlib
@@ -18,19 +18,22 @@ from piezod.errors import ConfigurationError, UsageError
 FINDINGS, RUN, STUDY = "findings.json", "run.json", "study.json"
 SCHEMA, FINDINGS_SCHEMA = "piezod.blind/1", "piezod.findings/1"
 
+MOST_REASON_TEXT = 500
+"""Characters of the reason of a failure."""
+
 
 @dataclass(frozen=True)
 class Verdict:
-    """What was said of a case.
+    """Files that the diagnosis of a case wrote.
 
     Parameters
     ----------
     name
-        Of the case.
+        Name of the case.
     files
-        Contents by the name of the file.
+        File name to content.
     failed
-        One line; None: it did not.
+        Reason of the failure, one line; None: the diagnosis did not fail.
     """
 
     name: str
@@ -44,47 +47,47 @@ def run_json(elapsed_s: float, identification_s: float = 0.0, failed: str | None
     Parameters
     ----------
     elapsed_s, identification_s
-        Of the diagnosis, and of the identification before it [s].
+        Duration of the diagnosis and of the identification before it [s].
     failed
-        One line.
+        Reason of the failure, one line; None: no failure.
     """
-    said = {
+    content = {
         "schema": SCHEMA,
         "by": f"piezod {__version__}",
         "elapsed_s": round(elapsed_s, 3),
         "identification_s": round(identification_s, 3),
         "failed": failed,
     }
-    return (json.dumps(said, indent=1) + "\n").encode()
+    return (json.dumps(content, indent=1) + "\n").encode()
 
 
-def failed_verdict(name: str, why: str, elapsed_s: float = 0.0) -> Verdict:
-    """The verdict on a case that failed.
+def failed_verdict(name: str, reason: str, elapsed_s: float = 0.0) -> Verdict:
+    """Verdict on a case whose diagnosis failed.
 
     Parameters
     ----------
     name
-        Of the case.
-    why
-        One line.
+        Name of the case.
+    reason
+        Reason of the failure.
     elapsed_s
-        Until it failed [s].
+        Time until the failure [s].
     """
-    why = " ".join(why.split())[:500]
+    reason = " ".join(reason.split())[:MOST_REASON_TEXT]
     findings = {
         "schema": FINDINGS_SCHEMA,
         "verdict": "explained",
-        "words": f"no verdict: {why}; these findings are wrong whatever the truth is, and are to be counted so",
+        "words": f"no verdict: {reason}; these findings are wrong for every truth, so that the failure counts",
         "where": [],
         "effects": [],
-        "failed": why,
+        "failed": reason,
     }
     text = (json.dumps(findings, indent=2) + "\n").encode()
-    return Verdict(name, {FINDINGS: text, RUN: run_json(elapsed_s, failed=why)}, why)
+    return Verdict(name, {FINDINGS: text, RUN: run_json(elapsed_s, failed=reason)}, reason)
 
 
 def read_verdict(name: str, folder: Path) -> Verdict | None:
-    """The verdict in a folder; None: there is none, or not a whole one."""
+    """Verdict in a folder; None: the folder holds no complete verdict."""
     try:
         files = {path.name: path.read_bytes() for path in sorted(folder.iterdir()) if path.is_file()}
         failed = json.loads(files[RUN])["failed"]
@@ -93,22 +96,22 @@ def read_verdict(name: str, folder: Path) -> Verdict | None:
     return Verdict(name, files, failed) if FINDINGS in files else None
 
 
-class Verdicts:
-    """A folder of verdicts on one study.
+class VerdictFolder:
+    """Folder of the verdicts on one study.
 
     Parameters
     ----------
     folder
-        Made where it is not there.
+        Path; the folder is created if it does not exist.
     study
-        Directory of the study.
+        Folder of the study.
 
     Raises
     ------
     ConfigurationError
         The folder cannot be written.
     UsageError
-        It holds verdicts on another study.
+        The folder holds verdicts on another study.
     """
 
     def __init__(self, folder: Path, study: Path) -> None:
@@ -128,17 +131,17 @@ class Verdicts:
             raise UsageError(f"-o is {folder}, which holds verdicts on another study than {study}; take another folder")
 
     def has(self, name: str) -> bool:
-        """Whether a case was judged; one that failed was not."""
+        """Whether the folder holds a verdict on this case that is no failure."""
         verdict = read_verdict(name, self._folder / name)
         return verdict is not None and verdict.failed is None
 
-    def keep(self, verdict: Verdict) -> None:
-        """Write a verdict; a failure that stood there before is replaced.
+    def save(self, verdict: Verdict) -> None:
+        """Write a verdict; an earlier verdict on the same case is replaced.
 
         Raises
         ------
         ConfigurationError
-            It cannot be written.
+            The verdict cannot be written.
         """
         target = self._folder / verdict.name
         try:

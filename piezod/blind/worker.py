@@ -1,4 +1,4 @@
-"""`python -m piezod.blind.worker CASE VERDICT`: the process that judges one case, and ends when its starter does."""
+"""`python -m piezod.blind.worker CASE VERDICT`: the process that diagnoses one case; ends with its parent process."""
 
 import os
 import shutil
@@ -8,44 +8,44 @@ import time
 import traceback
 from pathlib import Path
 
-from piezod.blind.diagnose_case import judge
+from piezod.blind.diagnose_case import diagnose_case
 from piezod.blind.verdict import RUN, failed_verdict, run_json
 from piezod.errors import PiezodError
 
 
 def main(case: Path, verdict: Path) -> None:
-    """Judge a case.
+    """Diagnose a case.
 
     Parameters
     ----------
     case
-        Folder with its files, in one that is there for this alone; becomes the current directory.
+        Folder with the files of the case, within a temporary folder for it alone; becomes the current directory.
     verdict
-        Folder, written to; a failure goes there too.
+        Folder for the verdict; a failure is written there too.
     """
-    threading.Thread(target=_end_with_starter, args=(case.parent,), daemon=True).start()
+    threading.Thread(target=_end_with_parent, args=(case.parent,), daemon=True).start()
     os.chdir(case)
     begun_s = time.monotonic()
     try:
-        took = judge(verdict)
-    except Exception as error:  # noqa: BLE001  # whatever it is, it is a failure that must be counted
+        durations = diagnose_case(verdict)
+    except Exception as error:  # noqa: BLE001  # any error is a failure that must count
         verdict.mkdir(exist_ok=True)
         failed = failed_verdict(verdict.name, _line(error), time.monotonic() - begun_s)
         for name, content in failed.files.items():
             (verdict / name).write_bytes(content)
         return
-    (verdict / RUN).write_bytes(run_json(took.diagnosis_s, took.identification_s))
+    (verdict / RUN).write_bytes(run_json(durations.diagnosis_s, durations.identification_s))
 
 
-def _end_with_starter(scratch: Path) -> None:
-    """Wait until the other end of standard input is gone; nobody else will clean up then."""
-    os.read(sys.stdin.fileno(), 1)  # unbuffered: the buffer's lock would be held when the process ends
+def _end_with_parent(scratch: Path) -> None:
+    """Wait until the parent's end of standard input is closed, delete the temporary folder and end this process."""
+    os.read(sys.stdin.fileno(), 1)  # unbuffered: a held lock of the buffer would block the exit
     shutil.rmtree(scratch, ignore_errors=True)
     os._exit(1)
 
 
 def _line(error: Exception) -> str:
-    """What was said, and of a mistake of ours where it happened."""
+    """Message of an error; for an unexpected error also its type and place."""
     if isinstance(error, PiezodError):
         return str(error)
     place = traceback.extract_tb(error.__traceback__)[-1]

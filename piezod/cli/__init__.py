@@ -1,4 +1,4 @@
-"""The commands: each parses, calls one function and prints what it returns."""
+"""Commands of `piezod`: each one parses its arguments, calls one function of another room and prints the result."""
 
 # In the order in which --help lists them.
 from piezod.cli import demo, setup, running, recordings, models, commissioning, diagnosis, study  # noqa: I001

@@ -1,4 +1,4 @@
-"""Excitations, models and their comparison at once."""
+"""`piezod commission`: excitations, models and their comparison in one command."""
 
 import sys
 from pathlib import Path
@@ -14,13 +14,14 @@ from piezod.errors import UsageError
 
 @app.command(epilog="Example: piezod commission --emulated seed_bench -o seed")
 def commission(
-    output: Annotated[Path, typer.Option("-o", metavar="DIR", help="Recordings, models and pages are written there.")],
+    output: Annotated[Path, typer.Option("-o", metavar="DIR", help="Folder for recordings, models and pages.")],
     config: Annotated[Path | None, typer.Argument(metavar="[CONFIG]", help="Bench configuration.")] = None,
     emulated: Annotated[
-        str | None, typer.Option(metavar="SCENARIO", help="An emulated bench in its own time: stack or seed_bench.")
+        str | None,
+        typer.Option(metavar="SCENARIO", help="Emulated bench that runs faster than real time: stack or seed_bench."),
     ] = None,
-    frequency: Annotated[float, typer.Option(metavar="HZ", min=1e-4, help="Of one full triangle.")] = 0.1,
-    periods: Annotated[int, typer.Option(min=5, max=1000, help="Triangles of each excitation.")] = 20,
+    frequency: Annotated[float, typer.Option(metavar="HZ", min=1e-4, help="Frequency of a triangle.")] = 0.1,
+    periods: Annotated[int, typer.Option(min=5, max=1000, help="Triangles per excitation.")] = 20,
     as_json: JsonOption = False,
 ) -> None:
     """Record every excitation, identify a model from each and validate them side by side."""
@@ -30,7 +31,7 @@ def commission(
     from piezod.excitation import EXCITATIONS, IDENTIFICATION
 
     if (config is None) == (emulated is None):
-        raise UsageError("give CONFIG or --emulated SCENARIO, one of them")
+        raise UsageError("give CONFIG or --emulated SCENARIO, exactly one of them")
     output.mkdir(parents=True, exist_ok=True)
     with ExitStack() as stack:
         bench = config or stack.enter_context(emulated_bench_file(output, str(emulated)))

@@ -1,4 +1,4 @@
-"""The whole path on the emulated bench."""
+"""`piezod demo`: excitation, identification, control and diagnosis on the emulated bench."""
 
 import json
 from dataclasses import replace
@@ -16,15 +16,17 @@ if TYPE_CHECKING:
 
 @app.command(epilog="Example: piezod demo --report demo.html --json demo.json")
 def demo(
-    json_file: Annotated[Path | None, typer.Option("--json", metavar="FILE", help="Write the figures as JSON.")] = None,
-    report: Annotated[Path, typer.Option(metavar="FILE", help="The page to write.")] = Path("piezod-demo.html"),
+    json_file: Annotated[
+        Path | None, typer.Option("--json", metavar="FILE", help="File for the figures as JSON.")
+    ] = None,
+    report: Annotated[Path, typer.Option(metavar="FILE", help="Page to write.")] = Path("piezod-demo.html"),
 ) -> None:
-    """Show the whole path on the emulated bench: no hardware, no root, about a minute."""
+    """Run all steps on the emulated bench, without hardware or root rights, in about a minute."""
     from piezod.commissioning.demo import run_demo
     from piezod.report.tracking.demo import judge, live_line, print_hidden, print_table, write_demo_page
 
     names: list[str] = []
-    print("emulated bench and control process are starting ...", flush=True)
+    print("starting the emulated bench and the control process ...", flush=True)
     with live_line(names) as show:
         result = run_demo(show, names)
     verdict = judge(result.recordings, result.history.timing(), result.outcome)
@@ -43,7 +45,7 @@ def demo(
 
 
 def _demo_hidden() -> "tuple[HiddenVerdict, dict[tuple[str, str], Recording]]":
-    """Record a bench that hides something, diagnose it, follow a reference with what was known and what was found."""
+    """Record and diagnose a bench with hidden effects; follow a reference with the given and the extended model."""
     from tempfile import TemporaryDirectory
 
     from piezod.commissioning.demo_hidden import follow_hidden, record_hidden
@@ -56,10 +58,10 @@ def _demo_hidden() -> "tuple[HiddenVerdict, dict[tuple[str, str], Recording]]":
 
     with TemporaryDirectory() as name, steps() as show:
         folder, given = Path(name), shipped("model.yaml")
-        show("a bench with hidden effects is recorded", 0.0)
+        show("recording a bench with hidden effects", 0.0)
         write_csv(record_hidden(folder, lambda _: None), folder / "work.csv")
         findings = diagnose_files([folder / "work.csv"], given, folder / "out", None, None, show).findings
         extended = load_model(folder / "out" / "model.yaml")
-        show("a reference is followed with both models", 0.9)
+        show("following a reference with both models", 0.9)
         followed = follow_hidden(folder, load_model(given), extended, lambda _: None)
     return judge_hidden(followed, f"{findings.verdict}: {findings.words}", findings.floor), followed

@@ -1,4 +1,4 @@
-"""What a model leaves out."""
+"""`piezod diagnose` and `piezod effects`: physical effects that a model lacks."""
 
 import json
 from pathlib import Path
@@ -12,27 +12,31 @@ from piezod.errors import UsageError
 
 @app.command(epilog="Example: piezod diagnose work.csv --model model.yaml -o diagnosis")
 def diagnose(
-    output: Annotated[Path, typer.Option("-o", metavar="DIR", help="findings.json, model.yaml and report.html.")],
-    recordings: Annotated[list[Path] | None, typer.Argument(metavar="REC...", help="Recordings to explain.")] = None,
+    output: Annotated[
+        Path, typer.Option("-o", metavar="DIR", help="Folder for findings.json, model.yaml and report.html.")
+    ],
+    recordings: Annotated[list[Path] | None, typer.Argument(metavar="REC...", help="Recordings to diagnose.")] = None,
     model: Annotated[Path | None, typer.Option("--model", metavar="MODEL")] = None,
     from_bench: Annotated[
         Path | None,
-        typer.Option(metavar="CONFIG", help="The stretch that the daemon kept when this bench left its model."),
+        typer.Option(
+            metavar="CONFIG", help="The recording that the daemon saved when this bench drifted from its model."
+        ),
     ] = None,
     input_column: Annotated[
-        str | None, typer.Option("--input", metavar="COLUMN", help="The model's if left out.")
+        str | None, typer.Option("--input", metavar="COLUMN", help="Default: the column of the model.")
     ] = None,
-    output_column: Annotated[str | None, typer.Option("--output", metavar="COLUMN", help="As above.")] = None,
+    output_column: Annotated[str | None, typer.Option("--output", metavar="COLUMN", help="Likewise.")] = None,
     hold_out: Annotated[
         list[Path] | None,
-        typer.Option(metavar="REC", help="Compare both models on it and fit nothing to it; repeatable."),
+        typer.Option(metavar="REC", help="Recording to compare both models on, not used for the fit; repeatable."),
     ] = None,
     condition: Annotated[
-        str | None, typer.Option("--where", metavar="COLUMN=VALUE", help="Only the readings at which it holds.")
+        str | None, typer.Option("--where", metavar="COLUMN=VALUE", help="Use only the samples with this value.")
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Find out what a model leaves out of recordings: where, which physics, how sure, and the model that has it."""
+    """Find the effects that a model lacks: place, effect, confidence, and the extended model."""
     from piezod.diagnose.command import diagnose_files
     from piezod.report.diagnosis.page import write_diagnosis_page
     from piezod.report.diagnosis.terminal import print_findings
@@ -43,11 +47,11 @@ def diagnose(
         from piezod.daemon.drift import kept_stretch
 
         if recordings or model is not None:
-            raise UsageError("--from-bench names recording and model: no REC and no --model beside it")
-        kept, model = kept_stretch(from_bench)
-        recordings = [kept]
+            raise UsageError("--from-bench determines recording and model: give neither REC nor --model")
+        saved, model = kept_stretch(from_bench)
+        recordings = [saved]
     if model is None or not recordings:
-        raise UsageError("REC... and --model are missing, or --from-bench CONFIG")
+        raise UsageError("REC... or --model is missing: give both, or --from-bench CONFIG")
     with steps() as show:
         diagnosis = diagnose_files(
             recordings, model, output, input_column, output_column, show, hold_out or (), condition
@@ -59,16 +63,16 @@ def diagnose(
     else:
         print_findings(diagnosis, output)
         if from_bench is not None:
-            print(f"to drive with it: model: {(output / 'model.yaml').resolve()} in {from_bench}, then piezod disarm")
-            print("and piezod reload; nothing takes it by itself")
+            print(f"to use the extended model, set model: {(output / 'model.yaml').resolve()} in {from_bench},")
+            print("then piezod disarm and piezod reload; the daemon does not change its model by itself")
 
 
 @app.command(epilog="Example: piezod effects creep")
 def effects(
-    name: Annotated[str | None, typer.Argument(metavar="[NAME]", help="One effect in full.")] = None,
+    name: Annotated[str | None, typer.Argument(metavar="[NAME]", help="Effect to describe.")] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """List the physical effects that can be found in a recording, or describe one."""
+    """List the physical effects that a diagnosis can find, or describe one of them."""
     from piezod.effects import EFFECTS
     from piezod.report.effects import effect_as_dict, effect_named, effect_page, effects_table
 

@@ -1,4 +1,4 @@
-"""From recordings to models, and how well they simulate."""
+"""Commands for models: identify, simulate, compare with measurements, validate on the bench."""
 
 import json
 from dataclasses import asdict
@@ -15,17 +15,23 @@ from piezod.errors import UsageError
 @app.command(epilog="Example: piezod identify varying.csv constant.csv -o model.yaml --report report")
 def identify(
     recordings: Annotated[
-        list[Path], typer.Argument(metavar="REC...", help="Recordings: csv, h5, mat, tdms, parquet, mf4.")
+        list[Path], typer.Argument(metavar="REC...", help="Recordings: csv, sqlite, h5, mat, tdms, parquet, mf4.")
     ],
-    model: Annotated[Path, typer.Option("-o", metavar="MODEL", help="The model file to write.")],
-    report: Annotated[Path | None, typer.Option(metavar="DIR", help="Write identification.html there.")] = None,
+    model: Annotated[Path, typer.Option("-o", metavar="MODEL", help="Model file to write.")],
+    report: Annotated[Path | None, typer.Option(metavar="DIR", help="Folder for identification.html.")] = None,
     input_column: Annotated[str, typer.Option("--input", metavar="COLUMN")] = "voltage_V",
     output_column: Annotated[str, typer.Option("--output", metavar="COLUMN")] = "force_N",
-    plays: Annotated[int | None, typer.Option(min=1, max=100, help="n; judged on held-out data when left out.")] = None,
-    dead_zones: Annotated[int | None, typer.Option(min=0, max=30, help="m; as above.")] = None,
-    variant: Annotated[str, typer.Option(metavar="A|B", help="A: no weight negative; B: no partial sum.")] = "B",
+    plays: Annotated[
+        int | None, typer.Option(min=1, max=100, help="Number of plays; default: chosen by the held-out error.")
+    ] = None,
+    dead_zones: Annotated[
+        int | None, typer.Option(min=0, max=30, help="Number of dead zones; default: likewise.")
+    ] = None,
+    variant: Annotated[
+        str, typer.Option(metavar="A|B", help="A: no negative weight; B: no negative partial sum.")
+    ] = "B",
     fit_share: Annotated[
-        float, typer.Option(help="Leading share of each recording to fit; the rest is held out.")
+        float, typer.Option(help="First share of each recording, for the fit; the rest is held out.")
     ] = 0.7,
     name: Annotated[str, typer.Option(help="Name of the model.")] = "stack",
     as_json: JsonOption = False,
@@ -33,14 +39,15 @@ def identify(
     """Identify a model from recordings."""
     from piezod.identify.identification import Options
     from piezod.identify.identification import identify as identify_model
-    from piezod.identify.intake import check_result, take_in
+    from piezod.identify.intake import load_recordings
     from piezod.model import save_model
+    from piezod.recording import check_output_path
     from piezod.report.identification import figures_of, print_identification, write_identification_page
     from piezod.report.progress import steps
 
     if variant not in ("A", "B"):
         raise UsageError(f"--variant is '{variant}', must be A or B")
-    check_result(model, recordings)
+    check_output_path(model, recordings)
     options = Options(
         input=input_column,
         output=output_column,
@@ -51,14 +58,14 @@ def identify(
         name=name,
     )
     with steps() as show:
-        taken = take_in(recordings, input_column, output_column, show)
-        read = [one.recording for one in taken]
+        loaded = load_recordings(recordings, input_column, output_column, show)
+        read = [each.recording for each in loaded]
         identification = identify_model(
             read,
             options,
             f"piezod {__version__}",
-            sources=[one.source for one in taken],
-            notes=[note for one in taken for note in one.notes],
+            sources=[each.source for each in loaded],
+            notes=[note for each in loaded for note in each.notes],
             on_step=show,
         )
     if report is not None:
@@ -72,63 +79,64 @@ def identify(
 
 @app.command(epilog="Example: piezod simulate varying.csv --model model.yaml -o simulated.csv")
 def simulate(
-    recording: Annotated[Path, typer.Argument(metavar="REC", help="Whose input is simulated.")],
+    recording: Annotated[Path, typer.Argument(metavar="REC", help="Recording that holds the input.")],
     model: Annotated[Path, typer.Option("--model", metavar="MODEL")],
-    output: Annotated[Path, typer.Option("-o", metavar="OUT", help="time_s and the simulated output column.")],
+    output: Annotated[Path, typer.Option("-o", metavar="OUT", help="File for time_s and the simulated output.")],
     start_window: Annotated[
-        float, typer.Option(metavar="S", min=0.0, help="First seconds that may tell what the memory starts with.")
+        float, typer.Option(metavar="S", min=0.0, help="First seconds, from which the initial state is estimated.")
     ] = 1.0,
     condition: Annotated[
-        str | None, typer.Option("--where", metavar="COLUMN=VALUE", help="Compare only the samples at which it holds.")
+        str | None, typer.Option("--where", metavar="COLUMN=VALUE", help="Compare only the samples with this value.")
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Simulate a model over a recording's input, in free run; compare with its output where it has one."""
-    from piezod.identify.intake import check_result, take_whole
+    """Simulate a model over the input of a recording, in free run; compare with its output, if it has one."""
+    from piezod.identify.intake import load_for_simulation
     from piezod.identify.simulation import simulate_recording, where
     from piezod.model import load_model
-    from piezod.recording import check_target, write_recording
+    from piezod.recording import check_recording_target, write_recording
     from piezod.report.progress import steps
 
-    check_target(output)
-    check_result(output, [recording])
-    loaded = load_model(model)
+    check_recording_target(output, [recording])
+    plant = load_model(model)
     column, equals, _ = (condition or "").partition("=")
     with steps() as show:
-        taken = take_whole(recording, loaded.input.channel, loaded.output.channel, [column] if equals else [], show)
-    chosen = where(taken.recording, condition) if condition else None
-    simulation = simulate_recording(loaded, taken.recording, start_window, chosen, taken.sha256)
+        loaded = load_for_simulation(
+            recording, plant.input.channel, plant.output.channel, [column] if equals else [], show
+        )
+    chosen = where(loaded.recording, condition) if condition else None
+    simulation = simulate_recording(plant, loaded.recording, start_window, chosen, loaded.sha256)
     write_recording(simulation.recording, output)
     figures = simulation.agreement
     if as_json:
-        compared = None if figures is None else asdict(figures) | {"unit": loaded.output.unit}
+        compared = None if figures is None else asdict(figures) | {"unit": plant.output.unit}
         content = {"schema": "piezod.simulation/1", "start": simulation.start, "compared": compared}
-        print(json.dumps(content | {"recording": taken.source.model_dump(), "notes": taken.notes}, indent=2))
+        print(json.dumps(content | {"recording": loaded.source.model_dump(), "notes": loaded.notes}, indent=2))
     else:
-        words = "" if figures is None else f"; {figures.words(loaded.output.unit)}"
-        print(f"{output}: {taken.source.samples} samples; {simulation.start}{words}")
-        for note in taken.notes:
+        words = "" if figures is None else f"; {figures.words(plant.output.unit)}"
+        print(f"{output}: {loaded.source.samples} samples; {simulation.start}{words}")
+        for note in loaded.notes:
             print(f"note: {note}")
 
 
 @app.command(epilog="Example: piezod compare work.csv simulated.csv --model model.yaml --report comparison.html")
 def compare(
     recordings: Annotated[
-        list[Path], typer.Argument(metavar="REC [REC...]", help="What was measured, then outputs to compare with it.")
+        list[Path], typer.Argument(metavar="REC [REC...]", help="Measured recording, then simulated ones.")
     ],
     model: Annotated[
-        list[Path] | None, typer.Option(metavar="MODEL", help="Simulated over the first recording's input; repeatable.")
+        list[Path] | None, typer.Option(metavar="MODEL", help="Model to simulate over the measured input; repeatable.")
     ] = None,
     output_column: Annotated[
-        str | None, typer.Option("--output", metavar="COLUMN", help="The model's, or force_N, if left out.")
+        str | None, typer.Option("--output", metavar="COLUMN", help="Default: the column of the model, or force_N.")
     ] = None,
     start_window: Annotated[
-        float, typer.Option(metavar="S", min=0.0, help="First seconds that may tell what a model's memory starts with.")
+        float, typer.Option(metavar="S", min=0.0, help="First seconds, from which the initial state is estimated.")
     ] = 1.0,
-    report: Annotated[Path | None, typer.Option(metavar="FILE", help="Write a page.")] = None,
+    report: Annotated[Path | None, typer.Option(metavar="FILE", help="Page to write.")] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Compare a measured output with simulated ones and with models in free run: fit as MATLAB's compare defines it."""
+    """Compare a measured output with simulated ones and with models in free run; fit as in MATLAB's compare."""
     from piezod.report.comparison.output_comparison import compare_files
     from piezod.report.comparison.output_page import comparison_as_dict, comparison_text, write_comparison_page
 
@@ -140,30 +148,30 @@ def compare(
 
 @app.command(epilog="Example: piezod resid work.csv --model model.yaml --report residual.html")
 def resid(
-    recording: Annotated[Path, typer.Argument(metavar="REC", help="What was measured.")],
+    recording: Annotated[Path, typer.Argument(metavar="REC", help="Measured recording.")],
     model: Annotated[Path, typer.Option("--model", metavar="MODEL")],
-    lags: Annotated[int, typer.Option(min=1, max=10_000, help="How many, in samples.")] = 25,
+    lags: Annotated[int, typer.Option(min=1, max=10_000, help="Number of lags [samples].")] = 25,
     start_window: Annotated[
-        float, typer.Option(metavar="S", min=0.0, help="First seconds that may tell what the memory starts with.")
+        float, typer.Option(metavar="S", min=0.0, help="First seconds, from which the initial state is estimated.")
     ] = 1.0,
-    report: Annotated[Path | None, typer.Option(metavar="FILE", help="Write a page.")] = None,
+    report: Annotated[Path | None, typer.Option(metavar="FILE", help="Page to write.")] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Test whether what a model leaves is white and independent of the input, with the bounds of MATLAB's resid."""
-    from piezod.identify.intake import take_whole
+    """Test whether a model's residual is white and independent of the input, with the bounds of MATLAB's resid."""
+    from piezod.identify.intake import load_for_simulation
     from piezod.model import load_model
     from piezod.report.comparison.output_page import residual_as_dict, residual_text, write_residual_page
     from piezod.report.comparison.whiteness import residual_of, residual_test
 
-    loaded = load_model(model)
-    taken = take_whole(recording, loaded.input.channel, loaded.output.channel)
-    left = residual_of(loaded, taken.recording, start_window, taken.sha256)
-    test = residual_test(taken.recording, left, loaded.input.channel, lags)
-    unit = loaded.output.unit
+    plant = load_model(model)
+    loaded = load_for_simulation(recording, plant.input.channel, plant.output.channel)
+    residual = residual_of(plant, loaded.recording, start_window, loaded.sha256)
+    test = residual_test(loaded.recording, residual, plant.input.channel, lags)
+    unit = plant.output.unit
     if report is not None:
-        write_residual_page(report, test, taken.recording, left, unit)
+        write_residual_page(report, test, loaded.recording, residual, unit)
     if as_json:
-        print(json.dumps(residual_as_dict(test, taken.recording, loaded.name, unit), indent=2))
+        print(json.dumps(residual_as_dict(test, loaded.recording, plant.name, unit), indent=2))
     else:
         print(residual_text(test, unit))
 
@@ -172,12 +180,13 @@ def resid(
 def validate(
     config: ConfigArgument,
     model: Annotated[
-        list[Path], typer.Option(metavar="MODEL", help="Model to try; repeatable. The first gives the plain gain too.")
+        list[Path],
+        typer.Option(metavar="MODEL", help="Model to test; repeatable. The first one also gives the plain gain."),
     ],
-    report: Annotated[Path | None, typer.Option(metavar="FILE", help="Write a page with all loops.")] = None,
+    report: Annotated[Path | None, typer.Option(metavar="FILE", help="Page with all loops to write.")] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Follow six triangular force references without and with each model; say which model is better."""
+    """Follow six triangular force references without and with each model; report the better model."""
     from piezod.commissioning.validate import plan_validation, run_validation
     from piezod.report.progress import progress
     from piezod.report.tracking.validation import judge_validation, validation_text, write_validation_page

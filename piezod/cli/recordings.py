@@ -1,4 +1,4 @@
-"""Recordings: made, rewritten, shown."""
+"""Commands for recordings: record, convert, report."""
 
 import json
 from pathlib import Path
@@ -17,29 +17,31 @@ def record(
         typer.Option(
             metavar="NAME",
             help="constant-triangles, varying-triangles, staircase-minor-loops-multisine, or a recording whose voltage "
-            "is driven again.",
+            "is repeated.",
         ),
     ],
     output: Annotated[
-        Path, typer.Option("--output", "-o", metavar="REC", help="The recording to write; its suffix says how.")
+        Path,
+        typer.Option("--output", "-o", metavar="REC", help="Recording to write; the suffix determines the format."),
     ],
     peak: Annotated[
-        float | None, typer.Option(metavar="V", help="Highest voltage; the limit's, or the recording's, when left out.")
+        float | None, typer.Option(metavar="V", help="Highest voltage; default: the limit, or that of the recording.")
     ] = None,
-    frequency: Annotated[float, typer.Option(metavar="HZ", min=1e-4, help="Of one full triangle.")] = 0.1,
+    frequency: Annotated[float, typer.Option(metavar="HZ", min=1e-4, help="Frequency of a triangle.")] = 0.1,
     periods: Annotated[
-        int | None, typer.Option(min=1, max=1000, help="Triangles: 5, or repeats of the whole: 1, when left out.")
+        int | None,
+        typer.Option(min=1, max=1000, help="Triangles, default 5; or repetitions of a recording, default 1."),
     ] = None,
-    reset_cycle: Annotated[bool, typer.Option(help="Drive 0 -> highest -> 0 first.")] = False,
+    reset_cycle: Annotated[bool, typer.Option(help="First drive 0 -> highest voltage -> 0.")] = False,
 ) -> None:
-    """Drive an excitation through the bench and record what it answers."""
+    """Drive an excitation through the bench and record the response."""
     from piezod.commissioning.record import excitation_s
     from piezod.commissioning.record import record as record_excitation
     from piezod.excitation import default_periods
-    from piezod.recording import check_target, write_recording
+    from piezod.recording import check_recording_target, write_recording
     from piezod.report.progress import progress
 
-    check_target(output)
+    check_recording_target(output)
     periods = periods or default_periods(excitation)
     with progress(f"recording {excitation}", excitation_s(excitation, frequency, periods)) as show:
         recording, outcome = record_excitation(
@@ -59,37 +61,33 @@ def record(
 @app.command(epilog="Example: piezod convert varying.csv -o varying.mat")
 def convert(
     recording: Annotated[Path, typer.Argument(metavar="IN", help="csv, sqlite, h5, mat, tdms, parquet, mf4.")],
-    output: Annotated[Path, typer.Option("-o", metavar="OUT", help="As above; its suffix says how.")],
+    output: Annotated[Path, typer.Option("-o", metavar="OUT", help="Likewise; the suffix determines the format.")],
     as_json: JsonOption = False,
 ) -> None:
     """Rewrite a recording in another format."""
-    from piezod.identify.intake import check_result
-    from piezod.recording import check_target, read_recording, write_recording
+    from piezod.recording import convert as convert_file
 
-    check_target(output)
-    check_result(output, [recording])
-    read = read_recording(recording)
-    write_recording(read, output)
+    converted = convert_file(recording, output)
+    columns = ["time_s", *converted.channels]
     if as_json:
-        said = {"schema": "piezod.convert/1", "file": str(output), "samples": read.time_s.size}
-        print(json.dumps(said | {"columns": ["time_s", *read.channels]}, indent=2))
+        content = {"schema": "piezod.convert/1", "file": str(output), "samples": converted.time_s.size}
+        print(json.dumps(content | {"columns": columns}, indent=2))
     else:
-        print(f"{output}: {read.time_s.size} samples of time_s, {', '.join(read.channels)}")
+        print(f"{output}: {converted.time_s.size} samples of {', '.join(columns)}")
 
 
 @app.command(epilog="Example: piezod report /var/lib/piezod/recordings/press-000007.sqlite -o run.html")
 def report(
-    recording: Annotated[Path, typer.Argument(metavar="REC", help="What the recorder kept, or any other recording.")],
-    output: Annotated[Path, typer.Option("-o", metavar="FILE", help="The page to write.")],
+    recording: Annotated[Path, typer.Argument(metavar="REC", help="Recording of the daemon, or another one.")],
+    output: Annotated[Path, typer.Option("-o", metavar="FILE", help="Page to write.")],
     as_json: JsonOption = False,
 ) -> None:
-    """Make the page of a run from its recording, also of one that was cut off."""
-    from piezod.identify.intake import check_result
-    from piezod.recording import read_recording
+    """Make the page of a run from its recording, complete or interrupted."""
+    from piezod.recording import check_output_path, read_recording
     from piezod.report.run import run_figures, write_run_page
 
-    check_result(output, [recording])
-    read = read_recording(recording)
-    figures = run_figures(read)
-    write_run_page(output, read, figures)
+    check_output_path(output, [recording])
+    run = read_recording(recording)
+    figures = run_figures(run)
+    write_run_page(output, run, figures)
     print(json.dumps(figures.as_dict(), indent=2) if as_json else f"{figures.words}\npage: {output.resolve()}")

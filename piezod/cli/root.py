@@ -1,4 +1,4 @@
-"""What all commands share: the root, arguments and options, and how an error is told."""
+"""Parts that all commands share: the command `piezod`, common arguments and options, and the output of an error."""
 
 import sys
 from pathlib import Path
@@ -20,17 +20,22 @@ app = typer.Typer(
 ConfigArgument = Annotated[Path, typer.Argument(metavar="CONFIG", help="Bench configuration, e.g. config/bench.yaml.")]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON instead of text.")]
 DaemonArgument = Annotated[
-    Path | None, typer.Argument(metavar="[CONFIG]", help="Its bench configuration; left out: the only daemon here.")
+    Path | None,
+    typer.Argument(
+        metavar="[CONFIG]", help="Bench configuration of the daemon; default: the only daemon on this machine."
+    ),
 ]
-SocketOption = Annotated[Path | None, typer.Option("--socket", metavar="PATH", help="Its socket, instead of CONFIG.")]
-WaitOption = Annotated[bool, typer.Option(help="Wait for what comes of it.")]
+SocketOption = Annotated[
+    Path | None, typer.Option("--socket", metavar="PATH", help="Socket of the daemon, instead of CONFIG.")
+]
+WaitOption = Annotated[bool, typer.Option(help="Wait for the result.")]
 
 
-_Misused = typer.BadParameter.__mro__[2]  # click's base of all that is wrong with arguments
+_Misused = typer.BadParameter.__mro__[2]  # base class in click of all errors in arguments
 
 
 def main() -> None:
-    """Run a command; a deliberate error is one line on stderr and its exit code."""
+    """Run a command; print a PiezodError as one line on stderr and end with its exit code."""
     try:
         code = app(standalone_mode=False, prog_name="piezod")
         sys.exit(code if isinstance(code, int) else 0)
@@ -47,12 +52,12 @@ def main() -> None:
 
 
 def _misuse_text(error: Exception) -> str:
-    """What is wrong with the arguments, in one line; the help where nothing was given at all."""
-    context, said = getattr(error, "ctx", None), getattr(error, "format_message", lambda: str(error))()
-    if context is not None and said.startswith("Usage:"):
-        return str(said)
+    """Error in the arguments as one line; the help text if no command was given."""
+    context, text = getattr(error, "ctx", None), getattr(error, "format_message", lambda: str(error))()
+    if context is not None and text.startswith("Usage:"):
+        return str(text)
     path = "piezod" if context is None else context.command_path
-    return f"piezod: {' '.join(said.split()).rstrip('.')}; see {path} --help"
+    return f"piezod: {' '.join(text.split()).rstrip('.')}; see {path} --help"
 
 
 def _version(wanted: bool) -> None:

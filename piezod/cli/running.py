@@ -1,4 +1,4 @@
-"""The daemon, and what commands it."""
+"""`piezod run`, which is the daemon, and the commands for a running daemon."""
 
 import json
 from pathlib import Path
@@ -14,11 +14,11 @@ from piezod.errors import UsageError
 def run(
     config: ConfigArgument,
     arm: Annotated[
-        bool, typer.Option("--arm", help="Arm at once, end with the reference; else wait for piezod arm.")
+        bool, typer.Option("--arm", help="Arm at once and end with the reference; otherwise wait for piezod arm.")
     ] = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Run the bench in the foreground: with --arm one reference, else until a signal comes (SIGTERM: ramp down)."""
+    """Run the bench in the foreground: one reference with --arm, otherwise until a signal (SIGTERM: ramp down)."""
     from piezod.daemon.run import run_foreground
 
     result = run_foreground(config, arm=arm)
@@ -29,7 +29,7 @@ def run(
 
 @app.command(epilog="Example: piezod status config/bench.yaml --json")
 def status(config: DaemonArgument = None, socket: SocketOption = None, as_json: JsonOption = False) -> None:
-    """Say what the running daemon does."""
+    """Print the state of the running daemon."""
     from piezod.daemon.client import command_and_wait, socket_of, status_text
 
     answer = command_and_wait(socket_of(config, socket), "status", wait=False)
@@ -40,7 +40,7 @@ def status(config: DaemonArgument = None, socket: SocketOption = None, as_json: 
 def arm(
     config: DaemonArgument = None, socket: SocketOption = None, wait: WaitOption = True, as_json: JsonOption = False
 ) -> None:
-    """Check every precondition, check the sign, drive to the first reference and follow it."""
+    """Check every precondition and the sign, drive to the first reference value and follow the reference."""
     _command_daemon("arm", config, socket, ("RUNNING", "HOLD"), wait=wait, as_json=as_json)
 
 
@@ -48,7 +48,7 @@ def arm(
 def disarm(
     config: DaemonArgument = None, socket: SocketOption = None, wait: WaitOption = True, as_json: JsonOption = False
 ) -> None:
-    """Ramp down and stay disarmed."""
+    """Ramp down and disarm."""
     _command_daemon("disarm", config, socket, ("DISARMED",), wait=wait, as_json=as_json)
 
 
@@ -57,12 +57,12 @@ def stop(
     config: DaemonArgument = None,
     socket: SocketOption = None,
     direct: Annotated[
-        bool, typer.Option("--direct", help="Without a daemon: over a connection of its own to the device of CONFIG.")
+        bool, typer.Option("--direct", help="Without the daemon: connect to the device of CONFIG directly.")
     ] = False,
     wait: WaitOption = True,
     as_json: JsonOption = False,
 ) -> None:
-    """Come to rest as fast as the slew limit allows, and stay disarmed."""
+    """Ramp down as fast as the slew limit allows, and disarm."""
     if not direct:
         _command_daemon("stop", config, socket, ("DISARMED",), wait=wait, as_json=as_json)
         return
@@ -76,20 +76,20 @@ def stop(
 
 @app.command(epilog="Example: piezod reset config/bench.yaml")
 def reset(config: DaemonArgument = None, socket: SocketOption = None, as_json: JsonOption = False) -> None:
-    """Leave FAULT, once its cause is gone; nothing is armed by it."""
+    """Leave the state FAULT after its cause is gone; the bench stays disarmed."""
     _command_daemon("reset", config, socket, (), wait=False, as_json=as_json)
 
 
 @app.command(epilog="Example: piezod reload config/bench.yaml")
 def reload(config: DaemonArgument = None, socket: SocketOption = None, as_json: JsonOption = False) -> None:
-    """Let the daemon read its configuration again, as SIGHUP does; while it is armed only tighter limits are taken."""
+    """Make the daemon read its configuration again, as SIGHUP does; while armed it accepts only tighter limits."""
     _command_daemon("reload", config, socket, (), wait=False, as_json=as_json)
 
 
 def _command_daemon(
     name: str, config: Path | None, socket: Path | None, wanted: tuple[str, ...], *, wait: bool, as_json: bool
 ) -> None:
-    """Send a command, wait for what comes of it, print it; exit with 1 when that is not what was wanted."""
+    """Send a command, wait for the result and print it; exit code 1 if the state is not in `wanted`."""
     from piezod.daemon.client import command_and_wait, socket_of, status_text
 
     answer = command_and_wait(socket_of(config, socket), name, wait=wait)
@@ -104,13 +104,13 @@ def _command_daemon(
 @app.command(epilog="Example: piezod watch config/bench.yaml --port 5006")
 def watch(
     config: ConfigArgument,
-    port: Annotated[int, typer.Option(min=0, max=65535, help="On 127.0.0.1; 0 takes a free one.")] = 5006,
+    port: Annotated[int, typer.Option(min=0, max=65535, help="Port on 127.0.0.1; 0: any free port.")] = 5006,
     token_file: Annotated[
         Path | None,
-        typer.Option(metavar="FILE", help="Whoever types what it holds may arm, disarm, stop, reset; else read only."),
+        typer.Option(metavar="FILE", help="File with the token for arm, disarm, stop and reset; default: read only."),
     ] = None,
 ) -> None:
-    """Serve a live page of the running daemon; it reads shared memory, and no tick knows of it."""
+    """Serve a live page of the running daemon; it reads shared memory and cannot delay a tick."""
     from piezod.config import load_bench
     from piezod.daemon.client import command_and_wait
     from piezod.report.live.server import read_token, serve_live_page

@@ -17,10 +17,10 @@ from piezod.identify.intake import OnStep
 from piezod.identify.order import PLAYS, ZONES, Candidate, best_of, choose, judge_orders, prune, residual
 from piezod.identify.qp import Variant
 from piezod.identify.scores import largest, max_hysteresis_percent, nrmse_percent, rms
-from piezod.identify.start import settled_from, start_at_zero, start_found, starts_at_rest
+from piezod.identify.start import settled_from, start_at_zero, starts_at_rest
 from piezod.identify.suitability import FEWEST_SAMPLES, check_suitable
 from piezod.identify.thresholds import dead_zone_thresholds, play_reach, play_thresholds, widest
-from piezod.model import Model, file_sha256, run_chain
+from piezod.model import Model, file_sha256
 from piezod.model.parameters import Channel, FitFigures, Provenance, RecordingSource, Start
 from piezod.operators import EPS
 from piezod.recording import Recording
@@ -103,7 +103,7 @@ def identify(
     Parameters
     ----------
     recordings
-        At least one, all with the same input and output columns; such as `take_in` gives.
+        At least one, all with the same input and output columns; such as `load_recordings` gives.
     options
         Columns, orders, constraints.
     by
@@ -324,38 +324,3 @@ def _undetermined(chosen: Candidate) -> list[str]:
     lengths = np.sqrt(np.diag(gram)[: structure.plays])
     weak = np.flatnonzero(lengths < 1e-3 * lengths.max())
     return [f"plays above {structure.play_thresholds[k]:.3g} are hardly moved by these recordings" for k in weak[:1]]
-
-
-def simulate(model: Model, recording: Recording, window: int, sha256: str | None = None) -> tuple[Array, str]:
-    """Free run of a model over a recording.
-
-    Parameters
-    ----------
-    model
-        What was identified, with the effects that were found.
-    recording
-        Has the model's input; the first `window` samples of its output tell the start: where it does not start at rest,
-        or one after another peak fits far better than the model's.
-    window
-        How many samples may be looked at to find the start; 0: none.
-    sha256
-        Of the recording's file: some effects belong to one recording.
-
-    Returns
-    -------
-    output, start
-        Simulated output, shape (N,), and in words what it started from.
-    """
-    operator, start = model.operator(), f"start of the model ({model.start.kind})"
-    u, y = recording.channel(model.input.channel), recording.channels.get(model.output.channel)
-    path: tuple[float, ...] = () if model.start.peak is None else (model.start.peak, 0.0)
-    if y is not None and window > 0:
-        reach = max(model.input.high, -model.input.low)
-        found = start_found(model.operator(), u, y, window, model.input.unit, reach)
-        if found is not None:
-            path, start = found.path, found.words
-            operator.set_states(np.zeros(operator.plays[0].size))
-            operator.run(np.array(path))
-    temperature_C = recording.channels.get("temperature_C")
-    readings = run_chain(model, operator, recording.time_s, u, temperature_C=temperature_C, sha256=sha256, path_V=path)
-    return readings, start

@@ -12,15 +12,16 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from piezod.errors import ConfigurationError, RecordingError, UsageError
+from piezod.errors import RecordingError, UsageError
 from piezod.identify.suitability import FEWEST_SAMPLES
 from piezod.model import file_sha256
 from piezod.model.parameters import RecordingSource
 from piezod.recording import TIME, Recording, column_names, open_stream
-from piezod.recording.formats.stream import foreign
+from piezod.recording.formats.access import library_errors
 from piezod.recording.names import unit_of
-from piezod.recording.quality import irregular, missing, standing
+from piezod.recording.quality import describe_missing, describe_stuck, describe_timing
 from piezod.recording.stretches import gaps
+from piezod.recording.stuck import find_stuck
 
 Array = NDArray[np.float64]
 OnStep = Callable[[str, float | None], None]
@@ -52,18 +53,18 @@ MOST_STUCK = 0.5
 
 
 @dataclass(frozen=True)
-class Taken:
-    """A recording that was taken in.
+class LoadedRecording:
+    """A recording that is fit for identification or simulation.
 
     Parameters
     ----------
     recording
-        Input, output, the temperature where there is one, and what else was asked for. Every input is a number; an
-        output that is missing or not believed is nan.
+        Input, output, temperature where the file has it, and further columns that were requested. Every input sample is
+        a number. An output sample that is missing, frozen or clipped is nan.
     sha256
-        Of the file's bytes.
+        Hash of the file's bytes, as hexadecimal text.
     notes
-        One line for each thing that was noticed or done.
+        One line for each property of the file that matters and for each change made to its samples.
     """
 
     recording: Recording
@@ -72,104 +73,88 @@ class Taken:
 
     @property
     def source(self) -> RecordingSource:
-        """For the provenance of a model."""
+        """Entry for the provenance of a model."""
         return RecordingSource(path=self.recording.source, sha256=self.sha256, samples=int(self.recording.time_s.size))
 
 
-def check_result(target: Path, recordings: Sequence[Path]) -> None:
-    """Refuse a result that would overwrite what it is made of or could not be written, before the work.
-
-    Raises
-    ------
-    UsageError
-        It is one of the recordings.
-    ConfigurationError
-        Its folder is not there.
-    """
-    if any(target.exists() and path.exists() and target.samefile(path) for path in recordings):
-        raise UsageError(f"-o is {target}, which is a recording that is read, must be another file")
-    if not target.parent.is_dir():
-        raise ConfigurationError(f"{target}: cannot be written: {target.parent} is no folder, make it first")
-
-
-def take_in(
+def load_recordings(
     paths: Sequence[Path], input_column: str, output_column: str, on_step: OnStep = lambda *_: None
-) -> list[Taken]:
-    """Read recordings to identify on.
+) -> list[LoadedRecording]:
+    """Read recordings for identification.
 
-    Where the input is missing for longer than it can be bridged a recording is cut, and its longest stretch kept.
-    Outputs that are frozen or clipped become nan.
+    A recording with a long hole in its input is reduced to its longest stretch without one. Output samples that are
+    frozen or clipped become nan.
 
     Parameters
     ----------
     paths
-        Files of any format.
+        Files of any supported format.
     input_column, output_column
-        Such as `voltage_V`; a file may hold it in another multiple of its unit, `voltage_kV`.
+        Column names, such as `voltage_V`; a file may hold the column in another multiple of its unit, `voltage_kV`.
     on_step
-        Called now and then with what is done; the share of it that is done is not known.
+        Called repeatedly with the current step in words, and None because the share done is unknown.
 
     Raises
     ------
     RecordingError
-        A file cannot be read, has no such column, or hardly an output that can be believed.
+        A file cannot be read, lacks a column, or most of its output is frozen or clipped.
     UsageError
-        Input and output are one column.
+        Input and output are the same column.
     """
     if input_column == output_column:
         raise UsageError(f"--input and --output are both {input_column}, must be different columns")
-    return [_take(path, input_column, output_column, on_step) for path in paths]
+    return [_load(path, input_column, output_column, on_step) for path in paths]
 
 
-def take_whole(
+def load_for_simulation(
     path: Path, input_column: str, output_column: str, also: Sequence[str] = (), on_step: OnStep = lambda *_: None
-) -> Taken:
-    """Read a recording to simulate: every row is kept, and the output may be absent.
+) -> LoadedRecording:
+    """Read a recording for simulation: every row stays, and the output column may be absent.
 
     Parameters
     ----------
     path, input_column, output_column, on_step
-        As for `take_in`.
+        As for `load_recordings`.
     also
-        Further columns.
+        Names of further columns.
 
     Raises
     ------
     RecordingError
-        The file cannot be read, or its input is missing for longer than it can be bridged.
+        The file cannot be read, or its input has a hole too long to interpolate.
     """
     names = column_names(path)
     wanted = [input_column, *also]
     if any(_multiple(output_column, name) for name in names):
         wanted.append(output_column)
     recording, sha256, notes = _read(path, names, wanted, on_step)
-    bridged, breaks, said = _bridge(recording, input_column)
+    bridged, breaks, bridge_notes = _bridge(recording, input_column)
     u = bridged.channel(input_column)
     if not np.isfinite(u).all():
-        line = missing(recording, input_column)[0]
+        line = describe_missing(recording, input_column)[0]
         raise RecordingError(f"{path}: {line}; must be there in every row that is simulated, cut the file there")
-    notes += said + [f"{_pause(recording, one)}: what the input did there is not known" for one in breaks]
+    notes += bridge_notes + [f"{_pause(recording, one)}: what the input did there is not known" for one in breaks]
     if output_column in bridged.channels and np.isnan(bridged.channel(output_column)).all():
         notes.append(f"{output_column} holds no number, nothing is compared")
         del bridged.channels[output_column]
     if output_column in bridged.channels:
         notes += _mask(bridged, input_column, output_column, most=1.0)
-    return _taken(bridged, sha256, notes)
+    return _loaded(bridged, sha256, notes)
 
 
-def _take(path: Path, input_column: str, output_column: str, on_step: OnStep) -> Taken:
+def _load(path: Path, input_column: str, output_column: str, on_step: OnStep) -> LoadedRecording:
     names = column_names(path)
     recording, sha256, notes = _read(path, names, [input_column, output_column], on_step)
-    recording, breaks, said = _bridge(recording, input_column)
+    recording, breaks, bridge_notes = _bridge(recording, input_column)
     recording, cut = _longest(recording, input_column, breaks)
-    notes += said + cut
-    notes += [f"{line}; used as they are, the model knows no rate" for line in irregular(recording)[:1]]
+    notes += bridge_notes + cut
+    notes += [f"{line}; used as they are, the model knows no rate" for line in describe_timing(recording)[:1]]
     notes += _mask(recording, input_column, output_column, most=MOST_STUCK)
-    return _taken(recording, sha256, notes)
+    return _loaded(recording, sha256, notes)
 
 
-def _taken(recording: Recording, sha256: str, notes: list[str]) -> Taken:
-    return Taken(recording, sha256, [f"{recording.source}: {note}" for note in notes])
+def _loaded(recording: Recording, sha256: str, notes: list[str]) -> LoadedRecording:
+    return LoadedRecording(recording, sha256, [f"{recording.source}: {note}" for note in notes])
 
 
 def _read(path: Path, names: Sequence[str], wanted: Sequence[str], on_step: OnStep) -> tuple[Recording, str, list[str]]:
@@ -177,21 +162,21 @@ def _read(path: Path, names: Sequence[str], wanted: Sequence[str], on_step: OnSt
     stored = {column: _stored(path, names, column) for column in wanted}
     for name in [name for name in TEMPERATURES if name in names][:1]:
         stored[TEMPERATURES[0]] = (name, 1.0)
-    with ThreadPoolExecutor(1) as pool, foreign(path, "read"):
+    with ThreadPoolExecutor(1) as pool, library_errors(path, "read"):
         sha256 = pool.submit(file_sha256, path)  # beside the reading: the file comes from the disk once
         columns = {name: _Column() for name in (TIME, *(name for name, _ in stored.values()))}
-        said: dict[str, str] = {}
+        metadata: dict[str, str] = {}
         for piece in open_stream(path, list(columns), CHUNK):
             columns[TIME].add(piece.time_s)
             for name, values in piece.channels.items():
                 columns[name].add(values)
-            said = piece.metadata  # which knows what is damaged when the last piece was read
+            metadata = piece.metadata  # after the last piece it names the damaged blocks
             on_step(f"reading {path.name}, {1e-6 * columns[TIME].size:.1f} million samples", None)
         if not columns[TIME].size:
             raise RecordingError(f"{path}: has no samples")
         channels = {column: _scaled(columns[name].values(), factor) for column, (name, factor) in stored.items()}
         notes = [f"{column}: is {name} times {factor:g}" for column, (name, factor) in stored.items() if factor != 1.0]
-        notes += [f"damaged: {said['damaged']}"] if "damaged" in said else []
+        notes += [f"damaged: {metadata['damaged']}"] if "damaged" in metadata else []
         return Recording(columns[TIME].values(), channels, {}, str(path)), sha256.result(), notes
 
 
@@ -258,7 +243,7 @@ def _bridge(recording: Recording, column: str) -> tuple[Recording, list[tuple[in
     for before, after in holes:
         filled[before + 1 : after] = np.nan
     bridged = np.isfinite(filled) & absent
-    notes = missing(recording, column)
+    notes = describe_missing(recording, column)
     if bridged.any():
         notes[0] += f"; {np.count_nonzero(bridged)} of them interpolated"
     return Recording(time_s, recording.channels | {column: filled}, {}, recording.source), holes, notes
@@ -306,16 +291,16 @@ def _pause(recording: Recording, hole: tuple[int, int]) -> str:
 
 
 def _mask(recording: Recording, input_column: str, output_column: str, *, most: float) -> list[str]:
-    """Set what is not believed of the output to nan; notes."""
-    notes = [f"{line}; not fitted" for line in missing(recording, output_column)]
+    """Set frozen and clipped output samples to nan; return notes."""
+    notes = [f"{line}; not fitted" for line in describe_missing(recording, output_column)]
     y = recording.channel(output_column)
-    believed = np.count_nonzero(np.isfinite(y))
-    found = recording.stuck(output_column, input_column)
-    lines = standing(recording, output_column, found)
-    share = sum(stop - start for start, stop in found.stretches) / max(int(believed), 1)
+    present = np.count_nonzero(np.isfinite(y))
+    found = find_stuck(y, recording.channel(input_column))
+    lines = describe_stuck(recording, output_column, found)
+    share = sum(stop - start for start, stop in found.stretches) / max(int(present), 1)
     if share > most:
         raise RecordingError(
-            f"{recording.source}: {lines[0]}; {100 * share:.0f} % of its samples are not to be believed, may be "
+            f"{recording.source}: {lines[0]}; {100 * share:.0f} % of its samples are frozen or clipped, may be "
             f"{100 * most:.0f} %; give the sensor a larger range, or lower the peak"
         )
     for start, stop in found.stretches:

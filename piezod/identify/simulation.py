@@ -6,9 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piezod.errors import UsageError
-from piezod.identify.identification import simulate
 from piezod.identify.scores import largest, nrmse_percent, rms
-from piezod.model import Model
+from piezod.identify.start import start_found
+from piezod.model import Model, run_chain
 from piezod.recording import Recording
 
 Array = NDArray[np.float64]
@@ -133,6 +133,41 @@ def simulate_recording(
     return Simulation(
         Recording(recording.time_s, {model.output.channel: output}, {"simulated": model.name}), start, agreement
     )
+
+
+def simulate(model: Model, recording: Recording, window: int, sha256: str | None = None) -> tuple[Array, str]:
+    """Free run of a model over a recording.
+
+    Parameters
+    ----------
+    model
+        An identified model, with or without effects.
+    recording
+        Holds the model's input column. If it also holds the output column, the start is found from its first `window`
+        samples. For a recording that starts at rest, it replaces the model's start only if it fits far better.
+    window
+        Number of samples that may be used to find the start, 0 or more; 0: none.
+    sha256
+        Hash of the recording's file, as hexadecimal text; some effects belong to one recording. None: unknown.
+
+    Returns
+    -------
+    output, start
+        Simulated output, shape (N,) [output unit], and the start in words.
+    """
+    operator, start = model.operator(), f"start of the model ({model.start.kind})"
+    u, y = recording.channel(model.input.channel), recording.channels.get(model.output.channel)
+    path: tuple[float, ...] = () if model.start.peak is None else (model.start.peak, 0.0)
+    if y is not None and window > 0:
+        reach = max(model.input.high, -model.input.low)
+        found = start_found(model.operator(), u, y, window, model.input.unit, reach)
+        if found is not None:
+            path, start = found.path, found.words
+            operator.set_states(np.zeros(operator.plays[0].size))
+            operator.run(np.array(path))
+    temperature_C = recording.channels.get("temperature_C")
+    readings = run_chain(model, operator, recording.time_s, u, temperature_C=temperature_C, sha256=sha256, path_V=path)
+    return readings, start
 
 
 def where(recording: Recording, condition: str) -> NDArray[np.bool_]:

@@ -86,7 +86,7 @@ def check_suitable(recording: Recording, input_column: str, output_column: str) 
     Parameters
     ----------
     recording
-        Such as `take_in` gives.
+        Such as `load_recordings` gives.
     input_column, output_column
         Its columns.
 

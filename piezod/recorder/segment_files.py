@@ -11,8 +11,8 @@ import os
 import sqlite3
 from pathlib import Path
 
-from piezod.recording.formats.sqlite import TABLES, About, append, create
 from piezod.recording.formats.sqlite_blocks import Block
+from piezod.recording.formats.sqlite_tables import TABLES, About, append_block, create_tables
 
 SUFFIX = ".sqlite"
 BESIDE = ("", "-wal", "-shm", "-journal")
@@ -69,8 +69,8 @@ class Segment:
         """
         self._connection.execute("BEGIN IMMEDIATE")
         if self._about is not None:
-            create(self._connection, self._about)
-        append(self._connection, block)
+            create_tables(self._connection, self._about)
+        append_block(self._connection, block)
         self._connection.execute("COMMIT")
         if self._about is not None:
             log = self.path.with_name(self.path.name + "-wal")

@@ -28,8 +28,9 @@ from numpy.typing import NDArray
 
 from piezod.errors import PiezodError
 from piezod.recorder.segment_files import Segment, make_room, segments, settle, size_of, sync
-from piezod.recording.formats.sqlite import About, read_end
+from piezod.recording.formats.sqlite import read_end
 from piezod.recording.formats.sqlite_blocks import Block
+from piezod.recording.formats.sqlite_tables import About
 from piezod.recording.ring_log import ROW_DTYPE, RingReader
 
 MOST_ROWS = 16_384  # of one block: what is caught up after a slow disk

@@ -1,6 +1,14 @@
-"""Recordings: a time axis and named channels with units, and the files they live in."""
+"""Recordings: a time axis and named channels with units, and the files that hold them."""
 
-from piezod.recording.files import check_target, column_names, convert, open_stream, read_recording, write_recording
+from piezod.recording.files import (
+    check_output_path,
+    check_recording_target,
+    column_names,
+    convert,
+    open_stream,
+    read_recording,
+    write_recording,
+)
 from piezod.recording.formats.csv import read_csv, write_csv
 from piezod.recording.hold import HELD_ONE_SAMPLE, Hold
 from piezod.recording.recording import TIME, Recording
@@ -10,7 +18,8 @@ __all__ = [
     "TIME",
     "Hold",
     "Recording",
-    "check_target",
+    "check_output_path",
+    "check_recording_target",
     "column_names",
     "convert",
     "open_stream",

@@ -1,4 +1,4 @@
-"""Which file holds which format: reading, writing, streaming and converting by suffix."""
+"""Reading, writing and conversion of recording files; the suffix of a file determines its format."""
 
 import os
 from collections.abc import Callable, Iterator, Sequence
@@ -8,14 +8,15 @@ from pathlib import Path
 
 import numpy as np
 
-from piezod.errors import RecordingError
+from piezod.errors import ConfigurationError, RecordingError, UsageError
+from piezod.recording.formats.access import import_library, library_errors
 from piezod.recording.formats.csv import open_csv, write_csv
 from piezod.recording.formats.hdf5 import open_hdf5, write_hdf5
 from piezod.recording.formats.mat import open_mat, write_mat
 from piezod.recording.formats.mdf4 import open_mdf4, write_mdf4
 from piezod.recording.formats.parquet import open_parquet, write_parquet
 from piezod.recording.formats.sqlite import open_sqlite, write_sqlite
-from piezod.recording.formats.stream import Source, foreign, require, whole
+from piezod.recording.formats.stream import RecordingStream, chunk_ranges, read_all
 from piezod.recording.formats.tdms import open_tdms, write_tdms
 from piezod.recording.names import TIME
 from piezod.recording.recording import Recording, check_time
@@ -23,11 +24,23 @@ from piezod.recording.recording import Recording, check_time
 
 @dataclass(frozen=True)
 class Format:
-    """One file format: how files of it begin, what opens and writes them, and the (module, extra) it needs."""
+    """A file format.
+
+    Parameters
+    ----------
+    name
+        Name for messages.
+    magic
+        First bytes of a file of this format, one of several; empty: a file may begin with any bytes.
+    open, write
+        Functions that open and write a file.
+    needs
+        (module, extra) of the optional library; empty: none.
+    """
 
     name: str
     magic: tuple[bytes, ...]
-    open: Callable[[Path], AbstractContextManager[Source]]
+    open: Callable[[Path], AbstractContextManager[RecordingStream]]
     write: Callable[[Recording, Path], None]
     needs: tuple[str, str] | tuple[()] = ()
 
@@ -47,141 +60,182 @@ FORMATS = {
 
 
 def read_recording(path: Path) -> Recording:
-    """Read a recording of any format, whole.
+    """Read a recording of any format completely.
 
     Parameters
     ----------
     path
-        `.csv .h5 .hdf5 .mat .tdms .parquet .mf4 .sqlite`. Units that the format keeps apart are joined to the names;
-        parts that hold no numbers are left out, `metadata["skipped"]` names them. Nothing in a file is ever executed.
+        File with suffix `.csv .h5 .hdf5 .mat .tdms .parquet .mf4 .sqlite`. A unit that the file stores beside the name
+        of a channel is appended to the name. Parts that hold no numbers are left out, and `metadata["skipped"]` names
+        them. Nothing in a file is ever executed.
 
     Raises
     ------
     RecordingError
-        One line: the file, what is wrong with it, and where.
+        The file cannot be read; the message names the file, the fault and its place.
     """
-    with _opened(path) as source:
-        return whole(source)
+    with _open(path) as stream:
+        return read_all(stream)
 
 
 def write_recording(recording: Recording, path: Path) -> None:
-    """Write a recording in the format of the file's suffix, whole or not at all.
+    """Write a recording in the format of the file's suffix; an error leaves an existing file unchanged.
 
     Raises
     ------
     RecordingError
-        The suffix is unknown, the format cannot hold it, its extra is missing, or the file cannot be written.
+        The suffix is unknown, the format cannot hold this recording, its library is not installed, or the file cannot
+        be written.
     """
-    kind = _format(path)
-    with foreign(path, "written"):
-        kind.write(recording, path)
+    file_format = _format_of(path)
+    with library_errors(path, "written"):
+        file_format.write(recording, path)
 
 
-def convert(source: Path, target: Path) -> None:
-    """Rewrite a recording in the format of another suffix.
+def convert(source: Path, target: Path) -> Recording:
+    """Rewrite a recording in the format of another suffix, and return it.
 
     Raises
     ------
-    RecordingError
-        As `read_recording` and `write_recording`.
+    RecordingError, UsageError
+        See `check_recording_target`, `read_recording` and `write_recording`.
     """
-    _format(target)
-    write_recording(read_recording(source), target)
+    check_recording_target(target, [source])
+    recording = read_recording(source)
+    write_recording(recording, target)
+    return recording
 
 
 def open_stream(path: Path, columns: Sequence[str] | None = None, chunk: int = 65536) -> Iterator[Recording]:
-    """Read a recording piece by piece; a file larger than memory will do (not `.mat` v5 and `.mf4`).
+    """Read a recording in chunks. The file may be larger than memory, except `.mat` of version 5 and `.mf4`.
 
     Parameters
     ----------
     path
-        As for `read_recording`.
+        File, see `read_recording`.
     columns
-        Channels wanted, None for all.
+        Names of the channels to read; None: all.
     chunk
-        Most samples in a piece.
+        Largest number of samples in a chunk, at least 1.
 
     Yields
     ------
     Recording
-        The next samples; times go on from piece to piece.
+        The next samples; time continues from chunk to chunk.
 
     Raises
     ------
     RecordingError
-        As `read_recording`, at the piece where the fault is met.
+        See `read_recording`; raised when the chunk with the fault is read.
     """
     if chunk < 1:
         raise RecordingError(f"{path}: chunk is {chunk} samples, must be at least 1")
-    with _opened(path) as source:
-        names = _wanted(source, columns)
+    with _open(path) as stream:
+        names = _wanted(stream, columns)
         done, end_s = 0, -np.inf
-        for table in source.chunks(names, chunk):
-            for start in range(0, table[TIME].size, chunk):
-                piece = {name: table[name][start : start + chunk] for name in names}
+        for table in stream.chunks(names, chunk):
+            for start, stop in chunk_ranges(table[TIME].size, chunk):
+                piece = {name: table[name][start:stop] for name in names}
                 check_time(str(path), piece[TIME], done, end_s)
                 done, end_s = done + piece[TIME].size, float(piece[TIME][-1])
-                yield Recording(piece.pop(TIME), piece, source.metadata, str(path))
+                yield Recording(piece.pop(TIME), piece, stream.metadata, str(path))
 
 
 def column_names(path: Path) -> tuple[str, ...]:
-    """Names of a file's columns, `time_s` among them; of its numbers none is read.
+    """Names of a file's columns, `time_s` among them; the numbers are not read.
 
     Raises
     ------
     RecordingError
-        As `read_recording`.
+        See `read_recording`.
     """
-    with _opened(path) as source:
-        return source.names
+    with _open(path) as stream:
+        return stream.names
 
 
-def check_target(path: Path) -> None:
-    """Refuse a file that could not be written, before the work whose result it is to hold.
+def check_recording_target(target: Path, recordings: Sequence[Path] = ()) -> None:
+    """Check, before the work begins, that a recording can be written to a file.
+
+    Parameters
+    ----------
+    target
+        File to write.
+    recordings
+        Files that are read for it and must not be overwritten.
 
     Raises
     ------
     RecordingError
-        The suffix is unknown, its extra is missing, or the folder is not there or not to be written.
+        The suffix is unknown, the library of the format is not installed, or the folder is missing or not writable.
+    UsageError
+        The file is one of the recordings.
     """
-    kind = _format(path)
-    if kind.needs:
-        require(*kind.needs, path)
-    if not path.parent.is_dir() or not os.access(path.parent, os.W_OK):
-        raise RecordingError(f"{path}: cannot be written: {path.parent} must be a folder that may be written to")
+    file_format = _format_of(target)
+    if file_format.needs:
+        import_library(*file_format.needs, target)
+    if not target.parent.is_dir() or not os.access(target.parent, os.W_OK):
+        raise RecordingError(f"{target}: cannot be written: {target.parent} must be a folder that may be written to")
+    _check_not_read(target, recordings)
 
 
-def _wanted(source: Source, columns: Sequence[str] | None) -> tuple[str, ...]:
-    wanted = source.names if columns is None else tuple(dict.fromkeys((TIME, *columns)))
+def check_output_path(target: Path, recordings: Sequence[Path]) -> None:
+    """Check, before the work begins, that a result of any kind may be written to a file.
+
+    Parameters
+    ----------
+    target
+        File to write.
+    recordings
+        Files that are read for it and must not be overwritten.
+
+    Raises
+    ------
+    UsageError
+        The file is one of the recordings.
+    ConfigurationError
+        Its folder does not exist.
+    """
+    _check_not_read(target, recordings)
+    if not target.parent.is_dir():
+        raise ConfigurationError(f"{target}: cannot be written: {target.parent} is no folder, make it first")
+
+
+def _check_not_read(target: Path, recordings: Sequence[Path]) -> None:
+    if any(target.exists() and path.exists() and target.samefile(path) for path in recordings):
+        raise UsageError(f"-o is {target}, which is a recording that is read, must be another file")
+
+
+def _wanted(stream: RecordingStream, columns: Sequence[str] | None) -> tuple[str, ...]:
+    wanted = stream.names if columns is None else tuple(dict.fromkeys((TIME, *columns)))
     for name in wanted:
-        if name not in source.names:
-            raise RecordingError(f"{source.path}: has no column {name}, has {', '.join(source.names)[:200]}")
+        if name not in stream.names:
+            raise RecordingError(f"{stream.path}: has no column {name}, has {', '.join(stream.names)[:200]}")
     return wanted
 
 
 @contextmanager
-def _opened(path: Path) -> Iterator[Source]:
-    kind = _format(path)
-    with foreign(path, "read"):
-        _check_beginning(path, kind)
-        with kind.open(path) as source:
-            yield source
+def _open(path: Path) -> Iterator[RecordingStream]:
+    file_format = _format_of(path)
+    with library_errors(path, "read"):
+        _check_magic(path, file_format)
+        with file_format.open(path) as stream:
+            yield stream
 
 
-def _format(path: Path) -> Format:
+def _format_of(path: Path) -> Format:
     if path.suffix.lower() not in FORMATS:
         raise RecordingError(f"{path}: suffix is {path.suffix!r}, must be one of {' '.join(FORMATS)}")
     return FORMATS[path.suffix.lower()]
 
 
-def _check_beginning(path: Path, kind: Format) -> None:
-    """Refuse a file whose first bytes are those of another format."""
+def _check_magic(path: Path, file_format: Format) -> None:
+    """Refuse a file whose first bytes belong to another format."""
     with path.open("rb") as file:
         head = file.read(32)
-    if kind.magic and head.startswith(kind.magic):
+    if file_format.magic and head.startswith(file_format.magic):
         return
     others = [other.name for other in FORMATS.values() if other.magic and head.startswith(other.magic)]
     if others:
-        raise RecordingError(f"{path}: holds {others[0]}, its suffix says {kind.name}; rename it")
-    if kind.magic:
-        raise RecordingError(f"{path}: is no {kind.name} file, begins with {head[:16]!r}")
+        raise RecordingError(f"{path}: holds {others[0]}, its suffix says {file_format.name}; rename it")
+    if file_format.magic:
+        raise RecordingError(f"{path}: is no {file_format.name} file, begins with {head[:16]!r}")

@@ -1,4 +1,4 @@
-"""Channel names: words joined by underscores that end in the unit, wherever name and unit came from."""
+"""Channel names of recordings: words joined by underscores, the unit last, such as `force_N` or `slew_V_per_s`."""
 
 import re
 from collections.abc import Iterable
@@ -7,24 +7,25 @@ from pathlib import Path
 from piezod.errors import RecordingError
 
 TIME = "time_s"
+"""Name of the time column [s]."""
 
 _BRACKETED = re.compile(r"^(?P<name>.*\S)\s*[\[(](?P<unit>[^\[\]()]*)[\])]$")
 _UNIT = re.compile(r"._(?P<unit>[^_]+(?:_per_[^_]+)?)$")
-# How the signs in units are spelt in a name; mu and ohm exist as letter and as sign.
+# Characters of units and their replacement in a name. Unicode has mu and ohm twice: as a letter and as a sign.
 _SPELT = {"µ": "u", "\u03bc": "u", "°": "deg", "\u03a9": "ohm", "\u2126": "ohm", "%": "percent"}
 _SPELT |= {"²": "2", "³": "3", "/": "_per_"}
 _SPELT_WHOLE = {"°C": "C", "degC": "C", "-": "", "1": ""}
 
 
 def channel_name(name: str, unit: str = "") -> str:
-    """Make the project's name from a file's name and unit: `Force`, `kN` -> `Force_kN`.
+    """Channel name from the name and unit in a file: `Force`, `kN` -> `Force_kN`.
 
     Parameters
     ----------
     name
-        As the file has it; a unit in brackets at its end counts as its unit: `Force [N]`.
+        Name in the file; a unit in brackets at its end is taken as the unit: `Force [N]`.
     unit
-        As the file has it, empty if it has none. Not added to a name that ends in it.
+        Unit in the file; empty: none. It is not appended to a name that already ends in it.
     """
     name = name.strip()
     bracketed = _BRACKETED.match(name)
@@ -38,32 +39,39 @@ def channel_name(name: str, unit: str = "") -> str:
 
 
 def unit_of(name: str) -> str:
-    """Unit that a channel's name ends in, empty if it has none: `slew_V_per_s` -> `V_per_s`."""
+    """Unit at the end of a channel name: `slew_V_per_s` -> `V_per_s`; empty for a name without unit."""
     found = _UNIT.search(name)
     return found["unit"] if found else ""
 
 
 def name_columns(path: Path, columns: Iterable[tuple[str, str]]) -> tuple[str, ...]:
-    """Names of a file's columns from their (name, unit).
+    """Channel names of a file's columns.
+
+    Parameters
+    ----------
+    path
+        The file, for messages.
+    columns
+        (name, unit) of each column in the file.
 
     Raises
     ------
     RecordingError
-        Two columns have one name, one has none, or none is the time.
+        A name is empty, two names are equal, or none is `time_s`.
     """
     names = tuple(channel_name(name, unit) for name, unit in columns)
     if "" in names:
         raise RecordingError(f"{path}: column {names.index('') + 1} has no name; every column must be named")
-    twice = sorted({name for name in names if names.count(name) > 1})
-    if twice:
-        raise RecordingError(f"{path}: has {', '.join(twice)[:120]} twice; column names must be unique")
+    repeated = sorted({name for name in names if names.count(name) > 1})
+    if repeated:
+        raise RecordingError(f"{path}: has {', '.join(repeated)[:120]} twice; column names must be unique")
     if TIME not in names:
         raise RecordingError(f"{path}: has no {TIME}, has {', '.join(names)[:120] or 'no columns of numbers'}")
     return names
 
 
 def _spell(unit: str) -> str:
-    """Unit as it stands in a name: `m/s²` -> `m_per_s2`."""
+    """Unit in the spelling of names: `m/s²` -> `m_per_s2`."""
     unit = _SPELT_WHOLE.get(unit.strip(), unit.strip())
     for sign, word in _SPELT.items():
         unit = unit.replace(sign, word)

@@ -1,37 +1,19 @@
-"""What is noteworthy about a recording, one line each, as one would warn a colleague who is about to use it."""
+"""Warnings about a recording: irregular time, gaps, missing samples, frozen and clipped readings, one line each."""
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING
+from collections.abc import Iterator
 
 import numpy as np
 
+from piezod.recording.recording import Recording
 from piezod.recording.stretches import Stretch, extreme_periods, gaps
+from piezod.recording.stuck import StuckStretches
 
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-    from piezod.recording.recording import Recording
-    from piezod.recording.stuck import Stuck
-
-COMMANDS = ("voltage", "reference")
-"""Channels of these quantities are commands: they stand still and reach their limits on purpose, and drive the rest."""
+MOST_PLACES = 5
+"""Gaps that a line lists."""
 
 
-def describe(recording: Recording) -> list[str]:
-    """One line for each thing noteworthy: irregular time, gaps, missing samples, frozen and clipped readings."""
-    lines = irregular(recording) if recording.time_s.size > 2 else [f"time_s: has {recording.time_s.size} samples"]
-    drives = [name for name in recording.channels if name.startswith(COMMANDS)]
-    for name in recording.channels:
-        lines += missing(recording, name)
-        others = [other for other in recording.channels if other != name]
-        for drive in () if name in drives else (drives or others)[:1]:
-            lines += standing(recording, name, recording.stuck(name, drive))
-    return lines
-
-
-def irregular(recording: Recording) -> list[str]:
-    """How far periods differ from each other, and where time pauses; of at least two samples."""
+def describe_timing(recording: Recording) -> list[str]:
+    """Lines about unequal sample periods and gaps in time, for a recording of at least two samples."""
     time_s = recording.time_s
     lines = []
     if not recording.uniform:
@@ -40,14 +22,14 @@ def irregular(recording: Recording) -> list[str]:
         lines.append(f"time_s: irregular, {extent}")
     pauses = gaps(time_s)
     if pauses:
-        places = ", ".join(f"{time_s[k]:.6g} to {time_s[m]:.6g} s" for k, m in pauses[:5])
-        more = f" and {len(pauses) - 5} more" if len(pauses) > 5 else ""
+        places = ", ".join(f"{time_s[k]:.6g} to {time_s[m]:.6g} s" for k, m in pauses[:MOST_PLACES])
+        more = f" and {len(pauses) - MOST_PLACES} more" if len(pauses) > MOST_PLACES else ""
         lines.append(f"time_s: {_count(len(pauses), 'gap')} longer than 5 periods, {places}{more}")
     return lines
 
 
-def missing(recording: Recording, name: str) -> list[str]:
-    """How many samples of a channel are not there, and where the first is."""
+def describe_missing(recording: Recording, name: str) -> list[str]:
+    """Line about the missing samples of a channel: number, share, time of the first; no line for a complete channel."""
     mask = recording.missing(name)
     if not mask.any():
         return []
@@ -56,19 +38,29 @@ def missing(recording: Recording, name: str) -> list[str]:
     return [f"{name}: {_count(int(mask.sum()), 'sample')} missing ({share}), the first at {first_s:.6g} s"]
 
 
-def standing(recording: Recording, name: str, found: Stuck) -> list[str]:
-    """Where a reading is frozen or cut off."""
-    return list(_standing(recording, name, found))
+def describe_stuck(recording: Recording, name: str, found: StuckStretches) -> list[str]:
+    """Lines about the frozen and clipped samples of a channel.
+
+    Parameters
+    ----------
+    recording
+        The recording.
+    name
+        Name of the channel.
+    found
+        Result of `find_stuck` for this channel.
+    """
+    return list(_stuck_lines(recording, name, found))
 
 
-def _standing(recording: Recording, name: str, found: Stuck) -> Iterator[str]:
+def _stuck_lines(recording: Recording, name: str, found: StuckStretches) -> Iterator[str]:
     values = recording.channel(name)
-    for what, stretches in (("largest", found.at_largest), ("smallest", found.at_smallest)):
+    for extreme, stretches in (("largest", found.at_largest), ("smallest", found.at_smallest)):
         if stretches:
             value = f"{values[stretches[0][0]]:.6g}"
-            yield f"{name}: clipped at its {what} value {value}, {_places(recording, stretches)}"
+            yield f"{name}: clipped at its {extreme} value {value}, {_places(recording, stretches)}"
     if found.frozen:
-        yield f"{name}: stands still while its drive moves, {_places(recording, found.frozen)}"
+        yield f"{name}: constant while its drive moves, {_places(recording, found.frozen)}"
 
 
 def _places(recording: Recording, stretches: list[Stretch]) -> str:

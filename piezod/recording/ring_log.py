@@ -1,11 +1,11 @@
-"""The ring log: every tick in shared memory, written without waiting, read by whoever likes.
+"""The ring log: a file in shared memory that holds the latest ticks; one process writes, any number of processes read.
 
     file = header | capacity rows
-    header = magic (8 bytes) | row size | capacity | rows written so far, each uint64
+    header = magic, 8 bytes | row size | capacity | number of rows written so far, each uint64
 
-The control loop is the only writer: it packs the row, then advances the count. A reader copies rows and looks at the
-count again; what was overwritten meanwhile is dropped and counted. No lock, no system call, no other process can
-slow a tick.
+The control loop is the only writer. It writes the row, then increases the count. A reader copies rows and reads the
+count again. Rows that were overwritten in the meantime are dropped and counted. The writer takes no lock and makes no
+system call, so no reader can delay a tick.
 """
 
 import mmap
@@ -44,14 +44,14 @@ ROW_DTYPE = np.dtype(
 
 
 class RingLog:
-    """The writer's end.
+    """Writer of the ring log.
 
     Parameters
     ----------
     path
-        File to create, best on a memory file system.
+        File to create, preferably on a file system in memory.
     capacity
-        Rows kept.
+        Number of rows in the file, at least 1.
 
     Raises
     ------
@@ -70,7 +70,7 @@ class RingLog:
             raise ConfigurationError(f"daemon.ring_log: {path} cannot be created: {error.strerror}") from error
         try:
             os.posix_fallocate(descriptor, 0, size)
-            flags = mmap.MAP_SHARED | mmap.MAP_POPULATE  # no page is touched for the first time in a tick
+            flags = mmap.MAP_SHARED | mmap.MAP_POPULATE  # all pages are mapped now, not in a tick
             self._memory = mmap.mmap(descriptor, size, flags)
         finally:
             os.close(descriptor)
@@ -78,32 +78,42 @@ class RingLog:
         self._count = _count_of(self._memory)
 
     def append(self, *row: float) -> None:
-        """Write one row: the fields of `ROW_DTYPE` in their order."""
+        """Write one row.
+
+        Parameters
+        ----------
+        *row
+            Values in the order of `ROW_DTYPE`.
+        """
         _ROW.pack_into(self._memory, _HEAD.size + self._rows % self._capacity * _ROW.size, *row)
         self._rows += 1
         self._count[0] = self._rows
 
     def close(self) -> None:
-        """Let go of the memory; the file stays for its readers. May be called twice."""
+        """Unmap the memory; the file stays for its readers. A second call has no effect."""
         self._count.release()
         self._memory.close()
 
 
 class RingReader:
-    """A reader's end; several may follow one ring.
+    """Reader of a ring log; several readers are independent of each other.
 
     Parameters
     ----------
     path
-        The ring's file.
+        File of the ring log.
     first
-        Number of the row to begin with, counted from the first that the writer wrote; what was overwritten before it
-        is read counts as dropped.
+        Number of the first row to read; the writer's first row is number 0.
+
+    Attributes
+    ----------
+    dropped
+        Number of rows that were overwritten before they were read.
 
     Raises
     ------
     UnreachableError
-        There is no ring of this version there.
+        The file does not exist or is no ring log of this version.
     """
 
     def __init__(self, path: Path, first: int = 0) -> None:
@@ -114,7 +124,7 @@ class RingReader:
             raise UnreachableError(f"{path}: no ring log to read: is the daemon running?") from error
         magic, row_size, self._capacity, _ = _HEAD.unpack_from(self._memory, 0)
         if magic != MAGIC or row_size != _ROW.size:
-            raise UnreachableError(f"{path}: not a ring log of this version")
+            raise UnreachableError(f"{path}: not a ring log of this version; restart the daemon")
         self._count = _count_of(self._memory)
         self._table = np.frombuffer(self._memory, ROW_DTYPE, self._capacity, _HEAD.size)
         self._next = first
@@ -122,25 +132,30 @@ class RingReader:
 
     @property
     def next(self) -> int:
-        """Number of the row that is read next, from 0."""
+        """Number of the row that is read next; the writer's first row is number 0."""
         return self._next
 
     @property
     def waiting(self) -> int:
-        """Rows that were written and not read, overwritten or not."""
+        """Number of rows that are written and not yet read, whether overwritten or not."""
         return max(0, self._written() - self._next)
 
     def seek(self, row: int) -> None:
-        """Go on with this row: one that was read and could not be kept."""
+        """Continue with row number `row`, for example to read a row again."""
         self._next = row
 
     def read(self, most: int | None = None) -> NDArray[np.void]:
-        """Rows written since the last call, oldest first; what was overwritten in between is counted in `dropped`.
+        """Rows since the last call, oldest first; overwritten rows are counted in `dropped`.
 
         Parameters
         ----------
         most
-            Rows that are wanted at once; the rest is for the next call. None: all.
+            Largest number of rows to return, at least 1; later calls return the others. None: all.
+
+        Returns
+        -------
+        NDArray
+            Structured array of `ROW_DTYPE`, shape (n,).
         """
         written = self._written()
         first = max(self._next, written - self._capacity + 1)
@@ -158,5 +173,5 @@ class RingReader:
 
 
 def _count_of(memory: mmap.mmap) -> memoryview:
-    """The count as one machine word: `struct` would clear it first, and another process could read that."""
+    """The count of rows as one machine word; `struct` would write it in two steps that another process can see."""
     return memoryview(memory)[_COUNT].cast("Q")

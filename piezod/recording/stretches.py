@@ -1,21 +1,34 @@
-"""Where a channel repeats itself, where time has a gap, what lies between samples. Arrays in, sample numbers out."""
+"""Searches in the arrays of a recording: repeated values, gaps in time, sample periods; and linear interpolation."""
 
 import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 Stretch = tuple[int, int]
-"""First sample, and the one after the last."""
+"""Consecutive samples: (number of the first sample, number after the last sample)."""
 
 BLOCK = 2**20
-"""Samples looked at together: what is made of them is small beside a long recording."""
+"""Samples that are processed together, so that temporary arrays stay small for a long recording."""
 
 GAP_PERIODS = 5
-"""A pause longer than so many sample periods is a gap: over it nothing is interpolated."""
+"""Length of a pause above which it is a gap [sample periods]; a gap is never interpolated."""
 
 
 def long_runs(values: Array, at_least: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Starts and stops of runs of at least so many identical values, each shape (runs,); a nan equals nothing."""
+    """First samples of long runs of identical values, and the samples after their ends.
+
+    Parameters
+    ----------
+    values
+        Shape (N,); nan is equal to no value.
+    at_least
+        Shortest run [samples], at least 1.
+
+    Returns
+    -------
+    starts, stops
+        Each shape (runs,).
+    """
     starts, stops = [np.empty(0, np.intp)], [np.empty(0, np.intp)]
     begun = 0
     for block in range(0, values.size, BLOCK):
@@ -32,13 +45,13 @@ def long_runs(values: Array, at_least: int) -> tuple[NDArray[np.intp], NDArray[n
 
 
 def median_period(time_s: Array) -> float:
-    """Median sample period [s] of at least two samples; of a long recording that of a million of its periods."""
+    """Median sample period of at least two samples [s]; for a long recording, of about a million of its periods."""
     every = max(1, time_s.size // BLOCK)
     return float(np.median(time_s[1::every] - time_s[:-1:every]))
 
 
 def extreme_periods(time_s: Array) -> tuple[float, float]:
-    """Shortest and longest sample period [s] of at least two samples."""
+    """Shortest and longest sample period of at least two samples [s]."""
     shortest_s, longest_s = np.inf, 0.0
     for at in range(0, time_s.size - 1, BLOCK):
         periods = np.diff(time_s[at : at + BLOCK + 1])
@@ -47,7 +60,7 @@ def extreme_periods(time_s: Array) -> tuple[float, float]:
 
 
 def gaps(time_s: Array) -> list[Stretch]:
-    """Pairs of neighbouring samples farther apart than five median periods."""
+    """(sample before, sample after) each pause of more than `GAP_PERIODS` median sample periods."""
     if time_s.size < 2:
         return []
     longest_s = GAP_PERIODS * median_period(time_s)
@@ -58,7 +71,22 @@ def gaps(time_s: Array) -> list[Stretch]:
 
 
 def interpolated(time_s: Array, values: Array, at_s: Array, longest_s: float) -> Array:
-    """Linear interpolation between samples that are there; nan where they are farther apart than `longest_s` [s]."""
+    """Linear interpolation between the samples of a channel that are present.
+
+    Parameters
+    ----------
+    time_s, values
+        Times [s] and values of the samples, each shape (N,); nan: missing sample.
+    at_s
+        Times of the result, shape (M,) [s].
+    longest_s
+        Longest pause between two present samples over which values are interpolated [s].
+
+    Returns
+    -------
+    Array
+        Shape (M,); nan within longer pauses and outside of the present samples.
+    """
     present = ~np.isnan(values)
     time_s, values = time_s[present], values[present]
     if time_s.size == 0:
@@ -67,11 +95,11 @@ def interpolated(time_s: Array, values: Array, at_s: Array, longest_s: float) ->
     after = np.searchsorted(time_s, at_s)
     inside = (after > 0) & (after < time_s.size)
     right = np.where(inside, after, 0)
-    between = inside & (time_s[right] != at_s)
-    result[between & (time_s[right] - time_s[right - 1] > longest_s)] = np.nan
+    interpolates = inside & (time_s[right] != at_s)
+    result[interpolates & (time_s[right] - time_s[right - 1] > longest_s)] = np.nan
     return np.asarray(result, dtype=np.float64)
 
 
 def pairs(starts: NDArray[np.intp], stops: NDArray[np.intp]) -> list[Stretch]:
-    """(start, stop) of each."""
+    """List of (start, stop) from their arrays, each shape (n,)."""
     return list(zip(starts.tolist(), stops.tolist(), strict=True))

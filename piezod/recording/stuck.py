@@ -1,9 +1,15 @@
-"""Where a reading stands still though its drive moves: a sensor that froze, or one at the end of its range.
+"""Search for stuck readings: a sensor that is frozen, or clipped at an end of its range, while its drive moves.
 
-Not all that stands still is stuck. A command dwells; a coarse converter gives one value over a stretch of the drive;
-dry friction holds a stack after each reversal. So a run of identical values counts only where the drive moves farther
-than it ordinarily does between two changes of the reading. A noisy reading never repeats itself for long: that is proof
-enough. One without noise must jump when it is let go, stay while the drive goes on outwards, or ignore half its swing.
+A run of identical values also has other causes. The command may be constant. A coarse converter gives the same value
+over a small move of the drive. Dry friction holds a stack after each reversal. A run is stuck if the drive moves much
+farther in it than usual between two changes of the reading. One of these conditions must hold as well:
+
+- The reading is noisy: a noisy reading repeats no value for long.
+- The reading jumps at the end of the run.
+- The drive moves by more than half its swing.
+- The reading is at its extreme value, and the drive moves on outwards.
+
+The method and its limits are derived here.
 """
 
 from dataclasses import dataclass
@@ -14,39 +20,40 @@ from numpy.typing import NDArray
 from piezod.recording.stretches import Array, Stretch, long_runs, pairs
 
 SHORTEST = 5
-"""Samples of a run that can count: fewer are no matter to a fit."""
+"""Shortest run that is tested [samples]; a shorter one does not affect a fit."""
 
 UNUSUAL = 10
-"""How many times farther than ordinarily the drive moves, or the reading jumps, where a reading is stuck."""
+"""Factor above the usual move of the drive, the usual step of the reading, or the noise of the drive."""
 
 SMALLEST_MOVE = 0.005
-"""Share of its swing that the drive must move: less is no matter to a fit."""
+"""Smallest move of the drive in a stuck run [share of the drive's swing]; a smaller one does not affect a fit."""
 
 TRIMMED = 10
-"""Of a run, one part in so many at either end is left out of the drive's move: a reading may follow late."""
+"""Denominator of the share of a run that is ignored at each end, because a reading may follow its drive late."""
 
 ALTERNATING = 0.3
-"""Share of changes of sign from one step of a reading to the next above which it is noisy; white noise has 2/3."""
+"""Share of consecutive steps of opposite sign above which a reading is noisy; white noise has 2/3."""
 
 WINDOWS, WINDOW, FEWEST_RUNS = 16, 2**16, 100
-"""How much of a long recording is looked at to learn what is ordinary."""
+"""Windows of a long recording for its usual motion; number of windows, samples of each, least runs in all of them."""
 
-ANSWERS = 0.3
-"""Correlation with the drive from which on a reading can be said to answer it at all."""
+FOLLOWS = 0.3
+"""Smallest magnitude of the correlation between reading and drive; below it a reading is not tested."""
 
 Runs = tuple[NDArray[np.intp], NDArray[np.intp]]
+"""(first samples, samples after the ends) of runs, each shape (runs,)."""
 
 
 @dataclass(frozen=True)
-class Stuck:
-    """Stretches in which a reading is not believed.
+class StuckStretches:
+    """Stretches in which a reading is stuck.
 
     Parameters
     ----------
     frozen
-        It stands still within its range.
+        Stretches at a value within the range of the reading.
     at_largest, at_smallest
-        It stands at its largest or smallest value: it is cut off there.
+        Stretches at the largest or smallest value of the reading, where it is clipped.
     """
 
     frozen: list[Stretch]
@@ -55,110 +62,111 @@ class Stuck:
 
     @property
     def stretches(self) -> list[Stretch]:
-        """All of them."""
+        """All stretches."""
         return [*self.frozen, *self.at_largest, *self.at_smallest]
 
 
 @dataclass(frozen=True)
-class _Ordinary:
-    """What reading and drive ordinarily do.
+class _UsualMotion:
+    """Usual motion of reading and drive.
 
     Parameters
     ----------
     move
-        Of the drive, while the reading stands still: what half of all its travel is made of.
+        Move of the drive between two changes of the reading; moves up to it make up half of the drive's travel.
     drive_noise
-        Standard deviation.
+        Standard deviation of the drive's noise.
     step
         Median of the reading's steps.
     noisy
-        Whether the reading hardly ever repeats a value.
-    together
-        Correlation of reading and drive.
+        Whether the reading rarely repeats a value.
+    correlation
+        Correlation of reading and drive, -1 to 1.
     """
 
     move: float
     drive_noise: float
     step: float
     noisy: bool
-    together: float
+    correlation: float
 
 
-def stuck(values: Array, drive: Array) -> Stuck:
-    """Find the stretches over which a reading does not answer its drive.
+def find_stuck(values: Array, drive: Array) -> StuckStretches:
+    """Find the stretches in which a reading does not follow its drive.
 
     Parameters
     ----------
     values
-        The reading, shape (N,); nan where it is missing.
+        Reading, shape (N,); nan: missing sample.
     drive
-        What moves it, shape (N,).
+        Quantity that moves the reading, such as the voltage, shape (N,).
     """
     low, high = np.nanmin(values, initial=np.inf), np.nanmax(values, initial=-np.inf)
     swing = float(np.nanmax(drive, initial=-np.inf) - np.nanmin(drive, initial=np.inf))
     if not (low < high and swing > 0.0) or not ((values > low) & (values < high)).any():
-        return Stuck([], [], [])  # a constant and a flag have no range to stand still in
-    ordinary = _ordinary(values, drive)
+        return StuckStretches([], [], [])  # a constant, or a flag of two values
+    usual = _usual_motion(values, drive)
     runs = long_runs(values, SHORTEST)
-    if abs(ordinary.together) < ANSWERS or not runs[0].size:
-        return Stuck([], [], [])
-    limit = max(SMALLEST_MOVE * swing + UNUSUAL * ordinary.drive_noise, UNUSUAL * ordinary.move)
+    if abs(usual.correlation) < FOLLOWS or not runs[0].size:
+        return StuckStretches([], [], [])
+    limit = max(SMALLEST_MOVE * swing + UNUSUAL * usual.drive_noise, UNUSUAL * usual.move)
     bottom, top = _range(drive, *runs)
     moved = top - bottom > limit
     outwards = (top - drive[runs[0]] > limit, drive[runs[0]] - bottom > limit)
-    beyond_top, beyond_bottom = outwards if ordinary.together > 0.0 else outwards[::-1]
-    proved = _proved(values, drive, runs, limit, ordinary) | (moved & ordinary.noisy)
+    beyond_top, beyond_bottom = outwards if usual.correlation > 0.0 else outwards[::-1]
+    certain = _without_noise(values, drive, runs, limit, usual) | (moved & usual.noisy)
     at_top, at_bottom = values[runs[0]] == high, values[runs[0]] == low
-    largest = _rail(at_top, moved, proved | beyond_top)
-    smallest = _rail(at_bottom, moved, proved | beyond_bottom)
-    kinds = (proved & ~at_top & ~at_bottom, largest, smallest)
-    return Stuck(*(pairs(runs[0][kind], runs[1][kind]) for kind in kinds))
+    largest = _clipped(at_top, moved, certain | beyond_top)
+    smallest = _clipped(at_bottom, moved, certain | beyond_bottom)
+    kinds = (certain & ~at_top & ~at_bottom, largest, smallest)
+    return StuckStretches(*(pairs(runs[0][kind], runs[1][kind]) for kind in kinds))
 
 
-def _rail(there: NDArray[np.bool_], moved: NDArray[np.bool_], proved: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Which runs at an extreme value are cut off: all over which the drive moves, once one of them is proved to be."""
-    result: NDArray[np.bool_] = there & (moved | proved) & (there & proved).any()
+def _clipped(extreme: NDArray[np.bool_], moved: NDArray[np.bool_], certain: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Which runs at an extreme value are clipped: if one of them is certain, all in which the drive moves."""
+    result: NDArray[np.bool_] = extreme & (moved | certain) & (extreme & certain).any()
     return result
 
 
-def _proved(values: Array, drive: Array, runs: Runs, limit: float, ordinary: _Ordinary) -> NDArray[np.bool_]:
-    """Whether a reading without noise jumps after a run, or ignored half the drive's swing in it.
+def _without_noise(values: Array, drive: Array, runs: Runs, limit: float, usual: _UsualMotion) -> NDArray[np.bool_]:
+    """Which runs of a reading without noise are stuck: it jumps after the run, or the drive moves by half its swing.
 
-    The ends of a run do not count here: a reading may follow late.
+    The ends of a run are ignored, see `TRIMMED`.
     """
     starts, stops = runs
     trimmed = (stops - starts) // TRIMMED
     bottom, top = _range(drive, starts + trimmed, stops - trimmed)
-    jumps = np.abs(values[np.minimum(stops, values.size - 1)] - values[stops - 1]) > UNUSUAL * ordinary.step
+    jumps = np.abs(values[np.minimum(stops, values.size - 1)] - values[stops - 1]) > UNUSUAL * usual.step
     half = 0.5 * (np.nanmax(drive) - np.nanmin(drive))
     result: NDArray[np.bool_] = (jumps & (top - bottom > limit)) | (top - bottom > half)
     return result
 
 
 def _range(drive: Array, starts: NDArray[np.intp], stops: NDArray[np.intp]) -> tuple[Array, Array]:
-    """Smallest and largest drive within each stretch."""
+    """Smallest and largest value of the drive in each run."""
     places = np.column_stack((starts, np.minimum(stops, drive.size - 1))).ravel()
     return np.fmin.reduceat(drive, places)[::2], np.fmax.reduceat(drive, places)[::2]
 
 
-def _ordinary(values: Array, drive: Array) -> _Ordinary:
+def _usual_motion(values: Array, drive: Array) -> _UsualMotion:
+    """Usual motion, from windows of the recording that grow until they hold enough runs."""
     size = WINDOW
     parts = _windows(values.size, size)
     while (found := _statistics(values, drive, parts)) is None and size * WINDOWS < values.size:
         size *= 8
         parts = _windows(values.size, size)
-    return found or _Ordinary(np.inf, 0.0, np.inf, noisy=False, together=0.0)
+    return found or _UsualMotion(np.inf, 0.0, np.inf, noisy=False, correlation=0.0)
 
 
 def _windows(samples: int, size: int) -> list[slice]:
-    """Windows spread over a recording, or all of it."""
+    """Windows at equal distances over a recording; a short recording is one window."""
     if samples <= WINDOWS * size:
         return [slice(0, samples)]
     return [slice(start, start + size) for start in np.linspace(0, samples - size, WINDOWS).astype(int).tolist()]
 
 
-def _statistics(values: Array, drive: Array, parts: list[slice]) -> _Ordinary | None:
-    """What is ordinary within these parts; None where too few changes of the reading lie in them."""
+def _statistics(values: Array, drive: Array, parts: list[slice]) -> _UsualMotion | None:
+    """Usual motion within these parts; None if they hold too few changes of the reading."""
     moves, lengths, steps, bends, turns, products = [], [], [], [], [], np.zeros((2, 2))
     for part in parts:
         y, u = values[part], drive[part]
@@ -176,17 +184,17 @@ def _statistics(values: Array, drive: Array, parts: list[slice]) -> _Ordinary | 
     if every_step.size < 2 or (every_length.size < FEWEST_RUNS and len(parts) > 1):
         return None
     alternating = float(np.mean(np.concatenate(turns)))
-    return _Ordinary(
-        move=_half_way(np.concatenate(moves)),
+    return _UsualMotion(
+        move=_half_sum_part(np.concatenate(moves)),
         drive_noise=float(np.nanmedian(np.concatenate(bends))) / (0.6745 * np.sqrt(6.0)),
         step=float(np.median(every_step)),
-        noisy=alternating > ALTERNATING and _half_way(every_length) <= 2.0,
-        together=float(products[0, 1] / spread) if (spread := np.sqrt(products[0, 0] * products[1, 1])) else 0.0,
+        noisy=alternating > ALTERNATING and _half_sum_part(every_length) <= 2.0,
+        correlation=float(products[0, 1] / spread) if (spread := np.sqrt(products[0, 0] * products[1, 1])) else 0.0,
     )
 
 
-def _half_way(parts: Array) -> float:
-    """The part up to which, sorted, the parts make up half of their sum."""
+def _half_sum_part(parts: Array) -> float:
+    """Smallest part for which this part and all smaller ones make up half of the sum of all parts."""
     ordered = np.sort(parts[np.isfinite(parts)])
     total = np.cumsum(ordered)
     return float(ordered[np.searchsorted(total, 0.5 * total[-1])]) if ordered.size else 0.0

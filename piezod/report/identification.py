@@ -10,9 +10,10 @@ from bokeh.plotting import figure
 from numpy.typing import NDArray
 
 from piezod.diagnose.words import unit_words
-from piezod.identify.identification import Identification, simulate
+from piezod.identify.identification import Identification
 from piezod.identify.order import Candidate
 from piezod.identify.scores import max_hysteresis_percent
+from piezod.identify.simulation import simulate
 from piezod.identify.tables import OperatorRow, dead_zone_rows, play_rows
 from piezod.recording import Recording
 from piezod.report.figures.thinning import usual_range

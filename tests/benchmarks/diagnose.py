@@ -20,7 +20,7 @@ from firmware_sim.physics.scenario import load_scenario
 from piezod.effects import EFFECTS
 from piezod.excitation import IDENTIFICATION, excitation
 from piezod.identify.identification import Options, identify
-from piezod.identify.intake import take_in
+from piezod.identify.intake import load_recordings
 from piezod.model import save_model
 from piezod.recording import Recording, write_csv
 from tests.benchmarks.table import NotMeasuredError, Row
@@ -108,7 +108,7 @@ def _make_model(folder: Path) -> int:
     path = folder / "identification.csv"
     voltage_V = excitation(IDENTIFICATION, 140.0, 1.0, 1, RATE_Hz)
     _write(path, voltage_V, {}, seed=1)
-    taken = take_in([path], "voltage_V", "force_N", lambda *_: None)
+    taken = load_recordings([path], "voltage_V", "force_N", lambda *_: None)
     options = Options(plays=14, zones=6)
     found = identify(
         [one.recording for one in taken], options, "tests.benchmarks", sources=[one.source for one in taken]

@@ -1,4 +1,4 @@
-"""What every command promises: an example in its help, JSON where it reads, and a refusal of one line with its code."""
+"""The contract of every command: an example in its help, JSON output, errors of one line with their exit code."""
 
 import json
 import re
@@ -28,7 +28,7 @@ COMMANDS = {
 WITHOUT_JSON = {
     "watch": "serves a page",
     "record": "writes a recording",
-    "config schema": "prints JSON anyway",
+    "config schema": "always prints JSON",
     "blind make": "writes a study",
     "blind run": "writes verdicts",
 }
@@ -42,8 +42,8 @@ READMES = sorted(
 )
 PICTURE = re.compile(r"!\[[^\]]+\]\(([^)]+)\)")
 NOT_THERE = "/nowhere/nothing.yaml"
-REFUSALS = [
-    # arguments, exit code, said
+ERRORS = [
+    # arguments, exit code, part of the message
     ("demo --report", 2, "requires an argument"),
     (f"run {NOT_THERE}", 78, "cannot be read"),
     ("check", 2, "Missing argument 'CONFIG'; see piezod check --help"),
@@ -82,7 +82,7 @@ REFUSALS = [
 
 
 def leaves(group, above=""):
-    """Every command by its words."""
+    """(full name, command) of every command."""
     for name, command in group.commands.items():
         if hasattr(command, "commands"):
             yield from leaves(command, f"{above}{name} ")
@@ -100,7 +100,7 @@ ALL = dict(leaves(typer.main.get_command(cli.app)))
 
 
 def run(line, capsys):
-    """A command in this process: its exit code and what it said."""
+    """Run a command in this process; return its exit code, stdout and stderr."""
     before = sys.argv
     sys.argv = ["piezod", *(shlex.split(line) if isinstance(line, str) else map(str, line))]
     try:
@@ -108,16 +108,16 @@ def run(line, capsys):
             cli.main()
     finally:
         sys.argv = before
-    said = capsys.readouterr()
-    return int(ended.value.code or 0), said.out, said.err
+    output = capsys.readouterr()
+    return int(ended.value.code or 0), output.out, output.err
 
 
-def test_the_commands_are_those_that_are_promised():
+def test_the_commands_are_those_of_the_readme():
     assert set(ALL) == COMMANDS
 
 
 @pytest.mark.parametrize("name", sorted(COMMANDS))
-def test_help_says_what_it_does_and_how_it_is_called(name, capsys):
+def test_help_holds_a_description_and_an_example(name, capsys):
     code, out, _ = run(f"{name} --help", capsys)
     assert code == 0
     assert ALL[name].help
@@ -125,29 +125,29 @@ def test_help_says_what_it_does_and_how_it_is_called(name, capsys):
 
 
 @pytest.mark.parametrize("name", sorted(COMMANDS))
-def test_the_example_is_a_call_that_the_command_takes(name):
+def test_the_arguments_of_the_example_are_valid(name):
     epilog = re.sub(r"\s+>\s+\S+$", "", ALL[name].epilog)
     words = shlex.split(epilog.removeprefix(f"Example: piezod {name}"))
     ALL[name].make_context(name, words)
 
 
 @pytest.mark.parametrize("name", sorted(COMMANDS))
-def test_what_reads_prints_json_when_asked_to(name):
+def test_a_command_that_reads_has_the_option_json(name):
     has = any("--json" in option.opts for option in ALL[name].params)
     assert has != (name in WITHOUT_JSON)
 
 
-@pytest.mark.parametrize(("line", "code", "says"), REFUSALS, ids=[line for line, _, _ in REFUSALS])
-def test_a_refusal_is_one_line_with_its_code(line, code, says, capsys):
+@pytest.mark.parametrize(("line", "code", "message"), ERRORS, ids=[line for line, _, _ in ERRORS])
+def test_an_error_is_one_line_with_its_exit_code(line, code, message, capsys):
     found, out, err = run(line, capsys)
     assert (found, out) == (code, ""), err
     assert len(err.splitlines()) == 1, err
     assert err.startswith("piezod: ")
-    assert says in err
+    assert message in err
 
 
-def test_every_command_has_a_refusal_in_the_table():
-    assert {name for name in COMMANDS if any(line.startswith(name) for line, _, _ in REFUSALS)} == COMMANDS
+def test_every_command_has_an_error_in_the_table():
+    assert {name for name in COMMANDS if any(line.startswith(name) for line, _, _ in ERRORS)} == COMMANDS
 
 
 def test_the_readme_of_the_package_names_every_command():
@@ -182,7 +182,7 @@ def test_every_relative_link_of_a_readme_leads_to_a_file_and_a_heading(readme):
         assert not heading or heading in headings(target), f"{readme}: {link}"
 
 
-def test_without_words_the_help_is_shown_and_that_is_misuse(capsys):
+def test_no_arguments_print_the_help_with_exit_code_2(capsys):
     for line in ("", "blind", "config"):
         code, _, err = run(line, capsys)
         assert code == 2
@@ -215,14 +215,14 @@ def recording(tmp_path_factory):
         ("init --yes --profile labjack_t7 --no-probe -o {out}.yaml", "piezod.init/1"),
     ],
 )
-def test_json_is_one_document_that_names_its_schema(line, schema, recording, tmp_path, capsys):
+def test_json_output_is_one_document_with_its_schema(line, schema, recording, tmp_path, capsys):
     places = {"bench": shipped("bench.yaml"), "model": shipped("model.yaml"), "recording": recording}
     code, out, _ = run(line.format(out=tmp_path / "out", **places) + " --json", capsys)
     assert code == 0
     assert json.loads(out)["schema"] == schema
 
 
-def test_the_emulator_refuses_in_one_line_too():
+def test_an_error_of_the_emulator_is_one_line():
     done = subprocess.run(
         [sys.executable, "-m", "firmware_sim", NOT_THERE], capture_output=True, text=True, check=False, timeout=60
     )
@@ -230,7 +230,7 @@ def test_the_emulator_refuses_in_one_line_too():
     assert len(done.stderr.strip().splitlines()) == 1
 
 
-def test_what_a_pipe_cut_off_is_no_traceback():
+def test_a_closed_pipe_causes_no_traceback():
     command = f"{shlex.quote(sys.executable)} -m piezod effects | head -1"
     done = subprocess.run(["/bin/bash", "-c", command], capture_output=True, text=True, check=False, timeout=60)
     assert "Traceback" not in done.stderr

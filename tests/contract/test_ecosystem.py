@@ -17,7 +17,7 @@ from piezod.control import ROW_DTYPE, Cause, State
 from piezod.daemon.metrics import BenchMetrics
 from piezod.daemon.service import COMMANDS
 from piezod.daemon.statistics import Tally
-from piezod.identify.intake import take_in
+from piezod.identify.intake import load_recordings
 from piezod.recording import Recording, convert, read_recording, write_recording
 
 CONFIG = Path(__file__).parents[2] / "config"
@@ -206,4 +206,4 @@ def test_every_format_keeps_a_strictly_increasing_time(kept, tmp_path, suffix):
     again = read_recording(tmp_path / f"kept{suffix}")
     assert (np.diff(again.time_s) > 0).all()
     assert again.time_s - again.time_s[0] == pytest.approx(kept.time_s - kept.time_s[0], abs=1e-9)
-    assert take_in([tmp_path / f"kept{suffix}"], "voltage_V", "force_N")[0].recording.time_s.size == 500
+    assert load_recordings([tmp_path / f"kept{suffix}"], "voltage_V", "force_N")[0].recording.time_s.size == 500

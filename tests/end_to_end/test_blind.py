@@ -46,7 +46,7 @@ def judged(bare):
     folder = bare.parent / "verdicts"
     done = piezod("blind", "run", bare, "-o", folder, "--jobs", 2)
     assert done.returncode == 0, done.stdout + done.stderr
-    assert done.stdout == f"{folder}: 3 cases judged, 0 failed, 0 were there already\n"
+    assert done.stdout == f"{folder}: 3 cases diagnosed, 0 failed, 0 were already done\n"
     return folder
 
 
@@ -167,7 +167,7 @@ def test_a_worker_of_the_cluster_that_is_killed_loses_no_case(bare, judged, tmp_
         workers[0].kill()
         out, err = run.communicate(timeout=LONG_S)
     assert run.returncode == 0, out + err
-    assert "3 cases judged, 0 failed" in out
+    assert "3 cases diagnosed, 0 failed" in out
     psutil.wait_procs([orphan], timeout=10)
     assert not orphan.is_running()
     for name in names(judged):
@@ -188,7 +188,7 @@ def test_a_run_that_is_interrupted_leaves_nothing_behind_and_goes_on_where_it_st
     assert 1 <= len(there) < 3
     assert sorted(path.name for path in folder.iterdir()) == [*there, "study.json"]
     done = piezod("blind", "run", bare, "-o", folder)
-    assert done.stdout == f"{folder}: {3 - len(there)} cases judged, 0 failed, {len(there)} were there already\n"
+    assert done.stdout == f"{folder}: {3 - len(there)} cases diagnosed, 0 failed, {len(there)} were already done\n"
     for name in names(judged):
         assert same(verdict(folder / name), verdict(judged / name))
 
@@ -198,7 +198,7 @@ def test_a_process_that_is_killed_is_started_again(bare, tmp_path):
     os.kill(until(lambda: judging(run.pid), run)[0].pid, signal.SIGKILL)
     out, err = run.communicate(timeout=LONG_S)
     assert run.returncode == 0, out + err
-    assert "1 cases judged, 0 failed" in out
+    assert "1 cases diagnosed, 0 failed" in out
 
 
 def test_a_case_that_fails_is_one_line_counts_as_wrong_and_is_tried_again(study, bare, tmp_path):
@@ -211,7 +211,7 @@ def test_a_case_that_fails_is_one_line_counts_as_wrong_and_is_tried_again(study,
     assert done.returncode == 1
     first, last = done.stdout.splitlines()
     assert first.startswith("case_0002 failed: identification.csv")
-    assert last.endswith("0 cases judged, 1 failed, 0 were there already")
+    assert last.endswith("0 cases diagnosed, 1 failed, 0 were already done")
     done = piezod("blind", "score", study, folder, "--partial")
     assert "1 cases without findings, counted as wrong" in done.stdout
     assert "1 of 1 cases with a failure" in done.stdout
@@ -228,7 +228,7 @@ def test_a_case_that_fails_is_one_line_counts_as_wrong_and_is_tried_again(study,
         (("run", "NEW", "-o", "NEW"), 78, "has no seal.json"),
         (("run", "STUDY", "-o", "NEW", "--only", "case_0009"), 2, "has 3 cases, case_0001 to case_0003"),
         (("run", "STUDY", "-o", "NEW", "--scheduler", "odd://x"), 2, "unknown address scheme 'odd'"),
-        (("run", "STUDY", "-o", "NEW", "--scheduler", "127.0.0.1:9"), 75, "nobody answers there"),
+        (("run", "STUDY", "-o", "NEW", "--scheduler", "127.0.0.1:9"), 75, "no scheduler answers there"),
         (("run", "STUDY", "-o", "NEW", "--jobs", 2, "--scheduler", "x:1"), 2, "give one of them"),
         (("score", "STUDY", "NEW"), 78, "has no verdict"),
     ],

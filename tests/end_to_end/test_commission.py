@@ -43,4 +43,4 @@ def test_models_recordings_and_pages_are_left(commissioned):
 def test_one_bench_is_asked_for(tmp_path):
     done = piezod("commission", "-o", tmp_path)
     assert done.returncode == 2
-    assert done.stderr.strip() == "piezod: give CONFIG or --emulated SCENARIO, one of them"
+    assert done.stderr.strip() == "piezod: give CONFIG or --emulated SCENARIO, exactly one of them"

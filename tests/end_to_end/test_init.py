@@ -53,7 +53,7 @@ def test_a_file_that_is_there_is_never_replaced_unless_told_to(tmp_path):
     options = ("init", "--yes", "--profile", "labjack_t7", "--no-probe", "-o", path)
     done = piezod(*options)
     assert done.returncode == 2
-    assert done.stderr == f"piezod: {path} is there already; name another with -o, or replace it with --force\n"
+    assert done.stderr == f"piezod: {path} already exists; name another file with -o, or replace it with --force\n"
     assert path.read_text(encoding="utf-8") == "mine"
     assert piezod(*options, "--force").returncode == 0
     assert load_bench(path).name == "labjack_t7"

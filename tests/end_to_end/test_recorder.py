@@ -16,9 +16,9 @@ import pytest
 
 from piezod.recorder.segment_files import segments
 from piezod.recording import read_recording
-from piezod.recording.formats.sqlite import read_ticks
 from tests.benches.daemon import PATIENT, daemon
 from tests.benches.emulator import ROOT, bench_file, emulator, piezod
+from tests.benches.recorded_blocks import read_blocks
 from tests.studies import recorder as study
 from tests.studies.powercut import cannot_cut, cannot_mount, fill, small_folder
 
@@ -102,7 +102,7 @@ def test_every_tick_of_the_daemon_is_recorded_and_read_while_it_is_written(serve
         total = int(next(line for line in service.said if " ticks, " in line).split()[0])
     with (tmp_path / "simulated.csv").open(encoding="utf-8") as file:
         assert sum(not row[0].startswith("#") for row in csv.reader(file)) > 500
-    about, blocks, damaged = read_ticks(live)
+    about, blocks, damaged = read_blocks(live)
     rows = np.concatenate([block.rows for block in blocks])
     assert (rows.size, damaged, blocks[0].first) == (total, 0, 0)
     assert (np.diff(rows["tick"]) > 0).all()
@@ -134,7 +134,7 @@ def test_a_recorder_that_dies_is_started_again_and_nothing_is_missing_or_twice(s
     ticks = [
         tick
         for path in segments(tmp_path / "kept", "emulator")
-        for block in read_ticks(path)[1]
+        for block in read_blocks(path)[1]
         for tick in block.rows["tick"].tolist()
     ]
     assert len(ticks) == total
@@ -196,7 +196,7 @@ def test_a_full_disk_is_said_costs_no_tick_and_no_row_and_is_left_when_there_is_
         found = {
             tick
             for path in segments(small / "kept", "emulator")
-            for block in read_ticks(path)[1]
+            for block in read_blocks(path)[1]
             for tick in block.rows["tick"].tolist()
         }
         assert len(found) == total

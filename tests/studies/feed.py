@@ -20,8 +20,8 @@ import numpy as np
 
 from piezod.recorder.segment_files import segments
 from piezod.recorder.writer import Plan, Report, report_of
-from piezod.recording.formats.sqlite import read_ticks
 from piezod.recording.ring_log import ROW_DTYPE, RingLog
+from tests.benches.recorded_blocks import read_blocks
 
 WITHIN_S = 120.0  # however busy the machine is
 BEGAN_NS = 10**12
@@ -214,7 +214,7 @@ def judge(folder: Path, bench: str, acknowledged: int) -> Kept:
     kept = Kept()
     seen: list[np.ndarray] = []
     for path in segments(folder, bench) if folder.exists() else ():
-        _, blocks, damaged = read_ticks(path)
+        _, blocks, damaged = read_blocks(path)
         kept.damaged += damaged
         kept.files += 1
         kept.bytes += path.stat().st_size

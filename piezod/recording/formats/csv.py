@@ -1,6 +1,8 @@
-"""Recordings as CSV: `#` lines of metadata, one header row, `time_s` first, every column `name_unit`.
+"""Recordings as CSV: lines of metadata that begin with `#`, one header row, then one row per sample.
 
-An empty cell is a missing sample. Files are read in blocks of whole lines; a block at a time is in memory.
+The first column is `time_s`, the separator is a comma, the encoding is UTF-8. An empty cell is a missing sample.
+Library: numpy; pyarrow 17 or later for large files, if installed. Limits: a line up to 4 MiB, 10,000 lines of metadata,
+2**29 numbers. A file is read in blocks of complete lines, and one block is in memory at a time.
 """
 
 from collections.abc import Iterator, Sequence
@@ -12,16 +14,23 @@ from typing import BinaryIO
 import numpy as np
 
 from piezod.errors import RecordingError
+from piezod.recording.formats.access import library_errors, replaced_file
 from piezod.recording.formats.csv_cells import arrow_parser, parse
-from piezod.recording.formats.stream import MOST_VALUES, Source, Table, foreign, replacing, whole
+from piezod.recording.formats.stream import MOST_VALUES, RecordingStream, Table, chunk_ranges, read_all
 from piezod.recording.names import TIME, channel_name, name_columns
 from piezod.recording.recording import Recording
 
 BLOCK = 2**22
-"""Bytes parsed at once: numbers of rows that fit the cache, calls too few to count."""
+"""Bytes that are parsed together: the numbers fit into the processor's cache, and calls cost little."""
 
 LARGE = 2**24
-"""Bytes above which pyarrow is worth its import."""
+"""File size above which parsing by pyarrow saves more time than its import costs [bytes]."""
+
+MOST_HEAD_LINES = 10_000
+"""Lines within which the header row must come."""
+
+WRITTEN_ROWS = 2**14
+"""Rows that are formatted together."""
 
 
 def read_csv(path: Path) -> Recording:
@@ -30,27 +39,27 @@ def read_csv(path: Path) -> Recording:
     Raises
     ------
     RecordingError
-        One line: the file, the line and column, and what is wrong with it.
+        The file cannot be read; the message names file, line, column and the wrong value.
     """
-    with foreign(path, "read"), open_csv(path) as source:
-        return whole(source)
+    with library_errors(path, "read"), open_csv(path) as stream:
+        return read_all(stream)
 
 
 @contextmanager
-def open_csv(path: Path) -> Iterator[Source]:
-    """Open a CSV file: its header is read, its rows are not yet.
+def open_csv(path: Path) -> Iterator[RecordingStream]:
+    """Open a CSV file: metadata and header are read at once, rows with the chunks.
 
     Raises
     ------
     RecordingError
-        The header is none.
+        The file has no valid header row.
     """
     with path.open("rb") as file:
         metadata, names = _read_head(file, path)
         arrow = arrow_parser(len(names)) if path.stat().st_size > LARGE else None
 
         def chunks(wanted: Sequence[str], _: int) -> Iterator[Table]:
-            at = [names.index(name) for name in wanted]
+            columns = [names.index(name) for name in wanted]
             values = 0
             for position, block in _blocks(file, path):
                 table = parse(block, path, names, position, arrow)
@@ -58,47 +67,49 @@ def open_csv(path: Path) -> Iterator[Source]:
                 if values > MOST_VALUES:
                     raise RecordingError(f"{path}: has more than {MOST_VALUES:.3g} numbers; split it")
                 if table.size:
-                    yield {name: np.ascontiguousarray(table[:, k]) for name, k in zip(wanted, at, strict=True)}
+                    yield {name: np.ascontiguousarray(table[:, k]) for name, k in zip(wanted, columns, strict=True)}
 
-        yield Source(path, names, chunks, None, metadata)
+        yield RecordingStream(path, names, chunks, None, metadata)
 
 
 def write_csv(recording: Recording, path: Path) -> None:
-    """Write a recording, whole or not at all: time to the nanosecond, values to nine digits, missing ones as nan.
+    """Write a recording: time to 1 ns, values to nine significant digits, missing samples as `nan`.
+
+    An error leaves an existing file unchanged.
 
     Raises
     ------
     RecordingError
-        The file cannot be written, a name would break the header, or samples are closer than nanoseconds.
+        The file cannot be written, a name would break the header row, or two samples are closer than 1 ns.
     """
     names = (TIME, *recording.channels)
     bad = [name for name in names if not name.strip() or name != name.strip() or set(name) & set(",#\r\n")]
     if bad:
-        raise RecordingError(f"{path}: cannot be written: {bad[0]!r} is no column name")
+        raise RecordingError(f"{path}: cannot be written: {bad[0]!r} is no column name of CSV, rename the channel")
     if (np.diff(np.round(recording.time_s, 9)) <= 0).any():
-        raise RecordingError(f"{path}: cannot be written: samples lie closer than 1 ns, CSV keeps nanoseconds")
+        raise RecordingError(f"{path}: cannot be written: samples are closer than 1 ns, the resolution of time in CSV")
     row = ",".join(["%.9f", *["%.9g"] * len(recording.channels)]) + "\n"
     table = [recording.time_s, *recording.channels.values()]
-    with replacing(path) as temporary, temporary.open("w", encoding="utf-8") as file:
+    with replaced_file(path) as temporary, temporary.open("w", encoding="utf-8") as file:
         for key, value in recording.metadata.items():
             file.write(f"# {' '.join(key.split())}: {' '.join(value.split())}\n")
         file.write(",".join(names) + "\n")
-        for start in range(0, recording.time_s.size, 2**14):
-            block = np.column_stack([column[start : start + 2**14] for column in table])
+        for start, stop in chunk_ranges(recording.time_s.size, WRITTEN_ROWS):
+            block = np.column_stack([column[start:stop] for column in table])
             file.write("".join(repeat(row, len(block))) % tuple(block.ravel().tolist()))
 
 
 def _read_head(file: BinaryIO, path: Path) -> tuple[dict[str, str], tuple[str, ...]]:
-    """Metadata and column names; leaves the file at the first row."""
+    """Metadata and column names; the file's position is then the first row."""
     metadata: dict[str, str] = {}
-    for number in range(1, 10_000):
+    for number in range(1, MOST_HEAD_LINES):
         raw = file.readline(BLOCK)
         if not raw or len(raw) == BLOCK:
             break
         try:
             line = raw.decode("utf-8-sig" if number == 1 else "utf-8")
         except UnicodeDecodeError as error:
-            raise RecordingError(f"{path}: cannot be read: line {number} is no text: {error}") from error
+            raise RecordingError(f"{path}: cannot be read: line {number} is not UTF-8 text: {error}") from error
         if line.startswith("#"):
             key, _, value = line[1:].partition(":")
             metadata[key.strip()] = value.strip()
@@ -115,7 +126,7 @@ def _header(line: str, path: Path) -> tuple[str, ...]:
 
 
 def _blocks(file: BinaryIO, path: Path) -> Iterator[tuple[int, bytes]]:
-    """Whole lines, some megabytes at a time, each with its position in the file."""
+    """(position in the file [bytes], complete lines) of block after block."""
     position = file.tell()
     rest = b""
     while read := file.read(BLOCK):

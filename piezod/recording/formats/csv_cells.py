@@ -1,7 +1,8 @@
-"""Cells of CSV text to numbers, quickly: numpy, or pyarrow where it is installed and gives the same.
+"""Numbers from the cells of CSV text, by numpy or by pyarrow.
 
-Both round to the nearest double. What pyarrow declines (comments, a leading plus, ragged rows) numpy decides, so that
-a file is accepted, or refused with the same words, whether pyarrow is there or not.
+Both libraries round to the nearest double. pyarrow is faster, and it parses only blocks of plain numbers. numpy parses
+every other block (comments, a leading plus, rows of unequal length). So a file gives the same numbers, or the same
+error message, with and without pyarrow.
 """
 
 import importlib
@@ -21,31 +22,32 @@ MEGABYTE = 2**20
 Parser = Callable[[bytes], Array]
 
 _EMPTY_CELL = re.compile(rb"(?m)(?<=,)[ \t]*(?=,|\r?$)|^[ \t]*(?=,)")
+# Characters of the blocks that pyarrow parses.
 _PLAIN = b"0123456789abcdefghijklmnopqrstuvwxyzABCDEFGHIJKLMNOPQRSTUVWXYZ+-.,\r\n"
 
 
 def parse(block: bytes, path: Path, names: Sequence[str], position: int, arrow: Parser | None) -> Array:
-    """Numbers of a block of whole lines, shape (rows, columns); an empty cell is nan.
+    """Numbers of a block of complete lines, shape (rows, columns); an empty cell is nan.
 
     Parameters
     ----------
     block
-        Text, ends in a newline.
+        Text that ends in a newline.
     path, names, position
-        For messages: the file, its columns, the bytes before this block.
+        File, its column names, and the position of the block in it [bytes]; for messages.
     arrow
-        What `arrow_parser` made.
+        Parser from `arrow_parser`; None: numpy parses the block.
 
     Raises
     ------
     RecordingError
-        The line and column of the first cell that is no number, or the first line of another length.
+        A cell holds no number, or a row has another number of cells than the header. The message names the first.
     """
     if arrow is not None:
         try:
             return arrow(block)
         except ValueError:
-            pass  # numpy decides
+            pass  # numpy parses it below
     try:
         table = _by_numpy(block)
     except ValueError:
@@ -53,15 +55,18 @@ def parse(block: bytes, path: Path, names: Sequence[str], position: int, arrow: 
         try:
             table = _by_numpy(filled)
         except ValueError as error:
-            _refuse(filled, path, names, position)
+            _raise_first_wrong_cell(filled, path, names, position)
             raise RecordingError(f"{path}: after byte {position}: {error}") from error
     if table.size and table.shape[1] != len(names):
-        _refuse(block, path, names, position)
+        _raise_first_wrong_cell(block, path, names, position)
     return table
 
 
 def arrow_parser(columns: int) -> Parser | None:
-    """Make a parser by pyarrow for rows of that many columns; None where pyarrow is not installed."""
+    """Parser by pyarrow for rows of `columns` cells; None if pyarrow is not installed.
+
+    The parser raises ValueError for a block that it leaves to numpy.
+    """
     try:
         arrow, arrow_csv = importlib.import_module("pyarrow"), importlib.import_module("pyarrow.csv")
     except ImportError:
@@ -74,7 +79,7 @@ def arrow_parser(columns: int) -> Parser | None:
 
     def by_arrow(block: bytes) -> Array:
         if columns < 2 or block.translate(None, _PLAIN):
-            raise ValueError  # signs on which the two might differ
+            raise ValueError  # characters that the two libraries may interpret differently
         table = arrow_csv.read_csv(arrow.BufferReader(block), reading, parsing, converting)
         result = np.empty((table.num_rows, columns))
         for k, column in enumerate(table.columns):
@@ -85,13 +90,13 @@ def arrow_parser(columns: int) -> Parser | None:
 
 
 def _by_numpy(block: bytes) -> Array:
-    with warnings.catch_warnings(action="ignore", category=UserWarning):  # a block of comments holds no numbers
+    with warnings.catch_warnings(action="ignore", category=UserWarning):  # numpy warns of a block of comments only
         text = io.StringIO(block.decode("latin-1"))
         return np.loadtxt(text, dtype=np.float64, delimiter=",", comments="#", ndmin=2)
 
 
-def _refuse(block: bytes, path: Path, names: Sequence[str], position: int) -> None:
-    """Say which line is wrong, looking at one after the other."""
+def _raise_first_wrong_cell(block: bytes, path: Path, names: Sequence[str], position: int) -> None:
+    """Raise the error for the first wrong line; lines are parsed one after the other."""
     with path.open("rb") as file:
         line = sum(file.read(min(MEGABYTE, position - at)).count(b"\n") for at in range(0, position, MEGABYTE))
     for number, text in enumerate(block.decode("latin-1").split("\n"), line + 1):
@@ -103,5 +108,5 @@ def _refuse(block: bytes, path: Path, names: Sequence[str], position: int) -> No
             try:
                 float(cell)
             except ValueError:
-                what = f"{path}: line {number}: {name} is {cell.strip()[:40]!r}, must be a number or empty"
-                raise RecordingError(what) from None
+                message = f"{path}: line {number}: {name} is {cell.strip()[:40]!r}, must be a number or empty"
+                raise RecordingError(message) from None

@@ -1,7 +1,9 @@
-"""Recordings as HDF5: one dataset a channel, its unit as an attribute, metadata as attributes of the root.
+"""Recordings as HDF5: one dataset per channel, its unit as an attribute, metadata as attributes of the root group.
 
-Datasets are looked for in the root and in groups directly below it. What would lead out of the file (external links,
-external storage, virtual datasets) and what holds no numbers (references, text, tables) is left out.
+Library: h5py 3.11 or later; reads every version of the file format that h5py reads, writes the format of HDF5 1.8.
+Limits: vectors and matrices of one row or column, in the root group or a group directly below it; 2**29 numbers.
+Left out are external links, external storage and virtual datasets, because they lead to other files. Left out are also
+references, text and tables, because they hold no numbers.
 """
 
 from collections import Counter
@@ -12,54 +14,65 @@ from typing import Any
 
 import numpy as np
 
+from piezod.recording.formats.access import import_library, replaced_file
 from piezod.recording.formats.hdf5_heap import check_heaps
-from piezod.recording.formats.stream import Source, Table, one_length, replacing, require, skipped, spans
+from piezod.recording.formats.stream import RecordingStream, Table, chunk_ranges, common_length, skipped_parts
 from piezod.recording.names import TIME, name_columns, unit_of
 from piezod.recording.recording import Recording
 
 UNIT_ATTRIBUTES = ("unit", "units", "Unit", "Units")
+"""Names of the attribute that holds a dataset's unit, in the order in which they are tried."""
 
 
 @contextmanager
-def open_hdf5(path: Path) -> Iterator[Source]:
-    """Open an HDF5 file: its datasets are found, their numbers not yet read.
+def open_hdf5(path: Path) -> Iterator[RecordingStream]:
+    """Open an HDF5 file: its datasets are listed at once, numbers are read with the chunks.
 
     Raises
     ------
     RecordingError
-        h5py is missing, or the datasets are no recording.
+        h5py is not installed, the datasets differ in length, or none is `time_s`.
     """
-    h5py = require("h5py", "hdf5", path)
+    h5py = import_library("h5py", "hdf5", path)
     check_heaps(path)
     with h5py.File(path, "r") as file:
-        datasets, left_out = numbers(h5py, file)
-        metadata = {key: said for key in file.attrs if (said := text(file.attrs.get(key)))}
-        yield columns_of(path, datasets, metadata | skipped(left_out))
+        datasets, left_out = numeric_datasets(h5py, file)
+        metadata = {key: text for key in file.attrs if (text := attribute_text(file.attrs.get(key)))}
+        yield stream_of(path, datasets, metadata | skipped_parts(left_out))
 
 
-def columns_of(path: Path, datasets: dict[str, Any], metadata: dict[str, str]) -> Source:
-    """A source whose columns are these datasets, vectors or matrices of one row or column."""
+def stream_of(path: Path, datasets: dict[str, Any], metadata: dict[str, str]) -> RecordingStream:
+    """Stream whose columns are these datasets, each a vector or a matrix of one row or column.
+
+    Raises
+    ------
+    RecordingError
+        The datasets differ in length, two have the same name, or none is `time_s`.
+    """
     names = name_columns(path, [(name, _unit(dataset)) for name, dataset in datasets.items()])
     vectors = dict(zip(names, datasets.values(), strict=True))
-    samples = one_length(path, {name: int(vector.size) for name, vector in vectors.items()})
+    samples = common_length(path, {name: int(vector.size) for name, vector in vectors.items()})
 
     def chunks(wanted: Sequence[str], chunk: int) -> Iterator[Table]:
-        for start, stop in spans(samples, chunk):
+        for start, stop in chunk_ranges(samples, chunk):
             yield {name: _piece(vectors[name], start, stop) for name in wanted}
 
-    return Source(path, names, chunks, samples, metadata)
+    return RecordingStream(path, names, chunks, samples, metadata)
 
 
 def write_hdf5(recording: Recording, path: Path) -> None:
-    """Write a recording, whole or not at all; exact.
+    """Write a recording without loss; an error leaves an existing file unchanged.
 
     Raises
     ------
     RecordingError
-        h5py is missing, or the file cannot be written.
+        h5py is not installed, or the file cannot be written.
     """
-    h5py = require("h5py", "hdf5", path)
-    with replacing(path) as temporary, h5py.File(temporary, "w", libver=("v108", "latest"), track_order=True) as file:
+    h5py = import_library("h5py", "hdf5", path)
+    with (
+        replaced_file(path) as temporary,
+        h5py.File(temporary, "w", libver=("v108", "latest"), track_order=True) as file,
+    ):
         for key, value in recording.metadata.items():
             file.attrs[key] = value
         for name, values in {TIME: recording.time_s, **recording.channels}.items():
@@ -67,40 +80,43 @@ def write_hdf5(recording: Recording, path: Path) -> None:
             dataset.attrs["unit"] = unit_of(name)
 
 
-def numbers(h5py: Any, file: Any) -> tuple[dict[str, Any], list[str]]:  # noqa: ANN401  h5py has no types
-    """Datasets of numbers in the root and one level below, by path, and the paths of what is left out."""
+def numeric_datasets(h5py: Any, file: Any) -> tuple[dict[str, Any], list[str]]:  # noqa: ANN401  h5py has no types
+    """Datasets of numbers in the root group and one level below, and the paths of what is left out.
+
+    The key is the dataset's name, or its path if another dataset has the same name.
+    """
     found: dict[str, Any] = {}
     left_out: list[str] = []
     for path, item in _items(h5py, file, left_out):
         if isinstance(item, h5py.Group) and item != file["/"]:
             for below, dataset in _items(h5py, item, left_out):
-                _sort(h5py, f"{path}/{below}", dataset, found, left_out)
+                _add_dataset(h5py, f"{path}/{below}", dataset, found, left_out)
         else:
-            _sort(h5py, path, item, found, left_out)
+            _add_dataset(h5py, path, item, found, left_out)
     names = {path: path.rpartition("/")[2] for path in found}
-    often = Counter(names.values())
-    return {name if often[name] == 1 else path: found[path] for path, name in names.items()}, left_out
+    count = Counter(names.values())
+    return {name if count[name] == 1 else path: found[path] for path, name in names.items()}, left_out
 
 
-def text(value: Any) -> str:  # noqa: ANN401  an attribute is of any type
-    """Attribute as text, empty if it is none."""
+def attribute_text(value: Any) -> str:  # noqa: ANN401  an attribute is of any type
+    """Attribute as text; empty for an attribute of another type."""
     if isinstance(value, bytes):
         return value.decode("utf-8", "replace")
     return value if isinstance(value, str) else ""
 
 
 def _items(h5py: Any, group: Any, left_out: list[str]) -> Iterator[tuple[str, Any]]:  # noqa: ANN401
-    """Members of a group that lie in this file: links to elsewhere are not followed."""
+    """(name, item) of each member of a group that is stored in this file; names of links are added to `left_out`."""
     for name in group:
         if name.startswith("#"):
-            continue  # MATLAB's own
+            continue  # MATLAB stores its internal objects under such names
         if isinstance(group.get(name, getlink=True), h5py.HardLink):
             yield name, group[name]
         else:
             left_out.append(f"link {name}")
 
 
-def _sort(h5py: Any, path: str, item: Any, found: dict[str, Any], left_out: list[str]) -> None:  # noqa: ANN401
+def _add_dataset(h5py: Any, path: str, item: Any, found: dict[str, Any], left_out: list[str]) -> None:  # noqa: ANN401
     vector = isinstance(item, h5py.Dataset) and item.ndim in {1, 2} and item.size in item.shape
     if vector and item.dtype.kind in "fiub" and not item.is_virtual and not item.external:
         found[path] = item
@@ -109,7 +125,7 @@ def _sort(h5py: Any, path: str, item: Any, found: dict[str, Any], left_out: list
 
 
 def _unit(dataset: Any) -> str:  # noqa: ANN401
-    return next((said for key in UNIT_ATTRIBUTES if (said := text(dataset.attrs.get(key)))), "")
+    return next((unit for key in UNIT_ATTRIBUTES if (unit := attribute_text(dataset.attrs.get(key)))), "")
 
 
 def _piece(dataset: Any, start: int, stop: int) -> np.ndarray[Any, np.dtype[np.float64]]:  # noqa: ANN401

@@ -1,7 +1,13 @@
-"""The heaps of text in an HDF5 file, walked before the HDF5 library does: on a damaged one it never comes back.
+"""Check of the global heaps of an HDF5 file, where text is stored, before the HDF5 library reads them.
 
-Layout: HDF5 File Format Specification 3.0, III.E. A global heap is "GCOL" | version 1, reserved 3 | size 8, then
-objects: index 2 | references 2 | reserved 4 | size 8 | data padded to 8; index 0 is the free space behind the last.
+On some damaged heaps the library loops without end. Source of the layout: The HDF Group, "HDF5 File Format
+Specification Version 3.0", section III.E. A global heap (sizes in bytes) is:
+
+    heap = "GCOL" 4 | version 1 | reserved 3 | size 8 | objects.
+
+    object = index 2 | references 2 | reserved 4 | size 8 | data, padded to a multiple of 8
+
+An object of index 0 is the free space after the last one.
 """
 
 import struct
@@ -12,16 +18,18 @@ from piezod.errors import RecordingError
 
 SIGNATURE = b"GCOL\x01\0\0\0"
 BLOCK = 2**22
+"""Bytes that are searched together."""
+
 OBJECT = struct.Struct("<H6xQ")
 
 
 def check_heaps(path: Path) -> None:
-    """Walk every global heap of a file.
+    """Check every global heap of a file.
 
     Raises
     ------
     RecordingError
-        An object of one reaches beyond its end, or has no size.
+        An object reaches beyond the end of its heap, or its size is 0.
     """
     with path.open("rb") as file:
         position = 0

@@ -1,9 +1,11 @@
-"""Vectors and text in a MAT file of version 5, read here: scipy's reader crashes the process on damaged files.
+"""Reader of vectors and text in a MAT file of version 5; the reader of scipy crashes the process on damaged files.
 
-Layout: MathWorks, "MAT-File Format" (R2023b), chapter 1. A file is a header of 128 bytes and one element a variable;
-an element is a tag (type 4, bytes 4; or both in the first 4 for up to 4 bytes of data), data, and padding to 8:
+Source of the layout: MathWorks, "MAT-File Format" (R2023b), chapter 1. A file is a header of 128 bytes and one element
+per variable. An element is a tag of 8 bytes (type 4, size 4), data, and padding to a multiple of 8. For data of up to
+4 bytes the tag has 4 bytes (type 2, size 2), and the data fill the rest of 8 bytes. Elements of a variable:
 
-    matrix (14): flags | dimensions | name | real part | ...        deflated (15): one matrix, by zlib
+    type 14, matrix: flags | dimensions | name | real part | ...
+    type 15, deflated: one matrix, compressed by zlib
 """
 
 import struct
@@ -17,26 +19,52 @@ import numpy as np
 from piezod.recording.formats.stream import Array
 
 HEADER = 128
+"""Size of the file's header [bytes]."""
+
 MATRIX, DEFLATED = 14, 15
+"""Types of element."""
+
 HEAD = 4096
-"""Bytes at the beginning of a variable in which its flags, dimensions and name must stand."""
+"""Bytes at the beginning of a variable that must hold its flags, dimensions and name."""
 
 STORED = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8", 12: "i8", 13: "u8"}
-"""Type of the numbers in an element."""
+"""Type of element to type of its numbers."""
 
 TEXT = {1: "latin-1", 2: "latin-1", 4: "utf-16", 16: "utf-8", 17: "utf-16", 18: "utf-32"}
-"""Encoding of the characters in an element."""
+"""Type of element to encoding of its characters."""
 
 CLASSES = ["unknown", "cell", "struct", "object", "char", "sparse", "double", "single"]
 CLASSES += ["int8", "uint8", "int16", "uint16", "int32", "uint32", "int64", "uint64", "function", "opaque"]
 NUMBERS = set(CLASSES[6:16])
+"""Classes of full matrices of numbers."""
 
 COMPLEX = 0x0800
+"""Flag of a matrix with an imaginary part."""
 
 
 @dataclass(frozen=True)
 class Variable:
-    """A variable as its head describes it; `position` and `stored` are where its element lies, in bytes."""
+    """Description of a variable, from the first bytes of its element.
+
+    Parameters
+    ----------
+    name
+        Name of the variable.
+    kind
+        Entry of `CLASSES`, or `complex`.
+    shape
+        Dimensions of the matrix.
+    position, stored
+        Position of the element's data in the file and their size there [bytes].
+    deflated
+        Whether the data are compressed.
+    size
+        Size of the data after decompression [bytes].
+    data
+        Position of the real part in the decompressed data [bytes].
+    order
+        Byte order as in `struct`: `<` or `>`.
+    """
 
     name: str
     kind: str
@@ -49,8 +77,8 @@ class Variable:
     order: str
 
     @property
-    def numbers(self) -> int:
-        """How many numbers it claims to hold."""
+    def count(self) -> int:
+        """Number of values that the dimensions state."""
         count = 1
         for length in self.shape:
             count *= length
@@ -58,17 +86,17 @@ class Variable:
 
     @property
     def is_vector(self) -> bool:
-        """Whether it holds real numbers in one row or one column."""
+        """Whether the variable holds real numbers in one row or one column."""
         return self.kind in NUMBERS and len(self.shape) == 2 and 1 in self.shape
 
 
-def variables(file: BinaryIO) -> Iterator[Variable]:
-    """Every variable of a file, by its head; nothing of its data is read.
+def read_variables(file: BinaryIO) -> Iterator[Variable]:
+    """Description of every variable of a file; the values are not read.
 
     Raises
     ------
     ValueError
-        The file is damaged: where.
+        The file is damaged; the message names the position.
     """
     size = file.seek(0, 2)
     file.seek(HEADER - 2)
@@ -84,36 +112,36 @@ def variables(file: BinaryIO) -> Iterator[Variable]:
             head = zlib.decompressobj().decompress(head, HEAD)
             inner, length = struct.unpack(f"{order}2I", head[:8])
             if inner == MATRIX:
-                yield _described(head[8:], order, position + 8, stored, length, deflated=True)
+                yield _parse_head(head[8:], order, position + 8, stored, length, deflated=True)
         else:
-            yield _described(head, order, position + 8, stored, stored, deflated=False)
+            yield _parse_head(head, order, position + 8, stored, stored, deflated=False)
         position += 8 + stored
 
 
-def numbers_of(file: BinaryIO, variable: Variable) -> Array:
-    """Numbers of a vector, shape (N,).
+def read_numbers(file: BinaryIO, variable: Variable) -> Array:
+    """Values of a vector, shape (N,).
 
     Raises
     ------
     ValueError
-        It is damaged.
+        The variable is damaged.
     """
-    kind, data = _data(file, variable)
+    kind, data = _read_data(file, variable)
     values = np.frombuffer(data, dtype=np.dtype(f"{variable.order}{STORED[kind]}")) if kind in STORED else None
-    if values is None or values.size != variable.numbers:
-        raise ValueError(f"{variable.name} is damaged, its data are not {variable.numbers} numbers")
+    if values is None or values.size != variable.count:
+        raise ValueError(f"{variable.name} is damaged, its data are not {variable.count} numbers")
     return values.astype(np.float64)
 
 
-def text_of(file: BinaryIO, variable: Variable) -> str:
-    """Characters of a row of text."""
-    kind, data = _data(file, variable)
+def read_text(file: BinaryIO, variable: Variable) -> str:
+    """Text of a character variable."""
+    kind, data = _read_data(file, variable)
     encoding = TEXT.get(kind, "latin-1")
     suffix = ("-le" if variable.order == "<" else "-be") if encoding in {"utf-16", "utf-32"} else ""
     return data.decode(encoding + suffix, "replace")
 
 
-def _described(head: bytes, order: str, position: int, stored: int, size: int, *, deflated: bool) -> Variable:
+def _parse_head(head: bytes, order: str, position: int, stored: int, size: int, *, deflated: bool) -> Variable:
     _, flags, after = _element(head, 0, order)
     _, dimensions, after = _element(head, after, order)
     _, name, after = _element(head, after, order)
@@ -126,10 +154,10 @@ def _described(head: bytes, order: str, position: int, stored: int, size: int, *
     return Variable(name.decode("latin-1"), kind, shape, position, stored, deflated, size, after, order)
 
 
-def _data(file: BinaryIO, variable: Variable) -> tuple[int, bytes]:
-    """Type and bytes of a variable's real part, or of its characters."""
+def _read_data(file: BinaryIO, variable: Variable) -> tuple[int, bytes]:
+    """Type and bytes of a variable's real part or of its characters."""
     file.seek(variable.position)
-    most = variable.data + 8 + 8 * variable.numbers  # a number takes 8 bytes at most
+    most = variable.data + 8 + 8 * variable.count  # a value takes at most 8 bytes
     if variable.deflated:
         body = zlib.decompressobj().decompress(file.read(variable.stored), 8 + min(variable.size, most))[8:]
     else:
@@ -139,7 +167,7 @@ def _data(file: BinaryIO, variable: Variable) -> tuple[int, bytes]:
 
 
 def _element(body: bytes, at: int, order: str) -> tuple[int, bytes, int]:
-    """Type and data of the element at a position, and the position of the next."""
+    """Type and data of the element at position `at`, and the position of the next one."""
     kind, size = struct.unpack_from(f"{order}2I", body, at)
     start = at + 8
     if kind >> 16:

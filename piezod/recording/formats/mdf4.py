@@ -1,6 +1,8 @@
-"""Recordings as MDF 4 (ASAM): one channel a column with its unit, time from the group's master channel.
+"""Recordings as MDF 4 (ASAM): one MDF channel per column with its unit, time from the master channel of the group.
 
-Channels that are computed by a formula in the file are left out: no text from a file is ever evaluated.
+Library: asammdf 8 or later; reads versions 4.x, writes 4.10. Limits: finalised files; one time axis for all groups;
+2**29 numbers; the file is read completely into memory. A channel with a formula is left out, because no text from a
+file is ever evaluated. A channel of text is left out too.
 """
 
 import html
@@ -13,47 +15,51 @@ from typing import Any
 import numpy as np
 
 from piezod.errors import RecordingError
+from piezod.recording.formats.access import import_library, replaced_file
 from piezod.recording.formats.mdf4_blocks import check_blocks
-from piezod.recording.formats.stream import Array, Source, Table, one_length, replacing, require, skipped
+from piezod.recording.formats.stream import Array, RecordingStream, Table, common_length, skipped_parts
 from piezod.recording.names import TIME, channel_name, name_columns, unit_of
 from piezod.recording.recording import Recording
 
 PLAIN_CONVERSIONS = {0, 1, 2, 4, 5, 6}
-"""none, linear, rational and tables of numbers (cc_type, MDF 4.1); not 3, an algebraic formula, nor any to text."""
+"""Conversions that are accepted: none, linear, rational and tables of numbers (cc_type, MDF 4.1).
+
+Not accepted are 3, an algebraic formula, and all conversions to text.
+"""
 
 NUMBERS = {0, 1, 2, 3, 4, 5}
-"""Unsigned, signed and floating point, of either byte order (cn_data_type, MDF 4.1)."""
+"""Data types that are accepted: unsigned, signed and floating point in both byte orders (cn_data_type, MDF 4.1)."""
 
 
 @contextmanager
-def open_mdf4(path: Path) -> Iterator[Source]:
-    """Open an MDF 4 file: its blocks are read, its numbers not yet.
+def open_mdf4(path: Path) -> Iterator[RecordingStream]:
+    """Open an MDF 4 file: its structure is checked and read at once, numbers are read with the only chunk.
 
     Raises
     ------
     RecordingError
-        asammdf is missing, the blocks are damaged, or the channels are no recording.
+        asammdf is not installed, the blocks are damaged, or the groups differ in length.
     """
-    asammdf = require("asammdf", "mdf", path)
+    asammdf = import_library("asammdf", "mdf", path)
     check_blocks(path)
-    # An open file: a path, asammdf maps to memory, and says so on stderr when it fails half-way
+    # An open file instead of a path: asammdf maps a path to memory and prints to stderr after an error.
     with path.open("rb") as raw, asammdf.MDF(raw) as file:
         columns, left_out = _columns(file)
-        yield _source(path, file, columns, _metadata(file.header.comment) | skipped(left_out))
+        yield _stream(path, file, columns, _metadata(file.header.comment) | skipped_parts(left_out))
 
 
 def write_mdf4(recording: Recording, path: Path) -> None:
-    """Write a recording, whole or not at all; exact.
+    """Write a recording without loss; an error leaves an existing file unchanged.
 
     Raises
     ------
     RecordingError
-        asammdf is missing, there is no channel, or the file cannot be written.
+        asammdf is not installed, the recording has no channel, or the file cannot be written.
     """
-    asammdf = require("asammdf", "mdf", path)
+    asammdf = import_library("asammdf", "mdf", path)
     if not recording.channels:
-        raise RecordingError(f"{path}: cannot be written: has no channels, a group of MDF needs one")
-    with replacing(path) as temporary, asammdf.MDF(version="4.10") as file:
+        raise RecordingError(f"{path}: cannot be written: has no channels, a group of MDF must have one")
+    with replaced_file(path) as temporary, asammdf.MDF(version="4.10") as file:
         signals = [
             asammdf.Signal(np.asarray(values, dtype=np.float64), recording.time_s, name=name, unit=unit_of(name))
             for name, values in recording.channels.items()
@@ -64,7 +70,7 @@ def write_mdf4(recording: Recording, path: Path) -> None:
 
 
 def _columns(file: Any) -> tuple[dict[tuple[int, int], tuple[str, str]], list[str]]:  # noqa: ANN401
-    """(name, unit) of every channel of plain numbers by (group, index), and the names of those left out."""
+    """(name, unit) of every accepted channel by (group, index), and the names of the channels that are left out."""
     columns: dict[tuple[int, int], tuple[str, str]] = {}
     left_out: list[str] = []
     for group, content in enumerate(file.groups):
@@ -81,34 +87,39 @@ def _columns(file: Any) -> tuple[dict[tuple[int, int], tuple[str, str]], list[st
 
 
 def _is_plain(channel: Any, record: int) -> bool:  # noqa: ANN401
-    """Whether it is numbers that lie within a record of that many bytes: asammdf reads beyond its end unasked."""
+    """Whether a channel holds numbers within a record of `record` bytes; asammdf itself does not check this."""
     end = channel.byte_offset + (channel.bit_offset + channel.bit_count + 7) // 8
     conversion = 0 if channel.conversion is None else channel.conversion.conversion_type
     return end <= record and channel.data_type in NUMBERS and conversion in PLAIN_CONVERSIONS
 
 
-def _source(path: Path, file: Any, columns: dict[tuple[int, int], tuple[str, str]], said: dict[str, str]) -> Source:  # noqa: ANN401
+def _stream(
+    path: Path,
+    file: Any,  # noqa: ANN401  asammdf has no types
+    columns: dict[tuple[int, int], tuple[str, str]],
+    metadata: dict[str, str],
+) -> RecordingStream:
     named = {place: column for place, column in columns.items() if channel_name(*column) != TIME}
     names = name_columns(path, [*named.values(), *([(TIME, "")] if columns else [])])
     places = dict(zip(names, named, strict=False))
     groups = sorted({group for group, _ in named})
-    samples = one_length(
+    samples = common_length(
         path, {f"group {group + 1}": int(file.groups[group].channel_group.cycles_nr) for group in groups}
     )
 
     def chunks(wanted: Sequence[str], _: int) -> Iterator[Table]:
-        # asammdf reads the whole group to cut a part from it: parts would not spare memory and take longer
+        # asammdf reads the complete group for any part of it: smaller chunks would save no memory and take longer.
         times = [np.asarray(file.get_master(group), dtype=np.float64) for group in groups]
         if any(not np.array_equal(time_s, times[0]) for time_s in times[1:]):
-            raise RecordingError(f"{path}: its groups are sampled at different times; export one of them")
+            raise RecordingError(f"{path}: its groups are sampled at different times; export one group")
         if samples:
             yield {name: times[0] if name == TIME else _values(file, places[name]) for name in wanted}
 
-    return Source(path, names, chunks, samples, said)
+    return RecordingStream(path, names, chunks, samples, metadata)
 
 
 def _values(file: Any, place: tuple[int, int]) -> Array:  # noqa: ANN401
-    """Samples of a channel in its unit; nan where the file marks them invalid."""
+    """Samples of a channel in its unit; nan for samples that the file marks as invalid."""
     group, index = place
     signal = file.get(group=group, index=index, ignore_invalidation_bits=True)
     values = np.array(signal.samples, dtype=np.float64)
@@ -118,7 +129,7 @@ def _values(file: Any, place: tuple[int, int]) -> Array:  # noqa: ANN401
 
 
 def _metadata(comment: str) -> dict[str, str]:
-    """`key: value` lines of a file's comment, which may be XML."""
+    """Metadata from the lines `key: value` of a file's comment, which is plain text or XML."""
     text = re.search(r"<TX[^>]*>(.*?)</TX>", comment, re.DOTALL)
     lines = html.unescape(text[1] if text else "" if comment.startswith("<") else comment).split("\n")
     pairs = (line.partition(": ") for line in lines if ": " in line)

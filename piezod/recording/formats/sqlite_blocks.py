@@ -1,10 +1,10 @@
-"""Blocks of rows as they lie in a `.sqlite` recording: checked on their own, so that a damaged one costs no other.
+"""Blocks of rows in a `.sqlite` recording: packed bytes with a checksum each, so a damaged block affects no other.
 
-    data = rows uint32 | number of the first row uint64 | wall clock ns int64 | row clock ns int64 | deflated bytes
+    data = row count uint32 | number of the first row uint64 | wall clock ns int64 | row clock ns int64 | deflated rows
 
-The two clocks were read at one moment: their difference turns the time of a row into the time of day. Before
-deflating, the first bytes of all rows are laid one after the other, then the second bytes, and so on: neighbours in a
-column differ in few of their bytes.
+Both clocks are read at the same moment. Their difference converts the time of a row to the time of day. The rows are
+transposed before compression: first byte 0 of every row, then byte 1 of every row, and so on. Neighbouring values of a
+column differ in few bytes, so the transposed bytes compress better.
 """
 
 import json
@@ -16,9 +16,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 MOST_BYTES = 2**26
-"""What one block may unfold to."""
+"""Size that the rows of a block may have after decompression [bytes]."""
 
 MOST_FIELDS = 4096
+"""Fields that a row may have."""
+
 FORMATS = ("<f8", "<i8", "<i4")
 
 _HEAD = struct.Struct("<IQqq")
@@ -26,16 +28,16 @@ _HEAD = struct.Struct("<IQqq")
 
 @dataclass(frozen=True)
 class Block:
-    """Rows that were written together.
+    """Consecutive rows of a recording.
 
     Parameters
     ----------
     rows
-        Structured, shape (n,).
+        Structured array, shape (n,).
     first
-        Number of the first of them, gapless over everything that one writer was given.
+        Number of the first row; a writer counts all rows that it receives, without gaps.
     wall_ns, clock_ns
-        Time of day (UNIX) and the clock of the rows, read at one moment [ns].
+        Time of day (UNIX) and clock of the rows, read at the same moment [ns].
     """
 
     rows: NDArray[np.void]
@@ -53,7 +55,15 @@ def pack(block: Block) -> tuple[int, bytes]:
 
 
 def unpack(checksum: object, data: object, layout: np.dtype[np.void]) -> Block | None:
-    """Rows of a block, or None where it is not what was packed."""
+    """Block from its checksum and data; None if they are damaged.
+
+    Parameters
+    ----------
+    checksum, data
+        Values from the file, of any type.
+    layout
+        Fields of a row.
+    """
     if not isinstance(data, bytes) or len(data) < _HEAD.size or zlib.crc32(data) != checksum:
         return None
     count, first, wall_ns, clock_ns = _HEAD.unpack_from(data)
@@ -71,22 +81,24 @@ def unpack(checksum: object, data: object, layout: np.dtype[np.void]) -> Block |
 
 
 def layout_text(layout: np.dtype[np.void]) -> str:
-    """A row's fields as JSON: [[name, format], ...]."""
+    """Fields of a row as JSON: [[name, format], ...]."""
     return json.dumps([[name, layout[name].str] for name in layout.names or ()])
 
 
 def layout_of(text: str) -> np.dtype[np.void]:
-    """Fields from what `layout_text` wrote.
+    """Fields of a row from the JSON of `layout_text`.
 
     Raises
     ------
     ValueError
-        It is something else.
+        The text is no list of (name, format), or a format is not in `FORMATS`.
     """
     fields = json.loads(text)
     if not isinstance(fields, list) or not 0 < len(fields) <= MOST_FIELDS:
-        raise ValueError("the layout of its rows is no list of fields")
+        raise ValueError(f"the layout of its rows must be a list of 1 to {MOST_FIELDS} fields")
     for field in fields:
         if not (isinstance(field, list) and len(field) == 2 and isinstance(field[0], str) and field[1] in FORMATS):
-            raise ValueError(f"the layout of its rows has a field {field!r:.60}")
+            raise ValueError(
+                f"the layout of its rows has a field {field!r:.60}, must be [name, {' or '.join(FORMATS)}]"
+            )
     return np.dtype([(name, kind) for name, kind in fields])

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piezod.errors import UsageError
-from piezod.identify.intake import take_whole
+from piezod.identify.intake import load_for_simulation
 from piezod.identify.simulation import Agreement, simulate_recording
 from piezod.model import Model, load_model
 from piezod.recording import Recording, read_recording
@@ -117,7 +117,7 @@ def _recorded(path: Path, recording: Recording, y: Array, name: str, label: str)
 
 
 def _simulated(label: str, model: Model, measured: Path, start_window_s: float) -> Candidate:
-    taken = take_whole(measured, model.input.channel, model.output.channel)
+    taken = load_for_simulation(measured, model.input.channel, model.output.channel)
     simulation = simulate_recording(model, taken.recording, start_window_s, None, taken.sha256)
     if simulation.agreement is None:
         raise UsageError(f"{measured}: has no {model.output.channel} to compare with")

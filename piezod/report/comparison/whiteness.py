@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piezod.errors import UsageError
-from piezod.identify.identification import simulate
 from piezod.identify.scores import rms
+from piezod.identify.simulation import simulate
 from piezod.model import Model
 from piezod.recording import Recording
 

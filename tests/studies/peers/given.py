@@ -13,7 +13,7 @@ from piezod.blind.case import Description, read_description
 from piezod.blind.diagnose_case import BASE, PLAYS, ZONES
 from piezod.errors import ConfigurationError
 from piezod.identify.identification import Options, identify
-from piezod.identify.intake import take_in
+from piezod.identify.intake import load_recordings
 from piezod.identify.simulation import simulate_recording
 from piezod.model import Model
 from piezod.recording import Recording, read_csv, read_recording
@@ -79,7 +79,7 @@ def given(case: Path, verdict: Path) -> Given:
 
 
 def _identified(case: Path, said: Description) -> Model:
-    taken = take_in([case / said.identification], said.input, said.output)
+    taken = load_recordings([case / said.identification], said.input, said.output)
     options = Options(input=said.input, output=said.output, plays=PLAYS, zones=ZONES)
     return identify([one.recording for one in taken], options, "peers", sources=[one.source for one in taken]).model
 

@@ -12,8 +12,8 @@ import pytest
 from piezod.recorder import writer as room
 from piezod.recorder.segment_files import Segment, segments
 from piezod.recorder.writer import Inbox, Plan, Recorder, Report, report_of, tell_on
-from piezod.recording.formats.sqlite import read_ticks
 from piezod.recording.ring_log import RingLog
+from tests.benches.recorded_blocks import read_blocks
 from tests.unit.recording.test_ring_log import row
 
 
@@ -60,7 +60,7 @@ class Bench:
 
     def kept(self):
         """Ticks in the files, in their order; every block sound."""
-        found = [read_ticks(path) for path in segments(self.folder, "b")]
+        found = [read_blocks(path) for path in segments(self.folder, "b")]
         assert all(damaged == 0 for _, _, damaged in found)
         return [int(tick) for _, blocks, _ in found for block in blocks for tick in block.rows["tick"]]
 
@@ -156,7 +156,7 @@ def test_what_only_seems_to_be_there_after_a_failed_sync_is_written_again(bench,
 
 
 def ticks_of(path):
-    return [int(tick) for block in read_ticks(path)[1] for tick in block.rows["tick"]]
+    return [int(tick) for block in read_blocks(path)[1] for tick in block.rows["tick"]]
 
 
 def test_a_file_whose_rows_cannot_be_brought_to_the_disk_is_not_gone_on_from(bench, monkeypatch):
@@ -228,7 +228,7 @@ def test_a_recorder_that_was_killed_is_followed_by_one_that_goes_on_after_its_la
     report = bench.step()
     assert (report.row, report.rows, report.dropped) == (200, 100, 0)
     assert bench.kept() == list(range(200))
-    origins = {read_ticks(path)[0].origin_ns for path in segments(bench.folder, "b")}
+    origins = {read_blocks(path)[0].origin_ns for path in segments(bench.folder, "b")}
     assert len(origins) == 1, "time goes on from file to file"
 
 
@@ -241,7 +241,7 @@ def test_every_control_process_has_files_of_its_own_and_the_end_of_the_one_befor
     bench.step()
     bench.recorder.finish()
     assert bench.kept() == [*range(150), *range(30)]
-    assert [read_ticks(path)[0].session for path in segments(bench.folder, "b")] == ["one", "two"]
+    assert [read_blocks(path)[0].session for path in segments(bench.folder, "b")] == ["one", "two"]
 
 
 def test_files_are_rotated_and_their_sum_stays_within_what_is_allowed(tmp_path):

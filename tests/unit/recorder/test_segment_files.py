@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 
 from piezod.recorder.segment_files import Segment, make_room, segments, settle, size_of
-from piezod.recording.formats.sqlite import About, read_ticks
 from piezod.recording.formats.sqlite_blocks import Block
+from piezod.recording.formats.sqlite_tables import About
 from piezod.recording.ring_log import ROW_DTYPE
+from tests.benches.recorded_blocks import read_blocks
 from tests.unit.recording.test_sqlite import ticks
 
 ABOUT = About(ROW_DTYPE, "ticks", {"bench": "b"}, "session", 10**9)
@@ -68,7 +69,7 @@ def test_what_a_crash_left_becomes_one_file_and_what_holds_nothing_is_removed(tm
     segment.commit(Block(ticks(10, 10), 10))
     segment.close()
     assert names(tmp_path) == ["b-000001.sqlite", "b-000007.sqlite"]
-    assert [sum(block.rows.size for block in read_ticks(tmp_path / name)[1]) for name in names(tmp_path)] == [20, 10]
+    assert [sum(block.rows.size for block in read_blocks(tmp_path / name)[1]) for name in names(tmp_path)] == [20, 10]
 
 
 def test_the_oldest_make_room_by_number(tmp_path):

@@ -17,7 +17,7 @@ REAL = Path(__file__).resolve().parents[4] / "shared" / "recordings"
 
 
 def suffixes(*wanted):
-    """Parameters of these suffixes (all: none given); skipped, saying so, where the format's package is missing."""
+    """Test parameters for these suffixes, or for all if none is given; skipped without the package of the format."""
     return [
         pytest.param(
             suffix,
@@ -45,7 +45,7 @@ def same(first, second):
 
 @st.composite
 def recordings(draw):
-    """Any recording that all formats can name: values and missing samples as they come."""
+    """Any recording whose channel names every format can store; values and missing samples are arbitrary."""
     n = draw(st.integers(1, 20))
     periods = draw(arrays(float, n, elements=st.floats(1e-6, 1e3)))
     names = draw(st.lists(st.from_regex(r"[a-z]{1,6}_[A-Z]{1,2}", fullmatch=True), min_size=1, max_size=4, unique=True))

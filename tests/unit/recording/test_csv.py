@@ -1,4 +1,4 @@
-"""CSV recordings: there and back, and what is refused."""
+"""CSV recordings: writing, reading, and files that are refused."""
 
 from pathlib import Path
 
@@ -47,7 +47,7 @@ def test_a_file_that_is_no_recording_is_refused_in_one_line(tmp_path, text, mess
     assert str(caught.value).startswith(str(path))
 
 
-def test_metadata_cannot_break_out_of_its_line(tmp_path):
+def test_line_ends_in_metadata_are_replaced_by_spaces(tmp_path):
     recording = Recording(np.array([0.0, 1.0]), {"force_N": np.zeros(2)}, {"note": "a\ntime_s,evil\n"})
     write_csv(recording, tmp_path / "rec.csv")
     assert read_csv(tmp_path / "rec.csv").metadata == {"note": "a time_s,evil"}
@@ -79,7 +79,7 @@ def test_a_wrong_cell_far_in_a_long_file_is_named_by_its_line(tmp_path, monkeypa
 
 
 @given(n=st.integers(1, 200), size=st.integers(20, 300))
-def test_where_blocks_are_cut_changes_nothing(tmp_path_factory, n, size):
+def test_the_size_of_blocks_does_not_change_the_numbers(tmp_path_factory, n, size):
     path = tmp_path_factory.mktemp("csv") / "rec.csv"
     rng = np.random.default_rng(n)
     recording = Recording(np.arange(float(n)), {"a_V": rng.normal(size=n)})
@@ -99,7 +99,7 @@ CELL = st.one_of(
 
 @settings(max_examples=300)
 @given(rows=st.lists(st.tuples(CELL, CELL), min_size=1, max_size=4))
-def test_pyarrow_gives_what_numpy_gives_or_leaves_it_to_numpy(rows):
+def test_pyarrow_gives_the_numbers_of_numpy_or_refuses_the_block(rows):
     pytest.importorskip("pyarrow", reason="pyarrow is not installed")
     block = "".join(",".join(row) + "\n" for row in rows).encode()
     try:
@@ -117,6 +117,6 @@ def test_a_name_that_would_break_the_header_is_not_written(tmp_path, name):
         write_csv(Recording(np.zeros(1), {name: np.zeros(1)}), tmp_path / "rec.csv")
 
 
-def test_samples_closer_than_csv_can_tell_apart_are_not_written(tmp_path):
+def test_samples_closer_than_the_resolution_of_csv_are_not_written(tmp_path):
     with pytest.raises(RecordingError, match="closer than 1 ns"):
         write_csv(Recording(np.array([0.0, 1e-10]), {}), tmp_path / "rec.csv")

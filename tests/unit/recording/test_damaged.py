@@ -1,4 +1,4 @@
-"""Files that are damaged or hostile: one line that begins with the path, bounded memory, nothing executed."""
+"""Damaged and malicious files: the error is one line with the path, memory is bounded, nothing is executed."""
 
 import os
 import pickle
@@ -27,16 +27,16 @@ class Bomb:
         return os._exit, (13,)
 
 
-def reads_or_says_why(path):
-    """Read; a refusal is one line that begins with the path; memory stays bounded."""
+def read_or_refused(path):
+    """Read a file; check that an error is one line that begins with the path, and that memory stays bounded."""
     before_kB = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    said = f"{path}: sound"
+    message = f"{path}: undamaged"
     try:
         read_recording(path)
     except RecordingError as error:
-        said = str(error)
-    assert said.startswith(f"{path}: ")
-    assert "\n" not in said
+        message = str(error)
+    assert message.startswith(f"{path}: ")
+    assert "\n" not in message
     assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before_kB < MOST_MB * 1000
 
 
@@ -47,7 +47,7 @@ def test_random_bytes_are_refused(tmp_path, suffix, content, magic):
     path = tmp_path / f"rec{suffix}"
     begin = FORMATS[suffix].magic[0] if magic and FORMATS[suffix].magic else b""
     path.write_bytes(begin + content)
-    reads_or_says_why(path)
+    read_or_refused(path)
 
 
 @pytest.mark.parametrize("suffix", suffixes())
@@ -62,7 +62,7 @@ def test_a_file_with_bytes_changed_is_read_or_refused(tmp_path, suffix, data):
         new = data.draw(st.sampled_from([b"\xff", b"\0", b"\x01", b"\xff" * 8, b"\0" * 8, bytes([content[at] ^ 16])]))
         content[at : at + len(new)] = new
     path.write_bytes(content)
-    reads_or_says_why(path)
+    read_or_refused(path)
 
 
 @pytest.mark.parametrize("suffix", suffixes())
@@ -72,7 +72,7 @@ def test_a_file_cut_off_is_read_or_refused(tmp_path, suffix, share):
     write_recording(sample(200), path)
     content = path.read_bytes()
     path.write_bytes(content[: int(share * len(content))])
-    reads_or_says_why(path)
+    read_or_refused(path)
 
 
 @given(
@@ -82,7 +82,7 @@ def test_a_file_cut_off_is_read_or_refused(tmp_path, suffix, share):
 def test_any_text_after_a_header_is_read_or_refused(tmp_path, text):
     path = tmp_path / "rec.csv"
     path.write_text(text, encoding="utf-8", newline="")
-    reads_or_says_why(path)
+    read_or_refused(path)
 
 
 @pytest.mark.parametrize("suffix", suffixes(".h5", ".parquet", ".mat", ".tdms", ".mf4", ".sqlite"))
@@ -99,7 +99,7 @@ def test_time_that_does_not_increase_is_refused_in_every_format(tmp_path, suffix
     assert str(caught.value).startswith(str(path))
 
 
-def test_mat_cells_structs_and_objects_are_left_out_unread(tmp_path):
+def test_mat_cells_structs_and_objects_are_left_out(tmp_path):
     from scipy.io import savemat
 
     path = tmp_path / "rec.mat"
@@ -111,7 +111,7 @@ def test_mat_cells_structs_and_objects_are_left_out_unread(tmp_path):
     assert recording.metadata["skipped"] == "cell c, struct s, double m, char t"
 
 
-def test_a_mat_file_of_nothing_but_a_struct_says_so(tmp_path):
+def test_a_mat_file_with_only_a_struct_is_refused(tmp_path):
     from scipy.io import savemat
 
     path = tmp_path / "rec.mat"
@@ -128,7 +128,7 @@ def test_a_pickle_is_never_opened_whatever_its_suffix(tmp_path):
             read_recording(path)
 
 
-def test_hdf5_follows_no_link_out_of_the_file(tmp_path):
+def test_hdf5_follows_no_link_to_another_file(tmp_path):
     h5py = pytest.importorskip("h5py", reason="h5py is not installed")
     secret, raw, path = tmp_path / "secret.h5", tmp_path / "secret.bin", tmp_path / "rec.h5"
     raw.write_bytes(np.arange(2.0).tobytes())
@@ -169,7 +169,7 @@ def test_mat_that_claims_more_than_its_size_is_refused_before_reading(tmp_path):
         read_recording(path)
 
 
-def test_a_deflated_mat_file_that_swells_is_refused(tmp_path):
+def test_a_deflated_mat_file_that_grows_beyond_its_claim_is_refused(tmp_path):
     from scipy.io import savemat
 
     path = tmp_path / "rec.mat"
@@ -192,7 +192,7 @@ def test_mdf_whose_blocks_link_back_is_refused(tmp_path):
         read_recording(path)
 
 
-def test_hdf5_whose_text_never_ends_is_refused(tmp_path):
+def test_hdf5_with_an_endless_heap_is_refused(tmp_path):
     pytest.importorskip("h5py", reason="h5py is not installed")
     path = tmp_path / "rec.h5"
     write_recording(sample(5), path)
@@ -206,7 +206,7 @@ def test_hdf5_whose_text_never_ends_is_refused(tmp_path):
 
 @pytest.mark.parametrize("deflated", [False, True])
 @pytest.mark.parametrize("kind", ["f4", "f8", "i1", "u1", "i2", "u2", "i4", "u4", "i8", "u8", "b1"])
-def test_mat_numbers_are_those_that_scipy_reads(tmp_path, kind, deflated):
+def test_mat_numbers_are_equal_to_those_of_scipy(tmp_path, kind, deflated):
     from scipy.io import loadmat, savemat
 
     path = tmp_path / "rec.mat"
@@ -216,7 +216,7 @@ def test_mat_numbers_are_those_that_scipy_reads(tmp_path, kind, deflated):
         np.testing.assert_array_equal(there, loadmat(path)[name].ravel().astype(float))
 
 
-def test_an_unfinished_mdf_says_so(tmp_path):
+def test_an_unfinished_mdf_is_refused(tmp_path):
     pytest.importorskip("asammdf", reason="asammdf is not installed")
     path = tmp_path / "rec.mf4"
     path.write_bytes(b"UnFinMF 4.10    ".ljust(200, b"\0"))
@@ -233,7 +233,7 @@ def test_tdms_channels_of_different_length_are_refused(tmp_path):
         read_recording(path)
 
 
-def test_a_tdms_name_that_claims_gigabytes_asks_for_no_more_than_the_file_has(tmp_path):
+def test_a_tdms_name_that_claims_gigabytes_allocates_no_more_than_the_file_holds(tmp_path):
     pytest.importorskip("nptdms", reason="nptdms is not installed")
     path = tmp_path / "rec.tdms"
     write_recording(sample(5), path)

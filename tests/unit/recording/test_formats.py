@@ -1,4 +1,4 @@
-"""Every format: there and back, whole and in pieces, with its units, and what is missing said plainly."""
+"""Every file format: written and read, completely and in chunks; missing files and packages give a clear message."""
 
 import sys
 
@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 
-from piezod.errors import RecordingError
+from piezod.errors import ConfigurationError, RecordingError, UsageError
 from piezod.recording import (
     Recording,
-    check_target,
+    check_output_path,
+    check_recording_target,
     column_names,
     convert,
     open_stream,
@@ -50,7 +51,7 @@ def test_csv_keeps_nine_digits(tmp_path, recording):
 
 
 @pytest.mark.parametrize("suffix", suffixes())
-def test_a_stream_yields_what_the_whole_file_holds(tmp_path, suffix):
+def test_a_stream_yields_the_samples_of_the_file_in_chunks(tmp_path, suffix):
     path = tmp_path / f"rec{suffix}"
     write_recording(sample(1000), path)
     whole = read_recording(path)
@@ -64,14 +65,14 @@ def test_a_stream_yields_what_the_whole_file_holds(tmp_path, suffix):
 
 
 @pytest.mark.parametrize("suffix", suffixes())
-def test_a_stream_of_a_column_that_is_not_there_names_those_that_are(tmp_path, suffix):
+def test_a_stream_of_a_missing_column_names_the_present_ones(tmp_path, suffix):
     path = tmp_path / f"rec{suffix}"
     write_recording(sample(5), path)
     with pytest.raises(RecordingError, match=r"has no column force_kN, has .*force_N"):
         next(open_stream(path, ["force_kN"]))
 
 
-def test_a_stream_notices_time_that_steps_back_between_pieces(tmp_path):
+def test_a_stream_refuses_time_that_decreases_between_chunks(tmp_path):
     path = tmp_path / "rec.csv"
     path.write_text("time_s,force_N\n0,1\n1,2\n0.5,3\n2,4\n", encoding="utf-8")
     with pytest.raises(RecordingError, match="must strictly increase"):
@@ -87,24 +88,37 @@ def test_a_stream_counts_samples_from_the_beginning_of_the_file(tmp_path, chunk)
 
 
 @pytest.mark.parametrize("suffix", suffixes())
-def test_the_names_of_a_file_are_those_that_reading_gives(tmp_path, suffix):
+def test_column_names_are_the_names_that_reading_gives(tmp_path, suffix):
     write_recording(sample(), tmp_path / f"rec{suffix}")
     assert set(column_names(tmp_path / f"rec{suffix}")) == {"time_s", *sample().channels}
 
 
-def test_a_target_is_refused_before_the_work_when_it_could_not_be_written_after_it(tmp_path, monkeypatch):
-    check_target(tmp_path / "rec.csv")
+def test_a_recording_target_that_cannot_be_written_is_refused(tmp_path, monkeypatch):
+    check_recording_target(tmp_path / "rec.csv")
     with pytest.raises(RecordingError, match=r"suffix is '\.txt', must be one of \.csv"):
-        check_target(tmp_path / "rec.txt")
+        check_recording_target(tmp_path / "rec.txt")
     with pytest.raises(RecordingError, match=r"no/rec\.csv: cannot be written: .*no must be a folder"):
-        check_target(tmp_path / "no" / "rec.csv")
+        check_recording_target(tmp_path / "no" / "rec.csv")
     monkeypatch.setitem(sys.modules, "nptdms", None)
     with pytest.raises(RecordingError, match=r"needs nptdms; pip install 'piezod-bench\[tdms\]'"):
-        check_target(tmp_path / "rec.tdms")
+        check_recording_target(tmp_path / "rec.tdms")
+
+
+def test_an_output_path_that_is_a_recording_or_lies_in_no_folder_is_refused(tmp_path):
+    path = tmp_path / "rec.csv"
+    write_recording(sample(5), path)
+    (tmp_path / "link.csv").symlink_to(path)
+    for target in (path, tmp_path / "link.csv"):
+        for check in (check_output_path, check_recording_target):
+            with pytest.raises(UsageError, match="is a recording that is read"):
+                check(target, [path])
+    with pytest.raises(ConfigurationError, match="no is no folder"):
+        check_output_path(tmp_path / "no" / "model.yaml", [path])
+    check_output_path(tmp_path / "model.yaml", [path])
 
 
 @pytest.mark.parametrize("suffix", suffixes())
-def test_what_exists_stays_when_writing_fails(tmp_path, suffix):
+def test_an_existing_file_is_unchanged_after_an_error_in_writing(tmp_path, suffix):
     path = tmp_path / f"rec{suffix}"
     path.write_bytes(b"precious")
     broken = Recording(np.arange(3.0), {"force_N": np.array(["a", "b", "c"])})
@@ -123,7 +137,7 @@ def test_a_missing_package_is_named_with_the_extra_to_install(tmp_path, suffix, 
 
 
 @pytest.mark.parametrize("suffix", suffixes(".h5", ".mat", ".tdms", ".parquet", ".mf4", ".sqlite"))
-def test_content_of_another_format_is_named(tmp_path, suffix):
+def test_a_suffix_of_another_format_is_refused_with_the_format_of_the_content(tmp_path, suffix):
     path = tmp_path / f"rec{suffix}"
     write_recording(sample(3), path)
     wrong = path.rename(tmp_path / "rec.csv")
@@ -138,7 +152,7 @@ def test_an_unknown_suffix_is_refused_before_anything_is_read(tmp_path, name):
 
 
 @pytest.mark.parametrize("suffix", suffixes())
-def test_a_file_that_is_not_there_is_said_in_one_line(tmp_path, suffix):
+def test_a_missing_file_is_one_line(tmp_path, suffix):
     path = tmp_path / f"absent{suffix}"
     with pytest.raises(RecordingError, match="cannot be read: No such file") as caught:
         read_recording(path)
@@ -147,7 +161,7 @@ def test_a_file_that_is_not_there_is_said_in_one_line(tmp_path, suffix):
 
 @pytest.mark.skipif(not REAL.exists(), reason=f"{REAL} is absent")
 @pytest.mark.parametrize("suffix", suffixes(".h5", ".mat", ".tdms", ".parquet", ".mf4", ".sqlite"))
-def test_a_measured_recording_survives_every_format(tmp_path, suffix):
+def test_a_measured_recording_is_the_same_in_every_format(tmp_path, suffix):
     source = REAL / "pneumatic-friction" / "circle_5bar.csv"
     convert(source, tmp_path / f"rec{suffix}")
     same(read_recording(source), read_recording(tmp_path / f"rec{suffix}"))

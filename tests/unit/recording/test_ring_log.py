@@ -1,4 +1,4 @@
-"""The ring log: one writer, many readers, nothing torn."""
+"""The ring log: one writer, several readers, no incomplete row."""
 
 import subprocess
 import sys
@@ -15,53 +15,53 @@ def row(k):
     return (k, 10 * k, float(k), 2.0, 3.0, 4.0, 5.0, 6.0, 7, 8, 2, 0, 0, 1)
 
 
-def test_what_is_appended_is_read_once_and_in_order(tmp_path):
-    ring = RingLog(tmp_path / "ring", 100)
+def test_appended_rows_are_read_once_and_in_order(tmp_path):
+    log = RingLog(tmp_path / "ring", 100)
     reader = RingReader(tmp_path / "ring")
     for k in range(30):
-        ring.append(*row(k))
+        log.append(*row(k))
     first = reader.read()
-    ring.append(*row(30))
+    log.append(*row(30))
     assert list(first["tick"]) == list(range(30))
     assert list(reader.read()["tick"]) == [30]
     assert tuple(first[7])[:3] == (7, 70, 7.0)
-    ring.close()
+    log.close()
 
 
-def test_a_reader_that_comes_too_late_is_told_how_much_it_lost(tmp_path):
-    ring = RingLog(tmp_path / "ring", 10)
+def test_a_late_reader_counts_the_rows_that_were_overwritten(tmp_path):
+    log = RingLog(tmp_path / "ring", 10)
     reader = RingReader(tmp_path / "ring")
     for k in range(25):
-        ring.append(*row(k))
+        log.append(*row(k))
     ticks = list(reader.read()["tick"])
     assert ticks == list(range(25 - len(ticks), 25))
     assert reader.dropped == 25 - len(ticks)
     assert len(ticks) >= 9
-    ring.close()
+    log.close()
 
 
-def test_rows_that_could_not_be_kept_are_read_again_and_so_many_at_once_as_are_wanted(tmp_path):
-    ring = RingLog(tmp_path / "ring", 10)
+def test_seek_reads_rows_again_and_most_limits_the_rows_of_a_read(tmp_path):
+    log = RingLog(tmp_path / "ring", 10)
     for k in range(8):
-        ring.append(*row(k))
+        log.append(*row(k))
     reader = RingReader(tmp_path / "ring", 3)
     assert list(reader.read(2)["tick"]) == [3, 4]
     reader.seek(3)
     assert reader.next == 3
     assert list(reader.read(4)["tick"]) == [3, 4, 5, 6]
     for k in range(8, 20):
-        ring.append(*row(k))
+        log.append(*row(k))
     assert reader.dropped == 0
     assert list(reader.read()["tick"]) == list(range(11, 20))
     assert (reader.dropped, reader.next) == (4, 20)
-    ring.close()
+    log.close()
 
 
-def test_a_reader_racing_the_writer_never_sees_a_torn_row(tmp_path):
-    ring = RingLog(tmp_path / "ring", 64)
+def test_a_reader_beside_the_writer_never_sees_an_incomplete_row(tmp_path):
+    log = RingLog(tmp_path / "ring", 64)
     reader = RingReader(tmp_path / "ring")
     total = 100_000
-    writer = threading.Thread(target=lambda: [ring.append(*row(k)) for k in range(total)])
+    writer = threading.Thread(target=lambda: [log.append(*row(k)) for k in range(total)])
     writer.start()
     seen = 0
     last = -1
@@ -76,7 +76,7 @@ def test_a_reader_racing_the_writer_never_sees_a_torn_row(tmp_path):
             seen += rows.size
     writer.join()
     assert seen + reader.dropped == total
-    ring.close()
+    log.close()
 
 
 FOLLOW = """
@@ -96,20 +96,20 @@ print(reader.dropped)
 """
 
 
-def test_a_reader_in_another_process_never_sees_a_count_half_written(tmp_path):
+def test_a_reader_in_another_process_never_sees_an_incomplete_count(tmp_path):
     total = 300_000
-    ring = RingLog(tmp_path / "ring", total + 1)
+    log = RingLog(tmp_path / "ring", total + 1)
     command = [sys.executable, "-c", FOLLOW, str(tmp_path / "ring"), str(total)]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as reader:
         assert reader.stdout.readline() == "following\n"
         for k in range(total):
-            ring.append(*row(k))
-        said, failed = reader.communicate(timeout=60)
-    ring.close()
-    assert (said, failed) == ("0\n", "")
+            log.append(*row(k))
+        out, err = reader.communicate(timeout=60)
+    log.close()
+    assert (out, err) == ("0\n", "")
 
 
-def test_rows_have_the_size_their_layout_says():
+def test_a_row_has_96_bytes():
     assert ROW_DTYPE.itemsize == 96
 
 

@@ -1,4 +1,4 @@
-"""Recordings in SQLite: read while they are written, checked block by block, ticks as samples."""
+"""Recordings in SQLite: read during writing, checked block by block; ticks become samples."""
 
 import os
 import sqlite3
@@ -14,9 +14,11 @@ from hypothesis import strategies as st
 
 from piezod.errors import RecordingError
 from piezod.recording import open_stream, read_recording, write_recording
-from piezod.recording.formats.sqlite import About, append, create, read_end, read_ticks
+from piezod.recording.formats.sqlite import read_end
 from piezod.recording.formats.sqlite_blocks import Block, layout_of, pack, unpack
+from piezod.recording.formats.sqlite_tables import About, append_block, create_tables
 from piezod.recording.ring_log import ROW_DTYPE
+from tests.benches.recorded_blocks import read_blocks
 from tests.unit.recording.formats import sample
 
 
@@ -31,23 +33,23 @@ def ticks(count, first=0):
 
 
 def writer(path, **about):
-    """A file as the recorder leaves it open: in the write-ahead log, nothing closed."""
+    """Open connection to a file as the recorder writes it, with a write-ahead log."""
     connection = sqlite3.connect(path, isolation_level=None)
     connection.execute("PRAGMA journal_mode = WAL")
     connection.execute("BEGIN")
-    create(connection, About(ROW_DTYPE, "ticks", {"bench": "b"}, origin_ns=10**9, **about))
+    create_tables(connection, About(ROW_DTYPE, "ticks", {"bench": "b"}, origin_ns=10**9, **about))
     connection.execute("COMMIT")
     return connection
 
 
 def commit(connection, rows, first=0):
     connection.execute("BEGIN")
-    append(connection, Block(rows, first, 5 * 10**18, 10**9))
+    append_block(connection, Block(rows, first, 5 * 10**18, 10**9))
     connection.execute("COMMIT")
 
 
 @given(st.binary(min_size=96, max_size=960), st.integers(0, 2**63), st.integers(-(2**62), 2**62))
-def test_a_block_comes_back_bit_by_bit(content, first, wall_ns):
+def test_a_block_is_unchanged_after_packing_and_unpacking(content, first, wall_ns):
     rows = np.frombuffer(content[: len(content) // 96 * 96], ROW_DTYPE)
     again = unpack(*pack(Block(rows, first, wall_ns, -wall_ns)), ROW_DTYPE)
     assert again.rows.tobytes() == rows.tobytes()
@@ -55,7 +57,7 @@ def test_a_block_comes_back_bit_by_bit(content, first, wall_ns):
 
 
 @given(st.integers(0, 10**6), st.integers(0, 7))
-def test_any_flipped_bit_is_noticed(place, bit):
+def test_any_flipped_bit_makes_a_block_damaged(place, bit):
     checksum, data = pack(Block(ticks(20)))
     damaged = bytearray(data)
     damaged[place % len(data)] ^= 1 << bit
@@ -70,7 +72,7 @@ def test_a_layout_of_anything_but_numbers_is_refused(text):
         layout_of(text)
 
 
-def test_a_command_stands_beside_the_force_that_it_led_to(tmp_path):
+def test_a_sample_pairs_a_command_with_the_force_after_it(tmp_path):
     connection = writer(tmp_path / "a.sqlite")
     rows = ticks(6)
     rows["result"][4] = 1
@@ -96,14 +98,14 @@ def test_missed_ticks_are_gaps_in_time_also_between_blocks(tmp_path):
     assert recording.channel("voltage_V")[9] == 9
 
 
-def test_what_the_device_does_not_have_is_no_column(tmp_path):
+def test_an_absent_measurement_is_no_column(tmp_path):
     connection = writer(tmp_path / "a.sqlite", absent=("temperature_C",))
     commit(connection, ticks(3))
     assert "temperature_C" not in read_recording(tmp_path / "a.sqlite").channels
     connection.close()
 
 
-def test_a_file_is_read_while_it_is_written_and_a_reader_holds_nobody_up(tmp_path):
+def test_a_file_is_read_during_writing_and_the_reader_does_not_block_the_writer(tmp_path):
     connection = writer(tmp_path / "a.sqlite")
     commit(connection, ticks(100))
     stream = open_stream(tmp_path / "a.sqlite", ["force_N"], chunk=10)
@@ -115,7 +117,7 @@ def test_a_file_is_read_while_it_is_written_and_a_reader_holds_nobody_up(tmp_pat
     connection.close()
 
 
-def test_after_a_crash_what_was_committed_is_there_and_the_torn_tail_is_not(tmp_path):
+def test_after_a_crash_the_committed_blocks_are_read_and_an_incomplete_one_is_not(tmp_path):
     connection = writer(tmp_path / "a.sqlite")
     for k in range(5):
         commit(connection, ticks(50, 50 * k), 50 * k)
@@ -153,7 +155,7 @@ def test_a_damaged_block_is_left_out_and_counted(tmp_path):
 
 
 @pytest.mark.parametrize("seed", range(20))
-def test_of_a_file_with_a_damaged_page_the_rest_is_read(tmp_path, seed):
+def test_a_damaged_page_does_not_affect_the_other_blocks(tmp_path, seed):
     path = tmp_path / "a.sqlite"
     closed_file(path)
     content = bytearray(path.read_bytes())
@@ -161,7 +163,7 @@ def test_of_a_file_with_a_damaged_page_the_rest_is_read(tmp_path, seed):
     page = int(rng.integers(4, len(content) // 4096 - 1))  # the first pages say what the file is
     content[page * 4096 : (page + 1) * 4096] = rng.bytes(4096)
     path.write_bytes(content)
-    _, blocks, damaged = read_ticks(path)
+    _, blocks, damaged = read_blocks(path)
     assert damaged >= 1
     assert len(blocks) + damaged == 40
     assert all((block.rows["tick"] == np.arange(block.first, block.first + 200)).all() for block in blocks)
@@ -180,7 +182,7 @@ ENDLESS = """CREATE VIEW block AS
         "CREATE TABLE other (x)",
     ],
 )
-def test_another_database_is_refused_and_nothing_of_it_is_run(tmp_path, statement):
+def test_another_database_is_refused_and_its_view_is_not_executed(tmp_path, statement):
     path = tmp_path / "a.sqlite"
     with sqlite3.connect(path) as connection:
         connection.execute("CREATE TABLE about (key TEXT PRIMARY KEY, value TEXT NOT NULL)")
@@ -194,12 +196,12 @@ def test_another_database_is_refused_and_nothing_of_it_is_run(tmp_path, statemen
     ("key", "value", "says"),
     [
         ("schema", "piezod.recording/2", "schema is 'piezod.recording/2', must be 'piezod.recording/1'"),
-        ("layout", '[["force_N", "|O"]]', "what it says about itself is damaged"),
-        ("metadata", "[" * 100_000, "what it says about itself is damaged"),
-        ("origin_ns", "soon", "what it says about itself is damaged"),
+        ("layout", '[["force_N", "|O"]]', "its table 'about' is damaged"),
+        ("metadata", "[" * 100_000, "its table 'about' is damaged"),
+        ("origin_ns", "soon", "its table 'about' is damaged"),
     ],
 )
-def test_a_file_that_says_something_impossible_about_itself_is_refused(tmp_path, key, value, says):
+def test_a_file_with_an_invalid_about_table_is_refused(tmp_path, key, value, says):
     path = tmp_path / "a.sqlite"
     write_recording(sample(5), path)
     with sqlite3.connect(path) as connection:
@@ -209,7 +211,7 @@ def test_a_file_that_says_something_impossible_about_itself_is_refused(tmp_path,
         read_recording(path)
 
 
-def test_a_block_that_claims_to_unfold_to_gigabytes_is_left_out(tmp_path):
+def test_a_block_that_claims_gigabytes_is_left_out(tmp_path):
     import struct
     import zlib
 
@@ -236,15 +238,15 @@ print(read_recording(Path(sys.argv[1])).time_s.size)
 
 @pytest.fixture
 def open_folder():
-    """A folder that everybody may read; those of the test runner are for its own user."""
+    """Folder that every user may read; the folders of pytest are for one user only."""
     with tempfile.TemporaryDirectory() as name:
         Path(name).chmod(0o755)
         yield Path(name)
 
 
-@pytest.mark.skipif(os.getuid() != 0, reason="needs root to become somebody else")
+@pytest.mark.skipif(os.getuid() != 0, reason="needs root rights to change the user")
 @pytest.mark.parametrize("state", ["written", "crashed", "closed", "checkpointed, then crashed"])
-def test_somebody_who_may_only_read_the_folder_reads_the_file_in_every_state(open_folder, state):
+def test_a_user_with_read_access_only_reads_the_file_in_every_state(open_folder, state):
     path = open_folder / "a.sqlite"
     connection = writer(path)
     commit(connection, ticks(100))
@@ -266,13 +268,13 @@ def test_somebody_who_may_only_read_the_folder_reads_the_file_in_every_state(ope
     assert int(done.stdout) == 99
 
 
-def test_whoever_identifies_on_it_is_told_what_is_damaged(tmp_path):
-    from piezod.identify.intake import take_whole
+def test_damaged_blocks_are_a_note_of_the_identification(tmp_path):
+    from piezod.identify.intake import load_for_simulation
 
     path = tmp_path / "a.sqlite"
     closed_file(path)
     with sqlite3.connect(path) as connection:
         connection.execute("UPDATE block SET crc = crc + 1 WHERE id IN (3, 4)")
     connection.close()
-    taken = take_whole(path, "voltage_V", "force_N")
-    assert f"{path}: damaged: 2 of 40 blocks, left out" in taken.notes
+    loaded = load_for_simulation(path, "voltage_V", "force_N")
+    assert f"{path}: damaged: 2 of 40 blocks, left out" in loaded.notes

@@ -1,4 +1,4 @@
-"""What is stuck and what only looks so: dwells, coarse converters, dry friction, slow sensors are not stuck."""
+"""Stuck readings, and others that look similar: constant commands, coarse converters, dry friction, slow sensors."""
 
 import numpy as np
 import pytest
@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from piezod.excitation import constant_triangles, staircase_minor_loops_multisine
 from piezod.operators import PrandtlIshlinskii
 from piezod.recording.stretches import BLOCK, long_runs
-from piezod.recording.stuck import stuck
+from piezod.recording.stuck import find_stuck
 
 RATE_HZ = 200.0
 TRIANGLES = constant_triangles(140.0, 0.2, 5, RATE_HZ)
@@ -20,7 +20,7 @@ def force(drive):
 
 
 def held_by_friction(drive, width=10.0):
-    """Stands still after each reversal until the drive has moved by twice the width."""
+    """Reading that is constant after each reversal until the drive has moved by twice the width."""
     held = [0.0]
     for u in drive.tolist():
         held.append(max(u - width, min(u + width, held[-1])))
@@ -63,32 +63,32 @@ DRIVES = {
 def test_a_sound_reading_is_not_stuck_whatever_the_drive_the_converter_and_the_noise(drive, bits, spread):
     values = force(drive) + noise(drive.size, spread * 300.0) if spread else force(drive)
     values = values if bits is None else coarse(values, bits)
-    assert stuck(values, drive).stretches == []
-    assert stuck(values, drive + noise(drive.size, 0.1, seed=2)).stretches == []
+    assert find_stuck(values, drive).stretches == []
+    assert find_stuck(values, drive + noise(drive.size, 0.1, seed=2)).stretches == []
 
 
 @pytest.mark.parametrize("delay", [1, 20])
 def test_a_reading_that_follows_a_staircase_late_is_not_frozen(delay):
     drive = DRIVES["steps"]
     late = coarse(force(np.concatenate((np.zeros(delay), drive[:-delay]))), 12)
-    assert stuck(late, drive).stretches == []
+    assert find_stuck(late, drive).stretches == []
 
 
-def test_a_sensor_that_gives_a_new_value_only_now_and_then_is_not_frozen():
+def test_a_sensor_with_a_slow_update_rate_is_not_frozen():
     values = force(TRIANGLES) + noise(TRIANGLES.size, 0.3)
-    assert stuck(np.repeat(values[::40], 40)[: values.size], TRIANGLES).stretches == []
+    assert find_stuck(np.repeat(values[::40], 40)[: values.size], TRIANGLES).stretches == []
 
 
 def test_dry_friction_that_holds_the_stack_after_each_reversal_is_not_frozen():
     drive = sine()
     values = coarse(held_by_friction(drive), 16)
     assert long_runs(values, 100)[0].size >= 9
-    assert stuck(values, drive).stretches == []
+    assert find_stuck(values, drive).stretches == []
 
 
 def test_a_temperature_that_hardly_changes_is_not_frozen():
     temperature = np.round(21.0 + np.linspace(0.0, 0.3, TRIANGLES.size) + noise(TRIANGLES.size, 0.01), 1)
-    assert stuck(temperature, TRIANGLES).stretches == []
+    assert find_stuck(temperature, TRIANGLES).stretches == []
 
 
 @pytest.mark.parametrize("bits", [None, 12])
@@ -99,31 +99,31 @@ def test_a_frozen_sensor_is_found_to_the_sample(bits, spread, stretch):
     values = values if bits is None else coarse(values, bits)
     start, stop = stretch
     values[start:stop] = values[start] = 0.5 * (values.min() + values.max()) + 1e-3
-    assert stuck(values, TRIANGLES).frozen == [stretch]
+    assert find_stuck(values, TRIANGLES).frozen == [stretch]
 
 
 @pytest.mark.parametrize("bits", [None, 12])
 @pytest.mark.parametrize("spread", [0.0, 0.3])
 @pytest.mark.parametrize(("rail", "kind"), [((-np.inf, 250.0), "at_largest"), ((40.0, np.inf), "at_smallest")])
-def test_a_rail_is_found_where_the_reading_leaves_it_and_comes_back(bits, spread, rail, kind):
+def test_clipping_is_found_at_either_end_of_the_range(bits, spread, rail, kind):
     drive = with_dwells(TRIANGLES, 777)
     values = force(drive) + (noise(drive.size, spread) if spread else 0.0)
     values = np.clip(values if bits is None else coarse(values, bits), *rail)
     extreme = values.max() if kind == "at_largest" else values.min()
-    found = stuck(values, drive)
+    found = find_stuck(values, drive)
     masked = sum(stop - start for start, stop in getattr(found, kind))
     assert masked >= 0.98 * np.count_nonzero(values == extreme) - 20
     assert all((values[start:stop] == extreme).all() for start, stop in getattr(found, kind))
     assert found.frozen == []
 
 
-def test_a_reading_that_falls_with_its_drive_is_judged_alike():
+def test_a_reading_of_opposite_sign_gives_the_same_stretches():
     values = np.minimum(coarse(force(TRIANGLES), 12), 250.0)
-    assert stuck(-values, TRIANGLES).at_smallest == stuck(values, TRIANGLES).at_largest != []
+    assert find_stuck(-values, TRIANGLES).at_smallest == find_stuck(values, TRIANGLES).at_largest != []
 
 
 @given(st.lists(st.tuples(st.integers(0, 3), st.integers(1, 9)), min_size=1, max_size=50), st.integers(1, 8))
-def test_long_runs_are_those_that_one_finds_by_counting(runs, at_least):
+def test_long_runs_are_equal_to_those_found_by_counting(runs, at_least):
     values = np.concatenate([np.full(length, float(value)) for value, length in runs])
     expected, start = [], 0
     for k in range(1, values.size + 1):
@@ -133,7 +133,7 @@ def test_long_runs_are_those_that_one_finds_by_counting(runs, at_least):
     assert list(zip(*map(list, long_runs(values, at_least)), strict=True)) == expected
 
 
-def test_a_run_across_blocks_is_one():
+def test_a_run_across_blocks_is_found_as_a_single_run():
     values = np.arange(2.0 * BLOCK + 10)
     values[BLOCK - 7 : 2 * BLOCK + 5] = -1.0
     values[-3:] = -2.0

@@ -1,4 +1,4 @@
-"""Units kept apart from the name are joined to it; time may be the format's own."""
+"""A unit that a file stores beside the name is appended to it; time may come from the format itself."""
 
 import numpy as np
 import pytest
@@ -32,7 +32,7 @@ def test_a_name_ends_in_its_unit(name, unit, expected):
 
 
 @pytest.mark.parametrize(("name", "unit"), [("force_N", "N"), ("slew_V_per_s", "V_per_s"), ("force", ""), ("_N", "")])
-def test_the_unit_is_read_off_the_name(name, unit):
+def test_the_unit_is_the_end_of_the_name(name, unit):
     assert unit_of(name) == unit
     assert channel_name(name, unit) == name
 
@@ -132,7 +132,7 @@ def test_matlab_7_3_is_read_with_its_metadata_and_without_its_cells(tmp_path):
     assert [piece.time_s.size for piece in open_stream(path, chunk=3)] == [3, 1]
 
 
-def test_two_columns_that_come_to_one_name_are_refused(tmp_path):
+def test_two_columns_with_the_same_channel_name_are_refused(tmp_path):
     path = tmp_path / "rec.csv"
     path.write_text("time_s,Force [N],Force_N\n0,1,2\n", encoding="utf-8")
     with pytest.raises(RecordingError, match="has Force_N twice"):

@@ -1,6 +1,6 @@
-"""The two ends of a study, in a process of their own: the plant that draws cases, and what opens its truth.
+"""Making and scoring a study, by the command `python -m firmware_sim.concealed` in a separate process.
 
-The plant shares no code with this package; only its command line is known here.
+The simulated plant shares no code with this package; only its command line is used here.
 """
 
 import subprocess
@@ -13,7 +13,10 @@ from piezod.blind.verdict import read_verdict
 from piezod.errors import CheckFailedError, ConfigurationError, PiezodError, UsageError
 
 MODULE = "firmware_sim.concealed"
-LOOK_EVERY_S = 0.2
+"""Module whose command makes and scores a study."""
+
+PROGRESS_EVERY_S = 0.2
+"""Time between two reports of progress [s]."""
 
 
 def make_study(directory: Path, cases: int, options: Mapping[str, object], on_cases: Callable[[int], None]) -> None:
@@ -22,18 +25,18 @@ def make_study(directory: Path, cases: int, options: Mapping[str, object], on_ca
     Parameters
     ----------
     directory
-        Where there is none yet.
+        Folder of the study, which must not exist yet.
     cases
-        How many, at least 1.
+        Number of cases, at least 1.
     options
-        `seed`, `kind`, `effect`, `strength`, `jobs`; None: as the plant has it.
+        Values of `seed`, `kind`, `effect`, `strength` and `jobs`; None: the default of the command.
     on_cases
-        Called now and then with how many are drawn.
+        Called repeatedly with the number of cases drawn so far.
 
     Raises
     ------
     UsageError, ConfigurationError
-        What the plant refuses.
+        The command refuses its arguments or cannot write the study.
     """
     given = [f"--{name}={value}" for name, value in options.items() if value is not None]
     command = [sys.executable, "-m", MODULE, "make", str(directory), f"--cases={cases}", *given]
@@ -41,37 +44,37 @@ def make_study(directory: Path, cases: int, options: Mapping[str, object], on_ca
         try:
             while True:
                 try:
-                    _, said = plant.communicate(timeout=LOOK_EVERY_S)
+                    _, errors = plant.communicate(timeout=PROGRESS_EVERY_S)
                     break
                 except subprocess.TimeoutExpired:
                     on_cases(sum(1 for _ in directory.glob(f"case_*/{DESCRIPTION}")))
         except BaseException:
             plant.kill()
             raise
-    _check(plant.returncode, said)
+    _check(plant.returncode, errors)
 
 
 def score_study(directory: Path, verdicts: Path, *, as_json: bool, partial: bool) -> str:
-    """Open the truth and judge the verdicts.
+    """Open the truth and score the verdicts.
 
     Parameters
     ----------
     directory, verdicts
-        Of the study, and what was said of its cases.
+        Folders of the study and of the verdicts on its cases.
     as_json
-        Every figure and every case, as JSON.
+        Return every figure and every case as JSON.
     partial
-        Leave out cases that were not run; those that failed count.
+        Leave out cases without a verdict; a failed case still counts as wrong.
 
     Returns
     -------
     str
-        The table, and which cases failed.
+        Table of figures and the failed cases, or JSON.
 
     Raises
     ------
     ConfigurationError
-        The truth is not the one that was sealed, or a verdict is missing.
+        The truth differs from the sealed one, or a verdict is missing.
     """
     flags = [*(["--json"] if as_json else []), *(["--partial"] if partial else [])]
     command = [sys.executable, "-m", MODULE, "score", str(directory), str(verdicts), *flags]
@@ -82,14 +85,14 @@ def score_study(directory: Path, verdicts: Path, *, as_json: bool, partial: bool
 
 def _failures(verdicts: Path) -> str:
     found = [read_verdict(folder.name, folder) for folder in sorted(verdicts.glob("case_*"))]
-    lines = [f"{one.name} failed: {one.failed}" for one in found if one is not None and one.failed is not None]
+    lines = [f"{each.name} failed: {each.failed}" for each in found if each is not None and each.failed is not None]
     return "\n".join(["", f"{len(lines)} cases without findings, counted as wrong", *lines, ""]) if lines else ""
 
 
-def _check(code: int, said: str) -> None:
-    """Raise what the plant's process refused, in its last line."""
+def _check(code: int, errors: str) -> None:
+    """Raise the error of the command: its last line on stderr."""
     if code == 0:
         return
     kinds: dict[int, type[PiezodError]] = {2: UsageError, 78: ConfigurationError}
-    line = said.strip().splitlines()[-1] if said.strip() else f"python -m {MODULE} ended with {code}"
+    line = errors.strip().splitlines()[-1] if errors.strip() else f"python -m {MODULE} ended with {code}"
     raise kinds.get(code, CheckFailedError)(line.removeprefix(f"python -m {MODULE} ").removeprefix("make: error: "))

@@ -1,0 +1,70 @@
+"""Access to files and libraries, shared by all formats: optional imports, one-line errors, replacement as a whole."""
+
+import importlib
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from piezod.errors import RecordingError
+
+MOST_ERROR_TEXT = 200
+"""Characters of a library's error text that a message quotes."""
+
+
+def import_library(module: str, extra: str, path: Path) -> Any:  # noqa: ANN401  a module without type information
+    """Import the library of a format when a file of this format is opened, not before: the daemon never loads it.
+
+    Parameters
+    ----------
+    module
+        Name of the module, such as `pyarrow.parquet`.
+    extra
+        Name of the optional dependency group of piezod that installs it.
+    path
+        File that needs it, for the message.
+
+    Raises
+    ------
+    RecordingError
+        The library is not installed; the message names the package to install.
+    """
+    try:
+        return importlib.import_module(module)
+    except ImportError as error:
+        package = module.partition(".")[0]
+        raise RecordingError(f"{path}: needs {package}; pip install 'piezod-bench[{extra}]'") from error
+
+
+@contextmanager
+def library_errors(path: Path, action: str) -> Iterator[None]:
+    """Turn any error of a file library into a RecordingError of one line that names the file.
+
+    Parameters
+    ----------
+    path
+        The file.
+    action
+        Past participle for the message: `read` or `written`.
+    """
+    try:
+        yield
+    except RecordingError:
+        raise
+    except Exception as error:  # on damaged files the libraries raise anything: struct.error, KeyError, ...
+        text = (error.strerror or str(error)) if isinstance(error, OSError) else str(error)
+        text = " ".join(text.split())[:MOST_ERROR_TEXT] or type(error).__name__
+        raise RecordingError(f"{path}: cannot be {action}: {text}") from error
+
+
+@contextmanager
+def replaced_file(path: Path) -> Iterator[Path]:
+    """Temporary file in the folder of `path`: replaces `path` after success, is deleted after an error."""
+    temporary = path.with_name(f".{os.getpid()}.{path.name}")
+    try:
+        with library_errors(path, "written"):
+            yield temporary
+            temporary.replace(path)
+    finally:
+        temporary.unlink(missing_ok=True)
