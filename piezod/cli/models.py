@@ -35,7 +35,7 @@ def identify(
     from piezod.identify.identification import identify as identify_model
     from piezod.identify.intake import check_result, take_in
     from piezod.model import save_model
-    from piezod.report.identification import figures_of, print_identification, write_identification_page
+    from piezod.report.identification import identification_as_dict, print_identification, write_identification_page
     from piezod.report.progress import steps
 
     if variant not in ("A", "B"):
@@ -65,7 +65,7 @@ def identify(
         write_identification_page(report / "identification.html", identification, read)
     save_model(identification.model, model)
     if as_json:
-        print(json.dumps(figures_of(identification), indent=2))
+        print(json.dumps(identification_as_dict(identification), indent=2))
     else:
         print_identification(identification)
 
@@ -152,20 +152,20 @@ def resid(
     """Test whether what a model leaves is white and independent of the input, with the bounds of MATLAB's resid."""
     from piezod.identify.intake import take_whole
     from piezod.model import load_model
-    from piezod.report.comparison.output_page import residual_as_dict, residual_text, write_residual_page
-    from piezod.report.comparison.whiteness import residual_of, residual_test
+    from piezod.report.comparison.whiteness import residual_of, whiteness_test
+    from piezod.report.comparison.whiteness_page import whiteness_as_dict, whiteness_text, write_whiteness_page
 
     loaded = load_model(model)
     taken = take_whole(recording, loaded.input.channel, loaded.output.channel)
     left = residual_of(loaded, taken.recording, start_window, taken.sha256)
-    test = residual_test(taken.recording, left, loaded.input.channel, lags)
+    test = whiteness_test(taken.recording, left, loaded.input.channel, lags)
     unit = loaded.output.unit
     if report is not None:
-        write_residual_page(report, test, taken.recording, left, unit)
+        write_whiteness_page(report, test, taken.recording, left, unit)
     if as_json:
-        print(json.dumps(residual_as_dict(test, taken.recording, loaded.name, unit), indent=2))
+        print(json.dumps(whiteness_as_dict(test, taken.recording, loaded.name, unit), indent=2))
     else:
-        print(residual_text(test, unit))
+        print(whiteness_text(test, unit))
 
 
 @app.command(epilog="Example: piezod validate config/bench.yaml --model a.yaml --model b.yaml --report validation.html")
@@ -180,12 +180,12 @@ def validate(
     """Follow six triangular force references without and with each model; say which model is better."""
     from piezod.commissioning.validate import plan_validation, run_validation
     from piezod.report.progress import progress
-    from piezod.report.tracking.validation import judge_validation, validation_text, write_validation_page
+    from piezod.report.tracking.validation import evaluate_validation, validation_text, write_validation_page
 
     plan = plan_validation(config, model)
     with progress(f"{len(plan.works)} runs", plan.duration_s) as show:
         result = run_validation(plan, show)
-    verdict = judge_validation(plan.references, plan.compensations, plan.range_N, result.recordings, result.outcome)
+    verdict = evaluate_validation(plan.references, plan.compensations, plan.range_N, result.recordings, result.outcome)
     print(json.dumps(verdict.as_dict(), indent=2) if as_json else validation_text(verdict))
     if report is not None:
         write_validation_page(report, verdict, result.recordings)

@@ -92,4 +92,4 @@ def report(
     read = read_recording(recording)
     figures = run_figures(read)
     write_run_page(output, read, figures)
-    print(json.dumps(figures.as_dict(), indent=2) if as_json else f"{figures.words}\npage: {output.resolve()}")
+    print(json.dumps(figures.as_dict(), indent=2) if as_json else f"{figures.sentence}\npage: {output.resolve()}")
