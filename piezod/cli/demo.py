@@ -23,14 +23,14 @@ def demo(
 ) -> None:
     """Run all steps on the emulated bench, without hardware or root rights, in about a minute."""
     from piezod.commissioning.demo import run_demo
-    from piezod.report.tracking.demo import judge, live_line, print_hidden, print_table, write_demo_page
+    from piezod.report.tracking.demo import evaluate_demo, live_line, print_demo, print_hidden, write_demo_page
 
     names: list[str] = []
     print("starting the emulated bench and the control process ...", flush=True)
     with live_line(names) as show:
         result = run_demo(show, names)
-    verdict = judge(result.recordings, result.history.timing(), result.outcome)
-    print_table(verdict)
+    verdict = evaluate_demo(result.recordings, result.history.timing(), result.outcome)
+    print_demo(verdict)
     recordings = dict(result.recordings)
     if not result.outcome.stopped and not result.outcome.fault:
         hidden, followed = _demo_hidden()
@@ -54,7 +54,7 @@ def _demo_hidden() -> "tuple[HiddenVerdict, dict[tuple[str, str], Recording]]":
     from piezod.model import load_model
     from piezod.recording import write_csv
     from piezod.report.progress import steps
-    from piezod.report.tracking.demo import judge_hidden
+    from piezod.report.tracking.demo import evaluate_hidden
 
     with TemporaryDirectory() as name, steps() as show:
         folder, given = Path(name), shipped("model.yaml")
@@ -64,4 +64,4 @@ def _demo_hidden() -> "tuple[HiddenVerdict, dict[tuple[str, str], Recording]]":
         extended = load_model(folder / "out" / "model.yaml")
         show("following a reference with both models", 0.9)
         followed = follow_hidden(folder, load_model(given), extended, lambda _: None)
-    return judge_hidden(followed, f"{findings.verdict}: {findings.words}", findings.floor), followed
+    return evaluate_hidden(followed, f"{findings.verdict}: {findings.words}", findings.floor), followed

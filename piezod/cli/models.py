@@ -42,7 +42,7 @@ def identify(
     from piezod.identify.intake import load_recordings
     from piezod.model import save_model
     from piezod.recording import check_output_path
-    from piezod.report.identification import figures_of, print_identification, write_identification_page
+    from piezod.report.identification import identification_as_dict, print_identification, write_identification_page
     from piezod.report.progress import steps
 
     if variant not in ("A", "B"):
@@ -72,7 +72,7 @@ def identify(
         write_identification_page(report / "identification.html", identification, read)
     save_model(identification.model, model)
     if as_json:
-        print(json.dumps(figures_of(identification), indent=2))
+        print(json.dumps(identification_as_dict(identification), indent=2))
     else:
         print_identification(identification)
 
@@ -160,20 +160,20 @@ def resid(
     """Test whether a model's residual is white and independent of the input, with the bounds of MATLAB's resid."""
     from piezod.identify.intake import load_for_simulation
     from piezod.model import load_model
-    from piezod.report.comparison.output_page import residual_as_dict, residual_text, write_residual_page
-    from piezod.report.comparison.whiteness import residual_of, residual_test
+    from piezod.report.comparison.whiteness import residual_of, whiteness_test
+    from piezod.report.comparison.whiteness_page import whiteness_as_dict, whiteness_text, write_whiteness_page
 
     plant = load_model(model)
     loaded = load_for_simulation(recording, plant.input.channel, plant.output.channel)
     residual = residual_of(plant, loaded.recording, start_window, loaded.sha256)
-    test = residual_test(loaded.recording, residual, plant.input.channel, lags)
+    test = whiteness_test(loaded.recording, residual, plant.input.channel, lags)
     unit = plant.output.unit
     if report is not None:
-        write_residual_page(report, test, loaded.recording, residual, unit)
+        write_whiteness_page(report, test, loaded.recording, residual, unit)
     if as_json:
-        print(json.dumps(residual_as_dict(test, loaded.recording, plant.name, unit), indent=2))
+        print(json.dumps(whiteness_as_dict(test, loaded.recording, plant.name, unit), indent=2))
     else:
-        print(residual_text(test, unit))
+        print(whiteness_text(test, unit))
 
 
 @app.command(epilog="Example: piezod validate config/bench.yaml --model a.yaml --model b.yaml --report validation.html")
@@ -189,12 +189,12 @@ def validate(
     """Follow six triangular force references without and with each model; report the better model."""
     from piezod.commissioning.validate import plan_validation, run_validation
     from piezod.report.progress import progress
-    from piezod.report.tracking.validation import judge_validation, validation_text, write_validation_page
+    from piezod.report.tracking.validation import evaluate_validation, validation_text, write_validation_page
 
     plan = plan_validation(config, model)
     with progress(f"{len(plan.works)} runs", plan.duration_s) as show:
         result = run_validation(plan, show)
-    verdict = judge_validation(plan.references, plan.compensations, plan.range_N, result.recordings, result.outcome)
+    verdict = evaluate_validation(plan.references, plan.compensations, plan.range_N, result.recordings, result.outcome)
     print(json.dumps(verdict.as_dict(), indent=2) if as_json else validation_text(verdict))
     if report is not None:
         write_validation_page(report, verdict, result.recordings)

@@ -90,4 +90,4 @@ def report(
     run = read_recording(recording)
     figures = run_figures(run)
     write_run_page(output, run, figures)
-    print(json.dumps(figures.as_dict(), indent=2) if as_json else f"{figures.words}\npage: {output.resolve()}")
+    print(json.dumps(figures.as_dict(), indent=2) if as_json else f"{figures.sentence}\npage: {output.resolve()}")

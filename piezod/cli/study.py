@@ -65,7 +65,7 @@ def blind_run(
 
     if jobs is not None and scheduler is not None:
         raise UsageError("--jobs is for this machine, --scheduler for a cluster: give one of them")
-    with steps(patience_s=0.0) as show:
+    with steps(show_after_s=0.0) as show:
 
         def report(verdict: Verdict | None, done: int, of: int) -> None:
             if verdict is not None and verdict.failed is not None:

@@ -1,58 +1,60 @@
-"""The catalogue of effects in words: a table of all, a page of one, and the same as JSON."""
+"""The catalogue of effects as text and JSON: a table of all effects, and a page for each."""
 
 import difflib
 from typing import Any
 
 from piezod.effects import EFFECTS, Effect, Parameter
 from piezod.errors import UsageError
+from piezod.report.text_table import text_table
 
 
 def effect_named(name: str) -> Effect:
-    """Entry of the catalogue.
+    """Return an entry of the catalogue.
 
     Raises
     ------
     UsageError
-        There is none of that name; says the nearest.
+        The catalogue has no effect of that name. The message gives the most similar name.
     """
     if name in EFFECTS:
         return EFFECTS[name]
-    nearest = max(EFFECTS, key=lambda one: max(_likeness(name, part) for part in (one, *one.split("_"))))
+    nearest = max(EFFECTS, key=lambda known: max(_similarity(name, part) for part in (known, *known.split("_"))))
     raise UsageError(
         f"no effect is named '{name}', the nearest is '{nearest}'; 'piezod effects' lists all {len(EFFECTS)}"
     )
 
 
 def effects_table() -> str:
-    """One line an effect: name, seat, parameters, what the compensator does about it."""
-    rows = [("effect", "seat", "compensator", "parameters")]
+    """Format one line for each effect: name, location in the chain, handling by the compensator, parameters."""
+    rows = [("effect", "location in the chain", "compensator", "parameters")]
     rows += [
-        (one.name, _seat(one), one.handling, ", ".join(parameter.name for parameter in one.catalogued))
-        for one in EFFECTS.values()
+        (effect.name, _location(effect), effect.handling, ", ".join(one.name for one in effect.catalogued))
+        for effect in EFFECTS.values()
     ]
-    return _columns(rows)
+    return "\n".join(text_table(rows, left_aligned=4))
 
 
 def effect_page(effect: Effect) -> str:
-    """Its six fields, its parameters with unit and range, and what is done about it."""
+    """Format the documentation of an effect, its parameters with unit and range, and its handling."""
     rows = [("parameter", "unit", "range", "")]
     rows += [(one.name, one.unit, _range(one), "nuisance" if one.nuisance else "") for one in effect.parameters]
+    table = "\n".join(text_table(rows, left_aligned=4))
     handling = effect.handling + (f": {effect.why}" if effect.why else "")
     return "\n\n".join(
         (
             f"{effect.name}: {effect.docstring.strip()}",
-            _columns(rows),
-            f"Compensator: {handling}\nTold apart by: {effect.separate_by}",
+            table,
+            f"Compensator: {handling}\nExperiment that distinguishes it: {effect.separate_by}",
         )
     )
 
 
 def effect_as_dict(effect: Effect) -> dict[str, Any]:
-    """An effect for JSON."""
+    """Return an effect for JSON."""
     return {
         "name": effect.name,
         "title": effect.title,
-        "seat": _seat(effect),
+        "seat": _location(effect),
         "form": effect.form,
         "handling": effect.handling,
         "why": effect.why,
@@ -74,11 +76,11 @@ def effect_as_dict(effect: Effect) -> dict[str, Any]:
     }
 
 
-def _likeness(one: str, other: str) -> float:
-    return difflib.SequenceMatcher(None, one, other).ratio()
+def _similarity(name: str, other: str) -> float:
+    return difflib.SequenceMatcher(None, name, other).ratio()
 
 
-def _seat(effect: Effect) -> str:
+def _location(effect: Effect) -> str:
     return effect.seat.name.lower().replace("_", " ")
 
 
@@ -86,13 +88,5 @@ def _range(parameter: Parameter) -> str:
     if parameter.choices:
         return " or ".join(f"{choice:g}" for choice in parameter.choices)
     if parameter.place:
-        return "instant of the record"
+        return "time in the recording"
     return f"{parameter.low:.4g} to {parameter.high:.4g}"
-
-
-def _columns(rows: list[tuple[str, str, str, str]]) -> str:
-    widths = [max(len(row[i]) for row in rows) for i in range(3)]
-    return "\n".join(
-        "  ".join((*(cell.ljust(width) for cell, width in zip(row, widths, strict=False)), row[3])).rstrip()
-        for row in rows
-    )

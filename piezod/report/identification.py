@@ -1,4 +1,4 @@
-"""What identification found, as text for a terminal and as one page."""
+"""Result of an identification as JSON, as text, and as a page."""
 
 import html
 from collections.abc import Sequence
@@ -16,18 +16,18 @@ from piezod.identify.scores import max_hysteresis_percent
 from piezod.identify.simulation import simulate
 from piezod.identify.tables import OperatorRow, dead_zone_rows, play_rows
 from piezod.recording import Recording
+from piezod.report.figures.layout import decimated, finish_figure
 from piezod.report.figures.thinning import usual_range
 from piezod.report.page import Part, axis_label, head_html, table_html, write_page
 from piezod.report.style import BLUE, GREY, ORANGE
-from piezod.report.tracking.page import finish, thin
 
 Array = NDArray[np.float64]
 
-START_WINDOW = 2000  # samples that may tell where a recording's memory starts
+START_WINDOW = 2000  # samples at the start that estimate the initial state of a recording
 
 
-def figures_of(identification: Identification) -> dict[str, Any]:
-    """For JSON."""
+def identification_as_dict(identification: Identification) -> dict[str, Any]:
+    """Return the result for JSON."""
     fit = identification.model.provenance.fit
     chosen = identification.chosen
     assert chosen.fit is not None
@@ -49,10 +49,10 @@ def figures_of(identification: Identification) -> dict[str, Any]:
 
 
 def print_identification(identification: Identification) -> None:
-    """Orders, figures, tables and notes as text."""
+    """Print orders, errors, operators and notes."""
     model, chosen = identification.model, identification.chosen
     unit = model.output.unit
-    print(f"held-out rms error [{unit}] by number of plays n (down) and dead zones m (across):")
+    print(f"held-out rms error [{unit}] for n plays (rows) and m dead zones (columns):")
     for line in _order_rows(identification.candidates, identification.taken):
         print("  " + "".join(cell.rjust(11) for cell in line))
     assert chosen.fit is not None
@@ -61,76 +61,91 @@ def print_identification(identification: Identification) -> None:
     for name, fit, held_out in _figure_rows(identification):
         print(f"{name:24}{fit:>12}{held_out:>12}")
     for title, rows in (("plays", play_rows(model.hysteresis)), ("dead zones", dead_zone_rows(model.hysteresis))):
-        matter = [str(one.index) for one in rows if one.matters]
-        print(f"{title}: {len(rows)}, of which {len(matter)} matter: {', '.join(matter)}")
+        significant = [str(row.index) for row in rows if row.matters]
+        print(f"{title}: {len(rows)}, of which {len(significant)} are significant: {', '.join(significant)}")
     for note in identification.notes:
         print(f"note: {note}")
 
 
 def write_identification_page(path: Path, identification: Identification, recordings: Sequence[Recording]) -> None:
-    """One page: verdict, figures, orders, tables, and the curves of every recording."""
+    """Write the page: held-out error, errors, curves of each recording, orders, and operators.
+
+    Parameters
+    ----------
+    path
+        File to write.
+    identification
+        Model and its candidates.
+    recordings
+        Recordings whose curves are drawn.
+
+    Raises
+    ------
+    ConfigurationError
+        The file cannot be written.
+    """
     model, chosen = identification.model, identification.chosen
     span, unit = model.output.high - model.output.low, unit_words(model.output.unit)
     verdict = (
-        f"Error on data held out: {chosen.rms_held_out:.3g} {unit} rms, {100 * chosen.rms_held_out / span:.2f} % of "
-        f"range; {chosen.plays} plays and {chosen.zones} dead zones."
+        f"Error on held-out data: {chosen.rms_held_out:.3g} {unit} rms, {100 * chosen.rms_held_out / span:.2f} % of "
+        f"range. The model has {chosen.plays} plays and {chosen.zones} dead zones."
     )
     parts: list[Part] = [
-        head_html(f"Identification: {_plain(model.input.channel)} to {_plain(model.output.channel)}", verdict),
+        head_html(f"Identification: {_quantity(model.input.channel)} to {_quantity(model.output.channel)}", verdict),
         table_html(["", "fit", "held out"], _figure_rows(identification)),
     ]
     if identification.notes:
-        noticed = "".join(f"<li>{html.escape(note)}</li>" for note in identification.notes)
-        parts.append(f"<h2>Noticed on the way</h2><ul>{noticed}</ul>")
+        notes = "".join(f"<li>{html.escape(note)}</li>" for note in identification.notes)
+        parts.append(f"<h2>Notes</h2><ul>{notes}</ul>")
     for recording in recordings:
         parts.extend(_curves(identification, recording))
     orders = _order_rows(identification.candidates, identification.taken)
-    parts.append(f"<h2>Held-out rms error [{unit}] by number of plays n and dead zones m; *: taken</h2>")
+    parts.append(f"<h2>Held-out rms error [{unit}] for n plays and m dead zones; *: selected</h2>")
     parts.append(table_html(orders[0], orders[1:]))
     command = unit_words(model.input.unit)
-    for title, rows, units in (
+    for title, operators, units in (
         ("Plays", play_rows(model.hysteresis), (command, "1", command, "1")),
         ("Dead zones", dead_zone_rows(model.hysteresis), (command, f"{unit}/{command}", unit, f"{command}/{unit}")),
     ):
-        parts.append(f"<h2>{title}</h2>{_parameter_table(rows, units)}")
+        parts.append(f"<h2>{title}</h2>{_operator_table(operators, units)}")
     write_page(path, "Identification", parts)
 
 
-def _plain(channel: str) -> str:
+def _quantity(channel: str) -> str:
     return channel.rpartition("_")[0].replace("_", " ") or channel
 
 
 def _curves(identification: Identification, recording: Recording) -> list[Part]:
-    """Input and output over time, the loop measured and modelled, and what is left."""
+    """Heading and figures of a recording: output and input over time, hysteresis loop, and residual."""
     model = identification.model
     u, y = recording.channel(model.input.channel), recording.channel(model.output.channel)
     modelled, start = simulate(model, recording, START_WINDOW)
     time_s = recording.time_s
     command, output = axis_label(model.input.channel), axis_label(model.output.channel)
     over_time = figure(title="Output over time", x_axis_label="time [s]", y_axis_label=output, height=300)
-    over_time.line(thin(time_s), thin(y), color=GREY, line_width=3, legend_label="measured")
-    over_time.line(thin(time_s), thin(modelled), color=BLUE, legend_label="modelled")
+    over_time.line(decimated(time_s), decimated(y), color=GREY, line_width=3, legend_label="measured")
+    over_time.line(decimated(time_s), decimated(modelled), color=BLUE, legend_label="modelled")
     inputs = figure(title="Input over time", x_axis_label="time [s]", y_axis_label=command, height=200)
-    inputs.line(thin(time_s), thin(u), color=ORANGE, legend_label="input")
+    inputs.line(decimated(time_s), decimated(u), color=ORANGE, legend_label="input")
     loop = figure(title="Hysteresis curve", x_axis_label=command, y_axis_label=output, height=300)
-    loop.line(thin(u), thin(y), color=GREY, line_width=3, legend_label="measured")
-    loop.line(thin(u), thin(modelled), color=BLUE, legend_label="modelled")
-    left = figure(
+    loop.line(decimated(u), decimated(y), color=GREY, line_width=3, legend_label="measured")
+    loop.line(decimated(u), decimated(modelled), color=BLUE, legend_label="modelled")
+    residual = figure(
         title="Measured less modelled",
         x_axis_label="time [s]",
         y_axis_label=f"residual [{unit_words(model.output.unit)}]",
         height=200,
         y_range=usual_range(y - modelled),
     )
-    left.line(thin(time_s), thin(y - modelled), color=ORANGE, legend_label="residual")
-    said = f"max hysteresis of all samples {_opening(u, y)}; {start}; axis of the residual without its rarest values"
-    head = f"<h2>{html.escape(recording.source)}</h2><p class='dim'>{html.escape(said)}</p>"
-    return [head, [finish(over_time), finish(loop)], [finish(inputs)], [finish(left)]]
+    residual.line(decimated(time_s), decimated(y - modelled), color=ORANGE, legend_label="residual")
+    note = f"max hysteresis of all samples {_hysteresis(u, y)}; {start}; the residual's axis excludes its outliers"
+    head = f"<h2>{html.escape(recording.source)}</h2><p class='dim'>{html.escape(note)}</p>"
+    return [head, [finish_figure(over_time), finish_figure(loop)], [finish_figure(inputs)], [finish_figure(residual)]]
 
 
-def _opening(u: Array, y: Array) -> str:
-    good = np.isfinite(y)
-    return f"{max_hysteresis_percent(u[good], y[good]):.2f} % of range"
+def _hysteresis(u: Array, y: Array) -> str:
+    known = np.isfinite(y)
+    return f"{max_hysteresis_percent(u[known], y[known]):.2f} % of range"
 
 
 def _figure_rows(identification: Identification) -> list[tuple[str, ...]]:
@@ -138,24 +153,24 @@ def _figure_rows(identification: Identification) -> list[tuple[str, ...]]:
     span = identification.model.output.high - identification.model.output.low
     pairs = (
         (f"rms error [{unit}]", fit.rms_fit, fit.rms_held_out),
-        ("rms error [% of range]", _share(fit.rms_fit, span), _share(fit.rms_held_out, span)),
+        ("rms error [% of range]", _percent(fit.rms_fit, span), _percent(fit.rms_held_out, span)),
         (f"max error [{unit}]", fit.max_fit, fit.max_held_out),
         ("fit, NRMSE [%]", fit.nrmse_percent_fit, fit.nrmse_percent_held_out),
         ("max hysteresis [%]", fit.max_hysteresis_percent_fit, fit.max_hysteresis_percent_held_out),
-        ("  left by the model [%]", fit.remaining_hysteresis_percent_fit, fit.remaining_hysteresis_percent_held_out),
+        ("  not modelled [%]", fit.remaining_hysteresis_percent_fit, fit.remaining_hysteresis_percent_held_out),
     )
     return [(name, *("-" if value is None else f"{value:.4g}" for value in values)) for name, *values in pairs]
 
 
 def _orders(identification: Identification) -> str:
     taken, chosen = identification.taken, identification.chosen
-    text = f"taken (*): n = {taken.plays}, m = {taken.zones}"
+    text = f"selected (*): n = {taken.plays}, m = {taken.zones}"
     if (chosen.plays, chosen.zones) != (taken.plays, taken.zones):
-        text += f"; without those that hardly matter: n = {chosen.plays}, m = {chosen.zones}"
+        text += f"; without insignificant operators: n = {chosen.plays}, m = {chosen.zones}"
     return text
 
 
-def _share(value: float | None, span: float) -> float:
+def _percent(value: float | None, span: float) -> float:
     return 100.0 * (value or 0.0) / span
 
 
@@ -174,18 +189,18 @@ def _order_rows(candidates: Sequence[Candidate], chosen: Candidate) -> list[list
     return rows
 
 
-def _parameter_table(rows: Sequence[OperatorRow], units: tuple[str, str, str, str]) -> str:
+def _operator_table(operators: Sequence[OperatorRow], units: tuple[str, str, str, str]) -> str:
     names = ("threshold r", "weight w", "inverse r'", "inverse w'")
     header = ["i", *(f"{name} [{unit}]" for name, unit in zip(names, units, strict=True)), ""]
     cells = [
         [
-            str(one.index),
-            f"{one.threshold:.4g}",
-            f"{one.weight:.4g}",
-            f"{one.inverse_threshold:.4g}",
-            f"{one.inverse_weight:.4g}",
-            "" if one.matters else "hardly matters",
+            str(operator.index),
+            f"{operator.threshold:.4g}",
+            f"{operator.weight:.4g}",
+            f"{operator.inverse_threshold:.4g}",
+            f"{operator.inverse_weight:.4g}",
+            "" if operator.matters else "insignificant",
         ]
-        for one in rows
+        for operator in operators
     ]
     return table_html(header, cells)

@@ -1,4 +1,4 @@
-"""The frame that every page shares: self-contained, works offline, on a telephone and on A4."""
+"""HTML that all pages share. A page is one self-contained file for a screen, a telephone or A4 paper."""
 
 import html
 import os
@@ -13,58 +13,58 @@ from bokeh.resources import Resources
 from piezod.diagnose.words import unit_words
 from piezod.errors import ConfigurationError
 from piezod.report.figures.data_files import write_figure_data
-from piezod.report.style import DATA_NOTE, PAGE, SCRIPT, STYLE
+from piezod.report.style import DATA_NOTE, PAGE_CSS, PAGE_SCRIPT, PAGE_TEMPLATE
 
-Group = tuple[str, int]  # words above neighbouring columns, and how many
-Part = str | Sequence[Model]  # HTML, or figures beside each other
+Group = tuple[str, int]  # heading of neighbouring columns, and their number
+Part = str | Sequence[Model]  # HTML, or figures side by side
 
 
 def axis_label(channel: str) -> str:
-    """A column's name as an axis has it: `displacement_um` is displacement [µm]."""
+    """Label of an axis from the name of a column: `displacement_um` becomes displacement [µm]."""
     name, _, unit = channel.rpartition("_")
     return f"{name.replace('_', ' ')} [{unit_words(unit)}]" if name else channel
 
 
 def table_html(header: Sequence[str], rows: Sequence[Sequence[str]], groups: Sequence[Group] = ()) -> str:
-    """A table of numbers, every cell escaped; one wider than the screen scrolls.
+    """Table of numbers with escaped cells. A table wider than the screen scrolls.
 
     Parameters
     ----------
     header
         Names of the columns.
     rows
-        Cells.
+        Cells, row by row.
     groups
-        A line above the header: words, and over how many columns.
+        Row above the header: headings, and the number of columns that each spans.
     """
-    above = "".join(f"<th class='group' colspan='{span}'>{html.escape(words)}</th>" for words, span in groups)
+    above = "".join(f"<th class='group' colspan='{span}'>{html.escape(heading)}</th>" for heading, span in groups)
     head = "".join(f"<th>{html.escape(cell)}</th>" for cell in header)
     body = "".join("<tr>" + "".join(f"<td>{html.escape(cell)}</td>" for cell in row) + "</tr>" for row in rows)
     lines = f"<tr>{above}</tr><tr>{head}</tr>" if groups else f"<tr>{head}</tr>"
     return f"<div class='scroll'><table class='numbers'><thead>{lines}</thead><tbody>{body}</tbody></table></div>"
 
 
-def head_html(title: str, words: str) -> str:
-    """The head line and the verdict below it."""
-    return f"<header><h1>{html.escape(title)}</h1><p class='lead'>{html.escape(words)}</p></header>"
+def head_html(title: str, verdict: str) -> str:
+    """Heading of a page, and the verdict below it."""
+    return f"<header><h1>{html.escape(title)}</h1><p class='lead'>{html.escape(verdict)}</p></header>"
 
 
-def slot(name: str) -> str:
-    """Where a figure goes."""
+def placeholder(name: str) -> str:
+    """Comment that `write_html` replaces by the figure of that name."""
     return f"<!--{name}-->"
 
 
 def write_page(path: Path, title: str, parts: Sequence[Part]) -> None:
-    """Write one self-contained page, whole or not at all, and the data of its figures as CSV beside it.
+    """Write a self-contained page atomically, and the data of its figures as CSV files beside it.
 
     Parameters
     ----------
     path
-        The page.
+        File to write.
     title
-        Of the window.
+        Title of the browser window.
     parts
-        One below the other.
+        HTML and rows of figures, from top to bottom.
 
     Raises
     ------
@@ -77,9 +77,9 @@ def write_page(path: Path, title: str, parts: Sequence[Part]) -> None:
         if isinstance(part, str):
             body.append(part)
             continue
-        names = [f"figure_{number}_{place}" for place in range(len(part))]
+        names = [f"figure_{number}_{column}" for column in range(len(part))]
         figures |= dict(zip(names, part, strict=True))
-        inside = "".join(f"<figure>{slot(name)}</figure>" for name in names)
+        inside = "".join(f"<figure>{placeholder(name)}</figure>" for name in names)
         body.append(f"<div class='{'pair' if len(names) > 1 else 'alone'}'>{inside}</div>")
     try:
         folder = write_figure_data(path, figures)
@@ -91,7 +91,18 @@ def write_page(path: Path, title: str, parts: Sequence[Part]) -> None:
 
 
 def write_html(path: Path, title: str, body: str, figures: Mapping[str, Model]) -> None:
-    """Write a page whose body has a `slot` for every figure.
+    """Write a self-contained page.
+
+    Parameters
+    ----------
+    path
+        File to write.
+    title
+        Title of the browser window.
+    body
+        HTML with a `placeholder` for each figure.
+    figures
+        Figures by name.
 
     Raises
     ------
@@ -99,24 +110,24 @@ def write_html(path: Path, title: str, body: str, figures: Mapping[str, Model]) 
         The file cannot be written.
     """
     document = Document()
-    with document.models.freeze():  # adding them one by one walks through all of them each time
-        for one in figures.values():
-            document.add_root(one)
+    with document.models.freeze():  # without it each addition visits all models
+        for plot in figures.values():
+            document.add_root(plot)
     script, divs = components(dict(figures)) if figures else ("", {})
     for name, div in divs.items():
-        body = body.replace(slot(name), div)
+        body = body.replace(placeholder(name), div)
     library = Resources(mode="inline", components=["bokeh"]).render_js()
-    parts = {"style": STYLE, "library": library, "script": script, "own": SCRIPT}
-    write_text(path, PAGE.format(title=html.escape(title), body=body, **parts))
+    parts = {"style": PAGE_CSS, "library": library, "script": script, "own": PAGE_SCRIPT}
+    write_text(path, PAGE_TEMPLATE.format(title=html.escape(title), body=body, **parts))
 
 
 def write_text(path: Path, text: str) -> None:
-    """Write a text file, whole or not at all; its folder is made.
+    """Write a text file atomically, and make its folder.
 
     Raises
     ------
     ConfigurationError
-        It cannot be written.
+        The file cannot be written.
     """
     temporary = path.with_name(f".{path.name}.{os.getpid()}")
     try:

@@ -1,4 +1,4 @@
-"""A progress bar on a terminal, nothing elsewhere."""
+"""Progress bars on a terminal. Without a terminal nothing is shown."""
 
 import contextlib
 import sys
@@ -10,33 +10,33 @@ from numpy.typing import NDArray
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
 
-PATIENCE_S = 2.0
-"""What takes no longer needs no bar."""
+SHOW_AFTER_S = 2.0
+"""A shorter task shows no bar [s]."""
 
 
 @contextlib.contextmanager
-def steps(patience_s: float = PATIENCE_S) -> Iterator[Callable[[str, float | None], None]]:
-    """Yield a function to be called with what is done and the share of it that is done, None where nobody knows.
+def steps(show_after_s: float = SHOW_AFTER_S) -> Iterator[Callable[[str, float | None], None]]:
+    """Yield a function that shows the name of the current step and the completed share, 0 to 1 or None if unknown.
 
-    The bar appears at the first call after some patience, and is gone at the end.
+    The bar appears at the first call after `show_after_s`, and disappears at the end.
 
     Parameters
     ----------
-    patience_s
-        0 where the first call already knows that it will take long [s].
+    show_after_s
+        Delay before the bar appears [s]; 0 for a task that is known to be long.
     """
     if not (sys.stdout.isatty() and sys.stderr.isatty()):
         yield lambda *_: None
         return
-    begun_s = time.monotonic()
+    start_s = time.monotonic()
     columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn())
     bar = Progress(*columns, console=Console(stderr=True), transient=True)
     task = bar.add_task("", total=None)
 
-    def show(what: str, share: float | None) -> None:
-        if time.monotonic() - begun_s >= patience_s:
+    def show(step: str, share: float | None) -> None:
+        if time.monotonic() - start_s >= show_after_s:
             bar.start()
-            bar.update(task, description=what, total=None if share is None else 1.0, completed=share or 0.0)
+            bar.update(task, description=step, total=None if share is None else 1.0, completed=share or 0.0)
 
     try:
         yield show
@@ -45,24 +45,24 @@ def steps(patience_s: float = PATIENCE_S) -> Iterator[Callable[[str, float | Non
 
 
 @contextlib.contextmanager
-def progress(what: str, duration_s: float) -> Iterator[Callable[[NDArray[np.void]], None]]:
-    """Yield a function to be called with new ring-log rows; the bar follows their time stamps.
+def progress(label: str, duration_s: float) -> Iterator[Callable[[NDArray[np.void]], None]]:
+    """Yield a function that advances the bar to the time stamp of the newest of the given ring-log rows.
 
     Parameters
     ----------
-    what
-        Said beside the bar.
+    label
+        Text beside the bar.
     duration_s
-        Expected length [s].
+        Expected duration [s].
     """
     console = Console(stderr=True)
     if not sys.stderr.isatty():
         yield lambda _: None
         return
     with Progress(
-        TextColumn(what), BarColumn(), TextColumn("{task.percentage:3.0f} %"), TimeRemainingColumn(), console=console
+        TextColumn(label), BarColumn(), TextColumn("{task.percentage:3.0f} %"), TimeRemainingColumn(), console=console
     ) as bar:
-        task = bar.add_task(what, total=duration_s)
+        task = bar.add_task(label, total=duration_s)
         first_ns: int | None = None
 
         def show(rows: NDArray[np.void]) -> None:

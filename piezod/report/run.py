@@ -1,6 +1,5 @@
-"""The report of a run, made from what was recorded: by the recorder while it ran, also where the run was cut off."""
+"""Figures and page of a run, computed from its recording. The run may have been interrupted."""
 
-import html
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,15 +14,15 @@ from piezod.control import CAUSE_TEXT, Cause, State
 from piezod.errors import RecordingError
 from piezod.recording import Recording
 from piezod.report.figures.durations import EDGES_us, bars, histogram
+from piezod.report.figures.layout import finish_figure
 from piezod.report.figures.thinning import envelope, envelope_times, extremes
 from piezod.report.page import Part, axis_label, head_html, table_html, write_page
 from piezod.report.style import BLUE, GREEN, GREY, ORANGE, RED
-from piezod.report.tracking.page import finish
 
 Array = NDArray[np.float64]
 
-POINTS = 4000
-MOST_TRANSITIONS = 200
+POINTS = 4000  # of a drawn curve
+MOST_TRANSITIONS = 200  # of the table
 
 
 @dataclass(frozen=True)
@@ -37,24 +36,24 @@ class Transition:
 
 @dataclass(frozen=True)
 class RunFigures:
-    """What a run came to; None: the recording does not tell.
+    """Figures of a run; None where the recording lacks the columns.
 
     Parameters
     ----------
     duration_s, samples
-        Of the recording.
+        Length of the recording [s], [samples].
     missed
-        Ticks that are not in it.
+        Number of missing ticks.
     running_s
-        Time in which the reference was followed.
+        Time in which the force followed the reference [s].
     rms_error_N, max_error_N
-        Of the force against it meanwhile.
+        Force minus reference during that time [N].
     voltage_V, force_N
-        Least and largest.
+        Smallest and largest value [V], [N].
     ended
-        State and cause of the last tick.
+        State and cause at the last tick.
     transitions
-        In order.
+        Changes of state or cause, in order of time.
     """
 
     duration_s: float
@@ -69,16 +68,16 @@ class RunFigures:
     transitions: list[Transition]
 
     @property
-    def words(self) -> str:
-        """The verdict in a sentence."""
-        said = [f"{self.duration_s:.1f} s"]
+    def sentence(self) -> str:
+        """Verdict in a sentence."""
+        facts = [f"{self.duration_s:.1f} s"]
         if self.running_s:
-            said.append(f"{self.running_s:.1f} s of them running")
+            facts.append(f"{self.running_s:.1f} s in RUNNING")
         if self.rms_error_N is not None and self.max_error_N is not None:
-            said.append(f"rms error {self.rms_error_N:.3g} N, largest {self.max_error_N:.3g} N")
+            facts.append(f"rms error {self.rms_error_N:.3g} N, largest {self.max_error_N:.3g} N")
         if self.missed:
-            said.append(f"{self.missed} ticks missed")
-        return f"{self._end()}: {', '.join(said)}"
+            facts.append(f"{self.missed} ticks missed")
+        return f"{self._end()}: {', '.join(facts)}"
 
     def _end(self) -> str:
         if self.ended is None:
@@ -86,14 +85,14 @@ class RunFigures:
         if self.ended.state is State.FAULT:
             return f"ended in FAULT, {CAUSE_TEXT[self.ended.cause]}"
         if self.ended.state is State.DISARMED:
-            return "ended at rest"
-        return f"cut off in {self.ended.state.name}"
+            return "ended in DISARMED"
+        return f"interrupted in {self.ended.state.name}"
 
     def as_dict(self) -> dict[str, Any]:
-        """For JSON."""
+        """Return the figures for JSON."""
         return {
             "schema": "piezod.run_report/1",
-            "words": self.words,
+            "words": self.sentence,
             **{name: getattr(self, name) for name in self.__dataclass_fields__ if name not in ("ended", "transitions")},
             "transitions": [
                 {"time_s": one.time_s, "state": one.state.name, "cause": CAUSE_TEXT[one.cause]}
@@ -103,17 +102,17 @@ class RunFigures:
 
 
 def run_figures(recording: Recording) -> RunFigures:
-    """Sum a recording up; columns that it does not have are left out.
+    """Compute the figures of a run from the columns that its recording has.
 
     Parameters
     ----------
     recording
-        Best with `state`, `cause`, `tick`, `reference_N`, `force_N` and `voltage_V`, as the recorder writes them.
+        Recording, best with `state`, `cause`, `tick`, `reference_N`, `force_N` and `voltage_V`.
 
     Raises
     ------
     RecordingError
-        It has no sample.
+        The recording has no sample.
     """
     if not recording.time_s.size:
         raise RecordingError(f"{recording.source}: has no sample to report")
@@ -136,27 +135,36 @@ def run_figures(recording: Recording) -> RunFigures:
 
 
 def write_run_page(path: Path, recording: Recording, figures: RunFigures) -> None:
-    """One page: the verdict, what happened, and everything over time.
+    """Write the page: verdict, transitions of state, curves over time, loops, and timing.
+
+    Parameters
+    ----------
+    path
+        File to write.
+    recording
+        Recording of the run.
+    figures
+        Figures of the run.
 
     Raises
     ------
     ConfigurationError
         The file cannot be written.
     """
-    parts: list[Part] = [head_html(f"Run: {Path(recording.source).name}", figures.words)]
+    parts: list[Part] = [head_html(f"Run: {Path(recording.source).name}", figures.sentence)]
     if figures.transitions:
         shown = figures.transitions[:MOST_TRANSITIONS]
         rows = [[f"{one.time_s:.3f}", one.state.name.replace("_", " "), CAUSE_TEXT[one.cause]] for one in shown]
         more = f"<p class='dim'>and {len(figures.transitions) - len(shown)} more</p>"
-        table = table_html(["time [s]", "state", "why"], rows).replace("'numbers'", "'words'")
-        parts.append(f"<h2>What happened</h2>{table}{more if len(figures.transitions) > len(shown) else ''}")
+        table = table_html(["time [s]", "state", "cause"], rows).replace("'numbers'", "'words'")
+        parts.append(f"<h2>Changes of state</h2>{table}{more if len(figures.transitions) > len(shown) else ''}")
     parts.append("<h2>Over time</h2>")
     parts.extend([one] for one in _over_time(recording))
-    for title, beside in (("Loops", [*_loops(recording)]), ("Timing", [*_durations(recording)])):
-        if beside:
-            parts.extend((f"<h2>{title}</h2>", beside))
+    for title, row in (("Loops", [*_loops(recording)]), ("Timing", [*_durations(recording)])):
+        if row:
+            parts.extend((f"<h2>{title}</h2>", row))
     parts.append(
-        f"<p class='dim'>{html.escape('Curves show the smallest and the largest value of every stretch.')}</p>"
+        "<p class='dim'>Long curves are thinned: each segment is drawn by its smallest and its largest value.</p>"
     )
     write_page(path, "Run", parts)
 
@@ -175,12 +183,13 @@ def _transitions(recording: Recording) -> list[Transition]:
 
 
 def _followed(recording: Recording) -> NDArray[np.bool_]:
-    """Where the reference was followed: everywhere, in a recording that tells no state."""
+    """Mask of the samples at which the force followed the reference; all samples if no state is recorded."""
     state = recording.channels.get("state")
     if state is None:
         return np.ones(recording.time_s.size, dtype=np.bool_)
     running = state == State.RUNNING
-    followed: NDArray[np.bool_] = running & np.concatenate(([False], running[:-1]))  # the command before it counts too
+    running_before = np.concatenate(([False], running[:-1]))  # a force answers the command of the tick before
+    followed: NDArray[np.bool_] = running & running_before
     return followed
 
 
@@ -224,7 +233,7 @@ def _over_time(recording: Recording) -> Iterable[figure]:
         for name, values, colour, width in drawn:
             plot.line(shown_s, envelope(values, POINTS), color=colour, line_width=width, legend_label=name)
         first = first or plot
-        yield finish(plot)
+        yield finish_figure(plot)
 
 
 def _loops(recording: Recording) -> Iterable[figure]:
@@ -234,14 +243,14 @@ def _loops(recording: Recording) -> Iterable[figure]:
     chosen = extremes(force, POINTS)
     plot = figure(title="Force over voltage", x_axis_label="voltage [V]", y_axis_label="force [N]", height=320)
     plot.line(voltage[chosen], force[chosen], color=BLUE, legend_label="measured")
-    yield finish(plot)
+    yield finish_figure(plot)
     error = _error(recording)
     if error is None or not np.isfinite(error).any():
         return
     reference, chosen = recording.channel("reference_N"), extremes(error, POINTS)
     plot = figure(title="Error over reference", x_axis_label="reference [N]", y_axis_label="error [N]", height=320)
     plot.line(reference[chosen], error[chosen], color=ORANGE, legend_label="error")
-    yield finish(plot)
+    yield finish_figure(plot)
 
 
 def _durations(recording: Recording) -> Iterable[figure]:
@@ -254,4 +263,4 @@ def _durations(recording: Recording) -> Iterable[figure]:
             continue
         counts, _ = np.histogram(np.clip(values * 1e-3, EDGES_us[0], EDGES_us[-1]), EDGES_us)
         period_s = recording.dt_s if recording.time_s.size > 1 else None
-        yield finish(histogram(title, ColumnDataSource(bars(counts)), period_s, colour, height=320))
+        yield finish_figure(histogram(title, ColumnDataSource(bars(counts)), period_s, colour, height=320))

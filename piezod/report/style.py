@@ -1,11 +1,12 @@
-"""What every page looks like: on a screen, on a telephone, and on A4."""
+"""Colours, style sheet, script and template that all pages share."""
 
-# Okabe and Ito's palette (2008) stays apart for colour-blind eyes.
+# Okabe and Ito, "Color Universal Design" (2008): colours that colour-blind readers can distinguish.
 BLUE, ORANGE, GREEN, GREY, RED = "#0072B2", "#E69F00", "#009E73", "#999999", "#D55E00"
 
-A4_ZOOM, A4_PIXELS = 0.58, 1200  # 186 mm between the margins over the pixels that a printed page is laid out in
+A4_PIXELS = 1200  # width of the layout of a printed page
+A4_ZOOM = 0.58  # scales that width to the 186 mm between the margins
 
-STYLE = f"""
+PAGE_CSS = f"""
 :root {{ --line: #d9d9d9; --soft: #f5f6f7; --dim: #555; }}
 * {{ box-sizing: border-box; }}
 body {{ font: 14px/1.4 system-ui, "Segoe UI", Helvetica, Arial, sans-serif; color: #1c1c1c; background: #fff;
@@ -86,8 +87,8 @@ figcaption {{ color: var(--dim); font-size: 12px; }}
 }}
 """
 
-SCRIPT = """
-// a finger scrolls the page: figures zoom only where a mouse can drag
+PAGE_SCRIPT = """
+// On a touch screen a drag scrolls the page, so box zoom is off.
 if (matchMedia("(pointer: coarse)").matches) {
   const timer = setInterval(() => {
     for (const one of Bokeh.documents) {
@@ -96,7 +97,7 @@ if (matchMedia("(pointer: coarse)").matches) {
     }
   }, 300);
 }
-// figures stay as large as the screen drew them: on paper each is scaled to its column
+// Printing does not redraw a figure, so each is scaled to the width of its column.
 const columns = {three: 3, pair: 2, first: 3};
 addEventListener("beforeprint", () => {
   for (const one of document.querySelectorAll("figure [data-root-id] > *")) {
@@ -110,9 +111,9 @@ addEventListener("afterprint", () => {
 });
 """.replace("PIXELS", str(0.97 * A4_PIXELS))
 
-DATA_NOTE = "<p class='dim'>What the figures show, as CSV: the folder <code>{folder}</code> beside this page.</p>"
+DATA_NOTE = "<p class='dim'>Data of the figures as CSV: folder <code>{folder}</code> beside this page.</p>"
 
-PAGE = """<!DOCTYPE html>
+PAGE_TEMPLATE = """<!DOCTYPE html>
 <html lang="en">
 <head>
 <meta charset="utf-8">

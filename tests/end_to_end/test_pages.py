@@ -15,7 +15,7 @@ from piezod.recording import Recording, read_recording, write_recording
 from piezod.report.diagnosis.page import write_diagnosis_page
 from piezod.report.identification import write_identification_page
 from piezod.report.run import run_figures, write_run_page
-from piezod.report.tracking.validation import judge_validation, write_validation_page
+from piezod.report.tracking.validation import evaluate_validation, write_validation_page
 from piezod.session.task import Outcome
 from tests.benches.browser import chromium, open_page
 from tests.benches.daemon import WITHIN_S, daemon
@@ -83,7 +83,7 @@ def write_validation(folder):
             lag = 30 // (1 + n)
             channels = {"reference_N": reference, "force_N": np.roll(reference, lag)}
             recordings[name, compensation] = Recording(time_s, channels)
-    verdict = judge_validation(dict.fromkeys(names, Triangle), compensations, (40.0, 260.0), recordings, Outcome())
+    verdict = evaluate_validation(dict.fromkeys(names, Triangle), compensations, (40.0, 260.0), recordings, Outcome())
     write_validation_page(folder / "page.html", verdict, recordings)
 
 
@@ -186,7 +186,7 @@ def test_a_run_that_was_cut_off_has_its_report(tmp_path, browser):
     (recording,) = (tmp_path / "as it was").glob("*.sqlite")
     done = piezod("report", recording, "-o", tmp_path / "run.html")
     assert done.returncode == 0, done.stderr
-    assert done.stdout.startswith("cut off in RUNNING: ")
+    assert done.stdout.startswith("interrupted in RUNNING: ")
     opened, errors = open_page(browser, (tmp_path / "run.html").as_uri())
     assert drawn(opened) >= 4
     assert errors == []

@@ -206,7 +206,7 @@ def test_the_demo_shows_that_at_most_a_quarter_of_the_hysteresis_is_left(tmp_pat
     }
     assert opening["inverse"] <= opening["gain"] / 4
     text = page.read_text(encoding="utf-8")
-    assert "A force follows its reference" in text
+    assert "Demo: the force follows a reference" in text
     assert "extended inverse" in text
     assert not fetched_by(text)
     assert len(text) < 3_000_000

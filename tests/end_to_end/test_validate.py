@@ -75,7 +75,7 @@ def test_the_references_are_six_slow_triangles_within_what_both_models_reach(val
 
 def test_the_page_shows_every_reference(validated):
     result, page = validated
-    assert "Which model a force follows better" in page
+    assert "Validation: max hysteresis with each model" in page
     for one in result["figures"]:
         assert one["reference"] in page
 

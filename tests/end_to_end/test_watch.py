@@ -84,7 +84,7 @@ def test_the_page_shows_a_running_bench_and_streams(bench, browser):
         )
         assert page.title() == "RUNNING: emulator"
         assert errors == []
-        assert page.locator("#news").is_hidden()
+        assert page.locator("#stale").is_hidden()
         page.close()
 
 
@@ -152,14 +152,14 @@ def test_a_page_whose_server_is_gone_says_so_and_comes_back_with_it(bench, brows
             page, _ = open_page(browser, address)
             shows(page, "DISARMED")
             process.send_signal(signal.SIGSTOP)
-            page.get_by_text("what stands here is old").wait_for()
+            page.get_by_text("the values are out of date").wait_for()
             process.send_signal(signal.SIGCONT)
-            page.locator("#news").wait_for(state="hidden")
+            page.locator("#stale").wait_for(state="hidden")
             streams(page)
-        page.get_by_text("what stands here is old").wait_for()
+        page.get_by_text("the values are out of date").wait_for()
         port = address.rstrip("/").rpartition(":")[2]
         with watch(bench, "--port", port):
-            page.locator("#news").wait_for(state="hidden")
+            page.locator("#stale").wait_for(state="hidden")
             shows(page, "DISARMED")
             page.close()
 
@@ -194,7 +194,7 @@ def test_commands_are_taken_from_whoever_has_the_token_and_from_nobody_else(benc
         page.get_by_role("button", name="disarm").wait_for()
         page.get_by_placeholder("token").fill("wrong horse battery")
         page.get_by_role("button", name="arm", exact=True).click()
-        page.get_by_text("refused: not the token").wait_for()
+        page.get_by_text("refused: wrong token").wait_for()
         assert service.status()["state"] == "DISARMED"
         time.sleep(1.2)
         page.get_by_placeholder("token").fill("correct horse battery")

@@ -1,4 +1,4 @@
-"""Measured outputs beside simulated ones: the fit as MATLAB's `compare` says it."""
+"""Fit of simulated outputs to a measured output, as MATLAB's `compare` defines it."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -17,17 +17,17 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class Candidate:
-    """One simulated output and how well it fits.
+class SimulatedOutput:
+    """A simulated output and its fit to the measured output.
 
     Parameters
     ----------
     name
-        Of its file.
+        Name of its file.
     values
-        At the measured times, shape (N,), in the output's unit; nan beyond what it covers.
+        Output at the measured times, shape (N,), in the output's unit; nan outside its own time range.
     agreement
-        `nrmse_percent` is MATLAB's fit, 100 (1 - |y - yhat| / |y - mean(y)|).
+        Errors and fit. `nrmse_percent` is MATLAB's fit, 100 (1 - |y - yhat| / |y - mean(y)|).
     """
 
     name: str
@@ -37,91 +37,93 @@ class Candidate:
 
 @dataclass(frozen=True)
 class Comparison:
-    """A measurement and what is compared with it.
+    """A measured output and the simulated outputs compared with it.
 
     Parameters
     ----------
     measured
-        The recording.
+        Recording of the measured output.
     output
-        Name of its column.
-    candidates
-        In the order given.
+        Name of the compared column.
+    simulated
+        Simulated outputs, in the order of the arguments.
     """
 
     measured: Recording
     output: str
-    candidates: list[Candidate]
+    simulated: list[SimulatedOutput]
 
     @property
-    def best(self) -> Candidate:
-        """With the highest fit."""
-        return max(self.candidates, key=lambda one: one.agreement.nrmse_percent)
+    def best(self) -> SimulatedOutput:
+        """Simulated output with the highest fit."""
+        return max(self.simulated, key=lambda output: output.agreement.nrmse_percent)
 
 
 def compare_files(
     measured: Path, others: Sequence[Path], models: Sequence[Path], output: str | None, start_window_s: float
 ) -> Comparison:
-    """Compare recordings of simulated outputs, and models in free run, with a measurement.
+    """Compare recorded simulations, and models in free run, with a measured output.
 
     Parameters
     ----------
     measured
-        The recording that was measured.
+        Recording of the measured output.
     others
-        Recordings of the same output; interpolated to the measured times, never beyond their own.
+        Recordings of simulated outputs, interpolated to the measured times within their own time range.
     models
-        Simulated over the input of `measured`.
+        Models to simulate over the input of `measured`.
     output
-        The column compared; None: the models', or `force_N`.
+        Column to compare; None: the output of the models, or `force_N` without models.
     start_window_s
-        First stretch that may tell what a model's memory starts with; it is not compared [s].
+        Length of the start of the recording that estimates the initial state and is not compared [s].
 
     Raises
     ------
     UsageError
-        Nothing is given to compare with, models have different outputs, or nothing is left to compare.
+        There is nothing to compare with, the models have different outputs, or no common samples exist.
     RecordingError, ModelError
         A file cannot be used.
     """
     if not others and not models:
         raise UsageError("nothing to compare with: give another REC, or --model MODEL")
     loaded = [load_model(path) for path in models]
-    outputs = {output} if output else {model.output.channel for model in loaded} or {"force_N"}
-    if len(outputs) > 1 or any(model.output.channel not in outputs for model in loaded):
-        raise UsageError(f"outputs differ: {', '.join(sorted(outputs | {one.output.channel for one in loaded}))}")
+    outputs_of_models = {model.output.channel for model in loaded}
+    outputs = {output} if output else outputs_of_models or {"force_N"}
+    if len(outputs) > 1 or not outputs_of_models <= outputs:
+        raise UsageError(f"outputs differ: {', '.join(sorted(outputs | outputs_of_models))}; compare one output")
     name = outputs.pop()
     recording = read_recording(measured)
     y = recording.channel(name)
     names = _names([*others, *models])
-    candidates = [_recorded(path, recording, y, name, names[path]) for path in others]
-    candidates += [
+    simulated = [_recorded(path, recording, y, name, names[path]) for path in others]
+    simulated += [
         _simulated(names[path], model, measured, start_window_s) for path, model in zip(models, loaded, strict=True)
     ]
-    return Comparison(recording, name, candidates)
+    return Comparison(recording, name, simulated)
 
 
 def _names(paths: Sequence[Path]) -> dict[Path, str]:
-    """Stems of the files; their whole paths where two have the same."""
+    """Names of the files without suffix; whole paths of files that share a name."""
     stems = [path.stem for path in paths]
     return {path: path.stem if stems.count(path.stem) == 1 else str(path) for path in paths}
 
 
-def _recorded(path: Path, recording: Recording, y: Array, name: str, label: str) -> Candidate:
+def _recorded(path: Path, recording: Recording, y: Array, name: str, label: str) -> SimulatedOutput:
     other = read_recording(path)
     values = np.interp(recording.time_s, other.time_s, other.channel(name), left=np.nan, right=np.nan)
     compared = np.isfinite(y) & np.isfinite(values)
     if not compared.any() or y[compared].min() == y[compared].max():
-        raise UsageError(f"{path}: {np.count_nonzero(compared)} samples to compare with, need two that differ")
-    return Candidate(label, values, Agreement.of(y[compared], values[compared]))
+        count = np.count_nonzero(compared)
+        raise UsageError(f"{path}: {count} samples in common with the measurement, need at least two that differ")
+    return SimulatedOutput(label, values, Agreement.of(y[compared], values[compared]))
 
 
-def _simulated(label: str, model: Model, measured: Path, start_window_s: float) -> Candidate:
-    taken = load_for_simulation(measured, model.input.channel, model.output.channel)
-    simulation = simulate_recording(model, taken.recording, start_window_s, None, taken.sha256)
+def _simulated(label: str, model: Model, measured: Path, start_window_s: float) -> SimulatedOutput:
+    loaded = load_for_simulation(measured, model.input.channel, model.output.channel)
+    simulation = simulate_recording(model, loaded.recording, start_window_s, None, loaded.sha256)
     if simulation.agreement is None:
-        raise UsageError(f"{measured}: has no {model.output.channel} to compare with")
+        raise UsageError(f"{measured}: has no column {model.output.channel} to compare with")
     values = np.interp(
-        taken.recording.time_s, simulation.recording.time_s, simulation.recording.channel(model.output.channel)
+        loaded.recording.time_s, simulation.recording.time_s, simulation.recording.channel(model.output.channel)
     )
-    return Candidate(label, values, simulation.agreement)
+    return SimulatedOutput(label, values, simulation.agreement)

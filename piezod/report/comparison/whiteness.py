@@ -1,4 +1,4 @@
-"""Whether what a model leaves is white and independent of the input: the test that MATLAB's `resid` makes."""
+"""Whiteness test of a residual, and its independence of the input, as MATLAB's `resid` computes them."""
 
 from dataclasses import dataclass
 
@@ -13,40 +13,41 @@ from piezod.recording import Recording
 
 Array = NDArray[np.float64]
 
-LAGS = 25  # as MATLAB shows
-DEVIATIONS_99 = 2.58  # standard deviations of a normal variable within which 99 % lie, as MATLAB rounds it
-MOST_SAMPLES = 2**27
+LAGS = 25  # MATLAB's default
+DEVIATIONS_99 = 2.58  # 99 % of a normal variable lie within this many standard deviations, as MATLAB rounds it
+MOST_SAMPLES = 2**27  # of the time grid, with its gaps
 
 
 @dataclass(frozen=True)
-class ResidualTest:
-    """Correlations of a residual, normalised, with the bounds that 99 % of them would keep.
+class WhitenessTest:
+    """Normalised correlations of a residual, with the bounds for 99 % of them.
 
-        R_ab(k) = 1/N sum_t a(t + k) b(t)                       (means removed; pairs that are not both known left out)
+        R_ab(k) = 1/N sum_t a(t + k) b(t)                       (means removed; only pairs of known values)
         auto(k) = R_ee(k) / R_ee(0),                            bound 2.58 / sqrt(N)
         cross(k) = R_eu(k) / sqrt(R_ee(0) R_uu(0)),             bound 2.58 sqrt(P / N),
         P = 1 + 2 sum_{k=1}^{lags} auto(k) R_uu(k) / R_uu(0)
 
-    Under the hypothesis that the residual is white and independent of the input. At k > 0 the residual follows the
-    input. Source: L. Ljung, `resid.m` of MATLAB's System Identification Toolbox (1986, revision of 2001), which was
-    opened. Its `covf` removes no means; here they are removed, since a bench's input has one.
+    The bounds hold if the residual is white and independent of the input. At k > 0 the residual follows the input.
+
+    Source: L. Ljung, `resid.m` of MATLAB's System Identification Toolbox (1986, revision of 2001). Its `covf` removes
+    no means. This test removes them, because the input of a bench has a non-zero mean.
 
     Parameters
     ----------
     samples
-        N, of the residual that are known.
+        N, the number of known residuals.
     dt_s
-        One lag [s].
+        Length of one lag [s].
     mean, rms
-        Of the residual, in the output's unit; the mean is not part of the correlations.
+        Mean and root mean square of the residual, in the output's unit. The correlations exclude the mean.
     auto
-        Shape (lags + 1,), from lag 0.
+        Autocorrelation at lags 0 to `lags`, shape (lags + 1,).
     auto_bound
-        Of its lags but the first.
+        Bound of the autocorrelation at lags 1 to `lags`.
     cross
-        Shape (2 lags + 1,), from -lags.
+        Correlation with the input at lags -`lags` to `lags`, shape (2 lags + 1,).
     cross_bound
-        Of all its lags.
+        Bound of the correlation with the input, at all lags.
     """
 
     samples: int
@@ -60,46 +61,47 @@ class ResidualTest:
 
     @property
     def auto_outside(self) -> int:
-        """Lags of the autocorrelation beyond the bound, the first left out."""
+        """Number of lags from 1 on at which the autocorrelation exceeds its bound."""
         return int(np.count_nonzero(np.abs(self.auto[1:]) > self.auto_bound))
 
     @property
     def cross_outside(self) -> int:
-        """Lags of the cross-correlation beyond the bound."""
+        """Number of lags at which the correlation with the input exceeds its bound."""
         return int(np.count_nonzero(np.abs(self.cross) > self.cross_bound))
 
     @property
-    def words(self) -> str:
-        """The verdict in a sentence."""
+    def sentence(self) -> str:
+        """Verdict in a sentence."""
         lags = self.auto.size - 1
         if not self.auto_outside and not self.cross_outside:
-            return f"residual is white and independent of the input, as far as {lags} lags tell (99 % bounds)"
-        said = []
+            return f"residual is white and independent of the input at {lags} lags (99 % bounds)"
+        failures = []
         if self.auto_outside:
-            said.append(f"not white: {self.auto_outside} of {lags} lags beyond the 99 % bound")
+            failures.append(f"not white: {self.auto_outside} of {lags} lags beyond the 99 % bound")
         if self.cross_outside:
-            said.append(f"follows the input: {self.cross_outside} of {self.cross.size} lags beyond the 99 % bound")
-        return f"residual is {'; '.join(said)}"
+            lags = self.cross.size
+            failures.append(f"correlated with the input: {self.cross_outside} of {lags} lags beyond the 99 % bound")
+        return f"residual is {'; '.join(failures)}"
 
 
-def residual_test(recording: Recording, residual: Array, input_column: str, lags: int = LAGS) -> ResidualTest:
-    """Test what a model leaves.
+def whiteness_test(recording: Recording, residual: Array, input_column: str, lags: int = LAGS) -> WhitenessTest:
+    """Test whether a residual is white and independent of the input.
 
     Parameters
     ----------
     recording
-        Its times and the input; a tick that is missing is a gap, over which nothing is correlated.
+        Times and input. Missing ticks are gaps; pairs of samples that include a gap do not count.
     residual
-        Measured minus modelled, shape (N,), in the output's unit; nan where not known.
+        Measured minus modelled, shape (N,), in the output's unit; nan where unknown.
     input_column
-        Of the recording.
+        Name of the input's column.
     lags
-        How many are looked at, at least 1.
+        Number of lags to test, at least 1.
 
     Raises
     ------
     UsageError
-        There are fewer than four times as many samples as lags, times lie on no grid, or residual or input is constant.
+        There are fewer samples than four times the lags, the times lie on no grid, or residual or input is constant.
     """
     known = np.isfinite(residual)
     if np.count_nonzero(known) < 4 * max(lags, 1):
@@ -107,20 +109,20 @@ def residual_test(recording: Recording, residual: Array, input_column: str, lags
             f"{recording.source}: {np.count_nonzero(known)} samples to test, need at least {4 * lags} for {lags} lags"
         )
     dt_s = recording.dt_s
-    place = _places(recording, dt_s)
-    e, u = (np.full(int(place[-1]) + 1, np.nan) for _ in range(2))
-    e[place], u[place] = residual, recording.channel(input_column)
+    index = _grid_indices(recording, dt_s)
+    e, u = (np.full(int(index[-1]) + 1, np.nan) for _ in range(2))
+    e[index], u[index] = residual, recording.channel(input_column)
     mean = float(np.nanmean(e))
     e -= mean
     u -= np.nanmean(u)
-    r_e, r_u = (np.array([_covariance(one, one, k) for k in range(lags + 1)]) for one in (e, u))
+    r_e, r_u = (np.array([_covariance(x, x, k) for k in range(lags + 1)]) for x in (e, u))
     if r_e[0] <= 0.0 or r_u[0] <= 0.0:
         raise UsageError(f"{recording.source}: {'the residual' if r_e[0] <= 0.0 else input_column} is constant")
     r_eu = np.array([_covariance(e, u, k) if k >= 0 else _covariance(u, e, -k) for k in range(-lags, lags + 1)])
     samples = int(np.count_nonzero(np.isfinite(e)))
     auto = r_e / r_e[0]
     spread = max(0.0, 1.0 + 2.0 * float(np.sum(auto[1:] * r_u[1:] / r_u[0])))
-    return ResidualTest(
+    return WhitenessTest(
         samples=samples,
         dt_s=dt_s,
         mean=mean,
@@ -133,18 +135,18 @@ def residual_test(recording: Recording, residual: Array, input_column: str, lags
 
 
 def residual_of(model: Model, recording: Recording, start_window_s: float, sha256: str | None = None) -> Array:
-    """Measured minus simulated output in free run, shape (N,), in the output's unit; nan in the first stretch.
+    """Measured minus simulated output in free run, shape (N,), in the output's unit; nan in the start window.
 
     Parameters
     ----------
     model
-        What was identified.
+        Model to simulate.
     recording
-        Has its input and its output.
+        Recording with the model's input and output.
     start_window_s
-        First stretch that may be looked at to find what the memory starts with [s].
+        Length of the start of the recording that estimates the initial state [s].
     sha256
-        Of the recording's file.
+        Hash of the recording's file.
 
     Raises
     ------
@@ -154,24 +156,24 @@ def residual_of(model: Model, recording: Recording, start_window_s: float, sha25
     measured = recording.channel(model.output.channel)
     window = int(np.searchsorted(recording.time_s, recording.time_s[0] + start_window_s))
     simulated, _ = simulate(model, recording, window, sha256)
-    left: Array = measured - simulated
-    left[:window] = np.nan
-    return left
+    residual: Array = measured - simulated
+    residual[:window] = np.nan
+    return residual
 
 
-def _places(recording: Recording, dt_s: float) -> NDArray[np.int64]:
-    """Number of the period that each sample falls into."""
-    place: NDArray[np.int64] = np.rint((recording.time_s - recording.time_s[0]) / dt_s).astype(np.int64)
-    if (np.diff(place) < 1).any() or place[-1] >= MOST_SAMPLES:
+def _grid_indices(recording: Recording, dt_s: float) -> NDArray[np.int64]:
+    """Index of each sample on the time grid, shape (N,)."""
+    index: NDArray[np.int64] = np.rint((recording.time_s - recording.time_s[0]) / dt_s).astype(np.int64)
+    if (np.diff(index) < 1).any() or index[-1] >= MOST_SAMPLES:
         raise UsageError(
             f"{recording.source}: times lie on no grid of {dt_s:g} s, which correlations need; resample the recording"
         )
-    return place
+    return index
 
 
 def _covariance(a: Array, b: Array, lag: int) -> float:
-    """1/N sum a(t + lag) b(t) over the pairs that are known, N the samples of which both may be."""
+    """1/N sum a(t + lag) b(t) over pairs of known values, N the number of samples at which both are known."""
     products = a[lag:] * b[: b.size - lag]
     known = np.isfinite(products)
-    full = int(np.count_nonzero(np.isfinite(a) & np.isfinite(b)))
-    return float(products[known].sum() / max(full, 1))
+    samples = int(np.count_nonzero(np.isfinite(a) & np.isfinite(b)))
+    return float(products[known].sum() / max(samples, 1))

@@ -21,7 +21,7 @@ from piezod.report.diagnosis import figures, sections
 from piezod.report.diagnosis.residual_views import Residuals, memory, owners, views
 from piezod.report.diagnosis.spectra import Map, spectrum, time_frequency
 from piezod.report.diagnosis.wording import headline
-from piezod.report.page import slot, write_html, write_text
+from piezod.report.page import placeholder, write_html, write_text
 
 Array = NDArray[np.float64]
 
@@ -113,7 +113,7 @@ class _Page:
             key = f"{name}_{number}"
             self.figures[key] = plot
             told = f"<figcaption>{html.escape(caption)} {self._link(name)}</figcaption>"
-            slots.append(f"<figure>{slot(key)}{told if number == len(plots) - 1 else ''}</figure>")
+            slots.append(f"<figure>{placeholder(key)}{told if number == len(plots) - 1 else ''}</figure>")
         return "".join(slots)
 
     def _link(self, name: str) -> str:

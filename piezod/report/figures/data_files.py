@@ -1,4 +1,4 @@
-"""The data of every figure of a page as CSV beside it, for other programs and for those who want the numbers."""
+"""The data of the figures of a page, as CSV files in a folder beside the page."""
 
 import csv
 import io
@@ -14,30 +14,30 @@ from bokeh.models.glyphs import Image
 from bokeh.models.plots import Plot
 from bokeh.models.renderers import GlyphRenderer
 
-MOST_NAME = 50  # signs of a file's name
+MOST_NAME = 50  # characters of a file's name
 
 Cells = list[str]
 
 
 def write_figure_data(page: Path, figures: Mapping[str, Model]) -> Path | None:
-    """Write one CSV a figure into the folder beside a page; what an earlier page left there goes.
+    """Write one CSV file for each figure, and delete the files of an earlier version of the page.
 
     Parameters
     ----------
     page
-        Such as `report.html`; its folder is `report.data`.
+        File of the page. The folder of `report.html` is `report.data`.
     figures
-        In the order of the page.
+        Figures by name, in the order of the page.
 
     Returns
     -------
     Path or None
-        The folder; None where no figure has data.
+        The folder; None if no figure has data.
 
     Raises
     ------
     OSError
-        It cannot be written.
+        A file cannot be written.
     """
     folder = page.with_suffix(".data")
     texts = [(plot, text) for plot in figures.values() if isinstance(plot, Plot) and (text := figure_csv(plot))]
@@ -52,23 +52,24 @@ def write_figure_data(page: Path, figures: Mapping[str, Model]) -> Path | None:
 
 
 def figure_csv(plot: Plot) -> str:
-    """What a figure draws, a row a point: the curve's name, then its coordinates under the words of the axes.
+    """Format the data of a figure as CSV: one row for each point, with the curve's name and its coordinates.
 
     Parameters
     ----------
     plot
-        Curves, points, bars, segments and maps; a map is a row a cell.
+        Figure with curves, points, bars, segments or maps. A map has one row for each cell.
 
     Returns
     -------
     str
-        CSV with one header; empty where nothing is drawn.
+        CSV with one header row. The labels of the axes name the coordinates. Empty if nothing is drawn.
     """
     axes = {"x": _label(plot.below, "x"), "y": _label(plot.left, "y")}
     names = _curve_names(plot)
     header = ["curve"]
     rows: list[dict[str, str]] = []
-    for number, renderer in enumerate(one for one in plot.renderers if isinstance(one, GlyphRenderer)):
+    glyphs = [renderer for renderer in plot.renderers if isinstance(renderer, GlyphRenderer)]
+    for number, renderer in enumerate(glyphs):
         name = names.get(renderer.id) or renderer.name or f"curve {number + 1}"
         columns = {key: values for key, values in _columns(renderer, axes).items() if values.size}
         header += [key for key in columns if key not in header]
@@ -84,20 +85,20 @@ def figure_csv(plot: Plot) -> str:
 
 
 def _columns(renderer: "GlyphRenderer[Any]", axes: Mapping[str, str]) -> dict[str, np.ndarray]:
-    """Columns of one glyph, of equal length."""
+    """Columns of a glyph; empty if their lengths differ."""
     source, glyph = renderer.data_source, renderer.glyph
     if not isinstance(source, ColumnDataSource):
         return {}
     if isinstance(glyph, Image):
-        return _cells_of(glyph, source, axes)
-    places = {_field(glyph, place): axes[place] for place in ("x", "y")}
-    columns = {places.get(key, key): np.asarray(values) for key, values in source.data.items()}
+        return _map_columns(glyph, source, axes)
+    labels = {_field(glyph, coordinate): axes[coordinate] for coordinate in ("x", "y")}
+    columns = {labels.get(key, key): np.asarray(values) for key, values in source.data.items()}
     sizes = {values.size for values in columns.values()}
     return columns if len(sizes) == 1 and all(values.ndim == 1 for values in columns.values()) else {}
 
 
-def _cells_of(glyph: Image, source: ColumnDataSource, axes: Mapping[str, str]) -> dict[str, np.ndarray]:
-    """A map as its cells: their centres and their value."""
+def _map_columns(glyph: Image, source: ColumnDataSource, axes: Mapping[str, str]) -> dict[str, np.ndarray]:
+    """Centre and value of each cell of a map."""
     level = np.asarray(source.data[_field(glyph, "image")][0])
     rows, columns = level.shape
     x, y, width, height = (float(_value(glyph, name)) for name in ("x", "y", "dw", "dh"))
@@ -107,32 +108,32 @@ def _cells_of(glyph: Image, source: ColumnDataSource, axes: Mapping[str, str]) -
 
 
 def _field(glyph: Model, name: str) -> str:
-    """Name of the column that a property takes its values from."""
-    said = getattr(glyph, name, None)
-    return str(getattr(said, "field", said))
+    """Name of the column that holds the values of a property."""
+    value = getattr(glyph, name, None)
+    return str(getattr(value, "field", value))
 
 
 def _value(glyph: Model, name: str) -> float:
-    said = getattr(glyph, name)
-    return float(getattr(said, "value", said))
+    value = getattr(glyph, name)
+    return float(getattr(value, "value", value))
 
 
 def _curve_names(plot: Plot) -> dict[str, str]:
-    """Words of the legend by the renderer that they stand for."""
-    legends = [one for side in ("above", "below", "left", "right", "center") for one in getattr(plot, side)]
-    found = {}
-    for legend in legends:
-        for item in getattr(legend, "items", ()):
+    """Labels of the legend by the identifier of their renderer."""
+    panels = [panel for side in ("above", "below", "left", "right", "center") for panel in getattr(plot, side)]
+    names = {}
+    for panel in panels:
+        for item in getattr(panel, "items", ()):
             for renderer in item.renderers:
-                found[renderer.id] = str(getattr(item.label, "value", item.label))
-    return found
+                names[renderer.id] = str(getattr(item.label, "value", item.label))
+    return names
 
 
-def _label(sides: Iterable[Model], otherwise: str) -> str:
-    for axis in sides:
-        if words := getattr(axis, "axis_label", None):
-            return str(words)
-    return otherwise
+def _label(panels: Iterable[Model], default: str) -> str:
+    for panel in panels:
+        if label := getattr(panel, "axis_label", None):
+            return str(label)
+    return default
 
 
 def _slug(plot: Plot) -> str:

@@ -1,4 +1,4 @@
-"""How late ticks were, and how long their exchanges took: counted in classes, and drawn."""
+"""Histograms of durations: the lateness of ticks and the duration of exchanges."""
 
 from collections import deque
 from typing import Any
@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 from piezod.report.style import RED
 
 CLASSES_A_DECADE = 8
-LONGEST_us = 9999.5  # that is said in microseconds
+LONGEST_us = 9999.5  # longer durations are written in milliseconds
 EDGES_us = np.logspace(0, 6, 6 * CLASSES_A_DECADE + 1)
-"""Edges of the classes [us]; what is shorter or longer is counted in the first or the last one."""
+"""Edges of the histogram classes [us]. The first and the last class also count shorter and longer durations."""
 
-LEAST = 0.5  # where the bars of a logarithmic axis begin
+BAR_START = 0.5  # lower end of the bars on the logarithmic axis, below one tick
 
 
 class RecentDurations:
@@ -24,70 +24,70 @@ class RecentDurations:
 
     Parameters
     ----------
-    most
-        How many are kept.
+    capacity
+        Number of durations to hold at least, if as many were added.
     """
 
-    def __init__(self, most: int) -> None:
-        self._most = most
-        self._pieces: deque[NDArray[np.int64]] = deque()
+    def __init__(self, capacity: int) -> None:
+        self._capacity = capacity
+        self._chunks: deque[NDArray[np.int64]] = deque()
         self._size = 0
 
     def add(self, values_ns: NDArray[np.int64]) -> None:
-        """Take in more [ns]; the oldest go, piece by piece."""
-        self._pieces.append(values_ns[-self._most :].copy())
-        self._size += self._pieces[-1].size
-        while self._size - self._pieces[0].size >= self._most:
-            self._size -= self._pieces.popleft().size
+        """Append durations [ns], and drop the oldest chunks that exceed the capacity."""
+        self._chunks.append(values_ns[-self._capacity :].copy())
+        self._size += self._chunks[-1].size
+        while self._size - self._chunks[0].size >= self._capacity:
+            self._size -= self._chunks.popleft().size
 
     def clear(self) -> None:
-        """Forget all."""
-        self._pieces.clear()
+        """Drop all durations."""
+        self._chunks.clear()
         self._size = 0
 
     def counts(self) -> NDArray[np.int64]:
-        """How many lie in each class, shape (len(EDGES_us) - 1,)."""
+        """Number of durations in each class, shape (len(EDGES_us) - 1,)."""
         classes = np.searchsorted(EDGES_us, self._values_us(), side="right") - 1
         result: NDArray[np.int64] = np.bincount(
             np.clip(classes, 0, EDGES_us.size - 2), minlength=EDGES_us.size - 1
         ).astype(np.int64)
         return result
 
-    def words(self) -> str:
-        """Median, 99th percentile and largest."""
+    def summary(self) -> str:
+        """Format median, 99th percentile and maximum."""
         values_us = self._values_us()
         if not values_us.size:
             return "no tick yet"
         p50, p99 = np.percentile(values_us, (50, 99))
-        return f"p50 {_said(p50)}, p99 {_said(p99)}, max {_said(values_us.max())}"
+        return f"p50 {_with_unit(p50)}, p99 {_with_unit(p99)}, max {_with_unit(values_us.max())}"
 
     def _values_us(self) -> NDArray[np.float64]:
-        if not self._pieces:
+        if not self._chunks:
             return np.empty(0)
-        values: NDArray[np.float64] = np.concatenate(list(self._pieces)) * 1e-3
+        values: NDArray[np.float64] = np.concatenate(list(self._chunks)) * 1e-3
         return values
 
 
 def bars(counts: NDArray[np.int64]) -> dict[str, NDArray[Any]]:
-    """What a histogram is drawn from; `top` is never below the axis' beginning."""
-    return {"left": EDGES_us[:-1], "right": EDGES_us[1:], "top": np.maximum(counts, LEAST), "count": counts}
+    """Columns that draw a histogram: the edges of the bars, their heights `top`, and the counts."""
+    return {"left": EDGES_us[:-1], "right": EDGES_us[1:], "top": np.maximum(counts, BAR_START), "count": counts}
 
 
 def histogram(title: str, source: ColumnDataSource, period_s: float | None, colour: str, **options: Any) -> figure:  # noqa: ANN401
-    """How many ticks lie in each class, and where a tick's period ends.
+    """Histogram of durations with logarithmic axes, and a line at the tick period.
 
     Parameters
     ----------
     title
-        What the durations are of.
+        Title of the figure.
     source
-        Of `bars`.
+        Columns of `bars`.
     period_s
-        Of the ticks; None where it is not known.
+        Tick period [s]; None if unknown.
     colour
-        Of the bars.
+        Colour of the bars.
     options
-        Of the figure: its height, its ranges.
+        Bokeh properties of the figure, such as height and ranges.
     """
     plot = figure(
         title=title,
@@ -100,7 +100,7 @@ def histogram(title: str, source: ColumnDataSource, period_s: float | None, colo
     plot.quad(
         left="left",
         right="right",
-        bottom=LEAST,
+        bottom=BAR_START,
         top="top",
         source=source,
         color=colour,
@@ -113,5 +113,5 @@ def histogram(title: str, source: ColumnDataSource, period_s: float | None, colo
     return plot
 
 
-def _said(value_us: float) -> str:
+def _with_unit(value_us: float) -> str:
     return f"{value_us:.0f} \N{MICRO SIGN}s" if value_us < LONGEST_us else f"{1e-3 * value_us:.1f} ms"

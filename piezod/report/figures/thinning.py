@@ -1,4 +1,7 @@
-"""Long curves for a screen: every stretch by its smallest and its largest value, and the range that shows them."""
+"""Long curves thinned for a screen, and the axis range of residuals.
+
+A curve is cut into segments of equal length. Each segment is drawn by its smallest and its largest value.
+"""
 
 import numpy as np
 from bokeh.models import Range1d
@@ -6,18 +9,19 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-USUAL, MARGIN = 0.998, 0.5  # part of the residuals that an axis shows at least, and how much more room it has
+USUAL = 0.998  # quantile of the residuals that an axis shows at least
+MARGIN = 0.5  # room beyond that quantile, relative to the shown range
 
 
 def envelope(values: Array, points: int) -> Array:
-    """Smallest and largest value of equal stretches, in the order in which they come.
+    """Smallest and largest value of each segment, in the order in which they occur.
 
     Parameters
     ----------
     values
-        Shape (N,); values that are not finite are left out, a stretch without any other is not a number.
+        Curve, shape (N,). Values that are not finite are ignored; a segment without finite values becomes nan.
     points
-        How many are wanted; a curve with no more is given back as it is.
+        Number of points to return, about. A curve with at most this many points is returned unchanged.
 
     Returns
     -------
@@ -26,7 +30,7 @@ def envelope(values: Array, points: int) -> Array:
     """
     if values.size <= points:
         return values
-    table = _stretches(values, points)
+    table = _segments(values, points)
     known = np.isfinite(table)
     least = np.where(known, table, np.inf).argmin(axis=1)
     most = np.where(known, table, -np.inf).argmax(axis=1)
@@ -38,19 +42,19 @@ def envelope(values: Array, points: int) -> Array:
 
 
 def envelope_times(time_s: Array, points: int) -> Array:
-    """Times that belong to `envelope`: where every stretch and its second half begin, shape (M,) [s]."""
+    """Times of the points of `envelope`: the start and the middle of each segment, shape (M,) [s]."""
     if time_s.size <= points:
         return time_s
-    table = _stretches(time_s, points)
+    table = _segments(time_s, points)
     result: Array = table[:, [0, table.shape[1] // 2]].ravel()
     return result
 
 
 def extremes(values: Array, points: int) -> NDArray[np.int64]:
-    """Indices of the smallest and the largest value of equal stretches, rising, shape (M,)."""
+    """Indices of the smallest and the largest value of each segment, ascending, shape (M,)."""
     if values.size <= points:
         return np.arange(values.size)
-    table = _stretches(np.where(np.isfinite(values), values, 0.0), points)
+    table = _segments(np.where(np.isfinite(values), values, 0.0), points)
     rows = np.arange(table.shape[0]) * table.shape[1]
     both = np.concatenate((rows + table.argmin(axis=1), rows + table.argmax(axis=1)))
     result: NDArray[np.int64] = np.unique(np.minimum(both, values.size - 1))
@@ -58,17 +62,23 @@ def extremes(values: Array, points: int) -> NDArray[np.int64]:
 
 
 def usual_range(*residuals: Array) -> Range1d:
-    """What nearly all residuals lie in, with a margin: a start that takes some samples does not flatten the rest."""
-    left = np.concatenate(residuals)
-    left = left[np.isfinite(left)]
-    low, high = (float(end) for end in np.quantile(left, (1.0 - USUAL, USUAL)))
+    """Axis range that contains nearly all residuals, with a margin, so that a few outliers do not flatten the curve.
+
+    Parameters
+    ----------
+    residuals
+        Arrays of any length, in the unit of the axis. Values that are not finite are ignored.
+    """
+    values = np.concatenate(residuals)
+    values = values[np.isfinite(values)]
+    low, high = (float(end) for end in np.quantile(values, (1.0 - USUAL, USUAL)))
     margin = MARGIN * max(high - low, 1e-12)
-    least, most = float(left.min()) - 0.1 * margin, float(left.max()) + 0.1 * margin
+    least, most = float(values.min()) - 0.1 * margin, float(values.max()) + 0.1 * margin
     return Range1d(start=max(low - margin, least), end=min(high + margin, most))
 
 
-def _stretches(values: Array, points: int) -> Array:
-    """Values row by row, shape (stretches, length); the last value stands for those that the last row lacks."""
+def _segments(values: Array, points: int) -> Array:
+    """Values with one segment a row, shape (segments, length). Copies of the last value fill the last row."""
     length = -(-values.size // max(points // 2, 1))
     rows = -(-values.size // length)
     padded = np.concatenate((values, np.full(rows * length - values.size, values[-1])))

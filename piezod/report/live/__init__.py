@@ -1,1 +1,1 @@
-"""The live page: one reader of the ring log, and as many viewers as look at it; no tick knows of any of them."""
+"""The live page of a running bench: one reader of the ring log, shared by all viewers."""

@@ -1,4 +1,4 @@
-"""Rows of the ring log as curves for a screen: a short memory that does not grow, whatever the rate."""
+"""Curves of the newest ring-log rows, thinned for a screen, in buffers of fixed capacity."""
 
 from collections.abc import Mapping
 
@@ -18,94 +18,94 @@ _DRIVING = (State.ARMING, State.RUNNING, State.HOLD, State.RAMP_DOWN)
 _FOLLOWING = (State.RUNNING, State.HOLD)
 
 
-class Table:
-    """The newest points of some columns, numbered from the first that ever was.
+class RecentPoints:
+    """The newest points of several columns. Points are numbered from the first that was added.
 
     Parameters
     ----------
     names
-        Of the columns.
-    most
-        Points kept.
+        Names of the columns.
+    capacity
+        Number of points to hold.
     """
 
-    def __init__(self, names: tuple[str, ...], most: int) -> None:
-        self.most = most
+    def __init__(self, names: tuple[str, ...], capacity: int) -> None:
+        self.capacity = capacity
         self.total = 0
         self._columns = {name: np.empty(0) for name in names}
 
     def add(self, columns: Mapping[str, Array]) -> None:
-        """Append points; the oldest go."""
+        """Append points, and drop the oldest that exceed the capacity."""
         self.total += next(iter(columns.values())).size
         self._columns = {
-            name: np.concatenate((kept, columns[name]))[-self.most :] for name, kept in self._columns.items()
+            name: np.concatenate((values, columns[name]))[-self.capacity :] for name, values in self._columns.items()
         }
 
     def since(self, number: int) -> dict[str, Array]:
-        """Points from this number on, as far as they are kept."""
-        wanted = min(max(0, self.total - number), self.most)
-        return {name: kept[kept.size - min(wanted, kept.size) :] for name, kept in self._columns.items()}
+        """Points from this number on that the buffer still holds."""
+        count = min(max(0, self.total - number), self.capacity)
+        return {name: values[values.size - min(count, values.size) :] for name, values in self._columns.items()}
 
 
 class Curves:
-    """What the figures show, made from rows as they come.
+    """Curves over time and the force-voltage loop, updated from ring-log rows.
 
     Parameters
     ----------
     rate_Hz
-        Of the ticks.
-    bucket_s
-        Stretch of time that is shown by its smallest and its largest value [s].
+        Tick rate [Hz].
+    segment_s
+        Length of a segment of the curves over time [s]. Its smallest and its largest value are drawn.
     window_s
-        Time that the curves over time go back [s].
+        Length of the curves over time [s].
     loop_s, loop_points
-        Time that the loop goes back [s], and how many points it has.
+        Length [s] and number of points of the loop.
     """
 
-    def __init__(self, rate_Hz: float, bucket_s: float, window_s: float, loop_s: float, loop_points: int) -> None:
-        self._length = max(1, round(bucket_s * rate_Hz))
+    def __init__(self, rate_Hz: float, segment_s: float, window_s: float, loop_s: float, loop_points: int) -> None:
+        self._length = max(1, round(segment_s * rate_Hz))
         self._every = max(1, round(loop_s * rate_Hz / loop_points))
         self._phase = 0
-        buckets = window_s * rate_Hz / self._length
-        self.over_time = Table(OVER_TIME, int(min(2, self._length) * buckets))
-        self.loop = Table(LOOP, loop_points)
-        self._rest: Rows | None = None
+        segments = window_s * rate_Hz / self._length
+        self.over_time = RecentPoints(OVER_TIME, int(min(2, self._length) * segments))
+        self.loop = RecentPoints(LOOP, loop_points)
+        self._pending: Rows | None = None
 
-    def begin(self) -> None:
-        """Start over with another ring; points that were shown stay."""
-        self._rest = None
+    def start_new_ring(self) -> None:
+        """Discard rows of the old ring that fill no segment. Points stay."""
+        self._pending = None
 
     def add(self, rows: Rows, to_wall_ms: float) -> None:
-        """Take in rows.
+        """Append rows.
 
         Parameters
         ----------
         rows
-            In the order in which they were written.
+            Ring-log rows, in the order in which they were written.
         to_wall_ms
-            What turns their clock into the time of day [ms].
+            Offset from the clock of the rows to the time of day [ms].
         """
-        joined = rows if self._rest is None else np.concatenate((self._rest, rows))
-        whole = (joined.size - 1) // self._length * self._length  # the row in front holds the command answered first
-        if whole <= 0:
-            self._rest = joined.copy()
+        joined = rows if self._pending is None else np.concatenate((self._pending, rows))
+        count = (joined.size - 1) // self._length * self._length  # each row answers the command of the row before
+        if count <= 0:
+            self._pending = joined.copy()
             return
-        self._rest = joined[whole:].copy()
-        commands, answers = joined[:whole], joined[1 : whole + 1]
-        points = 2 * (whole // self._length) if self._length > 1 else whole
+        self._pending = joined[count:].copy()
+        commands, answers = joined[:count], joined[1 : count + 1]
+        points = 2 * (count // self._length) if self._length > 1 else count
         time_ms = answers["time_ns"] * 1e-6 + to_wall_ms
-        table = {"time_ms": envelope_times(time_ms, points)}
+        columns = {"time_ms": envelope_times(time_ms, points)}
         for name, values in _values(commands, answers).items():
-            table[name] = envelope(values, points)
-        self.over_time.add(table)
-        chosen = (np.arange(whole) + self._phase) % self._every == 0
-        self._phase = (self._phase + whole) % self._every
-        chosen &= np.isin(commands["state"], _DRIVING) & (answers["result"] == GOOD)
-        self.loop.add({"voltage_V": commands["voltage_V"][chosen], "force_N": answers["force_N"][chosen]})
+            columns[name] = envelope(values, points)
+        self.over_time.add(columns)
+        selected = (np.arange(count) + self._phase) % self._every == 0
+        self._phase = (self._phase + count) % self._every
+        selected &= np.isin(commands["state"], _DRIVING) & (answers["result"] == GOOD)
+        self.loop.add({"voltage_V": commands["voltage_V"][selected], "force_N": answers["force_N"][selected]})
 
 
 def _values(commands: Rows, answers: Rows) -> dict[str, Array]:
-    """Every curve at every answer; what is not known there is nan."""
+    """Values of each curve over time at each answer; nan where unknown."""
     good = answers["result"] == GOOD
     followed = np.isin(commands["state"], _FOLLOWING)
     force = np.where(good, answers["force_N"], np.nan)

@@ -1,8 +1,7 @@
-"""The one reader that all viewers share: it follows the ring log, also across restarts of the daemon.
+"""The ring-log reader that all viewers share. It continues when the daemon restarts.
 
-The ring is a file in shared memory: a daemon that starts makes a new one, under the same name. The reader looks at the
-file's identity and changes over. Nothing is asked of the control process; the daemon's parent is asked for its status
-once a second, over its socket.
+The ring is a file in shared memory. A daemon that starts creates a new file under the same name, and the reader opens
+it when the device or inode number of the file changes. The control process is not involved.
 """
 
 import time
@@ -19,16 +18,17 @@ from piezod.errors import PiezodError
 from piezod.report.figures.durations import RecentDurations
 from piezod.report.live.curves import Curves, Rows
 
-WINDOW_s, BUCKET_s = 30.0, 0.05
+WINDOW_s = 30.0  # length of curves over time and histograms
+SEGMENT_s = 0.05  # drawn by its smallest and its largest value
 LOOP_POINTS = 2400
 SHORTEST_LOOP_s, LONGEST_LOOP_s = 20.0, 600.0
-QUIET_AFTER_s = 1.0
+STALE_AFTER_s = 1.0
 MOST_EVENTS = 50
 
 
 @dataclass(frozen=True)
 class Event:
-    """Something that happened, at a time of day [s since 1970, UTC]."""
+    """A change of state or another event, with its time of day [s since 1970, UTC]."""
 
     wall_s: float
     name: str
@@ -36,14 +36,14 @@ class Event:
 
 
 class Feed:
-    """What is known of a bench, as of the last look.
+    """Curves, durations, events and status of a bench, as of the last `update`.
 
     Parameters
     ----------
     bench
-        Says where its ring log lies.
+        Configuration with the path of the ring log.
     clock
-        Monotonic [s].
+        Monotonic clock [s].
     """
 
     def __init__(self, bench: BenchConfig, clock: Callable[[], float] = time.monotonic) -> None:
@@ -53,25 +53,25 @@ class Feed:
         self._ring: RingReader | None = None
         self._identity: tuple[int, int] | None = None
         self._to_wall_ms = 0.0
-        self._seen_s = -np.inf
-        self._told: tuple[int, int] | None = None
+        self._last_rows_s = -np.inf
+        self._noted: tuple[int, int] | None = None  # state and cause of the last event
         recent = round(WINDOW_s * bench.rate_Hz)
-        self.curves = Curves(bench.rate_Hz, BUCKET_s, WINDOW_s, _loop_s(bench), LOOP_POINTS)
+        self.curves = Curves(bench.rate_Hz, SEGMENT_s, WINDOW_s, _loop_s(bench), LOOP_POINTS)
         self.lateness, self.exchange = RecentDurations(recent), RecentDurations(recent)
         self.events: deque[Event] = deque(maxlen=MOST_EVENTS)
-        self.happened = 0
+        self.event_count = 0
         self.last: np.void | None = None
         self.status: dict[str, Any] | None = None
         self.problem = ""
 
     @property
-    def quiet(self) -> bool:
-        """Whether no tick has come for a second, or for three ticks of a slow bench."""
-        return self._clock() - self._seen_s > max(QUIET_AFTER_s, 3.0 * self.bench.dt_s)
+    def stale(self) -> bool:
+        """Whether no tick arrived for one second and for three tick periods."""
+        return self._clock() - self._last_rows_s > max(STALE_AFTER_s, 3.0 * self.bench.dt_s)
 
-    def look(self) -> None:
-        """Take in what is new."""
-        self._change_over()
+    def update(self) -> None:
+        """Read the new rows of the ring log."""
+        self._open_new_ring()
         if self._ring is None:
             return
         dropped = self._ring.dropped
@@ -79,56 +79,64 @@ class Feed:
         if self._ring.dropped > dropped:
             self._note("not seen", f"{self._ring.dropped - dropped} ticks were overwritten before this page read them")
         if rows.size:
-            self._take(rows)
+            self._add(rows)
 
-    def _change_over(self) -> None:
-        """Open the ring, and another one that has taken its place."""
+    def set_status(self, status: dict[str, Any] | None, problem: str) -> None:
+        """Store the status of the daemon.
+
+        Parameters
+        ----------
+        status
+            Answer of the daemon to the command `status`; None if it did not answer.
+        problem
+            Reason why it did not answer; empty if it did.
+        """
+        self.status, self.problem = status, problem
+
+    def _open_new_ring(self) -> None:
+        """Open the ring log, and again after a restart of the daemon."""
         try:
             found = self._path.stat()
         except OSError:
-            return  # what is open is read to its end
+            return  # the open ring is read to its end
         identity = found.st_dev, found.st_ino
         if identity == self._identity:
             return
         try:
-            ring = RingReader(self._path)
+            reader = RingReader(self._path)
         except PiezodError:
-            return  # it is being made
+            return  # the daemon is still writing the header
         if self._identity is not None:
             self._note("restarted", "the daemon was started again")
-        self._ring, self._identity = ring, identity
-        ring.seek(max(0, ring.waiting - round(WINDOW_s * self.bench.rate_Hz)))
+        self._ring, self._identity = reader, identity
+        reader.seek(max(0, reader.waiting - round(WINDOW_s * self.bench.rate_Hz)))
         self._to_wall_ms = (time.time_ns() - time.clock_gettime_ns(time.CLOCK_BOOTTIME)) * 1e-6
-        self._told = None
-        self.curves.begin()
+        self._noted = None
+        self.curves.start_new_ring()
         self.lateness.clear()
         self.exchange.clear()
 
-    def _take(self, rows: Rows) -> None:
-        self._seen_s = self._clock()
+    def _add(self, rows: Rows) -> None:
+        self._last_rows_s = self._clock()
         self.last = rows[-1].copy()
-        self.curves.add(rows, self._to_wall_ms + 1000.0 * time.localtime().tm_gmtoff)  # axes say the local time
+        self.curves.add(rows, self._to_wall_ms + 1000.0 * time.localtime().tm_gmtoff)  # axes show the local time
         self.lateness.add(rows["lateness_ns"])
         self.exchange.add(rows["exchange_ns"])
         changed = (np.diff(rows["state"]) != 0) | (np.diff(rows["cause"]) != 0)
         for row in (rows[0], *rows[1:][changed]):
-            told = int(row["state"]), int(row["cause"])
-            if told != self._told:
-                self._told = told
+            state, cause = int(row["state"]), int(row["cause"])
+            if (state, cause) != self._noted:
+                self._noted = state, cause
                 wall_s = (row["time_ns"] * 1e-6 + self._to_wall_ms) * 1e-3
-                self._note(State(told[0]).name, CAUSE_TEXT[Cause(told[1])], wall_s)
+                self._note(State(state).name, CAUSE_TEXT[Cause(cause)], wall_s)
 
     def _note(self, name: str, text: str, wall_s: float | None = None) -> None:
-        self.happened += 1
+        self.event_count += 1
         self.events.append(Event(time.time() if wall_s is None else wall_s, name, text))
-
-    def answered(self, status: dict[str, Any] | None, problem: str) -> None:
-        """What the daemon said about itself, or why it said nothing."""
-        self.status, self.problem = status, problem
 
 
 def _loop_s(bench: BenchConfig) -> float:
-    """Two periods of the reference, where it has one."""
+    """Two periods of the reference, within limits; the lower limit if the reference has no frequency."""
     frequency_Hz = getattr(bench.reference, "frequency_Hz", None)
-    wanted_s = SHORTEST_LOOP_s if frequency_Hz is None else 2.0 / frequency_Hz
-    return float(np.clip(wanted_s, SHORTEST_LOOP_s, LONGEST_LOOP_s))
+    loop_s = SHORTEST_LOOP_s if frequency_Hz is None else 2.0 / frequency_Hz
+    return float(np.clip(loop_s, SHORTEST_LOOP_s, LONGEST_LOOP_s))

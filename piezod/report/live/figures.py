@@ -1,4 +1,4 @@
-"""The figures of the live page, in the colours and with the axes of the reports."""
+"""Figures of the live page."""
 
 import numpy as np
 from bokeh.models import (
@@ -13,30 +13,31 @@ from bokeh.plotting import figure
 from numpy.typing import NDArray
 
 from piezod.config import BenchConfig
-from piezod.report.figures.durations import LEAST, EDGES_us, bars, histogram
+from piezod.report.figures.durations import BAR_START, EDGES_us, bars, histogram
+from piezod.report.figures.layout import apply_layout
 from piezod.report.live.curves import LOOP, OVER_TIME
 from piezod.report.live.feed import WINDOW_s
 from piezod.report.style import BLUE, GREEN, GREY, ORANGE, RED
 
-NO_TICKS = np.zeros(EDGES_us.size - 1, dtype=np.int64)
+NO_COUNTS = np.zeros(EDGES_us.size - 1, dtype=np.int64)
 _CLOCK = "%H:%M:%S"
 
 
 class Figures:
-    """One viewer's figures and what they are drawn from.
+    """Figures of one viewer, with their data sources and axis ranges.
 
     Parameters
     ----------
     bench
-        Its limits are drawn.
+        Configuration with the limits that the figures show.
     """
 
     def __init__(self, bench: BenchConfig) -> None:
         self.over_time = ColumnDataSource({name: [] for name in OVER_TIME})
         self.loop = ColumnDataSource({name: [] for name in LOOP})
         self.now = ColumnDataSource({name: [] for name in LOOP})
-        self.durations = {name: ColumnDataSource(bars(NO_TICKS)) for name in ("lateness", "exchange")}
-        self.words = {name: Title(text="", text_font_style="normal") for name in self.durations}
+        self.durations = {name: ColumnDataSource(bars(NO_COUNTS)) for name in ("lateness", "exchange")}
+        self.summaries = {name: Title(text="", text_font_style="normal") for name in self.durations}
         limits = bench.limits
         self.force_range, self.loop_range = (_with_margin(limits.force_min_N, limits.force_trip_N) for _ in range(2))
         self.error_range = Range1d(start=-1.0, end=1.0)
@@ -46,12 +47,12 @@ class Figures:
         self.voltage = self._voltage(bench)
         self.curve = self._loop(bench)
         self.lateness = _histogram("How late the ticks were", self.durations["lateness"], bench, BLUE)
-        self.lateness.add_layout(self.words["lateness"], "above")
+        self.lateness.add_layout(self.summaries["lateness"], "above")
         self.exchange = _histogram("How long an exchange took", self.durations["exchange"], bench, GREEN)
-        self.exchange.add_layout(self.words["exchange"], "above")
+        self.exchange.add_layout(self.summaries["exchange"], "above")
 
     def roots(self) -> dict[str, figure]:
-        """Every figure by its place in the page."""
+        """Figures by their name in the page template."""
         names = ("force", "error", "voltage", "curve", "lateness", "exchange")
         return {name: getattr(self, name) for name in names}
 
@@ -69,8 +70,8 @@ class Figures:
 
     def _voltage(self, bench: BenchConfig) -> figure:
         limits = bench.limits
-        shown = _with_margin(limits.voltage_min_V, limits.voltage_max_V)
-        plot = self._timed("Voltage and its limits", "voltage [V]", 220, shown)
+        voltage_range = _with_margin(limits.voltage_min_V, limits.voltage_max_V)
+        plot = self._timed("Voltage and its limits", "voltage [V]", 220, voltage_range)
         for limit_V in (limits.voltage_min_V, limits.voltage_max_V):
             plot.add_layout(Span(location=limit_V, dimension="width", line_color=RED, line_dash="dashed"))
         plot.line("time_ms", "voltage_V", source=self.over_time, color=BLUE)
@@ -91,15 +92,8 @@ class Figures:
         plot.scatter("voltage_V", "force_N", source=self.now, color=RED, size=10)
         return _finish(plot, "{0.00}", {"voltage [V]": "@voltage_V", "force [N]": "@force_N"})
 
-    def _timed(self, title: str, label: str, height: int, shown: Range1d) -> figure:
-        plot = figure(
-            title=title,
-            y_axis_label=label,
-            height=height,
-            x_range=self.window,
-            y_range=shown,
-            tools="",
-        )
+    def _timed(self, title: str, label: str, height: int, y_range: Range1d) -> figure:
+        plot = figure(title=title, y_axis_label=label, height=height, x_range=self.window, y_range=y_range, tools="")
         plot.xaxis.formatter = DatetimeTickFormatter(
             milliseconds=_CLOCK, seconds=_CLOCK, minsec=_CLOCK, minutes=_CLOCK, hourmin=_CLOCK, hours=_CLOCK
         )
@@ -112,14 +106,14 @@ def _with_margin(low: float, high: float) -> Range1d:
     return Range1d(start=low - margin, end=high + margin)
 
 
-def show_all(shown: Range1d, *curves: NDArray[np.float64]) -> None:
-    """Move an axis so that all values are seen, and some room about them; it stays where there are none."""
+def fit_range(axis_range: Range1d, *curves: NDArray[np.float64]) -> None:
+    """Set an axis range in place so that it contains all finite values with a margin; no change without values."""
     values = np.concatenate(curves)
     values = values[np.isfinite(values)]
     if values.size:
         low, high = float(values.min()), float(values.max())
         margin = max(0.08 * (high - low), 1e-3 * max(abs(low), abs(high)), 1e-6)
-        shown.update(start=low - margin, end=high + margin)
+        axis_range.update(start=low - margin, end=high + margin)
 
 
 def _histogram(title: str, source: ColumnDataSource, bench: BenchConfig, colour: str) -> figure:
@@ -130,23 +124,15 @@ def _histogram(title: str, source: ColumnDataSource, bench: BenchConfig, colour:
         colour,
         height=240,
         x_range=Range1d(start=1.0, end=max(2e5, 2e6 * bench.dt_s)),
-        y_range=Range1d(start=LEAST, end=2.0 * WINDOW_s * bench.rate_Hz),
+        y_range=Range1d(start=BAR_START, end=2.0 * WINDOW_s * bench.rate_Hz),
         tools="",
     )
     return _finish(plot, "", {"from, to [\N{MICRO SIGN}s]": "@left{0.0}, @right{0.0}", "ticks": "@count{0}"})
 
 
-def _finish(plot: figure, number: str, shown: dict[str, str]) -> figure:
-    """Legend, tools and width that all figures share."""
-    plot.sizing_mode = "stretch_width"
-    plot.toolbar.autohide = True
-    plot.toolbar.logo = None
-    if plot.legend:
-        plot.legend.orientation = "horizontal"
-        plot.legend.border_line_color = None
-        plot.legend.label_text_font_size = "11px"
-        plot.legend[0].update(margin=0, padding=2, spacing=6, glyph_height=14, label_height=14)
-        plot.add_layout(plot.legend[0], "above")
-    tips = [(name, value if "{" in value else f"{value}{number}") for name, value in shown.items()]
+def _finish(plot: figure, number_format: str, fields: dict[str, str]) -> figure:
+    """Add layout and tooltip to a figure. The number format applies to fields without a format of their own."""
+    apply_layout(plot, click_policy="none", spacing=6, glyph_height=14, label_height=14)
+    tips = [(name, field if "{" in field else f"{field}{number_format}") for name, field in fields.items()]
     plot.add_tools(HoverTool(tooltips=tips))
     return plot

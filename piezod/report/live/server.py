@@ -1,7 +1,7 @@
-"""The server of the live page, on the loopback address: an ordinary process beside the daemon.
+"""Server of the live page: a process of its own beside the daemon, on the loopback address.
 
-It reads shared memory and asks the daemon's parent over its socket; the control process knows nothing of it. Viewers
-share one reader. What a viewer has not taken yet is not sent again: its next update waits until the last one went out.
+It reads the ring log in shared memory, and requests the status from the daemon's socket once a second. It does not
+involve the control process. All viewers share one reader. A slow viewer receives fewer updates.
 """
 
 import asyncio
@@ -27,27 +27,27 @@ from tornado.ioloop import IOLoop
 
 from piezod.config import BenchConfig
 from piezod.errors import BusyError, ConfigurationError, PiezodError
-from piezod.report.live.feed import BUCKET_s, Feed
-from piezod.report.live.template import LIVE_SCRIPT, LIVE_STYLE, TEMPLATE
-from piezod.report.live.viewer import Viewer, add_desk
+from piezod.report.live.feed import Feed, SEGMENT_s
+from piezod.report.live.template import LIVE_CSS, LIVE_SCRIPT, TEMPLATE
+from piezod.report.live.viewer import Viewer, add_command_buttons
 
-ADDRESS = "127.0.0.1"  # from elsewhere: ssh -L
-LOOK_EVERY_s, ASK_EVERY_s = 0.1, 1.0
+ADDRESS = "127.0.0.1"  # another machine reaches it through ssh -L
+READ_EVERY_s, STATUS_EVERY_s = 0.1, 1.0
 MOST_VIEWERS = 16
 NICENESS = 10
 SHORTEST_TOKEN = 16
-LARGEST_MESSAGE_BYTES = 65536  # a viewer sends clicks and zooms
+LARGEST_MESSAGE_BYTES = 65536  # a viewer sends only clicks and zooms
 
-Ask = Callable[[str], dict[str, Any]]
+SendCommand = Callable[[str], dict[str, Any]]
 
 
 def read_token(path: Path) -> str:
-    """Read the token from a file that nobody else may read.
+    """Read the token from a file that only its owner can access.
 
     Raises
     ------
     ConfigurationError
-        The file cannot be read, is open to others, or holds fewer than 16 signs.
+        The file cannot be read, other users can access it, or the token has fewer than 16 characters.
     """
     try:
         mode, token = path.stat().st_mode, path.read_text(encoding="utf-8").strip()
@@ -58,63 +58,65 @@ def read_token(path: Path) -> str:
     if mode & 0o077:
         raise ConfigurationError(f"{path}: mode is {mode & 0o777:04o}, must be 0600 or less: chmod 600 {path}")
     if len(token) < SHORTEST_TOKEN:
-        raise ConfigurationError(f"{path}: the token has {len(token)} signs, must have at least {SHORTEST_TOKEN}")
+        raise ConfigurationError(f"{path}: the token has {len(token)} characters, must have at least {SHORTEST_TOKEN}")
     return token
 
 
-def serve_live_page(bench: BenchConfig, ask: Ask, port: int, token: str | None, say: Callable[[str], None]) -> None:
-    """Serve until SIGINT or SIGTERM.
+def serve_live_page(
+    bench: BenchConfig, send_command: SendCommand, port: int, token: str | None, announce: Callable[[str], None]
+) -> None:
+    """Serve the live page until SIGINT or SIGTERM.
 
     Parameters
     ----------
     bench
-        Whose ring log is shown.
-    ask
+        Configuration of the bench whose ring log is shown.
+    send_command
         Sends one command to the daemon and returns its answer; raises `PiezodError`.
     port
-        On the loopback address; 0 takes a free one.
+        Port on the loopback address, 0 to 65535; 0 selects a free port.
     token
-        Whoever types it may command; None: read only.
-    say
-        Called with the address.
+        Token that a viewer must type to send commands; None: the page is read only.
+    announce
+        Called once with a line that contains the address.
 
     Raises
     ------
     BusyError
-        The port is taken.
+        The port is in use.
     """
-    asyncio.run(_Page(bench, ask, token).serve(port, say))
+    asyncio.run(_Server(bench, send_command, token).serve(port, announce))
 
 
-class _Page:
-    def __init__(self, bench: BenchConfig, ask: Ask, token: str | None) -> None:
-        self._bench, self._ask, self._token = bench, ask, token
+class _Server:
+    def __init__(self, bench: BenchConfig, send_command: SendCommand, token: str | None) -> None:
+        self._bench, self._send_command, self._token = bench, send_command, token
         self._feed = Feed(bench)
-        self._asking = ThreadPoolExecutor(1, "ask")
-        self._sending = ThreadPoolExecutor(1, "send")
+        self._status_thread = ThreadPoolExecutor(1, "status")
+        self._command_thread = ThreadPoolExecutor(1, "command")
 
-    async def serve(self, port: int, say: Callable[[str], None]) -> None:
-        """Listen, and follow the ring until told to end."""
+    async def serve(self, port: int, announce: Callable[[str], None]) -> None:
+        """Serve viewers and read the ring log until a signal arrives."""
         os.setpriority(os.PRIO_PROCESS, 0, max(NICENESS, os.getpriority(os.PRIO_PROCESS, 0)))
-        over = asyncio.Event()
+        end = asyncio.Event()
         loop = asyncio.get_running_loop()
         for number in (signal.SIGINT, signal.SIGTERM):
-            loop.add_signal_handler(number, over.set)
+            loop.add_signal_handler(number, end.set)
         server, port = self._listen(port)
         server.start()
-        logging.getLogger("bokeh").setLevel(logging.ERROR)  # a viewer that left is no news
+        logging.getLogger("bokeh").setLevel(logging.ERROR)  # Bokeh warns about every viewer that leaves
         mode = "read only" if self._token is None else "commands with the token"
-        say(f"live page: http://{ADDRESS}:{port}/  ({mode}; ends with Ctrl-C)")
-        tasks = [loop.create_task(self._look()), loop.create_task(self._inquire())]
-        await over.wait()
+        announce(f"live page: http://{ADDRESS}:{port}/  ({mode}; ends with Ctrl-C)")
+        tasks = [loop.create_task(self._read_rows()), loop.create_task(self._read_status())]
+        await end.wait()
         for task in tasks:
             task.cancel()
         server.stop(wait=False)
-        for pool in (self._asking, self._sending):
+        for pool in (self._status_thread, self._command_thread):
             pool.shutdown(wait=False, cancel_futures=True)
 
     def _listen(self, port: int) -> tuple[BaseServer, int]:
-        """Bind; pages of other origins may not open a connection."""
+        """Bind the port. Pages of other origins cannot open a connection."""
         try:
             sockets, port = bind_sockets(ADDRESS, port)
         except OSError as error:
@@ -135,42 +137,43 @@ class _Page:
         return server, port
 
     def _show(self, document: Document) -> None:
-        """Make one viewer's page."""
+        """Build the page of one viewer."""
         document.template_variables.update(
             bench=self._bench.name,
-            style=LIVE_STYLE,
+            style=LIVE_CSS,
             script=LIVE_SCRIPT,
-            desk=self._token is not None,
-            bucket_ms=round(1000 * BUCKET_s),
+            commands=self._token is not None,
+            segment_ms=round(1000 * SEGMENT_s),
         )
         if len(self._server.get_sessions()) > MOST_VIEWERS:
-            document.add_root(Div(text=f"{MOST_VIEWERS} viewers look at this bench already; close one and reload."))
+            document.add_root(Div(text=f"{MOST_VIEWERS} viewers are already connected; close one and reload."))
             return
         document.template = get_env().from_string(TEMPLATE)
-        document.config.notify_connection_status = False  # the page says it in its own words
+        document.config.notify_connection_status = False  # the template shows a warning of its own
         Viewer(document, self._feed)
         if self._token is not None:
-            add_desk(document, self._token, self._command)
+            add_command_buttons(document, self._token, self._command)
 
-    async def _look(self) -> None:
+    async def _read_rows(self) -> None:
         while True:
-            self._feed.look()
-            await asyncio.sleep(LOOK_EVERY_s)
+            self._feed.update()
+            await asyncio.sleep(READ_EVERY_s)
 
-    async def _inquire(self) -> None:
+    async def _read_status(self) -> None:
         loop = asyncio.get_running_loop()
         while True:
             try:
-                self._feed.answered(await loop.run_in_executor(self._asking, self._ask, "status"), "")
+                status = await loop.run_in_executor(self._status_thread, self._send_command, "status")
+                self._feed.set_status(status, "")
             except PiezodError as error:
-                self._feed.answered(None, str(error))
-            await asyncio.sleep(ASK_EVERY_s)
+                self._feed.set_status(None, str(error))
+            await asyncio.sleep(STATUS_EVERY_s)
 
     async def _command(self, name: str) -> str:
-        """Send one command of a viewer who knows the token."""
+        """Send a command of a viewer who typed the token."""
         loop = asyncio.get_running_loop()
         try:
-            answer = await loop.run_in_executor(self._sending, self._ask, name)
+            answer = await loop.run_in_executor(self._command_thread, self._send_command, name)
         except PiezodError as error:
             return f"{name}: refused: {error}"
         return f"{name}: {answer['message']}"

@@ -1,4 +1,4 @@
-"""What the lamp says: the state, why it is so, what to do about it; and the numbers beside it."""
+"""The status banner of the live page: state, reason, remedy and current values; and the table of events."""
 
 import html
 import time
@@ -20,28 +20,28 @@ _COLOURS = {
     State.FAULT.name: RED,
     NO_TICKS: RED,
 }
-_SIGNS = {
+_SYMBOLS = {
     State.FAULT.name: "\N{MULTIPLICATION SIGN}",
     NO_TICKS: "?",
     State.RUNNING.name: "\N{BLACK RIGHT-POINTING TRIANGLE}",
 }
 _LAST_EVENTS = 8
 
-LAMP_STYLE = """
+BANNER_CSS = """
 :host .bk-clearfix { width: 100%; }
 :host { font: 14px/1.35 system-ui, "Segoe UI", Helvetica, Arial, sans-serif; }
-.lamp { display: flex; gap: 14px; align-items: center; }
-.lamp .light { flex: none; width: 46px; height: 46px; border-radius: 50%; color: #fff; font-size: 26px;
+.banner { display: flex; gap: 14px; align-items: center; }
+.banner .symbol { flex: none; width: 46px; height: 46px; border-radius: 50%; color: #fff; font-size: 26px;
   line-height: 46px; text-align: center; }
-.lamp b { font-size: 21px; } .lamp .remedy { font-weight: 600; }
-.lamp p { margin: 0; }
+.banner b { font-size: 21px; } .banner .remedy { font-weight: 600; }
+.banner p { margin: 0; }
 .values { display: grid; grid-template-columns: repeat(auto-fit, minmax(132px, 1fr)); gap: 8px; margin-top: 10px; }
 .values div { background: #f5f6f7; border-radius: 6px; padding: 5px 10px; }
 .values span { display: block; color: #555; font-size: 12px; }
 .values b { font-size: 16px; font-variant-numeric: tabular-nums; white-space: nowrap; }
 """
 
-EVENTS_STYLE = """
+EVENTS_CSS = """
 table { border-collapse: collapse; width: 100%; font: 13px/1.35 system-ui, "Segoe UI", Helvetica, Arial, sans-serif; }
 td { padding: 4px 12px 4px 0; border-bottom: 1px solid #d9d9d9; vertical-align: top; }
 td:first-child { font-variant-numeric: tabular-nums; white-space: nowrap; color: #555; }
@@ -53,21 +53,21 @@ td:nth-child(2) { font-weight: 600; white-space: nowrap; } td:last-child { width
 """
 
 
-def state_words(feed: Feed) -> tuple[str, str, str]:
-    """State, reason and remedy; the remedy is empty where nothing need be done."""
-    if feed.last is None or feed.quiet:
-        return NO_TICKS, *_silence(feed)
+def state_and_remedy(feed: Feed) -> tuple[str, str, str]:
+    """State, reason and remedy as text. The remedy is empty if nothing needs to be done."""
+    if feed.last is None or feed.stale:
+        return NO_TICKS, *_why_no_ticks(feed)
     state = State(feed.last["state"])
     reason, _, remedy = CAUSE_TEXT[Cause(feed.last["cause"])].partition("; ")
     if state is State.FAULT:
         remedy = f"{remedy}; then piezod reset" if remedy else "find the cause, then piezod reset"
     elif state is State.DISARMED and not remedy:
-        remedy = "piezod arm drives it"
+        remedy = "to start: piezod arm"
     return state.name, reason, remedy
 
 
-def _silence(feed: Feed) -> tuple[str, str]:
-    """Why no tick comes, as far as the daemon says."""
+def _why_no_ticks(feed: Feed) -> tuple[str, str]:
+    """Reason and remedy when no ticks arrive, from the status of the daemon."""
     status = feed.status
     if status is None:
         return (
@@ -75,40 +75,36 @@ def _silence(feed: Feed) -> tuple[str, str]:
             "start it: piezod run CONFIG, or systemctl start piezod",
         )
     if not status["connected"]:
-        return status["problem"] or "the daemon is starting", "it tries again by itself"
+        return status["problem"] or "the daemon is starting", "the daemon retries automatically"
     return "the daemon answers, but its control process writes no ticks", "see its log: journalctl -u piezod"
 
 
-def lamp_html(feed: Feed) -> str:
-    """The lamp and the numbers, every word escaped."""
-    state, reason, remedy = state_words(feed)
-    sign = _SIGNS.get(state, "")
-    said = f"<p>{html.escape(reason)}</p>"
+def banner_html(feed: Feed) -> str:
+    """HTML of the banner and the current values, with escaped text."""
+    state, reason, remedy = state_and_remedy(feed)
+    text = f"<b>{state.replace('_', ' ')}</b><p>{html.escape(reason)}</p>"
     if remedy:
-        said += f"<p class='remedy'>{html.escape(remedy)}</p>"
-    light = f"<div class='light' style='background:{_COLOURS[state]}'>{sign}</div>"
-    lamp = f"<div class='lamp'>{light}<div><b>{state.replace('_', ' ')}</b>{said}</div></div>"
+        text += f"<p class='remedy'>{html.escape(remedy)}</p>"
+    symbol = f"<div class='symbol' style='background:{_COLOURS[state]}'>{_SYMBOLS.get(state, '')}</div>"
     values = "".join(f"<div><span>{name}</span><b>{html.escape(value)}</b></div>" for name, value in _values(feed))
-    return f"{lamp}<div class='values'>{values}</div>"
+    return f"<div class='banner'>{symbol}<div>{text}</div></div><div class='values'>{values}</div>"
 
 
 def _values(feed: Feed) -> Iterable[tuple[str, str]]:
-    row, known = feed.last, not (feed.last is None or feed.quiet)
+    row = None if feed.stale else feed.last
 
-    def said(name: str, unit: str) -> str:
-        return (
-            f"{round(float(row[name]), 2) + 0.0:.2f} {unit}"
-            if known and row is not None and np.isfinite(row[name])
-            else "-"
-        )
+    def text(column: str, unit: str) -> str:
+        if row is None or not np.isfinite(row[column]):
+            return "-"
+        return f"{round(float(row[column]), 2) + 0.0:.2f} {unit}"
 
-    yield "force", said("force_N", "N")
-    yield "reference", said("reference_N", "N")
-    yield "voltage", said("voltage_V", "V")
+    yield "force", text("force_N", "N")
+    yield "reference", text("reference_N", "N")
+    yield "voltage", text("voltage_V", "V")
     if feed.bench.has_role("voltage_readback"):
-        yield "read back", said("readback_V", "V")
+        yield "read back", text("readback_V", "V")
     if feed.bench.has_role("temperature"):
-        yield "temperature", said("temperature_C", "\N{DEGREE SIGN}C")
+        yield "temperature", text("temperature_C", "\N{DEGREE SIGN}C")
     status = feed.status
     if status is None:
         return
@@ -119,18 +115,18 @@ def _values(feed: Feed) -> Iterable[tuple[str, str]]:
 
 
 def _short(count: int) -> str:
-    for factor, sign in ((1_000_000, "M"), (1000, "k")):
+    for factor, prefix in ((1_000_000, "M"), (1000, "k")):
         if count >= 10 * factor:
-            return f"{count / factor:.1f} {sign}"
+            return f"{count / factor:.1f} {prefix}"
     return str(count)
 
 
 def events_html(events: Iterable[Event]) -> str:
-    """The last events, the newest first, every word escaped."""
+    """HTML table of the last events, the newest first, with escaped text."""
     newest = list(events)[: -_LAST_EVENTS - 1 : -1]
     rows = "".join(
-        f"<tr><td>{time.strftime('%H:%M:%S', time.localtime(one.wall_s))}.{int(one.wall_s % 1 * 1000):03d}</td>"
-        f"<td>{html.escape(one.name.replace('_', ' '))}</td><td>{html.escape(one.text)}</td></tr>"
-        for one in newest
+        f"<tr><td>{time.strftime('%H:%M:%S', time.localtime(event.wall_s))}.{int(event.wall_s % 1 * 1000):03d}</td>"
+        f"<td>{html.escape(event.name.replace('_', ' '))}</td><td>{html.escape(event.text)}</td></tr>"
+        for event in newest
     )
     return f"<table><tbody>{rows}</tbody></table>" if rows else "<p>none yet</p>"

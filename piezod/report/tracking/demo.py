@@ -1,4 +1,4 @@
-"""What the demo says: a live line, one table, one page, one verdict."""
+"""The demo's output: a line of live values, a table, the verdicts, and a page."""
 
 import contextlib
 import sys
@@ -10,57 +10,98 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from piezod.control import State
 from piezod.recording import Recording
 from piezod.report.page import table_html
-from piezod.report.tracking.page import LABELS, TrackingFigures, tracking_figures, write_tracking_page
+from piezod.report.text_table import text_table
+from piezod.report.tracking.page import LABELS, write_tracking_page
+from piezod.report.tracking.tracking_errors import FigureKey, SessionOutcome, TrackingFigures, tracking_figures
 
-QUARTER = 0.25  # compensated hysteresis may be at most this part of the uncompensated
-STATES = ("DISARMED", "ARMING", "RUNNING", "HOLD", "RAMP_DOWN", "FAULT")
+MOST_HYSTERESIS = 0.25  # compensated over uncompensated max hysteresis at which the demo passes
+MOST_ERROR = 0.5  # rms error with the extended over that with the static model at which the demo passes
+ONE_SECOND_ns = 1_000_000_000
 HEADER = ["reference", "compensation", "rms error [N]", "[%]", "max error [N]", "[%]", "max hysteresis [%]"]
-
 
 Rows = NDArray[np.void]
 
 
 class Timing(Protocol):
-    """Percentiles in microseconds."""
+    """Percentiles of the tick timing [us]."""
 
     @property
     def lateness_us(self) -> dict[str, float]:
-        """Of the wake-ups."""
+        """Delay of the wake-ups after their deadlines."""
         ...
 
     @property
     def completion_us(self) -> dict[str, float]:
-        """From the deadline to the committed state."""
+        """Time from the deadline to the committed state."""
         ...
 
 
-class SessionOutcome(Protocol):
-    """What the control process counted."""
+@dataclass(frozen=True)
+class HiddenVerdict:
+    """Result on the bench with hidden effects: the diagnosis, and the errors with and without what it found.
 
-    ticks: int
-    missed: int
-    failed_exchanges: int
-    results: dict[str, int]
-    fault: str
-    stopped: bool
-    warnings: list[str]
-    resident_kib: int
+    Parameters
+    ----------
+    diagnosis
+        Verdict sentence of the diagnosis.
+    figures
+        Errors by compensation: gain, inverse, extended.
+    noise_N
+        Noise of the reading, estimated by the diagnosis [N].
+    """
+
+    diagnosis: str
+    figures: dict[str, TrackingFigures]
+    noise_N: float
+
+    @property
+    def passed(self) -> bool:
+        """Whether the extended model reduces the rms error at least to half."""
+        return self.figures["extended"].rms_error_N <= MOST_ERROR * self.figures["inverse"].rms_error_N
+
+    @property
+    def sentence(self) -> str:
+        """Verdict in a sentence."""
+        static, extended = self.figures["inverse"], self.figures["extended"]
+        return (
+            f"hidden effects: rms error {static.rms_error_percent:.2f} % -> {extended.rms_error_percent:.2f} % "
+            f"of range ({'at most' if self.passed else 'NOT below'} {MOST_ERROR:.0%} of it); "
+            f"the noise of the reading is {100.0 * self.noise_N / extended.range_N:.2f} %"
+        )
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the result for JSON."""
+        figures = [{"compensation": name, **errors.as_dict()} for name, errors in self.figures.items()]
+        return {"diagnosis": self.diagnosis, "noise_N": self.noise_N, "figures": figures, "virtual_time": True}
 
 
 @dataclass(frozen=True)
 class DemoVerdict:
-    """The figures of the demo and whether it passed."""
+    """Figures of the demo and whether it passed.
 
-    figures: dict[tuple[str, str], TrackingFigures]
+    Parameters
+    ----------
+    figures
+        Errors by (reference, compensation).
+    timing
+        Percentiles of the tick timing.
+    outcome
+        Counters of the control process.
+    hidden
+        Result on the bench with hidden effects; None if that part did not run.
+    """
+
+    figures: dict[FigureKey, TrackingFigures]
     timing: Timing
     outcome: SessionOutcome
-    hidden: "HiddenVerdict | None" = None
+    hidden: HiddenVerdict | None = None
 
     @property
     def hysteresis_ratio(self) -> float:
-        """Compensated over uncompensated max hysteresis on the triangle; nan when one is missing."""
+        """Compensated over uncompensated max hysteresis on the triangle; nan if either is missing."""
         with_inverse = self.figures.get(("triangle", "inverse"))
         with_gain = self.figures.get(("triangle", "gain"))
         if with_inverse is None or with_gain is None or not with_gain.max_hysteresis_percent:
@@ -69,13 +110,13 @@ class DemoVerdict:
 
     @property
     def passed(self) -> bool:
-        """At most a quarter of the hysteresis is left, and no exchange failed."""
+        """Whether at most a quarter of the hysteresis remains, no exchange failed, and `hidden` passed."""
         clean = not self.outcome.failed_exchanges and not self.outcome.fault and not self.outcome.stopped
-        return clean and self.hysteresis_ratio <= QUARTER and (self.hidden is None or self.hidden.passed)
+        return clean and self.hysteresis_ratio <= MOST_HYSTERESIS and (self.hidden is None or self.hidden.passed)
 
     @property
-    def words(self) -> str:
-        """The verdict in a sentence."""
+    def sentence(self) -> str:
+        """Verdict in a sentence."""
         if self.outcome.stopped:
             return "stopped: ramped down before the end"
         if self.outcome.fault:
@@ -85,19 +126,20 @@ class DemoVerdict:
         gain = self.figures["triangle", "gain"].max_hysteresis_percent
         inverse = self.figures["triangle", "inverse"].max_hysteresis_percent
         return (
-            f"hysteresis {gain:.2f} % -> {inverse:.2f} % of range, {self.hysteresis_ratio:.0%} of it left "
-            f"({'at most' if self.passed else 'NOT below'} {QUARTER:.0%})"
+            f"hysteresis {gain:.2f} % -> {inverse:.2f} % of range: {self.hysteresis_ratio:.0%} of it remains "
+            f"({'at most' if self.passed else 'NOT below'} {MOST_HYSTERESIS:.0%})"
         )
 
     def as_dict(self) -> dict[str, Any]:
-        """For JSON."""
+        """Return the result for JSON."""
         return {
             "schema": "piezod.demo/1",
             "hidden": None if self.hidden is None else self.hidden.as_dict(),
             "passed": self.passed,
-            "words": self.words,
+            "words": self.sentence,
             "figures": [
-                {"reference": key[0], "compensation": key[1], **one.as_dict()} for key, one in self.figures.items()
+                {"reference": reference, "compensation": compensation, **errors.as_dict()}
+                for (reference, compensation), errors in self.figures.items()
             ],
             "ticks": self.outcome.ticks,
             "missed": self.outcome.missed,
@@ -109,68 +151,16 @@ class DemoVerdict:
         }
 
 
-@dataclass(frozen=True)
-class HiddenVerdict:
-    """The bench that hid something: what the diagnosis says, and what driving by it is worth.
+def evaluate_demo(recordings: dict[FigureKey, Recording], timing: Timing, outcome: SessionOutcome) -> DemoVerdict:
+    """Compute the figures of every reference that was followed.
 
     Parameters
     ----------
-    sentence
-        Of the diagnosis.
-    figures
-        By compensation: gain, inverse, extended.
-    noise_N
-        Of the reading, by the diagnosis [N].
+    recordings
+        By (reference, compensation).
+    timing, outcome
+        Timing and counters of the control process.
     """
-
-    sentence: str
-    figures: dict[str, TrackingFigures]
-    noise_N: float
-
-    @property
-    def passed(self) -> bool:
-        """What was found brings the error at least down to half."""
-        return self.figures["extended"].rms_error_N <= 0.5 * self.figures["inverse"].rms_error_N
-
-    @property
-    def words(self) -> str:
-        """In a sentence."""
-        static, extended = self.figures["inverse"], self.figures["extended"]
-        return (
-            f"hidden effects: error {static.rms_error_percent:.2f} % -> {extended.rms_error_percent:.2f} % rms "
-            f"({'at most' if self.passed else 'NOT below'} 50% of it); the reading's noise alone is "
-            f"{100.0 * self.noise_N / extended.range_N:.2f} %"
-        )
-
-    def as_dict(self) -> dict[str, Any]:
-        """For JSON."""
-        figures = [{"compensation": name, **one.as_dict()} for name, one in self.figures.items()]
-        return {"diagnosis": self.sentence, "noise_N": self.noise_N, "figures": figures, "virtual_time": True}
-
-
-def judge_hidden(recordings: dict[tuple[str, str], Recording], sentence: str, noise_N: float) -> HiddenVerdict:
-    """Figures of the bench that hid something."""
-    figures = {compensation: tracking_figures(one, loop=False) for (_, compensation), one in recordings.items()}
-    return HiddenVerdict(sentence, figures, noise_N)
-
-
-def print_hidden(hidden: HiddenVerdict) -> None:
-    """The four rows and the sentence."""
-    print("a bench that hides creep, lag and delay (emulated in virtual time, as fast as this machine goes):")
-    print(f"  diagnosis: {hidden.sentence}")
-    print(f"  {'compensation':<20} {'rms error [N]':>13} {'[%]':>6} {'max error [N]':>14} {'[%]':>6}")
-    for name, one in hidden.figures.items():
-        print(
-            f"  {LABELS[name]:<20} {one.rms_error_N:>13.2f} {one.rms_error_percent:>6.2f} {one.max_error_N:>14.2f} "
-            f"{one.max_error_percent:>6.2f}"
-        )
-    share = 100.0 * hidden.noise_N / hidden.figures["extended"].range_N
-    print(f"  {'noise of the reading':<20} {hidden.noise_N:>13.2f} {share:>6.2f} {'-':>14} {'-':>6}")
-    print(hidden.words)
-
-
-def judge(recordings: dict[tuple[str, str], Recording], timing: Timing, outcome: SessionOutcome) -> DemoVerdict:
-    """Figures of every reference that was followed."""
     figures = {
         key: tracking_figures(recording, loop=key[0] == "triangle")
         for key, recording in recordings.items()
@@ -179,22 +169,46 @@ def judge(recordings: dict[tuple[str, str], Recording], timing: Timing, outcome:
     return DemoVerdict(figures, timing, outcome)
 
 
+def evaluate_hidden(recordings: dict[FigureKey, Recording], diagnosis: str, noise_N: float) -> HiddenVerdict:
+    """Compute the figures on the bench with hidden effects.
+
+    Parameters
+    ----------
+    recordings
+        By (reference, compensation).
+    diagnosis
+        Verdict sentence of the diagnosis.
+    noise_N
+        Noise of the reading, estimated by the diagnosis [N].
+    """
+    figures = {compensation: tracking_figures(one, loop=False) for (_, compensation), one in recordings.items()}
+    return HiddenVerdict(diagnosis, figures, noise_N)
+
+
 @contextlib.contextmanager
 def live_line(names: list[str]) -> Iterator[Callable[[Rows], None]]:
-    """Yield a function that shows the newest row: one line overwritten on a terminal, one a second elsewhere."""
+    """Yield a function that prints the newest of the given ring-log rows.
+
+    On a terminal it overwrites one line; elsewhere it prints one line a second.
+
+    Parameters
+    ----------
+    names
+        Names of the segments, by their number. The list may grow meanwhile.
+    """
     terminal = sys.stdout.isatty()
     last_ns = 0
 
     def show(rows: Rows) -> None:
         nonlocal last_ns
-        if not len(rows) or (not terminal and int(rows["time_ns"][-1]) - last_ns < 1_000_000_000):
+        if not len(rows) or (not terminal and int(rows["time_ns"][-1]) - last_ns < ONE_SECOND_ns):
             return
         row = rows[-1]
         last_ns = int(row["time_ns"])
-        error = row["force_N"] - row["reference_N"] if row["state"] == 2 else float("nan")
-        number = int(row["segment"])
+        state, number = State(row["state"]), int(row["segment"])
+        error = row["force_N"] - row["reference_N"] if state is State.RUNNING else float("nan")
         text = (
-            f"{STATES[row['state']]:9} {names[number] if 0 <= number < len(names) else '':20} "
+            f"{state.name:9} {names[number] if 0 <= number < len(names) else '':20} "
             f"reference {row['reference_N']:7.2f} N  force {row['force_N']:7.2f} N  error {error:+6.2f} N  "
             f"late {rows['lateness_ns'].max() / 1000:5.0f} us"
         )
@@ -205,46 +219,70 @@ def live_line(names: list[str]) -> Iterator[Callable[[Rows], None]]:
         print("\r\x1b[K", end="", flush=True)
 
 
+def print_demo(verdict: DemoVerdict) -> None:
+    """Print table, timing, warnings and verdict."""
+    print("\n".join(text_table([HEADER, *_rows(verdict)], left_aligned=2)))
+    print(_timing_sentence(verdict))
+    for warning in verdict.outcome.warnings:
+        print(f"warning: {warning}")
+    print(verdict.sentence)
+
+
+def print_hidden(hidden: HiddenVerdict) -> None:
+    """Print diagnosis, errors of each compensation, noise and verdict of the bench with hidden effects."""
+    print("a bench with hidden creep, lag and delay (emulated in virtual time, as fast as this machine allows):")
+    print(f"  diagnosis: {hidden.diagnosis}")
+    print(f"  {'compensation':<20} {'rms error [N]':>13} {'[%]':>6} {'max error [N]':>14} {'[%]':>6}")
+    for name, errors in hidden.figures.items():
+        print(
+            f"  {LABELS[name]:<20} {errors.rms_error_N:>13.2f} {errors.rms_error_percent:>6.2f} "
+            f"{errors.max_error_N:>14.2f} {errors.max_error_percent:>6.2f}"
+        )
+    share = 100.0 * hidden.noise_N / hidden.figures["extended"].range_N
+    print(f"  {'noise of the reading':<20} {hidden.noise_N:>13.2f} {share:>6.2f} {'-':>14} {'-':>6}")
+    print(hidden.sentence)
+
+
+def write_demo_page(path: Path, verdict: DemoVerdict, recordings: dict[FigureKey, Recording]) -> None:
+    """Write the page of the demo.
+
+    Parameters
+    ----------
+    path
+        File to write.
+    verdict
+        Result of the demo.
+    recordings
+        By (reference, compensation). Recordings of a single sample are left out.
+
+    Raises
+    ------
+    ConfigurationError
+        The file cannot be written.
+    """
+    shown = {key: recording for key, recording in recordings.items() if recording.time_s.size > 1}
+    table = table_html(HEADER, _rows(verdict)) + f"<p>{_timing_sentence(verdict)}</p>"
+    write_tracking_page(path, "Demo: the force follows a reference", verdict.sentence, shown, table)
+
+
 def _rows(verdict: DemoVerdict) -> list[list[str]]:
     return [
         [
-            key[0],
-            LABELS[key[1]],
-            f"{one.rms_error_N:.2f}",
-            f"{one.rms_error_percent:.2f}",
-            f"{one.max_error_N:.2f}",
-            f"{one.max_error_percent:.2f}",
-            "-" if one.max_hysteresis_percent is None else f"{one.max_hysteresis_percent:.2f}",
+            reference,
+            LABELS[compensation],
+            f"{errors.rms_error_N:.2f}",
+            f"{errors.rms_error_percent:.2f}",
+            f"{errors.max_error_N:.2f}",
+            f"{errors.max_error_percent:.2f}",
+            "-" if errors.max_hysteresis_percent is None else f"{errors.max_hysteresis_percent:.2f}",
         ]
-        for key, one in verdict.figures.items()
+        for (reference, compensation), errors in verdict.figures.items()
     ]
 
 
-def _timing_words(verdict: DemoVerdict) -> str:
+def _timing_sentence(verdict: DemoVerdict) -> str:
     late = verdict.timing.lateness_us
     return (
         f"{verdict.outcome.ticks} ticks, {verdict.outcome.missed} missed, {verdict.outcome.failed_exchanges} failed "
         f"exchanges; lateness p50 {late['p50']:.0f} us, p99 {late['p99']:.0f} us, p99.9 {late['p99.9']:.0f} us"
     )
-
-
-def print_table(verdict: DemoVerdict) -> None:
-    """The table, the timing and the verdict, as text."""
-    rows = _rows(verdict)
-    widths = [max(len(line[k]) for line in [HEADER, *rows]) for k in range(len(HEADER))]
-    for line in [HEADER, *rows]:
-        cells = [
-            cell.ljust(w) if k < 2 else cell.rjust(w) for k, (cell, w) in enumerate(zip(line, widths, strict=True))
-        ]
-        print("  ".join(cells))
-    print(_timing_words(verdict))
-    for warning in verdict.outcome.warnings:
-        print(f"warning: {warning}")
-    print(verdict.words)
-
-
-def write_demo_page(path: Path, verdict: DemoVerdict, recordings: dict[tuple[str, str], Recording]) -> None:
-    """The page of the demo."""
-    shown = {key: recording for key, recording in recordings.items() if recording.time_s.size > 1}
-    table = table_html(HEADER, _rows(verdict)) + f"<p>{_timing_words(verdict)}</p>"
-    write_tracking_page(path, "A force follows its reference", verdict.words, shown, table)

@@ -1,4 +1,4 @@
-"""The catalogue in words: the table, a page, JSON, and a name that is not there."""
+"""The catalogue of effects as table, page and JSON, and the error for an unknown name."""
 
 import json
 
@@ -10,7 +10,7 @@ from piezod.report.effects import effect_named, effect_page, effects_table
 from tests.benches.emulator import piezod
 
 
-def test_the_table_has_a_line_for_every_effect_with_its_seat_parameters_and_handling():
+def test_the_table_has_a_line_for_every_effect_with_parameters_and_handling():
     lines = effects_table().splitlines()[1:]
     assert len(lines) == len(EFFECTS)
     for line, effect in zip(lines, EFFECTS.values(), strict=True):
@@ -33,7 +33,7 @@ def test_a_page_holds_the_docstring_and_every_parameter_with_its_unit(name):
 
 
 @pytest.mark.parametrize(("written", "meant"), [("crep", "creep"), ("hum", "mains_hum"), ("lag", "electrical_lag")])
-def test_an_unknown_name_is_answered_with_the_nearest(written, meant):
+def test_the_error_for_an_unknown_name_gives_the_most_similar_name(written, meant):
     with pytest.raises(UsageError, match=f"'{written}', the nearest is '{meant}'"):
         effect_named(written)
 

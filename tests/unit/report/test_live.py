@@ -1,4 +1,4 @@
-"""The live page behind the browser: a short memory of the ring log, and what the lamp says of it."""
+"""The live page without a browser: curves, durations and events of the ring log, and the status banner."""
 
 import re
 import time
@@ -11,10 +11,10 @@ from piezod.config import load_bench
 from piezod.control import ROW_DTYPE, Cause, RingLog, State
 from piezod.errors import ConfigurationError
 from piezod.report.figures.durations import EDGES_us, RecentDurations
-from piezod.report.live.curves import Curves, Table
+from piezod.report.live.curves import Curves, RecentPoints
 from piezod.report.live.feed import MOST_EVENTS, Feed
 from piezod.report.live.server import read_token
-from piezod.report.live.status_banner import events_html, lamp_html, state_words
+from piezod.report.live.status_banner import banner_html, events_html, state_and_remedy
 
 
 def rows_of(count, first=0, **fields):
@@ -42,24 +42,24 @@ def ring_of(bench, rows):
     return log
 
 
-def test_a_table_keeps_the_newest_points_and_hands_out_what_is_new():
-    table = Table(("x",), 5)
-    table.add({"x": np.arange(4.0)})
-    table.add({"x": np.arange(4.0, 8.0)})
-    assert table.since(0)["x"].tolist() == [3, 4, 5, 6, 7]
-    assert table.since(6)["x"].tolist() == [6, 7]
-    assert table.since(8)["x"].size == 0
+def test_recent_points_drop_the_oldest_and_return_the_new_points():
+    points = RecentPoints(("x",), 5)
+    points.add({"x": np.arange(4.0)})
+    points.add({"x": np.arange(4.0, 8.0)})
+    assert points.since(0)["x"].tolist() == [3, 4, 5, 6, 7]
+    assert points.since(6)["x"].tolist() == [6, 7]
+    assert points.since(8)["x"].size == 0
 
 
-@pytest.mark.parametrize("pieces", [[1000], [1] * 1000, [7, 493, 500]])
-def test_a_spike_of_one_tick_is_drawn_however_the_rows_come(pieces):
+@pytest.mark.parametrize("chunks", [[1000], [1] * 1000, [7, 493, 500]])
+def test_a_spike_of_one_tick_is_drawn_for_any_partition_of_the_rows(chunks):
     curves = Curves(1000.0, 0.05, 30.0, 20.0, 2400)
     force = np.zeros(1000)
     force[321] = 5.0
-    begun = 0
-    for size in pieces:
-        curves.add(rows_of(size, begun, force_N=force[begun : begun + size]), 0.0)
-        begun += size
+    first = 0
+    for size in chunks:
+        curves.add(rows_of(size, first, force_N=force[first : first + size]), 0.0)
+        first += size
     drawn = curves.over_time.since(0)
     assert drawn["force_N"].size < 50
     assert drawn["force_N"].max() == 5.0
@@ -75,7 +75,7 @@ def test_curves_do_not_grow_with_time():
     assert curves.loop.since(0)["force_N"].size == 100
 
 
-def test_a_force_belongs_to_the_command_one_row_before():
+def test_a_force_answers_the_command_of_the_row_before():
     curves = Curves(10.0, 0.05, 30.0, 1000.0, 10_000)
     curves.add(rows_of(4, voltage_V=[1, 2, 3, 4], force_N=[0, 10, 20, 30], reference_N=[9, 18, 27, 36]), 0.0)
     loop = curves.loop.since(0)
@@ -90,93 +90,93 @@ def test_a_failed_exchange_is_a_gap_and_no_force():
     assert curves.loop.since(0)["force_N"].size == 2
 
 
-def test_durations_are_counted_in_their_class_and_old_ones_go():
+def test_durations_are_counted_in_their_class_and_old_durations_are_dropped():
     durations = RecentDurations(10)
     durations.add(np.array([5_000] * 10))
     assert durations.counts()[np.searchsorted(EDGES_us, 5.0) - 1] == 10
     durations.add(np.array([2_000_000_000] * 10))
     assert durations.counts()[-1] == 10
     assert durations.counts().sum() == 10
-    assert durations.words() == "p50 2000.0 ms, p99 2000.0 ms, max 2000.0 ms"
+    assert durations.summary() == "p50 2000.0 ms, p99 2000.0 ms, max 2000.0 ms"
 
 
-def test_the_feed_goes_over_to_the_ring_of_a_daemon_that_was_started_again(bench):
+def test_the_feed_opens_the_new_ring_after_a_restart_of_the_daemon(bench):
     feed = Feed(bench)
-    feed.look()
-    assert state_words(feed)[0] == "NO TICKS"
+    feed.update()
+    assert state_and_remedy(feed)[0] == "NO TICKS"
     first = ring_of(bench, rows_of(50))
-    feed.look()
-    assert state_words(feed)[0] == "RUNNING"
+    feed.update()
+    assert state_and_remedy(feed)[0] == "RUNNING"
     second = ring_of(bench, rows_of(3, state=State.DISARMED, cause=Cause.SAFE))
-    feed.look()
-    assert state_words(feed)[0] == "DISARMED"
+    feed.update()
+    assert state_and_remedy(feed)[0] == "DISARMED"
     assert [one.name for one in feed.events] == ["RUNNING", "restarted", "DISARMED"]
     for log in (first, second):
         log.close()
 
 
-def test_a_fault_is_told_with_reason_remedy_and_reset(bench):
+def test_a_fault_shows_its_reason_its_remedy_and_reset(bench):
     log = ring_of(bench, rows_of(3, state=State.FAULT, cause=Cause.MAINS_LOST))
     feed = Feed(bench)
-    feed.look()
-    state, reason, remedy = state_words(feed)
+    feed.update()
+    state, reason, remedy = state_and_remedy(feed)
     assert (state, reason) == ("FAULT", "the amplifier reports that its mains are lost")
     assert remedy == "check its supply; then piezod reset"
     log.close()
 
 
-def test_old_values_are_not_shown_as_new_ones(bench):
+def test_stale_values_are_not_shown(bench):
     now_s = [100.0]
     log = ring_of(bench, rows_of(3, force_N=12.34))
     feed = Feed(bench, lambda: now_s[0])
-    feed.look()
-    assert "12.34 N" in lamp_html(feed)
+    feed.update()
+    assert "12.34 N" in banner_html(feed)
     now_s[0] += 5.0
-    feed.look()
-    feed.answered(None, "no <socket>")
-    assert "12.34 N" not in lamp_html(feed)
-    assert "NO TICKS" in lamp_html(feed)
-    assert "no &lt;socket&gt;" in lamp_html(feed)
+    feed.update()
+    feed.set_status(None, "no <socket>")
+    assert "12.34 N" not in banner_html(feed)
+    assert "NO TICKS" in banner_html(feed)
+    assert "no &lt;socket&gt;" in banner_html(feed)
     log.close()
 
 
-def test_a_device_that_is_not_connected_is_told_in_the_daemons_words(bench):
+def test_a_device_that_is_not_connected_shows_the_message_of_the_daemon(bench):
     feed = Feed(bench)
-    feed.answered(
+    feed.set_status(
         {"connected": False, "problem": "refused by 10.0.0.7", "ticks": 0, "missed": 0, "failed_exchanges": 0}, ""
     )
-    assert state_words(feed) == ("NO TICKS", "refused by 10.0.0.7", "it tries again by itself")
+    assert state_and_remedy(feed) == ("NO TICKS", "refused by 10.0.0.7", "the daemon retries automatically")
 
 
 def test_events_are_few_and_the_newest_come_first(bench):
     states = np.tile([State.RUNNING, State.HOLD], 200)
     log = ring_of(bench, rows_of(400, state=states))
     feed = Feed(bench)
-    feed.look()
+    feed.update()
     assert len(feed.events) == MOST_EVENTS
-    assert feed.happened == 400
+    assert feed.event_count == 400
     shown = re.findall("<td>(RUNNING|HOLD)</td>", events_html(feed.events))
     assert shown == ["HOLD", "RUNNING"] * 4
     log.close()
 
 
-def test_rows_that_were_overwritten_are_told(bench):
+def test_overwritten_rows_are_an_event(bench):
     feed = Feed(bench)
     log = ring_of(bench, rows_of(10))
-    feed.look()
+    feed.update()
     for row in rows_of(3000, 10):
         log.append(*row.tolist())
-    feed.look()
+    feed.update()
     assert feed.events[-1].name == "not seen"
     log.close()
 
 
-def test_the_clock_of_the_curves_is_that_of_the_wall(bench):
+def test_curves_show_the_local_time_of_day(bench):
     rows = rows_of(200)
     rows["time_ns"] += time.clock_gettime_ns(time.CLOCK_BOOTTIME) - int(rows["time_ns"][-1])
     log = ring_of(bench, rows)
     feed = Feed(bench)
-    feed.look()
+    feed.update()
     shown_s = feed.curves.over_time.since(0)["time_ms"][-1] * 1e-3 - time.localtime().tm_gmtoff
     assert abs(shown_s - time.time()) < 60
     log.close()
@@ -184,9 +184,9 @@ def test_the_clock_of_the_curves_is_that_of_the_wall(bench):
 
 @pytest.mark.parametrize(
     ("text", "mode", "says"),
-    [("a" * 15, 0o600, "has 15 signs"), ("a" * 32, 0o644, "mode is 0644"), (None, 0o600, "no token can be read")],
+    [("a" * 15, 0o600, "has 15 characters"), ("a" * 32, 0o644, "mode is 0644"), (None, 0o600, "no token can be read")],
 )
-def test_a_token_that_others_may_know_is_refused(tmp_path, text, mode, says):
+def test_a_short_or_readable_token_is_refused(tmp_path, text, mode, says):
     path = tmp_path / "token"
     if text is not None:
         path.write_text(text, encoding="utf-8")

@@ -1,4 +1,4 @@
-"""The frame of all pages: figures in their places, tables that scroll, nothing from elsewhere."""
+"""The HTML that all pages share: rows of figures, tables, and no external resources."""
 
 import re
 
@@ -14,7 +14,7 @@ def plot(title):
     return made
 
 
-def test_figures_stand_beside_each_other_where_they_are_given_together(tmp_path):
+def test_figures_of_one_part_are_side_by_side(tmp_path):
     parts = [head_html("A & B", "so <well>"), [plot("one"), plot("two")], "<p>between</p>", [plot("three")]]
     write_page(tmp_path / "page.html", "A & B", parts)
     page = (tmp_path / "page.html").read_text(encoding="utf-8")
@@ -32,7 +32,7 @@ def test_a_page_may_have_no_figures(tmp_path):
     assert "<p>words alone</p>" in (tmp_path / "page.html").read_text(encoding="utf-8")
 
 
-def test_groups_of_columns_stand_above_their_header():
+def test_groups_of_columns_are_above_the_header():
     made = table_html(["reference", "rms", "max"], [["a", "1", "<2>"]], groups=[("", 1), ("with & without", 2)])
     assert "<th class='group' colspan='2'>with &amp; without</th></tr><tr><th>reference</th>" in made
     assert "<td>&lt;2&gt;</td>" in made
@@ -40,7 +40,7 @@ def test_groups_of_columns_stand_above_their_header():
 
 
 @pytest.mark.parametrize(
-    ("channel", "said"),
+    ("channel", "label"),
     [
         ("voltage_V", "voltage [V]"),
         ("displacement_um", "displacement [\N{MICRO SIGN}m]"),
@@ -48,5 +48,5 @@ def test_groups_of_columns_stand_above_their_header():
         ("force", "force"),
     ],
 )
-def test_an_axis_says_its_quantity_and_its_unit(channel, said):
-    assert axis_label(channel) == said
+def test_an_axis_label_has_quantity_and_unit(channel, label):
+    assert axis_label(channel) == label

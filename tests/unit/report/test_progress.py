@@ -1,4 +1,4 @@
-"""A bar for what takes long: on a terminal, after two seconds, and gone at the end."""
+"""A progress bar appears on a terminal after two seconds and disappears at the end."""
 
 import os
 import pty
@@ -10,7 +10,7 @@ import pytest
 PROGRAM = """
 import time
 from piezod.report import progress
-with progress.steps({patience}) as show:
+with progress.steps({show_after_s}) as show:
     time.sleep(0.05)
     show("reading rec.csv, 1.0 million samples", None)
     show("fitting", 0.5)
@@ -18,10 +18,10 @@ print("done")
 """
 
 
-def seen_on_a_terminal(patience, *, stdout_too=True):
+def seen_on_a_terminal(show_after_s, *, stdout_too=True):
     ours, theirs = pty.openpty()
     process = subprocess.Popen(
-        [sys.executable, "-c", PROGRAM.format(patience=patience)],
+        [sys.executable, "-c", PROGRAM.format(show_after_s=show_after_s)],
         stdin=theirs,
         stdout=theirs if stdout_too else subprocess.DEVNULL,
         stderr=theirs,
@@ -39,12 +39,12 @@ def seen_on_a_terminal(patience, *, stdout_too=True):
     return seen.decode()
 
 
-def test_what_takes_long_is_shown_with_the_share_that_is_done():
+def test_a_long_task_shows_its_step_and_completed_share():
     seen = seen_on_a_terminal(0.0)
     assert "fitting" in seen
     assert "50%" in seen
 
 
-@pytest.mark.parametrize(("patience", "stdout_too"), [(2.0, True), (0.0, False)])
-def test_what_is_quick_or_piped_shows_no_bar(patience, stdout_too):
-    assert seen_on_a_terminal(patience, stdout_too=stdout_too) == ("done\r\n" if stdout_too else "")
+@pytest.mark.parametrize(("show_after_s", "stdout_too"), [(2.0, True), (0.0, False)])
+def test_a_short_or_piped_task_shows_no_bar(show_after_s, stdout_too):
+    assert seen_on_a_terminal(show_after_s, stdout_too=stdout_too) == ("done\r\n" if stdout_too else "")

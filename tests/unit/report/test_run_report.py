@@ -1,4 +1,4 @@
-"""The report of a run, from its recording: what it says, and that nothing is needed but what was kept."""
+"""The report of a run, computed from its recording alone."""
 
 import json
 
@@ -26,7 +26,7 @@ def recording(states, causes=None, dt_s=0.01, **channels):
     return Recording(np.arange(size) * dt_s, made | channels, {}, "press-000001.sqlite")
 
 
-def test_the_error_counts_where_command_and_answer_were_both_running():
+def test_the_error_uses_ticks_whose_command_and_answer_are_both_in_running():
     force = np.array([0.0, 0.0, 13.0, 9.0, 50.0])
     states = [State.ARMING, State.RUNNING, State.RUNNING, State.RUNNING, State.RAMP_DOWN]
     figures = run_figures(recording(states, force_N=force))
@@ -39,35 +39,35 @@ def test_the_error_counts_where_command_and_answer_were_both_running():
     ("states", "causes", "says"),
     [
         ([2, 2, 5], [2, 2, 8], "ended in FAULT, force above limits.force_trip_N; check specimen"),
-        ([2, 4, 0], [2, 3, 13], "ended at rest"),
-        ([0, 1, 2], [0, 1, 2], "cut off in RUNNING"),
+        ([2, 4, 0], [2, 3, 13], "ended in DISARMED"),
+        ([0, 1, 2], [0, 1, 2], "interrupted in RUNNING"),
     ],
 )
-def test_the_verdict_says_how_it_ended(states, causes, says):
-    assert run_figures(recording(states, causes)).words.startswith(says)
+def test_the_verdict_names_the_last_state(states, causes, says):
+    assert run_figures(recording(states, causes)).sentence.startswith(says)
 
 
-def test_missed_ticks_are_counted_by_their_numbers():
+def test_missed_ticks_are_gaps_in_the_tick_number():
     figures = run_figures(recording([2, 2, 2], tick=np.array([5.0, 6.0, 9.0])))
     assert figures.missed == 2
-    assert "2 ticks missed" in figures.words
+    assert "2 ticks missed" in figures.sentence
 
 
 def test_transitions_are_in_order_and_json_can_hold_them():
     figures = run_figures(recording([1, 2, 2, 5], [Cause.ARMED, 2, 2, Cause.OVER_FORCE]))
-    said = json.loads(json.dumps(figures.as_dict()))
-    assert [(one["time_s"], one["state"]) for one in said["transitions"]] == [
+    written = json.loads(json.dumps(figures.as_dict()))
+    assert [(one["time_s"], one["state"]) for one in written["transitions"]] == [
         (0.0, "ARMING"),
         (0.01, "RUNNING"),
         (0.03, "FAULT"),
     ]
 
 
-def test_a_recording_from_elsewhere_has_a_page_too(tmp_path):
+def test_a_recording_of_another_program_has_a_page(tmp_path):
     bare = Recording(np.arange(50) * 0.01, {"voltage_V": np.arange(50.0), "displacement_um": np.arange(50.0)})
     figures = run_figures(bare)
     write_run_page(tmp_path / "run.html", bare, figures)
-    assert figures.words == "recorded: 0.5 s, 0.5 s of them running"
+    assert figures.sentence == "recorded: 0.5 s, 0.5 s in RUNNING"
     assert "Voltage" in (tmp_path / "run.html").read_text(encoding="utf-8")
 
 
@@ -76,7 +76,7 @@ def test_a_recording_without_samples_is_refused():
         run_figures(recording([]))
 
 
-def test_the_page_tells_what_happened(tmp_path):
+def test_the_page_lists_the_changes_of_state(tmp_path):
     made = recording([1, 2, 5], [1, 2, 8], lateness_ns=np.array([1e4, 2e4, 3e4]), exchange_ns=np.array([1e5, 2e5, 3e5]))
     write_run_page(tmp_path / "run.html", made, run_figures(made))
     page = (tmp_path / "run.html").read_text(encoding="utf-8")

@@ -1,4 +1,4 @@
-"""The data of a page's figures beside it: what is drawn, point by point."""
+"""The CSV files of the figures of a page: one row for each point."""
 
 import csv
 
@@ -7,8 +7,8 @@ from bokeh.models import ColumnDataSource
 from bokeh.plotting import figure
 
 from piezod.report.figures.data_files import figure_csv
+from piezod.report.figures.layout import finish_figure
 from piezod.report.page import write_page
-from piezod.report.tracking.page import finish
 
 
 def rows(text):
@@ -19,10 +19,10 @@ def plot(title="Force & time"):
     made = figure(title=title, x_axis_label="time [s]", y_axis_label="force [N]")
     made.line([0.0, 1.0], [1.5, np.nan], legend_label="measured")
     made.scatter("at", "held", source=ColumnDataSource({"at": [2.0], "held": [7.0]}), legend_label="held, out")
-    return finish(made)
+    return finish_figure(made)
 
 
-def test_every_point_stands_under_the_words_of_its_axes():
+def test_axis_labels_name_the_coordinates_of_a_point():
     assert rows(figure_csv(plot())) == [
         {"curve": "measured", "time [s]": "0", "force [N]": "1.5"},
         {"curve": "measured", "time [s]": "1", "force [N]": "nan"},
@@ -30,7 +30,7 @@ def test_every_point_stands_under_the_words_of_its_axes():
     ]
 
 
-def test_a_map_is_its_cells():
+def test_a_map_has_one_row_for_each_cell():
     made = figure(x_axis_label="time [s]", y_axis_label="frequency [Hz]")
     made.image([np.array([[1.0, 2.0], [3.0, 4.0]])], x=0.0, y=10.0, dw=2.0, dh=20.0)
     found = rows(figure_csv(made))
@@ -48,7 +48,7 @@ def test_bars_keep_the_names_of_their_edges():
     assert rows(figure_csv(made)) == [{"curve": "curve 1", "left": "0", "right": "1", "top": "5"}]
 
 
-def test_a_page_has_a_file_a_figure_and_leaves_what_is_not_its_own(tmp_path):
+def test_a_page_has_one_file_for_each_figure_and_leaves_other_files_alone(tmp_path):
     page = tmp_path / "run.html"
     folder = tmp_path / "run.data"
     folder.mkdir()

@@ -1,0 +1,61 @@
+"""Width, toolbar, legend and axis ticks that the figures of all pages share."""
+
+from typing import Any
+
+import numpy as np
+from bokeh.models import BasicTicker, HoverTool, LogTicker
+from bokeh.plotting import figure
+from numpy.typing import NDArray
+
+MOST_TICKS = 5  # more labels overlap on a telephone
+SHOWN_SAMPLES = 1500  # points of a decimated curve; tables use all samples
+
+
+def decimated(values: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return every n-th sample, with n such that about `SHOWN_SAMPLES` remain."""
+    return values[:: max(1, values.size // SHOWN_SAMPLES)]
+
+
+def apply_layout(plot: figure, **legend: Any) -> figure:  # noqa: ANN401
+    """Set width, toolbar and legend of a figure in place, and return it.
+
+    Parameters
+    ----------
+    plot
+        The figure.
+    legend
+        Bokeh properties of the legend that replace or extend the shared ones.
+    """
+    plot.sizing_mode = "stretch_width"
+    plot.toolbar.autohide = True
+    plot.toolbar.logo = None
+    if plot.legend:
+        shared = {
+            "orientation": "horizontal",
+            "border_line_color": None,
+            "click_policy": "hide",
+            "label_text_font_size": "11px",
+            "margin": 0,
+            "padding": 2,
+        }
+        plot.legend[0].update(**(shared | legend))
+        plot.add_layout(plot.legend[0], "above")
+    return plot
+
+
+def finish_figure(plot: figure, *, vertical_legend: bool = False) -> figure:
+    """Add layout, few ticks and a tooltip to a figure of a report, and return it.
+
+    Parameters
+    ----------
+    plot
+        The figure with all its curves.
+    vertical_legend
+        Whether the legend has one entry a line, for long names.
+    """
+    orientation, spacing = ("vertical", 0) if vertical_legend else ("horizontal", 8)
+    apply_layout(plot, orientation=orientation, spacing=spacing, glyph_height=14, label_height=14)
+    if not isinstance(plot.xaxis[0].ticker, LogTicker):
+        plot.xaxis.ticker = BasicTicker(desired_num_ticks=MOST_TICKS)
+    plot.add_tools(HoverTool(tooltips=[("x", "$x{0.000}"), ("y", "$y{0.00}")]))
+    return plot
