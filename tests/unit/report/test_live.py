@@ -120,7 +120,7 @@ def test_a_fault_shows_its_reason_its_remedy_and_reset(bench):
     feed = Feed(bench)
     feed.update()
     state, reason, remedy = state_and_remedy(feed)
-    assert (state, reason) == ("FAULT", "the amplifier reports that its mains are lost")
+    assert (state, reason) == ("FAULT", "the amplifier reports a loss of mains")
     assert remedy == "check its supply; then piezod reset"
     log.close()
 
