@@ -27,8 +27,7 @@ from piezod.config import BenchConfig, all_values, effective_text, load_bench, m
 from piezod.control import CAUSE_TEXT, ROW_DTYPE, Cause, RingReader, State
 from piezod.daemon.client import Client
 from piezod.errors import ConfigurationError, PiezodError, UsageError
-from piezod.model import load_model
-from piezod.model.parameters import file_sha256
+from piezod.model import file_sha256, load_model
 
 REMOVED = "REMOVED"
 LAST_TICKS = 20_000

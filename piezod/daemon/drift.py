@@ -66,7 +66,7 @@ class DriftWatch:
 
     def warm_up(self) -> None:
         """Have the compiled steps loaded."""
-        self._expected.take(np.zeros(1), np.full(1, nan))
+        self._expected.run(np.zeros(1), np.full(1, nan))
         self._expected.reset()
 
     def begin(self) -> None:
@@ -93,7 +93,7 @@ class DriftWatch:
         voltage_V = np.repeat(commands["voltage_V"], steps)
         reading_N = np.full(voltage_V.size, nan)
         reading_N[last] = np.where(good, answers["force_N"], nan)
-        expected, corrected = self._expected.take(voltage_V, reading_N, float(answers["temperature_C"][-1]))
+        expected, corrected = self._expected.run(voltage_V, reading_N, float(answers["temperature_C"][-1]))
         self.corrected_N = float(corrected[-1])
         followed = good & (commands["state"] == State.RUNNING) & (answers["state"] == State.RUNNING)
         self._judge((reading_N[last] - expected[last])[followed])

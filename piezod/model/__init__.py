@@ -1,11 +1,17 @@
-"""The model of a bench: its file, its forward chain and its inverse chain."""
+"""The model of a bench: its file, its forward chain and its inverse.
 
+`COMPENSATED` lists the effects that the compensator inverts.
+"""
+
+from piezod.model.compensated import COMPENSATED, acting_effects, refuse_uncompensated
 from piezod.model.compensator import Compensator, DirectDrive, make_compensator
-from piezod.model.extended_compensator import ExtendedCompensator, acting_effects, refuse
-from piezod.model.parameters import Model, dump_model, file_sha256, load_model, save_model
+from piezod.model.extended_compensator import ExtendedCompensator
+from piezod.model.model_file import dump_model, file_sha256, load_model, save_model
+from piezod.model.parameters import Model
 from piezod.model.plant import Plant, run_chain
 
 __all__ = [
+    "COMPENSATED",
     "Compensator",
     "DirectDrive",
     "ExtendedCompensator",
@@ -16,7 +22,7 @@ __all__ = [
     "file_sha256",
     "load_model",
     "make_compensator",
-    "refuse",
+    "refuse_uncompensated",
     "run_chain",
     "save_model",
 ]

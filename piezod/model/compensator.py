@@ -1,9 +1,10 @@
-"""The inverse chain: from the force wanted to the voltage, planned first and committed with what was applied."""
+"""Compensators: they plan a voltage for a reference without a change of state, then commit the voltage written."""
 
 from collections.abc import Collection
 from typing import Protocol
 
-from piezod.model.extended_compensator import ExtendedCompensator, acting_effects
+from piezod.model.compensated import acting_effects
+from piezod.model.extended_compensator import ExtendedCompensator
 from piezod.model.parameters import Model
 from piezod.model.plant import Plant
 from piezod.operators import ImplicitInverse
@@ -11,28 +12,28 @@ from piezod.operators.prandtl_ishlinskii import commit_step, plan_step
 
 
 class Compensator(Protocol):
-    """What the tick asks of every compensation."""
+    """Conversion of a reference into a voltage, once a tick: `plan`, then `commit`."""
 
     def reset(self) -> None:
-        """Back to the start state."""
+        """Return to the start state."""
         ...
 
     def plan(self, reference: float) -> float:
-        """Voltage [V] for a reference [N]; moves no state."""
+        """Voltage [V] for a reference [N]; changes no state."""
         ...
 
     def commit(self, voltage_V: float) -> None:
-        """Move every state with the voltage that was really written."""
+        """Advance every state with the voltage `voltage_V` [V] that was written."""
         ...
 
 
 class InverseCompensator:
-    """The model's inverse.
+    """Inverse of a model without effects.
 
     Parameters
     ----------
     model
-        What was identified; the states start in its start state.
+        Identified model; the states begin in its start state.
 
     Raises
     ------
@@ -45,20 +46,26 @@ class InverseCompensator:
         self._packed = ImplicitInverse(model.operator()).packed
 
     def reset(self) -> None:
-        """Back to the model's start state."""
+        """Return to the model's start state."""
         self._packed[:] = ImplicitInverse(self._model.operator()).packed
 
     def plan(self, reference: float) -> float:
-        """Voltage [V] for a reference [N]; moves no state."""
+        """Voltage [V] for a reference [N]; changes no state."""
         return plan_step(self._packed, reference)
 
     def commit(self, voltage_V: float) -> None:
-        """Move the plays with the voltage that was really written."""
+        """Advance the plays with the voltage `voltage_V` [V] that was written."""
         commit_step(self._packed, voltage_V)
 
 
 class GainCompensator:
-    """One factor between force and voltage, the chord of the steady major loop: what one has without a model."""
+    """Linear conversion by the chord of the steady major loop: a comparison without compensation of the hysteresis.
+
+    Parameters
+    ----------
+    model
+        Identified model, for its range.
+    """
 
     def __init__(self, model: Model) -> None:
         bottom, top = Plant(model).steady_range()
@@ -66,48 +73,48 @@ class GainCompensator:
         self._offset = model.input.low - self._slope * bottom
 
     def reset(self) -> None:
-        """Nothing is kept."""
+        """No effect: there is no state."""
 
     def plan(self, reference: float) -> float:
         """Voltage [V] for a reference [N]."""
         return self._offset + self._slope * reference
 
     def commit(self, voltage_V: float) -> None:
-        """Nothing is kept."""
+        """No effect: there is no state."""
 
 
 class DirectDrive:
-    """The reference is the voltage: how an excitation is driven through the bench to be recorded."""
+    """The reference is the voltage, as in the recording of an excitation."""
 
     def reset(self) -> None:
-        """Nothing is kept."""
+        """No effect: there is no state."""
 
     def plan(self, reference: float) -> float:
-        """The reference itself [V]."""
+        """Voltage [V]: the reference itself."""
         return reference
 
     def commit(self, voltage_V: float) -> None:
-        """Nothing is kept."""
+        """No effect: there is no state."""
 
 
 def make_compensator(kind: str, model: Model, dt_s: float, without: Collection[str] = ()) -> Compensator:
-    """Build the compensation that the bench configuration names: `inverse` or `gain`.
+    """Build the compensator that the bench configuration names.
 
     Parameters
     ----------
     kind
-        `inverse`: of the hysteresis and of the effects that the model has.
+        "inverse": inverse of the hysteresis and of the model's effects. "gain": linear conversion.
     model
-        What was identified, or diagnosed.
+        Identified or diagnosed model.
     dt_s
         Tick period [s].
     without
-        Effects of the model that are knowingly not driven against.
+        Names of effects that are deliberately not compensated.
 
     Raises
     ------
     ModelError
-        The model, or an effect of it, has no inverse.
+        The model, or one of its effects, has no inverse.
     """
     if kind == "gain":
         return GainCompensator(model)
@@ -115,4 +122,4 @@ def make_compensator(kind: str, model: Model, dt_s: float, without: Collection[s
         if acting_effects(model, without):
             return ExtendedCompensator(model, dt_s, without)
         return InverseCompensator(model)
-    raise ValueError(f"no compensation is called {kind!r}")
+    raise ValueError(f"compensation is {kind!r}, must be 'inverse' or 'gain'")

@@ -1,11 +1,11 @@
-"""The inverse of the whole chain, effects included: one compiled step plans a voltage, one commits what was applied.
+"""The compiled steps of the chain with effects: one plans a voltage, one commits the voltage that was written.
 
-    plan      force -> less thermal drift -> gap -> curved law -> force law -> gain -> creep's states -> plays at this
-              rate -> lag -> output stage
-    commit    output stage -> current limit -> lag -> rate -> plays -> creep, with the voltage that was really written
+    plan      force -> less thermal drift -> gap -> curved law -> force law -> gain -> creep -> plays at this rate
+              -> lag -> output stage
+    commit    output stage -> slew limit -> lag -> rate -> plays -> creep
 
-A tick holds its command, so every step is that of a held input and what is planned is reached at the end of the tick:
-the next reading shows it. Everything sits in one array of constants and states beside the operator's packed one.
+A tick holds its command. The planned force is reached at the end of the tick, and the next reading shows it. Arrays:
+`packed` is the operator's array, `chain` that of `chain_array`; both hold constants and states.
 """
 
 import math
@@ -19,47 +19,32 @@ from piezod.effects.output_nonlinearity import law_step
 from piezod.effects.rate_dependent_hysteresis import OFFSET, POWER, rate_step
 from piezod.effects.slew_limit import slew_step
 from piezod.effects.voltage_clamp import clamp_step
+from piezod.model.chain_array import CONSTANT, FIRST_ELEMENT, STATE
 from piezod.operators.dead_zone import dead_zone_step
 from piezod.operators.play import play_solve, play_step, play_value, play_wider_solve, play_wider_step
 from piezod.operators.prandtl_ishlinskii import HEADER
 
 Array = NDArray[np.float64]
 
-# Constants, then states, then the elements of the creep: keep, ramp, weight and state of each.
-LIMIT_V, KNEE_V, SLEW_V, LAG_S, LAG_SWELL = 0, 1, 2, 3, 4
-GROWTH, REFERENCE_V_PER_S, RATE_WAY_V, KIND, OFFSET_V, DT_S = 5, 6, 7, 8, 9, 10
-GAIN, SQUARE, CUBE, LOW, HIGH, SPAN_N, GAP_N, SOFT_N = 11, 12, 13, 14, 15, 16, 17, 18
-CREEP_BY_VOLTAGE = 19
-SLEWED_V, APPLIED_V, RATE_V_PER_S, RESTED_S, START_V, START_STROKE_V, DRIVE_V, THERMAL_N = (
-    20,
-    21,
-    22,
-    23,
-    24,
-    25,
-    26,
-    27,
-)
-FIRST = 28
-
-MOST_PASSES, SAME_V = 40, 1e-9  # the rate of a tick depends on the voltage that is looked for
+MOST_PASSES, SAME_V = 40, 1e-9  # of the iteration for the voltage, whose rate widens the plays
 BISECTIONS = 60
 
 
 @numba.njit(cache=True)
 def _widening(chain: Array, applied_V: float) -> tuple[float, float, float, float]:
-    """Factor and offset of the thresholds at the end of a tick that ends at a voltage, with the rate behind them."""
-    moved_V = abs(applied_V - chain[APPLIED_V])
-    rate, rested_s = rate_step(chain[RATE_V_PER_S], chain[RESTED_S], moved_V, chain[DT_S], chain[RATE_WAY_V])
-    wider = chain[GROWTH] * math.log1p(rate / chain[REFERENCE_V_PER_S])
-    if chain[KIND] == OFFSET:
-        return 1.0, chain[OFFSET_V] * wider, rate, rested_s
-    return (math.exp(wider) if chain[KIND] == POWER else 1.0 + wider), 0.0, rate, rested_s
+    """Factor and offset [V] of the thresholds for a tick that ends at `applied_V`; its rate [V/s] and rest [s]."""
+    moved_V = abs(applied_V - chain[STATE.applied_V])
+    before, rested_s = chain[STATE.rate_V_per_s], chain[STATE.rested_s]
+    rate, rested_s = rate_step(before, rested_s, moved_V, chain[CONSTANT.dt_s], chain[CONSTANT.rate_way_V])
+    wider = chain[CONSTANT.rate_growth] * math.log1p(rate / chain[CONSTANT.rate_reference_V_per_s])
+    if chain[CONSTANT.rate_kind] == OFFSET:
+        return 1.0, chain[CONSTANT.rate_offset_V] * wider, rate, rested_s
+    return (math.exp(wider) if chain[CONSTANT.rate_kind] == POWER else 1.0 + wider), 0.0, rate, rested_s
 
 
 @numba.njit(cache=True)
-def _through_gap(force: float, gap: float, soft: float) -> float:
-    """Force in front of the gap at which `force` arrives behind it; for none or less, where touching begins."""
+def _invert_gap(force: float, gap: float, soft: float) -> float:
+    """Force before the gap for the force `force` behind it [N]; without force, the begin of contact."""
     soft = min(soft, gap)
     if force <= 0.0:
         return gap - soft
@@ -69,17 +54,26 @@ def _through_gap(force: float, gap: float, soft: float) -> float:
 
 
 @numba.njit(cache=True)
-def _through_law(chain: Array, force: float) -> float:
-    """Force at which the curved law gives `force`: a rising function, closed in on."""
-    aim, span = force / chain[SPAN_N], chain[SPAN_N]
+def _law(chain: Array, part: float) -> float:
+    """Curved law of a force in parts of its span."""
+    square, cube = chain[CONSTANT.law_square], chain[CONSTANT.law_cube]
+    result: float = law_step(part, square, cube, chain[CONSTANT.law_low], chain[CONSTANT.law_high])
+    return result
+
+
+@numba.njit(cache=True)
+def _invert_law(chain: Array, force: float) -> float:
+    """Argument at which the curved law gives `force` [N], by bisection of the rising function."""
+    span = chain[CONSTANT.law_span_N]
+    aim = force / span
     low, high = aim - 1.0, aim + 1.0
-    while law_step(low, chain[SQUARE], chain[CUBE], chain[LOW], chain[HIGH]) > aim:
+    while _law(chain, low) > aim:
         low -= 2.0 * (high - low)
-    while law_step(high, chain[SQUARE], chain[CUBE], chain[LOW], chain[HIGH]) < aim:
+    while _law(chain, high) < aim:
         high += 2.0 * (high - low)
     for _ in range(BISECTIONS):
         middle = 0.5 * (low + high)
-        if law_step(middle, chain[SQUARE], chain[CUBE], chain[LOW], chain[HIGH]) < aim:
+        if _law(chain, middle) < aim:
             low = middle
         else:
             high = middle
@@ -89,67 +83,68 @@ def _through_law(chain: Array, force: float) -> float:
 
 @numba.njit(cache=True)
 def _creep(chain: Array) -> tuple[float, float]:
-    """What creep adds at the end of a tick: a constant, and how much a volt of its drive (from the start) adds."""
-    constant, by_drive, before_V = 0.0, 0.0, chain[DRIVE_V]
-    count = (chain.size - FIRST) // 4
-    for j in range(FIRST, FIRST + count):
+    """Output of the creep at the end of a tick: a constant [V], and a share per volt of its drive [1]."""
+    constant, share, before_V = 0.0, 0.0, chain[STATE.creep_drive_V]
+    count = (chain.size - FIRST_ELEMENT) // 4
+    for j in range(FIRST_ELEMENT, FIRST_ELEMENT + count):
         keep, ramp, weight, state = chain[j], chain[j + count], chain[j + 2 * count], chain[j + 3 * count]
         constant += weight * first_order_step(state, before_V, 0.0, keep, ramp)
-        by_drive += weight * ramp
-    return constant, by_drive
+        share += weight * ramp
+    return constant, share
 
 
 @numba.njit(cache=True)
 def plan_chain_step(packed: Array, chain: Array, force: float) -> float:
-    """Voltage [V] at which the force at the end of the tick would be `force`; moves no state."""
+    """Voltage [V] that gives the force `force` [N] at the end of the tick; changes no state."""
     plays, zones = int(packed[0]), int(packed[1])
-    force -= chain[THERMAL_N]
-    if chain[GAP_N] > 0.0:
-        force = _through_gap(force, chain[GAP_N], chain[SOFT_N])
-    if chain[SPAN_N] > 0.0:
-        force = _through_law(chain, force)
-    stroke_V = dead_zone_step(packed, HEADER + 3 * plays, zones, force - packed[2]) / chain[GAIN]
-    constant, by_drive = _creep(chain)
-    ratio = chain[CREEP_BY_VOLTAGE]
-    if ratio > 0.0:  # driven by the voltage: that of the tick before serves first
-        drive_V = ratio * (chain[APPLIED_V] - chain[START_V])
-        v = stroke_V - constant - by_drive * drive_V
+    force -= chain[STATE.thermal_N]
+    if chain[CONSTANT.gap_N] > 0.0:
+        force = _invert_gap(force, chain[CONSTANT.gap_N], chain[CONSTANT.gap_softness_N])
+    if chain[CONSTANT.law_span_N] > 0.0:
+        force = _invert_law(chain, force)
+    stroke_V = dead_zone_step(packed, HEADER + 3 * plays, zones, force - packed[2]) / chain[CONSTANT.gain]
+    constant, share = _creep(chain)
+    ratio = chain[CONSTANT.creep_drive_per_V]
+    if ratio > 0.0:  # driven by the voltage: the voltage of the last tick is the first guess
+        drive_V = ratio * (chain[STATE.applied_V] - chain[STATE.start_V])
+        v = stroke_V - constant - share * drive_V
     else:
-        v = (stroke_V - constant + by_drive * chain[START_STROKE_V]) / (1.0 + by_drive)
-    applied_V = _through_plays(packed, chain, plays, v)
-    if ratio > 0.0 and by_drive > 0.0:
-        drive_V = ratio * (applied_V - chain[START_V])
-        applied_V = _through_plays(packed, chain, plays, stroke_V - constant - by_drive * drive_V)
-    if chain[LAG_S] > 0.0:
+        v = (stroke_V - constant + share * chain[STATE.start_stroke_V]) / (1.0 + share)
+    applied_V = _invert_plays(packed, chain, plays, v)
+    if ratio > 0.0 and share > 0.0:
+        drive_V = ratio * (applied_V - chain[STATE.start_V])
+        applied_V = _invert_plays(packed, chain, plays, stroke_V - constant - share * drive_V)
+    if chain[CONSTANT.lag_s] > 0.0:
         keep, _ = _lag(chain, 1.0)
-        applied_V = chain[APPLIED_V] + (applied_V - chain[APPLIED_V]) / (1.0 - keep)
-    return _through_clamp(applied_V, chain[LIMIT_V], chain[KNEE_V])
+        applied_V = chain[STATE.applied_V] + (applied_V - chain[STATE.applied_V]) / (1.0 - keep)
+    return _invert_clamp(applied_V, chain[CONSTANT.clamp_limit_V], chain[CONSTANT.clamp_knee_V])
 
 
 @numba.njit(cache=True)
 def _lag(chain: Array, hold: float) -> tuple[float, float]:
-    """`keep` and `ramp` of the lag at the voltage that the stack stands at."""
-    tau_s = time_constant_at(chain[APPLIED_V], chain[LAG_S], chain[LAG_SWELL])
-    keep, ramp = first_order_coefficients(tau_s, chain[DT_S], hold)
+    """`keep` and `ramp` of the lag at the present voltage of the stack."""
+    tau_s = time_constant_at(chain[STATE.applied_V], chain[CONSTANT.lag_s], chain[CONSTANT.lag_swell])
+    keep, ramp = first_order_coefficients(tau_s, chain[CONSTANT.dt_s], hold)
     return keep, ramp
 
 
 @numba.njit(cache=True)
-def _through_plays(packed: Array, chain: Array, plays: int, v: float) -> float:
-    if chain[GROWTH] == 0.0:
+def _invert_plays(packed: Array, chain: Array, plays: int, v: float) -> float:
+    """Voltage at which the plays give `v` [V]; iterated where the rate of the tick widens them."""
+    if chain[CONSTANT.rate_growth] == 0.0:
         return play_solve(packed, HEADER, plays, v)
-    applied_V: float = chain[APPLIED_V]
+    applied_V: float = chain[STATE.applied_V]
     for _ in range(MOST_PASSES):
         factor, more, _, _ = _widening(chain, applied_V)
         before_V, applied_V = applied_V, play_wider_solve(packed, HEADER, plays, v, factor, more)
         if abs(applied_V - before_V) < SAME_V:
-            return before_V  # the one that the thresholds belong to: a voltage that rests has another rate
+            return before_V  # the voltage that belongs to these thresholds: a resting voltage has another rate
     return applied_V
 
 
 @numba.njit(cache=True)
-def _through_clamp(voltage_V: float, limit_V: float, knee_V: float) -> float:
-    """Command at which the output stage gives a voltage; where it cannot, the one from which on it gives all it can."""
+def _invert_clamp(voltage_V: float, limit_V: float, knee_V: float) -> float:
+    """Command at which the output stage gives `voltage_V` [V]; beyond its limit, the command that just reaches it."""
     inside = voltage_V - (limit_V - knee_V)
     if inside <= 0.0:
         return voltage_V
@@ -160,40 +155,40 @@ def _through_clamp(voltage_V: float, limit_V: float, knee_V: float) -> float:
 
 @numba.njit(cache=True)
 def commit_chain_step(packed: Array, chain: Array, voltage_V: float) -> None:
-    """Move every state through a tick in which `voltage_V` was written."""
+    """Advance every state by a tick in which `voltage_V` [V] was written."""
     plays = int(packed[0])
-    given_V = clamp_step(voltage_V, chain[LIMIT_V], chain[KNEE_V])
-    before_V, applied_V = chain[SLEWED_V], chain[APPLIED_V]
-    slewed_V = slew_step(before_V, given_V, given_V, chain[SLEW_V]) if given_V != before_V else given_V
-    chain[SLEWED_V] = slewed_V
-    if chain[LAG_S] > 0.0:
-        keep, ramp = _lag(chain, 0.0 if slewed_V != given_V else 1.0)  # what the current limits runs straight
+    given_V = clamp_step(voltage_V, chain[CONSTANT.clamp_limit_V], chain[CONSTANT.clamp_knee_V])
+    before_V, applied_V = chain[STATE.slewed_V], chain[STATE.applied_V]
+    slewed_V = slew_step(before_V, given_V, given_V, chain[CONSTANT.slew_V]) if given_V != before_V else given_V
+    chain[STATE.slewed_V] = slewed_V
+    if chain[CONSTANT.lag_s] > 0.0:
+        keep, ramp = _lag(chain, 0.0 if slewed_V != given_V else 1.0)  # a voltage at the slew limit runs straight
         applied_V = first_order_step(applied_V, before_V, slewed_V, keep, ramp)
     else:
         applied_V = slewed_V
-    if chain[GROWTH] > 0.0:
+    if chain[CONSTANT.rate_growth] > 0.0:
         factor, more, rate, rested_s = _widening(chain, applied_V)
-        chain[RATE_V_PER_S], chain[RESTED_S] = rate, rested_s
+        chain[STATE.rate_V_per_s], chain[STATE.rested_s] = rate, rested_s
         v = play_wider_step(packed, HEADER, plays, applied_V, factor, more)
     else:
         v = play_step(packed, HEADER, plays, applied_V)
-    chain[APPLIED_V] = applied_V
-    ratio = chain[CREEP_BY_VOLTAGE]
-    drive_V = ratio * (applied_V - chain[START_V]) if ratio > 0.0 else v - chain[START_STROKE_V]
-    before_V, chain[DRIVE_V] = chain[DRIVE_V], drive_V
-    count = (chain.size - FIRST) // 4
-    for j in range(FIRST, FIRST + count):
+    chain[STATE.applied_V] = applied_V
+    ratio = chain[CONSTANT.creep_drive_per_V]
+    drive_V = ratio * (applied_V - chain[STATE.start_V]) if ratio > 0.0 else v - chain[STATE.start_stroke_V]
+    before_V, chain[STATE.creep_drive_V] = chain[STATE.creep_drive_V], drive_V
+    count = (chain.size - FIRST_ELEMENT) // 4
+    for j in range(FIRST_ELEMENT, FIRST_ELEMENT + count):
         state = j + 3 * count
         chain[state] = first_order_step(chain[state], before_V, drive_V, chain[j], chain[j + count])
 
 
 @numba.njit(cache=True)
 def start_chain(packed: Array, chain: Array) -> None:
-    """Rest where the plays stand: nothing crept, nothing moving."""
+    """Set the states to rest at the present states of the plays."""
     plays = int(packed[0])
-    voltage_V = packed[HEADER + 2 * plays]  # the play without a threshold stands at its input
-    chain[SLEWED_V] = chain[APPLIED_V] = chain[START_V] = voltage_V
-    chain[START_STROKE_V] = play_value(packed, HEADER, plays)
-    chain[RATE_V_PER_S] = chain[RESTED_S] = chain[DRIVE_V] = chain[THERMAL_N] = 0.0
-    count = (chain.size - FIRST) // 4
-    chain[FIRST + 3 * count :] = 0.0
+    voltage_V = packed[HEADER + 2 * plays]  # the play with threshold 0 equals its input
+    chain[STATE.slewed_V] = chain[STATE.applied_V] = chain[STATE.start_V] = voltage_V
+    chain[STATE.start_stroke_V] = play_value(packed, HEADER, plays)
+    chain[STATE.rate_V_per_s] = chain[STATE.rested_s] = chain[STATE.creep_drive_V] = chain[STATE.thermal_N] = 0.0
+    count = (chain.size - FIRST_ELEMENT) // 4
+    chain[FIRST_ELEMENT + 3 * count :] = 0.0

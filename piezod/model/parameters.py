@@ -1,32 +1,22 @@
-"""`model.yaml`: what identification knows about a bench, and the one thing that passes from recordings to the tick.
+"""The parameters of a model: the sections of `model.yaml`.
 
-Only the direct operator is stored; its inverse is computed from it, so the two can never disagree. Reading a file and
-writing it again gives the same text.
+A model stores the direct operator only. Its inverse is computed from it, so both always agree.
 """
 
-import hashlib
-import os
-from collections.abc import Sequence
-from pathlib import Path
 from typing import Annotated, Literal, Self
 
-import numpy as np
-import yaml
 from pydantic import Field, model_validator
 
-from piezod.config import Section, check, read_document, shortened
+from piezod.config import Section
 from piezod.effects import EFFECTS
-from piezod.errors import ConfigurationError, ModelError
 from piezod.operators import EPS, PrandtlIshlinskii
 from piezod.recording.hold import Hold
-
-SCHEMA = "piezod.model/1"
 
 Numbers = Annotated[tuple[float, ...], Field(strict=False, min_length=1)]
 
 
 class Channel(Section):
-    """One measured quantity: its column in a recording, its unit, and the range that was seen."""
+    """One measured quantity: its column in a recording, its unit, and its range in the recordings."""
 
     channel: Annotated[str, Field(min_length=1)]
     unit: Annotated[str, Field(min_length=1)]
@@ -34,21 +24,21 @@ class Channel(Section):
     high: float
 
     @model_validator(mode="after")
-    def _range_is_one(self) -> Self:
+    def _range_is_not_empty(self) -> Self:
         if self.low >= self.high:
             raise ValueError(f"low is {self.low:g}, must be below high, {self.high:g}")
         return self
 
 
 class Superposition(Section):
-    """Weighted operators: thresholds in the input's unit and their weights."""
+    """Weighted operators: their thresholds in the unit of the input, and their weights."""
 
     thresholds: Numbers
     weights: Numbers
 
 
 class Hysteresis(Section):
-    """The direct modified Prandtl-Ishlinskii operator; weights of the dead zones in output unit per input unit."""
+    """Direct modified Prandtl-Ishlinskii operator; the weights of the dead zones have the unit output per input."""
 
     plays: Superposition
     dead_zones: Superposition
@@ -56,12 +46,12 @@ class Hysteresis(Section):
     eps: Annotated[float, Field(gt=0, lt=1)] = EPS
 
     def operator(self) -> PrandtlIshlinskii:
-        """Build the operator, de-energised.
+        """Build the operator in its de-energised state.
 
         Raises
         ------
         ModelError
-            It has no inverse.
+            The operator has no inverse.
         """
         return PrandtlIshlinskii(
             self.plays.thresholds,
@@ -74,23 +64,23 @@ class Hysteresis(Section):
 
 
 class Start(Section):
-    """The states a drive starts from: de-energised, after a reset cycle 0 -> peak -> 0, or given one by one."""
+    """Start state of a drive: de-energised, after a reset cycle 0 -> peak -> 0, or every state given."""
 
     kind: Literal["virgin", "reset", "states"] = "virgin"
     peak: float | None = None
     states: Numbers | None = None
 
     @model_validator(mode="after")
-    def _has_what_its_kind_needs(self) -> Self:
+    def _fields_match_kind(self) -> Self:
         if (self.peak is None) == (self.kind == "reset"):
-            raise ValueError("peak belongs to kind reset, and to no other")
+            raise ValueError("peak is given with kind reset only, and must be given there")
         if (self.states is None) == (self.kind == "states"):
-            raise ValueError("states belong to kind states, and to no other")
+            raise ValueError("states are given with kind states only, and must be given there")
         return self
 
 
 class RecordingSource(Section):
-    """A recording the model was identified on."""
+    """Recording that the model was identified on."""
 
     path: str
     sha256: Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
@@ -98,10 +88,10 @@ class RecordingSource(Section):
 
 
 class FitFigures(Section):
-    """How well the model simulates in free run, in the output's unit, fit and held-out data apart.
+    """Errors of a free-run simulation by the model, in the unit of the output, for fit and held-out data.
 
-    Max hysteresis is that of the output over the input, the remaining one that of the output over what the model
-    expects: what an inverse of this model would leave.
+    `max_hysteresis` is the hysteresis of the output over the input. `remaining_hysteresis` is that of the output over
+    the expected output: the hysteresis that remains with the inverse of this model.
     """
 
     rms_fit: float | None = None
@@ -117,12 +107,13 @@ class FitFigures(Section):
 
 
 class Statistics(Section):
-    """Sufficient statistics of the fit: its squared error near the solution, without the samples.
+    """Sufficient statistics of the fit: the squared error near the solution, without the samples.
 
         e'e(p) = samples rms^2 + (p - p0)' N (p - p0),   p = [play slopes, constant, dead-zone slopes]
 
-    Slopes are partial sums of weights; the constant is added to the plays' output, in front of dead zones that begin at
-    `zone_thresholds` and at the output `origin`. `normal` is the lower triangle of N, row by row [output unit^2].
+    Slopes are partial sums of weights. The constant is added to the output of the plays, before the dead zones, whose
+    thresholds `zone_thresholds` are relative to `origin`. `normal` is the lower triangle of N, row by row
+    [output unit^2].
     """
 
     samples: Annotated[int, Field(ge=1)]
@@ -143,7 +134,7 @@ class Statistics(Section):
 
 
 class Provenance(Section):
-    """Where the model comes from."""
+    """Origin of the model: time, program, recordings and errors of the fit."""
 
     created: str
     by: str
@@ -153,9 +144,9 @@ class Provenance(Section):
 
 
 class EffectValues(Section):
-    """An effect of the catalogue that the model has besides its hysteresis, with the values of its parameters.
+    """Effect of the catalogue in a model, with the values of its parameters.
 
-    One that belongs to a single recording (a tone, a load step) names it by its SHA-256, and acts in no other.
+    An effect of a single recording (a tone, a load step) names its recording by SHA-256 and acts in no other.
     """
 
     name: Annotated[str, Field(min_length=1)]
@@ -167,26 +158,25 @@ class EffectValues(Section):
         effect = EFFECTS.get(self.name)
         if effect is None:
             raise ValueError(f"name is '{self.name}', must be one of {', '.join(EFFECTS)}")
-        for one in effect.parameters:
-            value = self.parameters.get(one.name)
-            if value is None and one.may_lack:
+        for parameter in effect.parameters:
+            value, low, high = self.parameters.get(parameter.name), parameter.low, parameter.high
+            if value is None and parameter.may_lack:
                 continue
             if value is None:
-                raise ValueError(f"{self.name}: parameters has no {one.name}")
-            if not one.low <= value <= one.high:
-                raise ValueError(f"{self.name}: {one.name} is {value:g}, must be within {one.low:g} and {one.high:g}")
-        if unknown := set(self.parameters) - {one.name for one in effect.parameters}:
+                raise ValueError(f"{self.name}: parameters has no {parameter.name}")
+            if not low <= value <= high:
+                raise ValueError(f"{self.name}: {parameter.name} is {value:g}, must be within {low:g} and {high:g}")
+        if unknown := set(self.parameters) - {parameter.name for parameter in effect.parameters}:
             raise ValueError(f"{self.name}: has no parameter {', '.join(sorted(unknown))}")
         return self
 
 
 class Model(Section):
-    """A whole model file.
+    """Content of a model file.
 
-    `sampling` says how the command runs between two samples and when the reading is taken: straight; held, and read
-    `read_after` parts of a sample after it; or held, and read just before the next one. `seen_s` is how long the
-    recording lasted that the effects were found in [s]: the slope of a creep refers to it;
-    `sample_s` is the spacing of its samples [s], which `sampling` refers to.
+    `sampling` is how the command runs between two samples, and `read_after` the time from a held command to its reading
+    [samples]; see `piezod.recording.hold`. `seen_s` is the duration of the recording in which the effects were found
+    [s]; the slope of a creep refers to it. `sample_s` is the sample period of that recording [s].
     """
 
     schema_: Annotated[Literal["piezod.model/1"], Field(alias="schema")] = "piezod.model/1"
@@ -214,7 +204,7 @@ class Model(Section):
         Raises
         ------
         ModelError
-            It has no inverse, or no input leads to the start state.
+            The operator has no inverse, or no input leads to the start state.
         """
         operator = self.hysteresis.operator()
         if self.start.kind == "reset" and self.start.peak is not None:
@@ -222,83 +212,3 @@ class Model(Section):
         elif self.start.states is not None:
             operator.set_states(self.start.states)
         return operator
-
-
-def load_model(path: Path) -> Model:
-    """Read, check and try a model.
-
-    Raises
-    ------
-    ConfigurationError
-        One line with file, line, key, value and limit.
-    ModelError
-        The schema is another one, or the model has no inverse.
-    """
-    document = read_document(path)
-    schema = document.content.get("schema")
-    if schema != SCHEMA:
-        raise ModelError(f"{path}: schema is {shortened(schema)}, must be '{SCHEMA}'; identify again with this version")
-    model = check(document, Model)
-    try:
-        model.operator()
-    except ModelError as error:
-        raise ModelError(f"{path}: {error}") from error
-    return model
-
-
-def dump_model(model: Model) -> str:
-    """Text of the model file."""
-    content = model.model_dump(by_alias=True, exclude_none=True)
-    if not model.effects:
-        del content["effects"]
-    if model.sampling == "straight":
-        del content["sampling"]
-    if model.sampling != "held":
-        del content["read_after"]
-    return yaml.dump(content, Dumper=_Dumper, sort_keys=False, width=120, allow_unicode=True)
-
-
-def save_model(model: Model, path: Path) -> None:
-    """Write the model, whole or not at all.
-
-    Raises
-    ------
-    ConfigurationError
-        The file cannot be written.
-    """
-    temporary = path.with_name(f".{path.name}.{os.getpid()}")
-    try:
-        temporary.write_text(dump_model(model), encoding="utf-8")
-        temporary.replace(path)
-    except OSError as error:
-        temporary.unlink(missing_ok=True)
-        raise ConfigurationError(f"{path}: cannot be written: {error.strerror}") from error
-
-
-def file_sha256(path: Path) -> str:
-    """SHA-256 of a file's bytes, as provenance keeps it."""
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
-
-
-class _Dumper(yaml.SafeDumper):
-    """Lists of numbers in one line, floats so that they read back to the same bits."""
-
-
-def _represent_list(dumper: yaml.SafeDumper, values: Sequence[object]) -> yaml.Node:
-    flow = all(isinstance(value, (int, float)) for value in values) and bool(values)
-    return dumper.represent_sequence("tag:yaml.org,2002:seq", values, flow_style=flow)
-
-
-def _represent_float(dumper: yaml.SafeDumper, value: float) -> yaml.Node:
-    return dumper.represent_scalar(
-        "tag:yaml.org,2002:float",
-        np.format_float_scientific(value, trim="0", exp_digits=1)
-        if value != 0 and not 1e-4 <= abs(value) < 1e16
-        else repr(value),
-    )
-
-
-_Dumper.add_representer(tuple, _represent_list)
-_Dumper.add_representer(list, _represent_list)
-_Dumper.add_representer(float, _represent_float)

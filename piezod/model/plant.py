@@ -1,4 +1,4 @@
-"""The forward chain: from the voltage that is commanded to the reading that the model expects."""
+"""The forward chain: from the commanded voltage to the reading that the model expects."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -15,12 +15,17 @@ Array = NDArray[np.float64]
 
 
 class Plant:
-    """A model made to run forwards.
+    """Hysteresis of a model, run forward.
 
     Parameters
     ----------
     model
-        What was identified; the plant starts in its start state.
+        Identified model; the plant begins in its start state.
+
+    Attributes
+    ----------
+    model
+        The model.
     """
 
     def __init__(self, model: Model) -> None:
@@ -28,19 +33,19 @@ class Plant:
         self._operator = model.operator()
 
     def reset(self) -> None:
-        """Back to the model's start state."""
+        """Return to the model's start state."""
         self._operator = self.model.operator()
 
     def step(self, voltage_V: float) -> float:
-        """Advance by one sample and return the force [unit of the model's output]."""
+        """Force [unit of the model's output] after one more sample at `voltage_V` [V]."""
         return self._operator.step(voltage_V)
 
     def run(self, voltage_V: ArrayLike) -> NDArray[np.float64]:
-        """Advance over a record, shape (N,), and return the forces."""
+        """Forces [unit of the model's output], shape (N,), of the voltages `voltage_V` [V], shape (N,)."""
         return self._operator.run(voltage_V)
 
     def steady_range(self) -> tuple[float, float]:
-        """Force at the low and at the high end of the input range on the steady major loop."""
+        """Force of the steady major loop at the low and at the high end of the input range."""
         operator = self.model.operator()
         low, high = self.model.input.low, self.model.input.high
         _, _, top, bottom = operator.run([low, high, high, low])
@@ -53,13 +58,13 @@ def effects_in(model: Model, sha256: str | None = None) -> list[tuple[Effect, di
     Parameters
     ----------
     model
-        What was identified or found.
+        Identified or diagnosed model.
     sha256
-        Of the recording's file: some effects belong to one recording.
+        SHA-256 of the recording's file. Effects that belong to another recording do not act.
     """
     order = {name: place for place, name in enumerate(EFFECTS)}
-    acting = [one for one in model.effects if one.recording is None or one.recording == sha256]
-    return [(EFFECTS[one.name], one.parameters) for one in sorted(acting, key=lambda one: order[one.name])]
+    acting = [entry for entry in model.effects if entry.recording is None or entry.recording == sha256]
+    return [(EFFECTS[entry.name], entry.parameters) for entry in sorted(acting, key=lambda entry: order[entry.name])]
 
 
 def run_chain(
@@ -72,22 +77,22 @@ def run_chain(
     sha256: str | None = None,
     path_V: tuple[float, ...] = (),
 ) -> Array:
-    """Readings that the whole model expects over a recording, shape (N,).
+    """Readings that the model expects over a recording, shape (N,) [unit of the model's output].
 
     Parameters
     ----------
     model
-        Its effects and sampling.
+        Model with its effects and its sampling.
     operator
-        The model's operator in the state that the recording starts from; it is moved.
+        The model's operator, in the state at the start of the recording; its state advances.
     time_s, command_V
-        Of the recording, shape (N,), in equal steps where the model has effects.
+        Times [s] and commanded voltages [V] of the recording, shape (N,); equal steps where the model has effects.
     temperature_C
-        Where it was recorded, shape (N,).
+        Temperatures [degC], shape (N,); None where they were not recorded.
     sha256
-        Of the recording's file.
+        SHA-256 of the recording's file.
     path_V
-        Voltages that led the operator to its state.
+        Voltages that led the operator to its state [V].
     """
     effects = effects_in(model, sha256)
     if not effects and model.hold != HELD_BEFORE:
@@ -137,7 +142,7 @@ def widened(effects: Sequence[tuple[Effect, dict[str, float]]], context: Context
 
 
 def behind(effect: Effect, context: Context) -> Context:
-    """How a signal runs between samples once an effect has acted."""
+    """Context of the signal behind an effect; an effect that smooths makes it run straight between samples."""
     return replace(context, hold=STRAIGHT) if effect.smooths else context
 
 

@@ -23,7 +23,15 @@ from piezod.control import (
 from piezod.effects import EFFECTS
 from piezod.errors import ConfigurationError, ModelError
 from piezod.excitation import triangle_ramp
-from piezod.model import DirectDrive, ExtendedCompensator, Model, acting_effects, load_model, make_compensator, refuse
+from piezod.model import (
+    DirectDrive,
+    ExtendedCompensator,
+    Model,
+    acting_effects,
+    load_model,
+    make_compensator,
+    refuse_uncompensated,
+)
 from piezod.transport import (
     Link,
     check_encodable,
@@ -101,7 +109,7 @@ def check_effects(bench: BenchConfig, model: Model, path: Path) -> None:
             )
     if bench.compensation == "inverse":
         try:
-            refuse(acting_effects(model, bench.compensation_without))
+            refuse_uncompensated(acting_effects(model, bench.compensation_without))
         except ModelError as error:
             raise ModelError(f"{model_path(bench, path)}: {error}") from None
 
@@ -217,7 +225,7 @@ def make_segment(work: Work, bench: BenchConfig, model: Model | None, link: Link
         return Segment(work.name, reference, compensator, reset_cycle)
     if isinstance(reference, TableReference):
         reference.plan_ahead(compensator.ahead, compensator.preview_ticks)
-    return Segment(work.name, reference, compensator, reset_cycle, update_temperature=compensator.feel)
+    return Segment(work.name, reference, compensator, reset_cycle, update_temperature=compensator.update_temperature)
 
 
 def _reset_cycle(bench: BenchConfig) -> TableReference:

@@ -25,6 +25,7 @@ INSTRUMENTED = [
     "piezod.recording",
     "piezod.transport",
     "piezod.daemon.control_socket",
+    "piezod.model.model_file",
     "piezod.model.parameters",
 ]
 COMPILED = ("piezod.operators", "piezod.effects")

@@ -174,7 +174,7 @@ def corrected_N(followed: Followed, model: Model, size: Size) -> Array:
     """The force behind the readings, from rest on, as `piezod run` shows it."""
     voltage_V = np.concatenate((followed.before_V, followed.voltage_V))
     reading_N = np.concatenate((followed.before_N, followed.reading_N))
-    _, corrected = ExpectedReading(model, 1.0 / size.rate_Hz).take(voltage_V, reading_N)
+    _, corrected = ExpectedReading(model, 1.0 / size.rate_Hz).run(voltage_V, reading_N)
     return corrected[followed.before_V.size :]
 
 

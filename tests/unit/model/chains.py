@@ -1,4 +1,4 @@
-"""A model with effects: what both directions of the extended chain are tried on."""
+"""Models with effects, for the tests of both directions of the chain."""
 
 from pathlib import Path
 
@@ -24,13 +24,13 @@ FOUND = {
 
 
 def held_model():
-    """The shipped model, for commands that are held and read at the end of a tick."""
+    """The shipped model, for commands that are held and readings at the end of a tick."""
     shipped = load_model(Path(__file__).parents[3] / "config" / "model.yaml")
     return shipped.model_copy(update={"sampling": "held", "read_after": 1.0})
 
 
 def with_effects(model, *names, **changed):
-    """The model with effects as if they had been found; `changed` goes to those that know the parameter."""
+    """Model with effects; `changed` replaces the values of parameters of these names."""
     effects = []
     for name in names:
         known = {one.name: (one.choices or one.starts)[0] for one in EFFECTS[name].parameters} | FOUND.get(name, {})

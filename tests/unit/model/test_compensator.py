@@ -1,4 +1,4 @@
-"""Plan and commit through the model file's operator."""
+"""Compensators of a model without effects: plan and commit."""
 
 from pathlib import Path
 
@@ -13,7 +13,7 @@ def model():
     return load_model(Path(__file__).parents[3] / "config" / "model.yaml")
 
 
-def test_the_inverse_brings_the_plant_to_every_reachable_reference(model):
+def test_the_inverse_reaches_every_reachable_reference(model):
     plant, compensator = Plant(model), make_compensator("inverse", model, 1e-3)
     rng = np.random.default_rng(3)
     bottom, top = plant.steady_range()
@@ -23,7 +23,7 @@ def test_the_inverse_brings_the_plant_to_every_reachable_reference(model):
         assert plant.step(voltage) == pytest.approx(reference, abs=1e-9 * (top - bottom))
 
 
-def test_planning_moves_no_state(model):
+def test_plan_changes_no_state(model):
     compensator = make_compensator("inverse", model, 1e-3)
     assert len({compensator.plan(100.0) for _ in range(5)}) == 1
 
@@ -35,7 +35,7 @@ def test_the_gain_passes_through_both_ends_of_the_steady_loop(model):
     assert gain.plan(top) == pytest.approx(model.input.high, abs=1e-9)
 
 
-def test_a_reset_forgets_what_was_committed(model):
+def test_reset_returns_to_the_start_state(model):
     compensator = make_compensator("inverse", model, 1e-3)
     before = compensator.plan(50.0)
     compensator.commit(120.0)

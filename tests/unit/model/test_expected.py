@@ -1,4 +1,4 @@
-"""What a model expects to be read, against its forward chain; and the force behind a reading that shows another."""
+"""Expected readings against the forward chain, and forces corrected for the load cell."""
 
 import numpy as np
 import pytest
@@ -8,7 +8,7 @@ from piezod.model.parameters import EffectValues
 from piezod.model.plant import run_chain
 from tests.unit.model.chains import DT_S, FOUND, held_model, with_effects
 
-OF_THE_CELL = ("charge_leakage", "sensor_filter", "feedthrough", "transport_delay")
+LOAD_CELL = ("charge_leakage", "sensor_filter", "feedthrough", "transport_delay")
 
 
 @pytest.fixture(scope="module")
@@ -30,25 +30,25 @@ ALONE = [(name,) for name in FOUND if name not in ("mains_hum", "transport_delay
 
 
 @pytest.mark.parametrize("names", [*ALONE, ("electrical_lag", "resonance"), ("electrical_lag", "sensor_filter")])
-def test_what_is_expected_is_the_forward_chain_stepped(model, names):
+def test_the_expected_reading_equals_the_forward_chain(model, names):
     extended = with_effects(model, *names)
     t, u = voltage_V()
-    expected, _ = ExpectedReading(extended, DT_S).take(u, np.zeros(t.size))
+    expected, _ = ExpectedReading(extended, DT_S).run(u, np.zeros(t.size))
     span = model.output.high - model.output.low
     assert np.max(np.abs(expected - forward_N(extended, t, u))) < 1e-8 * span
 
 
 @pytest.mark.parametrize("damping_ratio", [np.sqrt(0.5), np.sqrt(0.75), 1.2])
-def test_a_filter_of_second_order_is_stepped_and_undone_as_damped_as_it_is(model, damping_ratio):
+def test_a_second_order_low_pass_is_expected_and_corrected_at_any_damping(model, damping_ratio):
     extended = with_effects(model, "sensor_filter", order=2.0, damping_ratio=float(damping_ratio))
     t, u = voltage_V()
     read = forward_N(extended, t, u)
-    expected, corrected = ExpectedReading(extended, DT_S).take(u, read)
+    expected, corrected = ExpectedReading(extended, DT_S).run(u, read)
     np.testing.assert_allclose(expected, read, atol=1e-8 * (model.output.high - model.output.low))
     np.testing.assert_allclose(corrected, forward_N(model, t, u), atol=1e-8)
 
 
-def test_a_filter_of_second_order_in_a_model_without_its_damping_ratio_is_a_butterworth(model):
+def test_a_second_order_low_pass_without_a_damping_ratio_is_a_butterworth(model):
     alone = EffectValues(name="sensor_filter", parameters={"cutoff_Hz": 20.0, "order": 2.0})
     t, u = voltage_V()
     butterworth = with_effects(model, "sensor_filter", order=2.0, damping_ratio=0.5**0.5)
@@ -56,78 +56,78 @@ def test_a_filter_of_second_order_in_a_model_without_its_damping_ratio_is_a_butt
     np.testing.assert_allclose(read, forward_N(butterworth, t, u), rtol=1e-12)
 
 
-def test_a_delay_of_whole_ticks_shows_the_force_of_so_many_ticks_ago(model):
+def test_a_delay_of_whole_ticks_shows_the_earlier_force(model):
     t, u = voltage_V()
     force = forward_N(model, t, u)
     reading = np.concatenate((np.full(7, force[0]), force[:-7])) + 0.1 * np.sin(t)
-    expected, corrected = ExpectedReading(with_effects(model, "transport_delay"), DT_S).take(u, reading)
+    expected, corrected = ExpectedReading(with_effects(model, "transport_delay"), DT_S).run(u, reading)
     np.testing.assert_allclose(expected[7:], force[:-7], atol=1e-9)
     np.testing.assert_allclose(corrected, force + 0.1 * np.sin(t), atol=1e-9)
 
 
-@pytest.mark.parametrize("names", [*((name,) for name in OF_THE_CELL), OF_THE_CELL])
-def test_the_force_is_found_behind_what_the_load_cell_shows_and_its_noise_is_not_amplified(model, names):
+@pytest.mark.parametrize("names", [*((name,) for name in LOAD_CELL), LOAD_CELL])
+def test_the_corrected_force_is_the_true_force_with_the_noise_not_amplified(model, names):
     extended = with_effects(model, *names)
     t, u = voltage_V()
     force = forward_N(model, t, u)
     noise = 0.1 * np.random.default_rng(1).standard_normal(t.size)
-    reading, _ = ExpectedReading(extended, DT_S).take(u, np.zeros(t.size))
-    _, corrected = ExpectedReading(extended, DT_S).take(u, reading + noise)
+    reading, _ = ExpectedReading(extended, DT_S).run(u, np.zeros(t.size))
+    _, corrected = ExpectedReading(extended, DT_S).run(u, reading + noise)
     assert np.std(reading - force) > 0.5
     np.testing.assert_allclose(corrected - force, noise, atol=1e-8)
 
 
-def test_what_the_model_does_not_know_stays_in_the_reading(model):
-    """A load of 5 N behind a leaking charge amplifier shows, as long as it has not leaked away."""
+def test_a_force_unknown_to_the_model_stays_in_the_corrected_force(model):
+    """A load of 5 N stays visible behind a charge amplifier with a leakage of 1000 s."""
     extended = with_effects(model, "charge_leakage", time_constant_s=1000.0)
     t, u = voltage_V()
     load = np.where(t > 1.0, 5.0, 0.0)
     force = forward_N(model, t, u)
-    expected, _ = ExpectedReading(extended, DT_S).take(u, np.zeros(t.size))
-    _, corrected = ExpectedReading(extended, DT_S).take(u, expected + load)
+    expected, _ = ExpectedReading(extended, DT_S).run(u, np.zeros(t.size))
+    _, corrected = ExpectedReading(extended, DT_S).run(u, expected + load)
     np.testing.assert_allclose(corrected, force + load, atol=1e-8)
 
 
-def test_a_hum_is_followed_in_amplitude_and_phase_and_taken_off(model):
+def test_a_hum_of_other_amplitude_and_phase_is_corrected(model):
     extended = with_effects(model, "mains_hum")
     t, u = voltage_V(12.0)
     force = forward_N(model, t, u)
     hum = forward_N(with_effects(model, "mains_hum", phase_rad=2.2, amplitude_N=3.0), t, u) - force
-    _, corrected = ExpectedReading(extended, DT_S).take(u, force + hum)
+    _, corrected = ExpectedReading(extended, DT_S).run(u, force + hum)
     settled = t > 8.0
     assert np.std(hum) > 2.0
     assert np.std((corrected - force)[settled]) < 0.02 * np.std(hum)
 
 
-def test_a_frozen_reading_is_gone_on_with_by_the_model(model):
+def test_a_frozen_reading_keeps_its_difference_from_the_model(model):
     t, u = voltage_V()
     force = forward_N(model, t, u)
     noise = 0.1 * np.random.default_rng(2).standard_normal(t.size)
     reading = force + 1.0 + noise
     reading[500:900] = reading[499]
-    _, corrected = ExpectedReading(model, DT_S).take(u, reading)
+    _, corrected = ExpectedReading(model, DT_S).run(u, reading)
     assert np.abs(reading - force)[500:900].max() > 20.0
     held = corrected[502:900] - force[502:900]
     np.testing.assert_allclose(held, held[0])
 
 
-def test_pieces_give_what_the_whole_gives_and_a_missing_reading_keeps_the_difference(model):
+def test_pieces_equal_the_whole_and_a_missing_reading_keeps_the_difference(model):
     extended = with_effects(model, "creep", "electrical_lag", "resonance", "sensor_filter", "transport_delay")
     t, u = voltage_V()
     reading = 1.5 + forward_N(model, t, u)
     reading[1000:1100] = np.nan
-    whole = ExpectedReading(extended, DT_S).take(u, reading)
+    whole = ExpectedReading(extended, DT_S).run(u, reading)
     pieces = ExpectedReading(extended, DT_S)
-    taken = [pieces.take(u[first : first + 333], reading[first : first + 333]) for first in range(0, t.size, 333)]
-    for one, parts in zip(whole, zip(*taken, strict=True), strict=True):
+    parts_run = [pieces.run(u[first : first + 333], reading[first : first + 333]) for first in range(0, t.size, 333)]
+    for one, parts in zip(whole, zip(*parts_run, strict=True), strict=True):
         np.testing.assert_array_equal(one, np.concatenate(parts))
     assert np.isfinite(whole[1]).all()
     pieces.reset()
-    again = pieces.take(u, reading)
+    again = pieces.run(u, reading)
     np.testing.assert_array_equal(again[0], whole[0])
 
 
-def test_an_effect_without_an_inverse_is_left_to_the_difference(model):
+def test_an_effect_without_an_inverse_is_not_in_the_expected_reading(model):
     t, u = voltage_V()
-    expected, _ = ExpectedReading(with_effects(model, "friction"), DT_S).take(u, np.zeros(t.size))
+    expected, _ = ExpectedReading(with_effects(model, "friction"), DT_S).run(u, np.zeros(t.size))
     np.testing.assert_allclose(expected, forward_N(model, t, u), atol=1e-9)

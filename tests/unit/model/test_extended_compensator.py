@@ -1,10 +1,10 @@
-"""The extended inverse against the forward chain: what is planned, driven and simulated comes back as the reference."""
+"""The compensator of a model with effects against the forward chain: the simulated force equals the reference."""
 
 import numpy as np
 import pytest
 
 from piezod.errors import ModelError
-from piezod.model.extended_compensator import ExtendedCompensator, before_mode, ticks_late
+from piezod.model.extended_compensator import ExtendedCompensator, invert_resonance, ticks_late
 from piezod.model.plant import run_chain
 from tests.unit.model.chains import DT_S, held_model, with_effects
 
@@ -36,7 +36,7 @@ def driven(model, reference, low_V=0.0, high_V=1e3):
 
 
 @pytest.mark.parametrize("name", FROM_START)
-def test_what_is_planned_with_an_effect_gives_the_reference(model, name):
+def test_the_plan_with_an_effect_gives_the_reference(model, name):
     with_it = with_effects(model, name)
     t, reference = reference_N(model)
     voltage_V = driven(with_it, reference, low_V=-1e3)
@@ -46,7 +46,7 @@ def test_what_is_planned_with_an_effect_gives_the_reference(model, name):
 
 
 @pytest.mark.parametrize("swell", [-0.15, 0.4])
-def test_a_lag_that_grows_with_the_voltage_is_driven_against(model, swell):
+def test_a_lag_that_grows_with_the_voltage_is_compensated(model, swell):
     with_it = with_effects(model, "electrical_lag", swell=swell)
     t, reference = reference_N(model)
     voltage_V = driven(with_it, reference, low_V=-1e3)
@@ -56,18 +56,20 @@ def test_a_lag_that_grows_with_the_voltage_is_driven_against(model, swell):
     assert np.max(np.abs(run_chain(with_it, with_it.operator(), t, plain) - reference)) > 1e-4 * span
 
 
-def test_all_of_them_at_once_and_within_limits(model):
+def test_all_effects_at_once_are_compensated_within_the_limits(model):
     with_them = with_effects(model, *FROM_START)
     t, reference = reference_N(model)
     voltage_V = driven(with_them, reference)
     reading = run_chain(with_them, with_them.operator(), t, voltage_V)
-    free = (voltage_V > 0.0) & (voltage_V < 140.0) & (t > 0.5)  # the record begins at rest, the drive a little above it
+    free = (
+        (voltage_V > 0.0) & (voltage_V < 140.0) & (t > 0.5)
+    )  # the recording begins at rest, the drive slightly above it
     assert np.mean(free) > 0.4
     assert voltage_V.max() > 120.0  # into the knee
     assert np.max(np.abs(reading - reference)[free]) < 1e-6 * (model.output.high - model.output.low)
 
 
-def test_states_follow_what_was_applied_and_not_what_was_planned(model):
+def test_states_follow_the_applied_voltage_and_not_the_planned_one(model):
     with_them = with_effects(model, "creep", "electrical_lag")
     t, reference = reference_N(model)
     limit_V = 0.6 * driven(with_them, reference).max()
@@ -79,7 +81,7 @@ def test_states_follow_what_was_applied_and_not_what_was_planned(model):
     assert np.max(np.abs(reading - reference)[free]) < 1e-8 * span
 
 
-def test_a_gap_is_closed_before_force_is_asked_for(model):
+def test_a_gap_is_closed_before_a_force_is_applied(model):
     with_it = with_effects(model, "contact_gap", gap_N=20.0, softness_N=2.0)
     t, reference = reference_N(model)
     reference = reference - reference[0] + np.linspace(0.0, 5.0, t.size)
@@ -89,12 +91,12 @@ def test_a_gap_is_closed_before_force_is_asked_for(model):
     assert np.max(np.abs(reading - reference)[free]) < 1e-6
 
 
-def test_what_has_no_inverse_is_refused_with_its_reason(model):
+def test_an_effect_without_an_inverse_is_refused_with_its_reason(model):
     with pytest.raises(ModelError, match=r"friction cannot be compensated: .*; drive without it"):
         ExtendedCompensator(with_effects(model, "friction"), DT_S)
 
 
-def test_a_delay_and_a_mode_are_met_by_a_reference_that_is_known_ahead(model):
+def test_a_delay_and_a_resonance_are_compensated_in_a_reference_known_ahead(model):
     for name, changed in (
         ("transport_delay", {"delay_s": 0.0123}),
         ("resonance", {"frequency_Hz": 60.0, "damping_ratio": 0.05}),
@@ -110,7 +112,7 @@ def test_a_delay_and_a_mode_are_met_by_a_reference_that_is_known_ahead(model):
 
 
 @pytest.mark.parametrize(("delay_s", "lag_s"), [(0.0123, 0.0), (0.0123, 0.0008), (0.0045, 0.004), (0.003, 0.002)])
-def test_a_delay_of_no_whole_ticks_is_met_on_ramps_whatever_the_lag(delay_s, lag_s):
+def test_a_fractional_delay_is_compensated_on_ramps_with_any_lag(delay_s, lag_s):
     """The force within a tick as the lag's own exponential, computed here on a grid of a hundredth of a tick."""
     ramp = np.arange(200.0)
     ends = np.interp(ramp + ticks_late(delay_s, lag_s, DT_S), ramp, ramp)
@@ -121,7 +123,7 @@ def test_a_delay_of_no_whole_ticks_is_met_on_ramps_whatever_the_lag(delay_s, lag
     assert all(abs(within[100 * k - late] - k) < 1e-9 for k in range(50, 150))
 
 
-def test_what_was_read_a_sample_after_its_command_is_a_delay_of_a_sample(model):
+def test_a_reading_one_sample_after_its_command_is_a_delay_of_one_sample(model):
     held = with_effects(model, "creep").model_copy(update={"sampling": "held_before", "sample_s": 5 * DT_S})
     _, reference = reference_N(model)
     planned = ExtendedCompensator(held, DT_S).ahead(reference, loop=False)
@@ -131,19 +133,19 @@ def test_what_was_read_a_sample_after_its_command_is_a_delay_of_a_sample(model):
     np.testing.assert_allclose(planned[:-2], reference[2:])
 
 
-def test_a_held_command_that_was_fitted_as_a_straight_one_is_driven_as_a_held_one(model):
-    """On a ramp a lag behind a straight command comes late by the lag, behind a held one by half a sample less."""
+def test_a_held_command_fitted_as_a_straight_one_is_half_a_sample_later(model):
+    """On a ramp the lag delays a straight command by its time constant, a held command by half a sample more."""
     lagged = with_effects(model, "transport_delay", "electrical_lag", delay_s=0.0067, time_constant_s=0.0037)
     fitted = lagged.model_copy(update={"sampling": "straight", "sample_s": DT_S})
     assert ExtendedCompensator(fitted, DT_S).delay_s == pytest.approx(0.0067 + 0.5 * DT_S)
 
 
-def test_the_inverse_of_a_mode_against_its_own_recursion():
-    """The mode's recursion with the force that was made for it, computed here by a fine-stepped integration."""
+def test_the_inverse_of_a_resonance_against_a_fine_integration():
+    """The response of the resonance to the computed force, integrated here in 200 steps per tick."""
     f_Hz, zeta, fine = 40.0, 0.02, 200
     t = np.arange(0.0, 2.0, DT_S)
-    wished = 10.0 * (1.0 - np.cos(2.0 * np.pi * 3.0 * t))
-    force = before_mode(wished, f_Hz, zeta, DT_S)
+    wanted = 10.0 * (1.0 - np.cos(2.0 * np.pi * 3.0 * t))
+    force = invert_resonance(wanted, f_Hz, zeta, DT_S)
     w, y, speed = 2.0 * np.pi * f_Hz, 0.0, 0.0
     got = np.empty(t.size)
     for k in range(t.size):
@@ -151,11 +153,11 @@ def test_the_inverse_of_a_mode_against_its_own_recursion():
             speed += DT_S / fine * (w * w * (force[k] - y) - 2.0 * zeta * w * speed)
             y += DT_S / fine * speed
         got[k] = y
-    assert np.max(np.abs(got - wished)[:-5]) < 0.01 * np.ptp(wished)
+    assert np.max(np.abs(got - wanted)[:-5]) < 0.01 * np.ptp(wanted)
 
 
-def test_the_slope_of_a_creep_refers_to_the_recording_that_it_was_found_in(model):
-    """Its weights go with tau^slope about the middle of what that recording showed, whatever is driven later."""
+def test_the_slope_of_a_creep_refers_to_the_recording_of_its_identification(model):
+    """Its weights are proportional to tau^slope about the centre of that recording, for any later drive."""
     with_it = with_effects(model, "creep", slope=0.1, per_decade=0.02).model_copy(update={"seen_s": 20.0})
     t, reference = reference_N(model)
     reading = run_chain(with_it, with_it.operator(), t, driven(with_it, reference, low_V=-1e3))
@@ -165,10 +167,10 @@ def test_the_slope_of_a_creep_refers_to_the_recording_that_it_was_found_in(model
     assert np.max(np.abs(other - reference)) > 1e-4 * (model.output.high - model.output.low)
 
 
-def test_temperature_is_taken_off_and_a_broken_channel_leaves_the_last_value(model):
+def test_thermal_drift_is_compensated_and_an_invalid_temperature_is_ignored(model):
     with_it = with_effects(model, "thermal_drift", coefficient_N_per_K=2.0, lag_s=0.0)
     compensator = ExtendedCompensator(with_it, DT_S)
     cold = compensator.plan(50.0)
     for temperature_C in (20.0, 21.5, np.nan, 900.0):
-        compensator.feel(temperature_C)
+        compensator.update_temperature(temperature_C)
     assert compensator.plan(50.0 + 2.0 * 1.5) == pytest.approx(cold, rel=1e-12)

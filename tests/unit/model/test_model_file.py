@@ -1,4 +1,4 @@
-"""The model file: read, refused, and written back as it was."""
+"""The model file: read, refused, and written with the same text."""
 
 from pathlib import Path
 
@@ -58,7 +58,7 @@ def model_file(tmp_path):
     return write
 
 
-def test_what_is_read_is_written_back_to_the_letter(model_file):
+def test_a_file_that_is_read_and_written_keeps_its_text(model_file):
     assert dump_model(load_model(model_file())) == TEXT.replace(
         "sha256: 0000000000000000000000000000000000000000000000000000000000000000",
         "sha256: '0000000000000000000000000000000000000000000000000000000000000000'",
@@ -75,7 +75,7 @@ def test_saving_and_loading_gives_the_same_model_and_the_same_text(model_file, t
     assert not list(tmp_path.glob(".*"))
 
 
-def test_the_shipped_model_loads_and_writes_back_as_it_is():
+def test_the_shipped_model_keeps_its_text():
     path = Path(__file__).parents[3] / "config" / "model.yaml"
     assert dump_model(load_model(path)) == path.read_text(encoding="utf-8")
 
@@ -89,30 +89,30 @@ def test_the_shipped_model_loads_and_writes_back_as_it_is():
         ("[0.0, 1.5, 20.0]", "[0.0, 20.0, 1.5]", ModelError, "threshold 2 is 1.5, must be above 20"),
         ("[0.0, 60.0]", "[1.0, 60.0]", ModelError, "one threshold being 0"),
         ("0.125", ".nan", ConfigurationError, "hysteresis.offset is nan, must be a finite number"),
-        ("peak: 140.0", "peak: null", ConfigurationError, "peak belongs to kind reset"),
+        ("peak: 140.0", "peak: null", ConfigurationError, "peak is given with kind reset only"),
         ("high: 140.0", "high: -1.0", ConfigurationError, "low is 0, must be below high, -1"),
         ("offset: 0.125", "ofset: 0.125", ConfigurationError, "unknown key hysteresis.ofset, did you mean 'offset'"),
     ],
 )
-def test_a_model_that_says_something_impossible_is_refused_in_one_line(model_file, old, new, error, message):
+def test_an_impossible_model_is_refused_in_one_line(model_file, old, new, error, message):
     with pytest.raises(error, match=message) as caught:
         load_model(model_file(old, new))
     assert "\n" not in str(caught.value)
     assert caught.value.exit_code == 78
 
 
-def test_states_that_no_input_leads_to_are_refused(model_file):
+def test_states_that_no_input_reaches_are_refused(model_file):
     path = model_file("  kind: reset\n  peak: 140.0", "  kind: states\n  states: [0.0, 9.0, 20.0]")
     with pytest.raises(ModelError, match=r"model\.yaml: play states: state 1 is 9"):
         load_model(path)
 
 
-def test_a_model_starts_where_its_file_says(model_file):
+def test_a_model_starts_in_the_state_of_its_file(model_file):
     assert load_model(model_file()).operator().states.tolist() == [0.0, 1.5, 20.0]
     assert isinstance(load_model(model_file()), Model)
 
 
-def test_a_file_that_cannot_be_written_is_said_and_leaves_nothing(model_file, tmp_path):
+def test_a_failed_write_is_an_error_and_leaves_no_file(model_file, tmp_path):
     model = load_model(model_file())
     with pytest.raises(ConfigurationError, match="cannot be written"):
         save_model(model, tmp_path / "none" / "model.yaml")

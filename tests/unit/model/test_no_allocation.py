@@ -1,4 +1,4 @@
-"""A million ticks of the compensator leave nothing behind in the interpreter."""
+"""A million ticks of the compensator allocate no memory that remains."""
 
 import gc
 import sys
@@ -41,14 +41,14 @@ def model(request):
 
 @pytest.fixture
 def forces_N(model):
-    """There and back over the whole range, as plain floats."""
+    """Forces up and down over the whole range, as plain floats."""
     ramp_V = np.linspace(0.0, 140.0, PASS // 2)
     return Plant(model).run(np.concatenate((ramp_V, ramp_V[::-1]))).tolist()
 
 
 @pytest.fixture
 def _idle_collector():
-    """Frozen and off, as in the control process."""
+    """Garbage collector frozen and off, as in the control process."""
     gc.collect()
     gc.freeze()
     gc.disable()
@@ -65,12 +65,12 @@ def _tracing():
 
 
 def growth(step, forces_N, passes, count):
-    """By how much `count` grows over `passes` times all `forces_N`; the first two passes warm up."""
+    """Growth of `count` over `passes` passes through all `forces_N`, after two passes to warm up."""
     for _ in repeat(None, 2):
         for force_N in forces_N:
             step(force_N)
     before = count()
-    before = count()  # a second time: now, as at the end, an earlier result is alive while it counts
+    before = count()  # again: as at the end, an earlier result exists during the count
     for _ in repeat(None, passes):
         for force_N in forces_N:
             step(force_N)
@@ -104,7 +104,7 @@ def test_a_million_ticks_of_the_compensator_hold_no_more_bytes_than_before(model
 
 @pytest.mark.usefixtures("_idle_collector", "_tracing")
 @pytest.mark.parametrize("count", [sys.getallocatedblocks, traced_bytes])
-def test_a_million_ticks_with_creep_lag_delay_and_a_mode_leave_nothing_either(count):
+def test_a_million_ticks_with_creep_lag_delay_and_resonance_allocate_no_memory_that_remains(count):
     model = extended_model()
     compensator, reference = ExtendedCompensator(model, 1e-3), TableReference(np.linspace(0.0, 200.0, PASS), loop=True)
     reference.plan_ahead(compensator.ahead, compensator.preview_ticks)
@@ -120,9 +120,9 @@ def test_a_million_ticks_with_creep_lag_delay_and_a_mode_leave_nothing_either(co
 @pytest.mark.usefixtures("_idle_collector", "_tracing")
 @pytest.mark.parametrize("count", [sys.getallocatedblocks, traced_bytes])
 def test_a_step_that_appends_to_a_list_is_caught(forces_N, count):
-    kept = []
+    forces = []
 
     def step(force_N):
-        kept.append(force_N + 1.0)
+        forces.append(force_N + 1.0)
 
     assert growth(step, forces_N, 2, count) >= 2 * PASS

@@ -1,4 +1,4 @@
-"""The forward chain over records of other lengths than the one that its effects were found in."""
+"""The forward chain over recordings of another duration than that of its identification."""
 
 import numpy as np
 import pytest
@@ -8,7 +8,7 @@ from tests.unit.model.chains import held_model, with_effects
 
 
 @pytest.mark.parametrize("seconds", [5.0, 20.0])
-def test_the_gain_has_changed_by_its_relative_change_at_the_end_of_every_record(seconds):
+def test_the_gain_has_changed_by_its_relative_change_at_the_end_of_a_recording_of_any_duration(seconds):
     model = held_model()
     drifting = with_effects(model, "gain_drift", relative_change=0.2, bend=0.0).model_copy(update={"seen_s": 10.0})
     t = np.linspace(0.0, seconds, 501)

@@ -30,7 +30,7 @@ def test_a_step_is_forgotten_when_a_step_that_it_calls_in_another_room_is_newer(
     assert not step.exists()
 
 
-def test_the_inverse_chain_watches_the_operators_and_the_effects():
+def test_the_inverse_chain_watches_operators_effects_and_model():
     rooms = {path.name for path in CALLED}
-    assert rooms == {"operators", "effects"}
+    assert rooms == {"operators", "effects", "model"}
     assert all(any(path.glob("*.py")) for path in CALLED)

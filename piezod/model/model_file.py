@@ -1,0 +1,110 @@
+"""The model file `model.yaml`: identification and diagnosis write it, simulation and control read it.
+
+A file that is read and written again keeps its text.
+"""
+
+import hashlib
+import os
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import yaml
+
+from piezod.config import check, read_document, shortened
+from piezod.errors import ConfigurationError, ModelError
+from piezod.model.parameters import Model
+
+SCHEMA = "piezod.model/1"
+
+
+def load_model(path: Path) -> Model:
+    """Read and check a model file.
+
+    Parameters
+    ----------
+    path
+        Model file.
+
+    Raises
+    ------
+    ConfigurationError
+        A value is wrong; the message names file, line, key, value and limit.
+    ModelError
+        The schema differs, or the model has no inverse.
+    """
+    document = read_document(path)
+    schema = document.content.get("schema")
+    if schema != SCHEMA:
+        raise ModelError(f"{path}: schema is {shortened(schema)}, must be '{SCHEMA}'; identify again with this version")
+    model = check(document, Model)
+    try:
+        model.operator()
+    except ModelError as error:
+        raise ModelError(f"{path}: {error}") from error
+    return model
+
+
+def dump_model(model: Model) -> str:
+    """Text of the model file of `model`."""
+    content = model.model_dump(by_alias=True, exclude_none=True)
+    if not model.effects:
+        del content["effects"]
+    if model.sampling == "straight":
+        del content["sampling"]
+    if model.sampling != "held":
+        del content["read_after"]
+    return yaml.dump(content, Dumper=_Dumper, sort_keys=False, width=120, allow_unicode=True)
+
+
+def save_model(model: Model, path: Path) -> None:
+    """Write a model file; a failed write leaves an existing file unchanged.
+
+    Parameters
+    ----------
+    model
+        Model to write.
+    path
+        Model file.
+
+    Raises
+    ------
+    ConfigurationError
+        The file cannot be written.
+    """
+    temporary = path.with_name(f".{path.name}.{os.getpid()}")
+    try:
+        temporary.write_text(dump_model(model), encoding="utf-8")
+        temporary.replace(path)
+    except OSError as error:
+        temporary.unlink(missing_ok=True)
+        raise ConfigurationError(f"{path}: cannot be written: {error.strerror}") from error
+
+
+def file_sha256(path: Path) -> str:
+    """SHA-256 of a file, as `Provenance` stores it."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+class _Dumper(yaml.SafeDumper):
+    """YAML writer: lists of numbers in one line, floats with all their digits."""
+
+
+def _represent_list(dumper: yaml.SafeDumper, values: Sequence[object]) -> yaml.Node:
+    flow = all(isinstance(value, (int, float)) for value in values) and bool(values)
+    return dumper.represent_sequence("tag:yaml.org,2002:seq", values, flow_style=flow)
+
+
+def _represent_float(dumper: yaml.SafeDumper, value: float) -> yaml.Node:
+    return dumper.represent_scalar(
+        "tag:yaml.org,2002:float",
+        np.format_float_scientific(value, trim="0", exp_digits=1)
+        if value != 0 and not 1e-4 <= abs(value) < 1e16
+        else repr(value),
+    )
+
+
+_Dumper.add_representer(tuple, _represent_list)
+_Dumper.add_representer(list, _represent_list)
+_Dumper.add_representer(float, _represent_float)
