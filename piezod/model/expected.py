@@ -230,7 +230,7 @@ def _cell(model: Model, found: Mapping[str, Mapping[str, float]], dt_s: float, d
     """Constants of the mode and the load cell, states at 0, shape (SIZE,)."""
     cell = np.zeros(SIZE)
     cell[LAST] = math.nan
-    smooth = any(EFFECTS[name].smooths for name in found if EFFECTS[name].seat < EFFECTS["resonance"].seat)
+    smooth = any(EFFECTS[name].smooths for name in found if EFFECTS[name].location < EFFECTS["resonance"].location)
     hold = STRAIGHT if smooth else HELD_ONE_SAMPLE
     if mode := found.get("resonance"):
         cell[MODE] = 1.0

@@ -12,7 +12,7 @@ from piezod.effects import EFFECTS
 from piezod.effects.creep import PLAYS, spectrum
 from piezod.effects.kernels import first_order_coefficients, second_order_matrices
 from piezod.effects.output_nonlinearity import rising
-from piezod.effects.rate_dependent_hysteresis import OFFSET_SHARE, USUAL_WAY_V
+from piezod.effects.rate_dependent_hysteresis import OFFSET_SHARE, USUAL_DISTANCE_V
 from piezod.errors import ModelError
 from piezod.model import inverse_chain as at
 from piezod.model.inverse_chain import commit_chain_step, plan_chain_step, start_chain
@@ -201,7 +201,7 @@ def chain_constants(model: Model, found: Found, dt_s: float) -> Array:
     chain[at.GROWTH], chain[at.KIND] = rate.get("growth", 0.0), round(rate.get("kind", 0.0))
     chain[at.REFERENCE_V_PER_S], chain[at.RATE_WAY_V] = (
         rate.get("reference_V_per_s", 1.0),
-        rate.get("rate_way_V", USUAL_WAY_V),
+        rate.get("rate_way_V", USUAL_DISTANCE_V),
     )
     chain[at.OFFSET_V], chain[at.DT_S] = OFFSET_SHARE * (model.input.high - model.input.low), dt_s
     chain[at.GAIN] = 1.0 + found.get("gain_drift", {}).get("relative_change", 0.0)

@@ -169,7 +169,7 @@ class EffectValues(Section):
             raise ValueError(f"name is '{self.name}', must be one of {', '.join(EFFECTS)}")
         for one in effect.parameters:
             value = self.parameters.get(one.name)
-            if value is None and one.may_lack:
+            if value is None and one.optional:
                 continue
             if value is None:
                 raise ValueError(f"{self.name}: parameters has no {one.name}")

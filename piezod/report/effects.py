@@ -24,10 +24,10 @@ def effect_named(name: str) -> Effect:
 
 
 def effects_table() -> str:
-    """One line an effect: name, seat, parameters, what the compensator does about it."""
-    rows = [("effect", "seat", "compensator", "parameters")]
+    """One line an effect: name, location, parameters, what the compensator does about it."""
+    rows = [("effect", "location", "compensator", "parameters")]
     rows += [
-        (one.name, _seat(one), one.handling, ", ".join(parameter.name for parameter in one.catalogued))
+        (one.name, _location(one), one.handling, ", ".join(parameter.name for parameter in one.catalogued))
         for one in EFFECTS.values()
     ]
     return _columns(rows)
@@ -36,7 +36,7 @@ def effects_table() -> str:
 def effect_page(effect: Effect) -> str:
     """Its six fields, its parameters with unit and range, and what is done about it."""
     rows = [("parameter", "unit", "range", "")]
-    rows += [(one.name, one.unit, _range(one), "nuisance" if one.nuisance else "") for one in effect.parameters]
+    rows += [(one.name, one.unit, _range(one), "nuisance" if one.search.nuisance else "") for one in effect.parameters]
     handling = effect.handling + (f": {effect.why}" if effect.why else "")
     return "\n\n".join(
         (
@@ -52,7 +52,7 @@ def effect_as_dict(effect: Effect) -> dict[str, Any]:
     return {
         "name": effect.name,
         "title": effect.title,
-        "seat": _seat(effect),
+        "seat": _location(effect),
         "form": effect.form,
         "handling": effect.handling,
         "why": effect.why,
@@ -64,9 +64,9 @@ def effect_as_dict(effect: Effect) -> dict[str, Any]:
                 "unit": one.unit,
                 "low": one.low,
                 "high": one.high,
-                "choices": list(one.choices),
-                "nuisance": one.nuisance,
-                "place": one.place,
+                "choices": list(one.search.choices),
+                "nuisance": one.search.nuisance,
+                "place": one.instant,
             }
             for one in effect.parameters
         ],
@@ -78,14 +78,14 @@ def _likeness(one: str, other: str) -> float:
     return difflib.SequenceMatcher(None, one, other).ratio()
 
 
-def _seat(effect: Effect) -> str:
-    return effect.seat.name.lower().replace("_", " ")
+def _location(effect: Effect) -> str:
+    return effect.location.name.lower().replace("_", " ")
 
 
 def _range(parameter: Parameter) -> str:
-    if parameter.choices:
-        return " or ".join(f"{choice:g}" for choice in parameter.choices)
-    if parameter.place:
+    if parameter.search.choices:
+        return " or ".join(f"{choice:g}" for choice in parameter.search.choices)
+    if parameter.instant:
         return "instant of the record"
     return f"{parameter.low:.4g} to {parameter.high:.4g}"
 

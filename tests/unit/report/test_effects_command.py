@@ -10,7 +10,7 @@ from piezod.report.effects import effect_named, effect_page, effects_table
 from tests.benches.emulator import piezod
 
 
-def test_the_table_has_a_line_for_every_effect_with_its_seat_parameters_and_handling():
+def test_the_table_has_a_line_for_every_effect_with_its_location_parameters_and_handling():
     lines = effects_table().splitlines()[1:]
     assert len(lines) == len(EFFECTS)
     for line, effect in zip(lines, EFFECTS.values(), strict=True):
@@ -29,7 +29,7 @@ def test_a_page_holds_the_docstring_and_every_parameter_with_its_unit(name):
     for parameter in effect.parameters:
         row = next(line for line in page.splitlines() if line.startswith(f"{parameter.name} "))
         assert f" {parameter.unit} " in row
-        assert ("nuisance" in row) == parameter.nuisance
+        assert ("nuisance" in row) == parameter.search.nuisance
 
 
 @pytest.mark.parametrize(("written", "meant"), [("crep", "creep"), ("hum", "mains_hum"), ("lag", "electrical_lag")])
