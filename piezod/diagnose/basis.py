@@ -15,6 +15,9 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from piezod.operators.compiled_cache import forget_outdated_steps
+from piezod.operators.play import next_state
+
 Array = NDArray[np.float64]
 
 PLAYS = 56
@@ -95,6 +98,7 @@ class PlayDensity:
         factor, offset_V
             What the thresholds are multiplied by and what is added to them, shape (N,) or None.
         """
+        forget_outdated_steps(_columns.stats.cache_path)
         out = np.empty((applied_V.size, self.count))
         none = np.empty(0)
         _columns(
@@ -152,18 +156,15 @@ def _columns(
     z, lag, wide = np.zeros(plays), np.zeros(plays), r.copy()
     for k in range(path.size):
         for i in range(plays):
-            z[i] = max(path[k] - r[i], min(path[k] + r[i], z[i]))
+            z[i] = next_state(z[i], r[i], path[k])
     for k in range(u.size):
         if factor.size:
             for i in range(plays):
                 wide[i] = r[i] * factor[k] + offset[k]
         now = u[k]
-        for i in range(plays):  # comparisons, not max and min: these become vector instructions
-            low, high, state = now - wide[i], now + wide[i], z[i]
-            state = max(state, low)
-            state = min(state, high)
-            z[i] = state
-            lag[i] = state - now
+        for i in range(plays):
+            z[i] = next_state(z[i], wide[i], now)
+            lag[i] = z[i] - now
         _gather(lag, near, far, starts, out[k])
 
 

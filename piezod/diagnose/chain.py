@@ -2,7 +2,7 @@
 
     command -> amplifier -> plays (density) -> creep, gain -> force law -> mechanics -> load cell -> acquisition
 
-Effects act where they sit. The base's columns are carried through whatever lies behind them.
+Effects act at their locations. The base's columns are carried through whatever lies behind them.
 """
 
 from collections.abc import Mapping, Sequence
@@ -17,7 +17,7 @@ from piezod.diagnose.kept import Kept, Key
 from piezod.diagnose.passages import Passage, passages
 from piezod.diagnose.series import Series
 from piezod.effects import EFFECTS
-from piezod.effects.effect import Context, Effect, Parameter, Seat
+from piezod.effects.effect import Context, Effect, Location, Parameter
 from piezod.model.plant import behind
 from piezod.recording.hold import HELD_BEFORE, Hold
 
@@ -64,7 +64,7 @@ class Term:
         return tuple(
             one.name
             for one in self.effect.parameters
-            if not one.choices and (one.only_if is None or one.only_if in self.choices)
+            if not one.search.choices and (one.search.only_if is None or one.search.only_if in self.choices)
         )
 
 
@@ -185,7 +185,8 @@ class Chain:
         low, high = (float(np.clip(value, one.low, one.high)) for value in self._ranges[name])
         if not low < high:
             return one
-        return replace(one, low=low, high=high, starts=tuple(float(np.clip(x, low, high)) for x in one.starts))
+        starts = tuple(float(np.clip(x, low, high)) for x in one.search.starts)
+        return replace(one, low=low, high=high, search=replace(one.search, starts=starts))
 
     @property
     def rates_V_per_s(self) -> tuple[float, float, float, float]:
@@ -227,20 +228,20 @@ class Chain:
         def moved() -> tuple[Array, Array, Hold, dict[str, tuple[Array, Array]]]:
             now, applied_V, factor, offset_V = context, context.command_V, None, None
             for term, values in here:
-                if term.effect.seat == Seat.AMPLIFIER:
+                if term.effect.location == Location.AMPLIFIER:
                     applied_V = term.effect.forward(applied_V, now, values)
-                    now = behind(term.effect, replace(now, applied_V=applied_V, memo={}))
-                elif term.effect.seat == Seat.HYSTERESIS and term.effect.widening is not None:
+                    now = behind(term.effect, replace(now, applied_V=applied_V, cache={}))
+                elif term.effect.location == Location.HYSTERESIS and term.effect.widening is not None:
                     factor, offset_V = term.effect.widening(now, values)
             path_V = np.array(self.series[number].path_V)
-            return applied_V, self.density.columns(applied_V, path_V, factor, offset_V), now.hold, now.memo
+            return applied_V, self.density.columns(applied_V, path_V, factor, offset_V), now.hold, now.cache
 
-        applied_V, columns, hold, memo = self._plays[number].get(self._front(number, here), moved)
-        return applied_V, columns, replace(context, applied_V=applied_V, hold=hold, memo=memo)
+        applied_V, columns, hold, cache = self._plays[number].get(self._front(number, here), moved)
+        return applied_V, columns, replace(context, applied_V=applied_V, hold=hold, cache=cache)
 
     def _front(self, number: int, here: Sequence[tuple[Term, Mapping[str, float]]]) -> Key:
         """What the plays of a recording depend on."""
-        front = [(term, values) for term, values in here if term.effect.seat <= Seat.HYSTERESIS]
+        front = [(term, values) for term, values in here if term.effect.location <= Location.HYSTERESIS]
         return (self.series[number].hold, self.series[number].path_V, _named(front))
 
     def stroke(
@@ -248,7 +249,7 @@ class Chain:
     ) -> tuple[Array, Context]:
         """What stands in front of the force law of a recording, shape (N,) [V]."""
         applied_V, columns, context = self.played(number, here)
-        stack = [(term, values) for term, values in here if term.effect.seat == Seat.STACK]
+        stack = [(term, values) for term, values in here if term.effect.location == Location.STACK]
         of_plays = (self._front(number, here), point.density.tobytes())
         key = (*of_plays, _named(stack))
 
@@ -269,7 +270,7 @@ class Chain:
         stroke_V, context = self.stroke(number, here, point)
         signal_N = self.law.value(stroke_V, point.law)
         for term, values in here:
-            if term.effect.seat >= Seat.MECHANICS:
+            if term.effect.location >= Location.MECHANICS:
                 signal_N = term.effect.forward(signal_N, context, values)
                 context = behind(term.effect, context)
         return Trace(self.played(number, here)[1], stroke_V, signal_N + point.offsets_N[number])
@@ -281,7 +282,7 @@ class Chain:
         """
         here = self.terms_of(number, terms, point)
         stroke_V, context = self.stroke(number, here, point)
-        after = [(term, values) for term, values in here if term.effect.seat >= Seat.MECHANICS]
+        after = [(term, values) for term, values in here if term.effect.location >= Location.MECHANICS]
         rows, thinned = self.rows[number], False
         signal_N: Array = stroke_V
         for place in range(len(after) + 1):
@@ -320,10 +321,10 @@ class Chain:
         """
         here = self.terms_of(number, terms, point)
         applied_V, columns, context = self.played(number, here)
-        stack = [(term.effect, values) for term, values in here if term.effect.seat == Seat.STACK]
+        stack = [(term.effect, values) for term, values in here if term.effect.location == Location.STACK]
         stroke_V = applied_V + columns @ point.density
         through_stack, stroke_V, context = passages(stack, stroke_V, context)
-        after = [(term.effect, values) for term, values in here if term.effect.seat >= Seat.MECHANICS]
+        after = [(term.effect, values) for term, values in here if term.effect.location >= Location.MECHANICS]
         through_rest, _, _ = passages(after, self.law.value(stroke_V, point.law), context)
         remembers = any(one.linear for one in through_rest)
         rows = self.rows[number]
@@ -348,7 +349,7 @@ class Chain:
             tangents[:, k] = through(np.ascontiguousarray(columns[:, k]), through_stack)
         for k in range(splines.shape[1]):
             tangents[:, columns.shape[1] + k] = compared(np.ascontiguousarray(splines[:, k]))
-        in_stack, first = [term for term, _ in here if term.effect.seat == Seat.STACK], base
+        in_stack, first = [term for term, _ in here if term.effect.location == Location.STACK], base
         for term in terms:
             if term.effect.columns is not None and term in in_stack:
                 own, *later = through_stack[in_stack.index(term) :]

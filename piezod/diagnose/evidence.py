@@ -40,7 +40,9 @@ def finding_of(result: Search, name: str) -> Finding:
         value = {**values, **dict(term.choices)}[one.name]
         error = min(NORMAL_95 * found.spread[place].get(one.name, 0.0), MOST_SPREAD)
         low, high = (
-            (value * np.exp(-error), value * np.exp(error)) if one.logarithmic else (value - error, value + error)
+            (value * np.exp(-error), value * np.exp(error))
+            if one.search.logarithmic
+            else (value - error, value + error)
         )
         parameters[one.name] = Value(value, one.unit, float(max(low, one.low)), float(min(high, one.high)))
     if term.effect.name == "transport_delay":

@@ -54,8 +54,8 @@ def catalogue_ideas(
     for effect in EFFECTS.values():
         if effect.name in DIRECT or (effect.needs is not None and effect.needs not in channels):
             continue
-        searched = [one for one in effect.parameters if not one.choices]
-        choices = tuple((one.name, one.choices[0]) for one in effect.parameters if one.choices)
+        searched = [one for one in effect.parameters if not one.search.choices]
+        choices = tuple((one.name, one.search.choices[0]) for one in effect.parameters if one.search.choices)
         starts = [_starts(effect.name, one, scales) for one in searched]
         for values in product(*starts):
             yield effect, dict(zip((one.name for one in searched), values, strict=True)), choices
@@ -83,9 +83,9 @@ def parts_of(effect: Effect, values: Mapping[str, float]) -> dict[str, dict[str,
 
     A sum has no size of its own: it is tried with all its parts beside each other. What shapes a part stays.
     """
-    if not effect.parameters[0].choices:
+    if not effect.parameters[0].search.choices:
         return {"": dict(values)}
-    sizes = [name for name in values if not effect.parameter(name).logarithmic]
+    sizes = [name for name in values if not effect.parameter(name).search.logarithmic]
     return {name: {**values, **dict.fromkeys(sizes, 0.0), name: values[name]} for name in sizes}
 
 
@@ -103,8 +103,8 @@ def _inside(effect: Effect, values: Mapping[str, float]) -> dict[str, float]:
 
 def _starts(effect: str, one: Parameter, scales: dict[str, tuple[float, ...]]) -> tuple[float, ...]:
     known = scales.get(f"{effect} {one.name}", scales.get(one.name)) if effect not in DIRECT else None
-    starts = one.starts if known is None else tuple(float(np.clip(value, one.low, one.high)) for value in known)
-    return starts[:1] if one.nuisance else starts
+    starts = one.search.starts if known is None else tuple(float(np.clip(value, one.low, one.high)) for value in known)
+    return starts[:1] if one.search.nuisance else starts
 
 
 def since(chain: Chain, terms: Sequence[Term], past: Point, lost_N: float) -> list[tuple[Idea, Point]]:
@@ -149,7 +149,7 @@ def _skews(chain: Chain, terms: Sequence[Term], point: Point) -> dict[str, tuple
         for number, one in enumerate(chain.series)
         if one.role == "recording"
     ]
-    starts = EFFECTS["clock_skew"].parameter("skew_ppm").starts
+    starts = EFFECTS["clock_skew"].parameter("skew_ppm").search.starts
     return {"clock_skew skew_ppm": (*starts, *(ppm for ppm in seen if ppm is not None))}
 
 
@@ -238,7 +238,7 @@ def _changes(chain: Chain, terms: Sequence[Term], point: Point) -> tuple[Normal,
         if one.role == "recording"
         for top in peaks_Hz(one, one.reading_N - normal.readings[number])
     ]
-    ringing = (*tops_Hz, *EFFECTS["resonance"].parameter("frequency_Hz").starts)
+    ringing = (*tops_Hz, *EFFECTS["resonance"].parameter("frequency_Hz").search.starts)
     known = {"resonance frequency_Hz": ringing, **_skews(chain, terms, point)}
 
     def looked_at(one: tuple[Effect, dict[str, float], tuple[tuple[str, float], ...]]) -> list[_Change]:

@@ -54,7 +54,7 @@ class Layout:
     def stiffness(self, samples: float) -> Array:
         """Curvature of what draws stiff parameters to zero, shape (size,)."""
         stiff = np.zeros(self.size)
-        stiff[self.effects :] = [samples * one.stiffness for _, one in self.searched]
+        stiff[self.effects :] = [samples * one.search.ridge for _, one in self.searched]
         return stiff
 
     def prior(self, chain: Chain, point: Point) -> Array:
@@ -69,9 +69,9 @@ class Layout:
         wide[self.plays : self.effects] = LAW_WITHIN * span_N
         wide[HATS : self.plays] = wide[self.plays + SPLINES : self.offsets] = FACTOR
         for place, (number, one) in enumerate(self.searched, start=self.effects):
-            if one.logarithmic:
+            if one.search.logarithmic:
                 wide[place] = FACTOR
-            elif one.place:
+            elif one.instant:
                 wide[place] = sample_s
             else:
                 wide[place] = max(abs(float(point.values[number][one.name])), 1e-3 * min(one.high - one.low, 1e3))
@@ -91,15 +91,15 @@ class Layout:
 
 def scaled(one: Parameter, value: float) -> float:
     """A parameter's value on the scale that it is fitted on."""
-    return float(np.log(np.clip(value, one.low, one.high))) if one.logarithmic else value
+    return float(np.log(np.clip(value, one.low, one.high))) if one.search.logarithmic else value
 
 
 def unscaled(one: Parameter, value: float) -> float:
     """The value of what stands on that scale, within the parameter's range."""
-    return float(np.clip(np.exp(value) if one.logarithmic else value, one.low, one.high))
+    return float(np.clip(np.exp(value) if one.search.logarithmic else value, one.low, one.high))
 
 
 def step_of(one: Parameter, value: float) -> float:
     """How far a parameter is moved to see what it does, on its scale; inwards at a bound."""
-    size = 1e-3 if one.logarithmic else 1e-3 * max(abs(value), 1e-2 * min(one.high - one.low, 1e3))
+    size = 1e-3 if one.search.logarithmic else 1e-3 * max(abs(value), 1e-2 * min(one.high - one.low, 1e3))
     return -size if unscaled(one, value + size) >= one.high else size

@@ -239,7 +239,7 @@ def _steady(name: str, series: Series, envelope: Complex, frequency_Hz: float) -
     heard = envelope[series.counts]  # where nothing counts it is nothing
     phase, weight = np.unwrap(np.angle(heard)), np.abs(heard)
     slope, start = np.polyfit(series.time_s[series.counts], phase, 1, w=weight)
-    values = {one.name: one.starts[0] for one in EFFECTS[name].parameters if not one.choices}
+    values = {one.name: one.search.starts[0] for one in EFFECTS[name].parameters if not one.search.choices}
     values["frequency_Hz"] = frequency_Hz + float(slope) / (2.0 * np.pi)
     values["amplitude_N"] = 2.0 * float(np.mean(weight))
     values["phase_rad"] = (float(start) + 0.5 * np.pi) % (2.0 * np.pi)  # a cosine's as a sine's

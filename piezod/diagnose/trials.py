@@ -191,7 +191,7 @@ def _varied(chain: Chain, best: Fitted, place: int) -> Fitted:
         if scope != best.terms[place].scope:
             best = min(best, _again(chain, best, place, scope=scope), key=lambda one: one.loss)
     for parameter in best.terms[place].effect.parameters:
-        for choice in parameter.choices:
+        for choice in parameter.search.choices:
             if (parameter.name, choice) not in best.terms[place].choices:
                 other = _again(chain, best, place, choice=(parameter.name, choice))
                 best = min(best, other, key=lambda one: one.loss)
@@ -238,8 +238,8 @@ def suggested(chain: Chain, found: Fitted) -> list[Idea]:
 
 def _idea(name: str, number: int, known: dict[str, float], scope: Scope = "once") -> Idea:
     effect = EFFECTS[name]
-    values = {one.name: one.starts[0] for one in effect.parameters if not one.choices}
-    choices = tuple((one.name, one.choices[0]) for one in effect.parameters if one.choices)
+    values = {one.name: one.search.starts[0] for one in effect.parameters if not one.search.choices}
+    choices = tuple((one.name, one.search.choices[0]) for one in effect.parameters if one.search.choices)
     values.update(
         {
             key: float(np.clip(value, effect.parameter(key).low, effect.parameter(key).high))

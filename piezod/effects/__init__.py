@@ -1,4 +1,4 @@
-"""The catalogue of physical effects: one file each, and this registry, in the order of the signal chain."""
+"""The catalogue of physical effects: one file for each, and the registry `EFFECTS` in the order of the signal chain."""
 
 from piezod.effects import (
     charge_leakage,
@@ -24,7 +24,7 @@ from piezod.effects import (
     vibration,
     voltage_clamp,
 )
-from piezod.effects.effect import Context, Effect, Parameter, Seat, Values
+from piezod.effects.effect import Context, Effect, Location, Parameter, Search, Values
 
 EFFECTS: dict[str, Effect] = {
     module.EFFECT.name: module.EFFECT
@@ -54,4 +54,4 @@ EFFECTS: dict[str, Effect] = {
     )
 }
 
-__all__ = ["EFFECTS", "Context", "Effect", "Parameter", "Seat", "Values"]
+__all__ = ["EFFECTS", "Context", "Effect", "Location", "Parameter", "Search", "Values"]

@@ -1,32 +1,36 @@
 """The clocks of command and reading run at different rates.
 
-Forward    reading k shows F(t_k (1 + skew / 10^6)), straight between samples; the last value beyond the record
-Inverse    resample the reading on the command's clock
-Signature  a delay that grows in proportion to time; look-alike transport_delay is the same from the start on
-Seat       acquisition
-Valid      crystals 1 to 100 ppm, RC oscillators up to 1 %; skew times duration of a sample and more
-Source     derived here; piezod/effects/README.md, "Clock skew"
+Forward    Reading k is F(t_k (1 + skew / 10^6)), straight between samples; beyond the record it is the last value.
+Inverse    Resample the reading on the clock of the command.
+Signature  A delay that grows in proportion to time. Look-alike: transport_delay is constant.
+Location   Acquisition.
+Valid      Crystals: 1 to 100 ppm, RC oscillators: up to 1 %. Skew times duration must be at least one sample.
+Source     Derived here; piezod/effects/README.md, "Clock skew".
 """
 
 import numpy as np
 
-from piezod.effects.effect import Array, Context, Effect, Parameter, Seat, Values
+from piezod.effects.effect import Array, Checks, Context, Effect, Location, Parameter, Search, Values
 
 
 def forward(signal: Array, context: Context, values: Values) -> Array:
-    """Reading by its own clock, shape (N,) [N]."""
+    """Reading on its own clock, shape (N,) [N]."""
     return np.interp(context.time_s * (1.0 + 1e-6 * values["skew_ppm"]), context.time_s, signal)
 
 
 EFFECT = Effect(
     name="clock_skew",
     title="clocks of different rates",
-    seat=Seat.ACQUISITION,
+    location=Location.ACQUISITION,
     form="linear",
-    parameters=(Parameter("skew_ppm", "ppm", -2e4, 2e4, starts=(-100.0, 100.0, -1000.0, 1000.0)),),
+    parameters=(Parameter("skew_ppm", "ppm", -2e4, 2e4, Search((-100.0, 100.0, -1000.0, 1000.0))),),
     forward=forward,
     handling="corrected in the reading",
     docstring=__doc__,
-    why="the true force is not late, its time stamps are: take them from one clock",
-    separate_by="sharp edges at the beginning and at the end of a long record",
+    why="only the time stamps are wrong, not the true force; take them from one clock",
+    separate_by="abrupt edges at the beginning and at the end of a long record",
+    checks=Checks(
+        values={"skew_ppm": -10_000.0},
+        anticipates=lambda values: values["skew_ppm"] > 0.0,  # the clock of the reading runs ahead
+    ),
 )

@@ -1,24 +1,24 @@
-"""The preload is lost: the first part of the force only closes a gap.
+"""The preload is lost, and the first part of the force only closes a gap.
 
-Forward    max(0, F - gap); within softness of touching the parabola (F - gap + softness)^2 / (4 softness)
-Inverse    F + gap above zero; below, no force can be asked for: the reachable range begins at touching
-Signature  no force and no slope at the bottom, then a kink; look-alikes output_nonlinearity (has a slope at zero),
-           voltage_clamp (flat at the top)
-Seat       mechanics
-Valid      records that come down to the gap; softness is at most the gap, so nothing arrives from F = 0
-Source     K. L. Johnson (1985), Contact Mechanics, unilateral contact; the parabola derived here;
-           piezod/effects/README.md, "Contact gap"
+Forward    max(0, F - gap). For |F - gap| < softness: the parabola (F - gap + softness)^2 / (4 softness).
+Inverse    F + gap for a force above zero. No smaller force is reachable, so the range begins at the contact.
+Signature  No force and no slope at the bottom, then a kink. Look-alikes: output_nonlinearity has a slope at zero,
+           voltage_clamp is flat at the top.
+Location   Mechanics.
+Valid      Records that reach the gap. softness is at most the gap, so that no force results from F = 0.
+Source     K. L. Johnson (1985), Contact Mechanics, Cambridge University Press, unilateral contact. The parabola:
+           derived here; piezod/effects/README.md, "Contact gap".
 """
 
 import numba
 import numpy as np
 
-from piezod.effects.effect import Array, Context, Effect, Parameter, Seat, Values
+from piezod.effects.effect import Array, Checks, Context, Effect, Location, Parameter, Search, Values
 
 
 @numba.njit(cache=True, nogil=True)
 def contact_step(force: float, gap: float, softness: float) -> float:
-    """Force that arrives behind the gap; softness 0 is a sharp kink [N]."""
+    """Force behind the gap [N]. A softness of 0 gives an abrupt kink."""
     beyond = force - gap
     soft = min(softness, gap)
     if abs(beyond) < soft:
@@ -35,21 +35,22 @@ def _run(force: Array, gap: float, softness: float) -> Array:
 
 
 def forward(signal: Array, context: Context, values: Values) -> Array:  # noqa: ARG001  # a `Forward`
-    """Force that arrives behind the gap, shape (N,) [N]."""
+    """Force behind the gap, shape (N,) [N]."""
     return _run(signal, values["gap_N"], values.get("softness_N", 0.0))
 
 
 EFFECT = Effect(
     name="contact_gap",
     title="gap before contact",
-    seat=Seat.MECHANICS,
+    location=Location.MECHANICS,
     form="memoryless",
     parameters=(
-        Parameter("gap_N", "N", 1e-3, 1e4, starts=(2.0, 20.0, 100.0), logarithmic=True),
-        Parameter("softness_N", "N", 0.0, 100.0, starts=(0.5,), nuisance=True),
+        Parameter("gap_N", "N", 1e-3, 1e4, Search((2.0, 20.0, 100.0), logarithmic=True)),
+        Parameter("softness_N", "N", 0.0, 100.0, Search((0.5,), nuisance=True)),
     ),
     forward=forward,
     handling="compensated",
     docstring=__doc__,
     separate_by="a slow ramp from zero voltage, and again with more preload",
+    checks=Checks(values={"gap_N": 20.0, "softness_N": 10.0}, constant="shifted"),
 )

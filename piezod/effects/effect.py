@@ -1,4 +1,4 @@
-"""What an effect is: one piece of physics in its place in the signal chain, with parameters, units and ranges."""
+"""The record of a physical effect: its location in the signal chain, its parameters and its equations."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -14,23 +14,50 @@ Array = NDArray[np.float64]
 Values = Mapping[str, float]
 
 
-class Seat(IntEnum):
-    """What an effect acts on, in the order of the signal chain; effects of one seat act in the order of `EFFECTS`.
+class Location(IntEnum):
+    """Location of an effect in the signal chain, in the order of the chain.
 
-    AMPLIFIER: the voltage [V] between command and stack. HYSTERESIS: the plays themselves. STACK: what the plays give
-    [V], in front of the force law. MECHANICS: the force [N]. LOAD_CELL: the signal [N]. ACQUISITION: the reading [N].
+    The comment gives the signal that the effect acts on. Effects of one location act in the order of `EFFECTS`.
     """
 
-    AMPLIFIER = 1
-    HYSTERESIS = 2
-    STACK = 3
-    MECHANICS = 4
-    LOAD_CELL = 5
-    ACQUISITION = 6
+    AMPLIFIER = 1  # voltage between command and stack [V]
+    HYSTERESIS = 2  # thresholds of the plays [V]
+    STACK = 3  # stroke in front of the force law [V]
+    MECHANICS = 4  # force [N]
+    LOAD_CELL = 5  # signal of the load cell [N]
+    ACQUISITION = 6  # reading [N]
 
 
 Form = Literal["linear", "additive", "memoryless", "other"]
 Handling = Literal["compensated", "corrected in the reading", "refused"]
+
+
+@dataclass(frozen=True)
+class Search:
+    """How a diagnosis searches the value of a parameter.
+
+    Parameters
+    ----------
+    starts
+        Start values, within the range of the parameter. Several where the error has several minima.
+    logarithmic
+        Whether the logarithm of the value is searched; the range must lie above 0.
+    nuisance
+        Whether the parameter only shapes the effect. A finding does not report it.
+    choices
+        All values of a parameter that takes a few values only. They are tried one after the other.
+    ridge
+        Ridge penalty of the value 1 per sample [noise variance], at least 0.
+    only_if
+        Name and choice of another parameter: this one is searched with that choice only. None: always.
+    """
+
+    starts: tuple[float, ...]
+    logarithmic: bool = False
+    nuisance: bool = False
+    choices: tuple[float, ...] = ()
+    ridge: float = 0.0
+    only_if: tuple[str, float] | None = None
 
 
 @dataclass(frozen=True)
@@ -40,78 +67,63 @@ class Parameter:
     Parameters
     ----------
     name
-        With its unit at the end, where it has one.
+        Name that ends in the unit, unless the unit is "1".
     unit
-        "s", "V/s", "1" ...
+        "s", "V/s", "1" and the like.
     low, high
-        Range of validity; a search stays inside.
-    starts
-        Where a search may begin; more than one where the error has several valleys.
-    logarithmic
-        Whether it is searched on a logarithmic scale; then `low` is above 0.
-    nuisance
-        Shapes the effect but is no part of the catalogue's interface.
-    choices
-        The few values it can have, for a parameter that is not searched but tried.
-    place
-        Whether it names an instant of the record [s].
-    stiffness
-        What a value of one costs a sample, in parts of its noise's variance: it stays near zero where little tells.
-    only_if
-        Another parameter and the choice of it with which this one is searched; None: with any.
-    may_lack
-        Whether a model may leave it out: it is at its first start then.
+        Range of validity [unit].
+    search
+        How a diagnosis searches the value.
+    instant
+        Whether it is an instant of the recording [s].
+    optional
+        Whether a model file may omit it. The value then is the first start.
     """
 
     name: str
     unit: str
     low: float
     high: float
-    starts: tuple[float, ...]
-    logarithmic: bool = False
-    nuisance: bool = False
-    choices: tuple[float, ...] = ()
-    place: bool = False
-    stiffness: float = 0.0
-    only_if: tuple[str, float] | None = None
-    may_lack: bool = False
+    search: Search
+    instant: bool = False
+    optional: bool = False
 
     def __post_init__(self) -> None:
         assert self.low < self.high
-        assert all(self.low <= start <= self.high for start in (*self.starts, *self.choices))
-        assert not self.logarithmic or self.low > 0.0
+        assert all(self.low <= value <= self.high for value in (*self.search.starts, *self.search.choices))
+        assert not self.search.logarithmic or self.low > 0.0
 
 
 @dataclass(frozen=True)
 class Context:
-    """What an effect may look at besides the signal that it changes.
+    """Quantities that an effect may use besides its input signal.
 
     Parameters
     ----------
     dt_s
-        Spacing of the samples [s].
+        Spacing of the samples [s], above 0.
     time_s
-        Time of each since the record's first sample, shape (N,) [s].
+        Time since the first sample of the recording, shape (N,) [s].
     command_V
         Commanded voltage, shape (N,) [V].
     applied_V
-        What the amplifier made of it, shape (N,) [V]; the command until the amplifier has acted.
+        Voltage at the output of the amplifier, shape (N,) [V]. Before the amplifier's effects it is the command.
     duration_s
-        Of the record [s].
+        Duration of the recording [s].
     force_span_N
-        Range of the force that the model was identified over [N].
+        Force range on which the model was identified [N].
     temperature_C
-        Where it was recorded, shape (N,) [degC].
+        Temperature, shape (N,) [degC]; None: not recorded.
     hold
-        How the signal runs between two samples.
+        How the input signal runs between two samples.
     voltage_span_V
-        Range of the voltage that the model was identified over [V].
+        Voltage range on which the model was identified [V].
     path_V
-        Voltages since the de-energised state, before the first sample.
+        Voltages from the de-energised state to the first sample [V].
     seen_s
-        How long the record was in which an effect was found; None: this one [s].
-    memo
-        What an effect computed from an `applied_V`, which comes first, and may want again for the same one.
+        Duration of the recording in which the effect was found [s]; None: of this recording.
+    cache
+        Last results of an effect for this `applied_V`: name to (key, result).
     """
 
     dt_s: float
@@ -125,12 +137,37 @@ class Context:
     voltage_span_V: float = 100.0
     path_V: tuple[float, ...] = ()
     seen_s: float | None = None
-    memo: dict[str, tuple[Array, Array]] = field(default_factory=dict)
+    cache: dict[str, tuple[Array, Array]] = field(default_factory=dict)
 
 
 Forward = Callable[[Array, Context, Values], Array]
 Widening = Callable[[Context, Values], tuple[Array, Array]]
 Columns = Callable[[Context, Values], Array]
+
+
+def never(values: Values) -> bool:  # noqa: ARG001  # see `Checks.anticipates`
+    """No values: the effect is causal."""
+    return False
+
+
+@dataclass(frozen=True)
+class Checks:
+    """Properties that the contract test checks on the effect (`tests/contract/test_effects.py`).
+
+    Parameters
+    ----------
+    values
+        Parameter values of the main case; a parameter that is not given has its first start. On samples of 0.25 to
+        4 ms the effect must be visible.
+    constant
+        Output for a constant input. "unchanged": the input. "shifted": another constant. "varies": a function of time.
+    anticipates
+        Values with which a sample depends on later samples.
+    """
+
+    values: Values = field(default_factory=dict)
+    constant: Literal["unchanged", "shifted", "varies"] = "unchanged"
+    anticipates: Callable[[Values], bool] = never
 
 
 @dataclass(frozen=True)
@@ -140,41 +177,43 @@ class Effect:
     Parameters
     ----------
     name
-        As in the findings.
+        Name in models and findings.
     title
-        In a few words for people.
-    seat
-        Where it acts.
+        Name in words.
+    location
+        Location in the signal chain.
     form
-        "linear": the output is a linear function of the signal (with memory or not), and a column of a linear model
-        passes through it like the signal; "additive": what is added does not depend on the signal; "memoryless": a
-        function of the present sample; "other".
+        "linear": the output is a linear function of the signal, with or without memory. "additive": the added term
+        does not depend on the signal. "memoryless": a function of the present sample. "other": none of these.
     parameters
-        Those of the catalogue first, then nuisances.
+        Parameters that a finding reports, then nuisances.
     forward
-        Signal in, signal out, both shape (N,). From rest at the first sample: a constant signal stays as it is for a
-        record that starts where the bench rested.
+        Function from input signal to output signal, both of shape (N,). It is at rest at the first sample.
     handling
-        What the compensator does about it.
+        What the compensator does about the effect.
+    docstring
+        Docstring of the file: six fields.
     why
-        Why it is corrected in the reading or refused; empty where it is compensated.
+        Reason why the effect is not compensated; empty where it is.
     widening
-        Of the seat HYSTERESIS alone: factor (1) and offset [V] of all play thresholds, each shape (N,).
+        HYSTERESIS only: factor [1] and offset [V] of all play thresholds above 0, each of shape (N,).
     weights
-        Names of parameters, next to each other, that what it adds is linear in, where `columns` knows them.
+        Names of consecutive parameters in which the added term is linear; `columns` gives the factors.
     columns
-        Of the seat STACK alone: how the output changes with each weight, shape (N, weights).
+        STACK only: derivatives of the output by the weights, shape (N, weights).
     smooths
-        Whether a held signal runs straight between samples behind it.
+        Whether the output runs straight between samples when the input is held.
     needs
-        Channel that must have been recorded, or None.
+        Channel that a recording must have; None: no further channel.
     separate_by
-        The experiment that tells it from its look-alikes.
+        Experiment that separates the effect from its look-alikes.
+    checks
+        Properties that the contract test checks.
     """
 
     name: str
     title: str
-    seat: Seat
+    location: Location
     form: Form
     parameters: tuple[Parameter, ...]
     forward: Forward
@@ -187,6 +226,7 @@ class Effect:
     smooths: bool = False
     needs: str | None = None
     separate_by: str = ""
+    checks: Checks = field(default_factory=Checks)
     _by_name: dict[str, Parameter] = field(init=False, repr=False, compare=False, default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -194,20 +234,20 @@ class Effect:
 
     @property
     def catalogued(self) -> tuple[Parameter, ...]:
-        """Parameters of the interface, without nuisances."""
-        return tuple(one for one in self.parameters if not one.nuisance)
+        """Parameters that a finding reports."""
+        return tuple(one for one in self.parameters if not one.search.nuisance)
 
     def parameter(self, name: str) -> Parameter:
-        """One of its parameters.
+        """Parameter of that name.
 
         Raises
         ------
         KeyError
-            It has none of that name.
+            The effect has no such parameter.
         """
         return self._by_name[name]
 
 
 def unchanged(signal: Array, context: Context, values: Values) -> Array:  # noqa: ARG001  # a `Forward`
-    """The forward of an effect that does not act on a signal of its own."""
+    """Output of an effect that changes no signal."""
     return signal

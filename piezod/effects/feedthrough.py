@@ -1,13 +1,13 @@
-"""The drive couples into the load cell's signal in proportion to its slope.
+"""The drive couples into the signal of the load cell, in proportion to the slope of the applied voltage.
 
-Forward    F + y, rise y' + y = k du/dt, u the voltage at the stack; exact for a straight or held voltage
-Inverse    subtract y from the reading
-Signature  on triangles a square wave that jumps at the corners and is there with nothing mounted; look-alike
-           electrical_lag has the same plateau and reaches it slowly
-Seat       load cell
-Valid      drives of several slopes; rise_s above half a sample
-Source     H. W. Ott (1988), Noise Reduction Techniques in Electronic Systems, capacitive coupling; a term in proportion
-           to u is a gain of the stack; piezod/effects/README.md, "Feedthrough"
+Forward    F + y, rise y' + y = k du/dt, u the applied voltage. Exact for a straight and for a held voltage.
+Inverse    On the reading: subtract y.
+Signature  On triangles a square wave that jumps at the corners and exists without a mounted stack. Look-alike:
+           electrical_lag reaches the same plateau slowly.
+Location   Load cell.
+Valid      Drives of several slopes; rise_s above half a sample.
+Source     H. W. Ott (1988), Noise Reduction Techniques in Electronic Systems, Wiley, capacitive coupling. A term in
+           proportion to u is a gain of the stack. piezod/effects/README.md, "Feedthrough".
 """
 
 import math
@@ -15,12 +15,22 @@ import math
 import numba
 import numpy as np
 
-from piezod.effects.effect import Array, Context, Effect, Parameter, Seat, Values
+from piezod.effects.effect import Array, Checks, Context, Effect, Location, Parameter, Search, Values
 
 
 @numba.njit(cache=True, nogil=True)
 def coupling_step(y: float, change_V: float, keep: float, jump: float) -> float:
-    """Advance by a sample in which the voltage changes; keep = exp(-T / rise), `jump` by `coefficients`."""
+    """State y after a sample in which the voltage changes by `change_V`.
+
+    Parameters
+    ----------
+    y
+        State before [V/s].
+    change_V
+        Change of the applied voltage [V].
+    keep, jump
+        From `coefficients`.
+    """
     return keep * y + jump * change_V
 
 
@@ -36,9 +46,22 @@ def _run(u: Array, keep: float, jump: float) -> Array:
 
 
 def coefficients(rise_s: float, dt_s: float, hold: float) -> tuple[float, float]:
-    """How much of y is kept from sample to sample (1), and how much a change of the voltage adds to it [1/s].
+    """Coefficients of `coupling_step`.
 
-    A straight voltage pulls y towards its slope all the time; a held one jumps once, which fades until it is read.
+    Parameters
+    ----------
+    rise_s
+        Time constant of the coupling [s], at least 0.
+    dt_s
+        Spacing of the samples [s].
+    hold
+        Number of a `Hold`. A straight voltage has a slope during the whole sample. A held voltage jumps once, and the
+        response decays until the reading.
+
+    Returns
+    -------
+    keep, jump
+        Part of y that remains after one sample [1], and increase of y per change of the voltage [1/s].
     """
     keep = math.exp(-dt_s / rise_s) if rise_s > 0.0 else 0.0
     if hold <= 0.0:
@@ -47,7 +70,7 @@ def coefficients(rise_s: float, dt_s: float, hold: float) -> tuple[float, float]
 
 
 def forward(signal: Array, context: Context, values: Values) -> Array:
-    """Signal with what the drive adds, shape (N,) [N]."""
+    """Signal with the coupled drive, shape (N,) [N]."""
     keep, jump = coefficients(values.get("rise_s", 0.0), context.dt_s, context.hold.number)
     out: Array = signal + values["coefficient_N_s_per_V"] * _run(context.applied_V, keep, jump)
     return out
@@ -56,15 +79,16 @@ def forward(signal: Array, context: Context, values: Values) -> Array:
 EFFECT = Effect(
     name="feedthrough",
     title="drive couples into the signal",
-    seat=Seat.LOAD_CELL,
+    location=Location.LOAD_CELL,
     form="additive",
     parameters=(
-        Parameter("coefficient_N_s_per_V", "N s/V", -10.0, 10.0, starts=(0.005,)),
-        Parameter("rise_s", "s", 1e-5, 0.1, starts=(5e-4,), logarithmic=True, nuisance=True),
+        Parameter("coefficient_N_s_per_V", "N s/V", -10.0, 10.0, Search((0.005,))),
+        Parameter("rise_s", "s", 1e-5, 0.1, Search((5e-4,), logarithmic=True, nuisance=True)),
     ),
     forward=forward,
     handling="corrected in the reading",
     docstring=__doc__,
     why="it is no force: driving against it would make one",
     separate_by="the same drive with the load cell taken off the stack",
+    checks=Checks(values={"rise_s": 0.05}),
 )

@@ -1,29 +1,28 @@
-"""Presliding friction in the guide, which opposes every movement.
+"""The guide of the load resists every movement, and deforms before it slides (presliding).
 
-Forward    F - force z, z the state of `bouc_wen` moved by F: from Dahl's solid friction (exponent 1, closing 1) to a
-           spring that yields up to its limit and then slides (closing 0.5, a large exponent)
-Inverse    refused
-Signature  loops whose width stops growing with the amplitude, at twice the force, and does not change with the rate;
-           look-alike the plays themselves, which absorb it, and output_nonlinearity, which has one branch
-Seat       mechanics
-Valid      loops from below presliding_N to several times it; presliding_N is the travel, in force, in which 63 % arise
-Source     P. R. Dahl (1968), A Solid Friction Model, DTIC ADA041920; Ismail, Ikhouane and Rodellar (2009), The
-           Hysteresis Bouc-Wen Model, a Survey, doi:10.1007/s11831-009-9031-8; piezod/effects/README.md, "Friction"
+Forward    F - force z, with z the state of `bouc_wen` moved by F. Exponent 1 and closing 1 is Dahl's solid friction.
+           Closing 0.5 and a large exponent is a spring that yields at its limit and then slides.
+Inverse    Refused.
+Signature  Loops whose width stops at twice the friction force and does not depend on the rate. Look-alikes: the plays,
+           which absorb it, and output_nonlinearity, which has one branch.
+Location   Mechanics.
+Valid      Loops from below presliding_N to several times it. presliding_N is the movement, measured in force, in which
+           z rises from 0 to 63 %.
+Source     P. R. Dahl (1968), A Solid Friction Model, DTIC ADA041920. M. Ismail, F. Ikhouane and J. Rodellar (2009), The
+           Hysteresis Bouc-Wen Model, a Survey, doi:10.1007/s11831-009-9031-8. piezod/effects/README.md, "Friction".
 """
 
 import numpy as np
 
-from piezod.effects.effect import Array, Context, Effect, Parameter, Seat, Values
+from piezod.effects.effect import Array, Context, Effect, Location, Parameter, Search, Values
 from piezod.effects.kernels import bouc_wen
 
-NOTHING_BEFORE = np.empty(0)
+NO_PATH = np.empty(0)
 
 
 def forward(signal: Array, context: Context, values: Values) -> Array:  # noqa: ARG001  # a `Forward`
-    """Force that gets past the guide, shape (N,) [N]."""
-    state = bouc_wen(
-        NOTHING_BEFORE, signal, values["presliding_N"], values.get("exponent", 1.0), values.get("closing", 1.0)
-    )
+    """Force behind the guide, shape (N,) [N]."""
+    state = bouc_wen(NO_PATH, signal, values["presliding_N"], values.get("exponent", 1.0), values.get("closing", 1.0))
     result: Array = signal - values["force_N"] * state
     return result
 
@@ -31,20 +30,20 @@ def forward(signal: Array, context: Context, values: Values) -> Array:  # noqa: 
 EFFECT = Effect(
     name="friction",
     title="friction in the guide",
-    seat=Seat.MECHANICS,
+    location=Location.MECHANICS,
     form="other",
     parameters=(
-        Parameter("force_N", "N", 0.0, 1e3, starts=(1.0,)),
-        Parameter("presliding_N", "N", 1e-2, 1e4, starts=(3.0, 20.0, 100.0), logarithmic=True),
-        Parameter("exponent", "1", 0.5, 8.0, starts=(1.5,), logarithmic=True, nuisance=True),
-        Parameter("closing", "1", 0.3, 1.0, starts=(0.7,), logarithmic=True, nuisance=True),
+        Parameter("force_N", "N", 0.0, 1e3, Search((1.0,))),
+        Parameter("presliding_N", "N", 1e-2, 1e4, Search((3.0, 20.0, 100.0), logarithmic=True)),
+        Parameter("exponent", "1", 0.5, 8.0, Search((1.5,), logarithmic=True, nuisance=True)),
+        Parameter("closing", "1", 0.3, 1.0, Search((0.7,), logarithmic=True, nuisance=True)),
     ),
     forward=forward,
     handling="refused",
     docstring=__doc__,
     why=(
-        "it changes with preload, wear and the time at rest, and pushed the wrong way at a reversal it doubles the"
-        " error; dither or a flexure instead of a guide removes it"
+        "it changes with preload, wear and the time at rest; a correction with the wrong sign at a reversal doubles the"
+        " error; dither, or a flexure instead of a guide, removes it"
     ),
     separate_by="loop width against amplitude on logarithmic axes (friction 0 to 1, plays 2), and another preload",
 )

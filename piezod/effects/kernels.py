@@ -1,8 +1,8 @@
-"""What several effects share, compiled once.
+"""Compiled functions that several effects share: linear systems, and the Bouc-Wen hysteresis.
 
-Steps of linear systems, exact for an input that runs straight between two samples; a memory that fades with the way.
-
-A compiled step calls steps of its own file only: numba compares its cache with no other.
+The linear systems are exact for an input that runs straight between samples, and for a held input. `hold` is always
+the number of a `Hold`. A compiled function calls functions of its own file only: numba compares its cache with no other
+file.
 """
 
 import math
@@ -13,25 +13,35 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-NODES, FURTHEST = 1024, 24.0  # of the table; beyond that way the state no longer changes
-ABOUT_V, PER_V = 60.0, 100.0  # the middle of the usual stack's range: what a time constant and its swell belong to
-LEAST = 0.2  # of a time constant, whatever the voltage
-ARISEN = 1.0 - math.exp(-1.0)  # of the limit, within `travel`
+NODES, FARTHEST = 1024, 24.0  # size of the Bouc-Wen table, and its last distance: the state is constant beyond
+SWELL_AT_V, SWELL_PER_V = 60.0, 100.0  # voltage at which a time constant is given, and the change that swell refers to
+LEAST_PART = 0.2  # smallest time constant at any voltage, as a part of the given one
+RISEN = 1.0 - math.exp(-1.0)  # state after a movement by `travel` from 0
 
 
 @numba.njit(cache=True, nogil=True)
 def first_order_step(y: float, before: float, now: float, keep: float, ramp: float) -> float:
-    """Advance tau y' = x - y by a sample while x runs straight from `before` to `now`.
+    """State of tau y' = x - y one sample later, when x runs straight from `before` to `now`.
 
-    With a = exp(-T / tau) = `keep` and b = 1 - tau (1 - a) / T = `ramp`: y <- a y + (1 - a - b) before + b now, written
-    so that a resting state rests to the last digit.
+    y <- a y + (1 - a - b) before + b now, with a = exp(-T / tau) = `keep` and b = 1 - tau (1 - a) / T = `ramp` (derived
+    here). In the form below a state at rest does not change by rounding.
     """
     return y + (1.0 - keep) * (before - y) + ramp * (now - before)
 
 
 @numba.njit(cache=True, nogil=True)
 def first_order_coefficients(time_constant_s: float, dt_s: float, hold: float = 0.0) -> tuple[float, float]:
-    """`keep` and `ramp` of `first_order_step`; of a held input `ramp` is what its last part of a sample adds."""
+    """`keep` and `ramp` of `first_order_step`; for a held input `ramp` is the response to the new value.
+
+    Parameters
+    ----------
+    time_constant_s
+        tau [s], above 0.
+    dt_s
+        Spacing of the samples T [s].
+    hold
+        Number of a `Hold`.
+    """
     part = dt_s / time_constant_s
     keep = math.exp(-part)
     if hold > 0.0:
@@ -42,7 +52,7 @@ def first_order_coefficients(time_constant_s: float, dt_s: float, hold: float = 
 
 @numba.njit(cache=True, nogil=True)
 def first_order_run(x: Array, time_constant_s: float, dt_s: float, hold: float = 0.0) -> Array:
-    """`first_order_step` over a record, from rest at its first sample; `hold` is the number of a `Hold`."""
+    """`first_order_step` over the record `x`, shape (N,), from rest at its first sample."""
     keep, ramp = first_order_coefficients(time_constant_s, dt_s, hold)
     out = np.empty(x.size)
     y = x[0]
@@ -55,13 +65,23 @@ def first_order_run(x: Array, time_constant_s: float, dt_s: float, hold: float =
 
 @numba.njit(cache=True, nogil=True)
 def time_constant_at(voltage_V: float, time_constant_s: float, swell: float) -> float:
-    """Of a lag into a capacitance that grows with its voltage [s]; `time_constant_s` at 60 V."""
-    return time_constant_s * max(1.0 + swell * (voltage_V - ABOUT_V) / PER_V, LEAST)
+    """Time constant of a lag into a capacitance that grows with the voltage [s].
+
+    Parameters
+    ----------
+    voltage_V
+        Voltage at the capacitance [V].
+    time_constant_s
+        Time constant at 60 V [s].
+    swell
+        Relative change of the time constant per 100 V [1].
+    """
+    return time_constant_s * max(1.0 + swell * (voltage_V - SWELL_AT_V) / SWELL_PER_V, LEAST_PART)
 
 
 @numba.njit(cache=True, nogil=True)
-def swelling_run(x: Array, time_constant_s: float, swell: float, dt_s: float, hold: float = 0.0) -> Array:
-    """`first_order_run` with the time constant of `time_constant_at`, as it stands at each sample's start."""
+def voltage_dependent_lag_run(x: Array, time_constant_s: float, swell: float, dt_s: float, hold: float = 0.0) -> Array:
+    """`first_order_run` with the time constant of `time_constant_at` at the start of each sample."""
     out = np.empty(x.size)
     y = x[0]
     out[0] = y
@@ -74,7 +94,7 @@ def swelling_run(x: Array, time_constant_s: float, swell: float, dt_s: float, ho
 
 @numba.njit(cache=True, nogil=True, fastmath={"reassoc"})
 def weighted_sum(weights: Array, states: Array) -> float:
-    """Sum of products, in any order: several at a time."""
+    """Sum of the products weights * states; the order of the sum is free, for vector instructions."""
     total = 0.0
     for j in range(states.size):
         total += weights[j] * states[j]
@@ -83,7 +103,7 @@ def weighted_sum(weights: Array, states: Array) -> float:
 
 @numba.njit(cache=True, nogil=True, inline="always")
 def chain_step(states: Array, keep: Array, ramp: Array, weights: Array, before: float, now: float) -> float:
-    """`first_order_step` of several states beside each other, in place; their weighted sum."""
+    """`first_order_step` of several parallel states, in place; returns their weighted sum."""
     for j in range(states.size):
         states[j] = first_order_step(states[j], before, now, keep[j], ramp[j])
     return weighted_sum(weights, states)
@@ -91,7 +111,7 @@ def chain_step(states: Array, keep: Array, ramp: Array, weights: Array, before: 
 
 @numba.njit(cache=True, nogil=True)
 def chain_run(x: Array, time_constants_s: Array, weights: Array, dt_s: float, hold: float = 0.0) -> Array:
-    """`chain_step` over a record, counted from rest at its first sample."""
+    """`chain_step` over the record `x`, shape (N,), from rest; `x` counts from its first sample."""
     count = time_constants_s.size
     keep, ramp, states = np.empty(count), np.empty(count), np.zeros(count)
     for j in range(count):
@@ -105,7 +125,7 @@ def chain_run(x: Array, time_constants_s: Array, weights: Array, dt_s: float, ho
 
 @numba.njit(cache=True, nogil=True)
 def second_order_run(x: Array, matrix: Array, before: Array, now: Array) -> Array:
-    """State space of two states over a record, from rest: s <- M s + before x(k-1) + now x(k); the output is s[0]."""
+    """Second-order state space over the record `x`, from rest: s <- M s + before x(k-1) + now x(k), output s[0]."""
     out = np.empty(x.size)
     s0, s1 = x[0], 0.0
     out[0] = s0
@@ -118,16 +138,18 @@ def second_order_run(x: Array, matrix: Array, before: Array, now: Array) -> Arra
 
 
 def second_order(x: Array, frequency_Hz: float, damping_ratio: float, dt_s: float, hold: float = 0.0) -> Array:
-    """Mode over a record, from rest, as `second_order_matrices` has it."""
+    """System of `second_order_matrices` over the record `x`, shape (N,), from rest."""
     return second_order_run(np.ascontiguousarray(x), *second_order_matrices(frequency_Hz, damping_ratio, dt_s, hold))
 
 
 def second_order_matrices(
     frequency_Hz: float, damping_ratio: float, dt_s: float, hold: float = 0.0
 ) -> tuple[Array, Array, Array]:
-    """M, before and now of `second_order_run`, exact for a straight or held input: y'' + 2 zeta w y' + w^2 y = w^2 x.
+    """M, `before` and `now` of `second_order_run` for y'' + 2 zeta w y' + w^2 y = w^2 x, w = 2 pi frequency_Hz.
 
-    The exponential of the state space with the input and its slope as further states (derived here).
+    They are blocks of the matrix exponential of the state space with the input and its slope as further states.
+    Source: C. F. Van Loan (1978), Computing Integrals Involving the Matrix Exponential, IEEE Transactions on Automatic
+    Control 23(3), 395-404.
     """
     w = 2.0 * math.pi * frequency_Hz
     system = np.zeros((4, 4))  # y, y' / w, x, slope of x
@@ -135,13 +157,13 @@ def second_order_matrices(
     system[1, :3] = -w, -2.0 * damping_ratio * w, w
     system[2, 3] = 1.0
     step = exponential(system * dt_s)
-    all_of_it = step[:2, 2].copy()
+    step_response = step[:2, 2].copy()
     now = step[:2, 3] / dt_s if hold <= 0.0 else exponential(system * (dt_s * min(hold, 1.0)))[:2, 2].copy()
-    return step[:2, :2].copy(), all_of_it - now, now
+    return step[:2, :2].copy(), step_response - now, now
 
 
 def exponential(matrix: Array) -> Array:
-    """Exponential of a small matrix, to rounding: a Taylor series of the matrix halved, then squared as often."""
+    """Exponential of a small matrix: Taylor series of the matrix halved n times, then squared n times."""
     halvings = max(0, math.ceil(math.log2(np.abs(matrix).sum(axis=1).max() + 1e-300)) + 3)
     small = matrix / 2.0**halvings
     result = term = np.eye(matrix.shape[0])
@@ -155,14 +177,14 @@ def exponential(matrix: Array) -> Array:
 
 @numba.njit(cache=True, nogil=True)
 def _rate(z: float, exponent: float, closing: float) -> float:
-    """dz/ds while z moves upwards."""
+    """dz/ds of a rising state z."""
     rate: float = 1.0 - abs(z) ** exponent * (1.0 if z > 0.0 else 1.0 - 2.0 * closing)
     return rate
 
 
 @numba.njit(cache=True, nogil=True)
-def _onwards(z: float, step: float, exponent: float, closing: float) -> float:
-    """Runge's and Kutta's step of the fourth order."""
+def _runge_kutta(z: float, step: float, exponent: float, closing: float) -> float:
+    """State after the distance `step`, by one Runge-Kutta step of fourth order."""
     a = _rate(z, exponent, closing)
     b = _rate(z + 0.5 * step * a, exponent, closing)
     c = _rate(z + 0.5 * step * b, exponent, closing)
@@ -172,28 +194,28 @@ def _onwards(z: float, step: float, exponent: float, closing: float) -> float:
 
 @numba.njit(cache=True, nogil=True)
 def _table(exponent: float, closing: float) -> tuple[Array, Array, float, float]:
-    """State and its slope at equal steps of s from z = -1 on, the step, and s where z is 0."""
+    """States and slopes at equal steps of s from z = -1, the step, and the s at which z is 0."""
     below = 0.0
-    z, step = 0.0, FURTHEST / NODES
+    z, step = 0.0, FARTHEST / NODES
     while z > -1.0:
-        z = _onwards(z, -step, exponent, closing)
+        z = _runge_kutta(z, -step, exponent, closing)
         below += step
     size = NODES + round(below / step)
     states, slopes = np.empty(size), np.empty(size)
     middle = size - NODES
     states[middle] = 0.0
     for k in range(middle + 1, size):
-        states[k] = min(_onwards(states[k - 1], step, exponent, closing), 1.0)
+        states[k] = min(_runge_kutta(states[k - 1], step, exponent, closing), 1.0)
     for k in range(middle - 1, -1, -1):
-        states[k] = _onwards(states[k + 1], -step, exponent, closing)
+        states[k] = _runge_kutta(states[k + 1], -step, exponent, closing)
     for k in range(size):
         slopes[k] = max(_rate(states[k], exponent, closing), 0.0)
     return states, slopes, step, middle * step
 
 
 @numba.njit(cache=True, nogil=True)
-def _at(s: float, states: Array, slopes: Array, step: float) -> float:
-    """State at a way, by cubics through the table's values and slopes."""
+def _state_at(s: float, states: Array, slopes: Array, step: float) -> float:
+    """State at the distance `s`, by cubic Hermite interpolation of the table."""
     k = min(int(s / step), states.size - 2)
     t = min(s / step - k, 1.0)
     rise = states[k + 1] - states[k]
@@ -203,13 +225,13 @@ def _at(s: float, states: Array, slopes: Array, step: float) -> float:
 
 
 @numba.njit(cache=True, nogil=True)
-def _way_to(z: float, states: Array, slopes: Array, step: float) -> float:
-    """The way at which a state is reached."""
+def _distance_to(z: float, states: Array, slopes: Array, step: float) -> float:
+    """Distance at which the state is `z`, by bisection."""
     k = min(max(int(np.searchsorted(states, z)), 1), states.size - 1) - 1
     low, high = k * step, (k + 1) * step
     for _ in range(40):
         middle = 0.5 * (low + high)
-        if _at(middle, states, slopes, step) < z:
+        if _state_at(middle, states, slopes, step) < z:
             low = middle
         else:
             high = middle
@@ -218,52 +240,58 @@ def _way_to(z: float, states: Array, slopes: Array, step: float) -> float:
 
 @numba.njit(cache=True, nogil=True)
 def bouc_wen(path: Array, x: Array, travel: float, exponent: float, closing: float) -> Array:
-    """Bouc's and Wen's state over a record, from 0 at the beginning of what led to it.
+    """State z of the Bouc-Wen hysteresis over a record, from z = 0 at the first value of `path`.
 
-        dz/ds = 1 - |z|^n                    while |z| grows
-        dz/ds = 1 - (1 - 2 closing) |z|^n    while it falls, s = |way| / scale
+        dz/ds = 1 - |z|^n                    while |z| grows,
+        dz/ds = 1 - (1 - 2 closing) |z|^n    while |z| falls;   s = distance moved / scale
 
-    Along one direction z is a fixed function of s, which is tabled: a sample moves s on, a reversal mirrors z, and
-    neither rate nor sampling matters. closing = 1 and n = 1 is Dahl's solid friction; closing = 0.5 and a large n
-    yields like a spring up to its limit, then slides.
+    In one direction z is a fixed function of s, which is tabulated. A sample advances s, a reversal mirrors z. The
+    result depends neither on the rate nor on the sampling.
+
+    closing = 1 and n = 1 is Dahl's solid friction. closing = 0.5 and a large n is a spring that yields at its limit.
 
     Parameters
     ----------
     path
-        Values before the first sample; empty: the state is 0 at the first sample.
+        Input values before the first sample, shape (P,); empty: the state is 0 at the first sample.
     x
-        What moves it, shape (N,).
+        Input, shape (N,).
     travel
-        Way, in units of x, within which 63 % arise from 0.
+        Distance in which z rises from 0 to 63 % [unit of x], above 0.
     exponent, closing
-        n, above 0, and how far a loop closes, 0.2 to 1.
+        n, above 0, and the shape of the return, 0.2 to 1 [1].
 
     Returns
     -------
     ndarray
-        States between -1 and 1, shape (N,).
+        States, -1 to 1, shape (N,).
 
     Raises
     ------
     ValueError
-        The travel or the exponent is not above 0, or the closing not in its range.
+        `travel` or `exponent` is not above 0, or `closing` is outside 0.2 to 1.
+
+    Notes
+    -----
+    Source: M. Ismail, F. Ikhouane and J. Rodellar (2009), The Hysteresis Bouc-Wen Model, a Survey,
+    doi:10.1007/s11831-009-9031-8; the table: derived here.
     """
     if not (travel > 0.0 and exponent > 0.0 and 0.2 <= closing <= 1.0):
-        raise ValueError("travel and exponent must be above 0, closing within 0.2 to 1")
+        raise ValueError("bouc_wen: travel and exponent must be above 0, closing must be within 0.2 and 1")
     states, slopes, step, begin = _table(exponent, closing)
-    scale = travel / (_way_to(ARISEN, states, slopes, step) - begin)
+    scale = travel / (_distance_to(RISEN, states, slopes, step) - begin)
     out = np.empty(x.size)
     before = path[0] if path.size else x[0]
     z, s, sign = 0.0, begin, 1.0
     for k in range(path.size + x.size):
         now = path[k] if k < path.size else x[k - path.size]
-        way = (now - before) / scale
-        if way != 0.0:
-            if way * sign < 0.0:
+        moved = (now - before) / scale
+        if moved != 0.0:
+            if moved * sign < 0.0:
                 sign = -sign
-                s = _way_to(-z, states, slopes, step)
-            s += abs(way)
-            z = _at(s, states, slopes, step)
+                s = _distance_to(-z, states, slopes, step)
+            s += abs(moved)
+            z = _state_at(s, states, slopes, step)
             before = now
         if k >= path.size:
             out[k - path.size] = sign * z

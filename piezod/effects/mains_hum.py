@@ -1,20 +1,21 @@
-"""Mains hum in the load cell's signal, with its harmonics.
+"""The mains couples into the signal of the load cell, with harmonics.
 
-Forward    F + amplitude (sin(a) + sum over h = 2 to 7 of sine_h sin(h a) + cosine_h cos(h a)), a = 2 pi f t + phase
-Inverse    subtract it from the reading, its phase followed
-Signature  narrow lines at 50 or 60 Hz and multiples, folded at half the sampling rate, at rest too; look-alike
-           vibration has a frequency of its own
-Seat       load cell
-Valid      sampling fast enough for the line itself; harmonics above half the sampling rate appear folded
-Source     H. W. Ott (1988), Noise Reduction Techniques in Electronic Systems, electric and magnetic pick-up;
-           piezod/effects/README.md, "Mains hum"
+Forward    F + amplitude (sin a + H), a = 2 pi f t + phase,
+           H = sum over h = 2 to 7 of sine_h sin(h a) + cosine_h cos(h a).
+Inverse    On the reading: subtract it, with a phase that is followed.
+Signature  Narrow lines at 50 or 60 Hz and multiples, folded at half the sampling rate, also at rest. Look-alike:
+           vibration has another frequency.
+Location   Load cell.
+Valid      A sampling rate above twice the line frequency. Harmonics above half the sampling rate appear folded.
+Source     H. W. Ott (1988), Noise Reduction Techniques in Electronic Systems, Wiley, electric and magnetic pick-up;
+           piezod/effects/README.md, "Mains hum".
 """
 
 import math
 
 import numpy as np
 
-from piezod.effects.effect import Array, Context, Effect, Parameter, Seat, Values
+from piezod.effects.effect import Array, Checks, Context, Effect, Location, Parameter, Search, Values
 
 TURN = 2.0 * math.pi
 HARMONICS = (2, 3, 4, 5, 6, 7)
@@ -37,14 +38,14 @@ def forward(signal: Array, context: Context, values: Values) -> Array:
 EFFECT = Effect(
     name="mains_hum",
     title="mains hum",
-    seat=Seat.LOAD_CELL,
+    location=Location.LOAD_CELL,
     form="additive",
     parameters=(
-        Parameter("amplitude_N", "N", 0.0, 1e3, starts=(0.3,)),
-        Parameter("frequency_Hz", "Hz", 45.0, 65.0, starts=(50.0, 60.0)),
-        Parameter("phase_rad", "rad", -TURN, 2.0 * TURN, starts=(0.0, 1.57, 3.14, 4.71), nuisance=True),
+        Parameter("amplitude_N", "N", 0.0, 1e3, Search((0.3,))),
+        Parameter("frequency_Hz", "Hz", 45.0, 65.0, Search((50.0, 60.0))),
+        Parameter("phase_rad", "rad", -TURN, 2.0 * TURN, Search((0.0, 1.57, 3.14, 4.71), nuisance=True)),
         *(
-            Parameter(f"{part}_{h}", "1", -2.0, 2.0, starts=(0.0,), nuisance=True)
+            Parameter(f"{part}_{h}", "1", -2.0, 2.0, Search((0.0,), nuisance=True))
             for h in HARMONICS
             for part in ("sine", "cosine")
         ),
@@ -54,4 +55,5 @@ EFFECT = Effect(
     docstring=__doc__,
     why="it is no force: driving against it would make one",
     separate_by="a record at rest with the amplifier off, then with the cable of the load cell moved",
+    checks=Checks(values={"sine_2": 0.3, "cosine_3": 0.2, "sine_5": 0.1}, constant="varies"),
 )

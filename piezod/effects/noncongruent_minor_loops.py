@@ -1,33 +1,36 @@
-"""Minor loops that differ with bias: plays whose weight depends on where they stand, as a Preisach plane has it.
+"""Minor loops differ with bias or with cycle count, which no sum of plays and force law reproduces.
 
-Forward    v = x + share s/2 {sum_i sum_jd w_jd h_j(i) [T_d(x_i) - T_d(y)] / n + sum_d c_d (T_d(y) - T_d(-1)) - m b},
-           x_i = 2 z_i / s - 1, y = 2 u / s - 1, b the state of `bouc_wen` moved by u
-Inverse    solved sample by sample as that of the plays is, while the sum stays monotone
-Signature  equal minor loops open differently at different biases, and drift from cycle to cycle where the memory fades
-           (m); flat in frequency, nothing at rest; look-alikes output_nonlinearity (the same on both branches), and
-           friction, which slides after a small part of the range
-Seat       hysteresis
-Valid      any Preisach operator is a sum of functions of play states (Krejci 1996); here up to degree 5
-Source     I. D. Mayergoyz (2003), Mathematical Models of Hysteresis and Their Applications, congruency;
-           piezod/effects/README.md, "Noncongruent minor loops".
-           s is the identified voltage range, z_i the states of n plays up to it, h_j hats over their
-           thresholds, T_d Chebyshev's polynomials. w_j1 alone is congruent, and c_d the same on both branches: a
-           share of another hysteresis changes both as well. Memory that fades (accommodation): Bouc and Wen
+Forward    v = x + share s/2 (P + C - m b), with the plays
+           P = sum_i sum_jd w_jd h_j(i) [T_d(x_i) - T_d(y)] / n, the curve C = sum_d c_d [T_d(y) - T_d(-1)],
+           x_i = 2 z_i / s - 1, y = 2 u / s - 1, and b the state of `bouc_wen` moved by u.
+           s is the identified voltage range, z_i are the states of n plays up to s.
+           h_j are hat functions over i, T_d are Chebyshev polynomials.
+Inverse    Refused: it is no play operator, and the sum need not be monotone.
+Signature  Equal minor loops open differently at different biases; with m they drift from cycle to cycle. Flat in
+           frequency, nothing at rest. Look-alikes: output_nonlinearity is equal on both branches, friction slides after
+           a small part of the range.
+Location   Stack, in front of creep.
+Valid      Voltages from 0 to s. Degrees d to 5; w_j1 alone is congruent, and c_d is equal on both branches.
+Source     I. D. Mayergoyz (2003), Mathematical Models of Hysteresis and Their Applications, Elsevier, congruency.
+           M. Brokate and J. Sprekels (1996), Hysteresis and Phase Transitions, doi:10.1007/978-1-4612-4048-8.
+           The expansion: derived here; piezod/effects/README.md, "Noncongruent minor loops".
 """
 
 import numba
 import numpy as np
 
-from piezod.effects.effect import Array, Context, Effect, Parameter, Seat, Values
+from piezod.effects.effect import Array, Checks, Context, Effect, Location, Parameter, Search, Values
 from piezod.effects.kernels import bouc_wen
+from piezod.operators.compiled_cache import forget_outdated_steps
+from piezod.operators.play import next_state
 
-PLAYS = 24
+PLAYS = 24  # n
 HATS = 4
-DEGREES = 5
-STIFF = 0.1  # curvature a sample; what the data tell well is far stiffer, and what they do not stays 0
-OF_MEMORY = 1e-4  # the same for what shapes the memory that fades
-OF_ONE, ADDED, OF_THE_MEMORY = "minor loops, columns", "minor loops, added", "minor loops, memory"  # memos
-TRAVEL = 0.3  # of the voltage range: what the memory's way is counted in
+DEGREES = 5  # of the polynomials
+RIDGE = 0.1  # of a weight: small against the information of a useful recording; without information the weight stays 0
+RIDGE_OF_MEMORY = 1e-4  # of the parameters that shape b
+COLUMNS, ADDED, MEMORY = "minor loops, columns", "minor loops, added", "minor loops, memory"  # names in the cache
+TRAVEL = 0.3  # movement in which b rises to 63 % with memory_way = 1, as a part of the voltage range
 NAMES = (
     *(f"degree_{d}_{j}" for d in range(1, DEGREES + 1) for j in range(HATS)),
     *(f"curve_{d}" for d in range(2, DEGREES + 1)),
@@ -36,7 +39,7 @@ NAMES = (
 
 @numba.njit(cache=True, nogil=True)
 def _polynomials(x: float, out: Array) -> None:
-    """T_1(x) to T_d(x) by their recurrence."""
+    """Write the Chebyshev polynomials T_1(x) to T_d(x) into `out`, shape (d,), by their recurrence."""
     before, now = 1.0, x
     for d in range(out.size):
         out[d] = now
@@ -45,23 +48,37 @@ def _polynomials(x: float, out: Array) -> None:
 
 @numba.njit(cache=True, nogil=True)
 def _columns(u: Array, path: Array, span: float, hats: Array, degrees: int) -> Array:
-    """What every polynomial of the plays' places adds, hat by hat, and of the voltage's, shape (N, NAMES) [V]."""
+    """Added term for the value 1 of every weight in `NAMES`, shape (N, NAMES) [V].
+
+    Parameters
+    ----------
+    u
+        Applied voltage, shape (N,) [V].
+    path
+        Voltages from the de-energised state to the first sample, shape (P,) [V].
+    span
+        Identified voltage range s [V].
+    hats
+        h_j(i), shape (PLAYS, HATS) [1].
+    degrees
+        Largest degree d of the polynomials.
+    """
     n, count = hats.shape
     z, out = np.zeros(n), np.empty((u.size, degrees * count + degrees - 1))
-    x, before, now = np.empty(n), np.empty(n), np.empty(n)  # a polynomial of every play at once
-    of_voltage, at_rest = np.empty(degrees), np.empty(degrees)
-    _polynomials(-1.0, at_rest)
+    x, before, now = np.empty(n), np.empty(n), np.empty(n)  # x_i, T_{d-1}(x_i) and T_d(x_i) of all plays
+    of_voltage, at_zero = np.empty(degrees), np.empty(degrees)
+    _polynomials(-1.0, at_zero)
     parts, all_plays = np.ascontiguousarray(hats.T), hats.sum(axis=0)
     first = np.array([np.flatnonzero(one)[0] for one in parts])
     end = np.array([np.flatnonzero(one)[-1] + 1 for one in parts])
     r = span * ((np.arange(n) + 0.5) / n) ** 1.5
     for k in range(path.size):
         for i in range(n):
-            z[i] = max(path[k] - r[i], min(path[k] + r[i], z[i]))
+            z[i] = next_state(z[i], r[i], path[k])
     for k in range(u.size):
         _polynomials((2.0 * u[k] - span) / span, of_voltage)
         for i in range(n):
-            z[i] = max(u[k] - r[i], min(u[k] + r[i], z[i]))
+            z[i] = next_state(z[i], r[i], u[k])
             x[i] = (2.0 * z[i] - span) / span
             before[i], now[i] = 1.0, x[i]
         for d in range(degrees):
@@ -73,75 +90,77 @@ def _columns(u: Array, path: Array, span: float, hats: Array, degrees: int) -> A
             for i in range(n):
                 before[i], now[i] = now[i], 2.0 * x[i] * now[i] - before[i]
         for d in range(1, degrees):
-            out[k, degrees * count + d - 1] = 0.5 * span * (of_voltage[d] - at_rest[d])
+            out[k, degrees * count + d - 1] = 0.5 * span * (of_voltage[d] - at_zero[d])
     return out
 
 
 def _hats() -> Array:
-    """Weight of play i in hat j, shape (PLAYS, HATS)."""
-    places = np.linspace(0.0, PLAYS - 1.0, HATS)
-    return np.array([np.interp(np.arange(PLAYS), places, one) for one in np.eye(HATS)]).T.copy()
+    """Weight of play i in hat j, shape (PLAYS, HATS) [1]."""
+    centres = np.linspace(0.0, PLAYS - 1.0, HATS)
+    return np.array([np.interp(np.arange(PLAYS), centres, one) for one in np.eye(HATS)]).T.copy()
 
 
 def forward(signal: Array, context: Context, values: Values) -> Array:
-    """What the plays give with those whose weight depends on the bias, shape (N,) [V]."""
+    """Stroke with the noncongruent term, shape (N,) [V]."""
     weights = np.array([values.get(name, 0.0) for name in NAMES])
     share, span_V = values.get("share", 1.0), context.voltage_span_V
-    of_one = _of_one(context)
-    known = context.memo.get(ADDED)
+    unit = _unit_columns(context)
+    known = context.cache.get(ADDED)
     if known is None or (known[0] != weights).any():
-        known = weights, of_one @ weights
-        context.memo[ADDED] = known
+        known = weights, unit @ weights
+        context.cache[ADDED] = known
     result: Array = signal + share * known[1]
     memory = values.get("memory", 0.0)
     if memory != 0.0:
-        result -= (0.5 * span_V * share * memory) * _remembered(context, values)
+        result -= (0.5 * span_V * share * memory) * _memory(context, values)
     return result
 
 
 def columns(context: Context, values: Values) -> Array:
-    """What one of every weight adds, shape (N, weights) [V]."""
-    memory = -0.5 * context.voltage_span_V * _remembered(context, values)
-    return values.get("share", 1.0) * np.column_stack((_of_one(context), memory))
+    """Derivatives of the output by the weights, shape (N, weights) [V]."""
+    unit = _unit_columns(context)
+    memory = -0.5 * context.voltage_span_V * _memory(context, values)
+    return values.get("share", 1.0) * np.column_stack((unit, memory))
 
 
-def _of_one(context: Context) -> Array:
-    """What `_columns` gives for the voltage at hand; it is kept, and what was kept of another voltage is not."""
-    known = context.memo.get(OF_ONE)
+def _unit_columns(context: Context) -> Array:
+    """`_columns` for the applied voltage, from the cache where possible. A new voltage clears the cache."""
+    known = context.cache.get(COLUMNS)
     if known is None or known[0] is not context.applied_V:
+        forget_outdated_steps(_columns.stats.cache_path)
         path = np.array(context.path_V, dtype=np.float64)
         known = context.applied_V, _columns(context.applied_V, path, context.voltage_span_V, _hats(), DEGREES)
-        context.memo[OF_ONE] = known
-        for name in (ADDED, OF_THE_MEMORY):
-            context.memo.pop(name, None)
+        context.cache[COLUMNS] = known
+        for name in (ADDED, MEMORY):
+            context.cache.pop(name, None)
     return known[1]
 
 
-def _remembered(context: Context, values: Values) -> Array:
-    """State of the memory that fades, shape (N,) [1]; the last one is kept for what differs in the weights alone."""
+def _memory(context: Context, values: Values) -> Array:
+    """State b, shape (N,) [1], from the cache where only weights differ from the last call."""
     shape = np.array([values.get(name, 1.0) for name in ("memory_way", "memory_exponent", "memory_closing")])
-    known = context.memo.get(OF_THE_MEMORY)
+    known = context.cache.get(MEMORY)
     if known is None or (known[0] != shape).any():
         path = np.array(context.path_V, dtype=np.float64)
-        way_V = TRAVEL * context.voltage_span_V * shape[0]
-        known = shape, bouc_wen(path, context.applied_V, way_V, shape[1], shape[2])
-        context.memo[OF_THE_MEMORY] = known
+        travel_V = TRAVEL * context.voltage_span_V * shape[0]
+        known = shape, bouc_wen(path, context.applied_V, travel_V, shape[1], shape[2])
+        context.cache[MEMORY] = known
     return known[1]
 
 
 def _shape(name: str, low: float, high: float, start: float) -> Parameter:
-    return Parameter(name, "1", low, high, starts=(start,), logarithmic=True, nuisance=True, stiffness=OF_MEMORY)
+    return Parameter(name, "1", low, high, Search((start,), logarithmic=True, nuisance=True, ridge=RIDGE_OF_MEMORY))
 
 
 EFFECT = Effect(
     name="noncongruent_minor_loops",
     title="minor loops that depend on the bias",
-    seat=Seat.STACK,
+    location=Location.STACK,
     form="additive",
     parameters=(
-        Parameter("share", "1", 0.0, 1.0, starts=(1.0,), choices=(1.0,)),
-        *(Parameter(name, "1", -3.0, 3.0, starts=(0.1,), nuisance=True, stiffness=STIFF) for name in NAMES),
-        Parameter("memory", "1", -3.0, 3.0, starts=(0.03,), nuisance=True, stiffness=STIFF),
+        Parameter("share", "1", 0.0, 1.0, Search((1.0,), choices=(1.0,))),
+        *(Parameter(name, "1", -3.0, 3.0, Search((0.1,), nuisance=True, ridge=RIDGE)) for name in NAMES),
+        Parameter("memory", "1", -3.0, 3.0, Search((0.03,), nuisance=True, ridge=RIDGE)),
         _shape("memory_way", 0.4, 10.0, 1.0),
         _shape("memory_exponent", 0.5, 8.0, 1.5),
         _shape("memory_closing", 0.3, 1.0, 0.7),
@@ -151,6 +170,10 @@ EFFECT = Effect(
     columns=columns,
     handling="refused",
     docstring=__doc__,
-    why="its inverse is not a play operator; a model identified on the biases that are driven comes closest",
+    why="its inverse is no play operator; identify at the biases that the bench uses",
     separate_by="equal minor loops at three biases, each from the same end of the range",
+    checks=Checks(
+        values=dict.fromkeys((name for name in NAMES if not name.startswith(("degree_2", "curve_2"))), 0.0),
+        constant="shifted",
+    ),
 )

@@ -1,14 +1,15 @@
-"""The force law stiffens or saturates beyond the one that was identified.
+"""The force law bends beyond the identified one, because a contact stiffens or the material saturates.
 
-Forward    F + curvature F^2 / span + cubic F^2 (F - span) / span^2: curvature is by how much of the span the force at
-           its upper end differs; straight where the slope would fall below a twentieth
-Inverse    exact: the root of the polynomial
-Signature  an error that depends on the force alone, the same on both branches; look-alikes voltage_clamp (flat at one
-           voltage), contact_gap (flat at the bottom)
-Seat       mechanics
-Valid      forces of the identified span and up to half of it beyond; a model that was fitted with it has absorbed it
-Source     K. Kuhnen (2003), European Journal of Control 9(4), saturation; K. L. Johnson (1985), Contact Mechanics; the
-           polynomial and its straight continuation derived here; piezod/effects/README.md, "Output nonlinearity"
+Forward    F + curvature F^2 / span + cubic F^2 (F - span) / span^2. It is straight where its slope would be below 0.05.
+           curvature is the change of the force at the upper end, as a part of the span.
+Inverse    Exact: the force at which the increasing law has the wanted value.
+Signature  An error that depends on the force alone, equal on both branches. Look-alikes: voltage_clamp is flat at one
+           voltage, contact_gap is flat at the bottom.
+Location   Mechanics.
+Valid      Forces up to half of the identified span beyond it. A model that was fitted with it has absorbed it.
+Source     K. Kuhnen (2003), Modeling, Identification and Compensation of Complex Hysteretic Nonlinearities, European
+           Journal of Control 9(4), saturation. K. L. Johnson (1985), Contact Mechanics. The polynomial and its straight
+           continuation: derived here; piezod/effects/README.md, "Output nonlinearity".
 """
 
 import math
@@ -16,14 +17,14 @@ import math
 import numba
 import numpy as np
 
-from piezod.effects.effect import Array, Context, Effect, Parameter, Seat, Values
+from piezod.effects.effect import Array, Checks, Context, Effect, Location, Parameter, Search, Values
 
-LEAST_SLOPE = 0.05
+LEAST_SLOPE = 0.05  # the law is straight where the polynomial would be flatter
 
 
 @numba.njit(cache=True, nogil=True)
 def law_step(part: float, square: float, cube: float, low: float, high: float) -> float:
-    """Law at a force, both in parts of the span; `low` to `high` is where the polynomial rises enough."""
+    """Force behind the law for the force `part`, both in spans; `low` to `high` is the interval of `rising`."""
     inside = min(max(part, low), high)
     return inside + inside * inside * (square + cube * inside) + LEAST_SLOPE * (part - inside)
 
@@ -44,7 +45,7 @@ def forward(signal: Array, context: Context, values: Values) -> Array:
 
 
 def rising(square: float, cube: float) -> tuple[float, float]:
-    """Where 1 + 2 square x + 3 cube x^2 stays above `LEAST_SLOPE`: the interval around zero."""
+    """Interval around zero in which 1 + 2 square x + 3 cube x^2 is above `LEAST_SLOPE`."""
     a, b, c = 3.0 * cube, 2.0 * square, 1.0 - LEAST_SLOPE
     roots: list[float] = []
     if b * b >= 4.0 * a * c and (a != 0.0 or b != 0.0):
@@ -57,14 +58,15 @@ def rising(square: float, cube: float) -> tuple[float, float]:
 EFFECT = Effect(
     name="output_nonlinearity",
     title="curved force law",
-    seat=Seat.MECHANICS,
+    location=Location.MECHANICS,
     form="memoryless",
     parameters=(
-        Parameter("curvature", "1", -0.8, 0.8, starts=(0.03, -0.03)),
-        Parameter("cubic", "1", -0.2, 0.2, starts=(0.0,), nuisance=True),
+        Parameter("curvature", "1", -0.8, 0.8, Search((0.03, -0.03))),
+        Parameter("cubic", "1", -0.2, 0.2, Search((0.0,), nuisance=True)),
     ),
     forward=forward,
     handling="compensated",
     docstring=__doc__,
     separate_by="slow triangles about several biases, and again with another preload",
+    checks=Checks(constant="shifted"),
 )

@@ -1,13 +1,13 @@
-"""A coarse converter: readings lie on a lattice.
+"""A coarse converter gives readings at multiples of one step.
 
-Forward    offset + step round((F - offset) / step)
-Inverse    refused
-Signature  few distinct values at equal distances, plateaus where dF/dt T < step; look-alike sensor_dropout stands still
-           in one place only
-Seat       acquisition
-Valid      steps above the noise; below it noise dithers the lattice away
-Source     Widrow, Kollar and Liu (1996), Statistical Theory of Quantization, doi:10.1109/19.492784;
-           piezod/effects/README.md, "Quantisation"
+Forward    offset + step round((F - offset) / step), halves upwards.
+Inverse    Refused.
+Signature  Few distinct values at equal distances, plateaus where |dF/dt| T < step. Look-alike: sensor_dropout is
+           constant in one place only.
+Location   Acquisition.
+Valid      Steps above the noise. A smaller step acts as noise of variance step^2 / 12.
+Source     B. Widrow, I. Kollar and M.-C. Liu (1996), Statistical Theory of Quantization, doi:10.1109/19.492784;
+           piezod/effects/README.md, "Quantisation".
 """
 
 import math
@@ -15,12 +15,12 @@ import math
 import numba
 import numpy as np
 
-from piezod.effects.effect import Array, Context, Effect, Parameter, Seat, Values
+from piezod.effects.effect import Array, Checks, Context, Effect, Location, Parameter, Search, Values
 
 
 @numba.njit(cache=True, nogil=True)
-def lattice_step(force: float, step: float, offset: float) -> float:
-    """Nearest point of the lattice, upwards from the middle [N]."""
+def nearest_multiple(force: float, step: float, offset: float) -> float:
+    """Nearest value offset + n step, halves upwards [N]."""
     return offset + step * math.floor((force - offset) / step + 0.5)
 
 
@@ -28,27 +28,28 @@ def lattice_step(force: float, step: float, offset: float) -> float:
 def _run(force: Array, step: float, offset: float) -> Array:
     out = np.empty(force.size)
     for k in range(force.size):
-        out[k] = lattice_step(force[k], step, offset)
+        out[k] = nearest_multiple(force[k], step, offset)
     return out
 
 
 def forward(signal: Array, context: Context, values: Values) -> Array:  # noqa: ARG001  # a `Forward`
-    """Reading on the lattice, shape (N,) [N]."""
+    """Quantised reading, shape (N,) [N]."""
     return _run(signal, values["step_N"], values.get("offset_N", 0.0))
 
 
 EFFECT = Effect(
     name="quantisation",
     title="coarse converter",
-    seat=Seat.ACQUISITION,
+    location=Location.ACQUISITION,
     form="memoryless",
     parameters=(
-        Parameter("step_N", "N", 1e-4, 100.0, starts=(0.1, 1.0), logarithmic=True),
-        Parameter("offset_N", "N", -100.0, 100.0, starts=(0.0,), nuisance=True),
+        Parameter("step_N", "N", 1e-4, 100.0, Search((0.1, 1.0), logarithmic=True)),
+        Parameter("offset_N", "N", -100.0, 100.0, Search((0.0,), nuisance=True)),
     ),
     forward=forward,
     handling="refused",
     docstring=__doc__,
-    why="what is lost within a step cannot be had back; a finer range, or averaging over noise wider than a step, can",
-    separate_by="a slow ramp over some steps: the distinct values counted",
+    why="information inside a step is lost; use a finer range, or average over noise wider than a step",
+    separate_by="a slow ramp over several steps, and a count of the distinct values",
+    checks=Checks(constant="shifted"),
 )

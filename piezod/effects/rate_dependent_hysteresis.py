@@ -1,15 +1,16 @@
-"""The plays grow wider with the rate of the voltage.
+"""The plays grow wider at a higher rate of the voltage.
 
-Forward    r_i(t) = r_i (1 + growth ln(1 + rate / reference)); rate is |du/dt|, smoothed over a short way of u and so
-           kept while u rests
-Inverse    implicit, with the thresholds of this rate; exact for any schedule of thresholds
-           (piezod/operators/README.md, "Thresholds that change with time")
-Signature  loops widen with the logarithm of the rate, flats after a reversal lengthen, nothing relaxes in a hold;
-           look-alike electrical_lag widens in proportion to the rate and rounds corners, creep goes on in a hold
-Seat       the hysteresis itself
-Valid      one decade of rates at least; r_0 = 0 has no width that could grow
-Source     Al Janaideh and Krejci (2013), IEEE/ASME Trans. Mechatronics 18(5), 1498-1507: thresholds that depend on the
-           rate; the logarithm chosen here; piezod/effects/README.md, "Rate-dependent hysteresis"
+Forward    r_i(t) = r_i (1 + growth ln(1 + rate / reference)). rate is |du/dt|, smoothed over a short distance of u; it
+           keeps its value while u rests. Two other laws are tried: a power of the rate, and one offset for all r_i.
+Inverse    Implicit, with the thresholds of the present rate. It is exact for thresholds of any time course
+           (piezod/operators/README.md, "Thresholds that change with time").
+Signature  Loops widen with the logarithm of the rate, the flat after a reversal grows longer, a hold shows nothing.
+           Look-alikes: electrical_lag widens in proportion to the rate and rounds corners, creep continues in a hold.
+Location   Hysteresis: it changes the thresholds of the plays.
+Valid      At least one decade of rates. r_0 = 0 has no width and does not grow.
+Source     M. Al Janaideh and P. Krejci (2013), Inverse Rate-Dependent Prandtl-Ishlinskii Model, IEEE/ASME Transactions
+           on Mechatronics 18(5), 1498-1507, thresholds that depend on the rate. The logarithm: chosen here;
+           piezod/effects/README.md, "Rate-dependent hysteresis".
 """
 
 import math
@@ -17,40 +18,59 @@ import math
 import numba
 import numpy as np
 
-from piezod.effects.effect import Array, Context, Effect, Parameter, Seat, Values, unchanged
+from piezod.effects.effect import Array, Checks, Context, Effect, Location, Parameter, Search, Values, unchanged
 
-LOGARITHM, POWER, OFFSET = 0, 1, 2
-OFFSET_SHARE = 0.1  # of the voltage range: what growth is measured in where all thresholds grow alike
-USUAL_WAY_V = 2.0
-PAUSE_s = 0.05  # a shorter rest belongs to the movement (a held command), a longer one is a hold
+LOGARITHM, POWER, OFFSET = 0, 1, 2  # values of `kind`
+OFFSET_SHARE = 0.1  # OFFSET: growth 1 adds this share of the voltage range to every threshold
+USUAL_DISTANCE_V = 2.0  # distance of the voltage over which the rate is smoothed, as on a usual stack
+PAUSE_s = 0.05  # a shorter rest is part of the movement (a held command); a longer one is a hold
 
 
 @numba.njit(cache=True, nogil=True)
-def rate_step(rate: float, rested_s: float, moved_V: float, dt_s: float, way_V: float) -> tuple[float, float]:
-    """Advance the smoothed rate [V/s] and the time since the voltage last moved [s] by a sample of |du| = `moved_V`."""
+def rate_step(rate: float, rested_s: float, moved_V: float, dt_s: float, distance_V: float) -> tuple[float, float]:
+    """Smoothed rate and time at rest, one sample later.
+
+    Parameters
+    ----------
+    rate
+        Smoothed rate [V/s], at least 0.
+    rested_s
+        Time since the voltage last changed [s].
+    moved_V
+        |du| in this sample [V].
+    dt_s
+        Spacing of the samples [s].
+    distance_V
+        Distance of the voltage over which the rate is smoothed [V], above 0.
+
+    Returns
+    -------
+    rate, rested_s
+        The same after the sample [V/s, s].
+    """
     rested_s += dt_s
     if moved_V == 0.0:
         return rate, rested_s
-    taken = rested_s if rested_s <= PAUSE_s else dt_s
-    return rate - (moved_V / taken - rate) * math.expm1(-moved_V / way_V), 0.0
+    duration_s = rested_s if rested_s <= PAUSE_s else dt_s
+    return rate - (moved_V / duration_s - rate) * math.expm1(-moved_V / distance_V), 0.0
 
 
 @numba.njit(cache=True, nogil=True)
-def _rates(u: Array, dt_s: float, way_V: float) -> Array:
+def _rates(u: Array, dt_s: float, distance_V: float) -> Array:
     out = np.empty(u.size)
     rate, rested = 0.0, 0.0
     out[0] = rate
     for k in range(1, u.size):
-        rate, rested = rate_step(rate, rested, abs(u[k] - u[k - 1]), dt_s, way_V)
+        rate, rested = rate_step(rate, rested, abs(u[k] - u[k - 1]), dt_s, distance_V)
         out[k] = rate
     return out
 
 
 def widening(context: Context, values: Values) -> tuple[Array, Array]:
-    """Factor (1) and offset [V] of all thresholds above zero, each shape (N,)."""
+    """Factor [1] and offset [V] of all thresholds above 0, each of shape (N,)."""
     u = context.applied_V
     growth, kind = values["growth"], round(values.get("kind", LOGARITHM))
-    decay = np.log1p(_rates(u, context.dt_s, values.get("rate_way_V", USUAL_WAY_V)) / values["reference_V_per_s"])
+    decay = np.log1p(_rates(u, context.dt_s, values.get("rate_way_V", USUAL_DISTANCE_V)) / values["reference_V_per_s"])
     if kind == OFFSET:
         return np.ones(u.size), OFFSET_SHARE * float(np.ptp(u)) * growth * decay
     factor: Array = np.exp(growth * decay) if kind == POWER else 1.0 + growth * decay
@@ -60,17 +80,21 @@ def widening(context: Context, values: Values) -> tuple[Array, Array]:
 EFFECT = Effect(
     name="rate_dependent_hysteresis",
     title="hysteresis that grows with the rate",
-    seat=Seat.HYSTERESIS,
+    location=Location.HYSTERESIS,
     form="other",
     parameters=(
-        Parameter("growth", "1", 0.0, 1.0, starts=(0.05,)),
-        Parameter("reference_V_per_s", "V/s", 0.1, 1e4, starts=(3.0, 30.0, 300.0), logarithmic=True),
-        Parameter("rate_way_V", "V", 0.01, 200.0, starts=(USUAL_WAY_V,), logarithmic=True, nuisance=True),
-        Parameter("kind", "1", 0.0, 2.0, starts=(0.0,), nuisance=True, choices=(0.0, 1.0, 2.0)),
+        Parameter("growth", "1", 0.0, 1.0, Search((0.05,))),
+        Parameter("reference_V_per_s", "V/s", 0.1, 1e4, Search((3.0, 30.0, 300.0), logarithmic=True)),
+        Parameter("rate_way_V", "V", 0.01, 200.0, Search((USUAL_DISTANCE_V,), logarithmic=True, nuisance=True)),
+        Parameter("kind", "1", 0.0, 2.0, Search((0.0,), nuisance=True, choices=(0.0, 1.0, 2.0))),
     ),
     forward=unchanged,
     widening=widening,
     handling="compensated",
     docstring=__doc__,
     separate_by="triangles of one amplitude over three decades of frequency, with a hold behind each corner",
+    checks=Checks(
+        values={"growth": 0.1, "rate_way_V": 8.0},
+        anticipates=lambda values: values["kind"] == OFFSET,  # measured by the voltage range of the whole record
+    ),
 )

@@ -1,19 +1,19 @@
-"""The reading freezes for a while.
+"""The device answers with its last reading for a while.
 
-Forward    F, but F(from_s) from from_s until to_s
-Inverse    the stretch is left out
-Signature  not one digit changes while the model moves; look-alikes load_step (moves on after its edge),
-           quantisation (plateaus everywhere)
-Seat       acquisition
-Valid      stretches of three samples and more, in which something else than a hold was driven
-Source     derived here, from what a device does that answers with its last value
+Forward    F, but F(from_s) from from_s until to_s.
+Inverse    None. The stretch counts neither in a fit nor in a score.
+Signature  Equal readings while the model moves. Look-alikes: load_step moves after its edge, quantisation has plateaus
+           everywhere.
+Location   Acquisition.
+Valid      Stretches of at least three samples, outside of a hold.
+Source     Derived here: a device that repeats its last value; piezod/effects/README.md, "Sensor dropout".
 """
 
 import numpy as np
 
-from piezod.effects.effect import Array, Context, Effect, Parameter, Seat, Values
+from piezod.effects.effect import Array, Checks, Context, Effect, Location, Parameter, Search, Values
 
-LATEST_s = 1e7
+LATEST_s = 1e7  # later than every record
 
 
 def forward(signal: Array, context: Context, values: Values) -> Array:
@@ -28,15 +28,16 @@ def forward(signal: Array, context: Context, values: Values) -> Array:
 EFFECT = Effect(
     name="sensor_dropout",
     title="frozen reading",
-    seat=Seat.ACQUISITION,
+    location=Location.ACQUISITION,
     form="other",
     parameters=(
-        Parameter("from_s", "s", 0.0, LATEST_s, starts=(1.0,), place=True),
-        Parameter("to_s", "s", 0.0, LATEST_s, starts=(1.5,), place=True),
+        Parameter("from_s", "s", 0.0, LATEST_s, Search((1.0,)), instant=True),
+        Parameter("to_s", "s", 0.0, LATEST_s, Search((1.5,)), instant=True),
     ),
     forward=forward,
     handling="corrected in the reading",
     docstring=__doc__,
-    why="nothing was read there, so the stretch counts neither in a fit nor in a score",
+    why="the device measured nothing there; the stretch counts neither in a fit nor in a score",
     separate_by="the device's own sample counter recorded beside the reading",
+    checks=Checks(values={"from_s": 0.512, "to_s": 0.768}),
 )

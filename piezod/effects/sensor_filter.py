@@ -1,18 +1,21 @@
-"""Low-pass of the load cell's amplifier, behind the hysteresis.
+"""The amplifier of the load cell has a low-pass.
 
-Forward    order 1: tau y' + y = F, tau = 1 / (2 pi f_c); order 2: y'' + 2 zeta w y' + w^2 y = w^2 F, w = 2 pi f_c / r,
-           r^2 = m + sqrt(m^2 + 1), m = 1 - 2 zeta^2 (zeta 0.71: Butterworth, 0.87: Bessel); exact as the lag
-Inverse    F = y + tau y' (order 2: y + 2 zeta / w y' + y'' / w^2) on the reading
-Signature  corners rounded and late, noise rolls off at f_c; look-alikes electrical_lag (noise stays white),
-           transport_delay (corners stay sharp), resonance (overshoots)
-Seat       load cell
-Valid      f_c from a few 1/T to a third of the sampling rate; above, it cannot be told from a delay
-Source     derived here: r from |H(f_c)|^2 = 1/2; piezod/effects/README.md, "Sensor filter"
+Forward    Order 1: tau y' + y = F, tau = 1 / (2 pi f_c). Order 2: y'' + 2 zeta w y' + w^2 y = w^2 F, w = 2 pi f_c / r.
+           r^2 = m + sqrt(m^2 + 1), m = 1 - 2 zeta^2; zeta 0.71 is Butterworth, 0.87 Bessel.
+           Exact for a straight and for a held force.
+Inverse    On the reading: F = y + tau y', or F = y + 2 zeta / w y' + y'' / w^2 for order 2.
+Signature  Rounded and late corners, noise that falls above f_c. Look-alikes: electrical_lag leaves the noise white,
+           transport_delay keeps corners, resonance overshoots.
+Location   Load cell.
+Valid      f_c from a few periods per record to a third of the sampling rate. A higher one is indistinguishable from a
+           delay.
+Source     Derived here: r follows from the definition of the cutoff, |H(f_c)|^2 = 1/2;
+           piezod/effects/README.md, "Sensor filter".
 """
 
 import math
 
-from piezod.effects.effect import Array, Context, Effect, Parameter, Seat, Values
+from piezod.effects.effect import Array, Checks, Context, Effect, Location, Parameter, Search, Values
 from piezod.effects.kernels import first_order_run, second_order
 
 BUTTERWORTH = math.sqrt(0.5)
@@ -27,7 +30,7 @@ def forward(signal: Array, context: Context, values: Values) -> Array:
 
 
 def mode(values: Values) -> tuple[float, float]:
-    """Natural frequency [Hz] and damping ratio [1] of the filter of second order."""
+    """Natural frequency [Hz] and damping ratio [1] of a filter of order 2."""
     damping_ratio = values.get("damping_ratio", BUTTERWORTH)
     part = 1.0 - 2.0 * damping_ratio**2
     return values["cutoff_Hz"] / math.sqrt(part + math.hypot(part, 1.0)), damping_ratio
@@ -36,19 +39,20 @@ def mode(values: Values) -> tuple[float, float]:
 EFFECT = Effect(
     name="sensor_filter",
     title="low-pass of the load cell",
-    seat=Seat.LOAD_CELL,
+    location=Location.LOAD_CELL,
     form="linear",
     parameters=(
-        Parameter("cutoff_Hz", "Hz", 0.1, 5000.0, starts=(5.0, 30.0, 150.0), logarithmic=True),
-        Parameter("order", "1", 1.0, 2.0, starts=(1.0,), nuisance=True, choices=(1.0, 2.0)),
+        Parameter("cutoff_Hz", "Hz", 0.1, 5000.0, Search((5.0, 30.0, 150.0), logarithmic=True)),
+        Parameter("order", "1", 1.0, 2.0, Search((1.0,), nuisance=True, choices=(1.0, 2.0))),
         Parameter(
-            "damping_ratio", "1", 0.5, 1.2, starts=(BUTTERWORTH,), nuisance=True, only_if=("order", 2.0), may_lack=True
+            "damping_ratio", "1", 0.5, 1.2, Search((BUTTERWORTH,), nuisance=True, only_if=("order", 2.0)), optional=True
         ),
     ),
     forward=forward,
     handling="corrected in the reading",
     smooths=True,
     docstring=__doc__,
-    why="the true force is not late, only its reading is: driving against it would overshoot",
+    why="only the reading is late, not the true force: driving against it would overshoot",
     separate_by="a tap on the load cell, or its noise spectrum at rest: a filter in it shapes both",
+    checks=Checks(values={"cutoff_Hz": 3.0}),
 )

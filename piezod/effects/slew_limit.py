@@ -1,28 +1,38 @@
-"""The amplifier's current limit into the stack's capacitance: the voltage cannot change faster than it charges.
+"""The maximum current of the amplifier limits the rate at which it charges the capacitance of the stack.
 
-Forward    du'/dt = limit sign(u - u') until u' has caught up, then u' = u; exact for a straight or held voltage
-Inverse    none beyond the limit: the reference is refused or shaped to the rate that is reachable
-Signature  nothing below a rate, then ramps whose duration grows with the step; look-alike electrical_lag takes
-           as long for every step
-Seat       amplifier, in front of the hysteresis
-Valid      one limit for both directions; one that no command exceeds cannot be seen
-Source     Physik Instrumente (2005), Designing with Piezoelectric Transducers: |du/dt| <= I_max / C; the catching up
-           inside an interval derived here; piezod/effects/README.md, "Slew limit"
+Forward    du'/dt = limit sign(u - u') until u' = u, then u' = u. Exact for a straight and for a held voltage.
+Inverse    None beyond the limit. The states advance with the limited voltage; the reference must be slower.
+Signature  Nothing below a rate, then ramps whose duration is proportional to the step. Look-alike: electrical_lag takes
+           equally long for every step.
+Location   Amplifier, in front of the hysteresis.
+Valid      One limit for both directions. A limit that no command exceeds is not visible.
+Source     Physik Instrumente (2005), Designing with Piezoelectric Transducers: |du/dt| <= I_max / C. The movement
+           inside a sample: derived here; piezod/effects/README.md, "Slew limit".
 """
 
 import numba
 import numpy as np
 
-from piezod.effects.effect import Array, Context, Effect, Parameter, Seat, Values
+from piezod.effects.effect import Array, Checks, Context, Effect, Location, Parameter, Search, Values
 
 
 @numba.njit(cache=True, nogil=True)
 def slew_step(y: float, before: float, now: float, most: float) -> float:
-    """Advance by a sample while the command runs straight from `before` to `now` and y can move by `most`."""
+    """Voltage at the stack one sample later.
+
+    Parameters
+    ----------
+    y
+        Voltage at the stack before [V].
+    before, now
+        The command runs straight from `before` to `now` [V].
+    most
+        Largest movement in this sample [V], at least 0.
+    """
     gap, rise = before - y, now - before
     sign = 1.0 if gap > 0.0 else -1.0
     closing = most - sign * rise
-    if abs(gap) >= closing:  # not met within this sample
+    if abs(gap) >= closing:  # the voltage does not reach the command in this sample
         return y + sign * most
     left = 1.0 - abs(gap) / closing
     return before + rise * (1.0 - left) + min(most * left, max(-most * left, rise * left))
@@ -52,12 +62,13 @@ def forward(signal: Array, context: Context, values: Values) -> Array:
 EFFECT = Effect(
     name="slew_limit",
     title="current limit of the amplifier",
-    seat=Seat.AMPLIFIER,
+    location=Location.AMPLIFIER,
     form="other",
-    parameters=(Parameter("limit_V_per_s", "V/s", 0.1, 1e6, starts=(20.0, 100.0, 500.0, 5000.0), logarithmic=True),),
+    parameters=(Parameter("limit_V_per_s", "V/s", 0.1, 1e6, Search((20.0, 100.0, 500.0, 5000.0), logarithmic=True)),),
     forward=forward,
     handling="compensated",
     smooths=True,
     docstring=__doc__,
     separate_by="steps of three sizes: a limit takes longer for a longer step, a lag does not",
+    checks=Checks(values={"limit_V_per_s": 150.0}),
 )

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from piezod.effects.creep import PLAYS, spectrum
 from piezod.effects.kernels import first_order_coefficients
 from piezod.effects.output_nonlinearity import rising
-from piezod.effects.rate_dependent_hysteresis import OFFSET_SHARE, USUAL_WAY_V
+from piezod.effects.rate_dependent_hysteresis import OFFSET_SHARE, USUAL_DISTANCE_V
 from piezod.model.compensated import ActingEffects
 from piezod.model.parameters import Model
 from piezod.recording.hold import HELD_ONE_SAMPLE, STRAIGHT
@@ -103,7 +103,7 @@ def _constants(model: Model, acting: ActingEffects, dt_s: float) -> ChainConstan
         rate_growth=rate.get("growth", 0.0),
         rate_kind=float(round(rate.get("kind", 0.0))),
         rate_reference_V_per_s=rate.get("reference_V_per_s", 1.0),
-        rate_way_V=rate.get("rate_way_V", USUAL_WAY_V),
+        rate_way_V=rate.get("rate_way_V", USUAL_DISTANCE_V),
         rate_offset_V=OFFSET_SHARE * (model.input.high - model.input.low),
         dt_s=dt_s,
         gain=1.0 + acting.get("gain_drift", {}).get("relative_change", 0.0),

@@ -144,7 +144,7 @@ def hum_waves(hum: Mapping[str, float]) -> Array:
 
 def _hold_before_resonance(acting: ActingEffects) -> Hold:
     """Hold of the force before the resonance; an effect that smooths makes it run straight."""
-    smooth = any(EFFECTS[name].smooths for name in acting if EFFECTS[name].seat < EFFECTS["resonance"].seat)
+    smooth = any(EFFECTS[name].smooths for name in acting if EFFECTS[name].location < EFFECTS["resonance"].location)
     return STRAIGHT if smooth else HELD_ONE_SAMPLE
 
 

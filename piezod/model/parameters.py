@@ -160,7 +160,7 @@ class EffectValues(Section):
             raise ValueError(f"name is '{self.name}', must be one of {', '.join(EFFECTS)}")
         for parameter in effect.parameters:
             value, low, high = self.parameters.get(parameter.name), parameter.low, parameter.high
-            if value is None and parameter.may_lack:
+            if value is None and parameter.optional:
                 continue
             if value is None:
                 raise ValueError(f"{self.name}: parameters has no {parameter.name}")

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from piezod.effects import EFFECTS, Context, Effect, Seat
+from piezod.effects import EFFECTS, Context, Effect, Location
 from piezod.model.parameters import Model
 from piezod.operators import PrandtlIshlinskii
 from piezod.recording.hold import HELD_BEFORE, STRAIGHT
@@ -114,16 +114,16 @@ def run_chain(
         model.seen_s,
     )
     signal = command_V
-    for effect, values in _seated(effects, Seat.AMPLIFIER, Seat.AMPLIFIER):
+    for effect, values in _located(effects, Location.AMPLIFIER, Location.AMPLIFIER):
         signal = effect.forward(signal, context, values)
-        context = behind(effect, replace(context, applied_V=signal, memo={}))
+        context = behind(effect, replace(context, applied_V=signal, cache={}))
     factor, offset_V = widened(effects, context)
     signal = operator.stroke(signal, factor, offset_V)
-    for effect, values in _seated(effects, Seat.STACK, Seat.STACK):
+    for effect, values in _located(effects, Location.STACK, Location.STACK):
         signal = effect.forward(signal, context, values)
         context = behind(effect, context)
     signal = operator.output(signal)
-    for effect, values in _seated(effects, Seat.MECHANICS, Seat.ACQUISITION):
+    for effect, values in _located(effects, Location.MECHANICS, Location.ACQUISITION):
         signal = effect.forward(signal, context, values)
         context = behind(effect, context)
     return signal
@@ -146,7 +146,7 @@ def behind(effect: Effect, context: Context) -> Context:
     return replace(context, hold=STRAIGHT) if effect.smooths else context
 
 
-def _seated(
-    effects: Sequence[tuple[Effect, dict[str, float]]], first: Seat, last: Seat
+def _located(
+    effects: Sequence[tuple[Effect, dict[str, float]]], first: Location, last: Location
 ) -> list[tuple[Effect, dict[str, float]]]:
-    return [(effect, values) for effect, values in effects if first <= effect.seat <= last]
+    return [(effect, values) for effect, values in effects if first <= effect.location <= last]

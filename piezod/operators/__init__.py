@@ -1,5 +1,5 @@
-"""Per-sample state machines, compiled once: the same step serves the tick and the simulation."""
+"""Operators with a state, stepped sample by sample. The control loop and the simulation run the same compiled step."""
 
-from piezod.operators.prandtl_ishlinskii import EPS, AnalyticInverse, ImplicitInverse, PrandtlIshlinskii
+from piezod.operators.prandtl_ishlinskii import EPS, ImplicitInverse, PrandtlIshlinskii
 
-__all__ = ["EPS", "AnalyticInverse", "ImplicitInverse", "PrandtlIshlinskii"]
+__all__ = ["EPS", "ImplicitInverse", "PrandtlIshlinskii"]

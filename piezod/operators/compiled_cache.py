@@ -1,7 +1,7 @@
-"""Keeps numba's cache honest: a compiled step must not outlive an edit of a step that it calls.
+"""Removes compiled functions from numba's cache when a function that they call has changed.
 
-Numba compares a cached function only with the file it stands in. The steps of the Prandtl-Ishlinskii operator call
-those of the plays and dead zones, so after an update of one of these files alone the old operator would go on running.
+Numba compares a cached function with its own file only. The steps of the Prandtl-Ishlinskii operator call steps of
+other files. Without this module the old compiled code would still run after an update of such a file.
 """
 
 import contextlib
@@ -13,17 +13,17 @@ OPERATORS = Path(__file__).parent
 
 @functools.cache
 def forget_outdated_steps(cache_path: str, called: tuple[Path, ...] = (OPERATORS,)) -> None:
-    """Once a process: remove every cached step that is older than the newest source of the steps that are called.
+    """Remove the cached functions that are older than the newest source file that they may call; once per process.
 
     Parameters
     ----------
     cache_path
-        Where numba keeps the compiled steps (`step.stats.cache_path`).
+        Folder of the cached functions (`step.stats.cache_path`).
     called
-        Folders whose steps they call.
+        Folders of the functions that they call.
     """
     newest_s = max(source.stat().st_mtime for folder in called for source in folder.glob("*.py"))
     for index in Path(cache_path).glob("*.nbi"):
-        with contextlib.suppress(OSError):  # another process was quicker, or the cache is not ours
+        with contextlib.suppress(OSError):  # another process removed it first, or the cache is read-only
             if index.stat().st_mtime < newest_s:
                 index.unlink()

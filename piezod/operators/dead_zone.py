@@ -1,10 +1,11 @@
-"""One-sided dead-zone operators with weights: the memoryless half of the modified Prandtl-Ishlinskii operator.
+"""Weighted one-sided dead-zone operators: the memoryless part of the modified Prandtl-Ishlinskii operator.
 
-    S_r(x) = max(x - r, 0) for r > 0,   x for r = 0,   min(x - r, 0) for r < 0        (3.6)
+    S_r(x) = max(x - r, 0) for r > 0;   x for r = 0;   min(x - r, 0) for r < 0        (3.6)
     y = sum_j w_j S_{r_j}(x)                                                          (3.7)
 
 Unipolar: thresholds 0 = r_0 < ... < r_m. Two-sided: thresholds on both sides of 0. The step works on
-`packed[base : base + 2 * count]`: thresholds, weights. It allocates nothing.
+`packed[base : base + 2 * count]`: thresholds and weights. It allocates no memory.
+Theory: piezod/operators/README.md, "Dead zone".
 """
 
 import numba
@@ -19,14 +20,14 @@ Array = NDArray[np.float64]
 
 @numba.njit(cache=True)
 def dead_zone(r: float, x: float) -> float:
-    """One dead zone of threshold `r` at `x` (3.6)."""
+    """Output of one dead zone of threshold `r` at the input `x` (3.6)."""
     beyond = x - r
     return beyond if r == 0.0 or (r > 0.0) == (beyond > 0.0) else 0.0
 
 
 @numba.njit(cache=True)
 def dead_zone_step(packed: Array, base: int, count: int, x: float) -> float:
-    """Weighted sum of the dead zones at `x`."""
+    """Weighted sum of the dead zones at the input `x` (3.7)."""
     y = 0.0
     for j in range(count):
         y += packed[base + count + j] * dead_zone(packed[base + j], x)
@@ -35,23 +36,30 @@ def dead_zone_step(packed: Array, base: int, count: int, x: float) -> float:
 
 @numba.njit(cache=True)
 def dead_zone_run(packed: Array, base: int, count: int, x: Array, y: Array) -> None:
-    """`dead_zone_step` over the record `x`, shape (N,), into `y`."""
+    """Write `dead_zone_step` over the record `x`, shape (N,), into `y`, shape (N,)."""
     for k in range(x.size):
         y[k] = dead_zone_step(packed, base, count, x[k])
 
 
 @numba.njit(cache=True)
 def dead_zone_columns(thresholds: Array, x: Array, columns: Array) -> None:
-    """Every dead zone over the record `x`, shape (N,), into `columns`, shape (N, count): the columns of (3.15)."""
+    """Write each dead zone over the record `x`, shape (N,), into `columns`, shape (N, count): columns of (3.15)."""
     for k in range(x.size):
         for j in range(thresholds.size):
             columns[k, j] = dead_zone(thresholds[j], x[k])
 
 
 def shifted(thresholds: Array, weights: Array, shift: float) -> tuple[Array, Array, float]:
-    """Dead zones of x + `shift` as dead zones of x and a constant: S(x + shift) = S~(x) + constant (derived here).
+    """Thresholds and weights of S~, and the constant, in S(x + shift) = S~(x) + constant (derived here).
 
-    A threshold that the shift carries over zero becomes one of the other side: max(x - r, 0) = x - r - min(x - r, 0).
+    A threshold that changes its sign changes the side: max(x - r, 0) = x - r - min(x - r, 0).
+
+    Parameters
+    ----------
+    thresholds, weights
+        Dead zones S, shape (m + 1,), one threshold being 0.
+    shift
+        Added to the input [unit of a threshold].
     """
     moved = thresholds - shift
     centre = float(weights[thresholds == 0.0][0])
@@ -76,7 +84,13 @@ def shifted(thresholds: Array, weights: Array, shift: float) -> tuple[Array, Arr
 
 
 def split(thresholds: Array, weights: Array) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
-    """Both sides as superpositions that start at 0 and grow outwards: (upper, lower), each (thresholds, weights)."""
+    """Both sides as superpositions with thresholds that increase from 0.
+
+    Returns
+    -------
+    upper, lower
+        Thresholds and weights of the side above 0 and of the side below 0, mirrored.
+    """
     (centre,) = np.flatnonzero(thresholds == 0.0)
     upper = thresholds[centre:], weights[centre:]
     lower = -thresholds[centre::-1], weights[centre::-1]
@@ -84,7 +98,7 @@ def split(thresholds: Array, weights: Array) -> tuple[tuple[Array, Array], tuple
 
 
 def inverse_dead_zone(thresholds: Array, weights: Array) -> tuple[Array, Array]:
-    """Thresholds and weights of the inverse (3.31-3.33, 3.35, 3.36); applied twice it gives back its input."""
+    """Thresholds and weights of the inverse (3.31 to 3.33, 3.35, 3.36); applied twice it returns its input."""
     upper, lower = split(thresholds, weights)
     upper_thresholds, upper_weights = inverse_table(*upper)
     lower_thresholds, lower_weights = inverse_table(*lower)
@@ -95,19 +109,24 @@ def inverse_dead_zone(thresholds: Array, weights: Array) -> tuple[Array, Array]:
 
 
 def check_dead_zone(thresholds: Array, weights: Array, eps: float) -> None:
-    """Refuse dead zones that have no inverse.
+    """Refuse dead zones without an inverse.
 
-    `eps` is a fraction of the steepest slope, so that the check does not depend on the output's unit.
+    Parameters
+    ----------
+    thresholds, weights
+        Shape (m + 1,).
+    eps
+        Smallest accepted slope as a fraction of the steepest slope, 0 to 1. The check thus does not depend on units.
 
     Raises
     ------
     ModelError
-        Names side, index and value.
+        A slope is too small or a threshold out of order; the message names side, index and value.
     """
     if np.count_nonzero(thresholds == 0.0) != 1 or thresholds.shape != weights.shape:
         raise ModelError(
-            f"dead zones: {thresholds.size} thresholds and {weights.size} weights, must be as many, one "
-            "threshold being 0"
+            f"dead zones: {thresholds.size} thresholds and {weights.size} weights, must be equally many, "
+            "exactly one threshold being 0"
         )
     upper, lower = split(thresholds, weights)
     steepest = max(float(np.abs(np.cumsum(side[1])).max()) for side in (upper, lower))

@@ -1,12 +1,12 @@
-"""Play (backlash) operators with weights, stepped one sample at a time in a packed array.
+"""Weighted play (backlash) operators, stepped one sample at a time in a packed array.
 
-A play of threshold r lets its input move by r either way before its state z follows:
+The state z of a play of threshold r follows its input u when u has moved by r in either direction:
 
     z(k) = max(u(k) - r, min(u(k) + r, z(k-1)))                       (3.1)
     v(k) = sum_i w_i z_i(k),   0 = r_0 < r_1 < ... < r_n              (3.4)
 
-The steps work on `packed[base : base + 3 * count]`: thresholds, weights, states, each `count` long. They allocate
-nothing.
+The steps work on `packed[base : base + 3 * count]`: thresholds, weights and states, each `count` long. They allocate
+no memory. Theory: piezod/operators/README.md, "Play" and "Weighted superposition".
 """
 
 import numba
@@ -17,18 +17,23 @@ from piezod.errors import ModelError
 
 Array = NDArray[np.float64]
 
-THRESHOLD, WEIGHT, STATE = 0, 1, 2  # which third of the block
-MOST_NEWTON = 60  # steps; as many as pieces at the most, and some to close in
+WEIGHT, STATE = 1, 2  # thirds of the block after the thresholds
+MOST_NEWTON = 60  # steps: at most one for each linear piece, and some bisections
+
+
+@numba.njit(cache=True)
+def next_state(z: float, r: float, u: float) -> float:
+    """State of a play of threshold `r` and state `z` after its input has moved to `u` (3.1)."""
+    return max(u - r, min(u + r, z))
 
 
 @numba.njit(cache=True)
 def play_step(packed: Array, base: int, count: int, u: float) -> float:
-    """Move every play to input `u` and return the weighted sum of the states."""
+    """Move every play to the input `u` and return the weighted sum of the states."""
     v = 0.0
     weights, states = base + WEIGHT * count, base + STATE * count
     for i in range(count):
-        r = packed[base + i]
-        z = max(u - r, min(u + r, packed[states + i]))
+        z = next_state(packed[states + i], packed[base + i], u)
         packed[states + i] = z
         v += packed[weights + i] * z
     return v
@@ -36,7 +41,7 @@ def play_step(packed: Array, base: int, count: int, u: float) -> float:
 
 @numba.njit(cache=True)
 def play_value(packed: Array, base: int, count: int) -> float:
-    """Weighted sum of the states as they are."""
+    """Weighted sum of the present states; moves no state."""
     v = 0.0
     weights, states = base + WEIGHT * count, base + STATE * count
     for i in range(count):
@@ -46,10 +51,10 @@ def play_value(packed: Array, base: int, count: int) -> float:
 
 @numba.njit(cache=True)
 def play_solve(packed: Array, base: int, count: int, v: float) -> float:
-    """Find the input u at which the plays would sum to `v`, moving no state (derived here).
+    """Input at which the weighted sum of the states would be `v`; moves no state (derived here).
 
-    The sum is a strictly increasing, piecewise linear function of u. From consistent states the plays join the
-    movement one after the other, play i at z_i + r_i upwards and at z_i - r_i downwards, so one scan finds u.
+    The sum is a strictly increasing, piecewise linear function of u. From consistent states the plays start to move in
+    the order of i: play i at z_i + r_i upwards, at z_i - r_i downwards. One scan over the plays therefore finds u.
     """
     weights, states = base + WEIGHT * count, base + STATE * count
     missing = v - play_value(packed, base, count)
@@ -70,16 +75,17 @@ def play_solve(packed: Array, base: int, count: int, v: float) -> float:
 
 @numba.njit(cache=True)
 def play_wider_step(packed: Array, base: int, count: int, u: float, factor: float, more: float) -> float:
-    """`play_step` with thresholds above 0 multiplied by `factor` and widened by `more`.
+    """`play_step` with the thresholds r_i factor + more, where r_i is above 0.
 
-    Source: Al Janaideh and Krejci (2013), IEEE/ASME Trans. Mechatronics 18(5), 1498-1507: rate-dependent thresholds.
+    Source: Al Janaideh and Krejci (2013), Inverse Rate-Dependent Prandtl-Ishlinskii Model for Feedforward Compensation
+    of Hysteresis in a Piezomicropositioning Actuator, IEEE/ASME Transactions on Mechatronics 18(5), 1498-1507.
     """
     v = 0.0
     weights, states = base + WEIGHT * count, base + STATE * count
     for i in range(count):
         r = packed[base + i]
         r = r * factor + more if r > 0.0 else 0.0
-        z = max(u - r, min(u + r, packed[states + i]))
+        z = next_state(packed[states + i], r, u)
         packed[states + i] = z
         v += packed[weights + i] * z
     return v
@@ -87,11 +93,11 @@ def play_wider_step(packed: Array, base: int, count: int, u: float, factor: floa
 
 @numba.njit(cache=True)
 def play_wider_solve(packed: Array, base: int, count: int, v: float, factor: float, more: float) -> float:
-    """Input u at which the plays with such thresholds would sum to `v`, moving no state.
+    """`play_solve` with the thresholds of `play_wider_step`; moves no state (derived here).
 
-    After a change of the thresholds the plays need not join in their order, so the scan of `play_solve` does not serve:
-    Newton's steps on the rising, piecewise linear sum, kept between bounds that close in. Ends on the piece that holds
-    the solution, hence exact.
+    After a change of the thresholds the plays need not start to move in the order of i. Newton steps on the increasing,
+    piecewise linear sum replace the scan, inside a bracket that shrinks. They end on the linear piece that holds the
+    solution, so the result is exact.
     """
     weights, states = base + WEIGHT * count, base + STATE * count
     u: float = packed[states]
@@ -130,7 +136,7 @@ def play_wider_solve(packed: Array, base: int, count: int, v: float, factor: flo
 
 @numba.njit(cache=True)
 def play_states_run(packed: Array, base: int, count: int, u: Array, states: Array) -> None:
-    """Every play's state over the record `u`, shape (N,), into `states`, shape (N, count): the columns of (3.14)."""
+    """Write the states over the record `u`, shape (N,), into `states`, shape (N, count): the columns of (3.14)."""
     for k in range(u.size):
         play_step(packed, base, count, u[k])
         for i in range(count):
@@ -139,27 +145,21 @@ def play_states_run(packed: Array, base: int, count: int, u: Array, states: Arra
 
 @numba.njit(cache=True)
 def play_run(packed: Array, base: int, count: int, u: Array, factor: Array, offset: Array, v: Array) -> None:
-    """Weighted sum of the plays over the record `u`, shape (N,), into `v`.
+    """Write `play_wider_step` over the record `u`, shape (N,), into `v`, shape (N,).
 
-    Thresholds above 0 are multiplied by `factor` and widened by `offset`, each of shape (N,) or empty: rate-dependent
-    plays (piezod/operators/README.md, "Thresholds that change with time").
+    `factor` and `offset` have shape (N,), or are empty for 1 and 0. Theory: piezod/operators/README.md, "Thresholds
+    that change with time".
     """
-    weights, states = base + WEIGHT * count, base + STATE * count
     for k in range(u.size):
         wider = factor[k] if factor.size else 1.0
         more = offset[k] if offset.size else 0.0
-        total = 0.0
-        for i in range(count):
-            r = packed[base + i]
-            r = r * wider + more if r > 0.0 else 0.0
-            z = max(u[k] - r, min(u[k] + r, packed[states + i]))
-            packed[states + i] = z
-            total += packed[weights + i] * z
-        v[k] = total
+        v[k] = play_wider_step(packed, base, count, u[k], wider, more)
 
 
 def inverse_table(thresholds: Array, weights: Array) -> tuple[Array, Array]:
-    """Thresholds and weights of the inverse superposition (3.28-3.32, 3.35); applied twice it gives back its input.
+    """Thresholds and weights of the inverse superposition (3.28 to 3.32, 3.35).
+
+    The map is its own inverse: applied twice it returns its input.
 
     Parameters
     ----------
@@ -181,25 +181,26 @@ def inverse_table(thresholds: Array, weights: Array) -> tuple[Array, Array]:
     return inverse_thresholds, inverse_weights
 
 
-def inverse_states(weights: Array, states: Array) -> Array:
-    """States of the inverse plays, from those of the direct ones: z'_i = W_i z_i + sum_{j>i} w_j z_j (3.34)."""
-    products = weights * states
-    tail = np.concatenate((np.cumsum(products[::-1])[::-1][1:], [0.0]))
-    result: Array = np.cumsum(weights) * states + tail
-    return result
-
-
 def check_superposition(what: str, thresholds: Array, weights: Array, eps: float) -> None:
-    """Refuse what has no inverse: unordered thresholds, or a loading curve whose slope falls below `eps`.
+    """Refuse a superposition without an inverse: unordered thresholds, or a loading curve with a slope below `eps`.
+
+    Parameters
+    ----------
+    what
+        Name of the operators, for the message.
+    thresholds, weights
+        Shape (n + 1,).
+    eps
+        Smallest slope that is accepted, above 0 [unit of a weight].
 
     Raises
     ------
     ModelError
-        Names index, threshold and value.
+        Thresholds do not increase from 0, or a slope is below `eps`; the message names index and value.
     """
     if thresholds.ndim != 1 or thresholds.size == 0 or thresholds.shape != weights.shape:
         raise ModelError(
-            f"{what}: {thresholds.size} thresholds and {weights.size} weights, must be as many, at least one"
+            f"{what}: {thresholds.size} thresholds and {weights.size} weights, must be equally many, at least one"
         )
     if not (np.isfinite(thresholds).all() and np.isfinite(weights).all()):
         raise ModelError(f"{what}: thresholds and weights must be finite")
@@ -209,34 +210,34 @@ def check_superposition(what: str, thresholds: Array, weights: Array, eps: float
     if unordered.size:
         i = int(unordered[0]) + 1
         raise ModelError(
-            f"{what}: threshold {i} is {thresholds[i]:g}, must be above {thresholds[i - 1]:g}, the one before"
+            f"{what}: threshold {i} is {thresholds[i]:g}, must be above {thresholds[i - 1]:g}, threshold {i - 1}"
         )
     slopes = np.cumsum(weights)
-    folded = np.flatnonzero(slopes < eps * (1.0 - 1e-9))
-    if folded.size:
-        i = int(folded[0])
+    below = np.flatnonzero(slopes < eps * (1.0 - 1e-9))
+    if below.size:
+        i = int(below[0])
         raise ModelError(
             f"{what}: partial sum of weights 0..{i} is {slopes[i]:g}, must be at least eps, {eps:g}: "
-            "the loading curve folds there and has no inverse; identify again with constraints"
+            "the loading curve is not monotone there and has no inverse; identify again with constraints"
         )
 
 
 def check_states(thresholds: Array, states: Array) -> None:
-    """Refuse states that no input can have produced: |z_i - z_{i-1}| <= r_i - r_{i-1} must hold.
+    """Refuse states that no input can produce: |z_i - z_{i-1}| <= r_i - r_{i-1} must hold (derived here).
 
     Raises
     ------
     ModelError
-        Names index and values.
+        The states are not consistent; the message names index and values.
     """
     if states.shape != thresholds.shape or not np.isfinite(states).all():
         raise ModelError(f"play states: {states.size} values, must be {thresholds.size} finite ones")
-    room = np.diff(thresholds)
+    most = np.diff(thresholds)
     rounding = 1e-12 * (1.0 + float(np.abs(states).max()) + float(thresholds[-1]))
-    impossible = np.flatnonzero(np.abs(np.diff(states)) > room + rounding)
+    impossible = np.flatnonzero(np.abs(np.diff(states)) > most + rounding)
     if impossible.size:
         i = int(impossible[0]) + 1
         raise ModelError(
             f"play states: state {i} is {states[i]:g}, {abs(states[i] - states[i - 1]):g} from state {i - 1}, "
-            f"must be within {room[i - 1]:g}: no input leads there; start from a reset cycle"
+            f"must be within {most[i - 1]:g}: no input produces these states; start from a reset cycle"
         )

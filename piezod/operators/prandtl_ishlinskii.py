@@ -1,13 +1,12 @@
 """The modified Prandtl-Ishlinskii operator and its inverse.
 
-Forward: plays, then dead zones (3.8). Inverse: dead zones first, plays second (3.9). Two inverses are at hand:
+- `PrandtlIshlinskii`, the forward operator: plays first, dead zones second (3.8).
+- `ImplicitInverse`, the inverse that drives the bench. It keeps the plays of the forward operator and solves for the
+  input of each sample. It plans an input without moving a state. The input that was applied then moves the states.
+  The inverse therefore stays exact after a limit.
 
-- `AnalyticInverse` steps the inverse tables (3.28-3.36). Exact as long as what it returns is what is applied.
-- `ImplicitInverse` keeps the plays of the forward operator and solves for the input sample by sample. It plans without
-  moving a state and is then told what was really applied, so it stays exact when a limit bites. This is the one that
-  drives.
-
-All of them own one packed array: [play count, dead-zone count, offset | r, w, z of the plays | r, w of the dead zones].
+Each owns one packed array: [play count, dead-zone count, offset | r, w, z of the plays | r, w of the dead zones].
+Theory: piezod/operators/README.md, "Forward chain" and "Implicit inverse: plan and commit".
 """
 
 import numba
@@ -19,8 +18,6 @@ from piezod.operators.dead_zone import check_dead_zone, dead_zone_run, dead_zone
 from piezod.operators.play import (
     check_states,
     check_superposition,
-    inverse_states,
-    inverse_table,
     play_run,
     play_solve,
     play_step,
@@ -28,8 +25,8 @@ from piezod.operators.play import (
 
 Array = NDArray[np.float64]
 
-EPS = 0.01  # smallest partial sum of weights that is inverted (thesis, chapter 6)
-HEADER = 3
+EPS = 0.01  # smallest partial sum of weights that the inverse accepts (thesis, chapter 6)
+HEADER = 3  # numbers in front of the thresholds of the plays
 
 
 @numba.njit(cache=True)
@@ -43,22 +40,14 @@ def forward_step(packed: Array, u: float) -> float:
 
 @numba.njit(cache=True)
 def forward_run(packed: Array, u: Array, y: Array) -> None:
-    """`forward_step` over a record."""
+    """Write `forward_step` over the record `u`, shape (N,), into `y`, shape (N,)."""
     for k in range(u.size):
         y[k] = forward_step(packed, u[k])
 
 
 @numba.njit(cache=True)
-def analytic_inverse_step(packed: Array, y: float) -> float:
-    """Advance the inverse tables by one sample: u = H'[S'[y - offset]]."""
-    plays, zones = int(packed[0]), int(packed[1])
-    v = dead_zone_step(packed, HEADER + 3 * plays, zones, y - packed[2])
-    return play_step(packed, HEADER, plays, v)
-
-
-@numba.njit(cache=True)
 def plan_step(packed: Array, y: float) -> float:
-    """Input that would bring the output to `y`; moves no state."""
+    """Input at which the output would be `y`; moves no state."""
     plays, zones = int(packed[0]), int(packed[1])
     v = dead_zone_step(packed, HEADER + 3 * plays, zones, y - packed[2])
     return play_solve(packed, HEADER, plays, v)
@@ -66,13 +55,13 @@ def plan_step(packed: Array, y: float) -> float:
 
 @numba.njit(cache=True)
 def commit_step(packed: Array, u: float) -> None:
-    """Move the plays with the input that was really applied."""
+    """Move the states of the plays with the input that was applied."""
     play_step(packed, HEADER, int(packed[0]), u)
 
 
 @numba.njit(cache=True)
 def plan_commit_run(packed: Array, y: Array, low: float, high: float, u: Array) -> None:
-    """Plan, clamp to [low, high] and commit over a record: what the tick does, for simulation."""
+    """Plan, clamp to [low, high] and commit over the record `y`, shape (N,); the inputs go into `u`, shape (N,)."""
     for k in range(y.size):
         u[k] = min(max(plan_step(packed, y[k]), low), high)
         commit_step(packed, u[k])
@@ -95,17 +84,18 @@ class PrandtlIshlinskii:
     offset
         Added to the output [unit of y].
     eps
-        Smallest partial sum of weights accepted, of the dead zones as a fraction of their steepest slope.
+        Smallest accepted partial sum of the play weights [1]. For the dead zones: a fraction of their steepest slope.
 
     Raises
     ------
     ModelError
-        The operator has no inverse; index and value are named.
+        The operator has no inverse; the message names index and value.
 
     Notes
     -----
-    Source: Kuhnen's modified Prandtl-Ishlinskii operator as in the thesis' eqs 3.1-3.36. Starts de-energised (all
-    states 0).
+    A new operator is de-energised: all states are 0.
+    Source: Kuhnen (2003), Modeling, Identification and Compensation of Complex Hysteretic Nonlinearities: A Modified
+    Prandtl-Ishlinskii Approach, European Journal of Control 9(4); piezod/operators/README.md, equations 3.1 to 3.36.
     """
 
     def __init__(
@@ -127,7 +117,15 @@ class PrandtlIshlinskii:
         self.packed = _pack(plays, np.zeros(plays[0].size), zones, self.offset)
 
     def stroke(self, u: ArrayLike, factor: Array | None = None, offset: Array | None = None) -> Array:
-        """What the plays give over a record, shape (N,), with thresholds widened where that is asked for."""
+        """Weighted sum of the plays over the record `u`, shape (N,) [unit of u]; moves the states.
+
+        Parameters
+        ----------
+        u
+            Input, shape (N,).
+        factor, offset
+            The thresholds above 0 are r_i factor + offset, each of shape (N,) [1, unit of u]; None: 1 and 0.
+        """
         inputs = np.ascontiguousarray(u, dtype=np.float64)
         nothing, v = np.empty(0), np.empty(inputs.size)
         count = int(self.packed[0])
@@ -143,7 +141,7 @@ class PrandtlIshlinskii:
         return v
 
     def output(self, stroke: Array) -> Array:
-        """What the dead zones and the offset make of it, shape (N,)."""
+        """Dead zones and offset of a stroke of shape (N,): the output, shape (N,)."""
         y = np.empty(stroke.size)
         dead_zone_run(self.packed, HEADER + 3 * int(self.packed[0]), int(self.packed[1]), stroke, y)
         result: Array = y + self.offset
@@ -168,12 +166,12 @@ class PrandtlIshlinskii:
         return self.packed[HEADER + 2 * n : HEADER + 3 * n].copy()
 
     def set_states(self, states: ArrayLike) -> None:
-        """Start from `states`, shape (n + 1,).
+        """Set the play states, shape (n + 1,) [unit of u].
 
         Raises
         ------
         ModelError
-            No input leads to these states.
+            No input produces these states.
         """
         values = np.array(states, dtype=float)
         check_states(self.plays[0], values)
@@ -181,9 +179,9 @@ class PrandtlIshlinskii:
         self.packed[HEADER + 2 * n : HEADER + 3 * n] = values
 
     def reset(self, peak: float) -> None:
-        """Start from the states that a drive 0 -> `peak` -> 0 of the de-energised stack leaves behind.
+        """Set the states after the drive 0, `peak`, 0 from the de-energised state.
 
-        z_i = min(r_i, max(peak - r_i, 0)), derived here: piezod/operators/README.md, "Forward chain".
+        They are z_i = min(r_i, max(peak - r_i, 0)): piezod/operators/README.md, "Forward chain".
         """
         n = int(self.packed[0])
         self.packed[HEADER + 2 * n : HEADER + 3 * n] = 0.0
@@ -195,43 +193,30 @@ class PrandtlIshlinskii:
         return float(forward_step(self.packed, u))
 
     def run(self, u: ArrayLike, out: Array | None = None) -> Array:
-        """Advance over the record `u`, shape (N,); returns the outputs, written into `out` when given."""
+        """Advance over the record `u`, shape (N,), and return the outputs, shape (N,), in `out` where it is given."""
         inputs = np.ascontiguousarray(u, dtype=float)
         outputs = np.empty_like(inputs) if out is None else out
         forward_run(self.packed, inputs, outputs)
         return outputs
 
 
-class AnalyticInverse:
-    """The inverse tables of `operator`, starting from its present states (3.28-3.36)."""
-
-    def __init__(self, operator: PrandtlIshlinskii) -> None:
-        plays = inverse_table(*operator.plays)
-        states = inverse_states(operator.plays[1], operator.states)
-        self.packed = _pack(plays, states, inverse_dead_zone(*operator.dead_zones), operator.offset)
-
-    def step(self, y: float) -> float:
-        """Advance by one sample and return the input that leads to output `y`."""
-        return float(analytic_inverse_step(self.packed, y))
-
-
 class ImplicitInverse:
-    """The sample-wise inverse of `operator` with plan and commit, starting from its present states."""
+    """Inverse of `operator` from its present states; `plan` solves for an input, `commit` moves the states."""
 
     def __init__(self, operator: PrandtlIshlinskii) -> None:
         zones = inverse_dead_zone(*operator.dead_zones)
         self.packed = _pack(operator.plays, operator.states, zones, operator.offset)
 
     def plan(self, y: float) -> float:
-        """Input that would bring the output to `y`; moves no state."""
+        """Input at which the output would be `y`; moves no state."""
         return float(plan_step(self.packed, y))
 
     def commit(self, u: float) -> None:
-        """Move the states with the input that was really applied."""
+        """Move the states with the input that was applied."""
         commit_step(self.packed, u)
 
     def run(self, y: ArrayLike, low: float, high: float) -> Array:
-        """Plan, clamp to [low, high] and commit over the record `y`, shape (N,); returns the inputs."""
+        """Plan, clamp to [low, high] and commit over the record `y`, shape (N,); the inputs, shape (N,)."""
         outputs = np.ascontiguousarray(y, dtype=float)
         inputs = np.empty_like(outputs)
         plan_commit_run(self.packed, outputs, low, high, inputs)

@@ -37,7 +37,7 @@ def effects_table() -> str:
 def effect_page(effect: Effect) -> str:
     """Format the documentation of an effect, its parameters with unit and range, and its handling."""
     rows = [("parameter", "unit", "range", "")]
-    rows += [(one.name, one.unit, _range(one), "nuisance" if one.nuisance else "") for one in effect.parameters]
+    rows += [(one.name, one.unit, _range(one), "nuisance" if one.search.nuisance else "") for one in effect.parameters]
     table = "\n".join(text_table(rows, left_aligned=4))
     handling = effect.handling + (f": {effect.why}" if effect.why else "")
     return "\n\n".join(
@@ -66,9 +66,9 @@ def effect_as_dict(effect: Effect) -> dict[str, Any]:
                 "unit": one.unit,
                 "low": one.low,
                 "high": one.high,
-                "choices": list(one.choices),
-                "nuisance": one.nuisance,
-                "place": one.place,
+                "choices": list(one.search.choices),
+                "nuisance": one.search.nuisance,
+                "place": one.instant,
             }
             for one in effect.parameters
         ],
@@ -81,12 +81,12 @@ def _similarity(name: str, other: str) -> float:
 
 
 def _location(effect: Effect) -> str:
-    return effect.seat.name.lower().replace("_", " ")
+    return effect.location.name.lower().replace("_", " ")
 
 
 def _range(parameter: Parameter) -> str:
-    if parameter.choices:
-        return " or ".join(f"{choice:g}" for choice in parameter.choices)
-    if parameter.place:
+    if parameter.search.choices:
+        return " or ".join(f"{choice:g}" for choice in parameter.search.choices)
+    if parameter.instant:
         return "time in the recording"
     return f"{parameter.low:.4g} to {parameter.high:.4g}"

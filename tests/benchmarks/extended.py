@@ -66,7 +66,8 @@ def extended_model() -> Model:
     effects = tuple(
         EffectValues(
             name=name,
-            parameters={one.name: (one.choices or one.starts)[0] for one in EFFECTS[name].parameters} | values,
+            parameters={one.name: (one.search.choices or one.search.starts)[0] for one in EFFECTS[name].parameters}
+            | values,
         )
         for name, values in FOUND.items()
     )

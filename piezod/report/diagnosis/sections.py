@@ -22,10 +22,10 @@ def verdict_html(findings: Findings) -> str:
 
 
 def chain_html(findings: Findings) -> str:
-    """The signal chain with the effects where they sit."""
+    """The signal chain with the effects at their locations."""
     boxes = []
-    for seat, name in words.SEATS.items():
-        here = [one for one in findings.effects if EFFECTS[one.name].seat == seat]
+    for location, name in words.LOCATIONS.items():
+        here = [one for one in findings.effects if EFFECTS[one.name].location == location]
         inside = "".join(f"<b>{_escaped(one.title)}</b>" for one in here) or "<i>nothing found</i>"
         boxes.append(f"<li class='{'hit' if here else ''}'><span>{name}</span>{inside}</li>")
     return f"<ol class='chain' aria-label='signal chain from command to reading'>{''.join(boxes)}</ol>"
@@ -72,7 +72,7 @@ def _places_table(findings: Findings, wording: Wording) -> str:
 def card_html(finding: Finding, findings: Findings, wording: Wording) -> str:
     """An effect: its equation, its numbers, what it brings, and what else it might be."""
     effect = EFFECTS[finding.name]
-    fields = (("Forward", "equation"), ("Signature", "seen by"), ("Seat", "sits in"), ("Valid", "valid for"))
+    fields = (("Forward", "equation"), ("Signature", "seen by"), ("Location", "location"), ("Valid", "valid for"))
     told = "".join(
         f"<dt>{label}</dt><dd class='{field}'>{_escaped(words.docstring_field(effect, field))}</dd>"
         for field, label in fields
@@ -168,7 +168,7 @@ def table(header: Sequence[str], rows: Sequence[Sequence[str]], kind: str = "") 
 def _effect_row(finding: Finding, findings: Findings, header: Sequence[str], wording: Wording) -> str:
     places = words.places_words(finding, wording)
     what = (
-        f"<b>{_escaped(finding.title)}</b><small>{_escaped(words.seat_words(finding))}"
+        f"<b>{_escaped(finding.title)}</b><small>{_escaped(words.location_words(finding))}"
         f"{_escaped(': ' + places) if places else ''}</small><small>{_escaped(words.SCOPES[finding.scope])}</small>"
     )
     cells = [
@@ -186,7 +186,7 @@ def _numbers_html(finding: Finding, wording: Wording) -> str:
     """Parameters; instants are said as places already."""
     said, effect = [], EFFECTS[finding.name]
     for name, value in finding.parameters.items():
-        if finding.where and effect.parameter(name).place:
+        if finding.where and effect.parameter(name).instant:
             continue
         middle, interval = value_words(value, name, finding.name, wording)
         label = _escaped(label_of(name, value.unit))

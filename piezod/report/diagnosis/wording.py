@@ -4,15 +4,15 @@ from collections.abc import Sequence
 
 from piezod.diagnose.findings import Finding, Findings, Place
 from piezod.diagnose.words import Wording, listed, percent, place_words, rounded, unit_words
-from piezod.effects import EFFECTS, Effect, Seat
+from piezod.effects import EFFECTS, Effect, Location
 
-SEATS = {
-    Seat.AMPLIFIER: "amplifier",
-    Seat.HYSTERESIS: "hysteresis",
-    Seat.STACK: "stack",
-    Seat.MECHANICS: "mechanics",
-    Seat.LOAD_CELL: "load cell",
-    Seat.ACQUISITION: "acquisition",
+LOCATIONS = {
+    Location.AMPLIFIER: "amplifier",
+    Location.HYSTERESIS: "hysteresis",
+    Location.STACK: "stack",
+    Location.MECHANICS: "mechanics",
+    Location.LOAD_CELL: "load cell",
+    Location.ACQUISITION: "acquisition",
 }
 VERDICTS = {
     "matches": "matches",
@@ -77,9 +77,9 @@ def hedged(finding: Finding) -> str:
     return finding.title if finding.confidence >= LIKELY else f"perhaps {finding.title}"
 
 
-def seat_words(finding: Finding) -> str:
-    """Where an effect sits in the signal chain."""
-    return SEATS[_effect(finding.name).seat]
+def location_words(finding: Finding) -> str:
+    """Location of an effect in the signal chain."""
+    return LOCATIONS[_effect(finding.name).location]
 
 
 def places_words(finding: Finding, wording: Wording, most: int = 2) -> str:

@@ -148,11 +148,11 @@ def test_what_bends_to_any_hysteresis_gives_way_to_what_has_a_shape_and_says_nea
     base = fit(chain, (), start)
 
     def with_one(name, values):
-        choices = tuple((one.name, one.choices[0]) for one in EFFECTS[name].parameters if one.choices)
+        choices = tuple((one.name, one.search.choices[0]) for one in EFFECTS[name].parameters if one.search.choices)
         return fit(chain, (Term(EFFECTS[name], "since", choices=choices),), replace(base.point, values=(values,)))
 
-    weights = [one for one in EFFECTS["noncongruent_minor_loops"].parameters if not one.choices]
-    loops = with_one("noncongruent_minor_loops", {one.name: one.starts[0] for one in weights})
+    weights = [one for one in EFFECTS["noncongruent_minor_loops"].parameters if not one.search.choices]
+    loops = with_one("noncongruent_minor_loops", {one.name: one.search.starts[0] for one in weights})
     rubbing = with_one("friction", {"force_N": 1.0, "presliding_N": 10.0, "exponent": 1.5, "closing": 0.7})
     result = Search(chain, base, loops, base.point, [Round(base, loops, (rubbing,))])
     swap(result)

@@ -25,9 +25,9 @@ BEHIND = [
 
 def term_of(name):
     effect = EFFECTS[name]
-    choices = tuple((one.name, one.choices[0]) for one in effect.parameters if one.choices)
+    choices = tuple((one.name, one.search.choices[0]) for one in effect.parameters if one.search.choices)
     return Term(effect, "already", choices=choices), {
-        one.name: one.starts[-1] for one in effect.parameters if not one.choices
+        one.name: one.search.starts[-1] for one in effect.parameters if not one.search.choices
     }
 
 

@@ -17,9 +17,10 @@ from piezod.identify.simulation import simulate
 from piezod.identify.tables import dead_zone_rows, play_rows
 from piezod.identify.thresholds import Reach, dead_zone_thresholds, play_reach, play_thresholds
 from piezod.model import Plant, load_model
-from piezod.operators import AnalyticInverse, PrandtlIshlinskii
+from piezod.operators import PrandtlIshlinskii
 from piezod.operators.dead_zone import inverse_dead_zone
 from piezod.recording import Recording, read_csv
+from tests.unit.operators.analytic_inverse import AnalyticInverse
 
 FLEXURE = Path(__file__).parents[4] / "shared" / "recordings" / "piezo-flexure"
 U_MAX, Y_MAX = 140.0, 300.0

@@ -33,7 +33,9 @@ def with_effects(model, *names, **changed):
     """Model with effects; `changed` replaces the values of parameters of these names."""
     effects = []
     for name in names:
-        known = {one.name: (one.choices or one.starts)[0] for one in EFFECTS[name].parameters} | FOUND.get(name, {})
+        known = {
+            one.name: (one.search.choices or one.search.starts)[0] for one in EFFECTS[name].parameters
+        } | FOUND.get(name, {})
         asked = {key: value for key, value in changed.items() if key in known}
         effects.append(EffectValues(name=name, parameters=known | asked))
     return model.model_copy(update={"effects": tuple(effects)})

@@ -29,7 +29,7 @@ def test_a_page_holds_the_docstring_and_every_parameter_with_its_unit(name):
     for parameter in effect.parameters:
         row = next(line for line in page.splitlines() if line.startswith(f"{parameter.name} "))
         assert f" {parameter.unit} " in row
-        assert ("nuisance" in row) == parameter.nuisance
+        assert ("nuisance" in row) == parameter.search.nuisance
 
 
 @pytest.mark.parametrize(("written", "meant"), [("crep", "creep"), ("hum", "mains_hum"), ("lag", "electrical_lag")])

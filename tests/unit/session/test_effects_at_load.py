@@ -18,7 +18,8 @@ REFUSED = [name for name, effect in EFFECTS.items() if effect.handling == "refus
 
 def values(name):
     return EffectValues(
-        name=name, parameters={one.name: (one.choices or one.starts)[0] for one in EFFECTS[name].parameters}
+        name=name,
+        parameters={one.name: (one.search.choices or one.search.starts)[0] for one in EFFECTS[name].parameters},
     )
 
 
