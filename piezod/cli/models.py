@@ -11,6 +11,12 @@ from piezod import __version__
 from piezod.cli.root import ConfigArgument, JsonOption, app
 from piezod.errors import UsageError
 
+ModelOption = Annotated[Path, typer.Option("--model", metavar="MODEL", help="Model file.")]
+PageOption = Annotated[Path | None, typer.Option("--report", metavar="FILE", help="Page to write.")]
+StartWindowOption = Annotated[
+    float, typer.Option(metavar="S", min=0.0, help="First seconds, from which the initial state is estimated.")
+]
+
 
 @app.command(epilog="Example: piezod identify varying.csv constant.csv -o model.yaml --report report")
 def identify(
@@ -80,11 +86,9 @@ def identify(
 @app.command(epilog="Example: piezod simulate varying.csv --model model.yaml -o simulated.csv")
 def simulate(
     recording: Annotated[Path, typer.Argument(metavar="REC", help="Recording that holds the input.")],
-    model: Annotated[Path, typer.Option("--model", metavar="MODEL")],
+    model: ModelOption,
     output: Annotated[Path, typer.Option("-o", metavar="OUT", help="File for time_s and the simulated output.")],
-    start_window: Annotated[
-        float, typer.Option(metavar="S", min=0.0, help="First seconds, from which the initial state is estimated.")
-    ] = 1.0,
+    start_window: StartWindowOption = 1.0,
     condition: Annotated[
         str | None, typer.Option("--where", metavar="COLUMN=VALUE", help="Compare only the samples with this value.")
     ] = None,
@@ -130,10 +134,8 @@ def compare(
     output_column: Annotated[
         str | None, typer.Option("--output", metavar="COLUMN", help="Default: the column of the model, or force_N.")
     ] = None,
-    start_window: Annotated[
-        float, typer.Option(metavar="S", min=0.0, help="First seconds, from which the initial state is estimated.")
-    ] = 1.0,
-    report: Annotated[Path | None, typer.Option(metavar="FILE", help="Page to write.")] = None,
+    start_window: StartWindowOption = 1.0,
+    report: PageOption = None,
     as_json: JsonOption = False,
 ) -> None:
     """Compare a measured output with simulated ones and with models in free run; fit as in MATLAB's compare."""
@@ -149,12 +151,10 @@ def compare(
 @app.command(epilog="Example: piezod resid work.csv --model model.yaml --report residual.html")
 def resid(
     recording: Annotated[Path, typer.Argument(metavar="REC", help="Measured recording.")],
-    model: Annotated[Path, typer.Option("--model", metavar="MODEL")],
+    model: ModelOption,
     lags: Annotated[int, typer.Option(min=1, max=10_000, help="Number of lags [samples].")] = 25,
-    start_window: Annotated[
-        float, typer.Option(metavar="S", min=0.0, help="First seconds, from which the initial state is estimated.")
-    ] = 1.0,
-    report: Annotated[Path | None, typer.Option(metavar="FILE", help="Page to write.")] = None,
+    start_window: StartWindowOption = 1.0,
+    report: PageOption = None,
     as_json: JsonOption = False,
 ) -> None:
     """Test whether a model's residual is white and independent of the input, with the bounds of MATLAB's resid."""

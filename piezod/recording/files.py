@@ -153,32 +153,7 @@ def column_names(path: Path) -> tuple[str, ...]:
         return stream.names
 
 
-def check_recording_target(target: Path, recordings: Sequence[Path] = ()) -> None:
-    """Check, before the work begins, that a recording can be written to a file.
-
-    Parameters
-    ----------
-    target
-        File to write.
-    recordings
-        Files that are read for it and must not be overwritten.
-
-    Raises
-    ------
-    RecordingError
-        The suffix is unknown, the library of the format is not installed, or the folder is missing or not writable.
-    UsageError
-        The file is one of the recordings.
-    """
-    file_format = _format_of(target)
-    if file_format.needs:
-        import_library(*file_format.needs, target)
-    if not target.parent.is_dir() or not os.access(target.parent, os.W_OK):
-        raise RecordingError(f"{target}: cannot be written: {target.parent} must be a folder that may be written to")
-    _check_not_read(target, recordings)
-
-
-def check_output_path(target: Path, recordings: Sequence[Path]) -> None:
+def check_output_path(target: Path, recordings: Sequence[Path] = ()) -> None:
     """Check, before the work begins, that a result of any kind may be written to a file.
 
     Parameters
@@ -198,6 +173,24 @@ def check_output_path(target: Path, recordings: Sequence[Path]) -> None:
     _check_not_read(target, recordings)
     if not target.parent.is_dir():
         raise ConfigurationError(f"{target}: cannot be written: {target.parent} is no folder, make it first")
+
+
+def check_recording_target(target: Path, recordings: Sequence[Path] = ()) -> None:
+    """Check, before the work begins, that a recording can be written to a file; parameters as `check_output_path`.
+
+    Raises
+    ------
+    RecordingError
+        The suffix is unknown, the library of the format is not installed, or the folder is missing or not writable.
+    UsageError
+        The file is one of the recordings.
+    """
+    file_format = _format_of(target)
+    if file_format.needs:
+        import_library(*file_format.needs, target)
+    if not target.parent.is_dir() or not os.access(target.parent, os.W_OK):
+        raise RecordingError(f"{target}: cannot be written: {target.parent} must be a folder that may be written to")
+    _check_not_read(target, recordings)
 
 
 def _check_not_read(target: Path, recordings: Sequence[Path]) -> None:

@@ -40,6 +40,14 @@ def read_or_refused(path):
     assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before_kB < MOST_MB * 1000
 
 
+def overwrite(path, mark, offset, new):
+    """Replace bytes of a file, `offset` bytes after the first occurrence of `mark`."""
+    content = bytearray(path.read_bytes())
+    at = content.index(mark) + offset
+    content[at : at + len(new)] = new
+    path.write_bytes(content)
+
+
 @pytest.mark.parametrize("suffix", suffixes())
 @many
 @given(content=st.binary(max_size=400), magic=st.booleans())
@@ -184,10 +192,8 @@ def test_mdf_whose_blocks_link_back_is_refused(tmp_path):
     pytest.importorskip("asammdf", reason="asammdf is not installed")
     path = tmp_path / "rec.mf4"
     write_recording(sample(5), path)
-    content = bytearray(path.read_bytes())
-    history = content.index(b"##FH")
-    content[history + 24 : history + 32] = struct.pack("<Q", history)
-    path.write_bytes(content)
+    history = path.read_bytes().index(b"##FH")
+    overwrite(path, b"##FH", 24, struct.pack("<Q", history))
     with pytest.raises(RecordingError, match="linked to twice"):
         read_recording(path)
 
@@ -196,10 +202,7 @@ def test_hdf5_with_an_endless_heap_is_refused(tmp_path):
     pytest.importorskip("h5py", reason="h5py is not installed")
     path = tmp_path / "rec.h5"
     write_recording(sample(5), path)
-    content = bytearray(path.read_bytes())
-    heap = content.index(b"GCOL") + 16
-    content[heap : heap + 16] = bytes(16)
-    path.write_bytes(content)
+    overwrite(path, b"GCOL", 16, bytes(16))
     with pytest.raises(RecordingError, match="is damaged: text at byte"):
         read_recording(path)
 
@@ -237,10 +240,7 @@ def test_a_tdms_name_that_claims_gigabytes_allocates_no_more_than_the_file_holds
     pytest.importorskip("nptdms", reason="nptdms is not installed")
     path = tmp_path / "rec.tdms"
     write_recording(sample(5), path)
-    content = bytearray(path.read_bytes())
-    at = content.index(b"/'recording'/'voltage_V'") - 4
-    content[at : at + 4] = struct.pack("<I", 2**32 - 1)
-    path.write_bytes(content)
+    overwrite(path, b"/'recording'/'voltage_V'", -4, struct.pack("<I", 2**32 - 1))
     tracemalloc.start()
     try:
         with pytest.raises(RecordingError):

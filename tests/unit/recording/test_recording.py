@@ -37,7 +37,7 @@ def test_resampling_is_linear_and_leaves_gaps_empty():
 def test_resampling_bridges_a_short_hole_but_not_a_long_one():
     recording = noisy(100, 1.0)
     force_N = recording.channels["force_N"]
-    force_N[10:14] = force_N[40:45] = np.nan  # neighbours 5 and 6 periods apart
+    force_N[10:14] = force_N[40:45] = np.nan  # pauses of 5 and 6 periods
     missing = recording.resampled(1.0).missing("force_N")
     assert np.flatnonzero(missing).tolist() == [40, 41, 42, 43, 44]
 
