@@ -23,8 +23,8 @@ MOST_NEWTON = 60  # steps: at most one for each linear piece, and some bisection
 
 @numba.njit(cache=True)
 def next_state(z: float, r: float, u: float) -> float:
-    """State of a play of threshold `r` and state `z` after its input has moved to `u` (3.1)."""
-    return max(u - r, min(u + r, z))
+    """State of a play of threshold `r` and state `z` after its input has moved to `u`: (3.1), for r at least 0."""
+    return min(max(z, u - r), u + r)
 
 
 @numba.njit(cache=True)
