@@ -20,7 +20,7 @@ from piezod.session.task import Outcome
 from tests.benches.browser import chromium, open_page
 from tests.benches.daemon import WITHIN_S, daemon
 from tests.benches.emulator import bench_file, emulator, piezod
-from tests.unit.report.test_diagnosis_page import diagnosis
+from tests.unit.report.example_diagnosis import diagnosis
 
 LIMIT_BYTES = 3_000_000
 A4_POINTS = (594.96, 841.92)
