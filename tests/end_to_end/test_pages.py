@@ -130,7 +130,7 @@ def test_a_page_is_small(page):
     assert page.stat().st_size <= LIMIT_BYTES
 
 
-@pytest.mark.parametrize("viewport", ["desk", "telephone"])
+@pytest.mark.parametrize("viewport", ["desktop", "telephone"])
 def test_a_page_draws_itself_offline_and_fits_its_screen(page, browser, viewport):
     opened, errors = open_page(browser, page.as_uri(), viewport, offline=True)
     asked = []
