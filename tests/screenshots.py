@@ -1,6 +1,6 @@
-"""The README's pictures, made anew: `python -m tests.screenshots` runs an emulated bench and photographs what it shows.
+"""Screenshots for the README: `python -m tests.screenshots` runs an emulated bench and saves its pages as pictures.
 
-Needs chromium and playwright; takes some minutes, most of them for identification and diagnosis.
+It needs chromium and playwright. It takes some minutes, mainly for identification and diagnosis.
 """
 
 import argparse
@@ -23,83 +23,83 @@ from tests.benches.emulator import EMULATOR, bench_file, emulator
 
 ROOT = Path(__file__).parents[1]
 FOLDER = ROOT / ".screenshots"
-COLOURS = 256  # of a palette that keeps the rare ones: pages have few, and the files stay small
+COLOURS = 256  # of a palette that includes rare colours; it makes the files small
 LIMIT_BYTES = 200_000
-RATE_HZ = 100  # what any machine holds
-WATCHED_S = 35.0  # the curves go back half a minute
-PATIENT = {"comm_loss_ms": 9000, "device_watchdog_ms": 8000, "stale_after_ms": 4000, "missed_ticks_in_a_row": 2000}
+RATE_HZ = 100  # low enough for any machine
+RUN_S = 35.0  # longer than the 30 s that the curves show
+LONG_LIMITS = {"comm_loss_ms": 9000, "device_watchdog_ms": 8000, "stale_after_ms": 4000, "missed_ticks_in_a_row": 2000}
 LAG_AND_CREEP = {"electrical_lag": {"time_constant_s": 0.004}, "creep": {"per_decade": 0.013}}
-TELEPHONE_PIXELS = 1700  # of the long page that is shown
+MOST_PIXELS = 1700  # height of a picture; a longer page is cropped
 
 
 def main() -> None:
-    """Make every picture, or those that are named."""
+    """Save every picture, or only the named pictures."""
     parser = argparse.ArgumentParser(prog="python -m tests.screenshots", description=__doc__)
-    parser.add_argument("names", nargs="*", choices=[*MADE, []], help="all when left out")
-    names = parser.parse_args().names or list(MADE)
+    parser.add_argument("names", nargs="*", choices=[*PICTURES, []], help="default: all")
+    names = parser.parse_args().names or list(PICTURES)
     FOLDER.mkdir(exist_ok=True)
     with tempfile.TemporaryDirectory() as folder, chromium() as browser:
         for name in names:
-            MADE[name](browser, Path(folder))
+            PICTURES[name](browser, Path(folder))
 
 
 def live(browser, folder: Path) -> None:
-    """The live page of a running bench, on a desk and on a telephone; its run is recorded for `run`."""
+    """The live page of a running bench, on a desktop and on a telephone. The run is recorded for `run`."""
     with _running(folder) as (bench, _), _watch(bench) as address:
-        time.sleep(WATCHED_S)
-        for viewport, name in (("desk", "live"), ("telephone", "live-telephone")):
+        time.sleep(RUN_S)
+        for viewport, name in (("desktop", "live"), ("telephone", "live-telephone")):
             page = _open(browser, address, viewport)
             page.get_by_text("RUNNING", exact=True).first.wait_for()
             page.wait_for_timeout(1500)
-            _photograph(page, name, whole=True)
+            _save_picture(page, name, whole=True)
 
 
 def run(browser, folder: Path) -> None:
-    """The report of a run."""
-    if not (folder / "kept").is_dir():
+    """The page of a run."""
+    if not (folder / "recordings").is_dir():
         with _running(folder):
-            time.sleep(WATCHED_S)
-    recording = max((folder / "kept").glob("*.sqlite"))
+            time.sleep(RUN_S)
+    recording = max((folder / "recordings").glob("*.sqlite"))
     _piezod("report", recording, "-o", folder / "run.html")
-    _photograph(_open(browser, (folder / "run.html").as_uri()), "run")
+    _save_picture(_open(browser, (folder / "run.html").as_uri()), "run")
 
 
 def commission(browser, folder: Path) -> None:
-    """Identification and validation, of one commissioning."""
+    """The pages of identification and validation, from one commissioning."""
     _commissioned(folder)
     identified = folder / "seed" / "varying-triangles" / "identification.html"
-    _photograph(_open(browser, identified.as_uri()), "identification")
-    _photograph(_open(browser, (folder / "seed" / "validation.html").as_uri()), "validation")
+    _save_picture(_open(browser, identified.as_uri()), "identification")
+    _save_picture(_open(browser, (folder / "seed" / "validation.html").as_uri()), "validation")
 
 
 def diagnosis(browser, folder: Path) -> None:
-    """A diagnosis of a bench that has got a lag and a creep since its model was identified."""
+    """The page of a diagnosis. The bench has a lag and a creep that its model lacks."""
     content = yaml.safe_load(EMULATOR.read_text(encoding="utf-8")) | {"effects": LAG_AND_CREEP}
     changed = folder / "changed.yaml"
     changed.write_text(yaml.safe_dump(content), encoding="utf-8")
     work = folder / "work.csv"
     with emulator("--port", "0", "--time", "virtual", config=changed) as serves:
-        bench = bench_file(folder, serves, rate_Hz=200, limits=PATIENT)
+        bench = bench_file(folder, serves, rate_Hz=200, limits=LONG_LIMITS)
         _piezod("record", bench, "--excitation", "staircase-minor-loops-multisine", "-o", work)
     _piezod("diagnose", work, "--model", ROOT / "config" / "model.yaml", "-o", folder / "diagnosis")
-    _photograph(_open(browser, (folder / "diagnosis" / "report.html").as_uri()), "diagnosis")
+    _save_picture(_open(browser, (folder / "diagnosis" / "report.html").as_uri()), "diagnosis")
 
 
-MADE = {"live": live, "run": run, "commission": commission, "diagnosis": diagnosis}
+PICTURES = {"live": live, "run": run, "commission": commission, "diagnosis": diagnosis}
 
 
 @contextlib.contextmanager
 def _running(folder: Path) -> Iterator[tuple[Path, object]]:
-    """A bench that follows triangles, with a recorder."""
+    """Run a daemon that follows triangles and records them; yields its bench file and the daemon."""
     with emulator("--port", "0") as serves:
         bench = bench_file(
             folder,
             serves,
             rate_Hz=RATE_HZ,
-            limits=PATIENT,
+            limits=LONG_LIMITS,
             arming={"voltage_V_per_s": 400.0},
             reference={"frequency_Hz": 0.2},
-            recorder={"folder": str(folder / "kept")},
+            recorder={"folder": str(folder / "recordings")},
         )
         with daemon(bench) as service:
             service.connected()
@@ -130,7 +130,7 @@ def _piezod(*arguments: object) -> None:
     subprocess.run([sys.executable, "-m", "piezod", *map(str, arguments)], check=True)
 
 
-def _open(browser, address: str, viewport: str = "desk"):
+def _open(browser, address: str, viewport: str = "desktop"):
     width, height = VIEWPORTS[viewport]
     page = browser.new_page(viewport={"width": width, "height": height})
     page.goto(address)
@@ -139,12 +139,12 @@ def _open(browser, address: str, viewport: str = "desk"):
     return page
 
 
-def _photograph(page, name: str, *, whole: bool = False) -> None:
-    """What stands on the screen, or the whole page, as a small PNG."""
+def _save_picture(page, name: str, *, whole: bool = False) -> None:
+    """Save the visible part of a page, or the whole page, as a small PNG file."""
     path = FOLDER / f"{name}.png"
     page.screenshot(path=path, full_page=whole)
     with Image.open(path) as picture:
-        shown = picture.crop((0, 0, picture.width, min(picture.height, TELEPHONE_PIXELS)))
+        shown = picture.crop((0, 0, picture.width, min(picture.height, MOST_PIXELS)))
         shown.convert("RGB").quantize(COLOURS, Image.Quantize.MAXCOVERAGE, dither=Image.Dither.NONE).save(
             path, optimize=True
         )

@@ -5,7 +5,7 @@ import shutil
 
 import pytest
 
-VIEWPORTS = {"desk": (1280, 900), "telephone": (390, 844)}
+VIEWPORTS = {"desktop": (1280, 900), "telephone": (390, 844)}
 
 
 @contextlib.contextmanager
@@ -23,7 +23,7 @@ def chromium():
             browser.close()
 
 
-def open_page(browser, address, viewport="desk", **options):
+def open_page(browser, address, viewport="desktop", **options):
     """A page, and what went wrong in it."""
     width, height = VIEWPORTS[viewport]
     page = browser.new_page(viewport={"width": width, "height": height}, **options)

@@ -20,7 +20,7 @@ from piezod.session.task import Outcome
 from tests.benches.browser import chromium, open_page
 from tests.benches.daemon import WITHIN_S, daemon
 from tests.benches.emulator import bench_file, emulator, piezod
-from tests.unit.report.test_diagnosis_page import diagnosis
+from tests.unit.report.example_diagnosis import diagnosis
 
 LIMIT_BYTES = 3_000_000
 A4_POINTS = (594.96, 841.92)
@@ -130,7 +130,7 @@ def test_a_page_is_small(page):
     assert page.stat().st_size <= LIMIT_BYTES
 
 
-@pytest.mark.parametrize("viewport", ["desk", "telephone"])
+@pytest.mark.parametrize("viewport", ["desktop", "telephone"])
 def test_a_page_draws_itself_offline_and_fits_its_screen(page, browser, viewport):
     opened, errors = open_page(browser, page.as_uri(), viewport, offline=True)
     asked = []

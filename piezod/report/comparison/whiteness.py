@@ -22,10 +22,12 @@ MOST_SAMPLES = 2**27  # of the time grid, with its gaps
 class WhitenessTest:
     """Normalised correlations of a residual, with the bounds for 99 % of them.
 
-        R_ab(k) = 1/N sum_t a(t + k) b(t)                       (means removed; only pairs of known values)
-        auto(k) = R_ee(k) / R_ee(0),                            bound 2.58 / sqrt(N)
-        cross(k) = R_eu(k) / sqrt(R_ee(0) R_uu(0)),             bound 2.58 sqrt(P / N),
-        P = 1 + 2 sum_{k=1}^{lags} auto(k) R_uu(k) / R_uu(0)
+    Means are removed. Sums include only pairs of known values.
+
+        R_ab(k)  = 1/N sum_t a(t + k) b(t)
+        auto(k)  = R_ee(k) / R_ee(0);                  bound 2.58 / sqrt(N)
+        cross(k) = R_eu(k) / sqrt(R_ee(0) R_uu(0));    bound 2.58 sqrt(P / N);
+        P        = 1 + 2 sum_{k=1}^{lags} auto(k) R_uu(k) / R_uu(0)
 
     The bounds hold if the residual is white and independent of the input. At k > 0 the residual follows the input.
 

@@ -1,45 +1,47 @@
-"""What a diagnosis found, as text for a terminal."""
+"""Text of a diagnosis for a terminal."""
 
 from pathlib import Path
 
 from piezod.diagnose.diagnosis import Diagnosis
 from piezod.diagnose.findings import Finding
 from piezod.diagnose.words import Wording, label_of, place_words, value_words
+from piezod.report.diagnosis.wording import SCOPES
 
 
 def print_findings(diagnosis: Diagnosis, folder: Path) -> None:
-    """Verdict, effects, rivals and notes as text.
+    """Print verdict, effects with their rivals, notes, and the names of the written files.
 
     Parameters
     ----------
     diagnosis
-        What was found.
+        Result of the diagnosis.
     folder
-        Where its files were written.
+        Folder of its files.
     """
     findings = diagnosis.findings
     wording = Wording(diagnosis.model.input.unit, diagnosis.model.output.unit)
     print(f"{findings.verdict.replace('_', ' ')}: {findings.words}")
-    for one in findings.effects:
-        _print_effect(one, wording)
-    for held in findings.held_out:
-        print(f"  {held.path}, held out: {held.before:.4g} -> {held.after:.4g} {findings.unit}")
+    for finding in findings.effects:
+        _print_effect(finding, wording)
+    for held_out in findings.held_out:
+        print(f"  {held_out.path}, held out: {held_out.before:.4g} -> {held_out.after:.4g} {findings.unit}")
     if findings.not_testable:
-        print(f"could not have been seen in these recordings: {', '.join(findings.not_testable)}")
+        print(f"not testable with these recordings: {', '.join(findings.not_testable)}")
     for note in findings.notes:
         print(f"note: {note}")
     print(f"{folder / 'findings.json'}, {folder / 'model.yaml'}, {folder / 'report.html'}")
 
 
-def _print_effect(one: Finding, wording: Wording) -> None:
-    scope = {"already": "already there when the model was identified", "since": "come since", "once": "once"}[one.scope]
-    print(f"  {one.name} (confidence {100 * one.confidence:.0f} %, {scope}): {one.title}")
-    for name, value in one.parameters.items():
-        middle, interval = value_words(value, name, one.name, wording)
-        print(f"    {label_of(name, value.unit)} {middle}" + (f" ({interval})" if interval else ""))
-    for place in one.where:
+def _print_effect(finding: Finding, wording: Wording) -> None:
+    confidence = f"confidence {100 * finding.confidence:.0f} %"
+    print(f"  {finding.name} ({confidence}, {SCOPES[finding.scope]}): {finding.title}")
+    for name, value in finding.parameters.items():
+        text, interval = value_words(value, name, finding.name, wording)
+        print(f"    {label_of(name, value.unit)} {text}" + (f" ({interval})" if interval else ""))
+    for place in finding.where:
         print(f"    seen at {place_words(place, wording)}")
-    print(f"    held-out error {one.before:.4g} -> {one.after:.4g} {wording.output}")
-    print(f"    {one.handling}" + (f": {one.why}" if one.why else ""))
-    for rival in one.rivals:
-        print(f"    rival {rival.name}, {rival.separation:.2g} noises apart; to tell them apart: {rival.separate_by}")
+    print(f"    held-out error {finding.before:.4g} -> {finding.after:.4g} {wording.output}")
+    print(f"    {finding.handling}" + (f": {finding.why}" if finding.why else ""))
+    for rival in finding.rivals:
+        difference = f"predictions differ by {rival.separation:.2g} times the noise"
+        print(f"    rival {rival.name}: {difference}; to distinguish them: {rival.separate_by}")

@@ -1,4 +1,4 @@
-"""What a diagnosis says on its page, in sentences: verdict, how far the error falls, what is left."""
+"""Sentences of a diagnosis page: headline, fall of the error, and what remains unexplained."""
 
 from collections.abc import Sequence
 
@@ -14,16 +14,9 @@ LOCATIONS = {
     Location.LOAD_CELL: "load cell",
     Location.ACQUISITION: "acquisition",
 }
-VERDICTS = {
-    "matches": "matches",
-    "explained": "explained",
-    "partly_explained": "partly explained",
-    "unexplained": "unexplained",
-    "not_testable": "not testable",
-}
 SCOPES = {
-    "already": "already there when the model was identified",
-    "since": "has come since the model was identified",
+    "already": "present when the model was identified",
+    "since": "appeared after the model was identified",
     "once": "happened once, in one recording",
 }
 HANDLINGS = {
@@ -32,126 +25,131 @@ HANDLINGS = {
     "refused": "cannot be compensated",
 }
 FLOORS = {
-    "quiet": "from stretches in which the command rests",
-    "repeats": "from repeats of the excitation",
-    "spectrum": "from what no flexible model explains",
+    "quiet": "measured while the command is constant",
+    "repeats": "from repeated periods of the excitation",
+    "spectrum": "the part that no flexible model explains",
 }
-NEAR = 0.15  # noises in root mean square: what differs by less is hardly told apart
-SURE, LIKELY = 0.9, 0.7  # confidences
+NEAR = 0.15  # rivals whose predictions differ by less are hardly distinguishable [rms of the noise]
+HIGH, MEDIUM = 0.9, 0.7  # lowest confidence of each level
 
 
 def headline(findings: Findings) -> str:
-    """The verdict as a title."""
-    titles = listed([hedged(one) for one in findings.effects])
+    """Verdict as a title."""
+    titles = listed([hedged(finding) for finding in findings.effects])
+    matches = "these recordings do not show what causes the rest" if findings.above_noise else "no effect is missing"
     return {
-        "matches": "The model matches the recordings: "
-        + ("nothing more can be told from them" if findings.above_noise else "nothing is missing"),
-        "explained": f"Left out by the model: {titles}",
-        "partly_explained": f"Left out by the model: {titles}, and something unknown besides",
-        "unexplained": "Something is missing that no known effect explains",
-        "not_testable": "These recordings cannot tell what the model leaves out",
+        "matches": f"The model matches the recordings: {matches}",
+        "explained": f"Missing in the model: {titles}",
+        "partly_explained": f"Missing in the model: {titles}, and an unknown effect",
+        "unexplained": "The model lacks an effect that is not in the catalogue",
+        "not_testable": "These recordings cannot show what the model lacks",
     }[findings.verdict]
 
 
 def lead(findings: Findings) -> str:
-    """How far the error falls, against the noise."""
+    """Fall of the error, compared with the noise."""
     unit = unit_words(findings.unit)
     floor = f"noise floor {rounded(findings.floor)} {unit} ({FLOORS.get(findings.floor_from, findings.floor_from)})"
+    before = f"Error on held-out data: {rounded(findings.before)} {unit}"
     if findings.refitted is not None:
-        refitted = f", {rounded(findings.left)} {unit} once refitted" if findings.left < findings.before else ""
-        return f"Error on data left out: {rounded(findings.before)} {unit}{refitted}; {floor}."
-    fall = f"Error on data left out: {rounded(findings.before)} {unit} → {rounded(findings.after)} {unit}; {floor}"
+        refitted = f", {rounded(findings.left)} {unit} after a refit" if findings.left < findings.before else ""
+        return f"{before}{refitted}; {floor}."
+    fall = f"{before} → {rounded(findings.after)} {unit}; {floor}"
     closed = findings.gap_closed
-    return f"{fall}; {percent(closed)} of what is above the noise is explained." if closed is not None else f"{fall}."
+    return f"{fall}. {percent(closed)} of the error above the noise is explained." if closed is not None else f"{fall}."
 
 
-def sureness(confidence: float) -> str:
-    """A confidence in a word."""
-    if confidence >= SURE:
-        return "sure"
-    return "likely" if confidence >= LIKELY else "uncertain"
+def confidence_level(confidence: float) -> str:
+    """Name of the level of a confidence [0, 1]."""
+    if confidence >= HIGH:
+        return "high"
+    return "medium" if confidence >= MEDIUM else "low"
 
 
 def hedged(finding: Finding) -> str:
-    """Title of an effect, with a perhaps before one that is uncertain."""
-    return finding.title if finding.confidence >= LIKELY else f"perhaps {finding.title}"
+    """Title of an effect, after "possibly" if its confidence is low."""
+    return finding.title if finding.confidence >= MEDIUM else f"possibly {finding.title}"
 
 
-def location_words(finding: Finding) -> str:
+def location(finding: Finding) -> str:
     """Location of an effect in the signal chain."""
-    return LOCATIONS[_effect(finding.name).location]
+    return LOCATIONS[EFFECTS[finding.name].location]
 
 
-def places_words(finding: Finding, wording: Wording, most: int = 2) -> str:
-    """Places of an effect in a few words; empty where it acts everywhere."""
-    said = [place_words(one, wording) for one in finding.where[:most]]
+def places_of(finding: Finding, wording: Wording, most: int = 2) -> str:
+    """First places of an effect, and the number of further places; empty if the effect acts everywhere."""
+    places = [place_words(place, wording) for place in finding.where[:most]]
     more = len(finding.where) - most
-    return "; ".join([*said, f"{more} more"] if more > 0 else said)
+    return "; ".join([*places, f"{more} more"] if more > 0 else places)
 
 
-def first_places(places: Sequence[Place], most: int) -> list[Place]:
-    """The largest place on each axis, the largest first."""
+def largest_places(places: Sequence[Place], most: int) -> list[Place]:
+    """Largest place on each axis, in descending order of their share of the error."""
     of_axis: dict[str, Place] = {}
-    for place in sorted(places, key=lambda one: -one.share):
+    for place in sorted(places, key=lambda place: -place.share):
         of_axis.setdefault(place.axis, place)
     return list(of_axis.values())[:most]
 
 
-def gain_words(finding: Finding, unit: str) -> str:
-    """Error without an effect and with it."""
-    if read_off(finding):
-        return "read off the data, no fit"
+def place_with_share(place: Place, wording: Wording) -> str:
+    """Place with its share of the error, in parentheses."""
+    return f"{place_words(place, wording)} ({percent(place.share)})"
+
+
+def error_change(finding: Finding, unit: str) -> str:
+    """Held-out error without an effect and with it."""
+    if observed_directly(finding):
+        return "observed directly, not fitted"
     return f"{rounded(finding.before)} → {rounded(finding.after)} {unit_words(unit)}"
 
 
 def near_rivals(finding: Finding) -> list[str]:
-    """What an effect is hardly told apart from in these recordings."""
-    return [_effect(one.name).title for one in finding.rivals if one.separation < NEAR]
+    """Titles of effects that these recordings hardly distinguish from a finding."""
+    return [EFFECTS[rival.name].title for rival in finding.rivals if rival.separation < NEAR]
 
 
-def read_off(finding: Finding) -> bool:
-    """Whether an effect was seen in the readings and not fitted."""
+def observed_directly(finding: Finding) -> bool:
+    """Whether an effect was observed in the readings and not fitted."""
     return finding.before == finding.after
 
 
 def place_heading(findings: Findings) -> str:
-    """What the places of a diagnosis are, as a title."""
+    """Heading of the places."""
     if findings.verdict == "matches":
-        return "Small remainders of the given model, none worth a name"
+        return "Small errors of the given model, attributed to no effect"
     return "Where the given model is wrong"
 
 
-def remains(findings: Findings, left: Sequence[Place], wording: Wording) -> list[str]:
-    """What remains unexplained, said plainly.
+def remains(findings: Findings, places: Sequence[Place], wording: Wording) -> list[str]:
+    """Sentences about what remains unexplained.
 
     Parameters
     ----------
     findings
-        Of the diagnosis.
-    left
-        Where the residual of the extended model is more than noise.
+        Result of the diagnosis.
+    places
+        Places in which the extended model is significantly wrong.
     wording
-        For these places.
+        Units and names of recordings for these places.
     """
-    sits = "; ".join(f"{place_words(one, wording)} ({percent(one.share)})" for one in first_places(left, 4))
+    where = "; ".join(place_with_share(place, wording) for place in largest_places(places, 4))
     return [
-        *left_over(findings),
-        *([f"What is left sits at {sits}."] if sits else []),
-        *_not_told_apart(findings.effects),
-        *not_seen(findings),
+        *remaining_error(findings),
+        *([f"Places of the remaining error: {where}."] if where else []),
+        *_indistinguishable(findings.effects),
+        *not_tested(findings),
         *(
-            f"{one.title.capitalize()}: {HANDLINGS.get(one.handling, one.handling)}: {one.why}."
-            for one in findings.effects
-            if one.handling == "refused" and one.why
+            f"{finding.title.capitalize()}: {HANDLINGS.get(finding.handling, finding.handling)}: {finding.why}."
+            for finding in findings.effects
+            if finding.handling == "refused" and finding.why
         ),
     ]
 
 
-def not_seen(findings: Findings) -> list[str]:
-    """Effects that might be there unseen."""
-    titles = listed([_effect(name).title for name in findings.not_testable])
-    lacks = "these recordings lack the rates, holds or levels that would show it"
-    return [f"Nothing is said about {titles}: {lacks}."] if titles else []
+def not_tested(findings: Findings) -> list[str]:
+    """Effects that may be present, but that these recordings cannot show."""
+    titles = listed([EFFECTS[name].title for name in findings.not_testable])
+    return [f"Not tested: {titles}. The recordings lack the rates, holds or levels that show them."] if titles else []
 
 
 def docstring_field(effect: Effect, field: str) -> str:
@@ -167,32 +165,30 @@ def docstring_field(effect: Effect, field: str) -> str:
     return " ".join(found)
 
 
-def left_over(findings: Findings) -> list[str]:
-    """Error that is left against the noise, and how much of it anything could explain."""
+def remaining_error(findings: Findings) -> list[str]:
+    """Remaining error compared with the noise, and the share of it that some model can explain."""
     unit, share = unit_words(findings.unit), percent(findings.explainable)
-    error = f"{rounded(findings.left)} {unit} rms are left on data left out; noise: {rounded(findings.floor)} {unit}."
-    flexible = f"A flexible model without physics could explain {share} of what is left"
-    if findings.above_noise:
-        flexible = f"More than noise is left. {flexible}"
-    if findings.verdict == "matches":
-        return [error, f"{flexible}: nothing worth a name."]
-    if findings.verdict == "explained":
-        return [error, f"{flexible}: nothing else is worth a name."]
-    if findings.verdict == "partly_explained":
-        return [error, f"{flexible}: the effects found are not all of it."]
-    if findings.verdict == "unexplained":
-        return [error, f"{flexible}: there is something, and no effect of the catalogue is it."]
-    return [error, "The recordings do not excite the bench enough to tell what is missing."]
+    error = (
+        f"The remaining error on held-out data is {rounded(findings.left)} {unit} rms; "
+        f"the noise is {rounded(findings.floor)} {unit}."
+    )
+    if findings.verdict == "not_testable":
+        return [error, "The recordings do not excite the bench enough to show what is missing."]
+    above = "The remaining error exceeds the noise. " if findings.above_noise else ""
+    consequence = {
+        "matches": "no effect is missing",
+        "explained": "no further effect is missing",
+        "partly_explained": "the effects found do not explain all of it",
+        "unexplained": "an effect is missing, and the catalogue does not contain it",
+    }[findings.verdict]
+    return [error, f"{above}A flexible model without physics could explain {share} of it: {consequence}."]
 
 
-def _not_told_apart(effects: Sequence[Finding]) -> list[str]:
+def _indistinguishable(effects: Sequence[Finding]) -> list[str]:
     return [
-        f"{one.title.capitalize()} might be {listed(near_rivals(one), 'or')}: in these recordings they differ by less "
-        f"than {NEAR:g} of the noise. To tell them apart: {one.rivals[0].separate_by}."
-        for one in effects
-        if near_rivals(one)
+        f"{finding.title.capitalize()} may instead be {listed(near_rivals(finding), 'or')}: in these recordings their "
+        f"predictions differ by less than {NEAR:g} times the noise. "
+        f"To distinguish them: {finding.rivals[0].separate_by}."
+        for finding in effects
+        if near_rivals(finding)
     ]
-
-
-def _effect(name: str) -> Effect:
-    return EFFECTS[name]

@@ -1,7 +1,7 @@
 """The ring-log reader that all viewers share. It continues when the daemon restarts.
 
-The ring is a file in shared memory. A daemon that starts creates a new file under the same name, and the reader opens
-it when the device or inode number of the file changes. The control process is not involved.
+The ring is a file in shared memory. A daemon that starts creates a new file under the same name. The reader opens the
+new file when the device or inode number changes. The control process is not involved.
 """
 
 import time

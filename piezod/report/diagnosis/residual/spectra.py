@@ -1,4 +1,4 @@
-"""The spectrum of a residual, and its map over time and frequency, against white noise as large as the floor."""
+"""Spectrum of a residual, and its power over time and frequency relative to the noise floor."""
 
 import itertools
 from dataclasses import dataclass
@@ -8,22 +8,22 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-COLUMNS, ROWS = 120, 96
-SHORTEST, LONGEST = 64, 4096  # samples of a window
+COLUMNS, ROWS = 120, 96  # at most, of a map
+SHORTEST, LONGEST = 64, 4096  # length of a window [samples]
 
 
 @dataclass(frozen=True)
-class Map:
-    """Power over time and frequency.
+class PowerMap:
+    """Power over time and frequency, in C columns and R rows.
 
     Parameters
     ----------
     time_s
-        Edges of the columns, shape (C + 1,), since the first sample.
+        Edges of the columns since the first sample, shape (C + 1,) [s].
     frequency_Hz
-        Edges of the rows, shape (R + 1,), in equal ratios.
+        Edges of the rows, in a geometric series, shape (R + 1,) [Hz].
     level_dB
-        Over the noise floor, shape (R, C).
+        Power above the noise floor, shape (R, C) [dB].
     """
 
     time_s: Array
@@ -32,7 +32,18 @@ class Map:
 
 
 def spectrum(residual: Array, dt_s: float) -> tuple[Array, Array]:
-    """Frequencies [Hz] and amplitude density [unit / sqrt(Hz)], each shape (F,); Welch's mean of Hann windows."""
+    """Frequencies [Hz] and amplitude density [unit / sqrt(Hz)], each shape (F,).
+
+    The density is the mean over half-overlapping Hann windows. Source: P. D. Welch, "The use of fast Fourier transform
+    for the estimation of power spectra", IEEE Trans. Audio Electroacoust. 15 (1967) 70, DOI 10.1109/TAU.1967.1161901.
+
+    Parameters
+    ----------
+    residual
+        Residual, shape (N,).
+    dt_s
+        Sample period [s].
+    """
     size = min(max(residual.size // 8, SHORTEST), LONGEST, residual.size)
     starts = np.arange(0, residual.size - size + 1, max(size // 2, 1))
     power = _windowed_power(residual, dt_s, size, starts).mean(axis=0)
@@ -40,17 +51,17 @@ def spectrum(residual: Array, dt_s: float) -> tuple[Array, Array]:
     return frequency_Hz, np.sqrt(power[1:])
 
 
-def time_frequency(residual: Array, dt_s: float, floor: float) -> Map:
-    """Where in time and frequency a residual is more than its noise.
+def time_frequency(residual: Array, dt_s: float, floor: float) -> PowerMap:
+    """Power of a residual over time and frequency. White noise of standard deviation `floor` has 0 dB.
 
     Parameters
     ----------
     residual
-        Shape (N,).
+        Residual, shape (N,).
     dt_s
-        Spacing of the samples [s].
+        Sample period [s].
     floor
-        Standard deviation of the noise, in the residual's unit: 0 dB is white noise as large.
+        Standard deviation of the noise, in the residual's unit.
     """
     size = int(np.clip(residual.size // (COLUMNS // 3), SHORTEST, LONGEST))
     size = min(size, residual.size)
@@ -58,15 +69,15 @@ def time_frequency(residual: Array, dt_s: float, floor: float) -> Map:
     power = _windowed_power(residual, dt_s, size, starts)
     frequency_Hz = np.fft.rfftfreq(size, dt_s).astype(np.float64)
     edges_Hz = np.geomspace(frequency_Hz[1], frequency_Hz[-1], ROWS + 1)
-    rows = np.stack([_row(power, frequency_Hz, a, b) for a, b in itertools.pairwise(edges_Hz)])
+    rows = np.stack([_band_power(power, frequency_Hz, low, high) for low, high in itertools.pairwise(edges_Hz)])
     reference = 2.0 * dt_s * max(floor, 1e-12 * float(np.abs(residual).max()) + 1e-300) ** 2
     level_dB = 10.0 * np.log10(np.maximum(rows / reference, 1e-3))
     time_s = np.linspace(0.0, residual.size * dt_s, starts.size + 1)
-    return Map(time_s, edges_Hz, level_dB)
+    return PowerMap(time_s, edges_Hz, level_dB)
 
 
 def _windowed_power(values: Array, dt_s: float, size: int, starts: NDArray[np.int64]) -> Array:
-    """One-sided power density of every window about its mean, shape (windows, F) [unit^2 / Hz]."""
+    """One-sided power density of each window without its mean, shape (windows, F) [unit^2 / Hz]."""
     window = np.hanning(size + 2)[1:-1]
     scale = 2.0 * dt_s / float(window @ window)
     power = np.empty((starts.size, size // 2 + 1))
@@ -76,10 +87,10 @@ def _windowed_power(values: Array, dt_s: float, size: int, starts: NDArray[np.in
     return power
 
 
-def _row(power: Array, frequency_Hz: Array, low: float, high: float) -> Array:
-    """Mean power of the bins in a band, of the nearest where there is none, shape (windows,)."""
-    inside = (frequency_Hz >= low) & (frequency_Hz < high)
+def _band_power(power: Array, frequency_Hz: Array, low_Hz: float, high_Hz: float) -> Array:
+    """Mean power of the frequencies in a band, or power of the nearest frequency, shape (windows,)."""
+    inside = (frequency_Hz >= low_Hz) & (frequency_Hz < high_Hz)
     if not inside.any():
-        inside[np.abs(frequency_Hz - np.sqrt(low * high)).argmin()] = True
+        inside[np.abs(frequency_Hz - np.sqrt(low_Hz * high_Hz)).argmin()] = True
     result: Array = power[:, inside].mean(axis=1)
     return result

@@ -1,0 +1,1 @@
+"""Residuals of a diagnosis: over their drivers, the command's past, time and frequency."""
