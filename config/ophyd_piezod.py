@@ -1,4 +1,6 @@
-"""An ophyd-async device of a bench, over the records of piezod.db: read in a scan, armed and disarmed by staging.
+"""An ophyd-async device for a bench, over the EPICS records of piezod.db.
+
+A scan reads it; staging arms it and unstaging disarms it.
 
 from ophyd_async.core import init_devices
 from ophyd_piezod import PiezodBench
@@ -15,20 +17,20 @@ from ophyd_async.core import AsyncStatus, SignalR, SignalX, StandardReadable, wa
 from ophyd_async.core import StandardReadableFormat as Format
 from ophyd_async.epics.core import EpicsDevice, PvSuffix
 
-ARMED_WITHIN_S = 60.0  # reset cycle and approach included
+ARMED_WITHIN_S = 60.0  # time limit, including reset cycle and approach
 
 
 class PiezodBench(StandardReadable, EpicsDevice):
     """Force, reference and voltage of a bench that `piezod run` drives.
 
-    Staging arms it and waits until the reference is followed; unstaging ramps down.
+    Staging arms the bench and waits until it follows the reference; unstaging ramps down.
 
     Parameters
     ----------
     prefix
-        Of the records, such as `BENCH:`.
+        Prefix of the records, such as `BENCH:`.
     name
-        Of the device.
+        Name of the device.
     """
 
     force_N: Annotated[SignalR[float], PvSuffix("FORCE"), Format.HINTED_SIGNAL]
@@ -41,7 +43,7 @@ class PiezodBench(StandardReadable, EpicsDevice):
 
     @AsyncStatus.wrap
     async def stage(self) -> None:
-        """Arm, and wait until the reference is followed; a bench that faults instead is no success."""
+        """Arm and wait until the bench follows the reference; raise RuntimeError in FAULT."""
         await asyncio.gather(super().stage())
         await self.arm.trigger()
         await wait_for_value(self.state, lambda state: state in ("RUNNING", "FAULT"), ARMED_WITHIN_S)

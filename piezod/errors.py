@@ -1,73 +1,73 @@
-"""Every error that piezod raises on purpose, and the exit code it ends the command with.
+"""All deliberate errors of piezod, with the exit code of the command.
 
-    PiezodError
-    |- CheckFailedError        1   a check, a comparison or a demo did not reach its limit
-    |- UsageError              2   arguments that do not go together
-    |- TemporaryError         75   try again later
-    |  |- UnreachableError         nobody answers at that address or port
-    |  `- BusyError                somebody else holds the device, the port or the lock
-    `- ConfigurationError     78   a file says something impossible
-       |- ModelError               a model that cannot be loaded or inverted
-       |- IdentityError            the device is not the one the configuration names
-       `- RecordingError           a recording that cannot be used
+    PiezodError                1   General failure with a remedy.
+    |- CheckFailedError        1   A check, a comparison or a demo failed.
+    |- UsageError              2   The arguments do not fit together.
+    |- TemporaryError         75   A resource is not ready; try again later.
+    |  |- UnreachableError    75   No device or daemon answers at the address or port.
+    |  `- BusyError           75   Another process or client uses the device, the port or the lock.
+    `- ConfigurationError     78   A file contains an invalid value.
+       |- ModelError          78   A model cannot be loaded or inverted.
+       |- IdentityError       78   The connected device is not the configured device.
+       `- RecordingError      78   A recording cannot be read or used.
 
-A message is one line: what, where, the value, the limit, what to do. Signs that a terminal or a log would obey (line
-ends, escape sequences) may come from a file or a device; they are shown as escapes.
+A message is one line: what, where, the value, the limit, what to do. Text from a file or a device may contain control
+characters, such as line ends and escape sequences. The message shows them as escapes.
 """
 
 
 class PiezodError(Exception):
-    """A failure that the user can do something about."""
+    """A failure with a remedy for the user; base of all deliberate errors."""
 
     exit_code = 1
 
     def __str__(self) -> str:
-        """The message on one line, every sign printable."""
+        """The message on one line, with printable characters only."""
         text = super().__str__()
-        return text if text.isprintable() else "".join(map(_shown, text))
+        return text if text.isprintable() else "".join(map(_escaped, text))
 
 
 class CheckFailedError(PiezodError):
-    """A check did not reach its limit."""
+    """A check, a comparison or a demo failed."""
 
 
 class UsageError(PiezodError):
-    """Arguments that do not go together."""
+    """The arguments do not fit together."""
 
     exit_code = 2
 
 
 class TemporaryError(PiezodError):
-    """Something outside is not ready; the same command may work later."""
+    """A resource is not ready; the same command may succeed later."""
 
     exit_code = 75
 
 
 class UnreachableError(TemporaryError):
-    """Nobody answers at that address or port."""
+    """No device or daemon answers at the address or port."""
 
 
 class BusyError(TemporaryError):
-    """Somebody else holds the device, the port or the lock."""
+    """Another process or client uses the device, the port or the lock."""
 
 
 class ConfigurationError(PiezodError):
-    """A file says something impossible."""
+    """A file contains an invalid value."""
 
     exit_code = 78
 
 
 class ModelError(ConfigurationError):
-    """A model that cannot be loaded or inverted."""
+    """A model cannot be loaded or inverted."""
 
 
 class IdentityError(ConfigurationError):
-    """The device that answers is not the one the configuration names."""
+    """The connected device is not the configured device."""
 
 
 class RecordingError(ConfigurationError):
-    """A recording that cannot be used."""
+    """A recording cannot be read or used."""
 
 
-def _shown(sign: str) -> str:
-    return sign if sign.isprintable() else sign.encode("unicode_escape").decode("ascii")
+def _escaped(character: str) -> str:
+    return character if character.isprintable() else character.encode("unicode_escape").decode("ascii")

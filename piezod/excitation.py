@@ -1,7 +1,7 @@
-"""Waveforms: the shapes of force references, and the voltage excitations that a bench is recorded with.
+"""Waveform shapes for force references, and voltage excitations for the recordings of a bench.
 
-A shape is a function of the phase (periods since the start) with values from -1 to 1 that starts at its low end,
-where a stack rests.
+A shape is a function of the phase, the time in periods since the start. Its values lie between -1 and 1.
+It starts at or near -1, the rest position of a stack.
 """
 
 from fractions import Fraction
@@ -13,43 +13,43 @@ Array = NDArray[np.float64]
 
 MULTISINE_HARMONICS = (1, 2, 3, 5, 8, 13)
 
-# The third excitation; voltages as parts of the peak, times in periods of its main triangle. All chosen here.
-VIRGIN_SLOWNESS = 8.0  # the plays above half the peak move in the virgin rise only: it must last
+# The identification record: voltages relative to the peak, times in periods of its main triangle. Values chosen here.
+VIRGIN_SLOWDOWN = 8.0  # plays with a threshold above half the peak move only in the virgin rise
 STAIRCASE_LEVELS = 8
 DWELL_PERIODS = 0.1
 MINOR_LOOP_BIASES = (0.2, 0.5, 0.8)
-MINOR_LOOP_SIZES = (0.1, 0.25)  # from end to end
-REVERSAL_DEPTHS = (0.8, 0.6, 0.4, 0.2)  # below the peak, deepest first: a fan of first-order reversals
+MINOR_LOOP_SIZES = (0.1, 0.25)  # peak to peak
+REVERSAL_DEPTHS = (0.8, 0.6, 0.4, 0.2)  # below the peak, deepest first: first-order reversal curves
 NESTED_REVERSALS = (0.1, 0.9, 0.2, 0.8, 0.3, 0.7, 0.4, 0.6, 0.5)
 MULTISINE_RANGE = (0.1, 0.9)
-MULTISINE_PERIOD = 2.0  # of its lowest harmonic
+MULTISINE_PERIOD = 2.0  # period of the lowest harmonic
 MULTISINE_REPEATS = 2
 
 
 def triangle(phase: Array) -> Array:
-    """-1 to 1 and back, once a period."""
+    """Triangle from -1 to 1 and back in one period."""
     result: Array = 1.0 - 4.0 * np.abs(phase % 1.0 - 0.5)
     return result
 
 
 def sine(phase: Array) -> Array:
-    """Minus the cosine: -1 to 1 and back, once a period."""
+    """Negative cosine: from -1 to 1 and back in one period."""
     return -np.cos(2.0 * np.pi * phase)
 
 
 def staircase(phase: Array, levels: int) -> Array:
-    """`levels` equal treads up and the same down again, once a period."""
-    tread = np.floor(triangle_ramp(phase) * levels).clip(0, levels - 1)
-    return -1.0 + 2.0 * tread / (levels - 1)
+    """Staircase of `levels` equal levels, up and down in one period."""
+    level = np.floor(triangle_ramp(phase) * levels).clip(0, levels - 1)
+    return -1.0 + 2.0 * level / (levels - 1)
 
 
 def triangle_ramp(phase: Array) -> Array:
-    """The triangle from 0 to 1 and back."""
+    """Triangle from 0 to 1 and back in one period."""
     return 0.5 * (triangle(phase) + 1.0)
 
 
 def steps(phase: Array, levels: int, seed: int) -> Array:
-    """`levels` holds a period at levels drawn once from `seed`, spread over the whole range."""
+    """`levels` constant sections per period, equally spaced in -1..1, in a random order from `seed`."""
     order = np.random.default_rng(seed).permutation(levels)
     values = -1.0 + 2.0 * order / (levels - 1)
     result: Array = values[(np.floor(phase % 1.0 * levels)).astype(int).clip(0, levels - 1)]
@@ -57,7 +57,7 @@ def steps(phase: Array, levels: int, seed: int) -> Array:
 
 
 def multisine(phase: Array, seed: int) -> Array:
-    """Sum of harmonics with amplitudes as 1/h and phases drawn from `seed`, scaled to -1..1, from its lowest point."""
+    """Sum of harmonics h, amplitude 1/h, random phases from `seed`, scaled to -1..1; starts at its minimum."""
     shifts = np.random.default_rng(seed).uniform(0, 2 * np.pi, len(MULTISINE_HARMONICS))
 
     def raw(at: Array) -> Array:
@@ -74,7 +74,7 @@ def multisine(phase: Array, seed: int) -> Array:
 
 
 def shape(kind: str, phase: Array, *, levels: int = 8, seed: int = 1) -> Array:
-    """The shape called `kind` at `phase`, values from -1 to 1."""
+    """The shape `kind` at `phase`, values from -1 to 1; KeyError for an unknown kind."""
     shapes = {
         "triangle": lambda: triangle(phase),
         "sine": lambda: sine(phase),
@@ -86,9 +86,16 @@ def shape(kind: str, phase: Array, *, levels: int = 8, seed: int = 1) -> Array:
 
 
 def whole_periods(frequency_Hz: float, rate_Hz: float) -> tuple[float, int]:
-    """Fewest periods that fill a whole number of ticks to one part in a million: (periods, ticks).
+    """Smallest number of periods that fill a whole number of ticks: (periods, ticks).
 
-    Where a thousand periods are not enough the nearest number of ticks is taken.
+    At most 1000 periods; if none fits, the number of ticks is rounded.
+
+    Parameters
+    ----------
+    frequency_Hz
+        Frequency of the waveform [Hz].
+    rate_Hz
+        Ticks per second [Hz].
     """
     ticks_per_period = Fraction(rate_Hz / frequency_Hz).limit_denominator(1000)
     periods = ticks_per_period.denominator
@@ -96,13 +103,13 @@ def whole_periods(frequency_Hz: float, rate_Hz: float) -> tuple[float, int]:
 
 
 def constant_triangles(peak_V: float, frequency_Hz: float, periods: int, rate_Hz: float) -> Array:
-    """Triangles 0 -> `peak_V` -> 0, the thesis' first excitation [V]."""
+    """Triangles 0 -> `peak_V` -> 0 [V], one value per tick; the first excitation of the thesis."""
     phase = _phase(frequency_Hz, periods, rate_Hz)
     return peak_V * triangle_ramp(phase)
 
 
 def varying_triangles(peak_V: float, frequency_Hz: float, periods: int, rate_Hz: float) -> Array:
-    """Triangles from 0 whose peaks grow to `peak_V` and shrink again, the thesis' second excitation [V]."""
+    """Triangles from 0 with peaks that rise to `peak_V` and fall again [V]; the second excitation of the thesis."""
     phase = _phase(frequency_Hz, periods, rate_Hz)
     rising = (periods + 1) // 2
     number = np.floor(phase).clip(0, periods - 1)
@@ -112,22 +119,30 @@ def varying_triangles(peak_V: float, frequency_Hz: float, periods: int, rate_Hz:
 
 
 def staircase_minor_loops_multisine(peak_V: float, frequency_Hz: float, periods: int, rate_Hz: float) -> Array:
-    """One record that tells plays, dead zones and virgin curve apart, from 0 to `peak_V` and back [V].
+    """Identification record from 0 to `peak_V` and back [V], which determines plays, dead zones and virgin curve.
 
-    In this order: the virgin rise in steps at an eighth of the slew, a full triangle, minor loops of two sizes at three
-    biases, a staircase down and up with dwells, a fan of reversals from the peak, nested reversals that decay to the
-    middle, a multisine, and the return to 0. Steady triangles leave every play with a threshold above `peak_V` / 2
-    frozen (piezod/operators/README.md, "Limits of validity"); the virgin rise moves them, and the reversals separate
-    those below.
+    Its sections, in this order:
+
+    1. Virgin rise in steps, at an eighth of the slew.
+    2. One full triangle.
+    3. Minor loops of two sizes at three biases.
+    4. Staircase down and up, with a constant voltage after each step.
+    5. Reversals from the peak to four depths.
+    6. Nested reversals around the middle, with decreasing amplitude.
+    7. Multisine, and the return to 0.
+
+    After the first rise, steady triangles move no play with a threshold above `peak_V` / 2 (piezod/operators/README.md,
+    "Limits of validity"). The virgin rise moves these plays. The reversals separate the plays with lower thresholds.
 
     Parameters
     ----------
     peak_V, frequency_Hz
-        Of the main triangle; every ramp has its slew, 2 `peak_V` `frequency_Hz`, and the multisine under twice that.
+        Peak [V] and frequency [Hz] of the main triangle. Every ramp except the virgin rise has its slew of
+        2 `peak_V` `frequency_Hz`. The slew of the multisine is less than twice this value.
     periods
-        Repeats of the whole; only the first of them starts on the virgin curve.
+        Number of repetitions; only the first starts on the virgin curve.
     rate_Hz
-        Samples a second.
+        Samples per second [Hz].
     """
     times, levels, multisine_start = _identification_corners()
     phase = _phase(frequency_Hz, periods * float(times[-1]), rate_Hz)
@@ -142,12 +157,12 @@ def staircase_minor_loops_multisine(peak_V: float, frequency_Hz: float, periods:
 
 
 def _identification_corners() -> tuple[Array, Array, float]:
-    """Corners of the third excitation: times [periods of the triangle], levels [parts of the peak], multisine's start.
+    """Corners of the identification record: times [triangle periods], levels [peak], start of the multisine.
 
-    A level that follows itself is held.
+    Two equal consecutive levels form a section of constant voltage.
     """
-    treads = np.arange(1, STAIRCASE_LEVELS + 1) / STAIRCASE_LEVELS
-    up, down = np.repeat(treads, 2), np.repeat(1.0 - treads, 2)
+    steps_up = np.arange(1, STAIRCASE_LEVELS + 1) / STAIRCASE_LEVELS
+    up, down = np.repeat(steps_up, 2), np.repeat(1.0 - steps_up, 2)
     virgin = [0.0, 0.0, *up]
     loops = [
         bias + side * 0.5 * size
@@ -160,15 +175,15 @@ def _identification_corners() -> tuple[Array, Array, float]:
     before = [*virgin, 0.0, 1.0, 0.0, *loops, 1.0, *down, *up, *fan, *NESTED_REVERSALS, floor]
     levels = np.array([*before, floor, 0.0, 0.0])
     travel = 0.5 * np.abs(np.diff(levels))
-    travel[: len(virgin) - 1] *= VIRGIN_SLOWNESS
-    lasts = np.where(travel > 0.0, travel, DWELL_PERIODS)
-    lasts[len(before) - 1] = MULTISINE_REPEATS * MULTISINE_PERIOD
-    times = np.concatenate(([0.0], np.cumsum(lasts)))
+    travel[: len(virgin) - 1] *= VIRGIN_SLOWDOWN
+    durations = np.where(travel > 0.0, travel, DWELL_PERIODS)
+    durations[len(before) - 1] = MULTISINE_REPEATS * MULTISINE_PERIOD
+    times = np.concatenate(([0.0], np.cumsum(durations)))
     return times, levels, float(times[len(before) - 1])
 
 
 def _phase(frequency_Hz: float, periods: float, rate_Hz: float) -> Array:
-    """Phase of every tick, both ends included."""
+    """Phase at every tick, including both ends."""
     return np.arange(round(periods * rate_Hz / frequency_Hz) + 1, dtype=np.float64) * frequency_Hz / rate_Hz
 
 
@@ -178,7 +193,7 @@ EXCITATIONS = (*TRIANGLES, IDENTIFICATION)
 
 
 def excitation(name: str, peak_V: float, frequency_Hz: float, periods: int, rate_Hz: float) -> Array:
-    """The voltage excitation called `name`, from 0 to `peak_V`, one value a tick [V]."""
+    """The voltage excitation `name` between 0 and `peak_V` [V], one value per tick; KeyError for an unknown name."""
     makers = {
         "constant-triangles": constant_triangles,
         "varying-triangles": varying_triangles,
@@ -188,11 +203,11 @@ def excitation(name: str, peak_V: float, frequency_Hz: float, periods: int, rate
 
 
 def default_periods(name: str) -> int:
-    """How often an excitation is repeated unless one says so: five triangles; what tells all in one run, once."""
+    """Default number of periods: 5 for triangles, 1 for the identification record."""
     return 5 if name in TRIANGLES else 1
 
 
 def duration_s(name: str, frequency_Hz: float, periods: int) -> float:
-    """How long the excitation called `name` lasts [s]."""
+    """Duration of the excitation `name` [s]."""
     triangles = float(_identification_corners()[0][-1]) if name == IDENTIFICATION else 1.0
     return periods * triangles / frequency_Hz

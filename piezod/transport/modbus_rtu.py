@@ -1,7 +1,8 @@
 """Modbus RTU over a serial port; frames have no number, so every byte and the checksum are compared.
 
-    silence >= 3.5 characters [ unit ][ function | data ][ CRC, low byte first ] silence >= 3.5 characters
-                              [  1   ][    1     |  n   ][         2           ] bytes
+    frame:   [ unit ][ function | data ][ CRC, low byte first ]
+    bytes:   [  1   ][    1     |  n   ][         2           ]
+    between two frames: silence of at least 3.5 characters
 
 Bytes that do not match the expected reply are collected until the line is silent, classified and discarded.
 """

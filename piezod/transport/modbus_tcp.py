@@ -1,7 +1,7 @@
 """Modbus over TCP: one connection, one request at a time, and a check of every byte of the reply header.
 
-    [ transaction id | protocol id = 0 | length  | unit ][ function | data ]
-    [    2 bytes     |     2 bytes     | 2 bytes |  1   ][    1     |  n   ]
+    frame:   [ transaction id | protocol id = 0 | length | unit ][ function | data ]
+    bytes:   [       2        |        2        |   2    |  1   ][    1     |  n   ]
 
 A reply with another transaction id belongs to an earlier request and is discarded. After a timeout the connection is
 closed, so a late reply cannot reach the next request.

@@ -1,7 +1,7 @@
-"""The device profiles say what the makers' manuals say.
+"""The device profiles against the manuals of the devices.
 
-The tables are written from the manuals, independently of the YAML files; each names its source. Bytes are worked out by
-hand from the map's type and the profile's wiring, and decoded here with `struct` alone.
+The tables are written from the manuals, independently of the YAML files; each table names its source.
+The bytes are calculated by hand from register type and wiring. Only `struct` decodes them.
 """
 
 import re
@@ -53,7 +53,7 @@ MAPS = [
     ("thorlabs_mdt693b", "load_cell_link", _T7_LOAD_CELL),
 ]
 
-# What stands on the wire, and what it means at the bench.
+# Bytes on the wire, and the quantity at the bench.
 WIRE = [
     ("labjack_t7", "link", "voltage_setpoint", "40 00 00 00", 60.0),  # 2 V at DAC0, gain 30
     ("labjack_t7", "link", "voltage_setpoint", "40 80 00 00", 120.0),  # 4 V
@@ -73,7 +73,7 @@ WIRE = [
     ("wago_750", "link", "force", "80 01", -400.0),
     ("wago_750", "link", "voltage_readback", "7f ff", 200.0),
 ]
-# What a device answers that is the device: the value expected is these bytes.
+# Bytes in the identity registers of the right device.
 EXPECTED = [
     ("labjack_t7", "link", "identity", "40 e0 00 00"),  # 7.0
     ("labjack_t7", "link", "order_check", "00 11 22 33"),
@@ -97,7 +97,7 @@ READINGS = [
     ("pi_e625", "A=-1.25", -1.25),
     ("pi_e625", " 1.5e+01 ", 15.0),
     ("thorlabs_mdt693b", "[ 45.50]", 45.5),
-    ("thorlabs_mdt693b", ">[ 0.02]", 0.02),  # the prompt of the command before stands in front
+    ("thorlabs_mdt693b", ">[ 0.02]", 0.02),  # after the prompt of the previous command
     ("thorlabs_mdt693b", "*[37.50]", 37.5),
 ]
 NO_READINGS = [
@@ -140,7 +140,7 @@ def _line(name: str, role: str) -> tuple[SerialLineLink, LineCommand]:
     return link, command
 
 
-def test_there_is_a_profile_for_every_device():
+def test_every_device_has_a_profile():
     assert {path.stem for path in BENCHES} >= set(DEVICES)
 
 
@@ -150,12 +150,12 @@ def test_every_bench_configuration_loads(path):
 
 
 @pytest.mark.parametrize("name", DEVICES)
-def test_a_profile_bears_the_name_of_its_file(name):
+def test_the_name_of_a_profile_is_the_name_of_its_file(name):
     assert _bench(name).name == name
 
 
 @pytest.mark.parametrize(("name", "link", "expected"), MAPS)
-def test_registers_are_those_of_the_manual_and_no_others(name, link, expected):
+def test_the_registers_are_exactly_those_of_the_manual(name, link, expected):
     registers = _registers(name, link)
     found = {
         role: (register.address, register.function, register.type, register.byte_order)
@@ -166,36 +166,36 @@ def test_registers_are_those_of_the_manual_and_no_others(name, link, expected):
 
 
 @pytest.mark.parametrize(("name", "link", "role", "wire", "value"), WIRE)
-def test_bytes_on_the_wire_mean_the_quantity_at_the_bench(name, link, role, wire, value):
+def test_bytes_on_the_wire_decode_to_the_quantity_at_the_bench(name, link, role, wire, value):
     assert _decode(_register(name, link, role), wire) == pytest.approx(value, rel=1e-9, abs=1e-6)
 
 
 @pytest.mark.parametrize(("name", "link", "role", "wire"), EXPECTED)
-def test_the_device_that_is_meant_is_recognised_by_its_bytes(name, link, role, wire):
+def test_the_expected_value_equals_the_bytes_of_the_device(name, link, role, wire):
     register = _register(name, link, role)
     assert _decode(register, wire) == register.expect
 
 
 def test_a_t7_read_with_swapped_words_is_refused():
-    assert _decode(_register("labjack_t7", "link", "order_check"), "22 33 00 11") == 573767697  # as LabJack's page says
+    assert _decode(_register("labjack_t7", "link", "order_check"), "22 33 00 11") == 573767697  # LabJack
     assert _register("labjack_t7", "link", "order_check").expect != 573767697
 
 
 @pytest.mark.parametrize(("name", "role", "wire"), COMMANDS)
-def test_commands_are_sent_as_the_device_takes_them(name, role, wire):
+def test_command_lines_equal_those_of_the_manual(name, role, wire):
     link, command = _line(name, role)
     assert (command.send.format(voltage_V=10.0) + link.terminator).encode("ascii") == wire
 
 
 @pytest.mark.parametrize(("name", "answer", "value"), READINGS)
-def test_an_answer_gives_the_voltage(name, answer, value):
+def test_a_reply_contains_the_voltage(name, answer, value):
     match = re.fullmatch(_line(name, "measure")[1].reply, answer)
     assert match is not None
     assert float(match["voltage_readback_V"]) == value
 
 
 @pytest.mark.parametrize(("name", "answer"), NO_READINGS)
-def test_an_answer_without_a_voltage_is_no_reading(name, answer):
+def test_a_reply_without_a_voltage_does_not_match(name, answer):
     assert re.fullmatch(_line(name, "measure")[1].reply, answer) is None
 
 
@@ -206,7 +206,7 @@ def test_serial_ports_run_at_115200_8n1(name):
 
 
 @pytest.mark.parametrize("name", ["pi_e625", "thorlabs_mdt693b"])
-def test_the_line_carries_a_tick_in_half_its_period(name):
+def test_the_lines_of_a_tick_take_less_than_half_its_period(name):
     bench = _bench(name)
     link, command = _line(name, "set_voltage")
     characters = len(command.send.format(voltage_V=100.0)) + len(link.measure.send) + 2 * len(link.terminator) + 16
@@ -223,24 +223,8 @@ def test_the_voltage_range_lies_within_the_converter(name, full_scale):
         assert 0 <= (voltage_V - register.offset) / register.scale <= full_scale
 
 
-@pytest.mark.parametrize("path", BENCHES, ids=lambda path: path.stem)
-def test_every_ramp_moves_at_least_one_converter_step_a_tick(path):
-    """A slower one would never leave the step it stands on."""
-    bench = load_bench(path)
-    slowest_V_per_s = min(bench.limits.slew_V_per_s, bench.limits.ramp_down_V_per_s, bench.arming.voltage_V_per_s)
-    assert slowest_V_per_s * bench.dt_s >= bench.limits.voltage_step_V
-
-
-@pytest.mark.parametrize("path", BENCHES, ids=lambda path: path.stem)
-def test_a_device_watchdog_is_asked_for_only_where_there_is_one(path):
-    bench = load_bench(path)
-    link = bench.link
-    has_one = (link.watchdog if isinstance(link, SerialLineLink) else link.registers.watchdog_ms) is not None
-    assert has_one or bench.limits.device_watchdog_ms == 0
-
-
 @pytest.mark.parametrize("name", DEVICES)
-def test_a_profile_without_heartbeat_or_watchdog_says_what_that_costs(name):
+def test_a_profile_describes_the_missing_heartbeat_and_watchdog(name):
     text = (CONFIG / f"{name}.yaml").read_text(encoding="utf-8")
     assert "#   heartbeat" in text
-    assert re.search(r"#   watchdog.*for ever", text, re.DOTALL)
+    assert re.search(r"#   watchdog.*permanently", text, re.DOTALL)

@@ -35,7 +35,7 @@ def test_the_peaks_of_varying_triangles_grow_and_shrink():
 
 
 @pytest.mark.parametrize("name", EXCITATIONS)
-def test_an_excitation_lasts_as_long_as_said(name):
+def test_duration_s_is_the_length_of_the_excitation(name):
     voltages = excitation(name, 140.0, 0.1, 2, 100.0)
     assert (voltages.size - 1) / 100.0 == pytest.approx(duration_s(name, 0.1, 2), abs=0.01)
 
@@ -55,7 +55,7 @@ def test_the_identification_record_stays_in_range_and_below_ten_times_the_triang
     assert slew_V_per_s < 10.0 * 2.0 * peak_V * frequency_Hz
 
 
-def test_the_identification_record_holds_levels_on_the_way_up_and_on_the_way_down():
+def test_the_identification_record_has_constant_sections_up_and_down():
     voltages = excitation(IDENTIFICATION, 140.0, 0.1, 1, 100.0)
     moves = np.flatnonzero(np.diff(voltages) != 0)
     gaps = np.flatnonzero(np.diff(moves) >= 90)  # a dwell of a tenth of ten seconds, sampled at 100 Hz
@@ -87,7 +87,7 @@ def test_the_identification_record_runs_each_minor_loop_twice(bias, size):
     assert found.min() < 1e-3
 
 
-def test_the_identification_record_tells_every_play_apart_better_than_as_long_a_run_of_constant_triangles():
+def test_the_identification_record_determines_every_play_better_than_constant_triangles_of_equal_length():
     def spread(name, periods):
         """Standard deviations of play weights under white noise of the size of the peak."""
         voltages = excitation(name, 1.0, 0.1, periods, 20.0)
@@ -98,10 +98,10 @@ def test_the_identification_record_tells_every_play_apart_better_than_as_long_a_
     whole = duration_s(IDENTIFICATION, 0.1, 1)
     ratio = spread(IDENTIFICATION, 1) / spread("constant-triangles", round(whole / 10.0))
     assert ratio.max() < 1.0
-    assert ratio[5:].max() < 0.5  # the plays that steady triangles leave frozen
+    assert ratio[5:].max() < 0.5  # plays that steady triangles do not move
 
 
-def test_the_identification_record_reverses_from_the_peak_at_depths_of_its_own():
+def test_the_identification_record_reverses_from_the_peak_at_four_depths_and_zero():
     voltages = excitation(IDENTIFICATION, 1.0, 0.1, 1, 1000.0)
     moving = voltages[np.insert(np.diff(voltages) != 0, 0, True)]
     turns = np.round(moving[1:-1][np.diff(np.sign(np.diff(moving))) != 0], 3)

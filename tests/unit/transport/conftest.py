@@ -1,4 +1,4 @@
-"""Links to scripted devices."""
+"""Links to scripted devices, connected and after one valid exchange."""
 
 import contextlib
 
@@ -33,6 +33,9 @@ def line_config(port, **more):
     return SerialLineLink.model_validate(fields | LINE | more)
 
 
+MODBUS_WIRES = {"tcp": (ScriptedTcp, tcp_config), "rtu": (ScriptedPty, rtu_config)}
+
+
 @contextlib.contextmanager
 def opened(server, config):
     link = make_link(config)
@@ -43,9 +46,17 @@ def opened(server, config):
         link.close()
 
 
+@contextlib.contextmanager
+def modbus(wire, **more):
+    """A link over one of `MODBUS_WIRES`, and its scripted device."""
+    server_class, make_config = MODBUS_WIRES[wire]
+    with server_class() as server, opened(server, make_config(server.port, **more)) as pair:
+        yield pair
+
+
 @pytest.fixture
 def tcp():
-    """A link over TCP that has exchanged once, and its scripted device."""
+    """A link over TCP after one valid exchange, and its scripted device."""
     with ScriptedTcp() as server, opened(server, tcp_config(server.port)) as pair:
         assert pair[0].exchange(1.0) == 0
         yield pair
@@ -53,7 +64,7 @@ def tcp():
 
 @pytest.fixture
 def rtu():
-    """A link over a pty that has exchanged once, and its scripted device."""
+    """A link over a pty after one valid exchange, and its scripted device."""
     with ScriptedPty() as server, opened(server, rtu_config(server.port)) as pair:
         assert pair[0].exchange(1.0) == 0
         yield pair
@@ -61,7 +72,7 @@ def rtu():
 
 @pytest.fixture
 def line():
-    """A link by lines over a pty that has exchanged once, and its scripted device."""
+    """A link by ASCII lines over a pty after one valid exchange, and its scripted device."""
     with ScriptedLine() as server, opened(server, line_config(server.port)) as pair:
         assert pair[0].exchange(1.0) == 0
         yield pair

@@ -1,4 +1,4 @@
-"""Devices that answer as a test tells them to; written from the Modbus specification, without pymodbus or piezod."""
+"""Devices with scripted answers, written from the Modbus specification without pymodbus or piezod."""
 
 import contextlib
 import os
@@ -10,7 +10,7 @@ import time
 import tty
 from pathlib import Path
 
-CLOSE, RESET = "close", "reset"  # what an answer may hold beside bytes to send and seconds to wait
+CLOSE, RESET = "close", "reset"  # actions in an answer, besides bytes to send and seconds to wait
 FORCE_N_PER_V = 2.0
 
 MAP = {
@@ -30,7 +30,7 @@ SET_UP = {
 
 
 def registers(write=23, read=23, without=(), **more):
-    """The map with other functions, and without some roles."""
+    """The register map with the given functions, and without some roles."""
     roles = {role: dict(entry) for role, entry in MAP.items() if role not in without}
     for role, entry in roles.items():
         entry["function"] = write if role in ("voltage_setpoint", "command_sequence") else read
@@ -48,7 +48,7 @@ def crc(data):
 
 
 class Bench:
-    """Registers in memory; every request that reads the block advances the heartbeat."""
+    """Registers in memory; each request for the block advances the heartbeat."""
 
     def __init__(self):
         self.memory = bytearray(2 * 65536)
@@ -100,7 +100,7 @@ class Bench:
 
 
 class _Scripted:
-    """Hands every request to `answer(frame, number)`, which gives what to send, wait or do."""
+    """Calls `answer(frame, number)` for each request; it returns bytes to send, times to wait [s], or actions."""
 
     def __init__(self, bench=None):
         self.bench = bench or Bench()
@@ -119,7 +119,7 @@ class _Scripted:
         self.release()
 
     def once(self, answer):
-        """Answer like that once, then well."""
+        """Answer the next request by `answer`, and the following ones correctly."""
         first = self.number
 
         def choose(frame, number):
@@ -140,7 +140,7 @@ class _Scripted:
 
 
 class ScriptedTcp(_Scripted):
-    """One client at a time, any number after each other."""
+    """Modbus TCP server for one client at a time."""
 
     def __init__(self, bench=None):
         super().__init__(bench)
@@ -163,9 +163,9 @@ class ScriptedTcp(_Scripted):
             self.connections += 1
             connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
             with connection, contextlib.suppress(OSError):
-                self._attend(connection)
+                self._serve_client(connection)
 
-    def _attend(self, connection):
+    def _serve_client(self, connection):
         waiting = b""
         while not self._stop.is_set():
             if not select.select([connection], [], [], 0.02)[0]:
@@ -184,7 +184,7 @@ class ScriptedTcp(_Scripted):
 
 
 class ScriptedPty(_Scripted):
-    """The other end of a serial port; it keeps the port's own end open, as a cable does."""
+    """Modbus RTU device on a pseudo-terminal; the port stays open without a client, like a cable."""
 
     def __init__(self, bench=None):
         super().__init__(bench)
@@ -201,7 +201,7 @@ class ScriptedPty(_Scripted):
                 os.close(descriptor)
 
     def whole(self, waiting):
-        """Length of the request that `waiting` begins with; 0 when it is not whole."""
+        """Length of the first request in `waiting`; 0: incomplete."""
         if len(waiting) < 8:
             return 0
         fixed = {23: (11, 10), 16: (7, 6)}.get(waiting[1])
@@ -231,7 +231,7 @@ class ScriptedPty(_Scripted):
 
 
 class ScriptedLine(ScriptedPty):
-    """A device that understands `SET 1.000`, `GET`, `ID`, `DOG 100`."""
+    """A device with the commands `SET 1.000`, `GET`, `ID` and `DOG 100`."""
 
     def good(self, frame):
         word, _, rest = frame.decode("ascii").strip().partition(" ")
@@ -266,12 +266,12 @@ def snapshot(reading):
 
 
 def descriptors():
-    """How many file descriptors this process has open."""
+    """Number of open file descriptors of this process."""
     return sum(1 for _ in Path("/proc/self/fd").iterdir())
 
 
 def until_good(act, seconds=2.0):
-    """Repeat `act` until it gives OK (0); the results on the way."""
+    """Repeat `act` until it returns OK (0); all its results."""
     results, end = [], time.monotonic() + seconds
     while not results or results[-1] != 0:
         assert time.monotonic() < end, results[-5:]

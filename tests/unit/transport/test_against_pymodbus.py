@@ -1,4 +1,4 @@
-"""pymodbus' own server judges what goes over the wire."""
+"""Links against the servers of pymodbus, an independent implementation of Modbus."""
 
 import asyncio
 import os
@@ -66,27 +66,27 @@ def port():
 
 @pytest.fixture(scope="module")
 def client(port):
-    with ModbusTcpClient("127.0.0.1", port=port, timeout=1, retries=0) as judge:
-        yield judge
+    with ModbusTcpClient("127.0.0.1", port=port, timeout=1, retries=0) as connected:
+        yield connected
 
 
-def held_V(client, address=100, **order):
+def stored_V(client, address=100, **order):
     words = client.read_holding_registers(address, count=2, device_id=1).registers
     return client.convert_from_registers(words, client.DATATYPE.FLOAT32, **order)
 
 
 @pytest.mark.parametrize(("write", "read"), PATHS)
-def test_pymodbus_understands_every_way_of_exchanging(port, client, write, read):
+def test_pymodbus_accepts_every_combination_of_functions(port, client, write, read):
     config = tcp_config(port, timeout_s=1.0, registers=registers(write, read, without=STATIC))
     with opened(None, config) as (link, _):
         assert link.exchange(12.25 + write + read) is ExchangeResult.OK
         assert link.reading.force_N == 55.5
         assert link.reading.status == 5
-        assert held_V(client) == 12.25 + write + read
+        assert stored_V(client) == 12.25 + write + read
         assert link.poll() is ExchangeResult.OK
 
 
-def test_pymodbus_understands_the_single_register_write(port, client):
+def test_pymodbus_accepts_the_single_register_write(port, client):
     single = registers(6, 3, without=STATIC)
     single["voltage_setpoint"] |= {"type": "uint16", "scale": 0.01}
     with opened(None, tcp_config(port, timeout_s=1.0, registers=single)) as (link, _):
@@ -95,15 +95,15 @@ def test_pymodbus_understands_the_single_register_write(port, client):
         assert client.read_holding_registers(100, count=1, device_id=1).registers == [1234]
 
 
-def test_pymodbus_sees_the_word_order_named(port, client):
+def test_pymodbus_decodes_the_configured_word_order(port, client):
     swapped = registers(without=STATIC)
     swapped["voltage_setpoint"] |= {"order": "CDAB"}
     with opened(None, tcp_config(port, timeout_s=1.0, registers=swapped)) as (link, _):
         assert link.exchange(-3.5) is ExchangeResult.OK
-        assert held_V(client, word_order="little") == -3.5
+        assert stored_V(client, word_order="little") == -3.5
 
 
-def test_pymodbus_refuses_an_address_it_does_not_have(port):
+def test_an_address_outside_the_map_gives_an_exception(port):
     outside = registers(without=STATIC)
     outside["force"] |= {"address": 290}
     outside["voltage_readback"] |= {"address": 299}
@@ -116,7 +116,7 @@ def test_pymodbus_refuses_an_address_it_does_not_have(port):
 
 
 class Cable:
-    """Two pseudo terminals, back to back."""
+    """Two connected pseudo-terminals."""
 
     def __enter__(self):
         pairs = [os.openpty(), os.openpty()]
@@ -137,14 +137,14 @@ class Cable:
             os.close(descriptor)
 
     def _carry(self):
-        one, other = self._masters
+        first, second = self._masters
         while not self._stop.is_set():
             for master in select.select(self._masters, [], [], 0.02)[0]:
-                os.write(other if master == one else one, os.read(master, 4096))
+                os.write(second if master == first else first, os.read(master, 4096))
 
 
 @pytest.mark.parametrize(("write", "read"), PATHS)
-def test_pymodbus_understands_every_way_of_exchanging_over_a_serial_line(write, read):
+def test_pymodbus_accepts_every_combination_of_functions_over_a_serial_line(write, read):
     with Cable() as cable:
 
         def make():

@@ -1,3 +1,5 @@
+"""Registers and blocks of registers: encoding, decoding and checks."""
+
 import struct
 from math import isnan
 
@@ -25,7 +27,7 @@ def register(kind, order=None, **more):
 
 
 def by_pymodbus(kind, order, raw):
-    """pymodbus puts the words in order; the bytes within a word are swapped here."""
+    """pymodbus orders the words; this function swaps the bytes in a word."""
     first = order in ("AB", "BA", "ABCD", "BADC")
     words = ModbusTcpClient.convert_to_registers(raw, PYMODBUS[kind], word_order="big" if first else "little")
     swapped = order in ("BA", "BADC", "DCBA")
@@ -40,7 +42,7 @@ def raw_values(kind):
 
 @pytest.mark.parametrize(("kind", "order"), KINDS)
 @given(data=st.data())
-def test_bytes_are_those_of_pymodbus(kind, order, data):
+def test_the_bytes_equal_those_of_pymodbus(kind, order, data):
     raw = data.draw(raw_values(kind))
     buffer = bytearray(8)
     codec = RegisterCodec(register(kind, order))
@@ -55,7 +57,7 @@ def test_bytes_are_those_of_pymodbus(kind, order, data):
     offset=st.floats(-1e3, 1e3),
     data=st.data(),
 )
-def test_what_comes_back_is_within_half_a_count(kind, scale, offset, data):
+def test_the_decoded_value_is_within_half_a_count(kind, scale, offset, data):
     low, high = RANGES[kind]
     value = data.draw(st.floats(low, high)) * scale + offset
     codec = RegisterCodec(register(kind, scale=scale, offset=offset))
@@ -71,19 +73,19 @@ def test_what_comes_back_is_within_half_a_count(kind, scale, offset, data):
     [("uint16", -1.0), ("uint16", 65535.6), ("int16", 32768.0), ("int32", 2.0**31), ("float32", 3.5e38),
      ("float32", float("nan")), ("uint16", float("inf")), ("int32", float("nan"))],
 )  # fmt: skip
-def test_what_does_not_fit_is_never_saturated(kind, value):
+def test_a_value_that_does_not_fit_is_not_saturated_and_leaves_the_buffer(kind, value):
     buffer = bytearray(b"same")
     assert isnan(RegisterCodec(register(kind)).pack_into(buffer, 0, value))
     assert buffer == b"same"
 
 
-def test_low_and_high_of_a_register_bound_what_is_written():
+def test_low_and_high_of_a_register_bound_the_written_value():
     codec = RegisterCodec(register("float32", low=0.0, high=10.0))
     assert isnan(codec.pack_into(bytearray(4), 0, 10.5))
     assert codec.pack_into(bytearray(4), 0, 10.0) == 10.0
 
 
-def test_limits_that_cannot_be_encoded_are_refused_by_name():
+def test_a_limit_that_cannot_be_encoded_is_refused_with_its_name():
     codec = RegisterCodec(register("uint16", scale=0.001))
     codec.check_encodable(0.0, 65.0, "link")
     with pytest.raises(ConfigurationError, match=r"link: 140 cannot be encoded, must be within 0 and 65\.535"):
@@ -91,7 +93,7 @@ def test_limits_that_cannot_be_encoded_are_refused_by_name():
 
 
 @given(data=st.data())
-def test_a_block_decodes_like_its_registers_one_by_one(data):
+def test_a_block_decodes_like_its_single_registers(data):
     """Any types and orders, with gaps."""
     members, address = {}, data.draw(st.integers(0, 100))
     for role in ("force", "voltage_readback", "temperature", "reference"):
@@ -119,12 +121,12 @@ def test_a_block_decodes_like_its_registers_one_by_one(data):
 
 
 @pytest.mark.parametrize("fields", [{"scale": 2.0}, {"offset": 1.0}, {"high": 9.0}, {"kind": "float32"}])
-def test_a_counter_that_is_no_plain_whole_number_is_refused(fields):
+def test_a_counter_that_is_not_a_plain_integer_is_refused(fields):
     with pytest.raises(ConfigurationError, match=r"registers\.heartbeat.*it is a counter or status bits"):
         ReadBlock({"heartbeat": register(**({"kind": "uint16"} | fields))})
 
 
-def test_a_heartbeat_may_stand_for_the_configured_time_and_no_longer(monkeypatch):
+def test_a_heartbeat_may_stay_unchanged_for_the_configured_time_only(monkeypatch):
     now_s = 100.0
     monkeypatch.setattr(tick_values, "monotonic", lambda: now_s)
     plausibility = Plausibility(frozenset({"heartbeat"}), heartbeat_within_s=0.005)
