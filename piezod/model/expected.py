@@ -9,7 +9,7 @@ cell follow it; the compensator ignores them.
 
 The correction takes the influence of the load cell from the model and everything else from the reading. It amplifies no
 noise, as the inverse of a low-pass would, and integrates no error, as the inverse of a leakage would. While the reading
-is frozen, the last difference is kept. The result is for display and comparison; the interlocks check the raw reading.
+is frozen, the last difference stays. The result is for display and comparison; the interlocks check the raw reading.
 """
 
 import math
@@ -197,7 +197,7 @@ class ExpectedReading:
         self._gain = dt_s / HUM_TIME_CONSTANT_S
 
     def reset(self) -> None:
-        """Return to the model's start state at rest; the estimate of the hum is kept."""
+        """Return to the model's start state at rest; the estimate of the hum stays."""
         self._chain.reset()
         self._cell[len(CELL) :] = 0.0
         self._cell[CELL_STATE.last_reading_N] = math.nan

@@ -148,9 +148,10 @@ def _delay_s(model: Model, acting: ActingEffects, without: Collection[str]) -> f
 def ticks_late(delay_s: float, lag_s: float, dt_s: float) -> float:
     """Delay of the readings of a steadily rising force, when every tick holds its voltage [ticks].
 
-    A reading shows the force at the fraction f of an earlier tick. There, the step of that tick has risen to the share
-    w = (1 - exp(-f T / lag)) / (1 - exp(-T / lag)) of its value at the end of the tick; without a lag, w = 1. The
-    remaining share 1 - w arrives one tick later (derived here).
+    A reading shows the force at the fraction f of an earlier tick. By then the step of that tick has risen to the share
+    w of its value at the end of the tick. The share 1 - w arrives one tick later. Without a lag w = 1; with a lag
+
+        w = (1 - exp(-f T / lag)) / (1 - exp(-T / lag))     (derived here)
 
     Parameters
     ----------

@@ -52,7 +52,7 @@ class Plant:
         return float(bottom), float(top)
 
 
-def effects_in(model: Model, sha256: str | None = None) -> list[tuple[Effect, dict[str, float]]]:
+def _acting_in(model: Model, sha256: str | None = None) -> list[tuple[Effect, dict[str, float]]]:
     """Effects of the model that act in a recording, in the order of the signal chain.
 
     Parameters
@@ -94,7 +94,7 @@ def run_chain(
     path_V
         Voltages that led the operator to its state [V].
     """
-    effects = effects_in(model, sha256)
+    effects = _acting_in(model, sha256)
     if not effects and model.hold != HELD_BEFORE:
         return operator.run(command_V)
     if model.hold == HELD_BEFORE:
@@ -117,7 +117,7 @@ def run_chain(
     for effect, values in _located(effects, Location.AMPLIFIER, Location.AMPLIFIER):
         signal = effect.forward(signal, context, values)
         context = behind(effect, replace(context, applied_V=signal, cache={}))
-    factor, offset_V = widened(effects, context)
+    factor, offset_V = _widening(effects, context)
     signal = operator.stroke(signal, factor, offset_V)
     for effect, values in _located(effects, Location.STACK, Location.STACK):
         signal = effect.forward(signal, context, values)
@@ -129,7 +129,9 @@ def run_chain(
     return signal
 
 
-def widened(effects: Sequence[tuple[Effect, dict[str, float]]], context: Context) -> tuple[Array | None, Array | None]:
+def _widening(
+    effects: Sequence[tuple[Effect, dict[str, float]]], context: Context
+) -> tuple[Array | None, Array | None]:
     """Factor and offset of the play thresholds, each of shape (N,) or None."""
     factor: Array | None = None
     offset_V: Array | None = None
