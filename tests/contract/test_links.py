@@ -10,7 +10,7 @@ import pytest
 from piezod.errors import ConfigurationError
 from piezod.transport import ExchangeResult, Link, Reading, make_link, verify_identity
 from tests.benches.in_process_link import InProcessLink
-from tests.unit.transport.conftest import line_config, rtu_config, tcp_config
+from tests.unit.transport.conftest import WIRES, connected, line_config, rtu_config, tcp_config
 from tests.unit.transport.scripted import Bench, ScriptedLine, ScriptedPty, ScriptedTcp, registers, snapshot, until_good
 
 
@@ -86,9 +86,6 @@ LINKS = {
     "lines and tcp": pair,
     "in process": in_process,
 }
-
-
-WIRES = [(ScriptedTcp, tcp_config), (ScriptedPty, rtu_config), (ScriptedLine, line_config)]
 
 
 @pytest.fixture(params=LINKS)
@@ -198,33 +195,23 @@ def test_exchanges_do_not_accumulate_memory(subject):
     assert sys.getallocatedblocks() - before < 100
 
 
-@pytest.mark.parametrize(("server_class", "make_config"), WIRES)
-def test_an_exchange_ends_at_its_time_limit(server_class, make_config):
-    with server_class() as server:
-        link = make_link(make_config(server.port, timeout_s=5.0))
-        link.open()
-        try:
-            assert link.exchange(1.0) is ExchangeResult.OK
-            link.time_limit_s = 0.01
-            server.answer = lambda _frame, _number: []
-            begun_s = time.monotonic()
-            assert link.exchange(2.0) is ExchangeResult.TIMEOUT
-            assert time.monotonic() - begun_s < 2.0
-        finally:
-            link.close()
+@pytest.mark.parametrize("wire", WIRES)
+def test_an_exchange_ends_at_its_time_limit(wire):
+    with connected(wire, timeout_s=5.0) as (link, server):
+        assert link.exchange(1.0) is ExchangeResult.OK
+        link.time_limit_s = 0.01
+        server.answer = lambda _frame, _number: []
+        begun_s = time.monotonic()
+        assert link.exchange(2.0) is ExchangeResult.TIMEOUT
+        assert time.monotonic() - begun_s < 2.0
 
 
-@pytest.mark.parametrize(("server_class", "make_config"), WIRES)
-def test_a_request_that_is_already_late_is_not_sent(server_class, make_config):
-    with server_class() as server:
-        link = make_link(make_config(server.port))
-        link.open()
-        try:
-            assert link.exchange(1.0) is ExchangeResult.OK
-            link.time_limit_s, sent = 0.0, len(server.bench.requests)
-            assert link.exchange(2.0) is not ExchangeResult.OK
-            time.sleep(0.05)
-            assert len(server.bench.requests) == sent
-            assert server.bench.voltage_V == 1.0
-        finally:
-            link.close()
+@pytest.mark.parametrize("wire", WIRES)
+def test_a_request_that_is_already_late_is_not_sent(wire):
+    with connected(wire) as (link, server):
+        assert link.exchange(1.0) is ExchangeResult.OK
+        link.time_limit_s, sent = 0.0, len(server.bench.requests)
+        assert link.exchange(2.0) is not ExchangeResult.OK
+        time.sleep(0.05)
+        assert len(server.bench.requests) == sent
+        assert server.bench.voltage_V == 1.0

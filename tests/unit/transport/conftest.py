@@ -34,6 +34,7 @@ def line_config(port, **more):
 
 
 MODBUS_WIRES = {"tcp": (ScriptedTcp, tcp_config), "rtu": (ScriptedPty, rtu_config)}
+WIRES = MODBUS_WIRES | {"line": (ScriptedLine, line_config)}
 
 
 @contextlib.contextmanager
@@ -47,32 +48,32 @@ def opened(server, config):
 
 
 @contextlib.contextmanager
-def modbus(wire, **more):
-    """A link over one of `MODBUS_WIRES`, and its scripted device."""
-    server_class, make_config = MODBUS_WIRES[wire]
+def connected(wire, **more):
+    """A link over one of `WIRES`, and its scripted device."""
+    server_class, make_config = WIRES[wire]
     with server_class() as server, opened(server, make_config(server.port, **more)) as pair:
+        yield pair
+
+
+def _after_one_exchange(wire):
+    with connected(wire) as pair:
+        assert pair[0].exchange(1.0) == 0
         yield pair
 
 
 @pytest.fixture
 def tcp():
     """A link over TCP after one valid exchange, and its scripted device."""
-    with ScriptedTcp() as server, opened(server, tcp_config(server.port)) as pair:
-        assert pair[0].exchange(1.0) == 0
-        yield pair
+    yield from _after_one_exchange("tcp")
 
 
 @pytest.fixture
 def rtu():
     """A link over a pty after one valid exchange, and its scripted device."""
-    with ScriptedPty() as server, opened(server, rtu_config(server.port)) as pair:
-        assert pair[0].exchange(1.0) == 0
-        yield pair
+    yield from _after_one_exchange("rtu")
 
 
 @pytest.fixture
 def line():
     """A link by ASCII lines over a pty after one valid exchange, and its scripted device."""
-    with ScriptedLine() as server, opened(server, line_config(server.port)) as pair:
-        assert pair[0].exchange(1.0) == 0
-        yield pair
+    yield from _after_one_exchange("line")

@@ -7,7 +7,7 @@ import pytest
 
 from piezod.errors import ConfigurationError, IdentityError, TemporaryError
 from piezod.transport import ExchangeResult, verify_identity
-from tests.unit.transport.conftest import MODBUS_WIRES, modbus
+from tests.unit.transport.conftest import MODBUS_WIRES, connected
 from tests.unit.transport.garbled import exception, overwritten, with_body
 from tests.unit.transport.scripted import CLOSE, registers, until_good
 
@@ -95,7 +95,7 @@ def test_the_code_of_the_last_exception_is_stored(tcp):
 def test_a_single_register_write_requires_its_value_in_the_reply(wire):
     single = registers(6, 3, without=("command_sequence", "command_echo"))
     single["voltage_setpoint"] |= {"type": "int16", "scale": 0.01}
-    with modbus(wire, registers=single) as (link, server):
+    with connected(wire, registers=single) as (link, server):
         assert link.exchange(12.344) is ExchangeResult.OK
         assert link.exchange(7.5) is ExchangeResult.OK
         assert server.bench.get(100, ">h") == 750

@@ -8,7 +8,7 @@ import pytest
 
 from piezod.transport import ExchangeResult
 from tests.unit.transport import garbled
-from tests.unit.transport.conftest import MODBUS_WIRES, TIMEOUT_S, modbus
+from tests.unit.transport.conftest import MODBUS_WIRES, TIMEOUT_S, connected
 from tests.unit.transport.garbled import DATA, exception, overwritten, resized
 from tests.unit.transport.scripted import CLOSE, RESET, registers, snapshot, until_good
 
@@ -77,7 +77,7 @@ def test_a_reply_in_single_bytes_is_accepted(request, wire):
 
 @pytest.mark.parametrize(("wire", "delay"), [("tcp", 1.3), ("rtu", 1.2), ("rtu", 1.6), ("rtu", 1.9)])
 def test_a_late_reply_is_never_used_for_the_next_request(wire, delay):
-    with modbus(wire, registers=registers(without=UNNUMBERED)) as (link, server):
+    with connected(wire, registers=registers(without=UNNUMBERED)) as (link, server):
         server.once(lambda frame: [delay * TIMEOUT_S, server.good(frame)])
         assert link.exchange(5.0) is ExchangeResult.TIMEOUT
         results = until_good(lambda: link.exchange(6.0))
@@ -98,7 +98,7 @@ def test_a_late_reply_is_never_used_for_the_next_request(wire, delay):
 )
 def test_replies_that_are_always_late_by_one_request_are_never_used(wire, write, rejections):
     functions = registers(write, 23 if write == 23 else 3, without=("heartbeat",))
-    with modbus(wire, registers=functions, timeout_s=0.02) as (link, server):
+    with connected(wire, registers=functions, timeout_s=0.02) as (link, server):
         replies = []
 
         def answer(frame, _number):
