@@ -1,7 +1,7 @@
 """The sensitivity of the stack changes during the record, by depolarisation, ageing or self-heating.
 
-Forward    x (1 + relative_change g(q)), with g(q) = (1 - exp(-b q)) / (1 - exp(-b)) for the bend b,
-           q = p - s sin(2 pi p) / (2 pi) for the s_shape s, and p = t / duration.
+Forward    x (1 + relative_change g(q)); g(q) = (1 - exp(-b q)) / (1 - exp(-b)), b is the bend;
+           q = p - s sin(2 pi p) / (2 pi), s is the s_shape; p = t / duration.
 Inverse    Divide by 1 + relative_change, the constant gain at the end of the record. Identify again when it changes.
 Signature  The same loop grows or shrinks in proportion to itself, time after time. Look-alikes: thermal_drift and creep
            add a term that does not scale with the loop.

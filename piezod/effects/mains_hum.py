@@ -1,6 +1,6 @@
 """The mains couples into the signal of the load cell, with harmonics.
 
-Forward    F + amplitude (sin a + H), a = 2 pi f t + phase,
+Forward    F + amplitude (sin a + H); a = 2 pi f t + phase;
            H = sum over h = 2 to 7 of sine_h sin(h a) + cosine_h cos(h a).
 Inverse    On the reading: subtract it, with a phase that is followed.
 Signature  Narrow lines at 50 or 60 Hz and multiples, folded at half the sampling rate, also at rest. Look-alike:

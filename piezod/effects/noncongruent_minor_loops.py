@@ -1,8 +1,9 @@
 """Minor loops differ with bias or with cycle count, which no sum of plays and force law reproduces.
 
-Forward    v = x + share s/2 (P + C - m b), with the plays
-           P = sum_i sum_jd w_jd h_j(i) [T_d(x_i) - T_d(y)] / n, the curve C = sum_d c_d [T_d(y) - T_d(-1)],
-           x_i = 2 z_i / s - 1, y = 2 u / s - 1, and b the state of `bouc_wen` moved by u.
+Forward    v = x + share s/2 (P + C - m b).
+           P = sum_i sum_jd w_jd h_j(i) [T_d(x_i) - T_d(y)] / n;
+           C = sum_d c_d [T_d(y) - T_d(-1)]; x_i = 2 z_i / s - 1, y = 2 u / s - 1.
+           b is the state of `bouc_wen` moved by u: a memory that fades.
            s is the identified voltage range, z_i are the states of n plays up to s.
            h_j are hat functions over i, T_d are Chebyshev polynomials.
 Inverse    Refused: it is no play operator, and the sum need not be monotone.

@@ -32,6 +32,6 @@ EFFECT = Effect(
     handling="compensated",
     smooths=True,
     docstring=__doc__,
-    separate_by="steps or triangles with sharp corners, sampled at ten times the mode's frequency",
+    separate_by="steps or triangles with abrupt corners, sampled at ten times the mode's frequency",
     checks=Checks(values={"frequency_Hz": 8.0, "damping_ratio": 0.1}),
 )

@@ -6,7 +6,7 @@ Signature  Equal readings while the model moves. Look-alikes: load_step moves af
            everywhere.
 Location   Acquisition.
 Valid      Stretches of at least three samples, outside of a hold.
-Source     Derived here: a device that repeats its last value; piezod/effects/README.md, "Sensor dropout".
+Source     Derived here for a device that repeats its last value; piezod/effects/README.md, "Sensor dropout".
 """
 
 import numpy as np

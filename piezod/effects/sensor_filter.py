@@ -9,7 +9,7 @@ Signature  Rounded and late corners, noise that falls above f_c. Look-alikes: el
 Location   Load cell.
 Valid      f_c from a few periods per record to a third of the sampling rate. A higher one is indistinguishable from a
            delay.
-Source     Derived here: r follows from the definition of the cutoff, |H(f_c)|^2 = 1/2;
+Source     Derived here. r follows from the definition of the cutoff, |H(f_c)|^2 = 1/2;
            piezod/effects/README.md, "Sensor filter".
 """
 

@@ -6,7 +6,7 @@ Signature  An offset that follows the recorded temperature, whatever is driven. 
            charge_leakage returns to the start value, gain_drift scales with the loop.
 Location   Mechanics.
 Valid      Records in which the temperature changes. They need the channel temperature_C.
-Source     Derived here: 0.5 to 30 N/K follow from 5 to 50 N/um, 20 to 40 mm and 5 to 15 ppm/K;
+Source     Derived here. 0.5 to 30 N/K follow from 5 to 50 N/um, 20 to 40 mm and 5 to 15 ppm/K;
            piezod/effects/README.md, "Thermal drift".
 """
 

@@ -1,6 +1,6 @@
 """Promises of the catalogue about every effect. Each test checks one promise for all of them.
 
-A new effect needs no change here: `Effect.checks` holds its test values and its exceptions.
+A new effect needs no change in this file. `Effect.checks` holds its test values and its exceptions.
 """
 
 import ast

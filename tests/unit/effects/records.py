@@ -1,4 +1,4 @@
-"""Records that the tests of effects drive."""
+"""Signals and contexts for the tests of effects."""
 
 from dataclasses import replace
 
@@ -14,18 +14,18 @@ def over(signal, dt_s, **changed):
 
 
 def forward(name, signal, dt_s, values, **changed):
-    """What an effect makes of a signal; nuisances that are not given stay as the effect has them."""
+    """Output of an effect for a signal; a nuisance that is not given has the default of the effect."""
     return EFFECTS[name].forward(signal, over(signal, dt_s, **changed), values)
 
 
 def triangle(frequency_Hz, dt_s, periods, peak=1.0):
-    """0 to peak and back, `periods` times; one period is a whole number of samples."""
+    """From 0 to the peak and back, `periods` times; a period is a whole number of samples."""
     phase = np.arange(round(periods / (frequency_Hz * dt_s)) + 1) * frequency_Hz * dt_s
     return peak * (1.0 - np.abs(1.0 - 2.0 * (phase % 1.0)))
 
 
 def opening(x, y, samples_a_period):
-    """Largest distance of the branches of the last loop at one x, over the range of x.
+    """Largest vertical distance between the branches of the last loop, divided by the range of x.
 
     Source: piezod/operators/README.md, "Maximum hysteresis".
     """

@@ -24,7 +24,7 @@ def test_a_clamp_leaves_the_voltage_below_and_holds_it_above():
     np.testing.assert_array_equal(clamped, np.minimum(u, 70.0))
 
 
-def test_the_knee_joins_both_lines_in_value_and_slope_and_takes_a_quarter_of_itself_at_the_limit():
+def test_the_knee_joins_both_lines_in_value_and_slope_and_lies_a_quarter_knee_below_at_the_limit():
     u = np.linspace(50.0, 90.0, 4001)
     clamped = forward("voltage_clamp", u, DT_s, {"limit_V": 70.0, "knee_V": 4.0})
     slope = np.diff(clamped) / np.diff(u)
@@ -35,7 +35,7 @@ def test_the_knee_joins_both_lines_in_value_and_slope_and_takes_a_quarter_of_its
 
 
 @pytest.mark.parametrize("size_V", [2.0, 20.0, 60.0])
-def test_a_step_takes_its_size_over_the_limit(size_V):
+def test_a_step_takes_its_size_divided_by_the_limit(size_V):
     u = np.zeros(1000)
     u[100:] = size_V
     slewed = forward("slew_limit", u, DT_s, {"limit_V_per_s": 100.0}, hold=HELD)
@@ -43,7 +43,7 @@ def test_a_step_takes_its_size_over_the_limit(size_V):
     assert arrived - 0.1 == pytest.approx(size_V / 100.0, abs=1.01 * DT_s)
 
 
-def test_a_rate_below_the_limit_passes_and_one_above_falls_behind_by_the_difference():
+def test_a_rate_below_the_limit_passes_and_a_rate_above_it_becomes_the_limit():
     u = 80.0 * np.arange(500) * DT_s
     np.testing.assert_allclose(forward("slew_limit", u, DT_s, {"limit_V_per_s": 81.0}), u, atol=1e-12)
     np.testing.assert_allclose(forward("slew_limit", u, DT_s, {"limit_V_per_s": 50.0}), u * 50.0 / 80.0, atol=1e-12)
@@ -55,16 +55,16 @@ def test_a_rate_below_the_limit_passes_and_one_above_falls_behind_by_the_differe
     now=st.floats(-5.0, 5.0),
     most=st.floats(1e-3, 10.0),
 )
-def test_one_slew_step_is_a_thousand_small_ones(y, before, now, most):
+def test_one_slew_step_equals_a_thousand_small_steps(y, before, now, most):
     parts = 1000
-    ways = before + (now - before) * np.arange(parts + 1) / parts
+    commands = before + (now - before) * np.arange(parts + 1) / parts
     fine = y
-    for a, b in pairwise(ways):
+    for a, b in pairwise(commands):
         fine = slew_step(fine, a, b, most / parts)
     assert slew_step(y, before, now, most) == pytest.approx(fine, abs=1e-9)
 
 
-def test_a_held_command_is_followed_from_the_sample_on_at_which_it_comes():
+def test_a_held_command_acts_from_its_sample_on():
     u = np.array([0.0, 0.0, 5.0, 5.0, -5.0])
     slow = {"limit_V_per_s": 1.0 / DT_s}
     np.testing.assert_allclose(forward("slew_limit", u, DT_s, slow, hold=HELD), [0.0, 0.0, 0.0, 1.0, 2.0], atol=1e-8)
@@ -86,7 +86,7 @@ def test_a_lag_reaches_63_percent_of_a_step_after_its_time_constant():
 
 
 @pytest.mark.parametrize("swell", [-0.15, 0.3, 0.8])
-def test_a_lag_into_a_capacitance_that_grows_with_its_voltage_is_the_equation_solved_finely(swell):
+def test_a_lag_whose_capacitance_grows_with_the_voltage_agrees_with_a_fine_solution_of_the_equation(swell):
     u = triangle(2.0, DT_s, 2)
     time_s = DT_s * np.arange(u.size)
 

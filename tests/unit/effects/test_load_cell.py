@@ -66,9 +66,9 @@ def test_a_filter_falls_with_the_frequency_to_its_order(order, fall):
 def test_the_drive_adds_a_square_wave_to_a_triangle():
     u = triangle(1.0, DT_s, 2, peak=100.0)
     force = np.full(u.size, 30.0)
-    sharp = forward("feedthrough", force, DT_s, {"coefficient_N_s_per_V": 0.01}, applied_V=u) - 30.0
-    np.testing.assert_allclose(sharp[1:501], 2.0)
-    np.testing.assert_allclose(sharp[501:1001], -2.0)
+    square_wave = forward("feedthrough", force, DT_s, {"coefficient_N_s_per_V": 0.01}, applied_V=u) - 30.0
+    np.testing.assert_allclose(square_wave[1:501], 2.0)
+    np.testing.assert_allclose(square_wave[501:1001], -2.0)
 
 
 def test_a_band_limited_feedthrough_has_risen_by_63_percent_after_its_rise():

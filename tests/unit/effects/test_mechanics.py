@@ -1,4 +1,4 @@
-"""Force law, gap, friction, heat, load, mode and vibration against their closed forms."""
+"""Force law, gap, friction, temperature, load, mode and vibration against their closed forms."""
 
 import numpy as np
 import pytest
@@ -30,7 +30,7 @@ def test_the_force_law_rises_everywhere_whatever_its_curvature(curvature, cubic)
     assert changed[1000] == 0.0
 
 
-def test_nothing_arrives_before_contact_and_force_less_gap_behind_it():
+def test_the_force_is_zero_before_contact_and_smaller_by_the_gap_after_it():
     force = np.array([-5.0, 0.0, 19.0, 20.0, 21.0, 80.0])
     np.testing.assert_allclose(forward("contact_gap", force, DT_s, {"gap_N": 20.0}), [0.0, 0.0, 0.0, 0.0, 1.0, 60.0])
 
@@ -51,12 +51,12 @@ def test_friction_opposes_both_directions_and_widens_a_loop_to_twice_its_force(e
     values = {"force_N": 3.0, "presliding_N": 4.0, "exponent": exponent, "closing": closing}
     for peak, widest in ((1.0, 0.9), (400.0, 6.0)):
         force = triangle(1.0, DT_s, 4, peak=peak)
-        rubbed = forward("friction", force, DT_s, values)
-        width = peak * opening(force, rubbed, 1000)
+        behind = forward("friction", force, DT_s, values)
+        width = peak * opening(force, behind, 1000)
         assert width <= widest
     assert width > 5.9
-    assert (rubbed[1:500] < force[1:500]).all()
-    assert (rubbed[800:1000] > force[800:1000]).all()
+    assert (behind[1:500] < force[1:500]).all()
+    assert (behind[800:1000] > force[800:1000]).all()
 
 
 def test_friction_does_not_depend_on_the_rate():
@@ -65,7 +65,7 @@ def test_friction_does_not_depend_on_the_rate():
     np.testing.assert_allclose(slow[::10], fast, atol=1e-9)
 
 
-def test_force_follows_the_temperature_behind_its_lag():
+def test_the_force_follows_the_temperature_with_its_lag():
     force = np.full(5001, 30.0)
     warmer = np.full(force.size, 22.0)
     warmer[0] = 20.0
@@ -76,7 +76,7 @@ def test_force_follows_the_temperature_behind_its_lag():
     assert late[2000] == pytest.approx(30.0 + 3.0 * (1.0 - np.exp(-1.0)), rel=1e-3)
 
 
-def test_a_load_steps_on_and_off_and_one_without_an_end_stays():
+def test_a_load_steps_on_and_off_and_stays_when_off_s_is_beyond_the_record():
     force = np.zeros(1000)
     values = {"step_N": 5.0, "on_s": 0.2, "off_s": 0.6, "rise_s": 0.02}
     there = forward("load_step", force, DT_s, values)
@@ -89,19 +89,19 @@ def test_a_load_steps_on_and_off_and_one_without_an_end_stays():
 def test_a_mode_overshoots_a_step_by_its_closed_form(zeta):
     step = np.ones(20_000)
     step[0] = 0.0
-    rung = forward("resonance", step, 1e-5, {"frequency_Hz": 50.0, "damping_ratio": zeta}, hold=HELD)
-    assert rung.max() - 1.0 == pytest.approx(np.exp(-np.pi * zeta / np.sqrt(1.0 - zeta**2)), rel=1e-5)
+    output = forward("resonance", step, 1e-5, {"frequency_Hz": 50.0, "damping_ratio": zeta}, hold=HELD)
+    assert output.max() - 1.0 == pytest.approx(np.exp(-np.pi * zeta / np.sqrt(1.0 - zeta**2)), rel=1e-5)
 
 
 def test_a_mode_rings_at_its_own_frequency():
     step = np.ones(100_000)
     step[0] = 0.0
-    rung = forward("resonance", step, 1e-5, {"frequency_Hz": 50.0, "damping_ratio": 0.005}, hold=HELD) - 1.0
-    crossings = np.flatnonzero((rung[:-1] < 0.0) & (rung[1:] >= 0.0))
+    output = forward("resonance", step, 1e-5, {"frequency_Hz": 50.0, "damping_ratio": 0.005}, hold=HELD) - 1.0
+    crossings = np.flatnonzero((output[:-1] < 0.0) & (output[1:] >= 0.0))
     assert (crossings.size - 1) / ((crossings[-1] - crossings[0]) * 1e-5) == pytest.approx(50.0, rel=1e-4)
 
 
-def test_vibration_is_one_line_of_its_amplitude_that_breathes():
+def test_vibration_is_one_line_whose_amplitude_varies():
     force = np.full(10_000, 40.0)
     values = {"amplitude_N": 0.5, "frequency_Hz": 25.0, "phase_rad": 1.0}
     shaken = forward("vibration", force, DT_s, values) - 40.0

@@ -24,7 +24,7 @@ def test_thresholds_grow_with_the_logarithm_of_the_rate():
         assert not offset.any()
 
 
-def test_thresholds_grow_with_a_power_of_the_rate_or_by_an_offset_where_that_is_chosen():
+def test_thresholds_grow_with_a_power_of_the_rate_or_by_an_offset_when_kind_selects_it():
     u = 40.0 * np.arange(501) * DT_s
     factor, offset = widening(u, kind=1.0)
     assert factor[-1] == pytest.approx(5.0**0.08, rel=1e-9)
@@ -43,39 +43,39 @@ def test_thresholds_do_not_move_while_the_voltage_rests(kind):
         assert np.abs(np.diff(result[2200:])).max() <= np.abs(np.diff(result[:201])).max()
 
 
-def test_the_rate_of_a_command_held_for_ten_samples_is_that_of_its_course():
-    course = 40.0 * np.arange(3000) * DT_s / 10
-    held = course[np.arange(3000) // 10 * 10]
+def test_the_rate_of_a_command_held_for_ten_samples_is_the_rate_of_the_ramp():
+    ramp = 40.0 * np.arange(3000) * DT_s / 10
+    held = ramp[np.arange(3000) // 10 * 10]
     factor, _ = widening(held, dt_s=DT_s / 10)
     assert factor[-1] == pytest.approx(1.0 + 0.08 * np.log(5.0), rel=1e-6)
 
 
 @pytest.mark.parametrize("rate_way_V", [0.9, 4.5])
-def test_the_rate_comes_after_its_way(rate_way_V):
+def test_the_rate_reaches_63_percent_after_its_distance(rate_way_V):
     factor, _ = widening(90.0 * np.arange(500) * DT_s, rate_way_V=rate_way_V)
-    felt = 10.0 * np.expm1((factor - 1.0) / 0.08)
-    assert felt[round(rate_way_V / (90.0 * DT_s))] == pytest.approx(90.0 * (1.0 - np.exp(-1.0)), rel=1e-9)
+    rate = 10.0 * np.expm1((factor - 1.0) / 0.08)
+    assert rate[round(rate_way_V / (90.0 * DT_s))] == pytest.approx(90.0 * (1.0 - np.exp(-1.0)), rel=1e-9)
 
 
 @pytest.mark.parametrize(("from_s", "to_s"), [(0.1, 1000.0), (1e-3, 1e5), (10.0, 31.0), (1.0, 1.0)])
-def test_the_step_response_climbs_by_one_a_decade_between_its_ends(from_s, to_s):
+def test_the_step_response_rises_by_one_a_decade_between_its_ends(from_s, to_s):
     tau_s, weights = spectrum(from_s, to_s)
     to_s = max(to_s, 3.0 * from_s)
     assert tau_s[[0, -1]] == pytest.approx([from_s, to_s])
     assert (weights > 0.0).all()
-    climbed = weights @ np.exp(-from_s / tau_s) - weights @ np.exp(-to_s / tau_s)
-    assert climbed == pytest.approx(np.log10(to_s / from_s), rel=1e-12)
+    rise = weights @ np.exp(-from_s / tau_s) - weights @ np.exp(-to_s / tau_s)
+    assert rise == pytest.approx(np.log10(to_s / from_s), rel=1e-12)
 
 
 @pytest.mark.parametrize("slope", [-0.1, 0.1])
-def test_a_tilted_spectrum_climbs_by_one_a_decade_in_the_middle_of_what_a_record_shows(slope):
+def test_a_tilted_spectrum_rises_by_one_a_decade_in_the_middle_of_the_time_span_that_a_record_shows(slope):
     tau_s, weights = spectrum(1e-2, 1e5, slope, seen_s=100.0)
     at_s = np.array([0.5, 2.0])  # about 1 s, the middle of 10 ms to 100 s
     response = (1.0 - np.exp(-at_s[:, None] / tau_s)) @ weights
     assert (response[1] - response[0]) / np.log10(4.0) == pytest.approx(1.0, rel=0.1)
 
 
-def test_a_flat_spectrum_climbs_evenly_and_hardly_less_at_its_ends():
+def test_a_flat_spectrum_rises_evenly_up_to_its_ends():
     tau_s, weights = spectrum(0.1, 1000.0)
     t = np.geomspace(0.1, 1000.0, 401)
     slope = np.gradient(-np.exp(-t[:, None] / tau_s) @ weights, np.log10(t))
@@ -100,13 +100,13 @@ def test_creep_in_a_hold_is_per_decade_of_the_step_straight_in_log_time():
     np.testing.assert_allclose(np.diff(held[at]) / 40.0, 0.015, rtol=0.01)
 
 
-def test_the_older_creep_goes_on_behind_a_reversal():
+def test_the_older_creep_continues_after_a_reversal():
     u = np.concatenate([[0.0], np.full(10_000, 50.0), np.full(200, 49.9)])
     crept = forward("creep", u, 0.01, {"per_decade": 0.02, "from_s": 0.1, "to_s": 1000.0}) - u
     assert crept[-1] > crept[10_001]
 
 
-def test_creep_opens_a_loop_alike_at_every_frequency_inside_its_time_span():
+def test_creep_opens_a_loop_equally_at_every_frequency_inside_its_time_span():
     values = {"per_decade": 0.015, "from_s": 1e-3, "to_s": 1e5}
     openings = []
     for frequency_Hz in (0.1, 0.3, 1.0):
@@ -135,8 +135,8 @@ def test_the_gain_has_changed_by_relative_change_at_the_end(bend, half_way):
 
 
 @pytest.mark.parametrize(("s_shape", "after_a_tenth"), [(1.0, 0.00645), (0.5, 0.05323), (-1.0, 0.19355)])
-def test_a_drift_of_the_gain_may_set_in_and_end_gently(s_shape, after_a_tenth):
-    """p - s sin(2 pi p) / (2 pi), worked out by hand; symmetrical about the middle."""
+def test_an_s_shape_makes_the_drift_start_and_end_slowly(s_shape, after_a_tenth):
+    """Expected: p - s sin(2 pi p) / (2 pi), computed by hand; symmetrical about the middle."""
     x = np.full(1001, 20.0)
     values = {"relative_change": -0.1, "bend": 0.0, "s_shape": s_shape}
     share = (forward("gain_drift", x, DT_s, values, duration_s=1.0) / 20.0 - 1.0) / -0.1

@@ -1,4 +1,4 @@
-"""The cache of compiled steps is not believed when a source is newer."""
+"""A compiled step is removed from the cache when a source file is newer."""
 
 import os
 from pathlib import Path
@@ -8,7 +8,7 @@ from piezod.operators import compiled_cache
 from piezod.operators.compiled_cache import forget_outdated_steps
 
 
-def test_a_step_older_than_any_source_is_forgotten_and_a_newer_one_is_kept(tmp_path):
+def test_a_step_older_than_a_source_is_removed_and_a_newer_step_stays(tmp_path):
     newest_s = max(source.stat().st_mtime for source in Path(compiled_cache.__file__).parent.glob("*.py"))
     old, new = tmp_path / "old.nbi", tmp_path / "new.nbi"
     for path, age_s in ((old, -1.0), (new, 1.0)):
@@ -18,7 +18,7 @@ def test_a_step_older_than_any_source_is_forgotten_and_a_newer_one_is_kept(tmp_p
     assert [path.name for path in tmp_path.iterdir()] == ["new.nbi"]
 
 
-def test_a_step_is_forgotten_when_a_step_that_it_calls_in_another_room_is_newer(tmp_path):
+def test_a_step_is_removed_when_a_step_that_it_calls_in_another_folder_is_newer(tmp_path):
     called, cache = tmp_path / "called", tmp_path / "cache"
     for folder in (called, cache):
         folder.mkdir()

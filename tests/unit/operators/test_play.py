@@ -110,9 +110,9 @@ def test_inverse_after_forward_is_exact_to_1e_12_of_range(two_sided):
 
 
 @given(operators(), voltages, st.floats(0, 60), st.floats(80, RANGE_V), st.floats(0, RANGE_V))
-def test_the_implicit_inverse_stays_exact_after_clamping(operator, wished, low, high, u):
+def test_the_implicit_inverse_stays_exact_after_clamping(operator, references_V, low, high, u):
     inverse = ImplicitInverse(operator)
-    for voltage in wished:
+    for voltage in references_V:
         applied = min(max(inverse.plan(operator.run([voltage])[0]), low), high)
         inverse.commit(applied)
         operator.set_states(inverse_states_of(inverse))
@@ -194,7 +194,7 @@ def test_inverting_two_sided_dead_zones_twice_gives_them_back():
 
 
 @given(st.lists(st.floats(0.0, 70.0), min_size=1, max_size=40))
-def test_a_reset_cycle_leaves_states_that_do_not_depend_on_what_was_before(before):
+def test_a_reset_cycle_leaves_states_that_do_not_depend_on_earlier_inputs(before):
     thresholds = np.array([0.0, 3.0, 20.0, 60.0, 90.0])
     operator = PrandtlIshlinskii(thresholds, [1.0, 0.1, 0.1, 0.1, 0.1])
     operator.run([*before, 0.0, RANGE_V, 0.0])
@@ -203,12 +203,12 @@ def test_a_reset_cycle_leaves_states_that_do_not_depend_on_what_was_before(befor
     np.testing.assert_allclose(operator.states, np.minimum(thresholds, RANGE_V - thresholds), atol=1e-12)
 
 
-def test_a_model_that_folds_is_refused_with_index_and_value():
+def test_a_loading_curve_that_is_not_monotone_is_refused_with_index_and_value():
     with pytest.raises(ModelError, match=r"partial sum of weights 0\.\.2 is -0\.1, must be at least eps, 0\.01"):
         PrandtlIshlinskii([0.0, 1.0, 2.0], [1.0, -0.5, -0.6])
 
 
-def test_dead_zones_that_fold_below_zero_are_refused():
+def test_dead_zones_that_are_not_monotone_below_zero_are_refused():
     with pytest.raises(ModelError, match=r"dead zones below 0: partial sum of weights 0\.\.1"):
         PrandtlIshlinskii([0.0], [1.0], [-5.0, 0.0, 5.0], [-2.5, 2.0, 0.1])
 
@@ -219,7 +219,7 @@ def test_thresholds_that_do_not_increase_from_zero_are_refused(thresholds):
         PrandtlIshlinskii(thresholds, [1.0, 0.1])
 
 
-def test_states_that_no_input_leads_to_are_refused():
+def test_states_that_no_input_produces_are_refused():
     operator = typical_operator()
     with pytest.raises(ModelError, match=r"state 2 is 60, 58 from state 1, must be within 3"):
         operator.set_states([0.0, 2.0, 60.0, 12.0, 30.0])
