@@ -80,17 +80,12 @@ class ControlLoop:
         readback_within_V: float = inf,
         watchdog_in_status: bool = True,
     ) -> None:
-        self._link = link
-        self._clock = rate_keeper
-        self._ring = ring_log
+        self._link, self._clock, self._ring = link, rate_keeper, ring_log
         self._dt_s, self._dt_ns = dt_s, round(dt_s * 1e9)
         self._readback_within_V = readback_within_V
-        self._stops_requested = 0
-        self._begun_ns = 0
+        self._stops_requested = self._failed_ticks = self._begun_ns = 0
         self._settling_ns = -1
-        self._failed_ticks = 0
-        self.limiter = Limiter(limits, dt_s)
-        self.supervisor = Supervisor(limits, dt_s)
+        self.limiter, self.supervisor = Limiter(limits, dt_s), Supervisor(limits, dt_s)
         check = None if sign_check is None else SignCheck(sign_check, dt_s, limits.voltage_step_V)
         self._planner = SegmentPlanner(self.limiter, self.supervisor, check, approach_V_per_s * dt_s)
         self._writer = VoltageWriter(

@@ -118,7 +118,7 @@ class FaultyWire:
     def close(self):
         self.connected = False
 
-    def ready(self, deadline_s):
+    def ensure_open(self, deadline_s):
         if not self.up:
             return ExchangeResult.DISCONNECTED
         if not self.connected:

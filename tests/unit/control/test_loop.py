@@ -1,54 +1,19 @@
-"""The loop on an emulated link: which voltages are written, and when."""
+"""The loop on a fake link: which voltages are written, and when."""
 
 import numpy as np
 import pytest
 
-from piezod.config import SignCheckConfig
-from piezod.control import Cause, ControlLoop, RingLog, RingReader, Segment, State, TableReference
+from piezod.control import Cause, Segment, State, TableReference
 from piezod.control.references import Freshness
 from piezod.model import DirectDrive
 from piezod.operators import ImplicitInverse, PrandtlIshlinskii
-from piezod.transport import ExchangeResult
-from tests.unit.control.fake_bench import FakeClock, FakeLink
-from tests.unit.control.test_limits import limits
-
-DT_S = 0.001
+from tests.unit.control.fake_bench import FakeLink
+from tests.unit.control.loops import Halving, armed_loop, make_loop, rows_of, run
 
 
-class Halving:
-    """Reference [N] -> volts by 2 N/V, with a list of every commit."""
-
-    def __init__(self):
-        self.committed = []
-
-    def reset(self):
-        self.committed.clear()
-
-    def plan(self, reference):
-        return reference / 2.0
-
-    def commit(self, voltage_V):
-        self.committed.append(voltage_V)
-
-
-@pytest.fixture
-def ring(tmp_path):
-    ring = RingLog(tmp_path / "ring", 10_000)
-    yield ring
-    ring.close()
-
-
-def make_loop(link, ring, **changes):
-    return ControlLoop(link, limits(**changes), FakeClock(), ring, DT_S, approach_V_per_s=200.0)
-
-
-def rows_of(tmp_path):
-    return RingReader(tmp_path / "ring").read()
-
-
-def test_a_table_is_followed_from_approach_to_ramp_down(tmp_path, ring):
+def test_a_table_is_followed_from_approach_to_ramp_down(tmp_path, ring_log):
     link, compensator = FakeLink(), Halving()
-    loop = make_loop(link, ring)
+    loop = make_loop(link, ring_log)
     values = np.linspace(20.0, 30.0, 500)
     assert loop.drive(Segment("ramp", TableReference(values), compensator)) is Cause.NONE
     rows = rows_of(tmp_path)
@@ -60,17 +25,17 @@ def test_a_table_is_followed_from_approach_to_ramp_down(tmp_path, ring):
     assert compensator.committed == link.voltages
 
 
-def test_the_first_reference_is_approached_no_faster_than_configured(ring):
+def test_the_first_reference_is_approached_no_faster_than_configured(ring_log):
     link = FakeLink()
-    make_loop(link, ring).drive(Segment("jump", TableReference(np.full(10, 200.0)), Halving()))
+    make_loop(link, ring_log).drive(Segment("jump", TableReference(np.full(10, 200.0)), Halving()))
     rise = np.diff([0.0, *link.voltages])
     assert rise.max() == pytest.approx(0.2)
     assert rise.min() == pytest.approx(-0.4)
 
 
-def test_a_reset_cycle_reaches_the_top_and_comes_back_before_the_reference_starts(tmp_path, ring):
+def test_a_reset_cycle_reaches_the_top_and_comes_back_before_the_reference_starts(tmp_path, ring_log):
     link = FakeLink(lambda voltage_V: 0.1 * voltage_V)
-    loop = make_loop(link, ring)
+    loop = make_loop(link, ring_log)
     cycle = TableReference(140.0 * (1 - np.abs(np.linspace(-1, 1, 1401))))
     loop.drive(Segment("work", TableReference(np.full(10, 10.0)), Halving(), cycle))
     rows = rows_of(tmp_path)
@@ -79,9 +44,9 @@ def test_a_reset_cycle_reaches_the_top_and_comes_back_before_the_reference_start
     assert (rows[rows["state"] == State.RUNNING]["tick"] > arming["tick"].max()).all()
 
 
-def test_a_skipped_tick_skips_its_reference_value(tmp_path, ring):
+def test_a_skipped_tick_skips_its_reference_value(tmp_path, ring_log):
     link = FakeLink()
-    loop = make_loop(link, ring)
+    loop = make_loop(link, ring_log)
     clock = loop._clock
     wait = clock.wait
     clock.wait = lambda: (wait(), wait()) if clock.tick % 7 == 0 else wait()
@@ -94,18 +59,9 @@ def test_a_skipped_tick_skips_its_reference_value(tmp_path, ring):
     assert running.size < 100
 
 
-def test_a_failed_exchange_commits_nothing(ring):
-    link, compensator = FakeLink(), Halving()
-    link.fails = lambda number: number % 3 == 0
-    loop = make_loop(link, ring)
-    loop.drive(Segment("table", TableReference(np.full(60, 10.0)), compensator))
-    assert compensator.committed == link.voltages
-    assert loop.counts.failed_exchanges > 0
-
-
-def test_an_over_force_starts_the_ramp_down_in_the_next_tick_and_latches(tmp_path, ring):
+def test_an_over_force_starts_the_ramp_down_in_the_next_tick_and_latches(tmp_path, ring_log):
     link = FakeLink(lambda voltage_V: 400.0 if voltage_V > 20.0 else 2.0 * voltage_V)
-    loop = make_loop(link, ring)
+    loop = make_loop(link, ring_log)
     fault = loop.drive(Segment("too much", TableReference(np.full(1000, 60.0)), Halving()))
     assert fault is Cause.OVER_FORCE
     assert loop.supervisor.state is State.FAULT
@@ -117,19 +73,19 @@ def test_an_over_force_starts_the_ramp_down_in_the_next_tick_and_latches(tmp_pat
     assert link.voltages[-1] == 0.0
 
 
-def test_a_device_that_falls_silent_is_ramped_down_by_the_loop_and_then_left_to_its_watchdog(ring):
+def test_a_device_that_falls_silent_is_ramped_down_by_the_loop_and_then_left_to_its_watchdog(ring_log):
     link = FakeLink()
-    loop = make_loop(link, ring)
+    loop = make_loop(link, ring_log)
     link.fails = lambda number: number > 100
     fault = loop.drive(Segment("silence", TableReference(np.full(5000, 10.0)), Halving()))
     assert fault is Cause.COMM_LOSS
     assert loop._clock.tick < 100 + 200 + 350 + 10
 
 
-def test_a_stop_request_ramps_down_and_a_second_one_ramps_at_the_slew_limit(ring):
+def test_a_stop_request_ramps_down_and_a_second_one_ramps_at_the_slew_limit(ring_log):
     for requests, fall in ((1, 0.4), (2, 4.0)):
         link = FakeLink()
-        loop = make_loop(link, ring)
+        loop = make_loop(link, ring_log)
         loop.begin(Segment("long", TableReference(np.full(10**5, 100.0)), Halving()))
         loop.supervisor.arm(0)
         for _ in range(400):
@@ -146,18 +102,18 @@ def test_a_stop_request_ramps_down_and_a_second_one_ramps_at_the_slew_limit(ring
         assert link.voltages[-1] == pytest.approx(0.0, abs=1e-6)
 
 
-def test_a_plan_that_is_not_finite_keeps_the_voltage(ring):
+def test_a_plan_that_is_not_finite_keeps_the_voltage(ring_log):
     link = FakeLink()
     broken = Halving()
     broken.plan = lambda reference: float("nan") if reference > 15.0 else reference / 2.0
-    make_loop(link, ring).drive(Segment("broken", TableReference(np.linspace(10, 20, 100)), broken))
+    make_loop(link, ring_log).drive(Segment("broken", TableReference(np.linspace(10, 20, 100)), broken))
     assert np.isfinite(link.voltages).all()
     assert max(link.voltages) == pytest.approx(7.5, abs=0.06)
 
 
-def test_a_reference_that_ends_with_hold_keeps_the_voltage_until_stopped(ring):
+def test_a_reference_that_ends_with_hold_keeps_the_voltage_until_stopped(ring_log):
     link = FakeLink()
-    loop = make_loop(link, ring)
+    loop = make_loop(link, ring_log)
     loop.begin(Segment("short", TableReference(np.linspace(10, 20, 50), ramp_down_on_lapse=False), Halving()))
     loop.supervisor.arm(0)
     for _ in range(500):
@@ -172,7 +128,7 @@ def test_a_reference_that_ends_with_hold_keeps_the_voltage_until_stopped(ring):
     assert link.voltages[-1] == pytest.approx(0.0, abs=1e-6)
 
 
-def test_a_live_reference_that_falls_silent_is_held_and_followed_again_when_it_returns(ring):
+def test_a_live_reference_that_falls_silent_is_held_and_followed_again_when_it_returns(ring_log):
     class Intermittent(TableReference):
         def read(self, tick, now_ns):
             self.freshness = Freshness.STALE if 100 <= tick < 150 else Freshness.LIVE
@@ -180,7 +136,7 @@ def test_a_live_reference_that_falls_silent_is_held_and_followed_again_when_it_r
             return self.ahead
 
     link = FakeLink()
-    loop = make_loop(link, ring)
+    loop = make_loop(link, ring_log)
     loop.begin(Segment("live", Intermittent([0.0], ramp_down_on_lapse=False), Halving()))
     loop.supervisor.arm(0)
     states = []
@@ -195,13 +151,13 @@ def test_a_live_reference_that_falls_silent_is_held_and_followed_again_when_it_r
     assert link.voltages[-1] == 11.0
 
 
-def test_watch_writes_no_voltage(ring):
+def test_watch_writes_no_voltage(ring_log):
     link = FakeLink()
-    make_loop(link, ring).watch(50)
+    make_loop(link, ring_log).watch(50)
     assert link.voltages == []
 
 
-def test_the_inverse_of_a_known_plant_follows_to_rounding(tmp_path, ring):
+def test_the_inverse_of_a_known_plant_follows_to_rounding(tmp_path, ring_log):
     def operator():
         return PrandtlIshlinskii([0.0, 2.0, 6.0, 20.0], [0.7, 0.2, 0.1, 0.2], [0.0, 50.0], [2.0, 0.3])
 
@@ -209,7 +165,7 @@ def test_the_inverse_of_a_known_plant_follows_to_rounding(tmp_path, ring):
     inverse = ImplicitInverse(operator())
     inverse.reset = lambda: None
     link = FakeLink(plant.step)
-    loop = make_loop(link, ring)
+    loop = make_loop(link, ring_log)
     values = 150.0 - 100.0 * np.cos(np.linspace(0, 12, 3000))
     loop.drive(Segment("sine", TableReference(values), inverse))
     rows = rows_of(tmp_path)
@@ -217,149 +173,16 @@ def test_the_inverse_of_a_known_plant_follows_to_rounding(tmp_path, ring):
     np.testing.assert_allclose(running["force_N"][1:], running["reference_N"][:-1], atol=1e-9)
 
 
-def test_a_direct_drive_writes_its_table_as_it_is(tmp_path, ring):
+def test_a_direct_drive_writes_its_table_as_it_is(tmp_path, ring_log):
     values = np.concatenate((np.linspace(0, 30, 200), np.linspace(30, 0, 200)))
-    make_loop(FakeLink(), ring).drive(Segment("volts", TableReference(values), DirectDrive()))
+    make_loop(FakeLink(), ring_log).drive(Segment("volts", TableReference(values), DirectDrive()))
     rows = rows_of(tmp_path)
     np.testing.assert_allclose(rows[rows["state"] == State.RUNNING]["voltage_V"], values, atol=1e-12)
 
 
-def test_a_voltage_with_an_invalid_reading_was_written_and_is_committed(ring):
-    link, compensator = FakeLink(), Halving()
-    exchange = link.exchange
-    link.exchange = lambda voltage_V: (exchange(voltage_V), ExchangeResult.NOT_FINITE)[link.exchanges % 2]
-    make_loop(link, ring).drive(Segment("table", TableReference(np.full(60, 10.0)), compensator))
-    assert compensator.committed == link.voltages
-
-
-SIGN_CHECK = SignCheckConfig(step_V=2.0, rise_N=1.0, settle_s=0.02)
-
-
-def armed_loop(link, ring, *, values=None, **changes):
-    """Armed loop that approaches 60 N, 30 V."""
-    loop = ControlLoop(link, limits(**changes), FakeClock(), ring, DT_S, 200.0, readback_within_V=2.0)
-    loop.arm(Segment("work", TableReference(np.full(10**5, 60.0) if values is None else values), Halving()))
-    return loop
-
-
-def run(loop, ticks):
-    for _ in range(ticks):
-        loop.run_tick()
-        loop._clock.wait()
-
-
-def test_the_sign_check_steps_up_and_back_before_the_approach(tmp_path, ring):
+def test_a_spike_lowers_the_voltage_by_one_tick_of_the_ramp_and_trips_nothing(ring_log):
     link = FakeLink()
-    loop = ControlLoop(link, limits(), FakeClock(), ring, DT_S, 200.0, sign_check=SIGN_CHECK)
-    assert loop.drive(Segment("work", TableReference(np.full(10, 10.0)), Halving())) is Cause.NONE
-    rows = rows_of(tmp_path)
-    voltages = rows[rows["state"] == State.ARMING]["voltage_V"]
-    assert set(voltages[:20]) == {0.0}
-    assert voltages[20:50].max() == pytest.approx(2.0)
-    back = 50 + int(np.flatnonzero(voltages[50:] < 0.25)[0])
-    assert voltages[:back].max() == pytest.approx(2.0)
-    assert np.abs(np.diff(voltages)).max() <= 0.2 + 1e-9
-
-
-@pytest.mark.parametrize(
-    "plant",
-    [
-        lambda voltage_V: -2.0 * voltage_V,  # wrong polarity of load cell or stack
-        lambda voltage_V: 0.0,  # broken cable
-        lambda voltage_V: 0.4 * voltage_V,  # too little preload
-    ],
-)
-def test_a_force_that_does_not_rise_with_the_step_is_a_latched_fault_and_ends_the_drive(ring, plant):
-    link = FakeLink(plant)
-    loop = ControlLoop(link, limits(), FakeClock(), ring, DT_S, 200.0, sign_check=SIGN_CHECK)
-    assert loop.drive(Segment("work", TableReference(np.full(10, 10.0)), Halving())) is Cause.SIGN_CHECK
-    assert loop.supervisor.state is State.FAULT
-    assert max(link.voltages) == pytest.approx(2.0)
-    assert link.voltages[-1] == pytest.approx(0.0, abs=1e-9)
-
-
-def test_after_a_failed_exchange_the_loop_reads_before_it_writes(ring):
-    link, asked = FakeLink(), []
-    exchange = link.exchange
-    link.exchange = lambda voltage_V: (asked.append("write"), exchange(voltage_V))[1]
-    link.poll = lambda: (asked.append("read"), ExchangeResult.OK)[1]
-    loop = armed_loop(link, ring)
-    link.fails = lambda number: number == 50
-    run(loop, 60)
-    assert asked[50] == "read"
-    assert asked.count("read") == 1
-
-
-def test_a_device_that_has_restarted_gets_no_more_voltages(ring):
-    link = FakeLink()
-    loop = armed_loop(link, ring)
-    run(loop, 300)
-    link.reading.heartbeat = 5000
-    link.fails = lambda number: number == 301
-    run(loop, 1)
-
-    def poll():
-        link.reading.heartbeat = 3
-        return ExchangeResult.OK
-
-    link.poll = poll
-    written = len(link.voltages)
-    run(loop, 50)
-    assert (loop.supervisor.state, loop.supervisor.fault) == (State.FAULT, Cause.DEVICE_RESTARTED)
-    assert len(link.voltages) == written
-
-
-def test_an_output_found_at_rest_is_a_restart_even_without_a_heartbeat(ring):
-    link = FakeLink()
-    loop = armed_loop(link, ring)
-    run(loop, 300)
-    link.fails = lambda number: number == 301
-    run(loop, 1)
-
-    def poll():
-        link.reading.voltage_readback_V = 0.0
-        return ExchangeResult.OK
-
-    link.poll = poll
-    written = len(link.voltages)
-    run(loop, 50)
-    assert loop.supervisor.fault is Cause.DEVICE_RESTARTED
-    assert len(link.voltages) == written
-
-
-def test_a_process_that_has_paused_writes_no_voltage_afterwards(ring):
-    link = FakeLink()
-    loop = armed_loop(link, ring)
-    run(loop, 300)
-    loop._clock.tick += 2000
-    written = len(link.voltages)
-    run(loop, 50)
-    assert (loop.supervisor.state, loop.supervisor.fault) == (State.FAULT, Cause.STOOD_STILL)
-    assert len(link.voltages) == written
-
-
-def test_a_process_that_pauses_within_a_tick_does_not_write_its_plan(ring):
-    link = FakeLink()
-    loop = armed_loop(link, ring)
-    run(loop, 300)
-    compensator, written = loop._planner.segment.compensator, len(link.voltages)
-    plan = compensator.plan
-
-    def stopped_while_planning(reference):
-        loop._clock.tick += 2000
-        return plan(reference)
-
-    compensator.plan = stopped_while_planning
-    run(loop, 1)
-    compensator.plan = plan
-    run(loop, 50)
-    assert (loop.supervisor.state, loop.supervisor.fault) == (State.FAULT, Cause.STOOD_STILL)
-    assert len(link.voltages) == written
-
-
-def test_a_spike_lowers_the_voltage_by_one_tick_of_the_ramp_and_trips_nothing(ring):
-    link = FakeLink()
-    loop = armed_loop(link, ring, force_debounce_samples=2)
+    loop = armed_loop(link, ring_log, force_debounce_samples=2)
     run(loop, 300)
     link.plant = lambda voltage_V: 900.0
     run(loop, 1)
@@ -371,9 +194,9 @@ def test_a_spike_lowers_the_voltage_by_one_tick_of_the_ramp_and_trips_nothing(ri
     assert link.voltages[-1] == pytest.approx(30.0)
 
 
-def test_after_an_exception_of_the_compensator_the_loop_ramps_down_without_it(ring):
+def test_after_an_exception_of_the_compensator_the_loop_ramps_down_without_it(ring_log):
     link = FakeLink()
-    loop = armed_loop(link, ring)
+    loop = armed_loop(link, ring_log)
     run(loop, 300)
 
     def fail(*_):
@@ -387,9 +210,9 @@ def test_after_an_exception_of_the_compensator_the_loop_ramps_down_without_it(ri
     assert np.diff(link.voltages).min() >= -0.4 - 1e-9
 
 
-def test_a_link_that_raises_again_and_again_ends_the_loop(ring):
+def test_a_link_that_raises_again_and_again_ends_the_loop(ring_log):
     link = FakeLink()
-    loop = armed_loop(link, ring)
+    loop = armed_loop(link, ring_log)
 
     def fail(*_):
         raise RuntimeError("broken")
@@ -397,30 +220,3 @@ def test_a_link_that_raises_again_and_again_ends_the_loop(ring):
     link.exchange = link.poll = fail
     with pytest.raises(RuntimeError):
         run(loop, 10)
-
-
-def test_an_output_that_does_not_read_back_at_rest_is_a_fault(ring):
-    link = FakeLink()
-    loop = armed_loop(link, ring)
-    run(loop, 300)
-    exchange = link.exchange
-
-    def stays(voltage_V):
-        result = exchange(voltage_V)
-        link.reading.voltage_readback_V = 30.0
-        return result
-
-    link.exchange = stays
-    loop.request_stop()
-    run(loop, 1000)
-    assert (loop.supervisor.state, loop.supervisor.fault) == (State.FAULT, Cause.READBACK)
-
-
-def test_an_output_that_nobody_drives_is_ramped_down_from_its_readback(ring):
-    link = FakeLink()
-    loop = ControlLoop(link, limits(), FakeClock(), ring, DT_S, 200.0, readback_within_V=2.0)
-    link.written_V = 60.0
-    assert loop.bring_down(60.0) is Cause.NONE
-    assert link.voltages[0] == pytest.approx(59.6)
-    assert link.voltages[-1] == pytest.approx(0.0, abs=1e-9)
-    assert loop.supervisor.state is State.DISARMED
