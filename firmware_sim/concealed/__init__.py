@@ -1,5 +1,5 @@
-"""Concealed cases: recordings of another plant whose hidden effects are sealed away, and the scoring of what was said.
+"""Concealed cases: recordings of a second plant with sealed effects, and the scoring of a diagnosis against them.
 
-This plant shares no equation, integrator, time step or creep law with `piezod` nor with the emulated bench: an
-oversampled grid, exact linear responses, hysteresis drawn anew for every case, and effects that are in no catalogue.
+The plant shares no equation, integrator, time step or creep law with `piezod` or with the emulated bench. It uses an
+oversampled grid and exact linear responses. Every case draws its own hysteresis. Some effects are in no catalogue.
 """

@@ -4,5 +4,5 @@ import sys
 
 from firmware_sim.concealed.cli import main
 
-if __name__ == "__main__":  # the makers of cases import this again
+if __name__ == "__main__":  # spawned worker processes import this module again
     sys.exit(main())

@@ -1,4 +1,4 @@
-"""What this package refuses on purpose.
+"""The deliberate errors of this package.
 
 EmulatorError
     StudyError       a study cannot be made or read
@@ -13,4 +13,4 @@ class StudyError(EmulatorError):
 
 
 class SealError(StudyError):
-    """The truth is not the one that was sealed."""
+    """The sealed truth is missing, or differs from its hash."""

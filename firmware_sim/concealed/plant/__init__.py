@@ -1,1 +1,1 @@
-"""The concealed plant: its physics, its drives and its noise."""
+"""The concealed plant: the chain from command to reading, the commands that drive it, and the sampling."""

@@ -1,4 +1,4 @@
-"""The array type of this package."""
+"""The array type of the concealed package: float64, any shape."""
 
 import numpy as np
 from numpy.typing import NDArray

@@ -1,44 +1,50 @@
-"""One concealed plant: the chain from the commands of a record to what its reader would show without noise.
+"""One concealed plant: the chain from the commands of a record to its readings without noise.
 
-    command -> clamp, slew, lag -> hysteresis -> creep, drifting gain -> force law, gap, friction -> temperature, load
-    -> mode, vibration -> leakage, low-pass, cross-talk, hum -> delay, the reader's clock
+    amplifier   clamp, slew limit, lag                         stroke.py, amplifier.py
+    stack       hysteresis, creep, drift of the gain           stroke.py, hysteresis.py, creep.py
+    mechanics   force law, gap, friction, temperature, load    force.py, force_law.py, friction.py
+                mode, vibration                                force.py
+    load cell   leakage, low-pass, cross-talk, hum             load_cell.py
+    readings    delay, clock of the readings                   load_cell.py, sampling.py
 
-All on a grid some times finer than the record. What happens once is in the effect's details; what is random besides
-(phases, wander) comes from the record's own seed.
+The chain runs on a grid 3 to 16 times finer than the record. Single events stand in the details of their effect. Phases
+and random walks come from the seed of the record.
 """
 
 from collections.abc import Hashable
 from dataclasses import dataclass, field
 
 from firmware_sim.concealed.plant.arrays import Array
-from firmware_sim.concealed.plant.cell import samples
 from firmware_sim.concealed.plant.drives import Drive
 from firmware_sim.concealed.plant.force import true_force
+from firmware_sim.concealed.plant.force_law import ForceLaw
 from firmware_sim.concealed.plant.foreign import FOREIGN
 from firmware_sim.concealed.plant.hysteresis import Hysteresis
-from firmware_sim.concealed.plant.mechanics import ForceLaw
-from firmware_sim.concealed.plant.passage import Effects, Passage, Signal
+from firmware_sim.concealed.plant.load_cell import samples
+from firmware_sim.concealed.plant.record_context import Effects, RecordContext, Signal
 from firmware_sim.concealed.plant.stroke import free_stroke, hysteretic_stroke, output_voltage
 
 UPSTREAM = frozenset(
     {"voltage_clamp", "slew_limit", "electrical_lag", "rate_dependent_hysteresis", "noncongruent_minor_loops"}
-    | {name for name, foreign in FOREIGN.items() if foreign.stage == "amplifier"}
+    | {name for name, foreign in FOREIGN.items() if foreign.location == "amplifier"}
 )
-"""Effects that the hysteresis' output depends on."""
+"""Effects that change the output of the hysteresis."""
 
-REMEMBERED = 3
+CACHE_SIZE = 3  # outputs of the hysteresis
 
 
 @dataclass(frozen=True)
 class Plant:
-    """What stays the same whatever effect is on.
+    """The part of a plant that no effect changes.
 
-    The hysteresis takes most of the time, and most effects act behind it: its last outputs are remembered.
+    The hysteresis takes most of the time, and most effects act behind it. Its last outputs are therefore cached.
 
     Parameters
     ----------
-    hysteresis, noncongruent
-        The operator, and the one that takes over a share of it when minor loops shall not be congruent.
+    hysteresis
+        Rate-independent operator from voltage to stroke.
+    noncongruent
+        Operator that replaces a share of `hysteresis` under the effect `noncongruent_minor_loops`.
     law
         From relative stroke to force.
     """
@@ -46,9 +52,7 @@ class Plant:
     hysteresis: Hysteresis
     noncongruent: Hysteresis
     law: ForceLaw
-    _remembered: dict[Hashable, tuple[Signal, Signal]] = field(
-        default_factory=dict, init=False, compare=False, repr=False
-    )
+    _cache: dict[Hashable, tuple[Signal, Signal]] = field(default_factory=dict, init=False, compare=False, repr=False)
 
     def reading_N(self, drive: Drive, effects: Effects, seed: int) -> Array:
         """Noise-free readings of a record that starts at rest, shape (n,) [N].
@@ -56,24 +60,24 @@ class Plant:
         Parameters
         ----------
         drive
-            The record's commands.
+            Commands of the record.
         effects
-            Those that are on.
+            Active effects, by name.
         seed
-            Of what is random in this record besides noise.
+            Seed of phases and random walks in this record; the noise has its own.
         """
-        at = Passage(drive, effects, self.hysteresis.reach_V, self.law.full_N, seed)
-        voltage, stroke = self._driven(at)
-        return samples(at, true_force(at, self.law, free_stroke(at, stroke)), voltage)
+        context = RecordContext(drive, effects, self.hysteresis.reach_V, self.law.full_N, seed)
+        voltage, stroke = self._driven(context)
+        return samples(context, true_force(context, self.law, free_stroke(context, stroke)), voltage)
 
-    def _driven(self, at: Passage) -> tuple[Signal, Signal]:
-        """Voltage at the stack and the hysteresis' output."""
-        upstream = [repr(effect) for name, effect in sorted(at.effects.items()) if name in UPSTREAM]
-        key = (id(at.drive), at.seed, *upstream)
-        if key not in self._remembered:
-            voltage = output_voltage(at)
-            found = voltage, hysteretic_stroke(at, self.hysteresis, self.noncongruent, voltage)
-            while len(self._remembered) >= REMEMBERED:
-                self._remembered.pop(next(iter(self._remembered)))
-            self._remembered[key] = found
-        return self._remembered[key]
+    def _driven(self, context: RecordContext) -> tuple[Signal, Signal]:
+        """Voltage at the stack and output of the hysteresis, on the fine grid [V]; cached."""
+        upstream = [repr(effect) for name, effect in sorted(context.effects.items()) if name in UPSTREAM]
+        key = (id(context.drive), context.seed, *upstream)
+        if key not in self._cache:
+            voltage = output_voltage(context)
+            found = voltage, hysteretic_stroke(context, self.hysteresis, self.noncongruent, voltage)
+            while len(self._cache) >= CACHE_SIZE:
+                self._cache.pop(next(iter(self._cache)))
+            self._cache[key] = found
+        return self._cache[key]

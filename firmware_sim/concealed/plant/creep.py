@@ -1,8 +1,13 @@
-"""Creep by superposition: every past rise of the stroke goes on answering by one curve of time, drawn at random.
+"""Creep by superposition: the convolution of the rises of the stroke with one creep function J(t).
 
-The curve J(t) is closed: `logarithmic` log10(1 + t/a) - log10(1 + t/b), `fractional` (1 + t/a)^p - 1 that ends at b,
-and `stretched` 1 - exp(-(t/c)^q). It is scaled to its own slope per decade, fitted between `from_s` and `to_s`. The
-response to a record is the convolution of its rises with J, by transforms; there is no chain of elements.
+The laws of J are closed forms, derived for this plant:
+
+- `logarithmic`: log10(1 + t/a) - log10(1 + t/b);
+- `fractional`: (1 + t/a)^p - 1, levelling off at b;
+- `stretched`: 1 - exp(-(t/c)^q).
+
+J is scaled to a slope of 1 per decade, fitted between `from_s` and `to_s`. The convolution uses fast Fourier
+transforms; there is no chain of relaxation elements.
 """
 
 import math
@@ -13,23 +18,24 @@ import numpy as np
 from firmware_sim.concealed.plant.arrays import Array
 
 LAWS = ("logarithmic", "fractional", "stretched")
-BEYOND = 2.0  # how far J's own times lie outside the span, so that its slope holds up to its ends
-CLIMB_DECADES = 1.34  # times 1/q: decades in which a stretched exponential goes from 10 to 90 %
+BEYOND = 2.0  # a = from_s / BEYOND, b = to_s * BEYOND: the slope holds up to the ends of the span
+CLIMB_DECADES = 1.34  # a stretched exponential rises from 10 to 90 % within CLIMB_DECADES / q decades
 
 Curve = Callable[[Array], Array]
 
 
 def curve(law: str, shape: float, from_s: float, to_s: float) -> Curve:
-    """J of a law, with a slope of 1 a decade between two times.
+    """Creep function J of a law, with a slope of 1 per decade between two times.
 
     Parameters
     ----------
     law
         One of `LAWS`.
     shape
-        0 to 1: the exponent of the fractional law, the middle of the stretched one; of no meaning to the logarithmic.
+        Sets the exponent of the fractional law and the middle of the stretched one, 0 to 1; the logarithmic law has
+        none.
     from_s, to_s
-        The span [s].
+        Beginning and end of the span [s].
     """
     raw = _raw(law, shape, from_s / BEYOND, to_s * BEYOND)
     slope = slope_per_decade(raw, from_s, to_s)
@@ -41,15 +47,15 @@ def curve(law: str, shape: float, from_s: float, to_s: float) -> Curve:
 
 
 def slope_per_decade(response: Curve, from_s: float, to_s: float) -> float:
-    """Slope of a step's response against the logarithm of time, fitted between two times."""
+    """Slope of a step response against log10(t), fitted between two times (1 per decade)."""
     times_s = np.geomspace(from_s, to_s, 200)
     return float(np.polyfit(np.log10(times_s), response(times_s), 1)[0])
 
 
-def crept(stroke: Array, response: Curve, dt_s: float) -> Array:
-    """What a stroke's past rises add to it, shape (n,).
+def creep_response(stroke: Array, response: Curve, dt_s: float) -> Array:
+    """Creep that the past rises of a stroke add to it, shape (n,), in the unit of the stroke.
 
-    A rise is taken to lie in the middle of its step of the grid.
+    A rise counts at the middle of its step of the grid.
     """
     rises = np.diff(stroke, prepend=0.0)
     after_s: Array = np.asarray((np.arange(stroke.size) + 0.5) * dt_s, dtype=np.float64)
@@ -72,5 +78,5 @@ def _raw(law: str, shape: float, a: float, b: float) -> Curve:
 
 
 def _transform_size(least: int) -> int:
-    """Smallest size of 2, 3 or 5 times a power of two that is enough."""
+    """Smallest size of at least `least` that is 2, 3 or 5 times a power of two."""
     return min(part << max(0, math.ceil(math.log2(least / part))) for part in (2, 3, 5))

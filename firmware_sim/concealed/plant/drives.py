@@ -1,7 +1,7 @@
-"""What the stack was driven with: a slow record to identify on, and mixed work that suits no method in particular.
+"""Commands of the records: a slow record for the identification, and mixed work for the other recordings.
 
-Every record begins at rest at 0 V. Mixed work is a chain of pieces of some seconds, each of a kind, a range and a speed
-drawn at random, joined by short ramps.
+Every record begins at rest at 0 V. Mixed work is a chain of pieces of 1.5 to 8 s. Kind, range and speed of every piece
+are drawn at random. Short ramps join the pieces.
 """
 
 from collections.abc import Callable, Sequence
@@ -12,29 +12,29 @@ import numpy as np
 from firmware_sim.concealed.plant.amplifier import rate_limited
 from firmware_sim.concealed.plant.arrays import Array
 
-FASTEST_HZ = 40.0
-SAMPLES_PER_PERIOD = 12.0
-FINE_RATE_HZ = 6000.0
+FASTEST_HZ = 40.0  # of a periodic piece
+SAMPLES_PER_PERIOD = 12.0  # at least
+FINE_RATE_HZ = 6000.0  # aim for the fine grid
 FEWEST_SUBSTEPS, MOST_SUBSTEPS = 3, 16
-SETTLING_S = 1.0  # simulated beyond a record's end, for a reader whose clock runs late
+SETTLING_S = 1.0  # simulated beyond the end of a record, for readings with a late clock
 
 
 @dataclass(frozen=True)
 class Drive:
-    """A record of commands.
+    """Commands of one record.
 
     Parameters
     ----------
     voltage_V
         Commands, shape (n,) [V].
     rate_Hz
-        Commands and readings a second [1/s].
+        Rate of commands and readings [1/s].
     held
-        A command is held until the next; otherwise the voltage runs straight from one to the next.
+        True: a command is held until the next. False: the voltage runs straight from one command to the next.
     late
-        Part of a sample after its command at which a reading is taken; of commands that are not held, 0.
+        Time from a command to its reading [samples], 0 to 1; 0 unless `held`.
     temperature_C
-        Of the bench at each command, shape (n,) [degC].
+        Temperature of the bench at each command, shape (n,) [degC].
     """
 
     voltage_V: Array
@@ -45,7 +45,7 @@ class Drive:
 
     @property
     def substeps(self) -> int:
-        """Steps of the fine grid in a sample."""
+        """Steps of the fine grid per sample."""
         return int(np.clip(round(FINE_RATE_HZ / self.rate_Hz), FEWEST_SUBSTEPS, MOST_SUBSTEPS))
 
     @property
@@ -54,8 +54,8 @@ class Drive:
         return 1.0 / (self.rate_Hz * self.substeps)
 
     @property
-    def places(self) -> Array:
-        """Where the readings are taken, in steps of the fine grid, shape (n,)."""
+    def positions(self) -> Array:
+        """Positions of the readings [steps of the fine grid], shape (n,)."""
         whole = np.arange(self.voltage_V.size) * self.substeps + round(self.late * self.substeps)
         return whole.astype(np.float64)
 
@@ -65,12 +65,12 @@ class Drive:
         return np.arange(self.voltage_V.size) / self.rate_Hz
 
     def fine(self, values: Array) -> Array:
-        """Values given at the samples, on the fine grid and some way beyond the end; a straight line in between."""
+        """Values at the samples, interpolated linearly to the fine grid and continued beyond the end."""
         points = np.arange(self._fine_points()) / self.substeps
         return np.interp(points, np.arange(values.size), values)
 
     def fine_voltage_V(self) -> Array:
-        """The command as the amplifier sees it, on the fine grid [V]."""
+        """Input of the amplifier on the fine grid [V]."""
         if not self.held:
             return self.fine(self.voltage_V)
         return self.voltage_V[np.minimum(np.arange(self._fine_points()) // self.substeps, self.voltage_V.size - 1)]
@@ -80,7 +80,7 @@ class Drive:
 
 
 def identification_voltage(rng: np.random.Generator, reach_V: float, rate_Hz: float, duration_s: float) -> Array:
-    """Slow and rich: virgin rise, triangles of varying amplitude, minor loops, reversals, some holds [V]."""
+    """Slow commands: virgin rise, triangles of varying peak, minor loops, reversals and holds, shape (n,) [V]."""
     slowest, quickest = reach_V / rng.uniform(6.0, 10.0), reach_V / rng.uniform(1.5, 3.0)
     levels = [0.0, 0.0, *_virgin_rise(rng), 0.0, 1.0, 0.0]
     times = _times(rng, levels, reach_V, slowest, quickest)
@@ -89,14 +89,14 @@ def identification_voltage(rng: np.random.Generator, reach_V: float, rate_Hz: fl
         added = _times(rng, [levels[-1], *more], reach_V, slowest, quickest)
         levels += more
         times += [times[-1] + t for t in added[1:]]
-    at = np.arange(round(duration_s * rate_Hz)) / rate_Hz
-    return reach_V * np.interp(at, times, levels)
+    time_s = np.arange(round(duration_s * rate_Hz)) / rate_Hz
+    return reach_V * np.interp(time_s, times, levels)
 
 
 def mixed_work(
     rng: np.random.Generator, reach_V: float, rate_Hz: float, duration_s: float, most_V_per_s: float
 ) -> Array:
-    """Mixed work from rest, over most of the range, at rates up to a limit [V]."""
+    """Mixed work from rest over most of the range, with rates up to `most_V_per_s`, shape (n,) [V]."""
     kinds = tuple(PIECES)
     share = rng.dirichlet(np.full(len(kinds), 2.0)) + 0.04
     share /= share.sum()
@@ -115,21 +115,22 @@ def mixed_work(
 
 
 def temperature(rng: np.random.Generator, duration_s: float, rate_Hz: float) -> Array:
-    """The bench's temperature: a slow wander, now and then a door that opens, shape (n,) [degC]."""
-    at = np.arange(round(duration_s * rate_Hz)) / rate_Hz
+    """Temperature of the bench: a slow random walk, in half of the records with one pulse, shape (n,) [degC]."""
+    time_s = np.arange(round(duration_s * rate_Hz)) / rate_Hz
     knots = np.linspace(0.0, duration_s, int(rng.integers(5, 10)))
     walk = np.cumsum(rng.normal(0.0, 1.0, knots.size))
-    shape = _smooth_through(at, knots, walk)
+    shape = _smooth_through(time_s, knots, walk)
     if rng.random() < 0.5:
-        opens = rng.uniform(0.1, 0.7) * duration_s
-        since = np.maximum(at - opens, 0.0)
-        pace_s = rng.uniform(0.05, 0.2) * duration_s
-        shape += rng.normal(0.0, 2.0) * (since / pace_s) * np.exp(1.0 - since / pace_s)
+        start_s = rng.uniform(0.1, 0.7) * duration_s
+        since = np.maximum(time_s - start_s, 0.0)
+        rise_s = rng.uniform(0.05, 0.2) * duration_s
+        shape += rng.normal(0.0, 2.0) * (since / rise_s) * np.exp(1.0 - since / rise_s)
     result: Array = rng.uniform(19.0, 27.0) + rng.uniform(0.8, 5.0) * (shape - shape[0]) / max(np.ptp(shape), 1e-9)
     return result
 
 
 def _virgin_rise(rng: np.random.Generator) -> list[float]:
+    """Corner levels of the first rise, relative to the range: straight, or with holds on the way."""
     if rng.random() < 0.4:
         return [1.0]
     treads = np.sort(rng.uniform(0.1, 0.95, int(rng.integers(2, 6))))
@@ -137,7 +138,7 @@ def _virgin_rise(rng: np.random.Generator) -> list[float]:
 
 
 def _identification_piece(rng: np.random.Generator) -> list[float]:
-    """Corner levels of varying triangles, minor loops about a bias, or random reversals; twice the same: a hold."""
+    """Corner levels of triangles, minor loops or reversals, relative to the range; a repeated level is a hold."""
     kind = rng.integers(4)
     if kind == 0:
         peaks = np.sort(rng.uniform(0.2, 1.0, int(rng.integers(2, 5))))[:: int(rng.choice([1, -1]))]
@@ -157,39 +158,40 @@ def _identification_piece(rng: np.random.Generator) -> list[float]:
 def _times(
     rng: np.random.Generator, levels: Sequence[float], reach_V: float, slowest: float, quickest: float
 ) -> list[float]:
-    """When each corner is reached [s], at speeds drawn between two [V/s]; what stays is held for a second or so."""
+    """Times of the corners [s]; speeds are drawn between two limits [V/s], a repeated level lasts 0.5 to 3 s."""
     travel = reach_V * np.abs(np.diff(levels))
     speed = np.exp(rng.uniform(np.log(slowest), np.log(quickest), travel.size))
     lasts = np.where(travel > 0.0, travel / speed, rng.uniform(0.5, 3.0, travel.size))
     return [0.0, *np.cumsum(np.maximum(lasts, 1e-3)).tolist()]
 
 
-def _smooth_through(at: Array, knots: Array, values: Array) -> Array:
-    """A smooth curve near values given at knots: straight lines, averaged over a knot's distance."""
-    straight = np.interp(at, knots, values)
-    width = max(1, int(at.size / knots.size))
+def _smooth_through(time_s: Array, knots: Array, values: Array) -> Array:
+    """Smooth curve near the values at the knots: linear interpolation, averaged over the distance of two knots."""
+    straight = np.interp(time_s, knots, values)
+    width = max(1, int(time_s.size / knots.size))
     kernel = np.hanning(width + 2)
     padded = np.pad(straight, (kernel.size // 2, kernel.size - 1 - kernel.size // 2), mode="edge")
-    # Averaging by a transform: the kernel is as long as a tenth of the record.
+    # The kernel is as long as a tenth of the record; a Fourier transform is the fastest way.
     size = 1 << int(np.ceil(np.log2(padded.size + kernel.size)))
     spectrum = np.fft.rfft(padded, size) * np.fft.rfft(kernel / kernel.sum(), size)
-    return np.fft.irfft(spectrum, size)[kernel.size - 1 : kernel.size - 1 + at.size]
+    return np.fft.irfft(spectrum, size)[kernel.size - 1 : kernel.size - 1 + time_s.size]
 
 
 def _range(rng: np.random.Generator, least: float = 0.05) -> tuple[float, float]:
-    """A middle and a half swing [parts of the reach]."""
+    """Draw middle and half width of a piece, relative to the reach."""
     half = 0.5 * rng.uniform(least, 1.0)
     return rng.uniform(half, 1.0 - half), half
 
 
-def _quick(rng: np.random.Generator, rate_Hz: float, slowest_Hz: float = 0.2) -> float:
+def _frequency_Hz(rng: np.random.Generator, rate_Hz: float, slowest_Hz: float = 0.2) -> float:
+    """Draw the frequency of a periodic piece [Hz]."""
     fastest = min(FASTEST_HZ, rate_Hz / SAMPLES_PER_PERIOD)
     return float(np.exp(rng.uniform(np.log(slowest_Hz), np.log(fastest))))
 
 
 def _sine(rng: np.random.Generator, t: Array, rate_Hz: float) -> Array:
     middle, half = _range(rng)
-    f = _quick(rng, rate_Hz)
+    f = _frequency_Hz(rng, rate_Hz)
     result: Array = middle + half * min(1.0, (3.0 / f) ** 0.5) * np.sin(
         2.0 * np.pi * f * t + rng.uniform(0.0, 2.0 * np.pi)
     )
@@ -198,7 +200,7 @@ def _sine(rng: np.random.Generator, t: Array, rate_Hz: float) -> Array:
 
 def _triangles(rng: np.random.Generator, t: Array, rate_Hz: float) -> Array:
     middle, half = _range(rng)
-    f = _quick(rng, rate_Hz)
+    f = _frequency_Hz(rng, rate_Hz)
     wave = 2.0 * np.abs(2.0 * ((f * t + rng.uniform()) % 1.0) - 1.0) - 1.0
     fade = 1.0 - rng.uniform(0.0, 0.6) * t / t[-1]
     result: Array = middle + half * min(1.0, (3.0 / f) ** 0.5) * fade * wave
@@ -223,7 +225,7 @@ def _staircase(rng: np.random.Generator, t: Array, rate_Hz: float) -> Array:
 
 def _multisine(rng: np.random.Generator, t: Array, rate_Hz: float) -> Array:
     middle, half = _range(rng, 0.15)
-    top = _quick(rng, rate_Hz, 2.0)
+    top = _frequency_Hz(rng, rate_Hz, 2.0)
     f = rng.uniform(0.1, top, int(rng.integers(6, 25)))
     wave = (np.sin(2.0 * np.pi * np.outer(t, f) + rng.uniform(0.0, 2.0 * np.pi, f.size)) / (1.0 + f) ** 0.5).sum(axis=1)
     result: Array = middle + half * wave / np.abs(wave).max()
@@ -238,7 +240,7 @@ def _ramps(rng: np.random.Generator, t: Array, rate_Hz: float) -> Array:
 
 def _chirp(rng: np.random.Generator, t: Array, rate_Hz: float) -> Array:
     middle, half = _range(rng)
-    low, high = 0.3, _quick(rng, rate_Hz, 3.0)
+    low, high = 0.3, _frequency_Hz(rng, rate_Hz, 3.0)
     phase = low * t + 0.5 * (high - low) * t * t / t[-1]
     result: Array = middle + half * np.sin(2.0 * np.pi * phase) * (1.0 + t / t[-1] * high / 4.0) ** -0.5
     return result

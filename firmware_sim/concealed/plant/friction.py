@@ -1,11 +1,12 @@
-"""Elasto-plastic friction, measured in force: purely elastic up to break-away, then more and more plastic.
+"""Elasto-plastic friction: elastic up to break-away, then increasingly plastic.
 
-With the bristle's deflection z in parts of its limit and the travel x in force (the form is chosen here, after the
-elasto-plastic models of presliding):
+The state is the deflection z of a bristle, relative to its limit. The travel x is measured in force:
 
-    dz/dx = s (1 - a(z) z sgn(dx)),    a = 0 below break-away, 1 at the limit, half a sine wave in between,
+    dz/dx = s (1 - a(z) z sgn(dx)),    a = 0 below break-away, 1 at the limit, half a sine wave in between.
 
-and a = 0 whenever the motion unloads the bristle. s is such that 63 % is there after a given travel from rest.
+While the motion unloads the bristle, a = 0. The slope s is set so that z reaches 63 % after a given travel from rest.
+Source: Dupont, Hayward, Armstrong, Altpeter (2002), Single state elastoplastic friction models,
+doi:10.1109/TAC.2002.1000274; the equation in travel instead of time is derived here.
 """
 
 import numpy as np
@@ -13,31 +14,31 @@ from numba import njit
 
 from firmware_sim.concealed.plant.arrays import Array
 
-FINEST = 0.02  # of the presliding travel: a longer step is taken in parts
+LONGEST_PART = 0.02  # [presliding travel]; a longer step is split
 REACHED = 1.0 - np.exp(-1.0)
 CURVE_POINTS = 4000
 
 
-def rub(force_N: Array, coulomb_N: float, presliding_N: float, break_away: float) -> Array:
+def friction_force(force_N: Array, coulomb_N: float, presliding_N: float, break_away: float) -> Array:
     """Friction that opposes a motion, shape (n,) [N].
 
     Parameters
     ----------
     force_N
-        The motion, measured in the force that it brings, shape (n,) [N].
+        Motion, measured in force, shape (n,) [N].
     coulomb_N
         Limit of the friction [N].
     presliding_N
-        Travel from rest after which 63 % of it are there [N].
+        Travel from rest after which the friction reaches 63 % of its limit [N].
     break_away
-        Part of the limit up to which it is elastic, 0 to 1.
+        Share of the limit up to which the friction is elastic, 0 to 1.
     """
     result: Array = coulomb_N * _run(force_N / presliding_N, stiffness(break_away), break_away)
     return result
 
 
 def stiffness(break_away: float) -> float:
-    """Initial slope of the relative friction over the travel in parts of the presliding one (1)."""
+    """Initial slope s of the relative friction over the travel / presliding travel (1)."""
     travel = np.linspace(0.0, 4.0, CURVE_POINTS)
     return float(np.interp(REACHED, _run(travel, 1.0, break_away), travel))
 
@@ -50,7 +51,7 @@ def _run(x: Array, slope: float, break_away: float) -> Array:
         travel = x[k] - last
         last = x[k]
         if travel != 0.0:
-            parts = int(abs(travel) / FINEST) + 1
+            parts = int(abs(travel) / LONGEST_PART) + 1
             part = travel / parts
             for _ in range(parts):
                 half = z + 0.5 * part * slope * _yielding(z, part, break_away)
@@ -61,7 +62,7 @@ def _run(x: Array, slope: float, break_away: float) -> Array:
 
 @njit(cache=True)
 def _yielding(z: float, way: float, break_away: float) -> float:
-    """Part of the travel that stretches the bristle."""
+    """Share of the travel that stretches the bristle, 1 - a(z) |z|, 0 to 1."""
     size = abs(z)
     if z * way <= 0.0 or size <= break_away:
         return 1.0

@@ -1,10 +1,15 @@
-"""The stack's rate-independent core: which operator it is differs from case to case, and is drawn.
+"""The rate-independent hysteresis of a concealed stack; its operator is drawn for every case.
 
-Kinds: `preisach` (a smooth random density of widths, by Everett tables), `bouc_wen` (smooth stops) and `plays` (60 to
-100 sharp stops at random widths). All three can be followed by superposed plays to well below the noise; that is what
-makes a case without an effect one. Minor loops that no superposed plays can follow are the effect
-`noncongruent_minor_loops`: a share of the irreversible part is then a Preisach density that depends on the bias, or one
-smooth stop with a small exponent.
+Kinds:
+
+- `preisach`: a smooth random density of relay widths, by Everett tables;
+- `bouc_wen`: smooth stops;
+- `plays`: 60 to 100 hard stops at random widths.
+
+A sum of play operators follows each of them to well below the noise. The hysteresis alone therefore counts as no
+effect. The effect `noncongruent_minor_loops` replaces a share of the irreversible part by an operator that no sum of
+plays can follow. This operator is a Preisach density that depends on the bias, or one smooth stop with a small
+exponent.
 """
 
 from dataclasses import dataclass, replace
@@ -13,26 +18,28 @@ from typing import Literal
 import numpy as np
 
 from firmware_sim.concealed.plant.arrays import Array
-from firmware_sim.concealed.plant.plays_and_stops import Stops
-from firmware_sim.concealed.plant.preisach_table import Everett, everett_by_place, everett_by_width
+from firmware_sim.concealed.plant.preisach_table import Everett, everett_by_bias, everett_by_width
+from firmware_sim.concealed.plant.stops import Stops
 
 Kind = Literal["preisach", "bouc_wen", "plays"]
 LOOP_POINTS = 2000
-LEAST_OPENING, MOST_OPENING = 0.08, 0.15  # of the range
+LEAST_OPENING, MOST_OPENING = 0.08, 0.15  # opening of the major loop [range]
 
 
 @dataclass(frozen=True)
 class Hysteresis:
-    """An operator from voltage to free stroke in volts' worth.
+    """Operator from voltage to free stroke; the stroke is expressed in volts.
 
     Parameters
     ----------
     kind
-        Which operator.
-    operator, scale
-        It, and what its output is multiplied by to reach `reach_V` on the virgin curve at `reach_V`.
+        Kind of the operator.
+    operator
+        Tabulated Preisach plane, or stops.
+    scale
+        Factor that brings the operator to `reach_V` on the virgin curve at `reach_V` (1).
     irreversible
-        Share of the stroke that the operator has; the rest is proportional to the voltage.
+        Share of the operator in the stroke, 0 to 1; the rest is proportional to the voltage.
     reach_V
         Largest voltage [V].
     """
@@ -44,10 +51,10 @@ class Hysteresis:
     reach_V: float
 
     def lagging(self, voltage_V: Array, widening: Array | None = None) -> Array:
-        """The irreversible part alone, scaled to reach `reach_V`, shape (n,) [V]."""
+        """Irreversible part alone, scaled to end at `reach_V`, shape (n,) [V]; for the parameters see `run`."""
         if isinstance(self.operator, Everett):
             if widening is not None:
-                raise ValueError("a tabulated Preisach plane has no widths to widen; draw another kind")
+                raise ValueError("hysteresis kind is preisach, which has no widths to widen; draw plays or bouc_wen")
             return self.scale * self.operator.run(voltage_V)
         path_V = 0.01 * self.reach_V
         return self.scale * (voltage_V - self.operator.run(voltage_V, widening, path_V))
@@ -58,31 +65,31 @@ class Hysteresis:
         Parameters
         ----------
         voltage_V
-            Shape (n,) [V].
+            Input, shape (n,) [V].
         widening
-            What every width is multiplied by, shape (n,); None: 1.
+            Factor on every width, shape (n,) (1); None: 1.
         other
-            Takes the place of the irreversible part, shape (n,) [V].
+            Replacement of the irreversible part, shape (n,) [V]; None: no replacement.
         """
         lagging = self.lagging(voltage_V, widening) if other is None else other
         return (1.0 - self.irreversible) * voltage_V + self.irreversible * lagging
 
 
 def draw_hysteresis(rng: np.random.Generator, kind: Kind, reach_V: float) -> Hysteresis:
-    """Draw an operator of a kind with a major loop that opens by 8 to 15 % of the range."""
+    """Draw an operator of a kind whose major loop opens by 8 to 15 % of the range."""
     if kind == "preisach":
         operator: Everett | Stops = everett_by_width(rng, reach_V)
     elif kind == "plays":
-        operator = _sharp_stops(rng, reach_V)
+        operator = _hard_stops(rng, reach_V)
     else:
         operator = _smooth_stops(rng, reach_V)
     return calibrated(kind, operator, reach_V, rng.uniform(LEAST_OPENING, MOST_OPENING))
 
 
 def draw_noncongruent(rng: np.random.Generator, reach_V: float) -> Hysteresis:
-    """Draw an operator that no superposition of plays can follow."""
+    """Draw an operator that no sum of play operators can follow."""
     if rng.random() < 0.7:
-        return calibrated("preisach", everett_by_place(rng, reach_V), reach_V, MOST_OPENING)
+        return calibrated("preisach", everett_by_bias(rng, reach_V), reach_V, MOST_OPENING)
     stops = Stops(
         np.array([rng.uniform(0.15, 0.45) * reach_V]), np.array([rng.uniform(0.6, 0.9)]), rng.uniform(1.0, 3.0)
     )
@@ -90,7 +97,7 @@ def draw_noncongruent(rng: np.random.Generator, reach_V: float) -> Hysteresis:
 
 
 def calibrated(kind: Kind, operator: Everett | Stops, reach_V: float, opening: float) -> Hysteresis:
-    """Scale an operator, and give it the share of the stroke that opens the major loop by `opening` of the range."""
+    """Scale an operator and choose its share so that the major loop opens by `opening` of the range."""
     cycle = major_cycles(reach_V)
     found = Hysteresis(kind, operator, 1.0, 1.0, reach_V)
     found = replace(found, scale=reach_V / found.lagging(cycle)[LOOP_POINTS - 1])
@@ -101,18 +108,19 @@ def calibrated(kind: Kind, operator: Everett | Stops, reach_V: float, opening: f
 
 
 def major_cycles(reach_V: float) -> Array:
-    """Two full triangles from rest, four branches of LOOP_POINTS each [V]."""
+    """Two full triangles from rest, shape (4 LOOP_POINTS,) [V]."""
     up = np.linspace(0.0, reach_V, LOOP_POINTS)
     return np.concatenate((up, up[::-1], up, up[::-1]))
 
 
 def loop_opening(stroke_V: Array) -> float:
-    """Greatest distance of the branches of the second of `major_cycles`, in parts of the range."""
+    """Greatest distance of the branches of the second of `major_cycles`, relative to the range (1)."""
     up, down = stroke_V[2 * LOOP_POINTS : 3 * LOOP_POINTS], stroke_V[3 * LOOP_POINTS :][::-1]
     return float(np.max(np.abs(down - up)) / np.ptp(stroke_V))
 
 
-def _sharp_stops(rng: np.random.Generator, reach_V: float) -> Stops:
+def _hard_stops(rng: np.random.Generator, reach_V: float) -> Stops:
+    """Draw 60 to 100 hard stops."""
     count = int(rng.integers(60, 101))
     widths = np.sort(rng.uniform(0.002, 1.0, count) ** rng.uniform(1.0, 1.6)) * reach_V
     slope = rng.uniform(0.3, 1.2)
@@ -121,6 +129,7 @@ def _sharp_stops(rng: np.random.Generator, reach_V: float) -> Stops:
 
 
 def _smooth_stops(rng: np.random.Generator, reach_V: float) -> Stops:
+    """Draw 9 to 14 Bouc-Wen stops with a large exponent."""
     count = int(rng.integers(9, 15))
     widths = np.geomspace(rng.uniform(0.01, 0.02), rng.uniform(0.55, 0.8), count)
     widths *= reach_V * np.exp(rng.uniform(-0.08, 0.08, count))

@@ -1,8 +1,9 @@
-"""Linear systems answered exactly: the input is a staircase or runs straight between the points of the grid.
+"""Exact response of linear systems to an input that is held, or runs straight, between the points of the grid.
 
-`dx/dt = A x + B u, y = C x + D u`. An input and its slope that stay constant over a step are two more states, so the
-exponential of the block matrix `[[A, B, 0], [0, 0, 1], [0, 0, 0]] dt` holds the answer to the present state, to a
-constant input and to a ramp (derived here).
+System: `dx/dt = A x + B u, y = C x + D u`. Over one step, the input and its slope are two more states. The exponential
+of the block matrix `[[A, B, 0], [0, 0, 1], [0, 0, 0]] dt` then holds three responses: to the state, to a constant input
+and to a ramp. Source: Van Loan (1978), Computing integrals involving the matrix exponential,
+doi:10.1109/TAC.1978.1101743.
 """
 
 import math
@@ -13,7 +14,7 @@ from numba import njit
 
 from firmware_sim.concealed.plant.arrays import Array
 
-TERMS = 18  # of the exponential's series, once its argument is below 1/2
+TERMS = 18  # terms of the series of the exponential, for a norm below 1/2
 
 
 @dataclass(frozen=True)
@@ -23,9 +24,9 @@ class System:
     Parameters
     ----------
     A, B, C
-        Shapes (n, n), (n,), (n,) [1/s and what follows].
+        State matrix, input and output vector, shapes (n, n), (n,), (n,); time in [s].
     D
-        Direct path (1).
+        Direct path from input to output (1).
     """
 
     A: Array
@@ -48,13 +49,13 @@ def second_order(frequency_Hz: float, damping_ratio: float) -> System:
 
 
 def high_pass(time_constant_s: float) -> System:
-    """What a first-order low-pass leaves over."""
+    """First-order high-pass: the input less its first-order low-pass."""
     low = first_order(time_constant_s)
     return System(low.A, low.B, -low.C, 1.0)
 
 
 def cascade(first: System, second: System) -> System:
-    """Two low-passes, one behind the other."""
+    """Two low-passes in series."""
     n, m = first.B.size, second.B.size
     A = np.zeros((n + m, n + m))
     A[:n, :n], A[n:, n:] = first.A, second.A
@@ -63,7 +64,7 @@ def cascade(first: System, second: System) -> System:
 
 
 def exponential(matrix: Array) -> Array:
-    """Exponential of a small matrix by scaling, series and squaring."""
+    """Exponential of a small square matrix by scaling, Taylor series and squaring."""
     norm = float(np.abs(matrix).sum(axis=1).max())
     halvings = max(0, math.ceil(math.log2(2.0 * norm))) if norm > 0.0 else 0
     small = matrix / 2.0**halvings
@@ -77,25 +78,25 @@ def exponential(matrix: Array) -> Array:
     return total
 
 
-def respond(system: System, values: Array, dt_s: float, *, stairs: bool) -> Array:
-    """Response to an input that was at `values[0]` for ever before.
+def respond(system: System, values: Array, dt_s: float, *, held: bool) -> Array:
+    """Response from the equilibrium at `values[0]`, shape (n,).
 
     Parameters
     ----------
     system
-        Stable.
+        Stable linear system.
     values
         Input on the grid, shape (n,).
     dt_s
         Step of the grid [s].
-    stairs
-        The input keeps its value until the next point; otherwise it runs straight.
+    held
+        True: the input is held until the next point. False: it runs straight to the next point.
     """
     n = system.B.size
     block = np.zeros((n + 2, n + 2))
     block[:n, :n], block[:n, n], block[n, n + 1] = system.A * dt_s, system.B * dt_s, 1.0
     step = exponential(block)
-    ramp = np.zeros(n) if stairs else np.ascontiguousarray(step[:n, n + 1])
+    ramp = np.zeros(n) if held else np.ascontiguousarray(step[:n, n + 1])
     start = np.linalg.solve(system.A, -system.B * values[0])
     phi, constant = np.ascontiguousarray(step[:n, :n]), np.ascontiguousarray(step[:n, n])
     result: Array = _march(phi, constant, ramp, system.C, system.D, values, start)

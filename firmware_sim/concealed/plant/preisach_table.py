@@ -1,8 +1,11 @@
 """Preisach operators from tabulated Everett functions, with a last-in first-out memory of reversals.
 
-The weight between two reversals x < y is `E(x, y)`. Two kinds: a density of the relays' width alone, drawn at random,
-whose E depends on y - x only; and a density that also depends on the place, `E(x, y)` on a lattice, bilinear in
-between.
+The change of the output between two reversals x < y is the Everett function `E(x, y)`. There are two kinds:
+
+- the density depends on the width of the relays alone, so that E depends on y - x alone;
+- the density depends on the bias too: E is tabulated over x and y, with bilinear interpolation.
+
+Source: Mayergoyz (1991), Mathematical Models of Hysteresis, chapter 1. The densities are chosen here.
 """
 
 from dataclasses import dataclass
@@ -13,39 +16,39 @@ from numba import njit
 from firmware_sim.concealed.plant.arrays import Array
 
 WIDTH_POINTS = 20_001
-LATTICE = 401
-DEEPEST = 512  # reversals remembered
+GRID_POINTS = 401  # of an axis of E(x, y)
+MOST_REVERSALS = 512  # that the memory holds
 
 
 @dataclass(frozen=True)
 class Everett:
-    """Tables over -`reach_V` to `reach_V`, scaled to an output of `reach_V` on the virgin curve's end.
+    """Tables over -`reach_V` to `reach_V`; the virgin curve ends at `reach_V`.
 
     Parameters
     ----------
     reach_V
         Largest input [V].
     by_width
-        E over y - x from 0 to 2 reach, shape (WIDTH_POINTS,), or one zero.
-    by_place
-        E over x and y, shape (LATTICE, LATTICE), or one zero.
+        E over y - x = 0 to 2 reach, shape (WIDTH_POINTS,) [V], or a single zero.
+    by_bias
+        E over x and y, shape (GRID_POINTS, GRID_POINTS) [V], or a single zero.
     virgin
-        Output on the first rise over 0 to reach, shape (WIDTH_POINTS,).
+        Output on the first rise, over 0 to reach, shape (WIDTH_POINTS,) [V].
     """
 
     reach_V: float
     by_width: Array
-    by_place: Array
+    by_bias: Array
     virgin: Array
 
     def run(self, voltage_V: Array) -> Array:
-        """Output over inputs from the demagnetised state, shape (n,) [V]."""
-        result: Array = _run(self.reach_V, self.by_width, self.by_place, self.virgin, voltage_V)
+        """Output over an input from the demagnetised state, shape (n,) [V]."""
+        result: Array = _run(self.reach_V, self.by_width, self.by_bias, self.virgin, voltage_V)
         return result
 
 
 def everett_by_width(rng: np.random.Generator, reach_V: float) -> Everett:
-    """Density of the width alone: a mixture of two to four smooth bumps."""
+    """Draw a density of the width alone: a sum of two to four Gaussians."""
     d = np.linspace(0.0, 2.0 * reach_V, WIDTH_POINTS)
     density = np.zeros(d.size)
     for _ in range(rng.integers(2, 5)):
@@ -57,18 +60,18 @@ def everett_by_width(rng: np.random.Generator, reach_V: float) -> Everett:
     return Everett(reach_V, scale * table, np.zeros((1, 1)), scale * virgin)
 
 
-def everett_by_place(rng: np.random.Generator, reach_V: float) -> Everett:
-    """Density that changes with the bias (a + b) / 2 as well: ridges across the plane."""
-    axis = np.linspace(-reach_V, reach_V, LATTICE)
+def everett_by_bias(rng: np.random.Generator, reach_V: float) -> Everett:
+    """Draw a density that also depends on the bias (a + b) / 2: a ridge across the plane."""
+    axis = np.linspace(-reach_V, reach_V, GRID_POINTS)
     b, a = np.meshgrid(axis, axis, indexing="ij")
     width, bias = a - b, 0.5 * (a + b)
     density = np.exp(-width / (rng.uniform(0.25, 0.6) * reach_V))
-    place, spread = rng.uniform(0.1, 0.9) * reach_V, rng.uniform(0.15, 0.35) * reach_V
-    density *= 0.25 + np.exp(-0.5 * ((bias - place) / spread) ** 2)
+    centre, spread = rng.uniform(0.1, 0.9) * reach_V, rng.uniform(0.15, 0.35) * reach_V
+    density *= 0.25 + np.exp(-0.5 * ((bias - centre) / spread) ** 2)
     density[a < b] = 0.0
     density[a == b] *= 0.5
     cell = (axis[1] - axis[0]) ** 2
-    # E(x, y): sum over b >= x and a <= y.
+    # E(x, y) sums the density over b >= x and a <= y.
     table = np.cumsum(np.cumsum(density[::-1, :], axis=0)[::-1, :], axis=1) * cell
     table[a <= b] = 0.0
     up = np.where((a > 0.0) & (b > -a), density, 0.0).sum(axis=0) * cell
@@ -78,25 +81,26 @@ def everett_by_place(rng: np.random.Generator, reach_V: float) -> Everett:
     return Everett(reach_V, np.zeros(1), scale * table, scale * virgin)
 
 
-def _integral(values: Array, at: Array) -> Array:
-    steps = 0.5 * (values[1:] + values[:-1]) * np.diff(at)
+def _integral(values: Array, points: Array) -> Array:
+    """Running integral by the trapezoidal rule, shape (n,)."""
+    steps = 0.5 * (values[1:] + values[:-1]) * np.diff(points)
     return np.concatenate(([0.0], np.cumsum(steps)))
 
 
 @njit(cache=True)
-def _lookup(reach_V: float, by_width: Array, by_place: Array, low: float, high: float) -> float:
+def _lookup(reach_V: float, by_width: Array, by_bias: Array, low: float, high: float) -> float:
     total = 0.0
     if by_width.size > 1:
         at = (high - low) / (2.0 * reach_V) * (by_width.size - 1)
         k = min(int(at), by_width.size - 2)
         total += by_width[k] + (at - k) * (by_width[k + 1] - by_width[k])
-    if by_place.shape[0] > 1:
-        n = by_place.shape[0] - 1
+    if by_bias.shape[0] > 1:
+        n = by_bias.shape[0] - 1
         p, q = (low / reach_V + 1.0) * 0.5 * n, (high / reach_V + 1.0) * 0.5 * n
         i, j = min(max(int(p), 0), n - 1), min(max(int(q), 0), n - 1)
         f, g = p - i, q - j
-        left = by_place[i, j] * (1.0 - g) + by_place[i, j + 1] * g
-        right = by_place[i + 1, j] * (1.0 - g) + by_place[i + 1, j + 1] * g
+        left = by_bias[i, j] * (1.0 - g) + by_bias[i, j + 1] * g
+        right = by_bias[i + 1, j] * (1.0 - g) + by_bias[i + 1, j + 1] * g
         total += left * (1.0 - f) + right * f
     return total
 
@@ -110,8 +114,8 @@ def _virgin(reach_V: float, virgin: Array, u: float) -> float:
 
 
 @njit(cache=True)
-def _run(reach_V: float, by_width: Array, by_place: Array, virgin: Array, u: Array) -> Array:
-    corner, level = np.empty(DEEPEST), np.empty(DEEPEST)
+def _run(reach_V: float, by_width: Array, by_bias: Array, virgin: Array, u: Array) -> Array:
+    corner, level = np.empty(MOST_REVERSALS), np.empty(MOST_REVERSALS)
     out = np.empty(u.size)
     depth, heading = 0, 0.0
     last, value = 0.0, 0.0
@@ -120,7 +124,7 @@ def _run(reach_V: float, by_width: Array, by_place: Array, virgin: Array, u: Arr
         if move != 0.0:
             way = 1.0 if move > 0.0 else -1.0
             if heading * way < 0.0:
-                if depth == DEEPEST:
+                if depth == MOST_REVERSALS:
                     depth -= 2
                 corner[depth], level[depth] = last, value
                 depth += 1
@@ -133,7 +137,7 @@ def _run(reach_V: float, by_width: Array, by_place: Array, virgin: Array, u: Arr
                 value = _virgin(reach_V, virgin, last)
             else:
                 x = corner[depth - 1]
-                weight = _lookup(reach_V, by_width, by_place, min(x, last), max(x, last))
+                weight = _lookup(reach_V, by_width, by_bias, min(x, last), max(x, last))
                 value = level[depth - 1] + way * weight
         out[k] = value
     return out

@@ -1,85 +1,87 @@
-"""From the commands to the stack's free stroke: amplifier, hysteresis, creep, a gain that drifts."""
+"""From the commands to the free stroke of the stack: amplifier, hysteresis, creep, drift of the gain."""
 
 import numpy as np
 
 from firmware_sim.concealed.plant.amplifier import clamp, slew, swelling_lag
 from firmware_sim.concealed.plant.arrays import Array
-from firmware_sim.concealed.plant.creep import crept, curve
+from firmware_sim.concealed.plant.creep import creep_response, curve
 from firmware_sim.concealed.plant.hysteresis import Hysteresis
-from firmware_sim.concealed.plant.passage import Passage, Signal
+from firmware_sim.concealed.plant.record_context import RecordContext, Signal
 
-COURSES = ("bent", "logarithmic", "sigmoid")
-SLEW_TAU = 0.02  # samples: how long the amplifier takes to follow what is no limit
+DRIFT_SHAPES = ("bent", "logarithmic", "sigmoid")
+SLEW_TAU = 0.02  # time constant below the slew limit [samples]
 
 
-def output_voltage(at: Passage) -> Signal:
+def output_voltage(context: RecordContext) -> Signal:
     """Voltage at the stack, on the fine grid [V]."""
-    drive, stairs = at.drive, at.drive.held
+    drive, held = context.drive, context.drive.held
     voltage_V = drive.fine_voltage_V()
-    if on := at.on("voltage_clamp"):
+    if on := context.on("voltage_clamp"):
         voltage_V = clamp(voltage_V, on.parameters["limit_V"], on.number("knee_V"))
-    if on := at.on("slew_limit"):
+    if on := context.on("slew_limit"):
         tau_s = SLEW_TAU / drive.rate_Hz
-        voltage_V = slew(voltage_V, on.parameters["limit_V_per_s"], tau_s, drive.fine_s, stairs)
-        stairs = False
-    if on := at.on("electrical_lag"):
+        voltage_V = slew(voltage_V, on.parameters["limit_V_per_s"], tau_s, drive.fine_s, held)
+        held = False
+    if on := context.on("electrical_lag"):
         tau_s, swell = on.parameters["time_constant_s"], on.number("swell")
-        voltage_V = swelling_lag(voltage_V, tau_s, swell, at.reach_V, drive.fine_s, stairs)
-        stairs = False
-    return Signal(at.with_foreign("amplifier", voltage_V), stairs)
+        voltage_V = swelling_lag(voltage_V, tau_s, swell, context.reach_V, drive.fine_s, held)
+        held = False
+    return Signal(context.with_foreign("amplifier", voltage_V), held)
 
 
-def hysteretic_stroke(at: Passage, core: Hysteresis, noncongruent: Hysteresis, voltage: Signal) -> Signal:
-    """Stroke in volts' worth behind the hysteresis [V]."""
+def hysteretic_stroke(context: RecordContext, core: Hysteresis, noncongruent: Hysteresis, voltage: Signal) -> Signal:
+    """Stroke behind the hysteresis, on the fine grid, expressed in volts [V]."""
     voltage_V, widening, other = voltage.values, None, None
-    if on := at.on("rate_dependent_hysteresis"):
-        rate = _rate_V_per_s(at, voltage_V) / on.parameters["reference_V_per_s"]
+    if on := context.on("rate_dependent_hysteresis"):
+        rate = _rate_V_per_s(context, voltage_V) / on.parameters["reference_V_per_s"]
         widening = 1.0 + on.parameters["growth"] * np.arcsinh(rate)
-    if on := at.on("noncongruent_minor_loops"):
+    if on := context.on("noncongruent_minor_loops"):
         share = on.parameters["share"]
         other = (1.0 - share) * core.lagging(voltage_V, widening) + share * noncongruent.lagging(voltage_V)
-    return Signal(core.run(voltage_V, widening=widening, other=other), voltage.stairs)
+    return Signal(core.run(voltage_V, widening=widening, other=other), voltage.held)
 
 
-def free_stroke(at: Passage, stroke: Signal) -> Signal:
-    """Stroke with creep and drift [V]."""
+def free_stroke(context: RecordContext, stroke: Signal) -> Signal:
+    """Stroke with creep and drift of the gain, on the fine grid [V]."""
     values = stroke.values
-    if on := at.on("creep"):
+    if on := context.on("creep"):
         response = curve(on.text("law"), on.number("shape"), on.parameters["from_s"], on.parameters["to_s"])
-        values = values + on.parameters["per_decade"] * crept(values, response, at.drive.fine_s)
-    if on := at.on("gain_drift"):
-        part = at.time_s(values.size) / at.drive.time_s[-1]
-        values = values * (1.0 + on.parameters["relative_change"] * course(on.text("course"), on.number("bend"), part))
-    return Signal(at.with_foreign("stack", values), stroke.stairs)
+        values = values + on.parameters["per_decade"] * creep_response(values, response, context.drive.fine_s)
+    if on := context.on("gain_drift"):
+        part = context.time_s(values.size) / context.drive.time_s[-1]
+        values = values * (
+            1.0 + on.parameters["relative_change"] * drift_progress(on.text("course"), on.number("bend"), part)
+        )
+    return Signal(context.with_foreign("stack", values), stroke.held)
 
 
-def course(kind: str, bent: float, part: Array) -> Array:
-    """How much of a drift has come about, from 0 to 1, at parts of a record, shape (n,).
+def drift_progress(shape: str, bend: float, part: Array) -> Array:
+    """Share of a drift that is complete, from 0 to 1 over a record, shape (n,).
 
     Parameters
     ----------
-    kind
-        One of `COURSES`: a power of time, a logarithm, or slow at both ends.
-    bent
-        0 to 1: how much it departs from a straight line.
+    shape
+        One of `DRIFT_SHAPES`: a power of time, a logarithm of time, or a sigmoid.
+    bend
+        Departure from a straight line, 0 to 1.
     part
-        Shape (n,); 0 at the beginning, 1 at the end.
+        Relative time in the record, shape (n,), 0 to 1.
     """
-    if kind == "bent":
-        power: Array = part ** (1.0 + 0.7 * (bent - 0.5))
+    if shape == "bent":
+        power: Array = part ** (1.0 + 0.7 * (bend - 0.5))
         return power
-    if kind == "logarithmic":
-        reach = 0.2 + 6.0 * bent
+    if shape == "logarithmic":
+        reach = 0.2 + 6.0 * bend
         logarithm: Array = np.log1p(reach * part) / np.log1p(reach)
         return logarithm
-    steep = 0.5 + 3.0 * bent
+    steep = 0.5 + 3.0 * bend
     sigmoid: Array = 0.5 + 0.5 * np.tanh(steep * (part - 0.5)) / np.tanh(0.5 * steep)
     return sigmoid
 
 
-def _rate_V_per_s(at: Passage, voltage_V: Array) -> Array:
+def _rate_V_per_s(context: RecordContext, voltage_V: Array) -> Array:
     """Rate of the voltage over the last sample period, shape (n,) [V/s]."""
-    back = at.drive.substeps
+    back = context.drive.substeps
     before = np.concatenate((np.full(back, voltage_V[0]), voltage_V[:-back]))
-    result: Array = np.abs(voltage_V - before) * at.drive.rate_Hz
+    result: Array = np.abs(voltage_V - before) * context.drive.rate_Hz
     return result

@@ -1,1 +1,1 @@
-"""The scoring of verdicts against the sealed truth."""
+"""Scoring of a study: findings compared with the opened truth, figures, report."""

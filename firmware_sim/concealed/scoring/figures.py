@@ -1,18 +1,18 @@
-"""The figures that a study is judged by, each with what it must be at least and what is aimed at.
+"""The figures of a study, each with its requirement and its aim.
 
-Which cases and names count where:
+Cases and names that a figure counts:
 
 - exact sets: singles (at 4 and 20 times the noise, and at 0.8 times), pairs and triples;
-- precision: every name given in every case, nulls and foreign cases too; right is a name that is in the case;
-- truth among named or rivals: every effect of the catalogue in every case;
+- precision: every name given in every case, nulls and foreign cases included; a name is right if it is in the case;
+- truth among named or rivals: every catalogue effect of every case;
 - false "unexplained": singles, pairs and triples whose exact set was named;
-- places and parameters: those of the effects of the catalogue in every case; parameters only where the name was given.
-  Lag, delay and frequency are `time_constant_s` of the electrical lag, `delay_s`, and `frequency_Hz`;
-- calibration: names in ten equal bins of confidence; the mean over all names of |share right - mean confidence| of
-  their bin;
-- time: median over the cases that say how long they took.
+- places: those of the catalogue effects of every case;
+- parameters: those of the correctly named effects. Lag, delay and frequency are `time_constant_s` of the electrical
+  lag, `delay_s` and `frequency_Hz`;
+- calibration: names in ten equal bins of confidence; mean over all names of |share right - mean confidence| of the bin;
+- time: median over the cases that report a time.
 
-Intervals are Wilson's at 95 %.
+Intervals: Wilson (1927), Probable inference, the law of succession, and statistical inference, at 95 %.
 """
 
 import math
@@ -21,13 +21,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from firmware_sim.concealed.scoring.judge import Judgement, ParameterError
+from firmware_sim.concealed.scoring.case_score import CaseScore, ParameterError
 
 BINS = 10
 FALSELY_OPEN = 'false "unexplained" on solved cases'
-Z = 1.959964
-STRONG = 2.0  # in parts of the noise: between the weakest strength and the others
-SWIFT = frozenset({("electrical_lag", "time_constant_s"), ("transport_delay", "delay_s")})
+Z = 1.959964  # quantile of the normal distribution for 95 %
+STRONG = 2.0  # [noise rms], between the weakest strength and the others
+FAST_PARAMETERS = frozenset({("electrical_lag", "time_constant_s"), ("transport_delay", "delay_s")})
 
 
 @dataclass(frozen=True)
@@ -37,19 +37,19 @@ class Figure:
     Parameters
     ----------
     name
-        What it says.
+        Name of the row.
     value
-        In the unit of `limits`; None: nothing to count.
+        Value, in the unit of `least` and `aim`; None: nothing to count.
     count
-        How many cases, names or places it rests on.
+        Number of counted cases, names or places.
     least, aim
-        What it must be at least, and what is aimed at.
+        Requirement and aim.
     rising
-        Larger is better.
+        True: larger is better.
     interval
-        Of a share; None: not one.
+        Interval of a share at 95 %; None: the value is no share.
     percent
-        Shown in percent.
+        True: shown in percent.
     """
 
     name: str
@@ -63,7 +63,7 @@ class Figure:
 
     @property
     def reached(self) -> str:
-        """`aim`, `yes` (what it must be at least), `no`, or `-` where there is nothing to count."""
+        """`aim`: aim reached; `yes`: requirement reached; `no`; `-`: nothing to count."""
         if self.value is None:
             return "-"
         for limit, word in ((self.aim, "aim"), (self.least, "yes")):
@@ -73,8 +73,8 @@ class Figure:
 
 
 @dataclass(frozen=True)
-class Bin:
-    """Names of nearly one confidence: their mean confidence, the share that is right, and how many."""
+class ConfidenceBin:
+    """Names in a range of confidence: their number, mean confidence and share of right names."""
 
     low: float
     high: float
@@ -83,16 +83,16 @@ class Bin:
     right: float
 
 
-def figures(judged: Sequence[Judgement]) -> list[Figure]:
-    """The whole table."""
+def figures(scores: Sequence[CaseScore]) -> list[Figure]:
+    """All figures of a study, in the order of the table."""
     kinds = ("null", "single", "pair", "triple", "foreign")
-    of_kind = {kind: [j for j in judged if j.case.kind == kind] for kind in kinds}
+    of_kind = {kind: [j for j in scores if j.case.kind == kind] for kind in kinds}
     strong = [j for j in of_kind["single"] if j.case.effects[0].strength >= STRONG]
     weak = [j for j in of_kind["single"] if j.case.effects[0].strength < STRONG]
     solved = [j for kind in ("single", "pair", "triple") for j in of_kind[kind] if j.exact]
-    right = [is_right for j in judged for _, is_right in j.names_right]
-    covered = [effect.name in j.covered for j in judged for effect in j.case.effects]
-    places = [place.found for j in judged for place in j.places]
+    right = [is_right for j in scores for _, is_right in j.names_right]
+    covered = [effect.name in j.covered for j in scores for effect in j.case.effects]
+    places = [place.found for j in scores for place in j.places]
     return [
         _share("false alarm on nulls", _each(of_kind["null"], lambda j: j.alarm), 0.05, 0.0, rising=False),
         _share("singles, exact set, 4x and 20x noise", _each(strong, _exact), 0.90, 0.97),
@@ -102,25 +102,27 @@ def figures(judged: Sequence[Judgement]) -> list[Figure]:
         _share("precision over all names given", right, 0.95, 0.98),
         _share("truth among named or their rivals", covered, 0.95, 0.98),
         _share("foreign effects flagged", _each(of_kind["foreign"], _flagged), 0.90, 0.97),
-        _share("foreign effects given a sure name", _each(of_kind["foreign"], _sure), 0.10, 0.03, rising=False),
+        _share(
+            "foreign effects given a confident name", _each(of_kind["foreign"], _confident), 0.10, 0.03, rising=False
+        ),
         _share(FALSELY_OPEN, _each(solved, _flagged), 0.05, 0.02, rising=False),
         _share("places found", places, 0.85, 0.95),
-        *_parameters(judged),
-        *_gaps(judged),
-        _calibration(judged),
-        _time(judged),
+        *_parameters(scores),
+        *_gaps(scores),
+        _calibration(scores),
+        _time(scores),
     ]
 
 
-def calibration_bins(judged: Iterable[Judgement]) -> list[Bin]:
+def calibration_bins(scores: Iterable[CaseScore]) -> list[ConfidenceBin]:
     """Names in equal bins of confidence, empty bins left out."""
-    names = [name for j in judged for name in j.names_right]
+    names = [name for j in scores for name in j.names_right]
     bins = []
     for k in range(BINS):
         inside = [(c, r) for c, r in names if min(int(min(max(c, 0.0), 1.0) * BINS), BINS - 1) == k]
         if inside:
             confidence, right = (float(np.mean(column)) for column in zip(*inside, strict=True))
-            bins.append(Bin(k / BINS, (k + 1) / BINS, len(inside), confidence, right))
+            bins.append(ConfidenceBin(k / BINS, (k + 1) / BINS, len(inside), confidence, right))
     return bins
 
 
@@ -131,20 +133,20 @@ def wilson(hits: int, count: int) -> tuple[float, float]:
     return max(middle - half, 0.0), min(middle + half, 1.0)
 
 
-def _each(judged: Iterable[Judgement], what: Callable[[Judgement], bool]) -> list[bool]:
-    return [what(j) for j in judged]
+def _each(scores: Iterable[CaseScore], test: Callable[[CaseScore], bool]) -> list[bool]:
+    return [test(j) for j in scores]
 
 
-def _flagged(judgement: Judgement) -> bool:
-    return judgement.verdict.flagged
+def _flagged(score: CaseScore) -> bool:
+    return score.verdict.flagged
 
 
-def _exact(judgement: Judgement) -> bool:
-    return judgement.exact
+def _exact(score: CaseScore) -> bool:
+    return score.exact
 
 
-def _sure(judgement: Judgement) -> bool:
-    return judgement.sure_name
+def _confident(score: CaseScore) -> bool:
+    return score.confident_name
 
 
 def _share(name: str, hits: Sequence[bool], least: float, aim: float, *, rising: bool = True) -> Figure:
@@ -154,21 +156,21 @@ def _share(name: str, hits: Sequence[bool], least: float, aim: float, *, rising:
     return Figure(name, sum(hits) / len(hits), len(hits), least, aim, rising, interval)
 
 
-def _parameters(judged: Sequence[Judgement]) -> list[Figure]:
-    def swift(error: ParameterError) -> bool:
-        return error.parameter == "frequency_Hz" or (error.effect, error.parameter) in SWIFT
+def _parameters(scores: Sequence[CaseScore]) -> list[Figure]:
+    def fast(error: ParameterError) -> bool:
+        return error.parameter == "frequency_Hz" or (error.effect, error.parameter) in FAST_PARAMETERS
 
-    errors = [error for j in judged for error in j.errors]
-    of_swift, of_others = [e.error for e in errors if swift(e)], [e.error for e in errors if not swift(e)]
+    errors = [error for j in scores for error in j.errors]
+    of_fast, of_others = [e.error for e in errors if fast(e)], [e.error for e in errors if not fast(e)]
     name = "parameter error, median"
     return [
-        Figure(f"{name}: lag, delay, frequency", _quantile(of_swift, 0.5), len(of_swift), 0.02, 0.005, rising=False),
+        Figure(f"{name}: lag, delay, frequency", _quantile(of_fast, 0.5), len(of_fast), 0.02, 0.005, rising=False),
         Figure(f"{name}: others", _quantile(of_others, 0.5), len(of_others), 0.10, 0.03, rising=False),
     ]
 
 
-def _gaps(judged: Sequence[Judgement]) -> list[Figure]:
-    gaps = [j.gap_closed for j in judged if j.gap_closed is not None]
+def _gaps(scores: Sequence[CaseScore]) -> list[Figure]:
+    gaps = [j.gap_closed for j in scores if j.gap_closed is not None]
     name = "held-out gap closed"
     return [
         Figure(f"{name}, median", _quantile(gaps, 0.5), len(gaps), 0.98, 0.998, percent=False),
@@ -176,23 +178,23 @@ def _gaps(judged: Sequence[Judgement]) -> list[Figure]:
     ]
 
 
-def _calibration(judged: Sequence[Judgement]) -> Figure:
-    bins = calibration_bins(judged)
+def _calibration(scores: Sequence[CaseScore]) -> Figure:
+    bins = calibration_bins(scores)
     count = sum(b.count for b in bins)
     error = sum(b.count * abs(b.right - b.confidence) for b in bins) / count if count else None
     return Figure("calibration error of the confidence (ECE)", error, count, 0.05, 0.03, rising=False, percent=False)
 
 
-def _time(judged: Sequence[Judgement]) -> Figure:
-    times = [j.verdict.elapsed_s for j in judged if j.verdict.elapsed_s is not None]
+def _time(scores: Sequence[CaseScore]) -> Figure:
+    times = [j.verdict.elapsed_s for j in scores if j.verdict.elapsed_s is not None]
     return Figure("time a case, median [s]", _quantile(times, 0.5), len(times), 60.0, 10.0, rising=False, percent=False)
 
 
 def _quantile(values: Sequence[float], share: float) -> float | None:
-    """Quantile by straight lines between the ranks, infinite values allowed; None of nothing."""
+    """Quantile by linear interpolation between the ranks, infinite values allowed; None without values."""
     if not values:
         return None
     ordered = sorted(values)
-    at = share * (len(ordered) - 1)
-    low, high = ordered[math.floor(at)], ordered[math.ceil(at)]
-    return low if low == high else low + (at - math.floor(at)) * (high - low)
+    rank = share * (len(ordered) - 1)
+    low, high = ordered[math.floor(rank)], ordered[math.ceil(rank)]
+    return low if low == high else low + (rank - math.floor(rank)) * (high - low)

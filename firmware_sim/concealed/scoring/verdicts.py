@@ -1,8 +1,8 @@
-"""What a diagnosis said of the cases of a study: `VERDICTS/case_0001/findings.json` and the two simulations beside it.
+"""Reads the result of a diagnosis of one case: `VERDICTS/case_0001/findings.json` and two simulations beside it.
 
-`simulated_held_out.csv` and `simulated_held_out_base.csv` have the columns `time_s` and `force_N`: the held-out record
-as the extended model and as the model without effects simulate it, tones and one-off events left out. `run.json`, which
-may be missing, says how long the diagnosis took: `{"elapsed_s": 7.1}`.
+`simulated_held_out.csv` is the held-out record as simulated by the extended model, `simulated_held_out_base.csv` that
+of the model without effects. Both have the columns `time_s` and `force_N`; tones and single events are left out. The
+optional file `run.json` holds the duration of the diagnosis: `{"elapsed_s": 7.1}`.
 """
 
 import json
@@ -27,8 +27,8 @@ FLAGS = frozenset({"partly_explained", "unexplained"})
 
 
 @dataclass(frozen=True)
-class Named:
-    """An effect that was named."""
+class NamedEffect:
+    """An effect that the diagnosis named."""
 
     name: str
     confidence: float
@@ -39,49 +39,49 @@ class Named:
 
 @dataclass(frozen=True)
 class Verdict:
-    """What was said of one case.
+    """Findings on one case.
 
     Parameters
     ----------
     verdict
         One of `VERDICTS`.
     effects
-        Those named.
+        NamedEffect effects.
     where
         Places of the whole mismatch.
     elapsed_s
-        How long it took [s]; None: not said.
+        Duration of the diagnosis [s]; None: not reported.
     """
 
     verdict: str
-    effects: tuple[Named, ...]
+    effects: tuple[NamedEffect, ...]
     where: tuple[Place, ...]
     elapsed_s: float | None = None
 
     @property
     def names(self) -> frozenset[str]:
-        """Names of the effects."""
+        """Names of the named effects."""
         return frozenset(effect.name for effect in self.effects)
 
     @property
     def flagged(self) -> bool:
-        """Whether it says that something is left that has no name."""
+        """Whether the verdict reports an unexplained remainder."""
         return self.verdict in FLAGS
 
 
 def sealed_at(directory: Path) -> datetime:
-    """When a study was sealed."""
+    """Time at which a study was sealed."""
     seal = json.loads((directory / SEAL).read_text(encoding="utf-8"))
     return datetime.fromisoformat(seal["made"])
 
 
 def read_verdict(folder: Path, sealed: datetime) -> Verdict | None:
-    """The verdict in a case's folder; None: there is none.
+    """Read the findings in the folder of a case; None: there are none.
 
     Raises
     ------
     StudyError
-        It is older than the seal, or no findings.
+        The findings are older than the seal, or break the schema.
     """
     path = folder / FINDINGS
     if not path.is_file():
@@ -90,35 +90,35 @@ def read_verdict(folder: Path, sealed: datetime) -> Verdict | None:
         written = datetime.fromtimestamp(path.stat().st_mtime, sealed.tzinfo).isoformat()
         raise StudyError(f"{path}: was written {written}, before the truth was sealed, {sealed.isoformat()}")
     try:
-        said = json.loads(path.read_text(encoding="utf-8"))
-        return parse_findings(said, _elapsed_s(folder))
+        fields = json.loads(path.read_text(encoding="utf-8"))
+        return parse_findings(fields, _elapsed_s(folder))
     except (ValueError, KeyError, TypeError, AttributeError) as error:
         raise StudyError(f"{path}: is no {SCHEMA}: {error!r}") from error
 
 
-def parse_findings(said: Mapping[str, Any], elapsed_s: float | None = None) -> Verdict:
-    """A verdict from the content of `findings.json`.
+def parse_findings(fields: Mapping[str, Any], elapsed_s: float | None = None) -> Verdict:
+    """Build a verdict from the content of `findings.json`.
 
     Raises
     ------
     ValueError, KeyError, TypeError
-        It does not follow the schema.
+        The content breaks the schema.
     """
-    if said["schema"] != SCHEMA:
-        raise ValueError(f"schema is {said['schema']}")
-    if said["verdict"] not in VERDICTS:
-        raise ValueError(f"verdict is {said['verdict']}, must be one of {', '.join(VERDICTS)}")
-    effects = tuple(_named(effect) for effect in said["effects"])
-    return Verdict(said["verdict"], effects, _places(said.get("where", [])), elapsed_s)
+    if fields["schema"] != SCHEMA:
+        raise ValueError(f"schema is {fields['schema']}")
+    if fields["verdict"] not in VERDICTS:
+        raise ValueError(f"verdict is {fields['verdict']}, must be one of {', '.join(VERDICTS)}")
+    effects = tuple(_named(effect) for effect in fields["effects"])
+    return Verdict(fields["verdict"], effects, _places(fields.get("where", [])), elapsed_s)
 
 
 def read_simulation(path: Path, samples: int) -> Array | None:
-    """Simulated forces of the held-out record, shape (samples,) [N]; None: there is no file.
+    """Read simulated forces of the held-out record, shape (samples,) [N]; None: there is no file.
 
     Raises
     ------
     StudyError
-        Another number of samples, or no such column.
+        The column is missing, or the number of samples differs.
     """
     if not path.is_file():
         return None
@@ -137,16 +137,18 @@ def _elapsed_s(folder: Path) -> float | None:
     return float(json.loads(path.read_text(encoding="utf-8"))["elapsed_s"]) if path.is_file() else None
 
 
-def _named(said: Mapping[str, Any]) -> Named:
-    parameters = {name: float(value["value"]) for name, value in said.get("parameters", {}).items()}
-    rivals = frozenset(rival["name"] for rival in said.get("rivals", []))
-    return Named(said["name"], float(said["confidence"]), parameters, _places(said.get("where", [])), rivals)
+def _named(fields: Mapping[str, Any]) -> NamedEffect:
+    parameters = {name: float(value["value"]) for name, value in fields.get("parameters", {}).items()}
+    rivals = frozenset(rival["name"] for rival in fields.get("rivals", []))
+    return NamedEffect(
+        fields["name"], float(fields["confidence"]), parameters, _places(fields.get("where", [])), rivals
+    )
 
 
-def _places(said: list[Mapping[str, Any]]) -> tuple[Place, ...]:
-    """Places with two numbers as ends; a class on an axis without numbers (a direction) has none to compare."""
+def _places(fields: list[Mapping[str, Any]]) -> tuple[Place, ...]:
+    """Places whose ends are numbers; others (a direction) are left out."""
     found = []
-    for place in said:
+    for place in fields:
         low, high = place.get("low"), place.get("high")
         if isinstance(low, (int, float)) and isinstance(high, (int, float)):
             found.append(Place(place["axis"], float(low), float(high), Path(str(place.get("recording", ""))).name))

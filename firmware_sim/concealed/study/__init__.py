@@ -1,1 +1,1 @@
-"""A concealed study: which cases it has, how they are drawn and sealed."""
+"""A concealed study: the plan of its cases, their drawing, and the sealing of their truth."""

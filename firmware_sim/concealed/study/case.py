@@ -1,35 +1,34 @@
-"""One case: a plant, its noise, its records, the effects that are on."""
+"""One case: a plant, its noise, its records and its active effects."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
-from firmware_sim.concealed.plant import reader
+from firmware_sim.concealed.plant import sampling
 from firmware_sim.concealed.plant.arrays import Array
 from firmware_sim.concealed.plant.chain import Plant
 from firmware_sim.concealed.plant.drives import Drive
-from firmware_sim.concealed.plant.passage import Effect
-from firmware_sim.concealed.study.catalogue import ONCE, SINCE, THERE, TONES, frozen_places
+from firmware_sim.concealed.plant.record_context import Effect
+from firmware_sim.concealed.study.catalogue import ALREADY_THERE, COME_SINCE, ONCE, TONES, frozen_spans
 
 TEMPERATURE_NOISE_K = 0.01
-LATE = ("quantisation", "sensor_dropout")  # what acts on the readings, after the noise
 
 
 @dataclass(frozen=True)
 class Noise:
-    """What every reading has.
+    """Noise of the readings.
 
     Parameters
     ----------
     kind
-        `white`, `coloured` or `quantised` (white, on a lattice much finer than itself).
+        `white`, `coloured` or `quantised` (white, rounded to steps much finer than the noise).
     rms_N
-        All of it together [N].
+        Rms of the noise [N].
     corner_Hz
-        Of the coloured part [Hz].
+        Corner frequency of the coloured part [Hz].
     step_N
-        Of the lattice; 0: none [N].
+        Step of the converter [N]; 0: none.
     """
 
     kind: str
@@ -45,11 +44,11 @@ class Record:
     Parameters
     ----------
     name
-        Its file.
+        File name.
     drive
-        Its commands.
+        Commands.
     seed
-        Of its noise and of what is random in it.
+        Seed of noise, phases and random walks in this record.
     """
 
     name: str
@@ -59,22 +58,24 @@ class Record:
 
 @dataclass(frozen=True)
 class Case:
-    """Everything that a case is.
+    """One case of a study.
 
     Parameters
     ----------
     kind
         `null`, `single`, `pair`, `triple` or `foreign`.
-    plant, noise
-        Without effects.
+    plant
+        Plant without effects.
+    noise
+        Noise of its readings.
     records
-        The identification, one or two recordings of work, the held-out one.
+        Identification record, one or two recordings of work, held-out record.
     effects
-        Those that are on.
+        Active effects, by name.
     shows_temperature
-        The files have a temperature channel.
+        True: the files have a temperature channel.
     truth
-        What the sealed truth says besides.
+        Description of the case for the sealed truth.
     """
 
     kind: str
@@ -86,39 +87,39 @@ class Case:
     truth: dict[str, object]
 
     def active(self, record: Record) -> dict[str, Effect]:
-        """Effects that are on in a record; what happens once is in the first recording alone."""
+        """Active effects of a record; effects in `ONCE` act in the first recording alone."""
         return effects_in(self.effects, record.name)
 
     def reading_N(self, record: Record) -> Array:
-        """What the reader shows, shape (n,) [N]."""
+        """Readings with noise, shape (n,) [N]."""
         active = self.active(record)
         rng = np.random.Generator(np.random.PCG64(record.seed + 1))
         count, noise = record.drive.voltage_V.size, self.noise
         reading = self.plant.reading_N(record.drive, active, record.seed)
-        reading = reading + reader.noise(rng, count, noise.rms_N, noise.kind, record.drive.rate_Hz, noise.corner_Hz)
+        reading = reading + sampling.noise(rng, count, noise.rms_N, noise.kind, record.drive.rate_Hz, noise.corner_Hz)
         if on := active.get("quantisation"):
-            reading = reader.quantised(reading, on.parameters["step_N"])
+            reading = sampling.quantised(reading, on.parameters["step_N"])
         elif noise.step_N > 0.0:
-            reading = reader.quantised(reading, noise.step_N)
+            reading = sampling.quantised(reading, noise.step_N)
         if on := active.get("sensor_dropout"):
-            reading = reader.frozen(reading, record.drive.time_s, frozen_places(on))
+            reading = sampling.frozen(reading, record.drive.time_s, frozen_spans(on))
         return reading
 
     def repeatable_N(self, record: Record) -> Array:
-        """Force without noise, tones, one-off events and converter: what a model could say at best, shape (n,) [N]."""
+        """Force without noise, tones, single events and converter steps, shape (n,) [N]."""
         lasting = {name: on for name, on in self.active(record).items() if name not in TONES | ONCE}
         return self.plant.reading_N(record.drive, lasting, record.seed)
 
     def temperature_C(self, record: Record) -> Array:
-        """The temperature channel, shape (n,) [degC]."""
+        """Readings of the temperature channel, shape (n,) [degC]."""
         rng = np.random.Generator(np.random.PCG64(record.seed + 2))
         return record.drive.temperature_C + TEMPERATURE_NOISE_K * rng.normal(0.0, 1.0, record.drive.voltage_V.size)
 
 
 def effects_in(effects: Mapping[str, Effect], record: str) -> dict[str, Effect]:
-    """Effects that are on in the record of a name."""
+    """Active effects of the record with a given file name."""
     if record.startswith("identification"):
-        return {name: on for name, on in effects.items() if on.scope == THERE}
+        return {name: on for name, on in effects.items() if on.scope == ALREADY_THERE}
     if record in {"recording.csv", "recording_1.csv"}:
         return dict(effects)
-    return {name: on for name, on in effects.items() if name not in ONCE or on.scope != SINCE}
+    return {name: on for name, on in effects.items() if name not in ONCE or on.scope != COME_SINCE}

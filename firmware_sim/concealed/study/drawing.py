@@ -1,4 +1,4 @@
-"""Draws a case: ranges, records, plant, noise, and effects of the strengths wanted."""
+"""Draws a case: ranges, records, plant, noise, and effects of given strengths."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
@@ -8,44 +8,52 @@ import numpy as np
 from firmware_sim.concealed.plant.arrays import Array
 from firmware_sim.concealed.plant.chain import Plant
 from firmware_sim.concealed.plant.drives import Drive, identification_voltage, mixed_work, temperature
+from firmware_sim.concealed.plant.force_law import ForceLaw
 from firmware_sim.concealed.plant.foreign import FOREIGN
 from firmware_sim.concealed.plant.hysteresis import Kind, draw_hysteresis, draw_noncongruent
-from firmware_sim.concealed.plant.mechanics import ForceLaw
-from firmware_sim.concealed.plant.passage import Effect
-from firmware_sim.concealed.plant.reader import frozen, quantised
+from firmware_sim.concealed.plant.record_context import Effect
+from firmware_sim.concealed.plant.sampling import frozen, quantised
 from firmware_sim.concealed.study.case import Case, Noise, Record, effects_in
-from firmware_sim.concealed.study.catalogue import ENTRIES, RAMP_SAMPLES, SINCE, Context, Entry, frozen_places, places
-from firmware_sim.concealed.study.strength import Visible, find_scale
+from firmware_sim.concealed.study.catalogue import (
+    COME_SINCE,
+    ENTRIES,
+    RAMP_SAMPLES,
+    Context,
+    Entry,
+    frozen_spans,
+    places,
+)
+from firmware_sim.concealed.study.strength import VisibleDifference, find_scale
 
-STRENGTHS = (0.8, 4.0, 20.0)
+STRENGTHS = (0.8, 4.0, 20.0)  # [noise rms]
 RATES_HZ = (200.0, 250.0, 500.0, 1000.0, 2000.0)
 RATE_SHARES = (0.1, 0.1, 0.3, 0.4, 0.1)
 DURATIONS_S, DURATION_SHARES = (30.0, 60.0, 120.0), (0.15, 0.7, 0.15)
 NOISE_SHARES = {"white": 0.45, "coloured": 0.3, "quantised": 0.25}
-LEAST_NOISE, MOST_NOISE = 0.0002, 0.003  # of the range
-FINE_STEP = (0.05, 0.35)  # of the noise: an ordinary converter
-MISFIT = 0.12  # of the noise: what plays may leave of a hysteresis that counts as one they can follow
-SHOWN_TOGETHER = 0.5  # of its own strength: what an effect must still show beside the others
-GENTLE = 0.5  # of the benches limit the rate of their commands
-GENTLE_PACE = (1.0, 40.0)  # to so many ranges a second
-READ_LATE = (0.35, 0.9)  # of a sample: how long after a command that is held its reading is taken
-FOREIGNNESS = 0.25  # of what a foreign effect does, that its neighbours in the catalogue may not be able to do
+LEAST_NOISE, MOST_NOISE = 0.0002, 0.003  # [range]
+FINE_STEP = (0.05, 0.35)  # step of an ordinary converter [noise rms]
+MISFIT = 0.12  # largest residual of superposed plays on the hysteresis [noise rms]
+SHOWN_TOGETHER = 0.5  # smallest share of its strength that an effect shows beside the others
+RATE_LIMITED_SHARE = 0.5  # of the benches limit the rate of their commands
+RATE_LIMIT = (1.0, 40.0)  # [ranges per second]
+READ_LATE = (0.35, 0.9)  # time from a held command to its reading [samples]
+FOREIGNNESS = 0.25  # smallest share of a foreign effect that catalogue effects cannot reproduce
 ATTEMPTS = 18
-STRICT = 8  # attempts before a strength other than the one wanted is taken
+STRICT_ATTEMPTS = 8  # attempts before another strength is allowed
 
 
 @dataclass(frozen=True)
-class Wish:
-    """What is to be drawn.
+class CaseSpec:
+    """Specification of a case.
 
     Parameters
     ----------
     kind
         `null`, `single`, `pair`, `triple` or `foreign`.
     names
-        Effects that are to be on; of a foreign case, the foreign one first.
+        Names of its effects; in a foreign case, the foreign effect stands first.
     strengths
-        Of each, in parts of the noise; another is taken where this one is not plausible.
+        Strength of each effect [noise rms]; replaced by another one where it is not plausible.
     noise
         `white`, `coloured` or `quantised`.
     """
@@ -56,39 +64,40 @@ class Wish:
     noise: str
 
 
-def draw_case(wish: Wish, seed: np.random.SeedSequence) -> Case:
-    """Draw a case; a draw that turns out implausible is thrown away and drawn again.
+def draw_case(spec: CaseSpec, seed: np.random.SeedSequence) -> Case:
+    """Draw a case; an implausible draw is discarded and repeated.
 
     Raises
     ------
     RuntimeError
-        No draw was plausible.
+        No attempt gave a plausible case.
     """
     for attempt, child in enumerate(seed.spawn(ATTEMPTS)):
-        case = _Draw(wish, np.random.Generator(np.random.PCG64(child)), strict=attempt < STRICT).case()
+        case = _Attempt(spec, np.random.Generator(np.random.PCG64(child)), strict=attempt < STRICT_ATTEMPTS).case()
         if case is not None:
             return case
-    raise RuntimeError(f"{wish.kind} {'+'.join(wish.names)}: no plausible case in {ATTEMPTS} attempts")
+    raise RuntimeError(f"{spec.kind} {'+'.join(spec.names)}: no plausible case in {ATTEMPTS} attempts")
 
 
-class _Draw:
-    """One attempt."""
+class _Attempt:
+    """One attempt to draw a case."""
 
-    def __init__(self, wish: Wish, rng: np.random.Generator, *, strict: bool) -> None:
-        self._wish, self._rng, self._strict = wish, rng, strict
+    def __init__(self, spec: CaseSpec, rng: np.random.Generator, *, strict: bool) -> None:
+        self._spec, self._rng, self._strict = spec, rng, strict
         self._rate_Hz = float(rng.choice(RATES_HZ, p=RATE_SHARES))
         self._reach_V = round(rng.uniform(60.0, 200.0), 1)
         self._full_N = float(np.exp(rng.uniform(np.log(50.0), np.log(2000.0))))
-        self._held = bool(rng.random() < 0.5) and not any(ENTRIES[n].straight for n in wish.names if n in ENTRIES)
+        self._held = bool(rng.random() < 0.5) and not any(ENTRIES[n].straight for n in spec.names if n in ENTRIES)
         self._late = rng.uniform(*READ_LATE) if self._held else 0.0
-        gentle = bool(rng.random() < GENTLE)
-        self._most_V_per_s = self._reach_V * (float(np.exp(rng.uniform(*np.log(GENTLE_PACE)))) if gentle else np.inf)
+        limited = bool(rng.random() < RATE_LIMITED_SHARE)
+        self._most_V_per_s = self._reach_V * (float(np.exp(rng.uniform(*np.log(RATE_LIMIT)))) if limited else np.inf)
         self._records = self._draw_records()
         self._work = next(record for record in self._records if record.name.startswith("recording"))
         self._plant = self._draw_plant()
         self._noise = self._draw_noise()
 
     def case(self) -> Case | None:
+        """Draw the effects and return the case; None: it is not plausible."""
         if self._misfit_N() > MISFIT * self._noise.rms_N * 1.01:
             return None
         drive = self._work.drive
@@ -98,10 +107,10 @@ class _Draw:
             self._reach_V, self._full_N, self._rate_Hz, self._noise.rms_N, float(drive.time_s[-1]), fastest, lasting
         )
         plain = self._reading(self._work, {})
-        visible = Visible(plain, drive.voltage_V, self._rate_Hz)
+        visible = VisibleDifference(plain, drive.voltage_V, self._rate_Hz)
         effects: dict[str, Effect] = {}
         truths: list[dict[str, object]] = []
-        for name, strength in zip(self._wish.names, self._wish.strengths, strict=True):
+        for name, strength in zip(self._spec.names, self._spec.strengths, strict=True):
             found = self._effect(name, strength, context, visible)
             if found is None:
                 return None
@@ -114,7 +123,7 @@ class _Draw:
     def _assembled(self, effects: Mapping[str, Effect], truths: Sequence[dict[str, object]]) -> Case:
         shows = "thermal_drift" in effects or bool(self._rng.random() < 0.2)
         truth: dict[str, object] = {
-            "kind": self._wish.kind,
+            "kind": self._spec.kind,
             "effects": list(truths),
             "noise": asdict(self._noise),
             "hysteresis": {
@@ -128,7 +137,7 @@ class _Draw:
             "held": self._held,
             "read_late_samples": self._late,
         }
-        return Case(self._wish.kind, self._plant, self._noise, self._records, effects, shows, truth)
+        return Case(self._spec.kind, self._plant, self._noise, self._records, effects, shows, truth)
 
     def _draw_records(self) -> tuple[Record, ...]:
         rng, rate_Hz = self._rng, self._rate_Hz
@@ -158,58 +167,61 @@ class _Draw:
         rng = self._rng
         kinds: tuple[Kind, ...] = ("preisach", "plays", "bouc_wen")
         shares = (0.45, 0.35, 0.2)
-        if "rate_dependent_hysteresis" in self._wish.names:
+        if "rate_dependent_hysteresis" in self._spec.names:
             kinds, shares = ("plays", "plays", "bouc_wen"), (0.4, 0.3, 0.3)
         core = draw_hysteresis(rng, kinds[int(rng.choice(3, p=shares))], self._reach_V)
         law = ForceLaw(self._full_N, rng.uniform(-0.2, 0.25), rng.uniform(-0.06, 0.12))
         return Plant(core, draw_noncongruent(rng, self._reach_V), law)
 
     def _draw_noise(self) -> Noise:
-        rng, kind = self._rng, self._wish.noise
+        rng, kind = self._rng, self._spec.noise
         least = min(max(LEAST_NOISE, self._misfit_N() / self._full_N / MISFIT), MOST_NOISE)
         rms_N = self._full_N * float(np.exp(rng.uniform(np.log(least), np.log(MOST_NOISE))))
         step_N = rms_N * rng.uniform(*FINE_STEP) if kind == "quantised" else 0.0
         return Noise(kind, rms_N, float(np.exp(rng.uniform(np.log(0.5), np.log(20.0)))), step_N)
 
     def _misfit_N(self) -> float:
-        """What superposed plays leave of the hysteresis without effects, on the first recording [N]."""
+        """Residual of superposed plays on the hysteresis of the first recording, without effects [N]."""
         voltage_V = self._work.drive.voltage_V
         stroke = self._plant.hysteresis.run(voltage_V)
-        return Visible(voltage_V, voltage_V, self._rate_Hz).after_refit_N(stroke) / self._reach_V * self._full_N
+        return (
+            VisibleDifference(voltage_V, voltage_V, self._rate_Hz).after_refit_N(stroke) / self._reach_V * self._full_N
+        )
 
     def _reading(self, record: Record, effects: Mapping[str, Effect]) -> Array:
-        """Reading without noise; what acts after the noise acts on it as it is."""
+        """Reading without noise, with quantisation and frozen spans, shape (n,) [N]."""
         reading = self._plant.reading_N(record.drive, effects, record.seed)
         if on := effects.get("quantisation"):
             reading = quantised(reading, on.parameters["step_N"])
         if on := effects.get("sensor_dropout"):
-            reading = frozen(reading, record.drive.time_s, frozen_places(on))
+            reading = frozen(reading, record.drive.time_s, frozen_spans(on))
         return reading
 
     def _effect(
-        self, name: str, wanted: float, context: Context, visible: Visible
+        self, name: str, target: float, context: Context, visible: VisibleDifference
     ) -> tuple[Effect, dict[str, object]] | None:
-        """An effect of the strength wanted, or of another that is plausible, and what the truth says of it."""
-        scope = SINCE
+        """Draw an effect of the target strength, or of another plausible one; return it and its truth."""
+        scope = COME_SINCE
         if name in ENTRIES:
             entry = ENTRIES[name]
             scope = entry.scopes[int(self._rng.integers(len(entry.scopes)))]
-        others = [s for s in STRENGTHS if s != wanted]
+        others = [s for s in STRENGTHS if s != target]
         self._rng.shuffle(others)
-        for strength in (wanted,) if self._strict else (wanted, *others):
-            found = self._scaled(name, scope, strength, context, visible)
+        for strength in (target,) if self._strict else (target, *others):
+            found = self._at_strength(name, scope, strength, context, visible)
             if found is not None:
                 return found
         return None
 
-    def _scaled(
-        self, name: str, scope: str, strength: float, context: Context, visible: Visible
+    def _at_strength(
+        self, name: str, scope: str, strength: float, context: Context, visible: VisibleDifference
     ) -> tuple[Effect, dict[str, object]] | None:
+        """Draw an effect and scale it to a strength; return it and its truth, or None where it is not plausible."""
         if name in FOREIGN:
             foreign = FOREIGN[name]
             low, high = foreign.least, foreign.most
             drawn: tuple[dict[str, float], dict[str, object]] = {}, foreign.details(self._rng)
-            entry = Entry("amount", lambda at: (low, high), lambda rng, at: drawn)  # noqa: ARG005
+            entry = Entry("amount", lambda bench: (low, high), lambda rng, bench: drawn)  # noqa: ARG005
         else:
             entry = ENTRIES[name]
             low, high = entry.bounds(context)
@@ -243,7 +255,7 @@ class _Draw:
         return effect, truth
 
     def _all_show(self, effects: Mapping[str, Effect], truths: Sequence[dict[str, object]]) -> bool:
-        """Whether each of several effects still shows beside the others; notes how much."""
+        """Whether each effect still shows beside the others; adds the figure to its truth."""
         if len(effects) < 2:
             return True
         active = effects_in(effects, self._work.name)
@@ -252,7 +264,7 @@ class _Draw:
             name, strength = str(truth["name"]), truth["strength"]
             assert isinstance(strength, float)
             rest = self._reading(self._work, {other: on for other, on in active.items() if other != name})
-            visible = Visible(rest, self._work.drive.voltage_V, self._rate_Hz)
+            visible = VisibleDifference(rest, self._work.drive.voltage_V, self._rate_Hz)
             shows_N = _measure(visible, name, str(truth["scope"]))(together)
             truth["beside_the_others_in_noise"] = shows_N / self._noise.rms_N
             if shows_N < SHOWN_TOGETHER * strength * self._noise.rms_N:
@@ -260,8 +272,8 @@ class _Draw:
         return True
 
 
-def _measure(visible: Visible, name: str, scope: str) -> Callable[[Array], float]:
-    """What an effect's strength is measured by: the part of it that nothing else can take away."""
+def _measure(visible: VisibleDifference, name: str, scope: str) -> Callable[[Array], float]:
+    """Measure of the strength of an effect: the part that a refitted model cannot absorb."""
     if name in FOREIGN:
         return visible.after_neighbours_N
-    return visible.after_gain_and_offset_N if scope == SINCE else visible.after_refit_N
+    return visible.after_gain_and_offset_N if scope == COME_SINCE else visible.after_refit_N

@@ -1,4 +1,4 @@
-"""Makes a study: draws its cases, writes what an engineer would have, seals what only the maker knows."""
+"""Makes a study: draws its cases, writes the recordings, and seals the truth."""
 
 import json
 from collections.abc import Callable, Iterator, Sequence
@@ -11,8 +11,8 @@ import numpy as np
 
 from firmware_sim.concealed.errors import StudyError
 from firmware_sim.concealed.study.case import Case, Record
-from firmware_sim.concealed.study.drawing import Wish, draw_case
-from firmware_sim.concealed.study.plan import wishes
+from firmware_sim.concealed.study.drawing import CaseSpec, draw_case
+from firmware_sim.concealed.study.plan import case_specs
 from firmware_sim.concealed.study.seal import SEAL, TRUTH, pack, pack_arrays, sealed_arrays, write_seal
 
 SCHEMA = "firmware_sim.concealed.truth/1"
@@ -31,33 +31,33 @@ def make(
     jobs: int = 1,
     progress: Callable[[int, int], None] | None = None,
 ) -> None:
-    """Make a study in a directory that has none.
+    """Make a study in a directory without a study.
 
     Parameters
     ----------
     directory
-        Made if it is not there.
+        Directory of the study; created if missing.
     cases
-        How many.
+        Number of cases.
     seed
-        The same seed makes the same study; None: from the operating system.
+        Seed of the study; None draws one from the operating system.
     kind, effect, strength
-        See `plan.wishes`.
+        See `plan.case_specs`.
     jobs
-        Processes.
+        Number of processes.
     progress
-        Told how many of how many are done.
+        Called with the number of finished cases and of all cases.
 
     Raises
     ------
     StudyError
-        The directory has a study.
+        The directory has a study already.
     """
     if (directory / SEAL).exists():
         raise StudyError(f"{directory}: has a study already; take another directory")
     entropy = np.random.SeedSequence(seed)
     plan, *children = entropy.spawn(cases + 1)
-    planned = wishes(np.random.Generator(np.random.PCG64(plan)), cases, kind, effect, strength)
+    planned = case_specs(np.random.Generator(np.random.PCG64(plan)), cases, kind, effect, strength)
     (directory / "sealed").mkdir(parents=True, exist_ok=True)
     names = [f"case_{k:04d}" for k in range(1, cases + 1)]
     truths = {}
@@ -71,7 +71,11 @@ def make(
 
 
 def _made(
-    directory: Path, names: Sequence[str], planned: Sequence[Wish], seeds: Sequence[np.random.SeedSequence], jobs: int
+    directory: Path,
+    names: Sequence[str],
+    planned: Sequence[CaseSpec],
+    seeds: Sequence[np.random.SeedSequence],
+    jobs: int,
 ) -> Iterator[dict[str, object]]:
     if jobs <= 1:
         yield from map(make_case, repeat(directory), names, planned, seeds)
@@ -80,21 +84,22 @@ def _made(
         yield from pool.map(make_case, repeat(directory), names, planned, seeds)
 
 
-def make_case(directory: Path, name: str, wish: Wish, seed: np.random.SeedSequence) -> dict[str, object]:
+def make_case(directory: Path, name: str, spec: CaseSpec, seed: np.random.SeedSequence) -> dict[str, object]:
     """Draw and write one case; return its truth."""
-    case = draw_case(wish, seed)
+    case = draw_case(spec, seed)
     folder = directory / name
     folder.mkdir(exist_ok=True)
     for record in case.records:
         _write_record(folder / record.name, case, record)
-    described = json.dumps(_what_an_engineer_knows(case), indent=1) + "\n"
+    described = json.dumps(_description(case), indent=1) + "\n"
     (folder / "case.json").write_text(described, encoding="utf-8")
     held_out = case.records[-1]
     sealed_arrays(directory, name).write_bytes(pack_arrays({"held_out_true_N": case.repeatable_N(held_out)}))
     return case.truth
 
 
-def _what_an_engineer_knows(case: Case) -> dict[str, object]:
+def _description(case: Case) -> dict[str, object]:
+    """Content of `case.json`: what the diagnosis may know."""
     names = [record.name for record in case.records]
     return {
         "schema": CASE_SCHEMA,

@@ -1,4 +1,4 @@
-"""Which cases a study has: nulls, singles of every effect evenly, pairs, triples, and effects in no catalogue."""
+"""Plan of a study: the number of nulls, singles, pairs, triples and foreign cases, and their effects."""
 
 from typing import Generic, TypeVar
 
@@ -6,30 +6,32 @@ import numpy as np
 
 from firmware_sim.concealed.plant.foreign import FOREIGN
 from firmware_sim.concealed.study.catalogue import ENTRIES
-from firmware_sim.concealed.study.drawing import NOISE_SHARES, STRENGTHS, Wish
+from firmware_sim.concealed.study.drawing import NOISE_SHARES, STRENGTHS, CaseSpec
 
 KINDS = ("null", "single", "pair", "triple", "foreign")
 SHARES = {"null": 0.26, "single": 0.34, "pair": 0.2, "triple": 0.08, "foreign": 0.12}
 T = TypeVar("T")
 
-WITH_COMPANY = 0.2  # of the foreign effects have one of the catalogue beside them
+WITH_COMPANION = 0.2  # share of the foreign cases with a catalogue effect beside the foreign one
 
 
-def wishes(rng: np.random.Generator, cases: int, kind: str, effect: str | None, strength: float | None) -> list[Wish]:
-    """Wishes for a study, in random order.
+def case_specs(
+    rng: np.random.Generator, cases: int, kind: str, effect: str | None, strength: float | None
+) -> list[CaseSpec]:
+    """Specifications of the cases of a study, in random order.
 
     Parameters
     ----------
     rng
-        Its random numbers.
+        Random numbers of the plan.
     cases
-        How many.
+        Number of cases.
     kind
         One of `KINDS`, or `all`.
     effect
-        The one that is in every case that is no null; None: every one in turn.
+        Effect of every case except nulls; None: every effect in turn.
     strength
-        The one wanted; None: every one in turn.
+        Strength of the effects [noise rms]; None: every one of `STRENGTHS` in turn.
     """
     kinds = _kinds(cases) if kind == "all" else [kind] * cases
     catalogue, foreign = _Turns(rng, tuple(ENTRIES)), _Turns(rng, tuple(FOREIGN))
@@ -37,14 +39,14 @@ def wishes(rng: np.random.Generator, cases: int, kind: str, effect: str | None, 
     result = []
     for each in kinds:
         names = _names(rng, each, catalogue, foreign, effect)
-        wanted = tuple(strengths[name].next() if strength is None else strength for name in names)
+        chosen = tuple(strengths[name].next() if strength is None else strength for name in names)
         noise = str(rng.choice(noises, p=list(NOISE_SHARES.values())))
-        result.append(Wish(each, names, wanted, noise))
+        result.append(CaseSpec(each, names, chosen, noise))
     return [result[k] for k in rng.permutation(cases)]
 
 
 def _kinds(cases: int) -> list[str]:
-    """Whole numbers of each kind, the null's rounded up, what is left over to the singles."""
+    """Kinds of all cases; below 50 cases the number of nulls is rounded up. Singles take the remainder."""
     counts = {kind: int(share * cases) for kind, share in SHARES.items()}
     counts["null"] = -int(-0.25 * cases // 1) if cases < 50 else counts["null"]
     counts["single"] += cases - sum(counts.values())
@@ -54,11 +56,12 @@ def _kinds(cases: int) -> list[str]:
 def _names(
     rng: np.random.Generator, kind: str, catalogue: "_Turns[str]", foreign: "_Turns[str]", effect: str | None
 ) -> tuple[str, ...]:
+    """Names of the effects of one case."""
     count = {"null": 0, "single": 1, "pair": 2, "triple": 3, "foreign": 0}[kind]
     names = [] if effect is None or count == 0 or effect in FOREIGN else [effect]
     if kind == "foreign":
         names = [effect if effect in FOREIGN else foreign.next()]
-        count = 1 + int(rng.random() < WITH_COMPANY)
+        count = 1 + int(rng.random() < WITH_COMPANION)
     while len(names) < count:
         name = catalogue.next() if kind == "single" else str(rng.choice(tuple(ENTRIES)))
         if name not in names:
@@ -67,13 +70,14 @@ def _names(
 
 
 class _Turns(Generic[T]):
-    """Each of some things in turn, in an order that is shuffled anew every round."""
+    """Returns every item once per round, in an order that is shuffled for every round."""
 
-    def __init__(self, rng: np.random.Generator, things: tuple[T, ...]) -> None:
-        self._rng, self._things = rng, things
-        self._left: list[T] = []
+    def __init__(self, rng: np.random.Generator, items: tuple[T, ...]) -> None:
+        self._rng, self._items = rng, items
+        self._remaining: list[T] = []
 
     def next(self) -> T:
-        if not self._left:
-            self._left = [self._things[k] for k in self._rng.permutation(len(self._things))]
-        return self._left.pop()
+        """Return the next item."""
+        if not self._remaining:
+            self._remaining = [self._items[k] for k in self._rng.permutation(len(self._items))]
+        return self._remaining.pop()

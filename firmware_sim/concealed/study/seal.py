@@ -1,6 +1,6 @@
-"""The sealed truth: packed so that no one reads it by accident, and hashed before anything is run.
+"""The sealed truth: packed against accidental reading, and hashed before any diagnosis runs.
 
-`seal.json` holds the SHA-256 of every sealed file and when it was made. Opening compares the hashes first.
+`seal.json` holds the time of sealing and the SHA-256 of every sealed file. `open_truth` compares the hashes first.
 """
 
 import base64
@@ -22,58 +22,58 @@ SCHEMA = "firmware_sim.concealed.seal/1"
 
 
 def pack(data: bytes) -> bytes:
-    """Sealed form of some bytes."""
+    """Sealed form of bytes."""
     return base64.b64encode(zlib.compress(data, 6))
 
 
 def unpack(data: bytes) -> bytes:
-    """What was sealed."""
+    """Original bytes of a sealed form."""
     return zlib.decompress(base64.b64decode(data))
 
 
 def pack_arrays(arrays: dict[str, Array]) -> bytes:
-    """Sealed form of some arrays, in single precision."""
+    """Sealed form of named arrays, in single precision."""
     file = io.BytesIO()
     np.savez(file, allow_pickle=False, **{name: values.astype(np.float32) for name, values in arrays.items()})
     return pack(file.getvalue())
 
 
 def unpack_arrays(data: bytes) -> dict[str, Array]:
-    """The arrays that were sealed."""
+    """Named arrays of a sealed form."""
     with np.load(io.BytesIO(unpack(data)), allow_pickle=False) as file:
         return {name: file[name].astype(np.float64) for name in file.files}
 
 
 def sealed_arrays(directory: Path, case: str) -> Path:
-    """Where a case's sealed arrays are."""
+    """Path of the sealed arrays of a case."""
     return directory / "sealed" / f"{case}.sealed"
 
 
-def write_seal(directory: Path, files: list[Path], **said: object) -> None:
+def write_seal(directory: Path, files: list[Path], **fields: object) -> None:
     """Write the seal over files of a directory.
 
     Parameters
     ----------
     directory
-        Where `seal.json` goes.
+        Directory of the study, which gets `seal.json`.
     files
-        What is sealed.
-    said
-        What else the seal says.
+        Sealed files.
+    fields
+        Further fields of `seal.json`.
     """
     hashes = {str(path.relative_to(directory)): _sha256(path) for path in files}
     made = datetime.now(UTC).isoformat(timespec="microseconds")
-    text = json.dumps({"schema": SCHEMA, "made": made, **said, "sha256": hashes}, indent=1)
+    text = json.dumps({"schema": SCHEMA, "made": made, **fields, "sha256": hashes}, indent=1)
     (directory / SEAL).write_text(text + "\n", encoding="utf-8")
 
 
 def open_truth(directory: Path) -> dict[str, object]:
-    """The truth of a study whose seal is whole.
+    """Truth of a study, after a check of its seal.
 
     Raises
     ------
     SealError
-        There is no seal, a sealed file is missing, or its hash is another.
+        The seal or a sealed file is missing, or a hash differs.
     """
     try:
         seal = json.loads((directory / SEAL).read_text(encoding="utf-8"))

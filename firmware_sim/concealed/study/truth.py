@@ -1,4 +1,4 @@
-"""The opened truth of a study, in a form that can be compared with what was found."""
+"""The opened truth of a study, in a form that can be compared with findings."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -11,16 +11,16 @@ from firmware_sim.concealed.study.seal import open_truth
 
 @dataclass(frozen=True)
 class Place:
-    """A stretch of an axis; a line has its two ends in one point.
+    """Span of an axis; a spectral line has equal ends.
 
     Parameters
     ----------
     axis
         `time_s`, `frequency_Hz`, `rate_V_per_s`, `voltage_V` and others.
     low, high
-        Its ends, in the axis' unit.
+        Ends, in the unit of the axis.
     recording
-        File that a time belongs to; empty: not said.
+        File that a time belongs to; empty: not given.
     """
 
     axis: str
@@ -31,7 +31,7 @@ class Place:
 
 @dataclass(frozen=True)
 class TrueEffect:
-    """An effect of the catalogue that is in a case."""
+    """A catalogue effect of a case."""
 
     name: str
     parameters: Mapping[str, float]
@@ -42,18 +42,20 @@ class TrueEffect:
 
 @dataclass(frozen=True)
 class TrueCase:
-    """What a case is.
+    """The truth of one case.
 
     Parameters
     ----------
-    name, kind
-        Its folder; `null`, `single`, `pair`, `triple` or `foreign`.
+    name
+        Name of its folder.
+    kind
+        `null`, `single`, `pair`, `triple` or `foreign`.
     effects
-        Those of the catalogue.
+        Catalogue effects.
     foreign
-        The name of the effect in no catalogue; empty: there is none.
+        Name of the foreign effect; empty: none.
     noise_N
-        Noise rms [N].
+        Rms of the noise [N].
     """
 
     name: str
@@ -64,29 +66,29 @@ class TrueCase:
 
     @property
     def names(self) -> frozenset[str]:
-        """Names of its effects of the catalogue."""
+        """Names of its catalogue effects."""
         return frozenset(effect.name for effect in self.effects)
 
 
 def read_truth(directory: Path) -> list[TrueCase]:
-    """Every case of a study whose seal is whole.
+    """Read every case of a study, after a check of its seal.
 
     Raises
     ------
     SealError
-        The truth is not the one that was sealed.
+        The sealed truth is missing or was changed.
     """
     cases: Any = open_truth(directory)["cases"]
-    return [_case(name, said) for name, said in cases.items()]
+    return [_case(name, fields) for name, fields in cases.items()]
 
 
-def _case(name: str, said: Mapping[str, Any]) -> TrueCase:
-    effects = tuple(_effect(effect) for effect in said["effects"])
+def _case(name: str, fields: Mapping[str, Any]) -> TrueCase:
+    effects = tuple(_effect(effect) for effect in fields["effects"])
     foreign = "".join(effect.name for effect in effects if effect.name in FOREIGN)
     known = tuple(effect for effect in effects if effect.name not in FOREIGN)
-    return TrueCase(name, said["kind"], known, foreign, float(said["noise"]["rms_N"]))
+    return TrueCase(name, fields["kind"], known, foreign, float(fields["noise"]["rms_N"]))
 
 
-def _effect(said: Mapping[str, Any]) -> TrueEffect:
-    where = tuple(Place(p["axis"], p["low"], p["high"], p.get("recording", "")) for p in said["where"])
-    return TrueEffect(said["name"], said["parameters"], where, said["strength"], said["scope"])
+def _effect(fields: Mapping[str, Any]) -> TrueEffect:
+    where = tuple(Place(p["axis"], p["low"], p["high"], p.get("recording", "")) for p in fields["where"])
+    return TrueEffect(fields["name"], fields["parameters"], where, fields["strength"], fields["scope"])

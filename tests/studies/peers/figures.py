@@ -1,6 +1,6 @@
 """The table: every method on the same cases, judged against the truth, which is opened here and not before.
 
-- gap closed: as `firmware_sim.concealed.scoring.judge` defines it, against the noise-free held-out force, for the
+- gap closed: as `firmware_sim.concealed.scoring.case_score` defines it, against the noise-free held-out force, for the
   cases that it counts. A prediction that diverged was cut at the measured range, so it closes less than nothing; one
   that is missing closes nothing.
 - made worse: of those cases, the held-out error is above the identified model's by more than 1 %.
@@ -18,8 +18,8 @@ from pathlib import Path
 
 import numpy as np
 
-from firmware_sim.concealed.scoring.judge import HeldOut, Judgement, gap_closed
-from firmware_sim.concealed.scoring.score import score
+from firmware_sim.concealed.scoring.case_score import CaseScore, HeldOut, gap_closed
+from firmware_sim.concealed.scoring.study_score import score_study
 from firmware_sim.concealed.scoring.verdicts import EXTENDED, read_simulation
 from firmware_sim.concealed.study.seal import sealed_arrays, unpack_arrays
 from firmware_sim.concealed.study.truth import TrueCase
@@ -174,7 +174,7 @@ def table(study: Path, verdicts: Path, folder: Path, cases: Sequence[str], peers
     StudyError
         The truth is not the one that was sealed.
     """
-    judged = [each for each in score(study, verdicts, partial=True) if each.case.name in cases]
+    judged = [each for each in score_study(study, verdicts, partial=True) if each.case.name in cases]
     true_N = {name: unpack_arrays(sealed_arrays(study, name).read_bytes())["held_out_true_N"] for name in cases}
     base_N = {name: read_prediction(folder / BASE / name) for name in cases}
     forces = {name: HeldOut(true_N[name], base_N[name], None) for name in cases}
@@ -182,7 +182,7 @@ def table(study: Path, verdicts: Path, folder: Path, cases: Sequence[str], peers
     return rows + [_of_peer(key, [each.case for each in judged], forces, folder / key) for key in peers]
 
 
-def _of_piezod(judged: Sequence[Judgement], forces: dict[str, HeldOut], verdicts: Path) -> Row:
+def _of_piezod(judged: Sequence[CaseScore], forces: dict[str, HeldOut], verdicts: Path) -> Row:
     lines = []
     for each in judged:
         held_out = forces[each.case.name]

@@ -4,10 +4,10 @@ import numpy as np
 
 from firmware_sim.concealed.plant.chain import Plant
 from firmware_sim.concealed.plant.drives import Drive
+from firmware_sim.concealed.plant.force_law import ForceLaw
 from firmware_sim.concealed.plant.hysteresis import Hysteresis, draw_noncongruent
-from firmware_sim.concealed.plant.mechanics import ForceLaw
-from firmware_sim.concealed.plant.passage import Effect
-from firmware_sim.concealed.plant.plays_and_stops import Stops
+from firmware_sim.concealed.plant.record_context import Effect
+from firmware_sim.concealed.plant.stops import Stops
 
 REACH_V, FULL_N, RATE_HZ = 100.0, 200.0, 1000.0
 

@@ -13,7 +13,7 @@ from firmware_sim.concealed.plant.hysteresis import (
     loop_opening,
     major_cycles,
 )
-from firmware_sim.concealed.plant.plays_and_stops import Stops, master_curve
+from firmware_sim.concealed.plant.stops import Stops, master_curve
 
 KINDS = ("preisach", "bouc_wen", "plays")
 REACH_V = 120.0

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from firmware_sim.concealed.plant.creep import LAWS, curve, slope_per_decade
-from firmware_sim.concealed.plant.friction import rub
-from firmware_sim.concealed.plant.mechanics import BENDS, amount_of, bend, curvature
-from firmware_sim.concealed.plant.reader import frozen, quantised
-from firmware_sim.concealed.plant.stroke import COURSES, course
+from firmware_sim.concealed.plant.force_law import BENDS, amount_for_curvature, bend, curvature
+from firmware_sim.concealed.plant.friction import friction_force
+from firmware_sim.concealed.plant.sampling import frozen, quantised
+from firmware_sim.concealed.plant.stroke import DRIFT_SHAPES, drift_progress
 from tests.unit.firmware_sim.concealed.benches import (
     FULL_N,
     RATE_HZ,
@@ -160,13 +160,13 @@ def test_creep_superposes_what_came_before():
     assert answer(up + down, **on) == pytest.approx(answer(up, **on) + answer(down, **on), abs=1e-8)
 
 
-@pytest.mark.parametrize("kind", COURSES)
+@pytest.mark.parametrize("kind", DRIFT_SHAPES)
 @pytest.mark.parametrize("bent", [0.0, 0.5, 1.0])
 def test_a_drifting_gain_changes_by_its_change_from_beginning_to_end(kind, bent):
     on = effect("gain_drift", {"course": kind, "bend": bent}, relative_change=-0.04)
     force_N = answer(hold(100.0, 3.0), **on)
     assert force_N[-1] / force_N[0] - 1.0 == pytest.approx(-0.04, rel=1e-3)
-    assert (np.diff(course(kind, bent, np.linspace(0.0, 1.0, 50))) > 0.0).all()
+    assert (np.diff(drift_progress(kind, bent, np.linspace(0.0, 1.0, 50))) > 0.0).all()
 
 
 @pytest.mark.parametrize("shape", BENDS)
@@ -177,7 +177,7 @@ def test_a_bend_has_the_curvature_of_the_nearest_parabola(shape, wanted):
     x = voltage_V / REACH_V
     slope, square = np.linalg.lstsq(np.column_stack([x, x**2]), force_N, rcond=None)[0]
     assert square / slope == pytest.approx(wanted, rel=0.01)
-    assert curvature(amount_of(wanted, shape), shape) == pytest.approx(wanted, rel=1e-6)
+    assert curvature(amount_for_curvature(wanted, shape), shape) == pytest.approx(wanted, rel=1e-6)
     assert bend(np.array([0.0, 1e-6]), 0.1, shape) == pytest.approx([0.0, 1e-6])
 
 
@@ -191,7 +191,7 @@ def test_a_gap_takes_its_force_away_and_leaves_nothing_below():
 @pytest.mark.parametrize("break_away", [0.1, 0.6])
 def test_friction_is_63_percent_after_its_travel_and_twice_its_force_wide(break_away):
     x = np.linspace(0.0, 100.0, 20_001)
-    z = rub(x, 5.0, 8.0, break_away)
+    z = friction_force(x, 5.0, 8.0, break_away)
     assert np.interp(8.0, x, z) == pytest.approx(5.0 * (1.0 - np.exp(-1.0)), rel=2e-3)
     voltage_V = triangles(1.0, 3)
     on = effect("friction", {"break_away": break_away}, force_N=5.0, presliding_N=8.0)

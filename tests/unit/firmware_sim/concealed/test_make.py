@@ -10,12 +10,12 @@ import piezod
 from firmware_sim.concealed.cli import main
 from firmware_sim.concealed.errors import SealError, StudyError
 from firmware_sim.concealed.plant.foreign import FOREIGN
-from firmware_sim.concealed.plant.reader import frozen, quantised
+from firmware_sim.concealed.plant.sampling import frozen, quantised
 from firmware_sim.concealed.study.case import effects_in
-from firmware_sim.concealed.study.catalogue import ENTRIES, SINCE
-from firmware_sim.concealed.study.drawing import Wish, draw_case
+from firmware_sim.concealed.study.catalogue import COME_SINCE, ENTRIES
+from firmware_sim.concealed.study.drawing import CaseSpec, draw_case
 from firmware_sim.concealed.study.make import make
-from firmware_sim.concealed.study.plan import KINDS, wishes
+from firmware_sim.concealed.study.plan import KINDS, case_specs
 from firmware_sim.concealed.study.seal import open_truth, unpack_arrays
 from firmware_sim.concealed.study.strength import neighbours
 from firmware_sim.physics.effects import Effects
@@ -52,8 +52,8 @@ def test_no_seed_makes_another_study_every_time(tmp_path):
 
 def test_a_case_has_the_files_that_it_lists_and_no_others(study):
     for folder in study.glob("case_*"):
-        said = json.loads((folder / "case.json").read_text())
-        names = {said["identification"], *said["recordings"], said["held_out"], "case.json"}
+        content = json.loads((folder / "case.json").read_text())
+        names = {content["identification"], *content["recordings"], content["held_out"], "case.json"}
         assert names == {path.name for path in folder.iterdir()}
 
 
@@ -100,24 +100,24 @@ def test_a_study_is_not_overwritten(study):
 
 
 def test_a_plan_has_a_quarter_nulls_every_single_evenly_and_every_foreign_effect():
-    planned = wishes(np.random.default_rng(1), 300, "all", None, None)
-    counts = {kind: sum(wish.kind == kind for wish in planned) for kind in KINDS}
+    planned = case_specs(np.random.default_rng(1), 300, "all", None, None)
+    counts = {kind: sum(spec.kind == kind for spec in planned) for kind in KINDS}
     assert sum(counts.values()) == 300
     assert counts["null"] >= 75
     assert counts["pair"] == 60
     assert counts["triple"] == 24
     assert counts["foreign"] == 36
-    singles = [wish.names[0] for wish in planned if wish.kind == "single"]
+    singles = [spec.names[0] for spec in planned if spec.kind == "single"]
     each = [singles.count(name) for name in ENTRIES]
     assert max(each) - min(each) <= 1
-    assert {wish.names[0] for wish in planned if wish.kind == "foreign"} == set(FOREIGN)
-    assert {noise: sum(wish.noise == noise for wish in planned) > 20 for noise in ("white", "coloured", "quantised")}
-    assert all(len(set(wish.names)) == len(wish.names) for wish in planned)
+    assert {spec.names[0] for spec in planned if spec.kind == "foreign"} == set(FOREIGN)
+    assert {noise: sum(spec.noise == noise for spec in planned) > 20 for noise in ("white", "coloured", "quantised")}
+    assert all(len(set(spec.names)) == len(spec.names) for spec in planned)
 
 
 def test_singles_of_an_effect_have_every_strength_in_turn():
-    planned = wishes(np.random.default_rng(1), 66, "single", None, None)
-    wanted = {(wish.names[0], wish.strengths[0]) for wish in planned}
+    planned = case_specs(np.random.default_rng(1), 66, "single", None, None)
+    wanted = {(spec.names[0], spec.strengths[0]) for spec in planned}
     assert len(wanted) == 66
 
 
@@ -128,10 +128,10 @@ def test_no_foreign_effect_is_mentioned_in_the_daemon():
 
 def test_an_effect_and_a_strength_that_are_asked_for_are_in_every_case():
     for kind, count in (("single", 1), ("pair", 2), ("triple", 3)):
-        for wish in wishes(np.random.default_rng(1), 20, kind, "creep", 4.0):
-            assert wish.names[0] == "creep"
-            assert len(wish.names) == count
-            assert set(wish.strengths) == {4.0}
+        for spec in case_specs(np.random.default_rng(1), 20, kind, "creep", 4.0):
+            assert spec.names[0] == "creep"
+            assert len(spec.names) == count
+            assert set(spec.strengths) == {4.0}
 
 
 def test_the_catalogue_is_the_bench_one_and_foreign_effects_are_not_in_it():
@@ -142,8 +142,8 @@ def test_the_catalogue_is_the_bench_one_and_foreign_effects_are_not_in_it():
 
 @pytest.mark.parametrize("name", [*ENTRIES, *FOREIGN])
 def test_an_effect_is_as_strong_as_the_truth_says(name):
-    wish = Wish("foreign" if name in FOREIGN else "single", (name,), (4.0,), "white")
-    case = draw_case(wish, np.random.SeedSequence(5))
+    spec = CaseSpec("foreign" if name in FOREIGN else "single", (name,), (4.0,), "white")
+    case = draw_case(spec, np.random.SeedSequence(5))
     truth = case.truth["effects"][0]
     work = case.records[1]
 
@@ -160,7 +160,7 @@ def test_an_effect_is_as_strong_as_the_truth_says(name):
     columns = [plain, np.ones(plain.size)]
     if name in FOREIGN:
         columns += list(neighbours(plain, work.drive.rate_Hz).T)
-    if truth["scope"] != SINCE or name in FOREIGN:
+    if truth["scope"] != COME_SINCE or name in FOREIGN:
         widths = work.drive.voltage_V.max() * np.linspace(0.0, 1.0, 30) ** 1.3
         states, rows = np.zeros(30), np.empty((plain.size, 30))
         for k, u in enumerate(work.drive.voltage_V):
@@ -175,12 +175,12 @@ def test_an_effect_is_as_strong_as_the_truth_says(name):
     assert truth["strength"] in {0.8, 4.0, 20.0}
     assert strength == pytest.approx(truth["strength"], rel=0.12)
     assert case.kind == "null" or set(effects_in(case.effects, "identification.csv")) == (
-        {name} if truth["scope"] != SINCE else set()
+        {name} if truth["scope"] != COME_SINCE else set()
     )
 
 
 def test_what_happens_once_is_in_the_first_recording_alone():
-    case = draw_case(Wish("single", ("load_step",), (4.0,), "white"), np.random.SeedSequence(1))
+    case = draw_case(CaseSpec("single", ("load_step",), (4.0,), "white"), np.random.SeedSequence(1))
     assert not case.active(case.records[0])
     assert set(case.active(case.records[1])) == {"load_step"}
     assert not case.active(case.records[-1])

@@ -1,4 +1,4 @@
-"""Figures of a small study whose every number was counted by hand."""
+"""Figures of a small study; every expected number was counted without the program."""
 
 import json
 import os
@@ -9,10 +9,10 @@ import pytest
 
 from firmware_sim.concealed.cli import main
 from firmware_sim.concealed.errors import SealError, StudyError
+from firmware_sim.concealed.scoring.case_score import HeldOut, gap_closed, same_place, score_case
 from firmware_sim.concealed.scoring.figures import calibration_bins, figures, wilson
-from firmware_sim.concealed.scoring.judge import HeldOut, gap_closed, judge, same_place
 from firmware_sim.concealed.scoring.report import as_json, as_text, confusions, failures
-from firmware_sim.concealed.scoring.score import score
+from firmware_sim.concealed.scoring.study_score import score_study
 from firmware_sim.concealed.scoring.verdicts import parse_findings
 from firmware_sim.concealed.study.seal import TRUTH, pack, pack_arrays, sealed_arrays, write_seal
 from firmware_sim.concealed.study.truth import Place, TrueCase, TrueEffect
@@ -48,7 +48,7 @@ def findings(verdict, *effects, where=()):
 LINE = {"axis": "frequency_Hz", "low": 50.0, "high": 50.0}
 SPAN = {"axis": "time_s", "low": 10.0, "high": 20.0}
 
-# Case: truth, what was said, error of the base and of the extended model on the held-out record [N] (None: no file).
+# Case: truth, findings, error of the base and of the extended model on the held-out record [N] (None: no file).
 STUDY = {
     "case_0001": (true_case("null"), findings("matches"), None, None),
     "case_0002": (true_case("null"), findings("explained", named("friction", 0.6)), None, None),
@@ -116,10 +116,10 @@ def study(tmp_path):
     for name in STUDY:
         sealed_arrays(directory, name).write_bytes(pack_arrays({"held_out_true_N": TRUE_N}))
     write_seal(directory, [directory / TRUTH, *(sealed_arrays(directory, name) for name in STUDY)])
-    for name, (_, said, base, extended) in STUDY.items():
+    for name, (_, content, base, extended) in STUDY.items():
         folder = verdicts / name
         folder.mkdir(parents=True)
-        (folder / "findings.json").write_text(json.dumps(said))
+        (folder / "findings.json").write_text(json.dumps(content))
         if base is not None:
             write_simulation(folder / "simulated_held_out_base.csv", base)
         if extended is not None:
@@ -140,7 +140,7 @@ def study(tmp_path):
         ("precision over all names given", 7 / 11, 11, "no"),  # wrong: 2 friction, charge_leakage, electrical_lag
         ("truth among named or their rivals", 8 / 9, 9, "no"),  # the load step is missing
         ("foreign effects flagged", 1 / 2, 2, "no"),
-        ("foreign effects given a sure name", 1 / 2, 2, "no"),
+        ("foreign effects given a confident name", 1 / 2, 2, "no"),
         ('false "unexplained" on solved cases', 1 / 3, 3, "no"),  # the hum, of lag, hum and triple
         ("places found", 1.0, 2, "aim"),  # line; the step's span overlaps by 8 of 10 s
         ("parameter error, median: lag, delay, frequency", 0.01, 3, "yes"),  # 0.01, 0.002, 0.02
@@ -151,26 +151,26 @@ def study(tmp_path):
     ],
 )
 def test_each_figure_is_what_it_was_counted_to_be(study, name, value, count, reached):
-    figure = next(figure for figure in figures(score(*study)) if figure.name == name)
+    figure = next(figure for figure in figures(score_study(*study)) if figure.name == name)
     assert figure.count == count
     assert figure.value == pytest.approx(value, rel=1e-4)
     assert figure.reached == reached
 
 
 def test_calibration_is_the_mean_gap_between_confidence_and_truth(study):
-    judged = score(*study)
+    scores = score_study(*study)
     # 0.5-0.6: 0.5 wrong; 0.6-0.7: 0.6 wrong; 0.7-0.8: 0.7 wrong; 0.9-1: 0.98 .9 .95 .9 .9 .9 .9 right, 0.99 wrong.
-    bins = calibration_bins(judged)
+    bins = calibration_bins(scores)
     assert [each.count for each in bins] == [1, 1, 1, 8]
     top = (0.98 + 0.95 + 0.99 + 5 * 0.9) / 8
     assert bins[-1].confidence == pytest.approx(top)
     expected = (0.5 + 0.6 + 0.7 + 8 * abs(top - 7 / 8)) / 11
-    figure = next(figure for figure in figures(judged) if "ECE" in figure.name)
+    figure = next(figure for figure in figures(scores) if "ECE" in figure.name)
     assert figure.value == pytest.approx(expected)
 
 
 def test_confusion_counts_found_missed_rival_and_false(study):
-    lines = {line.effect: line for line in confusions(score(*study))}
+    lines = {line.effect: line for line in confusions(score_study(*study))}
     creep, friction = lines["creep"], lines["friction"]
     assert (creep.true, creep.named, creep.rival, creep.false) == (3, 2, 1, 0)
     assert creep.instead == (("charge_leakage", 1),)
@@ -179,7 +179,7 @@ def test_confusion_counts_found_missed_rival_and_false(study):
 
 
 def test_every_failure_is_listed_and_nothing_else(study):
-    wrong = failures(score(*study))
+    wrong = failures(score_study(*study))
     assert [line.split()[0] for line in wrong] == [f"case_000{k}" for k in (2, 4, 5, 6, 9)]
     assert "missing creep" in wrong[1]
     assert "called partly_explained" in wrong[2]
@@ -187,12 +187,12 @@ def test_every_failure_is_listed_and_nothing_else(study):
 
 
 def test_text_and_json_say_the_same_figures(study, capsys):
-    judged = score(*study)
-    text, said = as_text(judged), as_json(judged)
-    assert json.loads(json.dumps(said))["schema"] == "firmware_sim.concealed.score/1"
-    assert all(figure["name"] in text for figure in said["figures"])
+    scores = score_study(*study)
+    text, content = as_text(scores), as_json(scores)
+    assert json.loads(json.dumps(content))["schema"] == "firmware_sim.concealed.score/1"
+    assert all(figure["name"] in text for figure in content["figures"])
     assert main(["score", *map(str, study), "--json"]) == 0
-    assert json.loads(capsys.readouterr().out)["figures"] == json.loads(json.dumps(said["figures"]))
+    assert json.loads(capsys.readouterr().out)["figures"] == json.loads(json.dumps(content["figures"]))
     assert main(["score", *map(str, study)]) == 0
     assert capsys.readouterr().out == text
 
@@ -201,7 +201,7 @@ def test_a_truth_that_was_changed_is_refused(study):
     path = study[0] / TRUTH
     path.write_bytes(pack(json.dumps({"cases": {}}).encode()))
     with pytest.raises(SealError, match="void"):
-        score(*study)
+        score_study(*study)
     assert main(["score", *map(str, study)]) == 78
 
 
@@ -210,18 +210,18 @@ def test_findings_older_than_the_seal_are_refused(study):
     before = (datetime.now(UTC) - timedelta(hours=1)).timestamp()
     os.utime(path, (before, before))
     with pytest.raises(StudyError, match="before the truth was sealed"):
-        score(*study)
+        score_study(*study)
 
 
 def test_a_missing_verdict_is_refused_unless_a_part_is_asked_for(study):
     (study[1] / "case_0004" / "findings.json").unlink()
     with pytest.raises(StudyError, match="case_0004: has no verdict"):
-        score(*study)
-    assert len(score(*study, partial=True)) == len(STUDY) - 1
+        score_study(*study)
+    assert len(score_study(*study, partial=True)) == len(STUDY) - 1
 
 
 @pytest.mark.parametrize(
-    "said",
+    "content",
     [
         {"verdict": "explained"},
         findings("certainly"),
@@ -229,17 +229,17 @@ def test_a_missing_verdict_is_refused_unless_a_part_is_asked_for(study):
         findings("explained", {"name": "creep"}),
     ],
 )
-def test_findings_that_break_the_schema_are_refused(study, said):
-    (study[1] / "case_0004" / "findings.json").write_text(json.dumps(said))
+def test_findings_that_break_the_schema_are_refused(study, content):
+    (study[1] / "case_0004" / "findings.json").write_text(json.dumps(content))
     with pytest.raises(StudyError, match="case_0004"):
-        score(*study)
+        score_study(*study)
 
 
 def test_a_simulation_of_another_length_is_refused(study):
     path = study[1] / "case_0003" / "simulated_held_out.csv"
     path.write_text("\n".join(path.read_text().splitlines()[:-3]) + "\n")
     with pytest.raises(StudyError, match="497 samples"):
-        score(*study)
+        score_study(*study)
 
 
 def place(axis, low, high=None, recording=""):
@@ -284,20 +284,22 @@ def test_the_gap_is_not_counted_where_nothing_repeats_or_nothing_is_to_close():
 def test_a_wrong_sign_is_an_error_above_one_and_a_missing_parameter_an_infinite_one():
     verdict = parse_findings(findings("explained", named("gain_drift", relative_change=0.03), named("resonance")))
     true = case(("gain_drift", {"relative_change": -0.03}), ("resonance", {"frequency_Hz": 40.0}))
-    errors = {error.parameter: error.error for error in judge(true, verdict, None).errors}
+    errors = {error.parameter: error.error for error in score_case(true, verdict, None).errors}
     assert errors == {"relative_change": pytest.approx(2.0), "frequency_Hz": np.inf}
 
 
-def test_a_name_counts_as_sure_from_nine_tenths_on_even_under_a_flag():
-    def sure(*effects, verdict="partly_explained"):
-        return judge(case(foreign="x", kind="foreign"), parse_findings(findings(verdict, *effects)), None).sure_name
+def test_a_name_counts_as_confident_from_nine_tenths_on_even_under_a_flag():
+    def confident(*effects, verdict="partly_explained"):
+        return score_case(
+            case(foreign="x", kind="foreign"), parse_findings(findings(verdict, *effects)), None
+        ).confident_name
 
-    assert not sure(named("friction", 0.89))
-    assert sure(named("friction", 0.9))
-    assert sure(verdict="explained")
+    assert not confident(named("friction", 0.89))
+    assert confident(named("friction", 0.9))
+    assert confident(verdict="explained")
 
 
 @pytest.mark.parametrize(("hits", "count", "low", "high"), [(0, 10, 0.0, 0.2775), (5, 10, 0.2366, 0.7634)])
 def test_wilsons_interval(hits, count, low, high):
-    """By hand: of none among n the upper end is z^2 / (n + z^2), and half of n lie around one half."""
+    """0 hits of n: the upper end is z^2 / (n + z^2). n/2 hits: the interval is symmetric about 1/2."""
     assert wilson(hits, count) == pytest.approx((low, high), abs=1e-3)

@@ -1,4 +1,4 @@
-"""The force laws of a concealed plant: the one it has, how it may bend, and contact."""
+"""Force laws of a concealed plant: the base law, the output nonlinearity and the contact gap; derived here."""
 
 from dataclasses import dataclass
 
@@ -9,14 +9,14 @@ from firmware_sim.concealed.plant.arrays import Array
 
 @dataclass(frozen=True)
 class ForceLaw:
-    """`F = full x (1 + a x + b x^2) / (1 + a + b)` of the relative stroke x.
+    """Base force law `F = full x (1 + a x + b x^2) / (1 + a + b)` of the relative stroke x.
 
     Parameters
     ----------
     full_N
         Force at x = 1 [N].
     a, b
-        Bend (1).
+        Coefficients of the curvature (1).
     """
 
     full_N: float
@@ -28,12 +28,22 @@ class ForceLaw:
         return self.full_N * x * (1.0 + self.a * x + self.b * x * x) / (1.0 + self.a + self.b)
 
 
-MOST_AMOUNT = 0.48
+MOST_AMOUNT = 0.48  # largest |amount| of a bend
 BENDS = ("hyperbolic", "power", "logarithmic")
 
 
 def bend(force: Array, amount: float, shape: str) -> Array:
-    """A relative force that stiffens (amount > 0) or saturates, by one of `BENDS`; unit slope at zero."""
+    """Relative force behind a law that stiffens (amount > 0) or saturates; its slope at zero is 1.
+
+    Parameters
+    ----------
+    force
+        Relative force, 0 to 1.
+    amount
+        Strength of the bend, -`MOST_AMOUNT` to `MOST_AMOUNT`, not 0.
+    shape
+        One of `BENDS`.
+    """
     if shape == "hyperbolic":
         return force / (1.0 - amount * force)
     if shape == "power":
@@ -43,18 +53,18 @@ def bend(force: Array, amount: float, shape: str) -> Array:
 
 
 def curvature(amount: float, shape: str) -> float:
-    """Second-order part c of the law g (x + c x^2) that comes closest to a bend over 0 to 1."""
+    """Curvature c of the law g (x + c x^2) fitted to a bend over x = 0 to 1 by least squares (1)."""
     x = np.linspace(0.0, 1.0, 501)
     slope, square = np.linalg.lstsq(np.column_stack((x, x * x)), bend(x, amount, shape), rcond=None)[0]
     return float(square / slope)
 
 
-def amount_of(wanted: float, shape: str) -> float:
-    """Amount of a bend whose curvature is the one wanted, by bisection."""
-    low, high = (0.0, MOST_AMOUNT) if wanted > 0.0 else (-MOST_AMOUNT, 0.0)
+def amount_for_curvature(target: float, shape: str) -> float:
+    """Amount of a bend with a given curvature, by bisection."""
+    low, high = (0.0, MOST_AMOUNT) if target > 0.0 else (-MOST_AMOUNT, 0.0)
     for _ in range(50):
         middle = 0.5 * (low + high)
-        if curvature(middle, shape) < wanted:
+        if curvature(middle, shape) < target:
             low = middle
         else:
             high = middle
@@ -62,7 +72,7 @@ def amount_of(wanted: float, shape: str) -> float:
 
 
 def contact(force_N: Array, gap_N: float, softness_N: float) -> Array:
-    """What arrives of a force when the first `gap_N` close a gap; a hyperbola about the corner [N]."""
+    """Force that arrives behind a gap, shape (n,) [N]; a hyperbola rounds the corner at `gap_N`."""
 
     def arrives(f: Array) -> Array:
         excess = f - gap_N

@@ -1,30 +1,30 @@
-"""One case judged: what was named right, what wrong, and how well.
+"""Score of one case: which effects were named correctly, which wrongly, and with which errors.
 
 Definitions
 -----------
 exact set
-    The names given are the names of the catalogue's effects that are in the case: none missing, none too many.
-alarm (on a null)
-    Any name, or a verdict that says that something is there (`explained`, `partly_explained`, `unexplained`).
+    The names given are exactly the catalogue effects of the case.
+alarm (null case)
+    A name was given, or the verdict is `explained`, `partly_explained` or `unexplained`.
 covered
-    A true effect that is among the names given, or among the rivals of any of them.
-flagged (on a foreign case)
+    The true effect is among the names given, or among the rivals of one of them.
+flagged (foreign case)
     The verdict is `unexplained` or `partly_explained`.
-sure name (on a foreign case)
-    The verdict is `explained`, or a wrong name was given with a confidence of at least 0.9 whatever the verdict.
+confident name (foreign case)
+    The verdict is `explained`, or a wrong name was given with a confidence of at least 0.9.
 place found
-    A place of the effect's own finding, or else of the whole mismatch, on the same axis: two spans of time overlap by
-    at least half of their union, or both their ends agree within 0.1 s; a line's or a mode's frequency agrees within 2
-    %; the rate or voltage above which an effect acts (`low`) within 10 %. A place that names another recording does not
-    count.
+    The finding of the effect, or else the finding of the whole mismatch, has a matching place on the same axis.
+    Time spans match when they overlap by at least half of their union, or when both ends agree within 0.1 s.
+    Frequencies match within 2 %. The rate or voltage above which an effect acts (`low`) matches within 10 %.
+    A place in another recording does not match.
 parameter error
-    |found - true| / |true| of an effect that was named rightly; a wrong sign is thus an error above 100 %.
+    |found - true| / |true| of a correctly named effect; a wrong sign gives an error above 100 %.
 gap closed
-    (e0^2 - e1^2) / (e0^2 - floor^2) on the held-out record, with e0 of the model without effects and e1 of the extended
-    one. Both are taken against the noise-free force without tones, one-off events and converter steps, whose floor is
-    0: in expectation that is the same as against the measurement with the noise's rms for a floor, without its scatter.
-    Not counted where e0 is below half the noise's rms (nothing to close on this record), or where every effect of the
-    case is one that another record does not repeat. A missing or infinite simulation closes nothing: 0.
+    (e0^2 - e1^2) / e0^2 on the held-out record. e0 is the rms error of the model without effects, e1 that of the
+    extended model. Both compare with the noise-free force without tones, single events and converter steps.
+    In expectation this equals (e0^2 - e1^2) / (e0^2 - noise^2) with errors against the measurement.
+    Not counted: e0 is below half of the noise rms, or no effect of the case repeats in another record.
+    A missing or infinite simulation counts as 0.
 """
 
 import math
@@ -33,22 +33,21 @@ from dataclasses import dataclass
 import numpy as np
 
 from firmware_sim.concealed.plant.arrays import Array
-from firmware_sim.concealed.scoring.verdicts import Named, Verdict
+from firmware_sim.concealed.scoring.verdicts import NamedEffect, Verdict
 from firmware_sim.concealed.study.catalogue import UNREPEATABLE
 from firmware_sim.concealed.study.truth import Place, TrueCase, TrueEffect
 
-SURE = 0.9
-OVERLAP, EDGES_S = 0.5, 0.1
-LINE, THRESHOLD = 0.02, 0.10
-LEAST_GAP = 0.5  # of the noise's rms
+CONFIDENT = 0.9
+OVERLAP, EDGES_S = 0.5, 0.1  # of time spans: overlap / union, distance of the ends
+LINE, THRESHOLD = 0.02, 0.10  # relative distance of frequencies, and of rates or voltages
+LEAST_GAP = 0.5  # [noise rms]
 UNSCORED = frozenset({"from_s", "to_s", "reference_V_per_s", "on_s", "off_s"})
-"""Parameters without an error: spans that reach beyond the records, a reference that only goes with its growth; and
-times, which are places."""
+"""Parameters without an error: spans beyond the records, a reference that depends on its growth, and times (places)."""
 
 
 @dataclass(frozen=True)
 class ParameterError:
-    """How far a parameter was off, relative to its true value (1)."""
+    """Relative error of a parameter (1)."""
 
     effect: str
     parameter: str
@@ -56,7 +55,7 @@ class ParameterError:
 
 
 @dataclass(frozen=True)
-class PlaceJudged:
+class PlaceScore:
     """A true place, and whether it was found."""
 
     effect: str
@@ -65,25 +64,29 @@ class PlaceJudged:
 
 
 @dataclass(frozen=True)
-class Judgement:
-    """One case judged; the module's docstring defines the terms.
+class CaseScore:
+    """Score of one case; the docstring of the module defines the terms.
 
     Parameters
     ----------
-    case, verdict
-        What is there, and what was said.
+    case
+        Truth.
+    verdict
+        Findings of the diagnosis.
     covered
         True effects among the names or their rivals.
-    places, errors
-        Of the true effects.
+    places
+        Places of the true effects.
+    errors
+        Parameter errors of the correctly named effects.
     gap_closed
-        None: not counted.
+        Share of the held-out gap that is closed (1); None: not counted.
     """
 
     case: TrueCase
     verdict: Verdict
     covered: frozenset[str]
-    places: tuple[PlaceJudged, ...]
+    places: tuple[PlaceScore, ...]
     errors: tuple[ParameterError, ...]
     gap_closed: float | None
 
@@ -94,39 +97,41 @@ class Judgement:
 
     @property
     def alarm(self) -> bool:
-        """Whether anything was said to be there."""
+        """Whether the diagnosis reported any effect or mismatch."""
         return bool(self.verdict.names) or self.verdict.verdict not in {"matches", "not_testable"}
 
     @property
-    def sure_name(self) -> bool:
-        """Whether a foreign effect was given a sure name."""
+    def confident_name(self) -> bool:
+        """Whether a foreign effect was given a confident name."""
         wrong = [named for named in self.verdict.effects if named.name not in self.case.names]
-        return self.verdict.verdict == "explained" or any(named.confidence >= SURE for named in wrong)
+        return self.verdict.verdict == "explained" or any(named.confidence >= CONFIDENT for named in wrong)
 
     @property
     def names_right(self) -> tuple[tuple[float, bool], ...]:
-        """Confidence of each name given, and whether it is true."""
+        """Confidence of each name given, and whether the name is true."""
         return tuple((named.confidence, named.name in self.case.names) for named in self.verdict.effects)
 
 
-def judge(case: TrueCase, verdict: Verdict, held_out: "HeldOut | None") -> Judgement:
-    """Judge one case.
+def score_case(case: TrueCase, verdict: Verdict, held_out: "HeldOut | None") -> CaseScore:
+    """Score one case.
 
     Parameters
     ----------
-    case, verdict
-        What is there, and what was said.
+    case
+        Truth.
+    verdict
+        Findings of the diagnosis.
     held_out
         Forces of the held-out record; None: the gap is not counted.
     """
     by_name = {named.name: named for named in verdict.effects}
-    said = verdict.names.union(*(named.rivals for named in verdict.effects))
-    places = [judged for effect in case.effects for judged in _places(effect, by_name.get(effect.name), verdict)]
+    named_or_rival = verdict.names.union(*(named.rivals for named in verdict.effects))
+    places = [place for effect in case.effects for place in _places(effect, by_name.get(effect.name), verdict)]
     errors = [
         error for effect in case.effects if effect.name in by_name for error in _errors(effect, by_name[effect.name])
     ]
     gap = gap_closed(case, held_out) if held_out is not None else None
-    return Judgement(case, verdict, case.names & said, tuple(places), tuple(errors), gap)
+    return CaseScore(case, verdict, case.names & named_or_rival, tuple(places), tuple(errors), gap)
 
 
 @dataclass(frozen=True)
@@ -136,9 +141,11 @@ class HeldOut:
     Parameters
     ----------
     true_N
-        Noise-free, without what another record does not repeat.
-    base_N, extended_N
-        As the model without and with effects simulates it; None: it was not given.
+        Noise-free force without tones, single events and converter steps.
+    base_N
+        Simulation by the model without effects; None: missing.
+    extended_N
+        Simulation by the extended model; None: missing.
     """
 
     true_N: Array
@@ -159,7 +166,7 @@ def gap_closed(case: TrueCase, forces: HeldOut) -> float | None:
 
 
 def same_place(true: Place, found: Place) -> bool:
-    """Whether a place found is the true one."""
+    """Whether a reported place matches a true one."""
     if true.axis != found.axis or (found.recording and true.recording and found.recording != true.recording):
         return False
     if true.axis == "time_s":
@@ -177,12 +184,12 @@ def _same_span(true: Place, found: Place) -> bool:
     return union > 0.0 and common / union >= OVERLAP
 
 
-def _places(effect: TrueEffect, named: Named | None, verdict: Verdict) -> list[PlaceJudged]:
-    said = (*(named.where if named else ()), *verdict.where)
-    return [PlaceJudged(effect.name, place, any(same_place(place, p) for p in said)) for place in effect.where]
+def _places(effect: TrueEffect, named: NamedEffect | None, verdict: Verdict) -> list[PlaceScore]:
+    reported = (*(named.where if named else ()), *verdict.where)
+    return [PlaceScore(effect.name, place, any(same_place(place, p) for p in reported)) for place in effect.where]
 
 
-def _errors(effect: TrueEffect, named: Named) -> list[ParameterError]:
+def _errors(effect: TrueEffect, named: NamedEffect) -> list[ParameterError]:
     found = []
     for parameter, true in effect.parameters.items():
         if parameter in UNSCORED or true == 0.0:

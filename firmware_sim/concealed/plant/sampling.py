@@ -1,4 +1,4 @@
-"""What a reader makes of a signal: samples off the grid, noise, a coarse converter, frozen readings."""
+"""From a signal on the grid to readings: interpolation, tones, random walks, noise, converter, frozen readings."""
 
 from collections.abc import Sequence
 
@@ -6,40 +6,40 @@ import numpy as np
 
 from firmware_sim.concealed.plant.arrays import Array
 
-NEAR = 1e-6  # of a step of the grid: on its point
+NEAR = 1e-6  # [grid steps]; a position this close to a point is on the point
 
 
 def tone(time_s: Array, frequency_Hz: float, phase: Array) -> Array:
-    """A sine whose phase [rad] may stray, shape (n,) (1)."""
+    """Sine with a phase [rad] for every time, shape (n,) (1)."""
     return np.sin(2.0 * np.pi * frequency_Hz * time_s + phase)
 
 
 def wander(rng: np.random.Generator, time_s: Array, correlation_s: float) -> Array:
-    """A smooth random walk of standard deviation 1 that returns, shape (n,) (1)."""
+    """Smooth stationary random signal of standard deviation 1, shape (n,) (1)."""
     every_s = 0.25 * correlation_s
     knots = rng.normal(0.0, 1.0, int(time_s[-1] / every_s) + 8)
     smooth = np.convolve(knots, np.array([0.5, 1.0, 0.5]) / 1.5**0.5, mode="same")
     return np.interp(time_s, every_s * np.arange(knots.size), smooth)
 
 
-def read_at(signal: Array, places: Array, *, stairs: bool) -> Array:
+def read_at(signal: Array, positions: Array, *, held: bool) -> Array:
     """Values of a signal between the points of its grid, shape (n,).
 
     Parameters
     ----------
     signal
-        On the grid; before its first point it was what it is there.
-    places
-        Where to read, in steps of the grid, shape (n,).
-    stairs
-        Take the point before; otherwise the cubic through the four points around.
+        Values on the grid; constant before the first point.
+    positions
+        Positions to read [grid steps], shape (n,).
+    held
+        True: the value of the point before. False: the cubic through the four nearest points.
     """
     last = signal.size - 1
-    whole = np.floor(places + NEAR).astype(np.int64)
-    if stairs:
+    whole = np.floor(positions + NEAR).astype(np.int64)
+    if held:
         whole_steps: Array = signal[whole.clip(0, last)]
         return whole_steps
-    x = np.where(np.abs(places - whole) < NEAR, 0.0, places - whole)
+    x = np.where(np.abs(positions - whole) < NEAR, 0.0, positions - whole)
     a, b, c, d = (signal[(whole + k).clip(0, last)] for k in (-1, 0, 1, 2))
     cubic = (
         -a * x * (x - 1.0) * (x - 2.0) / 6.0
@@ -47,12 +47,12 @@ def read_at(signal: Array, places: Array, *, stairs: bool) -> Array:
         - c * (x + 1.0) * x * (x - 2.0) / 2.0
         + d * (x + 1.0) * x * (x - 1.0) / 6.0
     )
-    result: Array = np.where(places <= 0.0, signal[0], cubic)
+    result: Array = np.where(positions <= 0.0, signal[0], cubic)
     return result
 
 
 def noise(rng: np.random.Generator, samples: int, rms: float, kind: str, rate_Hz: float, corner_Hz: float) -> Array:
-    """Noise of one rms: `white`, or `coloured` (half its power below a corner), shape (n,)."""
+    """Noise of a given rms, shape (n,); of `coloured` noise, half the power lies below the corner."""
     white = rng.normal(0.0, 1.0, samples)
     if kind != "coloured":
         return rms * white
@@ -64,21 +64,21 @@ def noise(rng: np.random.Generator, samples: int, rms: float, kind: str, rate_Hz
 
 
 def quantised(values: Array, step: float) -> Array:
-    """Values on the lattice of a converter, shape (n,)."""
+    """Values rounded to the steps of a converter, shape (n,)."""
     return step * np.rint(values / step)
 
 
-def frozen(values: Array, time_s: Array, places_s: Sequence[tuple[float, float]]) -> Array:
-    """Readings that keep their last value during stretches of time, shape (n,)."""
+def frozen(values: Array, time_s: Array, spans_s: Sequence[tuple[float, float]]) -> Array:
+    """Readings that keep their last value during given spans (start, end) [s], shape (n,)."""
     result = values.copy()
-    for start_s, end_s in places_s:
+    for start_s, end_s in spans_s:
         first, end = np.searchsorted(time_s, [start_s - 1e-9, end_s - 1e-9])
         result[first:end] = values[max(first - 1, 0)]
     return result
 
 
 def _forgetting_sum(fresh: Array, keep: float) -> Array:
-    """x_k = keep x_{k-1} + fresh_k, in blocks short enough for the powers of `keep`."""
+    """x_k = keep x_{k-1} + fresh_k, in blocks in which the powers of `keep` do not underflow."""
     block = max(1, int(30.0 / -np.log(keep)))
     powers = keep ** np.arange(1, block + 1)
     result, last = np.empty(fresh.size), 0.0
