@@ -1,10 +1,10 @@
 """`piezod support-bundle`: a ZIP file with the data that a remote engineer needs, without secrets.
 
-bundle.json         versions, machine, model, missing parts with reasons
-bench.yaml          effective configuration, with secrets replaced
-status.json         status of the daemon
-ticks.csv           last ticks of the ring log
-transitions.txt     changes of state and cause among these ticks
+- bundle.json: versions, machine, model, missing parts with reasons
+- bench.yaml: effective configuration, with secrets replaced
+- status.json: status of the daemon
+- ticks.csv: last ticks of the ring log
+- transitions.txt: changes of state and cause among these ticks
 """
 
 import contextlib

@@ -4,9 +4,9 @@
     <- {"ok": true, "message": "arming"}
     <- {"ok": false, "error": "arm: state is FAULT ...", "code": 1}
 
-Owner, group and mode of the socket file decide who may connect. The kernel tells who has connected, and the daemon logs
-it. Length of a line, time for a line and number of clients are limited, so that a faulty, slow or hostile client cannot
-use up the daemon. The control loop runs in another process.
+Owner, group and mode of the socket file decide who may connect. The kernel reports who has connected, and the daemon
+logs it. The length of a line, the time for a line and the number of clients are limited. A faulty, slow or hostile
+client therefore cannot block the daemon. The control loop runs in another process.
 """
 
 import asyncio
@@ -118,7 +118,7 @@ class ControlSocket:
         self._path.unlink(missing_ok=True)
 
     async def close(self) -> None:
-        """Stop listening, close every connection and remove the socket."""
+        """Close the server and every connection, and remove the socket."""
         if self._server is None:
             return
         self._server.close()

@@ -185,7 +185,7 @@ class MetricsServer:
         self._log(f"metrics: http://{ADDRESS}:{self._server.sockets[0].getsockname()[1]}/metrics")
 
     async def close(self) -> None:
-        """Stop listening."""
+        """Close the server."""
         if self._server is not None:
             self._server.close()
 

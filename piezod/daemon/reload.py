@@ -1,10 +1,8 @@
 """Rules for a configuration that is read again while the daemon runs.
 
-| state of the bench | what may change                                     |
-|--------------------|-----------------------------------------------------|
-| not connected      | everything but `name`, `daemon` and `recorder`      |
-| disarmed           | the same; the control process is started again      |
-| otherwise          | `limits`, each one only to a tighter value          |
+- `name`, `daemon` and `recorder` never change.
+- All other keys change when the bench is not connected, or disarmed. A disarmed control process is started again.
+- In any other state only `limits` change, each of them only to a tighter value.
 """
 
 from pathlib import Path

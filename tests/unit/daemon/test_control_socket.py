@@ -28,7 +28,7 @@ async def answer(command, peer):
 
 
 @contextlib.asynccontextmanager
-async def listening(path, log=None, **daemon):
+async def open_server(path, log=None, **daemon):
     server = ControlSocket(bench(path, **daemon), answer, (log if log is not None else []).append)
     await server.open()
     try:
@@ -55,7 +55,7 @@ async def lines_after(path, sent, *, end=True):
 
 def test_each_line_is_answered_and_the_sender_is_identified(tmp_path):
     async def ask():
-        async with listening(tmp_path / "s"):
+        async with open_server(tmp_path / "s"):
             return await lines_after(tmp_path / "s", b'{"command": "status"}\n{"command": "arm"}\n')
 
     first, second = (json.loads(line) for line in asyncio.run(ask()))
@@ -80,7 +80,7 @@ def test_each_line_is_answered_and_the_sender_is_identified(tmp_path):
 )
 def test_a_line_that_is_not_a_command_is_refused_in_one_line(tmp_path, line):
     async def ask():
-        async with listening(tmp_path / "s"):
+        async with open_server(tmp_path / "s"):
             return await lines_after(tmp_path / "s", line + b"\n")
 
     (reply,) = asyncio.run(ask())
@@ -92,7 +92,7 @@ def test_a_line_that_is_not_a_command_is_refused_in_one_line(tmp_path, line):
 @given(st.lists(st.binary(max_size=6000), max_size=5))
 def test_arbitrary_bytes_do_not_stop_the_server(tmp_path, chunks):
     async def ask():
-        async with listening(tmp_path / "s"):
+        async with open_server(tmp_path / "s"):
             await lines_after(tmp_path / "s", b"\n".join(chunks))
             return await lines_after(tmp_path / "s", b'{"command": "status"}\n')
 
@@ -103,7 +103,7 @@ def test_a_line_that_is_too_long_ends_the_connection(tmp_path):
     log = []
 
     async def ask():
-        async with listening(tmp_path / "s", log):
+        async with open_server(tmp_path / "s", log):
             return await lines_after(tmp_path / "s", b"x" * 100_000, end=False)
 
     assert asyncio.run(ask()) == []
@@ -114,7 +114,7 @@ def test_an_incomplete_line_ends_the_connection_after_its_time_limit(tmp_path, m
     monkeypatch.setattr(module, "LINE_WITHIN_S", 0.2)
 
     async def ask():
-        async with listening(tmp_path / "s"):
+        async with open_server(tmp_path / "s"):
             return await asyncio.wait_for(lines_after(tmp_path / "s", b'{"comm', end=False), 10)
 
     assert asyncio.run(ask()) == []
@@ -125,7 +125,7 @@ def test_a_client_above_the_limit_is_refused(tmp_path, monkeypatch):
     log = []
 
     async def ask():
-        async with listening(tmp_path / "s", log):
+        async with open_server(tmp_path / "s", log):
             idle = [await asyncio.open_unix_connection(tmp_path / "s") for _ in range(2)]
             await asyncio.sleep(0.1)
             refused = await lines_after(tmp_path / "s", b'{"command": "status"}\n')
@@ -144,7 +144,7 @@ def test_mode_and_group_are_as_configured_and_close_removes_the_socket(tmp_path)
     path = tmp_path / "s"
 
     async def stat_socket():
-        async with listening(path, socket_mode="0600", socket_group="root" if os.getuid() == 0 else None):
+        async with open_server(path, socket_mode="0600", socket_group="root" if os.getuid() == 0 else None):
             return path.stat()
 
     found = asyncio.run(stat_socket())
@@ -157,7 +157,7 @@ def test_a_socket_without_a_listener_is_replaced(tmp_path):
         left.bind(str(tmp_path / "s"))
 
     async def ask():
-        async with listening(tmp_path / "s"):
+        async with open_server(tmp_path / "s"):
             return await lines_after(tmp_path / "s", b'{"command": "status"}\n')
 
     assert len(asyncio.run(ask())) == 1
@@ -165,7 +165,7 @@ def test_a_socket_without_a_listener_is_replaced(tmp_path):
 
 def test_a_socket_with_a_listener_and_a_regular_file_are_not_replaced(tmp_path):
     async def open_it():
-        async with listening(tmp_path / "s"):
+        async with open_server(tmp_path / "s"):
             pass
 
     with socket.socket(socket.AF_UNIX) as other:
@@ -187,7 +187,7 @@ def test_a_socket_with_a_listener_and_a_regular_file_are_not_replaced(tmp_path):
 def test_an_unusable_path_or_group_is_a_configuration_error(tmp_path, changes, says):
     async def open_it():
         changed = dict(changes)
-        async with listening(changed.pop("path", tmp_path / "s"), **changed):
+        async with open_server(changed.pop("path", tmp_path / "s"), **changed):
             pass
 
     with pytest.raises(ConfigurationError, match=says):
