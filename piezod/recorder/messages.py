@@ -62,8 +62,8 @@ class Report:
         Number of rows of the session that are on the disk or lost.
     tick
         Number of the last tick on the disk; -1 before the first.
-    file, file_rows
-        Current or last file, and the number of its rows.
+    file
+        Current or last file.
     rows
         Number of rows that this process has written to the disk.
     dropped
@@ -86,7 +86,6 @@ class Report:
     row: int = 0
     tick: int = -1
     file: str = ""
-    file_rows: int = 0
     rows: int = 0
     dropped: int = 0
     failures: int = 0

@@ -139,7 +139,6 @@ class RingRecorder:
         report.commit_s = max(report.commit_s, round(report.at_s - begun_s, 6))
         report.row, report.tick = first + rows.size, int(rows["tick"][-1])
         report.rows += rows.size
-        report.file_rows += rows.size
         size = self._file.bytes
         report.bytes = self._other_bytes + size_bytes(self._file.path)
         if size >= self._plan.file_bytes or time.monotonic() - self._begun_s >= self._plan.file_s:
@@ -158,7 +157,7 @@ class RingRecorder:
         )
         file = RecordingFile(self._folder, plan.bench, about)
         self._begun_s = time.monotonic()
-        self.report.file, self.report.file_rows = str(file.path), 0
+        self.report.file = str(file.path)
         return file
 
     def _make_folder(self) -> None:
