@@ -27,14 +27,14 @@ def commission(
     """Record every excitation, identify a model from each and validate them side by side."""
     from contextlib import ExitStack, redirect_stdout
 
-    from piezod.commissioning.emulator import emulated_bench_file
+    from piezod.commissioning.emulator import virtual_time_bench
     from piezod.excitation import EXCITATIONS, IDENTIFICATION
 
     if (config is None) == (emulated is None):
         raise UsageError("give CONFIG or --emulated SCENARIO, exactly one of them")
     output.mkdir(parents=True, exist_ok=True)
     with ExitStack() as stack:
-        bench = config or stack.enter_context(emulated_bench_file(output, str(emulated)))
+        bench = config or stack.enter_context(virtual_time_bench(output, str(emulated)))
         models = [output / f"{name}.yaml" for name in EXCITATIONS]
         with redirect_stdout(sys.stderr if as_json else sys.stdout):
             for name, model in zip(EXCITATIONS, models, strict=True):

@@ -48,7 +48,7 @@ def _demo_hidden() -> "tuple[HiddenVerdict, dict[tuple[str, str], Recording]]":
     """Record and diagnose a bench with hidden effects; follow a reference with the given and the extended model."""
     from tempfile import TemporaryDirectory
 
-    from piezod.commissioning.demo_hidden import follow_hidden, record_hidden
+    from piezod.commissioning.demo_hidden_effects import compare_models, record_hidden_effects
     from piezod.commissioning.shipped_files import shipped
     from piezod.diagnose.command import diagnose_files
     from piezod.model import load_model
@@ -59,9 +59,9 @@ def _demo_hidden() -> "tuple[HiddenVerdict, dict[tuple[str, str], Recording]]":
     with TemporaryDirectory() as name, steps() as show:
         folder, given = Path(name), shipped("model.yaml")
         show("recording a bench with hidden effects", 0.0)
-        write_csv(record_hidden(folder, lambda _: None), folder / "work.csv")
+        write_csv(record_hidden_effects(folder, lambda _: None), folder / "work.csv")
         findings = diagnose_files([folder / "work.csv"], given, folder / "out", None, None, show).findings
         extended = load_model(folder / "out" / "model.yaml")
         show("following a reference with both models", 0.9)
-        followed = follow_hidden(folder, load_model(given), extended, lambda _: None)
+        followed = compare_models(folder, load_model(given), extended, lambda _: None)
     return evaluate_hidden(followed, f"{findings.verdict}: {findings.words}", findings.floor), followed

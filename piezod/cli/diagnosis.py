@@ -44,11 +44,11 @@ def diagnose(
 
     recordings = list(recordings or ())
     if from_bench is not None:
-        from piezod.daemon.drift import kept_stretch
+        from piezod.daemon.drift import find_drift_recording
 
         if recordings or model is not None:
             raise UsageError("--from-bench determines recording and model: give neither REC nor --model")
-        saved, model = kept_stretch(from_bench)
+        saved, model = find_drift_recording(from_bench)
         recordings = [saved]
     if model is None or not recordings:
         raise UsageError("REC... or --model is missing: give both, or --from-bench CONFIG")

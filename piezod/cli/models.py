@@ -192,7 +192,7 @@ def validate(
     from piezod.report.tracking.validation import evaluate_validation, validation_text, write_validation_page
 
     plan = plan_validation(config, model)
-    with progress(f"{len(plan.works)} runs", plan.duration_s) as show:
+    with progress(f"{len(plan.segments)} runs", plan.duration_s) as show:
         result = run_validation(plan, show)
     verdict = evaluate_validation(plan.references, plan.compensations, plan.range_N, result.recordings, result.outcome)
     print(json.dumps(verdict.as_dict(), indent=2) if as_json else validation_text(verdict))

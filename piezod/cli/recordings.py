@@ -35,15 +35,14 @@ def record(
     reset_cycle: Annotated[bool, typer.Option(help="First drive 0 -> highest voltage -> 0.")] = False,
 ) -> None:
     """Drive an excitation through the bench and record the response."""
-    from piezod.commissioning.record import excitation_s
-    from piezod.commissioning.record import record as record_excitation
+    from piezod.commissioning.record import excitation_duration_s, record_excitation
     from piezod.excitation import default_periods
     from piezod.recording import check_recording_target, write_recording
     from piezod.report.progress import progress
 
     check_recording_target(output)
     periods = periods or default_periods(excitation)
-    with progress(f"recording {excitation}", excitation_s(excitation, frequency, periods)) as show:
+    with progress(f"recording {excitation}", excitation_duration_s(excitation, frequency, periods)) as show:
         recording, outcome = record_excitation(
             config,
             excitation,

@@ -30,9 +30,10 @@ def run(
 @app.command(epilog="Example: piezod status config/bench.yaml --json")
 def status(config: DaemonArgument = None, socket: SocketOption = None, as_json: JsonOption = False) -> None:
     """Print the state of the running daemon."""
-    from piezod.daemon.client import command_and_wait, socket_of, status_text
+    from piezod.daemon.client import command_and_wait, find_socket
+    from piezod.daemon.status import status_text
 
-    answer = command_and_wait(socket_of(config, socket), "status", wait=False)
+    answer = command_and_wait(find_socket(config, socket), "status", wait=False)
     print(json.dumps(answer, indent=2) if as_json else status_text(answer))
 
 
@@ -90,9 +91,10 @@ def _command_daemon(
     name: str, config: Path | None, socket: Path | None, wanted: tuple[str, ...], *, wait: bool, as_json: bool
 ) -> None:
     """Send a command, wait for the result and print it; exit code 1 if the state is not in `wanted`."""
-    from piezod.daemon.client import command_and_wait, socket_of, status_text
+    from piezod.daemon.client import command_and_wait, find_socket
+    from piezod.daemon.status import status_text
 
-    answer = command_and_wait(socket_of(config, socket), name, wait=wait)
+    answer = command_and_wait(find_socket(config, socket), name, wait=wait)
     settled = "state" in answer
     if as_json:
         print(json.dumps(answer, indent=2))

@@ -52,19 +52,19 @@ def init(
     as_json: JsonOption = False,
 ) -> None:
     """Make a commented bench file from a device profile and a few answers."""
-    from piezod.commissioning.init import Answers, draft, look, profiles, write
-    from piezod.commissioning.wizard import ask
+    from piezod.commissioning.init import Answers, draft_bench, list_profiles, probe_device, write_bench
+    from piezod.commissioning.wizard import ask_missing
 
     if output.exists() and not force:
         raise UsageError(f"{output} already exists; name another file with -o, or replace it with --force")
     answers = Answers(name, host, port, unit_id, serial, load_cell_host, rate, voltage_max, force_trip)
     if not yes and sys.stdin.isatty():
-        profile, answers = ask(profile, answers)
+        profile, answers = ask_missing(profile, answers)
     if profile is None:
-        raise UsageError(f"--profile is missing, one of {', '.join(profiles())}")
-    made = draft(profile, answers, output)
-    found = look(made.bench) if probe else []
-    write(made, force=force)
+        raise UsageError(f"--profile is missing, one of {', '.join(list_profiles())}")
+    made = draft_bench(profile, answers, output)
+    found = probe_device(made.bench) if probe else []
+    write_bench(made, force=force)
     if as_json:
         content = {"schema": "piezod.init/1", "file": str(output), "profile": profile, "found": found}
         print(json.dumps(content, indent=2))

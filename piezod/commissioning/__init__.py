@@ -1,1 +1,1 @@
-"""Tools that use sessions: check, init, record, validate, demo, safe stop, support bundle."""
+"""Tools to commission a bench: init, check, record, validate, demo, safe stop, support bundle."""

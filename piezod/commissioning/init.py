@@ -1,4 +1,7 @@
-"""`piezod init`: a commented bench file from a profile and a few answers; the device is looked at, never written to."""
+"""`piezod init`: make a commented bench configuration from a device profile and a few answers.
+
+The device may be read, and is never written to.
+"""
 
 import os
 from collections.abc import Mapping
@@ -13,27 +16,27 @@ from piezod.errors import ConfigurationError, PiezodError, UsageError
 from piezod.session.assembly import opened_link
 from piezod.transport.probe import modbus_name
 
-EMULATOR = "bench"
-
 
 @dataclass(frozen=True)
 class Answers:
-    """What the wizard wants to know; None: as the profile has it.
+    """Values that replace those of a profile; None keeps the value of the profile.
 
     Parameters
     ----------
     name
-        Of the bench.
+        Name of the bench.
     host, port, unit_id
-        Of a Modbus TCP device.
+        Address, TCP port and unit of a Modbus TCP device.
     serial
-        Port of a serial device.
+        Serial port of a serial device.
     load_cell_host
-        Address of the device that reads the load cell, where that is another one.
+        Address of a separate device that reads the load cell.
     rate_Hz
-        Ticks per second.
-    voltage_max_V, force_trip_N
-        Limits.
+        Tick rate [Hz].
+    voltage_max_V
+        Highest voltage of the stack [V].
+    force_trip_N
+        Force above which the bench trips [N].
     """
 
     name: str | None = None
@@ -48,16 +51,26 @@ class Answers:
 
 
 @dataclass(frozen=True)
-class Draft:
-    """A bench file that could be written."""
+class BenchDraft:
+    """A bench configuration that is not written yet.
+
+    Parameters
+    ----------
+    path
+        File to write.
+    text
+        Content of the file.
+    bench
+        Configuration that the text contains.
+    """
 
     path: Path
     text: str
     bench: BenchConfig
 
 
-def profiles() -> dict[str, str]:
-    """Shipped bench files by name: what each is for, from its first line."""
+def list_profiles() -> dict[str, str]:
+    """List the shipped bench configurations: name, and device from the first line of the file."""
     found = {}
     for path in sorted(shipped("bench.yaml").parent.glob("*.yaml")):
         if read_document(path).content.get("schema") == SCHEMA:
@@ -66,27 +79,36 @@ def profiles() -> dict[str, str]:
     return found
 
 
-def draft(profile: str, answers: Answers, path: Path) -> Draft:
-    """Write the answers into a profile, comments and all, and check the outcome.
+def draft_bench(profile: str, answers: Answers, path: Path) -> BenchDraft:
+    """Put the answers into a profile, keep its comments, and check the result.
+
+    Parameters
+    ----------
+    profile
+        Name among `list_profiles`.
+    answers
+        Values that replace those of the profile.
+    path
+        File to write later.
 
     Raises
     ------
     UsageError
         There is no such profile, or an answer does not belong to its link.
     ConfigurationError
-        The answers make no bench.
+        The result is not a valid bench configuration.
     """
-    known = profiles()
+    known = list_profiles()
     if profile not in known:
         raise UsageError(f"--profile is '{profile}', must be one of {', '.join(known)}")
     text = shipped(f"{profile}.yaml").read_text(encoding="utf-8")
     before = bench_of(Document(path, text))
     text = replace_values(path, text, _changes(before, answers))
-    return Draft(path, text, bench_of(Document(path, text)))
+    return BenchDraft(path, text, bench_of(Document(path, text)))
 
 
 def _changes(bench: BenchConfig, answers: Answers) -> Mapping[tuple[str, ...], str | float | int]:
-    """Answers by the path of the key that they go to."""
+    """Answers by the path of the key that they change."""
     modbus_tcp = isinstance(bench.link, ModbusTcpLink)
     places: tuple[tuple[str, tuple[str, ...], bool], ...] = (
         ("name", ("name",), True),
@@ -111,13 +133,13 @@ def _changes(bench: BenchConfig, answers: Answers) -> Mapping[tuple[str, ...], s
     return changes
 
 
-def look(bench: BenchConfig) -> list[str]:
-    """What answers there, a line each; reads only.
+def probe_device(bench: BenchConfig) -> list[str]:
+    """Read the identity of the device and return lines that describe it; nothing is written.
 
     Parameters
     ----------
     bench
-        As drafted.
+        Bench configuration.
     """
     lines = []
     link = bench.link
@@ -134,24 +156,31 @@ def look(bench: BenchConfig) -> list[str]:
     return lines
 
 
-def write(made: Draft, *, force: bool) -> None:
-    """Write the file, whole or not at all.
+def write_bench(draft: BenchDraft, *, force: bool) -> None:
+    """Write the file completely, or not at all.
+
+    Parameters
+    ----------
+    draft
+        Bench configuration to write.
+    force
+        Whether to replace an existing file.
 
     Raises
     ------
     UsageError
-        It is there already.
+        The file exists, and `force` is not set.
     ConfigurationError
-        It cannot be written.
+        The file cannot be written.
     """
-    path = made.path
+    path = draft.path
     temporary = path.with_name(f".{path.name}.{os.getpid()}")
     try:
-        temporary.write_text(made.text, encoding="utf-8")
+        temporary.write_text(draft.text, encoding="utf-8")
         if force:
             temporary.replace(path)
         else:
-            os.link(temporary, path)  # refuses a file that is there, also one that came a moment ago
+            os.link(temporary, path)  # fails if the file exists, also if it was created a moment ago
     except FileExistsError:
         raise UsageError(f"{path} is there already; name another with -o, or replace it with --force") from None
     except OSError as error:

@@ -1,6 +1,6 @@
-"""Bring a bench to rest without its daemon: a connection of its own, the same limits, the same loop.
+"""`piezod stop --direct`: bring a bench to rest without its daemon, with the same limits and the same loop.
 
-For systemd's ExecStopPost, and for whoever finds a voltage that nobody drives any more.
+systemd runs it after a daemon has failed (`ExecStopPost`). An operator runs it when a voltage is left at the output.
 """
 
 import time
@@ -10,34 +10,46 @@ from pathlib import Path
 from piezod.config import BenchConfig
 from piezod.control import CAUSE_TEXT, Cause, RingLog
 from piezod.errors import CheckFailedError, UnreachableError
-from piezod.session.assembly import load_without_model, make_loop, make_rate_keeper, opened_link
+from piezod.session.assembly import load_bench_without_model, make_loop, make_rate_keeper, opened_link
 from piezod.session.lock import BenchLock
 from piezod.transport import ExchangeResult, Link
 from piezod.transport.status import STATUS_WATCHDOG
 
-LOCK_WITHIN_S = 2.0  # and the time of a ramp: a control process whose parent was killed holds the lock until its end
-LOOKS = 5
-LOOK_AGAIN_S = 0.05
+LOCK_WITHIN_S = 2.0
+"""Longest time to wait for the lock, besides the time of a ramp [s].
+
+A control process whose parent was killed holds the lock until it has ramped down.
+"""
+POLLS = 5
+"""Number of attempts to read the output."""
+POLL_INTERVAL_S = 0.05
+WATCHDOG_POLL_INTERVAL_S = 0.2
+"""Time between two readings while the watchdog of the device ramps down [s]."""
 
 
 def stop_directly(path: Path) -> str:
-    """Drive the output to the safe voltage and read it back; says what was found and done.
+    """Drive the output to the safe voltage and read it back.
 
     Parameters
     ----------
     path
         Bench configuration.
 
+    Returns
+    -------
+    str
+        Voltage before and after, for a message.
+
     Raises
     ------
     BusyError
-        A daemon drives the bench; tell it to stop.
+        A daemon drives the bench; use `piezod stop` without `--direct`.
     TemporaryError, ConfigurationError
-        The device does not answer, or is another one than configured.
+        The device does not answer, or is not the configured device.
     CheckFailedError
-        The output is not known, or did not come to rest.
+        The output is unknown, or did not come to rest.
     """
-    bench = load_without_model(path)
+    bench = load_bench_without_model(path)
     limits = bench.limits
     ramp_s = (limits.voltage_max_V - limits.voltage_min_V) / limits.ramp_down_V_per_s
     lock = BenchLock(bench.lock_path, wait_s=LOCK_WITHIN_S + ramp_s)
@@ -50,7 +62,7 @@ def stop_directly(path: Path) -> str:
 
 def _bring_to_rest(bench: BenchConfig, link: Link) -> str:
     found_V = _output_V(bench, link)
-    if link.reading.status & STATUS_WATCHDOG:  # the device ramps by itself; a command now would be a jump
+    if link.reading.status & STATUS_WATCHDOG:  # the device ramps down itself; a command now would cause a jump
         found_V = _wait_for_rest(bench, link)
     if abs(found_V - bench.limits.voltage_safe_V) <= bench.arming.readback_within_V:
         return f"{link.description}: {found_V:.2f} V, at rest"
@@ -63,19 +75,19 @@ def _bring_to_rest(bench: BenchConfig, link: Link) -> str:
 
 
 def _ramp(bench: BenchConfig, link: Link, from_V: float) -> Cause:
-    ring = RingLog(bench.ring_log_path, round(bench.rate_Hz))
+    ring_log = RingLog(bench.ring_log_path, round(bench.rate_Hz))
     try:
-        return make_loop(bench, link, make_rate_keeper(bench, link), ring).bring_down(from_V)
+        return make_loop(bench, link, make_rate_keeper(bench, link), ring_log).bring_down(from_V)
     finally:
-        ring.close()
+        ring_log.close()
         bench.ring_log_path.unlink(missing_ok=True)
 
 
 def _wait_for_rest(bench: BenchConfig, link: Link) -> float:
-    """The output [V] once it is at rest, or no longer falls."""
+    """Wait until the output is at rest or falls no more; return it [V]."""
     output_V = _output_V(bench, link)
     while abs(output_V - bench.limits.voltage_safe_V) > bench.arming.readback_within_V:
-        time.sleep(0.2)
+        time.sleep(WATCHDOG_POLL_INTERVAL_S)
         before_V, output_V = output_V, _output_V(bench, link)
         if abs(output_V - before_V) < 0.1 * bench.arming.readback_within_V:
             break
@@ -83,19 +95,19 @@ def _wait_for_rest(bench: BenchConfig, link: Link) -> float:
 
 
 def _output_V(bench: BenchConfig, link: Link) -> float:
-    """What the output is [V]: as read back, else as last commanded."""
-    for _ in range(LOOKS):
+    """Voltage at the output [V]: the read-back voltage, else the last command in the register."""
+    for _ in range(POLLS):
         result = link.poll()
         if result == ExchangeResult.OK:
             break
-        time.sleep(LOOK_AGAIN_S)
+        time.sleep(POLL_INTERVAL_S)
     else:
         raise UnreachableError(f"stop: {link.description} gives no good reading: {result.name.lower()}; try again")
     if isfinite(link.reading.voltage_readback_V):
         return link.reading.voltage_readback_V
     if bench.link.kind == "serial_line":
         raise CheckFailedError(
-            f"stop: {link.description} tells neither output nor command, and a blind command could be a jump; "
+            f"stop: {link.description} reports neither output nor command, and a command could cause a jump; "
             "switch the amplifier off"
         )
     return link.read_register("voltage_setpoint")

@@ -1,4 +1,4 @@
-"""Where the files lie that come with the program: `config/` of the repository, or their copy in the wheel."""
+"""Location of the files that come with the program: `config/` of the repository, or its copy in the wheel."""
 
 from pathlib import Path
 
@@ -6,6 +6,12 @@ _PACKAGE = Path(__file__).resolve().parent.parent
 
 
 def shipped(name: str) -> Path:
-    """Path of `name` in `config/`, from a checkout or from an installed wheel."""
+    """Path of a file in `config/`, of a checkout or of an installed wheel.
+
+    Parameters
+    ----------
+    name
+        Name of the file.
+    """
     packed = _PACKAGE / "_shipped" / "config" / name
     return packed if packed.exists() else _PACKAGE.parent / "config" / name

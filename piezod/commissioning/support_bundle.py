@@ -1,10 +1,10 @@
-"""`piezod support-bundle`: what somebody elsewhere needs to understand a bench, and nothing that must stay there.
+"""`piezod support-bundle`: a ZIP file with the data that a remote engineer needs, without secrets.
 
-bundle.json         versions, machine, model, what was left out and why
-bench.yaml          the effective configuration, secrets replaced
-status.json         what the daemon says, or why it says nothing
-ticks.csv           the last ticks of the ring log
-transitions.txt     what happened among them
+- bundle.json: versions, machine, model, missing parts with reasons
+- bench.yaml: effective configuration, with secrets replaced
+- status.json: status of the daemon
+- ticks.csv: last ticks of the ring log
+- transitions.txt: changes of state and cause among these ticks
 """
 
 import contextlib
@@ -31,39 +31,40 @@ from piezod.model import file_sha256, load_model
 
 REMOVED = "REMOVED"
 LAST_TICKS = 20_000
-SHORTEST_SECRET = 4  # signs
+SHORTEST_SECRET = 4
+"""Length of the shortest secret that is replaced outside the configuration [characters]."""
 PACKAGES = ("numpy", "numba", "pyserial", "pymodbus", "PyYAML", "pydantic", "prometheus-client", "scipy", "bokeh")
 
 
 def write_bundle(config: Path, output: Path, *, force: bool = False) -> dict[str, Any]:
-    """Collect everything into one ZIP file.
+    """Collect the parts and write them into one ZIP file.
 
     Parameters
     ----------
     config
         Bench configuration; the daemon need not run.
     output
-        The file to write.
+        File to write.
     force
-        Replace it.
+        Whether to replace an existing file.
 
     Returns
     -------
     dict
-        What `bundle.json` holds.
+        Content of `bundle.json`.
 
     Raises
     ------
     UsageError
-        The file is there already.
+        The file exists, and `force` is not set.
     ConfigurationError
-        The configuration is none, or the file cannot be written.
+        The configuration is invalid, or the file cannot be written.
     """
     bench = load_bench(config)
     if output.exists() and not force:
         raise UsageError(f"{output} is there already; name another with -o, or replace it with --force")
     left_out: dict[str, str] = {}
-    parts = {"bench.yaml": redacted(bench, read_document(config).content)}
+    parts = {"bench.yaml": redacted_configuration(bench, read_document(config).content)}
     for name, make in (("status.json", _status), ("ticks.csv", _ticks), ("transitions.txt", _transitions)):
         try:
             parts[name] = make(bench)
@@ -94,23 +95,30 @@ def write_bundle(config: Path, output: Path, *, force: bool = False) -> dict[str
 
 
 def _without(text: str, secrets: set[str]) -> str:
-    """For what was not made key by key: a short text would be found within words."""
+    """Replace secrets in a text that is not YAML. Short secrets are skipped: they could be parts of words."""
     for secret in sorted((one for one in secrets if len(one) >= SHORTEST_SECRET), key=len, reverse=True):
         text = text.replace(secret, REMOVED)
     return text.replace(str(Path.home()), "~")
 
 
-def redacted(bench: BenchConfig, content: dict[str, Any]) -> str:
-    """The effective configuration without what could be a secret or tell where the bench stands.
+def redacted_configuration(bench: BenchConfig, content: dict[str, Any]) -> str:
+    """Effective configuration without secrets and without the location of the bench.
 
-    Replaced are file names and names of TLS, host names and public addresses, groups, and the lines of an ASCII
-    protocol, which may carry a password. Numbers, registers and private addresses stay: they are what is asked about.
+    Replaced: file names and host names of TLS, host names, public addresses, groups, and the lines of an ASCII
+    protocol, which may contain a password. Numbers, registers and private addresses stay, because support needs them.
+
+    Parameters
+    ----------
+    bench
+        Bench configuration.
+    content
+        Content of the YAML file, which tells the given values from defaults.
     """
     return effective_text(_redacted(all_values(bench), _secrets(bench)), content)
 
 
 def _secrets(bench: BenchConfig) -> set[str]:
-    """Texts that must not leave the house, wherever they stand."""
+    """Texts that must not appear in the bundle."""
     found: set[str] = set()
     for name in ("link", "load_cell_link"):
         link = all_values(bench)[name]
@@ -125,7 +133,7 @@ def _secrets(bench: BenchConfig) -> set[str]:
 
 
 def _commands(link: dict[str, Any]) -> list[dict[str, Any]]:
-    """Lines of an ASCII protocol."""
+    """Commands of an ASCII protocol, as dictionaries with `send` and `reply`."""
     single = (link.get(name) for name in ("set_voltage", "measure", "identity", "watchdog"))
     return [one for one in (*single, *link.get("setup", ())) if one]
 
@@ -137,8 +145,8 @@ def _private(host: str) -> bool:
         return host == "localhost"
 
 
-def _redacted(value: object, secrets: set[str]) -> Any:  # noqa: ANN401  # what YAML holds
-    """The same with every secret replaced."""
+def _redacted(value: object, secrets: set[str]) -> Any:  # noqa: ANN401  # any value of YAML
+    """Copy of a value with every secret replaced."""
     if isinstance(value, dict):
         return {key: _redacted(one, secrets) for key, one in value.items()}
     if isinstance(value, list | tuple):
@@ -155,9 +163,9 @@ def _status(bench: BenchConfig) -> str:
 
 
 def _rows(bench: BenchConfig) -> np.ndarray:
-    ring = RingReader(bench.ring_log_path)
-    ring.seek(max(0, ring.waiting - LAST_TICKS))
-    return ring.read()
+    reader = RingReader(bench.ring_log_path)
+    reader.seek(max(0, reader.waiting - LAST_TICKS))
+    return reader.read()
 
 
 def _ticks(bench: BenchConfig) -> str:
@@ -186,7 +194,7 @@ def _versions() -> dict[str, str]:
 
 
 def _machine() -> dict[str, Any]:
-    """What decides how late a tick is; no name, no user, no address."""
+    """Properties of the machine that determine the lateness of ticks, without names and addresses."""
     return {
         "system": f"{platform.system()} {platform.release()}",
         "kernel": platform.version(),

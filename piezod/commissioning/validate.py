@@ -1,108 +1,128 @@
-"""Compare models on the bench: six triangular force references, each without compensation and with every model."""
+"""`piezod validate`: compare models on the bench.
+
+The bench follows six triangular force references, each without compensation and with every model.
+"""
 
 from dataclasses import dataclass
 from pathlib import Path
 
-from piezod.commissioning.demo import OnRows, follow_session
 from piezod.config import BenchConfig
 from piezod.config.reference import WaveformReference
 from piezod.errors import ConfigurationError, UsageError
 from piezod.model import Model, Plant
 from piezod.recording import Recording
-from piezod.session.assembly import Work, load_drivable, load_without_model
-from piezod.session.session import Outcome, Session
+from piezod.session.assembly import load_bench_without_model, load_drivable_model
+from piezod.session.follow import OnRows, follow_session
+from piezod.session.session import Session
+from piezod.session.task import Outcome, SegmentSpec
 
-# Parts of the forces that bench and models reach in common; the outermost stay 5 % inside it.
 AMPLITUDES = (0.12, 0.24, 0.36)
 OFFSETS = (0.41, 0.59)
-FREQUENCY_HZ = 0.1  # static: rate dependence is another question
-CYCLES = 3  # the first one comes from rest and does not close; the loops are judged on the others
+"""Parts of the common force range of bench and models; the peaks stay 5 % inside the range."""
+FREQUENCY_HZ = 0.1
+"""Frequency of the references [Hz]: quasi-static, without rate dependence."""
+CYCLES = 3
+"""Number of cycles. The first begins at rest and its loop is not closed; the others are evaluated."""
 WITHOUT = "without"
 
 
 @dataclass(frozen=True)
 class Validation:
-    """What will be driven; nothing is energised yet.
+    """Plan of a validation; nothing is energised yet.
 
     Parameters
     ----------
     bench, folder
-        The bench, and the folder that its relative paths start from.
+        Bench configuration, and the folder that its relative paths start from.
     range_N
-        Forces that every model reaches within the bench's limits.
+        Lowest and highest force that every model reaches within the limits of the bench [N].
     references
-        By name.
-    works
-        In the order they are driven, by (reference, compensation).
+        References by name.
+    segments
+        Segments by (reference, compensation), in the order of driving.
     """
 
     bench: BenchConfig
     folder: Path
     range_N: tuple[float, float]
     references: dict[str, WaveformReference]
-    works: dict[tuple[str, str], Work]
+    segments: dict[tuple[str, str], SegmentSpec]
 
     @property
     def compensations(self) -> list[str]:
-        """`without`, then the models."""
-        return list(dict.fromkeys(key[1] for key in self.works))
+        """Names of the compensations: `without`, then the models."""
+        return list(dict.fromkeys(key[1] for key in self.segments))
 
     @property
     def duration_s(self) -> float:
-        """About how long it takes on the bench's clock [s]."""
+        """Approximate duration on the clock of the bench [s]."""
         limits, arming = self.bench.limits, self.bench.arming
         span_V = limits.voltage_max_V - limits.voltage_safe_V
-        around_s = 2 * span_V / arming.voltage_V_per_s + 0.25 * span_V * (
-            1 / arming.voltage_V_per_s + 1 / limits.ramp_down_V_per_s
-        )
-        return len(self.works) * (CYCLES / FREQUENCY_HZ + around_s)
+        reset_cycle_s = 2 * span_V / arming.voltage_V_per_s
+        ramps_s = 0.25 * span_V * (1 / arming.voltage_V_per_s + 1 / limits.ramp_down_V_per_s)
+        return len(self.segments) * (CYCLES / FREQUENCY_HZ + reset_cycle_s + ramps_s)
 
 
 @dataclass(frozen=True)
 class ValidationResult:
-    """What was measured: the runs that reached their end, by (reference, compensation)."""
+    """Measurements of a validation.
+
+    Parameters
+    ----------
+    recordings
+        Recordings by (reference, compensation), of the segments that reached their end.
+    outcome
+        Outcome of the session.
+    """
 
     recordings: dict[tuple[str, str], Recording]
     outcome: Outcome
 
 
 def plan_validation(path: Path, model_paths: list[Path]) -> Validation:
-    """Read bench and models and choose the references.
+    """Read bench and models, and choose the references.
 
     Parameters
     ----------
     path
-        Bench configuration; the model it names is not used.
+        Bench configuration; the model that it names is not used.
     model_paths
-        Models to compare; the first one also gives the plain gain that stands for no compensation.
+        Model files to compare. The gain of the first one is used for "without compensation".
 
     Raises
     ------
     ConfigurationError
-        A file says something impossible, or the models reach no forces in common.
+        A value is invalid, or the models have no common force range.
     UsageError
         A model is given twice.
     """
-    bench = load_without_model(path)
-    models = dict(zip(_labels(model_paths), [load_drivable(one) for one in model_paths], strict=True))
+    bench = load_bench_without_model(path)
+    models = dict(zip(_labels(model_paths), [load_drivable_model(one) for one in model_paths], strict=True))
     range_N = common_range_N(bench, models)
     references = triangular_references(range_N)
     first = next(iter(models.values()))
-    works = {}
+    segments = {}
     for name, reference in references.items():
-        works[name, WITHOUT] = Work(f"{name}, {WITHOUT}", "gain", reference, model=first)
+        segments[name, WITHOUT] = SegmentSpec(f"{name}, {WITHOUT}", "gain", reference, model=first)
         for label, model in models.items():
-            works[name, label] = Work(f"{name}, {label}", "inverse", reference, model=model)
-    return Validation(bench, path.parent, range_N, references, works)
+            segments[name, label] = SegmentSpec(f"{name}, {label}", "inverse", reference, model=model)
+    return Validation(bench, path.parent, range_N, references, segments)
 
 
 def common_range_N(bench: BenchConfig, models: dict[str, Model]) -> tuple[float, float]:
-    """Forces that every model reaches on its steady major loop, within the bench's voltages and force limits [N].
+    """Range of force that every model reaches on its major loop, within the voltage and force limits of the bench [N].
+
+    Parameters
+    ----------
+    bench
+        Bench configuration.
+    models
+        Models by name.
 
     Raises
     ------
     ConfigurationError
-        There are none.
+        There is no such range.
     """
     low_N, high_N = bench.limits.force_min_N, bench.limits.force_trip_N
     for label, model in models.items():
@@ -125,7 +145,18 @@ def common_range_N(bench: BenchConfig, models: dict[str, Model]) -> tuple[float,
 
 
 def triangular_references(range_N: tuple[float, float]) -> dict[str, WaveformReference]:
-    """Three amplitudes about two offsets, as parts of `range_N`."""
+    """Make references with three amplitudes about two offsets.
+
+    Parameters
+    ----------
+    range_N
+        Lowest and highest force [N].
+
+    Returns
+    -------
+    dict
+        References by name.
+    """
     low_N, span_N = range_N[0], range_N[1] - range_N[0]
     references = {}
     for offset in OFFSETS:
@@ -147,19 +178,19 @@ def run_validation(validation: Validation, on_rows: OnRows) -> ValidationResult:
     Parameters
     ----------
     validation
-        What `plan_validation` made.
+        Result of `plan_validation`.
     on_rows
-        Called about ten times a second with what is new.
+        Called about ten times per second with new rows.
 
     Raises
     ------
     PiezodError
-        The bench could not be had, or the session failed.
+        The bench could not be connected, or the session failed.
     """
-    session = Session(validation.bench, None, validation.folder, list(validation.works.values()))
+    session = Session(validation.bench, None, validation.folder, list(validation.segments.values()))
     history = follow_session(session, on_rows)
     recordings = {}
-    for number, key in enumerate(validation.works):
+    for number, key in enumerate(validation.segments):
         metadata = {"bench": validation.bench.name, "reference": key[0], "compensation": key[1]}
         recording = history.recording(number, metadata=metadata)
         if recording.time_s.size and recording.time_s[-1] > 0.95 * CYCLES / FREQUENCY_HZ:
@@ -168,10 +199,10 @@ def run_validation(validation: Validation, on_rows: OnRows) -> ValidationResult:
 
 
 def _labels(paths: list[Path]) -> list[str]:
-    """Short names of the model files; their paths where short ones would be the same."""
+    """Names of the model files without folder and suffix; the paths if these names are not unique."""
     stems = [path.stem for path in paths]
     if len({*stems, WITHOUT}) == len(paths) + 1:
         return stems
     if len({path.resolve() for path in paths}) < len(paths):
-        raise UsageError(f"--model is {', '.join(map(str, paths))}: one stands twice, must be different files")
+        raise UsageError(f"--model is {', '.join(map(str, paths))}: one file stands twice, must be different files")
     return [str(path) for path in paths]

@@ -1,33 +1,38 @@
-"""The questions of `piezod init` on a terminal."""
+"""Questions of `piezod init` on a terminal."""
 
 from dataclasses import replace
 
 import typer
 
-from piezod.commissioning.init import Answers, profiles
+from piezod.commissioning.init import Answers, list_profiles
 from piezod.commissioning.shipped_files import shipped
 from piezod.config import load_bench
 from piezod.config.link import ModbusTcpLink
 from piezod.transport.probe import serial_ports
 
 
-def ask(profile: str | None, given: Answers) -> tuple[str, Answers]:
-    """Ask for what was not given; the profile's values are offered.
+def ask_missing(profile: str | None, given: Answers) -> tuple[str, Answers]:
+    """Ask for the profile and the answers that are missing, with the values of the profile as defaults.
 
     Parameters
     ----------
     profile
-        As given.
+        Name of the profile; None: not given.
     given
-        What the options said already.
+        Answers that the options contain.
+
+    Returns
+    -------
+    tuple
+        Name of the profile, and all answers.
     """
-    known = profiles()
+    known = list_profiles()
     if profile not in known:
-        for name, words in known.items():
-            typer.echo(f"  {name:22} {words}")
+        for name, device in known.items():
+            typer.echo(f"  {name:22} {device}")
         profile = typer.prompt("device profile", default="bench")
     if profile not in known:
-        return str(profile), given  # refused by whoever drafts
+        return str(profile), given  # `draft_bench` refuses it
     bench = load_bench(shipped(f"{profile}.yaml"))
     answers = replace(given, name=given.name or typer.prompt("name of the bench", default=bench.name))
     link = bench.link
@@ -42,8 +47,8 @@ def ask(profile: str | None, given: Answers) -> tuple[str, Answers]:
         answers = replace(answers, serial=given.serial or _serial_port(link.port))
     cell, limits = bench.load_cell_link, bench.limits
     if isinstance(cell, ModbusTcpLink):
-        asked = given.load_cell_host or typer.prompt("address of the load cell's device", default=cell.host)
-        answers = replace(answers, load_cell_host=asked)
+        host = given.load_cell_host or typer.prompt("address of the load cell's device", default=cell.host)
+        answers = replace(answers, load_cell_host=host)
     return profile, replace(
         answers,
         rate_Hz=given.rate_Hz or typer.prompt("ticks per second [Hz]", default=bench.rate_Hz, type=float),
@@ -54,10 +59,10 @@ def ask(profile: str | None, given: Answers) -> tuple[str, Answers]:
     )
 
 
-def _serial_port(usual: str) -> str:
-    """One of the ports that are there, by its number, or any path."""
+def _serial_port(default: str) -> str:
+    """Ask for a serial port: the number of a listed port, or any path."""
     found = serial_ports()
     for number, port in enumerate(found, 1):
         typer.echo(f"  {number}  {port.path}  ({port.description})")
-    said: str = typer.prompt("serial port, by number or path", default=found[0].path if found else usual)
-    return found[int(said) - 1].path if said.isdigit() and 0 < int(said) <= len(found) else said
+    answer: str = typer.prompt("serial port, by number or path", default=found[0].path if found else default)
+    return found[int(answer) - 1].path if answer.isdigit() and 0 < int(answer) <= len(found) else answer

@@ -1,1 +1,1 @@
-"""The service around the loop: processes, recording, checks; everything that may wait."""
+"""The service around the control process: socket, status, metrics, systemd, reload, comparison with the model."""

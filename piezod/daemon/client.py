@@ -1,4 +1,4 @@
-"""The other end of the daemon's socket: what `piezod status`, `arm`, `disarm`, `stop`, `reset` and `reload` send."""
+"""Client of the daemon's socket, for `piezod status`, `arm`, `disarm`, `stop`, `reset` and `reload`."""
 
 import json
 import socket
@@ -10,23 +10,32 @@ from piezod.config import load_bench
 from piezod.errors import CheckFailedError, TemporaryError, UnreachableError, UsageError
 
 ANSWER_WITHIN_S = 15.0
-LOOK_AGAIN_S = 0.1
-_FOLDERS = (Path("/run/piezod"), Path("/dev/shm"))  # noqa: S108  # where daemons listen unless told otherwise
+"""Longest time to wait for an answer of the daemon [s]."""
+POLL_INTERVAL_S = 0.1
+"""Time between two status requests while the bench arms or ramps down [s]."""
+_FOLDERS = (Path("/run/piezod"), Path("/dev/shm"))  # noqa: S108  # default folders of the daemon's socket
 _MOVING = ("ARMING", "RAMP_DOWN")
 
 
-def socket_of(config: Path | None, named: Path | None) -> Path:
-    """Where the daemon listens: as named, as the bench configuration says, or the only socket that there is.
+def find_socket(config: Path | None, named: Path | None) -> Path:
+    """Find the socket of the daemon: the named one, the one in the bench configuration, or the only one.
+
+    Parameters
+    ----------
+    config
+        Bench configuration; None: not given.
+    named
+        Path of the socket; None: not given.
 
     Raises
     ------
     UsageError
         Both are given.
     UnreachableError
-        Nothing is given, and there is no socket or more than one.
+        Neither is given, and there is no socket, or there are several.
     """
     if config is not None and named is not None:
-        raise UsageError("CONFIG and --socket are both given; one says where the daemon listens")
+        raise UsageError("CONFIG and --socket are both given; give one of them")
     if named is not None:
         return named
     if config is not None:
@@ -34,22 +43,22 @@ def socket_of(config: Path | None, named: Path | None) -> Path:
     found = sorted(path for folder in _FOLDERS for path in folder.glob("*.sock") if path.is_socket())
     if len(found) != 1:
         which = ", ".join(map(str, found)) if found else f"none in {' or '.join(map(str, _FOLDERS))}"
-        raise UnreachableError(f"no single daemon's socket: {which}; give CONFIG or --socket PATH")
+        raise UnreachableError(f"sockets of daemons: {which}; must be one: give CONFIG or --socket PATH")
     return found[0]
 
 
 class Client:
-    """One connection to a daemon.
+    """Connection to a daemon.
 
     Parameters
     ----------
     path
-        Its socket.
+        Socket of the daemon.
 
     Raises
     ------
     UnreachableError
-        Nobody listens there.
+        No daemon listens there.
     """
 
     def __init__(self, path: Path) -> None:
@@ -66,14 +75,19 @@ class Client:
         self._lines = self._socket.makefile("rb")
 
     def ask(self, command: str) -> dict[str, Any]:
-        """Send a command and return what the daemon answers.
+        """Send a command and return the answer of the daemon.
+
+        Parameters
+        ----------
+        command
+            `status`, `arm`, `disarm`, `stop`, `reset` or `reload`.
 
         Raises
         ------
         CheckFailedError, TemporaryError, UsageError
-            The daemon refuses, in its own words.
+            The daemon refuses the command; the text is its reason.
         UnreachableError
-            It does not answer.
+            The daemon does not answer.
         """
         try:
             self._socket.sendall(json.dumps({"command": command}).encode() + b"\n")
@@ -81,79 +95,42 @@ class Client:
         except OSError as error:
             raise UnreachableError(f"{self._path}: the daemon did not answer: {error}; try again") from error
         if not line:
-            raise UnreachableError(f"{self._path}: the daemon hung up; see its log")
+            raise UnreachableError(f"{self._path}: the daemon closed the connection; see its log")
         answer: dict[str, Any] = json.loads(line)
         if not answer.get("ok"):
             kinds = {2: UsageError, 75: TemporaryError}
             raise kinds.get(answer.get("code", 1), CheckFailedError)(str(answer.get("error", "refused")))
         return answer
 
-    def settled(self) -> dict[str, Any]:
+    def wait_until_settled(self) -> dict[str, Any]:
         """Wait until the bench neither arms nor ramps down, and return its status."""
         while True:
-            time.sleep(LOOK_AGAIN_S)
+            time.sleep(POLL_INTERVAL_S)
             status = self.ask("status")
             if status["state"] not in _MOVING:
                 return status
 
     def close(self) -> None:
-        """Hang up."""
+        """Close the connection."""
         self._lines.close()
         self._socket.close()
 
 
 def command_and_wait(path: Path, name: str, *, wait: bool) -> dict[str, Any]:
-    """Send a command; when asked to, wait for what comes of it and return the status then."""
+    """Send a command and return its answer.
+
+    Parameters
+    ----------
+    path
+        Socket of the daemon.
+    name
+        Command, as in `Client.ask`.
+    wait
+        Whether to wait until `arm`, `disarm` or `stop` is complete; the status then is part of the result.
+    """
     client = Client(path)
     try:
         answer = client.ask(name)
-        return answer | client.settled() if wait and name in ("arm", "disarm", "stop") else answer
+        return answer | client.wait_until_settled() if wait and name in ("arm", "disarm", "stop") else answer
     finally:
         client.close()
-
-
-def status_text(status: dict[str, Any]) -> str:
-    """The status in lines for people."""
-    lines = [f"{status['bench']}: {status['state']}, {status['cause']}"]
-    if status["problem"]:
-        lines.append(f"  {status['problem']}")
-    values = (
-        ("force_N", "N"),
-        ("reference_N", "N"),
-        ("voltage_V", "V"),
-        ("readback_V", "V"),
-        ("temperature_C", "degC"),
-    )
-    known = [
-        f"{name.rpartition('_')[0]} {status[name]:.2f} {unit}" for name, unit in values if status[name] is not None
-    ]
-    if known:
-        lines.append("  " + ", ".join(known))
-    lines.append(
-        f"  {status['ticks']} ticks at {status['rate_Hz']:g} Hz, {status['missed']} missed, "
-        f"{status['failed_exchanges']} failed exchanges; up {status['up_s']:.0f} s"
-    )
-    if status.get("corrected_force_N") is not None and status["force_N"] is not None:
-        lines.append(f"  corrected for the load cell {status['corrected_force_N']:.2f} N; limits judge the raw reading")
-    if drift := status.get("drift"):
-        lines.append(f"  {_drift_text(drift)}")
-    if recorder := status.get("recorder"):
-        lines.append(f"  {_recorder_text(recorder)}")
-    return "\n".join(lines)
-
-
-def _drift_text(drift: dict[str, Any]) -> str:
-    if drift["rms_N"] is None:
-        return f"model: nothing compared yet, limit {drift['limit_N']:.2f} N"
-    found = f"{drift['rms_N']:.2f} N rms, {drift['offset_N']:+.2f} N in the mean, limit {drift['limit_N']:.2f} N"
-    if not drift["drifted"]:
-        return f"model: holds; {found}"
-    problem = f" ({drift['problem']})" if drift["problem"] else ""
-    return f"model: DRIFTED; {found}; kept in {drift['kept']}{problem}; piezod diagnose --from-bench"
-
-
-def _recorder_text(recorder: dict[str, Any]) -> str:
-    lost = f", {recorder['dropped']} lost" if recorder["dropped"] else ""
-    if recorder["degraded"]:
-        return f"recorder DEGRADED: {recorder['problem']}; {recorder['rows']} ticks kept{lost}"
-    return f"recorded {recorder['rows']} ticks{lost}; {recorder['file'] or 'no file yet'}"

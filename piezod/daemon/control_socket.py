@@ -1,12 +1,12 @@
-"""The unix socket that the daemon is spoken to through: one JSON object a line, one line back.
+"""The unix socket of the daemon: each line with a JSON object is answered with one line.
 
     -> {"command": "arm"}
     <- {"ok": true, "message": "arming"}
     <- {"ok": false, "error": "arm: state is FAULT ...", "code": 1}
 
-Who may connect is decided by the file's owner, group and mode; who did is asked from the kernel and logged. A line is
-short and must come soon, connections are few: a client that is broken, slow or hostile costs the loop nothing, which
-runs in another process anyway.
+Owner, group and mode of the socket file decide who may connect. The kernel reports who has connected, and the daemon
+logs it. The length of a line, the time for a line and the number of clients are limited. A faulty, slow or hostile
+client therefore cannot block the daemon. The control loop runs in another process.
 """
 
 import asyncio
@@ -25,14 +25,16 @@ from piezod.config import BenchConfig
 from piezod.errors import BusyError, ConfigurationError
 
 LONGEST_LINE = 4096
+"""Longest line of a client [byte]."""
 LINE_WITHIN_S = 10.0
-MOST_CLIENTS = 16
+"""Longest time until a client has sent a line, or has read its answer [s]."""
+MAX_CLIENTS = 16
 _CREDENTIALS = struct.Struct("3i")  # struct ucred: pid, uid, gid
 
 
 @dataclass(frozen=True)
 class Peer:
-    """Who is at the other end, as the kernel says."""
+    """Process, user and group of a client, as the kernel reports them."""
 
     pid: int
     uid: int
@@ -50,16 +52,16 @@ Answer = Callable[[str, Peer], Awaitable[dict[str, object]]]
 
 
 class ControlSocket:
-    """Listens, and passes each command on.
+    """Server that passes each command to a function and sends its answer.
 
     Parameters
     ----------
     bench
-        Its `daemon` section says where, and who may.
+        Bench configuration; its section `daemon` has path, group and mode of the socket.
     answer
-        Called with the command's name and who sent it; never raises.
+        Called with the name of the command and its sender; must not raise.
     log
-        Called with one line about what was refused.
+        Called with one line about a client that was refused.
     """
 
     def __init__(self, bench: BenchConfig, answer: Answer, log: Callable[[str], None]) -> None:
@@ -70,25 +72,25 @@ class ControlSocket:
         self._server: asyncio.Server | None = None
 
     async def open(self) -> None:
-        """Bind; a path left by a daemon that died is taken over.
+        """Listen; the socket file of a daemon that died is replaced.
 
         Raises
         ------
         ConfigurationError
             The path cannot be bound, or the group does not exist.
         BusyError
-            Another daemon listens there, or another file is in the way.
+            Another daemon listens there, or the path is another kind of file.
         """
         listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM | socket.SOCK_CLOEXEC)
         try:
-            self._make_way()
-            before = os.umask(0o777)  # until owner and mode are set nobody may connect
+            self._remove_unused_socket()
+            before = os.umask(0o777)  # nobody may connect before group and mode are set
             try:
                 listener.bind(str(self._path))
             finally:
                 os.umask(before)
             group = None if self._group is None else _gid_of(self._group)
-            if group not in (None, self._path.lstat().st_gid):  # inside the sandbox nothing may be given away
+            if group not in (None, self._path.lstat().st_gid):  # the sandbox of the service forbids chown
                 os.chown(self._path, -1, group)
             self._path.chmod(self._mode)
             listener.setblocking(False)
@@ -102,12 +104,12 @@ class ControlSocket:
             listener.close()
             raise
 
-    def _make_way(self) -> None:
-        """Remove a socket that nobody listens at any more, and nothing else."""
+    def _remove_unused_socket(self) -> None:
+        """Remove a socket without a listener; refuse any other file."""
         if not os.path.lexists(self._path):
             return
         if not self._path.is_socket():
-            raise BusyError(f"daemon.socket: {self._path} is in the way and no socket; remove it")
+            raise BusyError(f"daemon.socket: {self._path} is a file and no socket; remove it")
         with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as probe:
             probe.setblocking(False)
             with contextlib.suppress(ConnectionRefusedError, FileNotFoundError):
@@ -116,7 +118,7 @@ class ControlSocket:
         self._path.unlink(missing_ok=True)
 
     async def close(self) -> None:
-        """Stop listening and hang up."""
+        """Close the server and every connection, and remove the socket."""
         if self._server is None:
             return
         self._server.close()
@@ -129,13 +131,13 @@ class ControlSocket:
         task = asyncio.current_task()
         assert task is not None
         peer = _peer_of(writer)
-        if len(self._clients) >= MOST_CLIENTS:
-            self._log(f"socket: {peer} turned away: {MOST_CLIENTS} clients are connected")
+        if len(self._clients) >= MAX_CLIENTS:
+            self._log(f"socket: {peer} refused: {MAX_CLIENTS} clients are connected already")
             writer.close()
             return
         self._clients.add(task)
         try:
-            while line := await self._line(reader, peer):
+            while line := await self._read_line(reader, peer):
                 writer.write(json.dumps(await self._reply(line, peer)).encode() + b"\n")
                 async with asyncio.timeout(LINE_WITHIN_S):
                     await writer.drain()
@@ -147,15 +149,15 @@ class ControlSocket:
             with contextlib.suppress(OSError, asyncio.CancelledError):
                 await writer.wait_closed()
 
-    async def _line(self, reader: asyncio.StreamReader, peer: Peer) -> bytes:
-        """Return the next whole line; nothing at the end, or when it is too long or too late."""
+    async def _read_line(self, reader: asyncio.StreamReader, peer: Peer) -> bytes:
+        """Return the next line; empty at the end, and for a line that is too long or too late."""
         try:
             async with asyncio.timeout(LINE_WITHIN_S):
                 return await reader.readuntil(b"\n")
         except asyncio.IncompleteReadError:
             return b""
         except asyncio.LimitOverrunError:
-            self._log(f"socket: {peer} sent a line longer than {LONGEST_LINE} bytes; hung up")
+            self._log(f"socket: {peer} sent a line longer than {LONGEST_LINE} bytes; disconnected")
             return b""
         except TimeoutError:
             return b""
@@ -164,10 +166,10 @@ class ControlSocket:
         try:
             request: Any = json.loads(line)
         except (ValueError, RecursionError):
-            return _refusal('not one JSON object a line, such as {"command": "status"}')
+            return _refusal('line is not JSON, must be one object such as {"command": "status"}')
         command = request.get("command") if isinstance(request, dict) else None
         if not isinstance(command, str) or set(request) != {"command"}:
-            return _refusal('must be an object with one key, such as {"command": "status"}')
+            return _refusal('line must be an object with one key, such as {"command": "status"}')
         return await self._answer(command, peer)
 
 
@@ -185,5 +187,5 @@ def _gid_of(group: str) -> int:
         return grp.getgrnam(group).gr_gid
     except KeyError:
         raise ConfigurationError(
-            f"daemon.socket_group is '{group}', no such group here; create it or name another"
+            f"daemon.socket_group is '{group}', which does not exist; create it or name another"
         ) from None

@@ -1,9 +1,9 @@
-"""Whether the bench still behaves like its model: prediction against measurement, beside the control process.
+"""Comparison of a running bench with its model, in the daemon, beside the control process.
 
-The rows of the ring log are run through `ExpectedReading`; a window's difference is summed up while a reference is
-followed. Two windows in a row beyond the limit are a drift: it is said once, shown in status and metrics, and the
-stretch since the last arming is kept as a recording for `piezod diagnose --from-bench`. Memory is bounded by
-`drift.keep_s`, and no tick knows of any of it.
+`ExpectedReading` predicts the reading of every tick from the written voltages. While a reference is followed, the
+difference of reading and prediction is summed up over windows of `drift.window_s`. The bench has drifted when two
+windows in a row exceed the limit. The daemon then logs it once and shows it in status and metrics. The ticks since
+the last arming are written to a file for `piezod diagnose --from-bench`. `drift.keep_s` bounds the memory.
 """
 
 import threading
@@ -20,44 +20,70 @@ from piezod.errors import CheckFailedError, ConfigurationError, PiezodError
 from piezod.model import Model
 from piezod.model.expected import ExpectedReading
 from piezod.recording import HELD_ONE_SAMPLE, Recording, write_csv
-from piezod.session.history import GOOD
+from piezod.recording.ticks import GOOD, pair_rows
+from piezod.session.history import is_tracking
 
 Array = NDArray[np.float64]
 
-TIMES_OWN_ERROR = 3.0
-OF_RANGE = 0.01  # the limit where a model does not know its own error
-WINDOWS = 2  # in a row
-LONGEST_GAP_S = 5.0  # of ticks that were missed; beyond it the memory is not followed
+LIMIT_IN_MODEL_ERRORS = 3.0
+"""Default limit, as a multiple of the held-out rms error of the model."""
+LIMIT_IN_RANGES = 0.01
+"""Default limit as a part of the force range, for a model without a held-out error."""
+WINDOWS = 2
+"""Number of windows in a row above the limit that count as a drift."""
+LONGEST_GAP_S = 5.0
+"""Longest gap of missed ticks that is bridged with the last voltage [s]; after a longer gap the prediction restarts."""
 
 
 class DriftWatch:
-    """Follows one control process after the other.
+    """Comparison of one control process after the other with the model.
 
     Parameters
     ----------
-    bench, model
-        What was loaded.
-    say
-        Told when the bench has left its model.
+    bench
+        Bench configuration with a section `drift`.
+    model
+        Model of the bench.
+    log
+        Called with one line when the bench has drifted.
+
+    Attributes
+    ----------
+    limit_N
+        Limit for rms and offset [N].
+    path
+        File for the ticks of a bench that has drifted.
+    windows
+        Number of complete windows.
+    rms_N
+        Standard deviation of the difference in the last window [N]; nan before the first.
+    offset_N
+        Mean difference of the last window relative to the first window [N]; nan before the first.
+    corrected_N
+        Force behind the last reading, corrected for the load cell [N]; nan before the first.
+    drifted
+        Whether the bench has drifted.
+    problem
+        Why the file could not be written; empty without a failure.
     """
 
-    def __init__(self, bench: BenchConfig, model: Model, say: Callable[[str], None]) -> None:
+    def __init__(self, bench: BenchConfig, model: Model, log: Callable[[str], None]) -> None:
         assert bench.drift is not None
-        self._bench, self._say, self._name = bench, say, model.name
+        self._bench, self._log, self._name = bench, log, model.name
         self._expected = ExpectedReading(model, bench.dt_s)
         own_N = model.provenance.fit.rms_held_out
         self.limit_N = bench.drift.beyond_N or (
-            TIMES_OWN_ERROR * own_N if own_N else OF_RANGE * (model.output.high - model.output.low)
+            LIMIT_IN_MODEL_ERRORS * own_N if own_N else LIMIT_IN_RANGES * (model.output.high - model.output.low)
         )
-        self._window = round(bench.drift.window_s * bench.rate_Hz)
-        self._most = round(bench.drift.keep_s * bench.rate_Hz)
-        self.path = stretch_path(bench)
-        self._last: NDArray[np.void] | None = None
-        self._kept: list[NDArray[np.void]] = []
-        self._rows_kept = 0
-        self._whole, self._state = False, int(State.DISARMED)
-        self._count = self._beyond = self.windows = 0
-        self._sum = self._squares = 0.0
+        self._window_ticks = round(bench.drift.window_s * bench.rate_Hz)
+        self._max_rows = round(bench.drift.keep_s * bench.rate_Hz)
+        self.path = drift_recording_path(bench)
+        self._before: NDArray[np.void] | None = None
+        self._armed_rows: list[NDArray[np.void]] = []
+        self._row_count = 0
+        self._complete, self._state = False, int(State.DISARMED)
+        self._count = self._above_limit = self.windows = 0
+        self._sum = self._sum_of_squares = 0.0
         self._first_N: float | None = None
         self.corrected_N = self.rms_N = self.offset_N = nan
         self.drifted = False
@@ -65,45 +91,42 @@ class DriftWatch:
         self.problem = ""
 
     def warm_up(self) -> None:
-        """Have the compiled steps loaded."""
+        """Load the compiled steps."""
         self._expected.run(np.zeros(1), np.full(1, nan))
         self._expected.reset()
 
     def begin(self) -> None:
-        """A new control process: its bench is at rest."""
-        self._last = None
+        """Begin with a new control process, whose bench is at rest."""
+        self._before = None
         self._expected.reset()
 
     def add(self, rows: NDArray[np.void]) -> None:
-        """Take in new rows; a reading answers the command one row before it."""
+        """Compare new rows of the ring log."""
         if not rows.size:
             return
-        joined = rows if self._last is None else np.concatenate((self._last, rows))
-        self._last = rows[-1:].copy()
-        self._keep(rows)
-        if joined.size < 2:
+        commands, readings = pair_rows(rows, self._before)
+        self._before = rows[-1:].copy()
+        self._collect(rows)
+        if not commands.size:
             return
-        commands, answers = joined[:-1], joined[1:]
-        steps = np.diff(joined["tick"])
+        steps = readings["tick"] - commands["tick"]
         if steps.max() > LONGEST_GAP_S * self._bench.rate_Hz:
             self.begin()
             return
-        good = answers["result"] == GOOD
         last = np.cumsum(steps) - 1
         voltage_V = np.repeat(commands["voltage_V"], steps)
         reading_N = np.full(voltage_V.size, nan)
-        reading_N[last] = np.where(good, answers["force_N"], nan)
-        expected, corrected = self._expected.run(voltage_V, reading_N, float(answers["temperature_C"][-1]))
+        reading_N[last] = np.where(readings["result"] == GOOD, readings["force_N"], nan)
+        expected, corrected = self._expected.run(voltage_V, reading_N, float(readings["temperature_C"][-1]))
         self.corrected_N = float(corrected[-1])
-        followed = good & (commands["state"] == State.RUNNING) & (answers["state"] == State.RUNNING)
-        self._judge((reading_N[last] - expected[last])[followed])
+        self._add_to_windows((reading_N[last] - expected[last])[is_tracking(commands, readings)])
 
     def corrected(self) -> float | None:
-        """The force behind the last reading [N]; None before the first."""
+        """Force behind the last reading [N]; None before the first."""
         return self.corrected_N if isfinite(self.corrected_N) else None
 
     def as_dict(self) -> dict[str, object]:
-        """For `status`."""
+        """Result of the comparison, for `piezod status`."""
         return {
             "drifted": self.drifted,
             "rms_N": self.rms_N if isfinite(self.rms_N) else None,
@@ -115,75 +138,76 @@ class DriftWatch:
         }
 
     def close(self) -> None:
-        """Keep what there is of a drift, and let a file be finished."""
-        if self.drifted and not self._whole:
+        """Write the collected ticks of a bench that has drifted, and wait for the file."""
+        if self.drifted and not self._complete:
             self._write()
         if self._writing is not None:
             self._writing.join()
 
-    def _judge(self, missing_N: Array) -> None:
-        """Sum up a difference; at a window's end compare it."""
-        while missing_N.size:
-            part = missing_N[: self._window - self._count]
-            missing_N = missing_N[part.size :]
+    def _add_to_windows(self, difference_N: Array) -> None:
+        """Add differences to the current window; at its end compare it with the limit."""
+        while difference_N.size:
+            part = difference_N[: self._window_ticks - self._count]
+            difference_N = difference_N[part.size :]
             self._count += part.size
             self._sum += float(part.sum())
-            self._squares += float(np.square(part).sum())
-            if self._count >= self._window:
+            self._sum_of_squares += float(np.square(part).sum())
+            if self._count >= self._window_ticks:
                 self._close_window()
 
     def _close_window(self) -> None:
         mean_N = self._sum / self._count
-        self.rms_N = sqrt(max(self._squares / self._count - mean_N**2, 0.0))
+        self.rms_N = sqrt(max(self._sum_of_squares / self._count - mean_N**2, 0.0))
         self._first_N = mean_N if self._first_N is None else self._first_N
         self.offset_N = mean_N - self._first_N
-        self._count, self._sum, self._squares = 0, 0.0, 0.0
+        self._count, self._sum, self._sum_of_squares = 0, 0.0, 0.0
         self.windows += 1
-        beyond = max(self.rms_N, abs(self.offset_N)) > self.limit_N
-        self._beyond = self._beyond + 1 if beyond else 0
-        if self._beyond >= WINDOWS and not self.drifted:
+        is_above = max(self.rms_N, abs(self.offset_N)) > self.limit_N
+        self._above_limit = self._above_limit + 1 if is_above else 0
+        if self._above_limit >= WINDOWS and not self.drifted:
             self.drifted = True
-            self._say(
+            self._log(
                 f"drift: force {self.rms_N:.2f} N rms, {self.offset_N:+.2f} N in the mean from what model "
                 f"'{self._name}' expects, limit {self.limit_N:.2f} N; see piezod diagnose --from-bench"
             )
             self._write()
 
-    def _keep(self, rows: NDArray[np.void]) -> None:
-        """Rows since the last arming, as many as are kept; what is older is given up."""
+    def _collect(self, rows: NDArray[np.void]) -> None:
+        """Collect the rows since the last arming; beyond `drift.keep_s` the oldest are removed."""
         before, self._state = np.append(self._state, rows["state"][:-1]), int(rows["state"][-1])
-        if self._whole:
+        if self._complete:
             return
         armed = np.flatnonzero((rows["state"] == State.ARMING) & (before == State.DISARMED))
         if armed.size and not self.drifted:
-            self._kept, self._rows_kept = [], 0
+            self._armed_rows, self._row_count = [], 0
             rows = rows[max(0, int(armed[-1]) - 1) :]
-        if armed.size or self._kept:
-            self._kept.append(rows)
-            self._rows_kept += int(rows.size)
-        if self.drifted and (self._rows_kept > self._most or self._state == State.DISARMED):
+        if armed.size or self._armed_rows:
+            self._armed_rows.append(rows)
+            self._row_count += int(rows.size)
+        if self.drifted and (self._row_count > self._max_rows or self._state == State.DISARMED):
             self._write()
-            self._whole = True
+            self._complete = True
         elif self._state == State.DISARMED:
-            self._kept, self._rows_kept = [], 0
-        while self._rows_kept > self._most and len(self._kept) > 1:
-            self._rows_kept -= int(self._kept.pop(0).size)
+            self._armed_rows, self._row_count = [], 0
+        while self._row_count > self._max_rows and len(self._armed_rows) > 1:
+            self._row_count -= int(self._armed_rows.pop(0).size)
 
     def _write(self) -> None:
-        """Write the stretch in a thread of its own, after the one before."""
+        """Write the collected rows in a thread; a previous write is finished first."""
         if self._writing is not None:
             self._writing.join()
-        rows = np.concatenate(self._kept)
+        rows = np.concatenate(self._armed_rows)
         self._writing = threading.Thread(target=self._write_rows, args=(rows,), daemon=True)
         self._writing.start()
 
     def _write_rows(self, rows: NDArray[np.void]) -> None:
-        answers, voltage_V = rows[1:], rows["voltage_V"][:-1]
-        good = answers["result"] == GOOD
-        columns = {"voltage_V": voltage_V[good], "force_N": answers["force_N"][good]}
-        if np.isfinite(answers["temperature_C"][good]).all():
-            columns["temperature_C"] = answers["temperature_C"][good]
-        time_s = answers["tick"][good] * self._bench.dt_s
+        commands, readings = pair_rows(rows)
+        good = readings["result"] == GOOD
+        commands, readings = commands[good], readings[good]
+        columns = {"voltage_V": commands["voltage_V"], "force_N": readings["force_N"]}
+        if np.isfinite(readings["temperature_C"]).all():
+            columns["temperature_C"] = readings["temperature_C"]
+        time_s = readings["tick"] * self._bench.dt_s
         metadata = {"bench": self._bench.name, "model": self._name, "kept": "left its model"} | HELD_ONE_SAMPLE.metadata
         try:
             write_csv(Recording(time_s - time_s[0], columns, metadata=metadata), self.path)
@@ -191,15 +215,21 @@ class DriftWatch:
             self.problem = str(error)
 
 
-def stretch_path(bench: BenchConfig) -> Path:
-    """Where the stretch of a bench that left its model is kept: beside the ring log unless named."""
+def drift_recording_path(bench: BenchConfig) -> Path:
+    """Path of the recording of a bench that has drifted: `drift.file`, or a file beside the ring log.
+
+    Parameters
+    ----------
+    bench
+        Bench configuration.
+    """
     if bench.drift is not None and bench.drift.file is not None:
         return Path(bench.drift.file.replace("{name}", bench.name))
     return bench.ring_log_path.with_name(bench.ring_log_path.name + ".drift.csv")
 
 
-def kept_stretch(path: Path) -> tuple[Path, Path]:
-    """The stretch that was kept of a bench, and the model that it left.
+def find_drift_recording(path: Path) -> tuple[Path, Path]:
+    """Find the recording of a bench that has drifted, and the model that it was compared with.
 
     Parameters
     ----------
@@ -209,19 +239,16 @@ def kept_stretch(path: Path) -> tuple[Path, Path]:
     Raises
     ------
     ConfigurationError
-        The bench watches no drift.
+        The configuration has no section `drift`.
     CheckFailedError
-        Nothing was kept.
+        There is no such recording.
     """
     bench = load_bench(path)
     if bench.drift is None:
-        raise ConfigurationError(f"{path}: drift is null, must be a section: nothing is watched, so nothing is kept")
-    kept = stretch_path(bench)
-    if not kept.exists():
+        raise ConfigurationError(f"{path}: drift is null, must be a section: no drift is watched, so none is recorded")
+    recording = drift_recording_path(bench)
+    if not recording.exists():
         raise CheckFailedError(
-            f"{kept}: not there: this bench has not left its model; see piezod status, or name a recording"
+            f"{recording}: not there: this bench has not left its model; see piezod status, or name a recording"
         )
-    return kept, model_path(bench, path)
-
-
-__all__ = ["DriftWatch", "kept_stretch", "stretch_path"]
+    return recording, model_path(bench, path)

@@ -1,4 +1,4 @@
-"""Prometheus metrics on the loopback address, made from the tally when they are asked for; no tick knows of it."""
+"""Prometheus metrics on the loopback address, computed from the statistics at each request. Runs in the daemon."""
 
 import asyncio
 import contextlib
@@ -13,117 +13,120 @@ from prometheus_client.registry import Collector
 
 from piezod.control import State
 from piezod.daemon.drift import DriftWatch
-from piezod.daemon.statistics import BOUNDS_S, Durations, Tally
+from piezod.daemon.statistics import BOUNDS_S, DurationHistogram, TickStatistics
 from piezod.errors import BusyError
 from piezod.recorder.watch import RecorderWatch
 from piezod.transport import ExchangeResult
 
-ADDRESS = "127.0.0.1"  # read by whoever has an account here, and by nobody else
+ADDRESS = "127.0.0.1"  # only programs on this machine can read the metrics
 REQUEST_WITHIN_S = 5.0
 LONGEST_REQUEST = 8192
 MOST_CLIENTS = 8
 _GAUGES = {
-    "reference_N": ("piezod_reference_newtons", "Force wanted last"),
-    "force_N": ("piezod_force_newtons", "Force read last"),
-    "voltage_V": ("piezod_voltage_volts", "Voltage the device acknowledged last"),
-    "readback_V": ("piezod_voltage_readback_volts", "Voltage read back last"),
-    "temperature_C": ("piezod_temperature_celsius", "Temperature read last"),
+    "reference_N": ("piezod_reference_newtons", "Last reference force"),
+    "force_N": ("piezod_force_newtons", "Last force reading"),
+    "voltage_V": ("piezod_voltage_volts", "Last voltage that the device acknowledged"),
+    "readback_V": ("piezod_voltage_readback_volts", "Last voltage read-back"),
+    "temperature_C": ("piezod_temperature_celsius", "Last temperature reading"),
 }
 _RECORDER_GAUGES = {
-    "degraded": ("1 while ticks do not come to the disk", "degraded"),
+    "degraded": ("1 while ticks are not written to the disk", "degraded"),
     "last_tick": ("Number of the last tick on the disk", "last_tick"),
-    "bytes": ("What the recordings of this bench take", "bytes"),
-    "commit_seconds": ("How long the last commit took", "commit_s"),
+    "bytes": ("Size of all recordings of this bench", "bytes"),
+    "commit_seconds": ("Duration of the longest commit since the previous report", "commit_s"),
 }
 _RECORDER_COUNTS = {
-    "rows": "Ticks brought to the disk",
-    "dropped": "Ticks overwritten before they came to the disk",
-    "failures": "Files given up because of an error",
-    "restarts": "Recorder processes started again",
+    "rows": "Ticks written to the disk",
+    "dropped": "Ticks overwritten before they were written to the disk",
+    "failures": "Files abandoned because of an error",
+    "restarts": "Restarts of the recorder process",
 }
 
 
 class BenchMetrics(Collector):
-    """What is shown of one bench.
+    """Metrics of one bench.
 
     Parameters
     ----------
     name
-        The bench's, a label of every metric.
-    tally
-        What the ring log told.
+        Name of the bench, a label of every metric.
+    statistics
+        Statistics of the ticks.
     recorder
-        What keeps the ticks; None where nothing does.
+        Recorder; None without one.
     drift
-        Returns what compares the bench with its model; None where nothing does.
+        Function that returns the present comparison with the model; it returns None without one.
     """
 
     def __init__(
         self,
         name: str,
-        tally: Tally,
+        statistics: TickStatistics,
         recorder: RecorderWatch | None = None,
         drift: Callable[[], DriftWatch | None] = lambda: None,
     ) -> None:
         self._labels = [name]
-        self._tally = tally
+        self._statistics = statistics
         self._recorder = recorder
         self._drift = drift
 
     def collect(self) -> Iterable[Metric]:
-        """Everything, as it is now."""
-        tally = self._tally
+        """Yield all metrics with their present values."""
+        statistics = self._statistics
         yield self._states()
         for field, (name, text) in _GAUGES.items():
             gauge = GaugeMetricFamily(name, text, labels=["bench"])
-            if tally.last is not None and np.isfinite(tally.last[field]):
-                gauge.add_metric(self._labels, float(tally.last[field]))
+            if statistics.last is not None and np.isfinite(statistics.last[field]):
+                gauge.add_metric(self._labels, float(statistics.last[field]))
             yield gauge
-        yield self._count("piezod_ticks", "Ticks run", tally.ticks)
-        yield self._count("piezod_missed_ticks", "Ticks skipped because one before was late", tally.missed)
-        yield self._count("piezod_transitions", "State transitions", tally.transitions)
+        yield self._count("piezod_ticks", "Ticks run", statistics.ticks)
+        yield self._count("piezod_missed_ticks", "Ticks skipped because an earlier tick was late", statistics.missed)
+        yield self._count("piezod_transitions", "State transitions", statistics.transitions)
         exchanges = CounterMetricFamily("piezod_exchanges", "Exchanges by result", labels=["bench", "result"])
         for result in ExchangeResult:
-            exchanges.add_metric([*self._labels, result.name.lower()], float(tally.results[result]))
+            exchanges.add_metric([*self._labels, result.name.lower()], float(statistics.results[result]))
         yield exchanges
         faults = CounterMetricFamily("piezod_faults", "Latched faults by cause", labels=["bench", "cause"])
-        for cause, count in tally.faults.items():
+        for cause, count in statistics.faults.items():
             faults.add_metric([*self._labels, cause], count)
         yield faults
-        yield self._histogram("piezod_tick_lateness_seconds", "Wake-up after the deadline", tally.lateness)
-        yield self._histogram("piezod_tick_duration_seconds", "From wake-up to judged reading", tally.exchange)
+        yield self._histogram("piezod_tick_lateness_seconds", "Wake-up after the deadline", statistics.lateness)
+        yield self._histogram("piezod_tick_duration_seconds", "From wake-up to evaluated reading", statistics.exchange)
         if self._recorder is not None:
-            yield from self._recorded(self._recorder)
-        yield from self._drifted()
+            yield from self._recorder_metrics(self._recorder)
+        yield from self._drift_metrics()
 
-    def _drifted(self) -> Iterable[Metric]:
+    def _drift_metrics(self) -> Iterable[Metric]:
         watch = self._drift()
         if watch is None:
             return
         for name, (text, value) in {
-            "piezod_corrected_force_newtons": ("Force behind the last reading", watch.corrected_N),
-            "piezod_model_error_newtons": ("Rms of force against model in the last window", watch.rms_N),
-            "piezod_model_offset_newtons": ("Mean of it against the first window", watch.offset_N),
-            "piezod_model_drifted": ("1 since the bench has left its model", float(watch.drifted)),
+            "piezod_corrected_force_newtons": ("Last force, corrected for the load cell", watch.corrected_N),
+            "piezod_model_error_newtons": ("Rms difference of force and model in the last window", watch.rms_N),
+            "piezod_model_offset_newtons": (
+                "Mean difference, relative to the first window",
+                watch.offset_N,
+            ),
+            "piezod_model_drifted": ("1 after the bench has left its model", float(watch.drifted)),
         }.items():
             gauge = GaugeMetricFamily(name, text, labels=["bench"])
             if np.isfinite(value):
                 gauge.add_metric(self._labels, value)
             yield gauge
 
-    def _recorded(self, recorder: RecorderWatch) -> Iterable[Metric]:
-        said = recorder.as_dict()
+    def _recorder_metrics(self, recorder: RecorderWatch) -> Iterable[Metric]:
+        status = recorder.as_dict()
         for name, (text, key) in _RECORDER_GAUGES.items():
             gauge = GaugeMetricFamily(f"piezod_recorder_{name}", text, labels=["bench"])
-            gauge.add_metric(self._labels, float(said[key]))
+            gauge.add_metric(self._labels, float(status[key]))
             yield gauge
         for key, text in _RECORDER_COUNTS.items():
-            yield self._count(f"piezod_recorder_{key}", text, said[key])
+            yield self._count(f"piezod_recorder_{key}", text, status[key])
 
     def _states(self) -> Metric:
-        gauge = GaugeMetricFamily("piezod_state", "1 for the state the bench is in", labels=["bench", "state"])
+        gauge = GaugeMetricFamily("piezod_state", "1 for the present state of the bench", labels=["bench", "state"])
         for state in State:
-            gauge.add_metric([*self._labels, state.name.lower()], float(state is self._tally.state))
+            gauge.add_metric([*self._labels, state.name.lower()], float(state is self._statistics.state))
         return gauge
 
     def _count(self, name: str, text: str, value: int) -> Metric:
@@ -131,7 +134,7 @@ class BenchMetrics(Collector):
         counter.add_metric(self._labels, value)
         return counter
 
-    def _histogram(self, name: str, text: str, durations: Durations) -> Metric:
+    def _histogram(self, name: str, text: str, durations: DurationHistogram) -> Metric:
         below = np.cumsum(durations.counts)
         buckets = [
             ("+Inf" if bound == inf else repr(bound), float(n))
@@ -143,14 +146,14 @@ class BenchMetrics(Collector):
 
 
 class MetricsServer:
-    """Answers `GET /metrics` and nothing else.
+    """HTTP server that answers `GET /metrics` and no other request.
 
     Parameters
     ----------
     collector
-        What is shown.
+        Metrics.
     log
-        Called with the address, once it is known.
+        Called with one line about the address when the server listens.
     """
 
     def __init__(self, collector: Collector, log: Callable[[str], None]) -> None:
@@ -161,21 +164,28 @@ class MetricsServer:
         self._server: asyncio.Server | None = None
 
     async def open(self, port: int) -> None:
-        """Listen; port 0 takes a free one.
+        """Listen.
+
+        Parameters
+        ----------
+        port
+            TCP port; 0: any free port.
 
         Raises
         ------
         BusyError
-            The port is taken.
+            Another program uses the port.
         """
         try:
             self._server = await asyncio.start_server(self._serve, ADDRESS, port, limit=LONGEST_REQUEST)
         except OSError as error:
-            raise BusyError(f"daemon.metrics_port: {ADDRESS}:{port} cannot be bound: {error.strerror}") from error
+            raise BusyError(
+                f"daemon.metrics_port: {ADDRESS}:{port} cannot be bound: {error.strerror}; choose another port"
+            ) from error
         self._log(f"metrics: http://{ADDRESS}:{self._server.sockets[0].getsockname()[1]}/metrics")
 
     async def close(self) -> None:
-        """Stop listening."""
+        """Close the server."""
         if self._server is not None:
             self._server.close()
 

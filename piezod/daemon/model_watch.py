@@ -1,4 +1,4 @@
-"""A session beside its model, in the parent: whether the bench has left it, and what a live reference costs."""
+"""Comparison of a session with its model: drift of the bench, and cost of a live reference. Runs in the daemon."""
 
 import asyncio
 from pathlib import Path
@@ -8,58 +8,75 @@ from numpy.typing import NDArray
 
 from piezod.config import BenchConfig, model_path
 from piezod.daemon.drift import DriftWatch
-from piezod.daemon.journal import say
+from piezod.daemon.journal import log_line
 from piezod.daemon.preview import MissingPreview, missing_preview
 from piezod.errors import PiezodError
-from piezod.session.assembly import load_drivable
+from piezod.session.assembly import load_drivable_model
 
 
 class ModelWatch:
-    """Follows one session after the other; until a session's model is loaded, in a thread, its rows wait.
+    """Compares one session after the other with its model.
+
+    A thread loads the model of a session. Rows that arrive before it is loaded are compared afterwards.
 
     Parameters
     ----------
     path
-        The configuration file, which says where the model is.
+        Bench configuration, which names the model.
+
+    Attributes
+    ----------
+    drift
+        Comparison of the present session; None before its model is loaded, or without a section `drift`.
+    preview
+        Cost of a live reference; None where it has none.
+    last_drift
+        Result of the comparison of the session that ended last.
     """
 
     def __init__(self, path: Path) -> None:
         self._path = path
         self._waiting: list[NDArray[np.void]] = []
-        self._preparing: asyncio.Task[None] | None = None
+        self._loading: asyncio.Task[None] | None = None
         self.drift: DriftWatch | None = None
         self.preview: MissingPreview | None = None
-        self.last_drift: dict[str, object] | None = None  # of the session that ended last
+        self.last_drift: dict[str, object] | None = None
 
     def begin(self, bench: BenchConfig) -> None:
-        """A new session; nothing is compared where the configuration has no section `drift`."""
+        """Begin a new session; without a section `drift` nothing is compared.
+
+        Parameters
+        ----------
+        bench
+            Bench configuration of the session.
+        """
         if bench.drift is None:
             return
         self._waiting = []
-        self._preparing = asyncio.get_running_loop().create_task(self._prepare(bench))
+        self._loading = asyncio.get_running_loop().create_task(self._load(bench))
 
     def add(self, rows: NDArray[np.void]) -> None:
-        """Take in new rows."""
+        """Compare new rows of the ring log."""
         if self.drift is not None:
             self._compare(self.drift, rows)
-        elif self._preparing is not None and not self._preparing.done():
+        elif self._loading is not None and not self._loading.done():
             self._waiting.append(rows)
 
     async def end(self) -> None:
-        """The next session may have another model; what was kept is on the disk then."""
-        if self._preparing is not None:
-            await self._preparing
-        self._preparing = None
+        """End the session; the recording of a drift is on the disk when this returns."""
+        if self._loading is not None:
+            await self._loading
+        self._loading = None
         if self.drift is not None:
             await asyncio.to_thread(self.drift.close)
             self.last_drift = self.drift.as_dict()
         self.drift = None
 
-    async def _prepare(self, bench: BenchConfig) -> None:
+    async def _load(self, bench: BenchConfig) -> None:
         try:
-            watch = await asyncio.to_thread(self._loaded, bench)
+            watch = await asyncio.to_thread(self._make_drift_watch, bench)
         except PiezodError as error:
-            say(f"drift: not watched: {error}")
+            log_line(f"drift: not watched: {error}")
             self._waiting = []
             return
         self.drift = watch
@@ -67,11 +84,11 @@ class ModelWatch:
             self._compare(watch, rows)
         self._waiting = []
 
-    def _loaded(self, bench: BenchConfig) -> DriftWatch:
-        """The model's watch, and the compiled steps with it."""
-        model = load_drivable(model_path(bench, self._path))
+    def _make_drift_watch(self, bench: BenchConfig) -> DriftWatch:
+        """Load the model and the compiled steps; runs in a thread."""
+        model = load_drivable_model(model_path(bench, self._path))
         self.preview = missing_preview(bench, model)
-        watch = DriftWatch(bench, model, say)
+        watch = DriftWatch(bench, model, log_line)
         watch.warm_up()
         return watch
 

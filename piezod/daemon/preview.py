@@ -1,7 +1,8 @@
-"""What it costs that a reference is not known ahead: delay and mode cannot be met, and readings come late.
+"""Tracking error that results from a live reference, whose future values are unknown to the compensator.
 
-The force wanted now is compared with the one wanted as long ago as the model says a reading comes late: as much of the
-tracking error is owed to the missing preview, and would go if the reference were sent as a file or a waveform.
+The compensator cannot act ahead for delay and mode, so readings follow the reference late, by a time that the model
+gives. The present reference is compared with the reference of that time ago. The difference is the part of the
+tracking error that a known reference (a file or a waveform) would avoid.
 """
 
 from math import nan, sqrt
@@ -19,14 +20,19 @@ Array = NDArray[np.float64]
 
 
 class MissingPreview:
-    """Sums up, in memory that does not grow, how far a live reference runs away while a reading is late.
+    """Root mean square change of a live reference during the lateness of the readings, in constant memory.
 
     Parameters
     ----------
     late_s
-        By how much readings come late [s].
+        Time by which readings follow the reference late [s].
     rate_Hz
-        Of the ticks.
+        Tick rate [Hz].
+
+    Attributes
+    ----------
+    ticks
+        Number of ticks in the sum.
     """
 
     def __init__(self, late_s: float, rate_Hz: float) -> None:
@@ -35,40 +41,49 @@ class MissingPreview:
         self._whole, self._part = int(late), late - int(late)
         self._past: Array = np.empty(0)
         self.ticks = 0
-        self._squares = 0.0
+        self._sum_of_squares = 0.0
 
     @property
     def cost_N(self) -> float:
-        """Root mean square of the error that is owed to it [N]; nan before enough was followed."""
-        return sqrt(self._squares / self.ticks) if self.ticks else nan
+        """Rms error caused by the missing preview [N]; nan before enough ticks of a followed reference."""
+        return sqrt(self._sum_of_squares / self.ticks) if self.ticks else nan
 
     def add(self, rows: NDArray[np.void]) -> None:
-        """Take in new rows."""
+        """Add new rows of the ring log."""
         if not rows.size:
             return
         if not np.all(rows["state"] == State.RUNNING):
             rows = rows[np.flatnonzero(rows["state"] != State.RUNNING)[-1] + 1 :]
             self._past = np.empty(0)
-        wanted = np.concatenate((self._past, rows["reference_N"]))
+        reference = np.concatenate((self._past, rows["reference_N"]))
         first = self._whole + 1
-        if wanted.size > first:
-            ago = (1.0 - self._part) * wanted[1 : wanted.size - first + 1] + self._part * wanted[: wanted.size - first]
-            self._squares += float(np.sum(np.square(wanted[first:] - ago)))
-            self.ticks += wanted.size - first
-        self._past = wanted[-first:]
+        if reference.size > first:
+            newer, older = reference[1 : reference.size - first + 1], reference[: reference.size - first]
+            earlier = (1.0 - self._part) * newer + self._part * older
+            self._sum_of_squares += float(np.sum(np.square(reference[first:] - earlier)))
+            self.ticks += reference.size - first
+        self._past = reference[-first:]
 
     def as_dict(self) -> dict[str, float | None]:
-        """For the run's result."""
+        """Lateness and cost, for the result of `piezod run`."""
         return {"late_s": self.late_s, "cost_rms_N": self.cost_N if self.ticks else None}
 
-    def words(self) -> str:
-        """For people."""
-        cost = f", {self.cost_N:.2f} N rms of the error by the model" if self.ticks else ""
-        return f"the reference is not known ahead: readings come {1e3 * self.late_s:.1f} ms after it{cost}"
+    def message(self) -> str:
+        """One line of text about lateness and cost."""
+        cost = f", which the model puts at {self.cost_N:.2f} N rms of the error" if self.ticks else ""
+        return f"the reference is not known ahead: readings follow it {1e3 * self.late_s:.1f} ms late{cost}"
 
 
 def missing_preview(bench: BenchConfig, model: Model) -> MissingPreview | None:
-    """What a bench's reference lacks; None where it is known ahead, or nothing comes late."""
+    """Make the sum for a bench; None if its reference is known ahead or its readings are not late.
+
+    Parameters
+    ----------
+    bench
+        Bench configuration.
+    model
+        Model of the compensation.
+    """
     if bench.compensation != "inverse" or not isinstance(bench.reference, (RegisterReference, StreamReference)):
         return None
     try:
@@ -76,6 +91,3 @@ def missing_preview(bench: BenchConfig, model: Model) -> MissingPreview | None:
     except ModelError:
         return None
     return MissingPreview(late_s, bench.rate_Hz) if late_s > 0.0 else None
-
-
-__all__ = ["MissingPreview", "missing_preview"]

@@ -1,4 +1,4 @@
-"""`piezod run`: the bench in the foreground, as a service or by hand."""
+"""`piezod run`: the daemon in the foreground, started by systemd or by hand."""
 
 import asyncio
 from dataclasses import dataclass
@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from piezod.config import load_bench
-from piezod.daemon.journal import say
+from piezod.daemon.journal import log_line
 from piezod.session.lock import BenchLock
 from piezod.session.session import Session
 from piezod.session.task import Outcome
@@ -18,7 +18,19 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class RunResult:
-    """What a run came to."""
+    """Result of a run.
+
+    Parameters
+    ----------
+    outcome
+        Outcome of the last session.
+    tracking
+        Tracking error over all sessions.
+    drift
+        Result of the comparison with the model; None without one.
+    preview
+        Cost of a live reference; None without one.
+    """
 
     outcome: Outcome
     tracking: "TrackingError"
@@ -31,7 +43,7 @@ class RunResult:
         return 1 if self.outcome.fault else 0
 
     def as_dict(self) -> dict[str, object]:
-        """For JSON."""
+        """Result as JSON values."""
         tracking = self.tracking
         return {
             "schema": "piezod.run/1",
@@ -43,53 +55,53 @@ class RunResult:
 
 
 def run_foreground(path: Path, *, arm: bool) -> RunResult:
-    """Run a bench until it is told to end; with `arm`, until its reference ends or a fault latches.
+    """Run a bench until a signal ends it; with `arm` until its reference ends or a fault latches.
 
     Parameters
     ----------
     path
         Bench configuration.
     arm
-        Drive at once.
+        Whether to arm at once.
 
     Raises
     ------
     PiezodError
-        The bench could not be had; nothing was written.
+        The bench could not be started; nothing was written to the device.
     """
     bench = load_bench(path)
     lock = BenchLock(bench.lock_path)
     session = Session(bench, None, path.parent, [], serves=path, lock=lock)
     try:
         session.launch()
-        from piezod.daemon.service import Service  # noqa: PLC0415  # the control process starts while this is loaded
+        from piezod.daemon.service import Service  # noqa: PLC0415  # slow import, while the control process starts
 
         service = Service(path, bench, lock, session, arm=arm)
         asyncio.run(service.run())
     finally:
         session.close()
         lock.close()
-    _sum_up(service.outcome, service.tally.tracking)
+    _log_result(service.outcome, service.statistics.tracking)
     watch = service.model_watch
     if watch.preview is not None:
-        say(watch.preview.words())
-    return RunResult(service.outcome, service.tally.tracking, watch.last_drift, watch.preview)
+        log_line(watch.preview.message())
+    return RunResult(service.outcome, service.statistics.tracking, watch.last_drift, watch.preview)
 
 
-def _sum_up(outcome: Outcome, tracking: "TrackingError") -> None:
+def _log_result(outcome: Outcome, tracking: "TrackingError") -> None:
     for warning in outcome.warnings:
-        say(f"warning: {warning}")
+        log_line(f"warning: {warning}")
     failed = ", ".join(f"{name} {count}" for name, count in outcome.results.items() if name != "ok")
-    say(
+    log_line(
         f"{outcome.ticks} ticks, {outcome.missed} missed, {outcome.failed_exchanges} failed exchanges {failed}".rstrip()
     )
     if outcome.stale_bytes:
-        say(f"{outcome.stale_bytes} bytes unasked or late, discarded")
+        log_line(f"{outcome.stale_bytes} bytes unasked or late, discarded")
     if outcome.spikes:
-        say(f"{outcome.spikes} spikes of the force, ignored")
+        log_line(f"{outcome.spikes} spikes of the force, ignored")
     if outcome.hint:
-        say(f"link: {outcome.hint}")
+        log_line(f"link: {outcome.hint}")
     if tracking.ticks:
-        say(f"tracking: rms error {tracking.rms_N:.3f} N, max {tracking.max_N:.3f} N over {tracking.ticks} ticks")
+        log_line(f"tracking: rms error {tracking.rms_N:.3f} N, max {tracking.max_N:.3f} N over {tracking.ticks} ticks")
     if outcome.fault:
-        say(f"FAULT: {outcome.fault}")
+        log_line(f"FAULT: {outcome.fault}")

@@ -1,4 +1,4 @@
-"""What the ring log told so far, summed up in memory that does not grow: for the log, the status and the metrics."""
+"""Sums over the ticks in the ring log, in constant memory: for log, status and metrics."""
 
 from collections.abc import Callable
 from math import isfinite, sqrt
@@ -7,65 +7,100 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piezod.control import CAUSE_TEXT, Cause, State
-from piezod.session.history import GOOD
+from piezod.recording.ticks import GOOD, pair_rows
+from piezod.session.history import is_tracking
 from piezod.transport import ExchangeResult
 
 BOUNDS_S = (1e-5, 2e-5, 5e-5, 1e-4, 2e-4, 5e-4, 1e-3, 2e-3, 5e-3, 1e-2, 5e-2, 0.1)
+"""Upper bounds of the histogram bins [s]."""
+_DRIVING = (State.ARMING, State.RUNNING, State.HOLD, State.RAMP_DOWN)
 
 
 class TrackingError:
-    """Error of force against reference, summed up as it goes."""
+    """Difference of force and reference while a reference is followed.
+
+    Attributes
+    ----------
+    ticks
+        Number of ticks.
+    max_N
+        Largest absolute error [N].
+    """
 
     def __init__(self) -> None:
         self.ticks = 0
         self.max_N = 0.0
         self._sum_of_squares = 0.0
-        self._last: np.void | None = None
+        self._before: NDArray[np.void] | None = None
 
     @property
     def rms_N(self) -> float:
-        """Root of the mean square so far [N]; nan before the first tick."""
+        """Root mean square error [N]; nan before the first tick."""
         return sqrt(self._sum_of_squares / self.ticks) if self.ticks else float("nan")
 
     def add(self, rows: NDArray[np.void]) -> None:
-        """Take in new rows; a force answers the command one row before it."""
+        """Add new rows of the ring log."""
         if not rows.size:
             return
-        joined = rows if self._last is None else np.concatenate((np.atleast_1d(self._last), rows))
-        self._last = rows[-1].copy()
-        commands, answers = joined[:-1], joined[1:]
-        followed = (
-            (commands["state"] == State.RUNNING) & (answers["state"] == State.RUNNING) & (answers["result"] == GOOD)
-        )
-        error = answers["force_N"][followed] - commands["reference_N"][followed]
+        commands, readings = pair_rows(rows, self._before)
+        self._before = rows[-1:].copy()
+        tracking = is_tracking(commands, readings)
+        error = readings["force_N"][tracking] - commands["reference_N"][tracking]
         if error.size:
             self.ticks += int(error.size)
             self._sum_of_squares += float(np.sum(error**2))
             self.max_N = max(self.max_N, float(np.abs(error).max()))
 
 
-class Durations:
-    """Durations counted into fixed classes."""
+class DurationHistogram:
+    """Histogram of durations with the bins of `BOUNDS_S`.
+
+    Attributes
+    ----------
+    counts
+        Number of durations per bin, shape (len(BOUNDS_S) + 1,); the last bin has no upper bound.
+    sum_s
+        Sum of all durations [s].
+    """
 
     def __init__(self) -> None:
         self.counts = np.zeros(len(BOUNDS_S) + 1, dtype=np.int64)
         self.sum_s = 0.0
 
     def add(self, values_ns: NDArray[np.int64]) -> None:
-        """Count more [ns]."""
+        """Add durations [ns]."""
         values_s = values_ns * 1e-9
-        classes = np.searchsorted(BOUNDS_S, values_s)
-        self.counts += np.bincount(classes, minlength=self.counts.size)
+        bins = np.searchsorted(BOUNDS_S, values_s)
+        self.counts += np.bincount(bins, minlength=self.counts.size)
         self.sum_s += float(values_s.sum())
 
 
-class Tally:
-    """Everything that is counted over the rows of one or several sessions.
+class TickStatistics:
+    """Counts and sums over the rows of one or several sessions.
 
     Parameters
     ----------
     on_transition
-        Called with state, cause and row at every transition.
+        Called with state, cause and row at every change of the state.
+
+    Attributes
+    ----------
+    last
+        Last row of the session; None before its first row.
+    ticks, missed
+        Number of ticks that ran, and of ticks that were skipped.
+    results
+        Number of exchanges by `ExchangeResult`.
+    faults
+        Number of latched faults by cause.
+    transitions
+        Number of changes of the state.
+    was_driving
+        Whether a voltage was driven at any time.
+    lateness, exchange
+        Wake-up after the deadline, and time from wake-up to the evaluated reading.
+    tracking
+        Error of the force while a reference is followed.
     """
 
     def __init__(self, on_transition: Callable[[State, Cause, np.void], None]) -> None:
@@ -78,16 +113,16 @@ class Tally:
         self.faults: dict[str, int] = {}
         self.transitions = 0
         self.was_driving = False
-        self.lateness, self.exchange = Durations(), Durations()
+        self.lateness, self.exchange = DurationHistogram(), DurationHistogram()
         self.tracking = TrackingError()
 
     def begin(self) -> None:
-        """Start over with the ticks of a new session; the sums stay."""
+        """Begin a new session, whose tick numbers begin again; the sums stay."""
         self._next_tick = None
         self.last = None
 
     def add(self, rows: NDArray[np.void]) -> None:
-        """Take in new rows."""
+        """Add new rows of the ring log."""
         if not rows.size:
             return
         self.last = rows[-1].copy()
@@ -98,7 +133,7 @@ class Tally:
         self.results += np.bincount(rows["result"], minlength=self.results.size)
         self.lateness.add(rows["lateness_ns"])
         self.exchange.add(rows["exchange_ns"])
-        self.was_driving = self.was_driving or bool(np.isin(rows["state"], (1, 2, 3, 4)).any())
+        self.was_driving = self.was_driving or bool(np.isin(rows["state"], _DRIVING).any())
         self.tracking.add(rows)
         for row in rows[np.flatnonzero(np.diff(rows["state"], prepend=self._state))]:
             self._state = State(row["state"])
@@ -110,11 +145,11 @@ class Tally:
 
     @property
     def state(self) -> State:
-        """Of the last row."""
+        """State of the last row."""
         return self._state
 
     def as_dict(self) -> dict[str, object]:
-        """State, values and counts, for `status`; a value that the device does not have is None."""
+        """State, values and counts, for `piezod status`; a value that the device does not have is None."""
         row = self.last
         cause = Cause.NONE if row is None else Cause(row["cause"])
         names = ("reference_N", "voltage_V", "force_N", "readback_V", "temperature_C")

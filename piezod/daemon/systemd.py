@@ -1,4 +1,7 @@
-"""What systemd wants to be told: one datagram a message, to the socket that it names; without one nothing happens."""
+"""Notifications to systemd (sd_notify): one datagram per message to the socket that `$NOTIFY_SOCKET` names.
+
+Without that variable nothing is sent.
+"""
 
 import contextlib
 import os
@@ -7,12 +10,13 @@ import time
 
 
 class Notifier:
-    """Sends `READY=1`, `STATUS=...`, `WATCHDOG=1` and the like.
+    """Sends `READY=1`, `STATUS=...`, `WATCHDOG=1` and the other messages.
 
     Parameters
     ----------
     address
-        `$NOTIFY_SOCKET`: a path, or a name that begins with @ (the abstract name space); empty: nobody listens.
+        Path of the socket, or a name in the abstract name space, which begins with "@". Empty: nothing is sent.
+        None: the value of `$NOTIFY_SOCKET`.
     """
 
     def __init__(self, address: str | None = None) -> None:
@@ -25,36 +29,48 @@ class Notifier:
         self._status = ""
 
     def send(self, *assignments: str) -> None:
-        """Send them in one datagram; a manager that does not listen is no reason to stop."""
+        """Send the assignments in one datagram; an error is ignored.
+
+        Parameters
+        ----------
+        assignments
+            Texts of the form `NAME=value`.
+        """
         if self._socket is not None:
             with contextlib.suppress(OSError):
                 self._socket.sendto("\n".join(assignments).encode(), self._address)
 
     def ready(self) -> None:
-        """The start is over: disarmed and, if the device answers, reading."""
+        """Report the end of the start or of a reload."""
         self.send("READY=1")
 
     def reloading(self) -> None:
-        """A new configuration is being read; `ready` ends it."""
+        """Report that the configuration is being read; `ready` reports the end."""
         self.send("RELOADING=1", f"MONOTONIC_USEC={time.monotonic_ns() // 1000}")
 
     def stopping(self) -> None:
-        """The end has begun."""
+        """Report that the daemon ends."""
         self.send("STOPPING=1")
 
     def alive(self) -> None:
-        """The control process ticks."""
+        """Report that the control process ticks; restarts the watchdog timer of systemd."""
         self.send("WATCHDOG=1")
 
     def status(self, text: str) -> None:
-        """One line for `systemctl status`, sent when it changes."""
+        """Set the text of `systemctl status`; sent only if it differs from the last text.
+
+        Parameters
+        ----------
+        text
+            Text; line breaks become spaces.
+        """
         text = " ".join(text.split())
         if text != self._status:
             self._status = text
             self.send(f"STATUS={text}")
 
     def close(self) -> None:
-        """Say nothing more."""
+        """Close the socket; later messages are not sent."""
         if self._socket is not None:
             self._socket.close()
             self._socket = None

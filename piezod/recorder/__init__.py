@@ -1,1 +1,14 @@
-"""The recorder: a process of its own that keeps every tick on the disk."""
+"""The recorder: a process that writes every tick of the ring log to the disk, and the daemon's side of it.
+
+In the daemon:
+
+- `watch.py` starts the recorder process, restarts it, and reports its state.
+
+In the recorder process:
+
+- `writer.py` is the entry point and the main loop.
+- `ring_recorder.py` moves rows from the ring log to the current file.
+- `recording_files.py` numbers, writes, closes and removes files.
+
+In both: `messages.py` defines plan, report, and the lines between the two processes.
+"""

@@ -1,4 +1,7 @@
-"""The daemon's end of the recorder: starts its process, starts it again when it dies, and knows what is on the disk."""
+"""The daemon's side of the recorder: starts the recorder process, restarts it after its death, and reports its state.
+
+Runs in the daemon. Nothing here waits for a disk.
+"""
 
 import asyncio
 import contextlib
@@ -14,29 +17,34 @@ from typing import Any
 from piezod import __version__
 from piezod.config import BenchConfig
 from piezod.control import State
-from piezod.recorder.writer import Plan, Report, report_of
+from piezod.recorder.messages import Plan, Report, parse_report
 
 RESTART_S = (0.0, 0.5, 1.0, 2.0, 5.0)
-SILENT_S = 3.0  # without a report: the disk does not answer
-START_S = 10.0  # however busy the machine is
+"""Pauses before restarts in a row [s]; the last value repeats."""
+SILENT_S = 3.0
+"""Time without a report after which the disk counts as not answering [s]."""
+START_S = 10.0
+"""Additional time for the first report, on a busy machine [s]."""
 END_WITHIN_S = 10.0
-HEALTHY_S = 60.0  # a process that lived so long is started again at once
+"""Longest time for the last rows at the end [s]."""
+HEALTHY_S = 60.0
+"""Life of a process after which its restart needs no pause [s]."""
 LONGEST_LINE = 65536
 
 
 class RecorderWatch:
-    """Keeps a recorder going while the daemon runs; nothing here waits for a disk.
+    """Keeps a recorder process running while the daemon runs.
 
     Parameters
     ----------
     bench
-        Its `recorder` section says where.
+        Bench configuration with a section `recorder`.
     log
-        Called with one line when something changes.
+        Called with one line when recording stops or continues.
     """
 
     def __init__(self, bench: BenchConfig, log: Callable[[str], None]) -> None:
-        self._plan = plan_of(bench)
+        self._plan = recorder_plan(bench)
         self._period_s = self._plan.sync_every_s
         self._log = log
         self._following: dict[str, str] | None = None
@@ -44,54 +52,60 @@ class RecorderWatch:
         self._task: asyncio.Task[None] | None = None
         self._report = Report()
         self._rows_before = self._dropped_before = self._failures_before = 0
-        self._heard_s = time.monotonic()
-        self._died = ""
-        self._said = ""
+        self._reported_s = time.monotonic()
+        self._death = ""
+        self._logged = ""
         self.restarts = 0
 
-    def follow(self, ring: Path) -> None:
-        """Record a new control process, whose ring log lies there."""
-        self._following = {"ring": str(ring), "session": uuid.uuid4().hex}
+    def follow(self, ring_log: Path) -> None:
+        """Record the ring log of a new control process.
+
+        Parameters
+        ----------
+        ring_log
+            File of the ring log.
+        """
+        self._following = {"ring": str(ring_log), "session": uuid.uuid4().hex}
         if self._task is None:
-            self._task = asyncio.get_running_loop().create_task(self._keep_going())
+            self._task = asyncio.get_running_loop().create_task(self._supervise())
         self._send(self._following)
 
     @property
     def problem(self) -> str:
-        """Why ticks do not come to the disk at the moment; empty when they do."""
+        """Reason why ticks are not written to the disk at present; empty while recording works."""
         if self._task is None:
             return ""
-        if self._died:
-            return self._died
-        silent_s = time.monotonic() - self._heard_s
+        if self._death:
+            return self._death
+        silent_s = time.monotonic() - self._reported_s
         if silent_s > SILENT_S + self._period_s:
             return f"{self._plan.folder}: the disk has not answered for {silent_s:.0f} s"
         return self._report.problem
 
-    def look(self) -> None:
-        """Say it when recording stops or goes on."""
+    def log_change(self) -> None:
+        """Log once when recording stops, and once when it continues."""
         problem = self.problem
-        kind = "" if not problem else problem.rstrip("0123456789 s")  # seconds count up
-        if kind == self._said:
+        kind = "" if not problem else problem.rstrip("0123456789 s")  # without the seconds, which increase
+        if kind == self._logged:
             return
         if problem:
             self._log(f"recorder degraded: {problem}; control goes on")
         else:
             self._log(f"recorder goes on: {self._report.file or self._plan.folder}, {self.dropped} ticks lost so far")
-        self._said = kind
+        self._logged = kind
 
     @property
     def rows(self) -> int:
-        """Ticks brought to the disk."""
+        """Number of ticks that were written to the disk."""
         return self._rows_before + self._report.rows
 
     @property
     def dropped(self) -> int:
-        """Ticks that the ring log had to overwrite before."""
+        """Number of ticks that were overwritten in the ring log before they were recorded."""
         return self._dropped_before + self._report.dropped
 
     def as_dict(self) -> dict[str, Any]:
-        """For `status`."""
+        """State of the recorder, for `piezod status`."""
         report = self._report
         return {
             "degraded": bool(self.problem),
@@ -109,7 +123,7 @@ class RecorderWatch:
         }
 
     async def close(self) -> None:
-        """Have everything brought to the disk, within ten seconds."""
+        """Let the recorder write the last rows, for at most `END_WITHIN_S`, and end it."""
         if self._task is None:
             return
         self._send({"end": True})
@@ -124,22 +138,23 @@ class RecorderWatch:
                     self._process.kill()
             self._task.cancel()
             await asyncio.gather(self._task, return_exceptions=True)
-        self.look()
+        self.log_change()
 
-    async def _keep_going(self) -> None:
-        """One process after the other, until told to end."""
+    async def _supervise(self) -> None:
+        """Run one recorder process after the other until `close`."""
         attempt = 0
         while self._following is not None:
             begun_s = time.monotonic()
-            await self._one_process()
+            await self._run_process()
             if self._following is None:
                 break
             attempt = 0 if time.monotonic() - begun_s > HEALTHY_S else attempt + 1
             self.restarts += 1
-            self.look()
+            self.log_change()
             await asyncio.sleep(RESTART_S[min(attempt - 1, len(RESTART_S) - 1)] if attempt else 0.0)
 
-    async def _one_process(self) -> None:
+    async def _run_process(self) -> None:
+        """Start a recorder process and read its reports until it ends."""
         try:
             process = await asyncio.create_subprocess_exec(
                 sys.executable,
@@ -151,27 +166,24 @@ class RecorderWatch:
                 limit=LONGEST_LINE,
             )
         except OSError as error:
-            self._died = f"the recorder does not start: {error.strerror or error}"
+            self._death = f"the recorder does not start: {error.strerror or error}"
             return
-        self._process, self._heard_s = process, time.monotonic() + START_S
+        self._process, self._reported_s = process, time.monotonic() + START_S
         try:
             if self._following is not None:
                 self._send(self._following)
             assert process.stdout is not None
             while line := await process.stdout.readline():
-                self._hear(report_of(line))
+                self._report, self._reported_s, self._death = parse_report(line), time.monotonic(), ""
             code = await process.wait()
         finally:
             self._process = None
-            self._add_up()
+            self._keep_sums()
         if self._following is not None:
-            self._died = f"the recorder ended with {code}, and is started again"
+            self._death = f"the recorder ended with {code}, and is started again"
 
-    def _hear(self, report: Report) -> None:
-        self._report, self._heard_s, self._died = report, time.monotonic(), ""
-
-    def _add_up(self) -> None:
-        """Keep the sums of a process that has ended."""
+    def _keep_sums(self) -> None:
+        """Add the counts of a process that has ended to the sums."""
         report = self._report
         self._rows_before, self._dropped_before = self.rows, self.dropped
         self._failures_before += report.failures
@@ -183,8 +195,14 @@ class RecorderWatch:
                 self._process.stdin.write(json.dumps(message).encode() + b"\n")
 
 
-def plan_of(bench: BenchConfig) -> Plan:
-    """What the recorder of a bench is given."""
+def recorder_plan(bench: BenchConfig) -> Plan:
+    """Make the settings of the recorder process of a bench.
+
+    Parameters
+    ----------
+    bench
+        Bench configuration with a section `recorder`.
+    """
     config, folder = bench.recorder, bench.recordings_path
     assert config is not None
     assert folder is not None

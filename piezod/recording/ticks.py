@@ -1,12 +1,14 @@
-"""Rows of the ring log as a recording: one sample says what was commanded last, and which force was measured then.
+"""Rows of the ring log as samples of a recording: each force beside the command that caused it.
 
-An exchange reads the force that the command before it has led to, so commands move one row down. A tick that was
-missed is a row that is not there; where an exchange failed, what it would have read is nan.
+The exchange of a tick writes a command, then reads the force that the command of the row before has caused. A sample
+therefore joins the command of row k with the readings of row k + 1. A missed tick has no row. Where an exchange
+failed, its readings are nan.
 """
 
 from collections.abc import Collection, Iterable, Iterator
 
 import numpy as np
+from numpy.typing import NDArray
 
 from piezod.recording.formats.sqlite_blocks import Block
 from piezod.recording.formats.stream import Table
@@ -23,37 +25,63 @@ WALL = "wall_s"
 
 
 def sample_names(absent: Collection[str]) -> tuple[str, ...]:
-    """Columns of the recording, without those that the device does not have."""
+    """Columns of the recording.
+
+    Parameters
+    ----------
+    absent
+        Columns that the device does not have; they are left out.
+    """
     names = (TIME, "voltage_V", "force_N", "reference_N", "readback_V", "temperature_C", "planned_V", *OTHERS, WALL)
     return tuple(name for name in names if name not in absent)
 
 
+def pair_rows(
+    rows: NDArray[np.void], before: NDArray[np.void] | None = None
+) -> tuple[NDArray[np.void], NDArray[np.void]]:
+    """Pair each row of commands with the row after it, whose readings those commands caused.
+
+    Parameters
+    ----------
+    rows
+        Consecutive rows of the ring log, shape (N,), dtype `ROW_DTYPE`.
+    before
+        Last row of the part before these, shape (1,); None where there is no such part.
+
+    Returns
+    -------
+    tuple
+        Rows to take commands from and rows to take readings from, of equal shape (N - 1,), or (N,) with `before`.
+    """
+    joined = rows if before is None or not rows.size else np.concatenate((before, rows))
+    return joined[:-1], joined[1:]
+
+
 def as_samples(blocks: Iterable[Block], origin_ns: int, wanted: Collection[str]) -> Iterator[Table]:
-    """Samples of one block after the other.
+    """Samples, block by block.
 
     Parameters
     ----------
     blocks
-        In the order of their rows.
+        Blocks in the order of their rows.
     origin_ns
-        The row clock where `time_s` is 0 [ns].
+        Time of the row clock at which `time_s` is 0 [ns].
     wanted
         Names among `sample_names`.
     """
     before = None
     for block in blocks:
-        rows = block.rows if before is None else np.concatenate((before, block.rows))
-        before = rows[-1:].copy()
-        if rows.size > 1:
-            table = _samples(rows, block.wall_ns - block.clock_ns, origin_ns)
+        commands, readings = pair_rows(block.rows, before)
+        before = block.rows[-1:].copy() if block.rows.size else before
+        if commands.size:
+            table = _samples(commands, readings, block.wall_ns - block.clock_ns, origin_ns)
             yield {name: table[name] for name in wanted}
 
 
-def _samples(rows: np.ndarray, to_wall_ns: int, origin_ns: int) -> Table:
-    commands, answers = rows[:-1], rows[1:]
+def _samples(commands: NDArray[np.void], readings: NDArray[np.void], to_wall_ns: int, origin_ns: int) -> Table:
     table = {name: commands[name].astype(np.float64) for name in COMMANDS}
-    table |= {name: np.where(answers["result"] == GOOD, answers[name], np.nan) for name in READINGS}
-    table |= {name: answers[name].astype(np.float64) for name in OTHERS}
-    table[TIME] = (answers["time_ns"] - origin_ns) * 1e-9
-    table[WALL] = (answers["time_ns"] + to_wall_ns) * 1e-9
+    table |= {name: np.where(readings["result"] == GOOD, readings[name], np.nan) for name in READINGS}
+    table |= {name: readings[name].astype(np.float64) for name in OTHERS}
+    table[TIME] = (readings["time_ns"] - origin_ns) * 1e-9
+    table[WALL] = (readings["time_ns"] + to_wall_ns) * 1e-9
     return table

@@ -1,1 +1,1 @@
-"""One drive of a bench: the control process, what it is given, and the commands it takes."""
+"""One session of a bench: the control process, its task, its commands and its history."""

@@ -1,50 +1,59 @@
-"""The control process: one thread that reads, plans and writes; it hears commands in the pause after a tick.
+"""The control process: its set-up, and its single thread that reads, plans and writes.
 
-Commands come through the pipe as (number, time, name, argument), announced by SIGUSR1, so that a tick neither asks nor
-waits for them. SIGTERM asks for a ramp down and the end, a second one for haste.
+SIGTERM requests a ramp down and the end; a second SIGTERM ramps down at the slew limit. SIGUSR1 announces a command
+(`session/command_queue.py`).
 """
 
 import contextlib
 import ctypes
 import os
 import signal
-import time
 import warnings
 from multiprocessing.connection import Connection
 from pathlib import Path
-from typing import Any
 
-from piezod.config import BenchConfig, LimitsConfig, model_path
-from piezod.control import CAUSE_TEXT, Cause, ControlLoop, RingLog, Segment, State, check_ready, real_time
-from piezod.errors import CheckFailedError, PiezodError
+from piezod.config import model_path
+from piezod.control import CAUSE_TEXT, Cause, ControlLoop, RingLog, Segment, check_ready, real_time
+from piezod.errors import PiezodError
+from piezod.model import Model
 from piezod.session.assembly import (
-    Work,
     check_effects,
     check_wire,
-    load_drivable,
+    load_drivable_model,
     make_loop,
     make_rate_keeper,
     make_segment,
     opened_link,
 )
+from piezod.session.command_queue import CommandQueue
 from piezod.session.lock import BenchLock
-from piezod.session.task import Outcome, Task
+from piezod.session.task import Outcome, SegmentSpec, Task
 from piezod.transport import ExchangeResult, Link
 
-ENERGISING = ("arm",)
-OBEYS_WITHIN_S = 5.0  # half of what the parent waits for the answer
-_PR_SET_PDEATHSIG = 1  # prctl(2): the signal that comes when the parent has died
+_PR_SET_PDEATHSIG = 1  # prctl(2): the signal that the kernel sends when the parent dies
 
 
 def run(task: Task, pipe: Connection, lock: BenchLock) -> None:
-    """Carry out `task`; ramps down when the process that started it dies."""
+    """Execute a task and send its outcome, or its error, to the parent.
+
+    When the parent dies, the bench is ramped down and the process ends.
+
+    Parameters
+    ----------
+    task
+        Task to execute.
+    pipe
+        Connection to the parent. It carries `ready`, `answer`, and finally `done` or `error`.
+    lock
+        Lock of the bench; this process holds it until its end.
+    """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGHUP, signal.SIG_IGN)
     ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
     try:
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always")
-            outcome = _carry_out(task, pipe)
+            outcome = _execute(task, pipe)
         outcome.warnings = [str(warning.message) for warning in caught]
         with contextlib.suppress(BrokenPipeError):
             pipe.send(("done", outcome))
@@ -55,64 +64,58 @@ def run(task: Task, pipe: Connection, lock: BenchLock) -> None:
         lock.close()
 
 
-def _carry_out(task: Task, pipe: Connection) -> Outcome:
-    bench, model, works = task.bench, task.model, task.works
-    if task.serves is not None:
-        check_wire(bench)
-        model = load_drivable(model_path(bench, task.serves))
-        check_effects(bench, model, task.serves)
-        works = (Work("bench reference", bench.compensation, reset_cycle=bench.arming.reset_cycle),)
+def _execute(task: Task, pipe: Connection) -> Outcome:
+    """Connect the bench, build its loop, and drive the segments or serve commands."""
+    bench = task.bench
+    model, specs = _model_and_segments(task)
     with opened_link(bench) as link, contextlib.ExitStack() as stack:
         clock = make_rate_keeper(bench, link)
-        segments = [make_segment(work, bench, model, link, task.folder) for work in works]
+        segments = [make_segment(spec, bench, model, link, task.folder) for spec in specs]
         for segment in segments:
             stack.callback(segment.reference.close)
         if segments and task.serves is None:
             _warm_up(segments)
             check_ready(bench, link)
-        ring = RingLog(bench.ring_log_path, round(bench.daemon.ring_seconds * bench.rate_Hz))
-        stack.callback(ring.close)
-        loop = make_loop(bench, link, clock, ring)
-        desk = Desk(bench, link, loop, pipe, segments[0] if segments else None)
+        ring_log = RingLog(bench.ring_log_path, round(bench.daemon.ring_seconds * bench.rate_Hz))
+        stack.callback(ring_log.close)
+        loop = make_loop(bench, link, clock, ring_log)
+        commands = CommandQueue(bench, link, loop, pipe, segments[0] if segments else None)
         signal.signal(signal.SIGTERM, lambda *_: loop.request_stop())
-        signal.signal(signal.SIGUSR1, lambda *_: desk.ring())
+        signal.signal(signal.SIGUSR1, lambda *_: commands.notify())
         pipe.send(("ready", link.description))
-        if task.serves is not None:  # disarmed as it is, nothing waits for it
+        if task.serves is not None:  # after `ready`: the loop is disarmed, so no tick depends on it yet
             _warm_up(segments)
         with real_time(bench.real_time):
-            fault = _work(loop, segments) if task.serves is None else _serve(loop, desk)
-        results = {result.name.lower(): link.counts[result] for result in ExchangeResult if link.counts[result]}
-        return Outcome(
-            ticks=loop.counts.ticks,
-            missed=clock.missed,
-            failed_exchanges=loop.counts.failed_exchanges,
-            results=results,
-            fault="" if fault is Cause.NONE else _fault_text(fault, loop),
-            stopped=loop.stopped,
-            resident_kib=_resident_kib(),
-            stale_bytes=link.stale_bytes,
-            spikes=loop.supervisor.spikes,
-            hint=link.hint,
-        )
+            fault = _drive(loop, segments) if task.serves is None else _serve(loop, commands)
+        return _outcome(link, loop, fault, clock.missed)
+
+
+def _model_and_segments(task: Task) -> tuple[Model | None, tuple[SegmentSpec, ...]]:
+    """Return model and segments of the task; a served bench has one segment, its own reference."""
+    bench = task.bench
+    if task.serves is None:
+        return task.model, task.segments
+    check_wire(bench)
+    model = load_drivable_model(model_path(bench, task.serves))
+    check_effects(bench, model, task.serves)
+    spec = SegmentSpec("bench reference", bench.compensation, reset_cycle=bench.arming.reset_cycle)
+    return model, (spec,)
 
 
 def _warm_up(segments: list[Segment]) -> None:
-    """Have the compiled steps loaded, so that the first tick takes no longer than the others."""
+    """Load the compiled steps, so that the first tick takes as long as the others."""
     for segment in segments:
         segment.compensator.commit(segment.compensator.plan(0.0))
         segment.compensator.reset()
 
 
-def _fault_text(fault: Cause, loop: ControlLoop) -> str:
-    return f"{CAUSE_TEXT[fault]}: {loop.failure}" if fault is Cause.CONTROLLER else CAUSE_TEXT[fault]
-
-
-def _serve(loop: ControlLoop, desk: "Desk") -> Cause:
-    loop.serve(desk.attend)
+def _serve(loop: ControlLoop, commands: CommandQueue) -> Cause:
+    loop.serve(commands.serve_pending)
     return loop.supervisor.fault
 
 
-def _work(loop: ControlLoop, segments: list[Segment]) -> Cause:
+def _drive(loop: ControlLoop, segments: list[Segment]) -> Cause:
+    """Drive the segments until the last one, a stop, or a fault; without segments only read."""
     if not segments:
         loop.watch()
     for segment in segments:
@@ -122,89 +125,23 @@ def _work(loop: ControlLoop, segments: list[Segment]) -> Cause:
     return Cause.NONE
 
 
-class Desk:
-    """Where the control process takes commands, between two ticks.
+def _outcome(link: Link, loop: ControlLoop, fault: Cause, missed: int) -> Outcome:
+    return Outcome(
+        ticks=loop.counts.ticks,
+        missed=missed,
+        failed_exchanges=loop.counts.failed_exchanges,
+        results={result.name.lower(): link.counts[result] for result in ExchangeResult if link.counts[result]},
+        fault="" if fault is Cause.NONE else _fault_text(fault, loop),
+        stopped=loop.stopped,
+        resident_kib=_resident_kib(),
+        stale_bytes=link.stale_bytes,
+        spikes=loop.supervisor.spikes,
+        hint=link.hint,
+    )
 
-    Parameters
-    ----------
-    bench, link, loop
-        What is commanded.
-    pipe
-        Commands come, and answers go, through it.
-    segment
-        What is followed when armed.
-    """
 
-    def __init__(
-        self, bench: BenchConfig, link: Link, loop: ControlLoop, pipe: Connection, segment: Segment | None
-    ) -> None:
-        self._bench, self._link, self._loop = bench, link, loop
-        self._pipe, self._segment = pipe, segment
-        self._rung = False
-
-    def ring(self) -> None:
-        """Note that a command waits; called from a signal handler."""
-        self._rung = True
-
-    def attend(self) -> None:
-        """Answer what waits; costs nothing when nothing does."""
-        if not self._rung:
-            return
-        self._rung = False
-        while self._pipe.poll():
-            number, sent_ns, name, argument = self._pipe.recv()
-            try:
-                if name in ENERGISING and time.monotonic_ns() - sent_ns > OBEYS_WITHIN_S * 1e9:
-                    raise CheckFailedError(
-                        f"{name}: came {OBEYS_WITHIN_S:g} s late; nobody may be waiting for it any more"
-                    )
-                kind, text = "ok", self._obey(name, argument)
-            except PiezodError as error:
-                kind, text = type(error).__name__, str(error)
-            self._pipe.send(("answer", (number, kind, text)))
-
-    def _obey(self, name: str, argument: Any) -> str:  # noqa: ANN401  # what the other end of the pipe sends
-        supervisor = self._loop.supervisor
-        match name:
-            case "arm":
-                return self._arm()
-            case "disarm" | "stop":
-                supervisor.stop(fast=name == "stop")
-                return "ramping down" if supervisor.driving else f"{supervisor.state.name}: nothing is driven"
-            case "reset":
-                if supervisor.state is not State.FAULT:
-                    raise CheckFailedError(f"reset: state is {supervisor.state.name}, must be FAULT; nothing to reset")
-                supervisor.reset()
-                return "fault reset; disarmed"
-            case "limits":
-                return self._take(argument)
-            case "end":
-                self._require_disarmed(name)
-                self._loop.request_stop()
-                return "ending"
-        raise CheckFailedError(f"'{name}' is no command of the control process")
-
-    def _arm(self) -> str:
-        """Check every precondition, then start; a device that is slow now delays nothing: nothing is driven."""
-        self._require_disarmed("arm")
-        if self._segment is None:
-            raise CheckFailedError("arm: this session only reads")
-        check_ready(self._bench, self._link)
-        self._loop.arm(self._segment)
-        return "arming"
-
-    def _require_disarmed(self, name: str) -> None:
-        state = self._loop.supervisor.state
-        if state is State.DISARMED:
-            return
-        advice = "piezod reset first" if state is State.FAULT else "piezod disarm first"
-        fault = f" ({CAUSE_TEXT[self._loop.supervisor.fault]})" if state is State.FAULT else ""
-        raise CheckFailedError(f"{name}: state is {state.name}{fault}, must be DISARMED; {advice}")
-
-    def _take(self, limits: LimitsConfig) -> str:
-        self._bench = self._bench.model_copy(update={"limits": limits})
-        self._loop.set_limits(limits)
-        return "limits taken"
+def _fault_text(fault: Cause, loop: ControlLoop) -> str:
+    return f"{CAUSE_TEXT[fault]}: {loop.failure}" if fault is Cause.CONTROLLER else CAUSE_TEXT[fault]
 
 
 def _resident_kib() -> int:

@@ -1,4 +1,4 @@
-"""What the ring log told, kept as a whole and turned into recordings and timing figures."""
+"""All rows of a session, and what is computed from them: recordings and timing figures."""
 
 from dataclasses import dataclass
 
@@ -7,13 +7,22 @@ from numpy.typing import NDArray
 
 from piezod.control import ROW_DTYPE, State
 from piezod.recording import HELD_ONE_SAMPLE, Recording
-
-GOOD = 0  # ExchangeResult.OK
+from piezod.recording.ticks import GOOD, pair_rows
 
 
 @dataclass(frozen=True)
 class TimingFigures:
-    """Lateness of the wake-up and duration of the tick from wake-up to committed state, in microseconds."""
+    """Timing of the ticks that wrote a voltage.
+
+    Parameters
+    ----------
+    ticks
+        Number of these ticks.
+    lateness_us
+        Wake-up after the deadline: percentiles and maximum [us].
+    completion_us
+        From the deadline to the committed state: percentiles and maximum [us].
+    """
 
     ticks: int
     lateness_us: dict[str, float]
@@ -21,57 +30,53 @@ class TimingFigures:
 
 
 class History:
-    """All rows of a session."""
+    """All rows of a session, in memory."""
 
     def __init__(self) -> None:
         self._chunks: list[NDArray[np.void]] = []
 
     def add(self, rows: NDArray[np.void]) -> None:
-        """Keep more rows."""
+        """Append rows of the ring log."""
         if rows.size:
             self._chunks.append(rows)
 
     @property
     def rows(self) -> NDArray[np.void]:
-        """Everything so far, oldest first."""
+        """All rows, oldest first."""
         return np.concatenate(self._chunks) if self._chunks else np.empty(0, ROW_DTYPE)
 
     def recording(self, segment: int, *, metadata: dict[str, str], follows_force: bool = True) -> Recording:
-        """Rows of one segment while it was followed.
+        """Make a recording of one segment while it was followed.
 
-        One row of a recording says what was commanded last and which force was measured then: an exchange reads the
-        force that the command before it has led to, so commands move one row down.
+        Each sample joins a command with the force that it caused (`recording/ticks.py`).
 
         Parameters
         ----------
         segment
-            Its number, from 0.
+            Number of the segment, from 0.
         metadata
-            Written into the recording, beside how its command was held and read.
+            Metadata of the recording; the hold of the command is added.
         follows_force
-            Whether the reference is a force [N]; else it was the voltage itself and is left out.
+            Whether the reference is a force [N]. The voltage reference of a direct drive is left out.
         """
         rows = self.rows
-        rows = rows[rows["segment"] == segment]
-        commands, answers = rows[:-1], rows[1:]
-        running = (
-            (commands["state"] == State.RUNNING) & (answers["state"] == State.RUNNING) & (answers["result"] == GOOD)
-        )
-        commands, answers = commands[running], answers[running]
-        start_ns = answers["time_ns"][0] if answers.size else 0
+        commands, readings = pair_rows(rows[rows["segment"] == segment])
+        tracking = is_tracking(commands, readings)
+        commands, readings = commands[tracking], readings[tracking]
+        start_ns = readings["time_ns"][0] if readings.size else 0
         channels = {
             "voltage_V": commands["voltage_V"].copy(),
-            "force_N": answers["force_N"].copy(),
+            "force_N": readings["force_N"].copy(),
         }
         if follows_force:
             channels["reference_N"] = commands["reference_N"].copy()
-        for name, field in (("readback_V", "readback_V"), ("temperature_C", "temperature_C")):
-            if np.isfinite(answers[field]).any():
-                channels[name] = answers[field].copy()
-        return Recording((answers["time_ns"] - start_ns) * 1e-9, channels, metadata | HELD_ONE_SAMPLE.metadata)
+        for name in ("readback_V", "temperature_C"):
+            if np.isfinite(readings[name]).any():
+                channels[name] = readings[name].copy()
+        return Recording((readings["time_ns"] - start_ns) * 1e-9, channels, metadata | HELD_ONE_SAMPLE.metadata)
 
     def timing(self) -> TimingFigures:
-        """Percentiles over every tick that wrote."""
+        """Timing figures over every tick that wrote a voltage."""
         rows = self.rows
         rows = rows[(rows["state"] != State.DISARMED) & (rows["state"] != State.FAULT)]
         return TimingFigures(
@@ -81,8 +86,32 @@ class History:
         )
 
 
+def is_tracking(commands: NDArray[np.void], readings: NDArray[np.void]) -> NDArray[np.bool_]:
+    """Tell which pairs belong to a followed reference: both rows are RUNNING and the reading is good.
+
+    Parameters
+    ----------
+    commands, readings
+        Result of `pair_rows`, each of shape (N,).
+
+    Returns
+    -------
+    numpy.ndarray
+        Mask of shape (N,).
+    """
+    running = (commands["state"] == State.RUNNING) & (readings["state"] == State.RUNNING)
+    tracking: NDArray[np.bool_] = running & (readings["result"] == GOOD)
+    return tracking
+
+
 def percentiles(values: NDArray[np.float64]) -> dict[str, float]:
-    """p50, p99, p99.9 and the largest; nan when there are no values."""
+    """Percentiles 50, 99 and 99.9 and the maximum; nan without values.
+
+    Parameters
+    ----------
+    values
+        Shape (N,), any unit.
+    """
     if not values.size:
         return dict.fromkeys(("p50", "p99", "p99.9", "max"), float("nan"))
     p50, p99, p999 = np.percentile(values, (50, 99, 99.9))

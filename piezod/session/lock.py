@@ -1,4 +1,7 @@
-"""One program at a time drives a bench: a lock that the kernel lets go of when its last holder dies."""
+"""The lock that lets only one program at a time use a bench.
+
+It is a `flock` on a file. The kernel releases it when the last process that holds it ends.
+"""
 
 import contextlib
 import fcntl
@@ -16,21 +19,24 @@ _RETRY_S = 0.05
 
 
 class BenchLock:
-    """A locked file. A control process that is given it holds it too, so it outlives a parent that was killed.
+    """The lock of one bench.
+
+    A process that is spawned with this object as an argument holds the lock too. The lock of a control process
+    therefore stays when its parent is killed.
 
     Parameters
     ----------
     path
-        The file; it goes with the one who locked it.
+        Lock file; `close` of the process that created the object removes it.
     wait_s
-        How long to wait for another holder [s].
+        Longest time to wait for another holder [s].
 
     Raises
     ------
     BusyError
-        Another process holds it.
+        Another process holds the lock.
     ConfigurationError
-        The file cannot be had.
+        The file cannot be opened or created.
     """
 
     def __init__(self, path: Path, wait_s: float = 0.0) -> None:
@@ -40,11 +46,11 @@ class BenchLock:
         os.pwrite(self._descriptor, f"{os.getpid()}\n".encode("ascii"), 0)
 
     def __reduce__(self) -> tuple[Callable[..., "BenchLock"], tuple[Any]]:
-        """Hand the open file to a process that is being spawned."""
+        """Pass the open file to a process that is being spawned."""
         return _inherited, (reduction.DupFd(self._descriptor),)
 
     def close(self) -> None:
-        """Let go, as far as this process is concerned; may be called twice."""
+        """Release the lock of this process; further calls do nothing."""
         if self._descriptor >= 0 and self._path is not None:
             self._path.unlink(missing_ok=True)
         if self._descriptor >= 0:
@@ -52,17 +58,17 @@ class BenchLock:
             self._descriptor = -1
 
 
-def _inherited(duplicate: Any) -> BenchLock:  # noqa: ANN401  # multiprocessing names no type for it
+def _inherited(duplicate: Any) -> BenchLock:  # noqa: ANN401  # multiprocessing has no public type for it
     lock = BenchLock.__new__(BenchLock)
     lock._path, lock._descriptor = None, duplicate.detach()  # noqa: SLF001  # its own class
     return lock
 
 
 def _lock(path: Path, deadline_s: float) -> int:
-    """Open and lock until `deadline_s`; a file that was removed by the holder before is not the one that others see."""
+    """Open and lock the file, trying until `deadline_s`; a file that its previous holder removed is opened again."""
     while True:
         descriptor = _open(path)
-        if _try(descriptor):
+        if _locked(descriptor):
             if _is_at(descriptor, path):
                 return descriptor
             os.close(descriptor)
@@ -83,7 +89,7 @@ def _is_at(descriptor: int, path: Path) -> bool:
 
 
 def _open(path: Path) -> int:
-    """Open or create it; anything but a file is refused."""
+    """Open or create the file; a link, folder, pipe or device is refused."""
     flags = os.O_RDWR | os.O_CLOEXEC | os.O_NOFOLLOW | os.O_NONBLOCK
     try:
         with contextlib.suppress(FileExistsError):
@@ -95,11 +101,11 @@ def _open(path: Path) -> int:
         ) from error
     if not stat.S_ISREG(os.fstat(descriptor).st_mode):
         os.close(descriptor)
-        raise ConfigurationError(f"daemon.ring_log: {path} is no file; remove it")
+        raise ConfigurationError(f"daemon.ring_log: {path} is not a regular file; remove it")
     return descriptor
 
 
-def _try(descriptor: int) -> bool:
+def _locked(descriptor: int) -> bool:
     try:
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:

@@ -1,6 +1,6 @@
-"""Drive a bench in a process of its own, and follow its ring log from here.
+"""A control process as its parent sees it: start, messages, commands, ring log, end.
 
-Whatever there is to do besides the loop (showing, recording, answering) happens on this side and cannot slow a tick.
+Everything besides the loop (display, recording, answers to clients) happens in the parent and cannot delay a tick.
 """
 
 import contextlib
@@ -16,7 +16,7 @@ import piezod.errors
 from piezod.config import BenchConfig
 from piezod.errors import PiezodError
 from piezod.session.lock import BenchLock
-from piezod.session.task import Outcome, Task, control
+from piezod.session.task import Outcome, SegmentSpec, Task
 
 if TYPE_CHECKING:
     from multiprocessing.connection import Connection
@@ -26,27 +26,26 @@ if TYPE_CHECKING:
 
     from piezod.control import RingReader
     from piezod.model import Model
-    from piezod.session.assembly import Work
 
-LOOK_EVERY_S = 0.1
-END_WITHIN_S = 30.0  # a ramp down, however slow
-
-__all__ = ["LOOK_EVERY_S", "Outcome", "Session", "deliberate_error"]
+POLL_INTERVAL_S = 0.1
+"""Time between two reads of the ring log [s]."""
+END_WITHIN_S = 30.0
+"""Longest time of a ramp down and the end of the control process [s]."""
 
 
 class Session:
-    """A control process and the view of its ring log.
+    """A control process, the connection to it, and a reader of its ring log.
 
     Parameters
     ----------
     bench, model, folder
-        What `load` read, and the folder that relative paths start from.
-    works
-        Driven one after the other; none: the bench is only read, until stopped.
+        Result of `load_bench_and_model`, and the folder that relative paths start from.
+    segments
+        Segments to drive, in this order. Empty: read the bench until stopped.
     serves
-        The bench configuration whose own reference is followed, with its own model, whenever told to, until stopped.
+        Bench configuration to serve until stopped: the control process waits for commands and follows its reference.
     lock
-        Held by the caller; None: taken at the start and let go at the end.
+        Lock of the bench that the caller holds. None: the session takes it at the start and releases it at the end.
     """
 
     def __init__(
@@ -54,12 +53,12 @@ class Session:
         bench: BenchConfig,
         model: "Model | None",
         folder: Path,
-        works: "list[Work]",
+        segments: list[SegmentSpec],
         *,
         serves: Path | None = None,
         lock: BenchLock | None = None,
     ) -> None:
-        self._task = Task(bench, model, folder, tuple(works), serves)
+        self._task = Task(bench, model, folder, tuple(segments), serves)
         self._lock, self._owns_lock = lock, lock is None
         self._pipe: Connection | None = None
         self._process: Any = None
@@ -68,29 +67,25 @@ class Session:
         self.outcome = Outcome()
 
     @property
-    def pid(self) -> int | None:
-        """Of the control process."""
-        return None if self._process is None else self._process.pid
-
-    @property
     def descriptor(self) -> int:
-        """Where the messages of the control process can be waited for."""
+        """File descriptor that becomes readable when the control process sends a message."""
         assert self._pipe is not None
         return self._pipe.fileno()
 
     def launch(self) -> None:
-        """Start the control process without waiting for it.
+        """Start the control process without waiting for its connection to the bench.
 
         Raises
         ------
         BusyError
-            Another program drives this bench.
+            Another program holds the bench.
         """
         if self._lock is None:
             self._lock = BenchLock(self._task.bench.lock_path)
         context = multiprocessing.get_context("spawn")
         self._pipe, theirs = context.Pipe()
-        self._process = context.Process(target=control, args=(self._task, theirs, self._lock), daemon=False)
+        arguments = (self._task, theirs, self._lock)
+        self._process = context.Process(target=_enter_control_process, args=arguments, daemon=False)
         self._process.start()
         theirs.close()
 
@@ -100,16 +95,23 @@ class Session:
         Raises
         ------
         PiezodError
-            What the control process found wrong before anything was written.
+            Error of the control process, raised before it wrote anything.
         """
         self.launch()
         kind, content = self.receive()
         if kind == "error":
-            raise deliberate_error(*content)
-        self.open_ring()
+            raise rebuild_error(*content)
+        self.open_ring_log()
 
     def receive(self) -> tuple[str, Any]:
-        """Return the next message: ready, answer (number, kind, text), done (outcome) or error (name, text)."""
+        """Wait for the next message of the control process.
+
+        Returns
+        -------
+        tuple
+            `("ready", description)`, `("answer", (number, kind, text))`, `("done", outcome)` or
+            `("error", (name, text))`.
+        """
         assert self._pipe is not None
         try:
             kind, content = self._pipe.recv()
@@ -123,40 +125,46 @@ class Session:
             self._process.join()
         return kind, content
 
-    def open_ring(self) -> None:
-        """Follow the ring log from here on; the control process is ready."""
-        from piezod.control import RingReader  # noqa: PLC0415  # heavy, and the control process should start first
+    def open_ring_log(self) -> None:
+        """Open the ring log; call it after the message `ready`."""
+        from piezod.control import RingReader  # noqa: PLC0415  # slow import; the control process starts before it
 
         self._reader = RingReader(self._task.bench.ring_log_path)
 
     def read(self) -> "NDArray[np.void]":
-        """Rows of the ring log since the last call."""
+        """Rows of the ring log since the last call, shape (N,)."""
         assert self._reader is not None
         return self._reader.read()
 
     @property
     def dropped(self) -> int:
-        """Rows that were overwritten before they were read."""
+        """Number of rows that were overwritten before they were read."""
         return 0 if self._reader is None else self._reader.dropped
 
     def follow(self) -> Iterator["NDArray[np.void]"]:
-        """New rows of the ring log, about ten times a second, until the control process ends.
+        """Yield the new rows of the ring log every `POLL_INTERVAL_S` until the control process ends.
 
         Raises
         ------
         PiezodError
-            What ended the control process before its work was done.
+            Error that ended the control process.
         """
         assert self._pipe is not None
-        while not self._pipe.poll(LOOK_EVERY_S):
+        while not self._pipe.poll(POLL_INTERVAL_S):
             yield self.read()
         kind, content = self.receive()
         if kind == "error":
-            raise deliberate_error(*content)
+            raise rebuild_error(*content)
         yield self.read()
 
     def command(self, name: str, argument: object = None) -> int:
-        """Send a command to a control process that serves; returns the number that its answer will carry."""
+        """Send a command to a control process that serves.
+
+        Returns
+        -------
+        int
+            Number that the answer will carry.
+        """
         assert self._pipe is not None
         self._commands += 1
         with contextlib.suppress(BrokenPipeError):
@@ -165,7 +173,7 @@ class Session:
         return self._commands
 
     def stop(self) -> None:
-        """Ask for a ramp down and the end; a second time: in haste."""
+        """Request a ramp down and the end; the second call ramps down at the slew limit."""
         self._signal(signal.SIGTERM)
 
     def _signal(self, number: int) -> None:
@@ -174,7 +182,7 @@ class Session:
                 os.kill(self._process.pid, number)
 
     def close(self) -> None:
-        """Ramp down if it still drives, and wait for the end."""
+        """Ramp down if the bench is still driven, wait for the end, and release lock and ring log."""
         if self._process is not None:
             self.stop()
             self._process.join(timeout=END_WITHIN_S)
@@ -188,8 +196,23 @@ class Session:
             self._lock.close()
 
 
-def deliberate_error(name: str, text: str) -> PiezodError:
-    """Rebuild the error that another process raised."""
+def rebuild_error(name: str, text: str) -> PiezodError:
+    """Make the error that another process raised.
+
+    Parameters
+    ----------
+    name
+        Class name in `piezod.errors`; another name gives a `PiezodError`.
+    text
+        Message of the error.
+    """
     error = getattr(piezod.errors, name, PiezodError)(text)
     assert isinstance(error, PiezodError)
     return error
+
+
+def _enter_control_process(task: Task, pipe: "Connection", lock: BenchLock) -> None:
+    """Run in the new process: import the control process there, and not in its parent."""
+    from piezod.session.control_process import run  # noqa: PLC0415  # slow import that the parent does not need
+
+    run(task, pipe, lock)

@@ -1,46 +1,101 @@
-"""What a control process is given, and what comes of it.
+"""The task of a control process, its outcome, and the segments that it drives.
 
-Light to import: the control process is started first, and loads what it needs while its parent does the same.
+This module imports little. The control process starts first and loads its own modules while its parent loads others.
 """
 
 from dataclasses import dataclass, field
-from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from piezod.config import BenchConfig
-from piezod.session.lock import BenchLock
 
 if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from piezod.config.reference import ReferenceConfig
     from piezod.model import Model
-    from piezod.session.assembly import Work
+
+
+@dataclass(frozen=True)
+class SegmentSpec:
+    """Description of one segment in plain values, so that it can be sent to another process.
+
+    Parameters
+    ----------
+    name
+        Name of the segment, for messages.
+    compensation
+        `inverse`, `gain`, or `direct`. With `direct` the voltages are driven as they are.
+    reference
+        Reference to follow; None: the reference of the bench configuration.
+    voltages_V
+        Voltages of a direct drive, one per tick, shape (N,) [V].
+    reset_cycle
+        Whether to drive 0 -> voltage_max_V -> 0 first.
+    model
+        Model of the compensation; None: the model of the task.
+    """
+
+    name: str
+    compensation: str
+    reference: "ReferenceConfig | None" = None
+    voltages_V: "NDArray[np.float64] | None" = None
+    reset_cycle: bool = True
+    model: "Model | None" = None
 
 
 @dataclass(frozen=True)
 class Task:
-    """What a control process is given.
+    """Input of a control process.
 
     Parameters
     ----------
-    bench, model, folder
-        What `load` read, and the folder that relative paths start from.
-    works
-        Driven one after the other; none: the bench is only read, until stopped.
+    bench, model
+        Result of `load`.
+    folder
+        Folder that relative paths start from.
+    segments
+        Segments to drive, in this order. Empty: read the bench until stopped.
     serves
-        Follow the own reference of this configuration with its own model whenever told to, and stay disarmed
-        otherwise, until stopped.
+        Bench configuration to serve until stopped. The control process loads the model that it names, follows its
+        reference after each `arm`, and is disarmed otherwise. None: drive `segments`.
     """
 
     bench: BenchConfig
     model: "Model | None"
     folder: Path
-    works: "tuple[Work, ...]"
+    segments: tuple[SegmentSpec, ...]
     serves: Path | None = None
 
 
 @dataclass
 class Outcome:
-    """What a session came to."""
+    """Result of a session.
+
+    Parameters
+    ----------
+    ticks, missed
+        Number of ticks that ran, and of ticks that were skipped because an earlier one was late.
+    failed_exchanges
+        Number of exchanges without a good reading.
+    results
+        Number of exchanges by result.
+    fault
+        Text of the latched fault; empty without one.
+    stopped
+        Whether a stop was requested.
+    warnings
+        Warnings of the control process.
+    resident_kib
+        Resident memory of the control process at its end [KiB].
+    stale_bytes
+        Number of received bytes that belonged to no request, or came too late; they were discarded.
+    spikes
+        Number of force spikes that were ignored.
+    hint
+        Advice about the link; empty without one.
+    """
 
     ticks: int = 0
     missed: int = 0
@@ -53,10 +108,3 @@ class Outcome:
     stale_bytes: int = 0
     spikes: int = 0
     hint: str = ""
-
-
-def control(task: Task, pipe: Connection, lock: BenchLock) -> None:
-    """Enter the control process."""
-    from piezod.session.control_process import run  # noqa: PLC0415  # only here, not in the process that starts it
-
-    run(task, pipe, lock)

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 from pymodbus.client import ModbusSerialClient, ModbusTcpClient
 
-from piezod.commissioning.emulator import emulated_bench
+from piezod.commissioning.emulator import emulator_process
 from piezod.commissioning.shipped_files import shipped
 from tests.benchmarks.compiled import compiled
 from tests.benchmarks.rounds import Figures, percentiles
@@ -71,7 +71,7 @@ def minimal_server(kind: str) -> Iterator[Address]:
 def emulator(kind: str, time_is: str = "virtual") -> Iterator[Address]:
     """The emulated bench; in virtual time every exchange is its next sample, in real time it may be asked too often."""
     wire = ["--rtu"] if kind == "rtu" else []
-    with emulated_bench(shipped("emulator.yaml"), "--port", "0", "--time", time_is, *wire) as serves:
+    with emulator_process(shipped("emulator.yaml"), "--port", "0", "--time", time_is, *wire) as serves:
         yield Address(kind, serves[kind])
 
 

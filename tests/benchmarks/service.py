@@ -98,7 +98,7 @@ def _started(bench: Path) -> Iterator[tuple[subprocess.Popen[bytes], Client]]:
 
 def _arm(client: Client) -> None:
     client.ask("arm")
-    _require(client.settled()["state"], "RUNNING", "after arming")
+    _require(client.wait_until_settled()["state"], "RUNNING", "after arming")
 
 
 def _kill_while_driving(bench: Path) -> None:

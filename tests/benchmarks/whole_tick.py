@@ -13,9 +13,10 @@ import numpy as np
 from piezod.commissioning.shipped_files import shipped
 from piezod.config.reference import WaveformReference
 from piezod.control import State
-from piezod.session.assembly import Work, load
+from piezod.session.assembly import load_bench_and_model
 from piezod.session.history import History
 from piezod.session.session import Session
+from piezod.session.task import SegmentSpec
 from tests.benchmarks import modbus_peers as peers
 from tests.benchmarks.exchange import link_config
 from tests.benchmarks.rounds import ROUNDS
@@ -52,7 +53,7 @@ def measure(*, quick: bool) -> Iterator[Row]:
 def _drive(address: peers.Address, duration_s: float) -> tuple[Session, History, list[float]]:
     """Follow a triangle with the inverse; returns the session, its ring log, and resident memory [MiB] while it ran."""
     path = shipped("bench.yaml")
-    bench, model = load(path)
+    bench, model = load_bench_and_model(path)
     ring_log = f"/dev/shm/piezod-benchmark-{os.getpid()}.ring"
     bench = bench.model_copy(
         update={"link": link_config(address), "daemon": bench.daemon.model_copy(update={"ring_log": ring_log})}
@@ -60,7 +61,7 @@ def _drive(address: peers.Address, duration_s: float) -> tuple[Session, History,
     reference = WaveformReference(
         kind="triangle", amplitude_N=110, offset_N=150, frequency_Hz=0.5, duration_s=duration_s
     )
-    session = Session(bench, model, path.parent, [Work("triangle", "inverse", reference, reset_cycle=False)])
+    session = Session(bench, model, path.parent, [SegmentSpec("triangle", "inverse", reference, reset_cycle=False)])
     history, resident_MiB = History(), []
     try:
         session.start()

@@ -16,7 +16,7 @@ from prometheus_client.parser import text_string_to_metric_families
 from piezod.control import ROW_DTYPE, Cause, State
 from piezod.daemon.metrics import BenchMetrics
 from piezod.daemon.service import COMMANDS
-from piezod.daemon.statistics import Tally
+from piezod.daemon.statistics import TickStatistics
 from piezod.identify.intake import load_recordings
 from piezod.recording import Recording, convert, read_recording, write_recording
 
@@ -40,7 +40,7 @@ def tally():
     rows["force_N"], rows["temperature_C"] = 12.5, 21.0
     rows["state"] = [0, 1, 2, 2, 5]
     rows["cause"][4] = Cause.OVER_FORCE
-    made = Tally(lambda *_: None)
+    made = TickStatistics(lambda *_: None)
     made.add(rows)
     return made
 

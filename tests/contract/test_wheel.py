@@ -85,7 +85,7 @@ def test_an_unpacked_wheel_finds_its_profiles_and_nothing_of_the_checkout(wheel,
 
 @pytest.mark.parametrize("device", DEVICES)
 def test_the_page_of_a_profile_names_its_file_and_a_call_that_works(device, tmp_path, capsys):
-    from piezod.commissioning.init import Answers, draft
+    from piezod.commissioning.init import Answers, draft_bench
     from piezod.config import load_bench
 
     text = (CONFIG / f"{device}.md").read_text(encoding="utf-8")
@@ -103,7 +103,7 @@ def test_the_page_of_a_profile_names_its_file_and_a_call_that_works(device, tmp_
         serial=given.get("--serial"),
         load_cell_host=given.get("--load-cell-host"),
     )
-    assert draft(given["--profile"], answers, tmp_path / given["-o"]).bench.name == given["--name"]
+    assert draft_bench(given["--profile"], answers, tmp_path / given["-o"]).bench.name == given["--name"]
 
 
 def test_every_profile_of_a_device_has_a_page():

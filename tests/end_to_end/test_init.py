@@ -8,7 +8,7 @@ import sys
 
 import pytest
 
-from piezod.commissioning.init import Answers, draft, profiles, write
+from piezod.commissioning.init import Answers, draft_bench, list_profiles, write_bench
 from piezod.config import load_bench
 from piezod.errors import ConfigurationError, UsageError
 from piezod.transport.probe import serial_ports
@@ -61,26 +61,26 @@ def test_a_file_that_is_there_is_never_replaced_unless_told_to(tmp_path):
 
 def test_a_file_that_came_meanwhile_is_not_replaced_either(tmp_path):
     path = tmp_path / "bench.yaml"
-    made = draft("bench", Answers(), path)
+    made = draft_bench("bench", Answers(), path)
     path.write_text("mine", encoding="utf-8")
     with pytest.raises(UsageError, match="is there already"):
-        write(made, force=False)
+        write_bench(made, force=False)
     assert path.read_text(encoding="utf-8") == "mine"
     assert [one.name for one in tmp_path.iterdir()] == ["bench.yaml"]
 
 
 def test_answers_that_make_no_bench_write_nothing(tmp_path):
     with pytest.raises(ConfigurationError, match=r"force_trip_N is 5000, must be below registers\.force\.high"):
-        draft("bench", Answers(force_trip_N=5000.0), tmp_path / "bench.yaml")
+        draft_bench("bench", Answers(force_trip_N=5000.0), tmp_path / "bench.yaml")
     with pytest.raises(UsageError, match="--serial does not belong to this profile"):
-        draft("bench", Answers(serial="/dev/ttyS0"), tmp_path / "bench.yaml")
+        draft_bench("bench", Answers(serial="/dev/ttyS0"), tmp_path / "bench.yaml")
     with pytest.raises(UsageError, match="must be one of advantech_adam_6024, bench"):
-        draft("labjack", Answers(), tmp_path / "bench.yaml")
+        draft_bench("labjack", Answers(), tmp_path / "bench.yaml")
 
 
-@pytest.mark.parametrize("profile", profiles())
+@pytest.mark.parametrize("profile", list_profiles())
 def test_every_profile_can_be_taken_as_it_is(profile, tmp_path):
-    made = draft(profile, Answers(name="mine"), tmp_path / "bench.yaml")
+    made = draft_bench(profile, Answers(name="mine"), tmp_path / "bench.yaml")
     assert made.bench.name == "mine"
 
 

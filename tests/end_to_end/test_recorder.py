@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from piezod.recorder.segment_files import segments
+from piezod.recorder.recording_files import recording_files
 from piezod.recording import read_recording
 from tests.benches.daemon import PATIENT, daemon
 from tests.benches.emulator import ROOT, bench_file, emulator, piezod
@@ -133,7 +133,7 @@ def test_a_recorder_that_dies_is_started_again_and_nothing_is_missing_or_twice(s
         total = int(next(line for line in service.said if " ticks, " in line).split()[0])
     ticks = [
         tick
-        for path in segments(tmp_path / "kept", "emulator")
+        for path in recording_files(tmp_path / "kept", "emulator")
         for block in read_blocks(path)[1]
         for tick in block.rows["tick"].tolist()
     ]
@@ -195,7 +195,7 @@ def test_a_full_disk_is_said_costs_no_tick_and_no_row_and_is_left_when_there_is_
         total = int(next(line for line in service.said if " ticks, " in line).split()[0])
         found = {
             tick
-            for path in segments(small / "kept", "emulator")
+            for path in recording_files(small / "kept", "emulator")
             for block in read_blocks(path)[1]
             for tick in block.rows["tick"].tolist()
         }

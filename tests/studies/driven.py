@@ -19,7 +19,8 @@ from piezod.config import BenchConfig, load_bench
 from piezod.config.reference import WaveformReference
 from piezod.control import RingLog, RingReader, State
 from piezod.model import Model
-from piezod.session.assembly import Work, make_loop, make_rate_keeper, make_segment
+from piezod.session.assembly import make_loop, make_rate_keeper, make_segment
+from piezod.session.task import SegmentSpec
 from piezod.transport.modbus import ModbusLink
 from tests.contract.judged_bench import FaultyWire, HandClock
 from tests.studies.scenarios import LIMITS, ROOT
@@ -114,7 +115,7 @@ def follow(
     device = Device(physics, Firmware(), "virtual", lambda: 0)
     link = ModbusLink(bench.link, FaultyWire(device, HandClock(0), timeout_ms=0))
     clock = make_rate_keeper(bench, link)
-    segment = make_segment(Work("study", compensation, reference), bench, model, link, ROOT)
+    segment = make_segment(SegmentSpec("study", compensation, reference), bench, model, link, ROOT)
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "ring"
         ring = RingLog(path, round((reference.duration_s + 60.0) * bench.rate_Hz))

@@ -18,8 +18,8 @@ from typing import Self
 
 import numpy as np
 
-from piezod.recorder.segment_files import segments
-from piezod.recorder.writer import Plan, Report, report_of
+from piezod.recorder.messages import Plan, Report, parse_report
+from piezod.recorder.recording_files import recording_files
 from piezod.recording.ring_log import ROW_DTYPE, RingLog
 from tests.benches.recorded_blocks import read_blocks
 
@@ -122,7 +122,7 @@ class RecorderProcess:
 
     def _listen(self) -> None:
         for line in self.process.stdout:
-            self.last = report_of(line)
+            self.last = parse_report(line)
             self.words.append((self.last.at_s, self.last.row))
             self.worst_commit_s = max(self.worst_commit_s, self.last.commit_s)
             if self.last.problem and self.last.problem not in self.problems:
@@ -213,7 +213,7 @@ def judge(folder: Path, bench: str, acknowledged: int) -> Kept:
     """Compare everything in a folder with what was written, up to the number of rows that was acknowledged."""
     kept = Kept()
     seen: list[np.ndarray] = []
-    for path in segments(folder, bench) if folder.exists() else ():
+    for path in recording_files(folder, bench) if folder.exists() else ():
         _, blocks, damaged = read_blocks(path)
         kept.damaged += damaged
         kept.files += 1

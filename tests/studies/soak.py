@@ -146,7 +146,7 @@ def soak(duration_s: float, rate_Hz: float, *, on_look: Callable[[Soaked], None]
         _follow(soaked, client, RingReader(bench.parent / "ring"), duration_s, on_look)
         _hear(soaked, cyclictest, folder)
         client.ask("disarm")
-        client.settled()
+        client.wait_until_settled()
     return soaked
 
 
@@ -335,7 +335,7 @@ def _connected(bench: Path, process: subprocess.Popen[bytes], stack: contextlib.
 def _arm(client: Client) -> None:
     """Arm, again and again on a machine too busy to answer."""
     deadline_s = time.monotonic() + WITHIN_S
-    while (state := client.settled()["state"]) != "RUNNING":
+    while (state := client.wait_until_settled()["state"]) != "RUNNING":
         if time.monotonic() > deadline_s:
             raise TimeoutError(f"after arming the state is {state}, expected RUNNING")
         with contextlib.suppress(TemporaryError):

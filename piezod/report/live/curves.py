@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piezod.control import State
-from piezod.recording.ticks import GOOD
+from piezod.recording.ticks import GOOD, pair_rows
 from piezod.report.figures.thinning import envelope, envelope_times
 
 Array = NDArray[np.float64]
@@ -91,7 +91,7 @@ class Curves:
             self._pending = joined.copy()
             return
         self._pending = joined[count:].copy()
-        commands, answers = joined[:count], joined[1 : count + 1]
+        commands, answers = pair_rows(joined[: count + 1])
         points = 2 * (count // self._length) if self._length > 1 else count
         time_ms = answers["time_ns"] * 1e-6 + to_wall_ms
         columns = {"time_ms": envelope_times(time_ms, points)}

@@ -1,4 +1,4 @@
-"""What a support bundle holds, and what it must not."""
+"""Content of a support bundle, and secrets that it must not contain."""
 
 import json
 import zipfile
@@ -18,7 +18,7 @@ SECRET = {"ca": "/etc/pki/plant-ca.pem", "certificate": "/etc/pki/me.pem", "key"
 
 @pytest.fixture
 def config(tmp_path):
-    """A bench in a secret place, with a ring that a daemon left behind."""
+    """A bench with secrets, and a ring log of an earlier run."""
     content = yaml.safe_load(shipped("bench.yaml").read_text(encoding="utf-8"))
     content["link"] |= {"host": "press.plant.example", "tls": SECRET}
     content["daemon"] |= {"ring_log": str(tmp_path / "ring"), "socket_group": "pressroom"}
@@ -41,7 +41,7 @@ def contents(path):
         return {name: bundle.read(name).decode() for name in bundle.namelist()}
 
 
-def test_no_secret_leaves_the_house(config, tmp_path):
+def test_no_secret_is_in_the_bundle(config, tmp_path):
     write_bundle(config, tmp_path / "out.zip")
     text = "".join(contents(tmp_path / "out.zip").values())
     for secret in (*SECRET.values(), "press.plant.example", "pressroom"):
@@ -50,7 +50,7 @@ def test_no_secret_leaves_the_house(config, tmp_path):
     assert (tmp_path / "out.zip").stat().st_mode & 0o777 == 0o600
 
 
-def test_lines_of_a_protocol_are_removed_and_numbers_are_not(tmp_path):
+def test_lines_of_a_protocol_are_removed_and_numbers_stay(tmp_path):
     write_bundle(shipped("pi_e625.yaml"), tmp_path / "out.zip")
     shown = yaml.safe_load(contents(tmp_path / "out.zip")["bench.yaml"])
     assert shown["link"]["set_voltage"]["send"] == "REMOVED"
@@ -59,7 +59,7 @@ def test_lines_of_a_protocol_are_removed_and_numbers_are_not(tmp_path):
     assert shown["load_cell_link"]["host"].startswith("192.168.")
 
 
-def test_the_bundle_tells_versions_machine_model_and_the_last_ticks(config, tmp_path):
+def test_the_bundle_contains_versions_machine_model_and_the_last_ticks(config, tmp_path):
     about = write_bundle(config, tmp_path / "out.zip")
     parts = contents(tmp_path / "out.zip")
     assert json.loads(parts["bundle.json"]) == about
@@ -83,7 +83,7 @@ def test_the_configuration_in_it_can_be_read_as_yaml(config, tmp_path):
     assert read_document(path).content["limits"]["slew_V_per_s"] == 4000.0
 
 
-def test_a_bundle_is_made_of_a_bench_that_never_ran(tmp_path):
+def test_a_bundle_can_be_made_for_a_bench_that_never_ran(tmp_path):
     path = tmp_path / "bench.yaml"
     text = shipped("bench.yaml").read_text(encoding="utf-8").replace("/dev/shm/", f"{tmp_path}/none/")
     path.write_text(text, encoding="utf-8")
@@ -92,7 +92,7 @@ def test_a_bundle_is_made_of_a_bench_that_never_ran(tmp_path):
     assert "cannot be read" in about["model"]["problem"]
 
 
-def test_a_bundle_that_is_there_is_not_replaced(config, tmp_path):
+def test_an_existing_bundle_is_not_replaced(config, tmp_path):
     (tmp_path / "out.zip").write_text("mine", encoding="utf-8")
     with pytest.raises(UsageError, match="is there already"):
         write_bundle(config, tmp_path / "out.zip")

@@ -1,4 +1,4 @@
-"""The socket: who may, what is answered, and what a hostile client cannot do."""
+"""The socket: permissions, answers, and limits for hostile clients."""
 
 import asyncio
 import contextlib
@@ -28,7 +28,7 @@ async def answer(command, peer):
 
 
 @contextlib.asynccontextmanager
-async def listening(path, log=None, **daemon):
+async def open_server(path, log=None, **daemon):
     server = ControlSocket(bench(path, **daemon), answer, (log if log is not None else []).append)
     await server.open()
     try:
@@ -38,7 +38,7 @@ async def listening(path, log=None, **daemon):
 
 
 async def lines_after(path, sent, *, end=True):
-    """What comes back when these bytes were sent."""
+    """Send bytes and return the lines of the answer."""
     reader, writer = await asyncio.open_unix_connection(path)
     with contextlib.suppress(ConnectionError):
         writer.write(sent)
@@ -53,9 +53,9 @@ async def lines_after(path, sent, *, end=True):
         writer.close()
 
 
-def test_each_line_is_answered_and_the_kernel_says_who_asked(tmp_path):
+def test_each_line_is_answered_and_the_sender_is_identified(tmp_path):
     async def ask():
-        async with listening(tmp_path / "s"):
+        async with open_server(tmp_path / "s"):
             return await lines_after(tmp_path / "s", b'{"command": "status"}\n{"command": "arm"}\n')
 
     first, second = (json.loads(line) for line in asyncio.run(ask()))
@@ -78,9 +78,9 @@ def test_each_line_is_answered_and_the_kernel_says_who_asked(tmp_path):
         b"[" * 4000,
     ],
 )
-def test_what_is_no_command_is_refused_in_one_line(tmp_path, line):
+def test_a_line_that_is_not_a_command_is_refused_in_one_line(tmp_path, line):
     async def ask():
-        async with listening(tmp_path / "s"):
+        async with open_server(tmp_path / "s"):
             return await lines_after(tmp_path / "s", line + b"\n")
 
     (reply,) = asyncio.run(ask())
@@ -90,82 +90,82 @@ def test_what_is_no_command_is_refused_in_one_line(tmp_path, line):
 
 @settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=60)
 @given(st.lists(st.binary(max_size=6000), max_size=5))
-def test_no_bytes_stop_it(tmp_path, chunks):
+def test_arbitrary_bytes_do_not_stop_the_server(tmp_path, chunks):
     async def ask():
-        async with listening(tmp_path / "s"):
+        async with open_server(tmp_path / "s"):
             await lines_after(tmp_path / "s", b"\n".join(chunks))
             return await lines_after(tmp_path / "s", b'{"command": "status"}\n')
 
     assert json.loads(asyncio.run(ask())[0])["ok"] is True
 
 
-def test_a_line_too_long_is_hung_up_on(tmp_path):
+def test_a_line_that_is_too_long_ends_the_connection(tmp_path):
     log = []
 
     async def ask():
-        async with listening(tmp_path / "s", log):
+        async with open_server(tmp_path / "s", log):
             return await lines_after(tmp_path / "s", b"x" * 100_000, end=False)
 
     assert asyncio.run(ask()) == []
     assert "longer than 4096 bytes" in log[0]
 
 
-def test_a_line_that_does_not_come_is_not_waited_for(tmp_path, monkeypatch):
+def test_an_incomplete_line_ends_the_connection_after_its_time_limit(tmp_path, monkeypatch):
     monkeypatch.setattr(module, "LINE_WITHIN_S", 0.2)
 
     async def ask():
-        async with listening(tmp_path / "s"):
+        async with open_server(tmp_path / "s"):
             return await asyncio.wait_for(lines_after(tmp_path / "s", b'{"comm', end=False), 10)
 
     assert asyncio.run(ask()) == []
 
 
-def test_only_so_many_are_served_at_once(tmp_path, monkeypatch):
-    monkeypatch.setattr(module, "MOST_CLIENTS", 2)
+def test_a_client_above_the_limit_is_refused(tmp_path, monkeypatch):
+    monkeypatch.setattr(module, "MAX_CLIENTS", 2)
     log = []
 
     async def ask():
-        async with listening(tmp_path / "s", log):
+        async with open_server(tmp_path / "s", log):
             idle = [await asyncio.open_unix_connection(tmp_path / "s") for _ in range(2)]
             await asyncio.sleep(0.1)
-            turned_away = await lines_after(tmp_path / "s", b'{"command": "status"}\n')
+            refused = await lines_after(tmp_path / "s", b'{"command": "status"}\n')
             for _, writer in idle:
                 writer.close()
             await asyncio.sleep(0.1)
-            return turned_away, await lines_after(tmp_path / "s", b'{"command": "status"}\n')
+            return refused, await lines_after(tmp_path / "s", b'{"command": "status"}\n')
 
-    turned_away, served = asyncio.run(ask())
-    assert turned_away == []
+    refused, served = asyncio.run(ask())
+    assert refused == []
     assert len(served) == 1
-    assert "turned away" in log[0]
+    assert "clients are connected already" in log[0]
 
 
-def test_mode_and_group_are_those_of_the_configuration_and_the_path_goes_with_the_daemon(tmp_path):
+def test_mode_and_group_are_as_configured_and_close_removes_the_socket(tmp_path):
     path = tmp_path / "s"
 
-    async def look():
-        async with listening(path, socket_mode="0600", socket_group="root" if os.getuid() == 0 else None):
+    async def stat_socket():
+        async with open_server(path, socket_mode="0600", socket_group="root" if os.getuid() == 0 else None):
             return path.stat()
 
-    found = asyncio.run(look())
+    found = asyncio.run(stat_socket())
     assert stat.S_IMODE(found.st_mode) == 0o600
     assert not path.exists()
 
 
-def test_a_socket_left_behind_is_taken_over(tmp_path):
+def test_a_socket_without_a_listener_is_replaced(tmp_path):
     with socket.socket(socket.AF_UNIX) as left:
         left.bind(str(tmp_path / "s"))
 
     async def ask():
-        async with listening(tmp_path / "s"):
+        async with open_server(tmp_path / "s"):
             return await lines_after(tmp_path / "s", b'{"command": "status"}\n')
 
     assert len(asyncio.run(ask())) == 1
 
 
-def test_a_living_socket_and_a_file_are_not_taken_over(tmp_path):
+def test_a_socket_with_a_listener_and_a_regular_file_are_not_replaced(tmp_path):
     async def open_it():
-        async with listening(tmp_path / "s"):
+        async with open_server(tmp_path / "s"):
             pass
 
     with socket.socket(socket.AF_UNIX) as other:
@@ -182,12 +182,12 @@ def test_a_living_socket_and_a_file_are_not_taken_over(tmp_path):
 
 @pytest.mark.parametrize(
     ("changes", "says"),
-    [({"socket_group": "no-such-group"}, "no such group"), ({"path": "/nowhere/s"}, "cannot be bound")],
+    [({"socket_group": "no-such-group"}, "which does not exist"), ({"path": "/nowhere/s"}, "cannot be bound")],
 )
-def test_what_cannot_be_is_a_configuration_error(tmp_path, changes, says):
+def test_an_unusable_path_or_group_is_a_configuration_error(tmp_path, changes, says):
     async def open_it():
         changed = dict(changes)
-        async with listening(changed.pop("path", tmp_path / "s"), **changed):
+        async with open_server(changed.pop("path", tmp_path / "s"), **changed):
             pass
 
     with pytest.raises(ConfigurationError, match=says):

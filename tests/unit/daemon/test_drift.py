@@ -1,4 +1,4 @@
-"""Drift is judged window by window, twice in a row, and what is kept is bounded."""
+"""Drift: two windows in a row above the limit, and a recording of bounded size."""
 
 from pathlib import Path
 
@@ -21,19 +21,19 @@ def model():
 
 
 @pytest.fixture
-def said():
+def logged():
     return []
 
 
 @pytest.fixture
-def watch(model, said, tmp_path):
+def watch(model, logged, tmp_path):
     drift = DriftConfig(window_s=WINDOW_S, keep_s=KEEP_S, beyond_N=1.0, file=str(tmp_path / "{name}.csv"))
     bench = load_bench(CONFIG / "bench.yaml").model_copy(update={"rate_Hz": RATE_HZ, "drift": drift})
-    return DriftWatch(bench, model, said.append)
+    return DriftWatch(bench, model, logged.append)
 
 
 def rows_of(model, seconds, extra=lambda t: 0.0, first_tick=0):
-    """Disarmed, armed and running: a slow sine of voltage, each reading the answer to the row before it."""
+    """Rows of a slow sine of voltage, disarmed, arming and running; each reading follows the voltage one row before."""
     count = round(seconds * RATE_HZ)
     rows = np.zeros(count, ROW_DTYPE)
     t = np.arange(count) / RATE_HZ
@@ -50,23 +50,23 @@ def add_in_pieces(watch, rows, size=7):
         watch.add(rows[first : first + size])
 
 
-def test_a_bench_as_its_model_says_shows_no_difference(watch, model, said):
+def test_a_bench_that_behaves_like_its_model_shows_no_difference(watch, model, logged):
     add_in_pieces(watch, rows_of(model, 12.0))
     assert watch.windows == 5
     assert watch.rms_N < 1e-6
     assert abs(watch.offset_N) < 1e-6
     assert not watch.drifted
-    assert said == []
+    assert logged == []
 
 
-def test_the_figures_are_those_of_the_last_window(watch, model):
+def test_rms_and_offset_are_those_of_the_last_window(watch, model):
     """A sine of 0.5 N with whole periods in a window: rms 0.5 / sqrt(2), no offset."""
     add_in_pieces(watch, rows_of(model, 8.6, lambda t: 0.5 * np.sin(2.0 * np.pi * 2.0 * t)))
     assert watch.rms_N == pytest.approx(0.5 / np.sqrt(2.0), rel=1e-3)
     assert watch.offset_N == pytest.approx(0.0, abs=1e-3)
 
 
-def test_one_window_beyond_the_limit_is_no_drift_and_two_in_a_row_are(watch, model, said):
+def test_one_window_above_the_limit_is_not_a_drift_and_two_in_a_row_are(watch, model, logged):
     once = rows_of(model, 13.0, lambda t: 3.0 if 4.6 < t < 6.4 else 0.0)
     add_in_pieces(watch, once)
     assert not watch.drifted
@@ -75,40 +75,40 @@ def test_one_window_beyond_the_limit_is_no_drift_and_two_in_a_row_are(watch, mod
     add_in_pieces(watch, stays)
     assert watch.drifted
     assert watch.offset_N == pytest.approx(3.0, abs=1e-6)
-    assert len(said) == 1
+    assert len(logged) == 1
     assert WINDOWS == 2
 
 
-def test_what_is_kept_begins_at_arming_and_is_a_recording(watch, model, tmp_path):
+def test_the_recording_begins_at_arming(watch, model, tmp_path):
     rows = rows_of(model, 12.0, lambda t: 4.0 * np.sin(5.0 * t))
     add_in_pieces(watch, rows)
     assert watch.drifted
     watch.close()
-    kept = read_csv(tmp_path / "emulator.csv")
-    assert kept.channel("voltage_V")[0] == 0.0
+    recording = read_csv(tmp_path / "emulator.csv")
+    assert recording.channel("voltage_V")[0] == 0.0
     armed = int(np.flatnonzero(rows["state"] == State.ARMING)[0])
-    np.testing.assert_allclose(kept.channel("voltage_V"), rows["voltage_V"][armed - 1 : -1], rtol=1e-8)
-    np.testing.assert_allclose(kept.channel("force_N"), rows["force_N"][armed:], rtol=1e-8)
+    np.testing.assert_allclose(recording.channel("voltage_V"), rows["voltage_V"][armed - 1 : -1], rtol=1e-8)
+    np.testing.assert_allclose(recording.channel("force_N"), rows["force_N"][armed:], rtol=1e-8)
     assert watch.as_dict()["kept"] == str(tmp_path / "emulator.csv")
 
 
-def test_no_more_is_held_than_was_asked_for(watch, model):
+def test_no_more_rows_are_collected_than_configured(watch, model):
     add_in_pieces(watch, rows_of(model, 5.0 * KEEP_S))
-    assert sum(part.size for part in watch._kept) <= KEEP_S * RATE_HZ
+    assert sum(part.size for part in watch._armed_rows) <= KEEP_S * RATE_HZ
 
 
-def test_missed_ticks_and_failed_exchanges_are_no_difference(watch, model):
+def test_missed_ticks_and_failed_exchanges_cause_no_difference(watch, model):
     rows = rows_of(model, 12.0)
     rows = np.delete(rows, np.arange(400, 420))
     rows["result"][600:610] = 3
     rows["force_N"][600:610] = 1e6
     add_in_pieces(watch, rows)
     assert watch.windows >= 4
-    # the command that was in force over the gap was held, the model's is not known there: within a tick of it
+    # over a gap the model continues with the last voltage, while the bench went on: small against the limit
     assert not watch.drifted
 
 
-def test_a_limit_that_is_not_named_is_three_times_the_models_own_error(model, said):
+def test_the_default_limit_is_three_times_the_held_out_error_of_the_model(model, logged):
     bench = load_bench(CONFIG / "bench.yaml")
     own = model.model_copy(
         update={
@@ -117,4 +117,4 @@ def test_a_limit_that_is_not_named_is_three_times_the_models_own_error(model, sa
             )
         }
     )
-    assert DriftWatch(bench, own, said.append).limit_N == pytest.approx(0.6)
+    assert DriftWatch(bench, own, logged.append).limit_N == pytest.approx(0.6)

@@ -1,4 +1,4 @@
-"""The metrics: what they say, and to whom."""
+"""Metrics: values, and limits of the server."""
 
 import asyncio
 
@@ -8,7 +8,7 @@ from prometheus_client.parser import text_string_to_metric_families
 
 from piezod.control import ROW_DTYPE, Cause, State
 from piezod.daemon.metrics import BenchMetrics, MetricsServer
-from piezod.daemon.statistics import Tally
+from piezod.daemon.statistics import TickStatistics
 from piezod.errors import BusyError
 from piezod.transport import ExchangeResult
 
@@ -21,19 +21,19 @@ def rows(count, **fields):
     return made
 
 
-def make_tally():
-    tally = Tally(lambda *_: None)
+def make_statistics():
+    statistics = TickStatistics(lambda *_: None)
     first = rows(1000, state=State.RUNNING, force_N=12.5, readback_V=np.nan, lateness_ns=25_000, exchange_ns=150_000)
     first["result"][:10] = ExchangeResult.TIMEOUT
     first["tick"][500:] += 7
-    tally.add(first)
-    tally.add(rows(1, tick=1007, state=State.FAULT, cause=Cause.OVER_FORCE, force_N=400.0, readback_V=np.nan))
-    return tally
+    statistics.add(first)
+    statistics.add(rows(1, tick=1007, state=State.FAULT, cause=Cause.OVER_FORCE, force_N=400.0, readback_V=np.nan))
+    return statistics
 
 
 async def fetch(request=b"GET /metrics HTTP/1.1\r\nHost: x\r\n\r\n", bench_name="emulator"):
     log = []
-    server = MetricsServer(BenchMetrics(bench_name, make_tally()), log.append)
+    server = MetricsServer(BenchMetrics(bench_name, make_statistics()), log.append)
     await server.open(0)
     port = int(log[0].rpartition(":")[2].partition("/")[0])
     reader, writer = await asyncio.open_connection("127.0.0.1", port)
@@ -46,7 +46,7 @@ async def fetch(request=b"GET /metrics HTTP/1.1\r\nHost: x\r\n\r\n", bench_name=
 
 
 def sample(body, name, **labels):
-    """The one sample of that name and those labels."""
+    """Value of the only sample with this name and these labels."""
     found = [
         one.value
         for family in text_string_to_metric_families(body)
@@ -57,7 +57,7 @@ def sample(body, name, **labels):
     return found[0]
 
 
-def test_every_count_is_that_of_the_rows():
+def test_every_count_equals_that_of_the_rows():
     head, body = asyncio.run(fetch())
     assert head.startswith("HTTP/1.1 200 OK")
     assert sample(body, "piezod_ticks_total", bench="emulator") == 1001
@@ -70,7 +70,7 @@ def test_every_count_is_that_of_the_rows():
     assert sample(body, "piezod_force_newtons") == 400.0
 
 
-def test_a_histogram_counts_up_to_each_bound():
+def test_a_histogram_is_cumulative():
     _, body = asyncio.run(fetch())
     assert sample(body, "piezod_tick_lateness_seconds_bucket", le="2e-05") == 1
     assert sample(body, "piezod_tick_lateness_seconds_bucket", le="5e-05") == 1001
@@ -78,7 +78,7 @@ def test_a_histogram_counts_up_to_each_bound():
     assert sample(body, "piezod_tick_duration_seconds_sum") == pytest.approx(0.15)
 
 
-def test_a_value_that_the_device_does_not_have_is_not_shown():
+def test_a_value_that_the_device_does_not_have_has_no_sample():
     _, body = asyncio.run(fetch())
     assert "piezod_voltage_readback_volts{" not in body
 
@@ -86,23 +86,23 @@ def test_a_value_that_the_device_does_not_have_is_not_shown():
 @pytest.mark.parametrize(
     "request_line", [b"POST /metrics HTTP/1.1\r\n\r\n", b"GET /arm HTTP/1.1\r\n\r\n", b"x\r\n\r\n"]
 )
-def test_nothing_else_is_answered(request_line):
+def test_other_requests_are_answered_with_404(request_line):
     head, _ = asyncio.run(fetch(request_line))
     assert head.startswith("HTTP/1.1 404")
 
 
-def test_a_request_too_long_is_hung_up_on():
+def test_a_request_that_is_too_long_ends_the_connection():
     assert asyncio.run(fetch(b"GET /metrics HTTP/1.1\r\nX: " + b"y" * 20_000 + b"\r\n\r\n"))[0] == ""
 
 
-def test_it_listens_on_the_loopback_alone_and_says_when_the_port_is_taken():
+def test_the_server_listens_on_the_loopback_address_and_reports_a_port_in_use():
     async def twice():
         log = []
-        first = MetricsServer(BenchMetrics("a", make_tally()), log.append)
+        first = MetricsServer(BenchMetrics("a", make_statistics()), log.append)
         await first.open(0)
         address = first._server.sockets[0].getsockname()
         assert address[0] == "127.0.0.1"
-        second = MetricsServer(BenchMetrics("a", make_tally()), log.append)
+        second = MetricsServer(BenchMetrics("a", make_statistics()), log.append)
         try:
             await second.open(address[1])
         finally:
@@ -112,9 +112,9 @@ def test_it_listens_on_the_loopback_alone_and_says_when_the_port_is_taken():
         asyncio.run(twice())
 
 
-def test_transitions_are_told_once_each_across_looks():
-    told = []
-    tally = Tally(lambda state, cause, row: told.append((state, cause)))
+def test_a_transition_is_reported_once():
+    reported = []
+    statistics = TickStatistics(lambda state, cause, row: reported.append((state, cause)))
     for state, cause in ((State.DISARMED, Cause.NONE), (State.ARMING, Cause.ARMED), (State.ARMING, Cause.ARMED)):
-        tally.add(rows(5, state=state, cause=cause))
-    assert told == [(State.ARMING, Cause.ARMED)]
+        statistics.add(rows(5, state=state, cause=cause))
+    assert reported == [(State.ARMING, Cause.ARMED)]

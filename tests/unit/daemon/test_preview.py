@@ -1,4 +1,4 @@
-"""The cost of a reference that is not known ahead: how far it runs on while a reading is late."""
+"""Cost of a live reference: its change during the lateness of the readings."""
 
 from pathlib import Path
 
@@ -40,7 +40,7 @@ def test_a_jump_between_two_runs_costs_nothing():
     assert missing.cost_N == 0.0
 
 
-def test_only_a_live_reference_and_a_late_reading_cost_anything():
+def test_only_a_live_reference_with_late_readings_has_a_cost():
     model = load_model(CONFIG / "model.yaml")
     late = model.model_copy(update={"effects": (EffectValues(name="transport_delay", parameters={"delay_s": 0.008}),)})
     bench = load_bench(CONFIG / "bench.yaml")

@@ -1,4 +1,4 @@
-"""What systemd is told, read from a real socket."""
+"""Notifications to systemd, received from a real socket."""
 
 import contextlib
 import socket
@@ -10,7 +10,7 @@ from piezod.daemon.systemd import Notifier
 
 @pytest.fixture(params=["path", "abstract"])
 def manager(request, tmp_path):
-    """A listening datagram socket, and its name as NOTIFY_SOCKET gives it."""
+    """A datagram socket, and its name in the form of NOTIFY_SOCKET."""
     name = str(tmp_path / "notify") if request.param == "path" else f"@piezod-test-{tmp_path.name}"
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as listener:
         listener.bind("\0" + name[1:] if name.startswith("@") else name)
@@ -34,7 +34,7 @@ def test_each_message_is_one_datagram(manager):
     ]
 
 
-def test_a_reload_tells_its_time(manager):
+def test_a_reload_message_contains_its_time(manager):
     listener, name = manager
     with contextlib.closing(Notifier(name)) as notifier:
         notifier.reloading()
@@ -52,7 +52,7 @@ def test_a_status_is_sent_when_it_changes(manager):
     assert [listener.recv(1024) for _ in range(3)] == [b"STATUS=a", b"STATUS=b", b"READY=1"]
 
 
-def test_the_address_is_that_of_the_environment(manager, monkeypatch):
+def test_the_default_address_is_that_of_the_environment(manager, monkeypatch):
     listener, name = manager
     monkeypatch.setenv("NOTIFY_SOCKET", name)
     with contextlib.closing(Notifier()) as notifier:
@@ -61,7 +61,7 @@ def test_the_address_is_that_of_the_environment(manager, monkeypatch):
 
 
 @pytest.mark.parametrize("address", ["", "/nowhere/notify"])
-def test_nobody_listening_stops_nothing(address):
+def test_a_missing_listener_causes_no_error(address):
     notifier = Notifier(address)
     notifier.ready()
     notifier.close()

@@ -1,16 +1,16 @@
-"""A model with an effect that has no inverse is refused before anything is opened; an operator may drive without it."""
+"""A model with an effect that has no inverse is refused, unless `compensation_without` names the effect."""
 
 from pathlib import Path
 
 import pytest
 import yaml
 
-from piezod.commissioning.check import _effects as effects_checked
+from piezod.commissioning.check import check_model_effects
 from piezod.effects import EFFECTS
 from piezod.errors import ConfigurationError, ModelError
 from piezod.model import load_model, make_compensator, save_model
 from piezod.model.parameters import EffectValues
-from piezod.session.assembly import load
+from piezod.session.assembly import load_bench_and_model
 
 CONFIG = Path(__file__).parents[3] / "config"
 REFUSED = [name for name, effect in EFFECTS.items() if effect.handling == "refused"]
@@ -35,7 +35,7 @@ def bench_with(folder, *names, **changes):
 @pytest.mark.parametrize("name", REFUSED)
 def test_an_effect_without_an_inverse_is_refused_in_one_line_with_reason_and_remedy(name, tmp_path):
     with pytest.raises(ModelError) as refused:
-        load(bench_with(tmp_path, "creep", name))
+        load_bench_and_model(bench_with(tmp_path, "creep", name))
     text = str(refused.value)
     assert "\n" not in text
     assert f"model.yaml: {name} cannot be compensated: " in text
@@ -44,10 +44,10 @@ def test_an_effect_without_an_inverse_is_refused_in_one_line_with_reason_and_rem
 
 
 @pytest.mark.parametrize("name", REFUSED)
-def test_an_operator_may_drive_without_it_and_the_check_warns(name, tmp_path):
+def test_an_effect_in_compensation_without_is_not_compensated_and_the_check_warns(name, tmp_path):
     path = bench_with(tmp_path, "creep", name, compensation_without=[name])
-    bench, model = load(path)
-    checks = list(effects_checked(bench, model, path))
+    bench, model = load_bench_and_model(path)
+    checks = list(check_model_effects(bench, model, path))
     assert [(one.level, one.found.partition(":")[0]) for one in checks] == [("OK", "creep"), ("WARN", name)]
     with_it, without = (
         make_compensator("inverse", one, bench.dt_s, bench.compensation_without)
@@ -57,12 +57,12 @@ def test_an_operator_may_drive_without_it_and_the_check_warns(name, tmp_path):
 
 
 def test_a_plain_gain_needs_no_inverse(tmp_path):
-    load(bench_with(tmp_path, "friction", compensation="gain"))
+    load_bench_and_model(bench_with(tmp_path, "friction", compensation="gain"))
 
 
-def test_what_is_left_out_must_be_in_the_catalogue_and_in_the_model(tmp_path):
+def test_a_name_in_compensation_without_must_be_in_the_catalogue_and_in_the_model(tmp_path):
     with pytest.raises(ConfigurationError, match="compensation_without is 'gremlins', must be one of"):
-        load(bench_with(tmp_path, compensation_without=["gremlins"]))
+        load_bench_and_model(bench_with(tmp_path, compensation_without=["gremlins"]))
     path = bench_with(tmp_path, compensation_without=["creep"])
-    (check,) = effects_checked(*load(path), path)
+    (check,) = check_model_effects(*load_bench_and_model(path), path)
     assert (check.level, check.found) == ("WARN", "creep: left out, but the model has none")

@@ -1,4 +1,4 @@
-"""The recorder's files: numbered, bounded, one whole file each, and given up when they are not what they were."""
+"""Files of the recorder: numbers, size limit, closing, and files that another program moved or replaced."""
 
 import os
 import sqlite3
@@ -7,7 +7,7 @@ import threading
 import numpy as np
 import pytest
 
-from piezod.recorder.segment_files import Segment, make_room, segments, settle, size_of
+from piezod.recorder.recording_files import RecordingFile, make_room, recording_files, size_bytes, tidy_files
 from piezod.recording.formats.sqlite_blocks import Block
 from piezod.recording.formats.sqlite_tables import About
 from piezod.recording.ring_log import ROW_DTYPE
@@ -21,62 +21,62 @@ def names(folder):
     return sorted(path.name for path in folder.iterdir())
 
 
-def test_numbers_go_up_whatever_the_clock_says_and_another_bench_has_its_own(tmp_path):
+def test_numbers_increase_whatever_the_clock_is_and_each_bench_has_its_own(tmp_path):
     for bench in ("b", "b-2", "b"):
-        segment = Segment(tmp_path, bench, ABOUT)
-        segment.commit(Block(ticks(10)))
-        segment.close()
+        file = RecordingFile(tmp_path, bench, ABOUT)
+        file.commit(Block(ticks(10)))
+        file.close()
     os.utime(tmp_path / "b-000001.sqlite", (2e9, 2e9))
-    assert [path.name for path in segments(tmp_path, "b")] == ["b-000001.sqlite", "b-000002.sqlite"]
-    assert [path.name for path in segments(tmp_path, "b-2")] == ["b-2-000001.sqlite"]
+    assert [path.name for path in recording_files(tmp_path, "b")] == ["b-000001.sqlite", "b-000002.sqlite"]
+    assert [path.name for path in recording_files(tmp_path, "b-2")] == ["b-2-000001.sqlite"]
     (tmp_path / "b-1000000.sqlite").touch()
     (tmp_path / "b-x.sqlite").touch()
-    assert [path.name for path in segments(tmp_path, "b")][-1] == "b-1000000.sqlite"
+    assert [path.name for path in recording_files(tmp_path, "b")][-1] == "b-1000000.sqlite"
 
 
-def test_a_closed_file_needs_nothing_beside_it_and_one_without_ticks_does_not_stay(tmp_path):
-    segment = Segment(tmp_path, "b", ABOUT)
-    segment.commit(Block(ticks(10)))
+def test_a_closed_file_has_no_other_parts_and_a_file_without_ticks_is_removed(tmp_path):
+    file = RecordingFile(tmp_path, "b", ABOUT)
+    file.commit(Block(ticks(10)))
     assert names(tmp_path) == ["b-000001.sqlite", "b-000001.sqlite-shm", "b-000001.sqlite-wal"]
-    segment.close()
-    Segment(tmp_path, "b", ABOUT).close()
+    file.close()
+    RecordingFile(tmp_path, "b", ABOUT).close()
     assert names(tmp_path) == ["b-000001.sqlite"]
 
 
 @pytest.mark.parametrize("suffix", ["", "-wal"])
 @pytest.mark.parametrize("act", ["removed", "replaced"])
-def test_a_file_that_was_taken_away_does_not_acknowledge(tmp_path, suffix, act):
-    segment = Segment(tmp_path, "b", ABOUT)
-    segment.commit(Block(ticks(10)))
-    gone = segment.path.with_name(segment.path.name + suffix)
+def test_a_commit_to_a_file_that_was_removed_or_replaced_fails(tmp_path, suffix, act):
+    file = RecordingFile(tmp_path, "b", ABOUT)
+    file.commit(Block(ticks(10)))
+    gone = file.path.with_name(file.path.name + suffix)
     gone.rename(tmp_path / "rotated")
     if act == "replaced":
         gone.touch()
     with pytest.raises((OSError, sqlite3.Error)):
-        segment.commit(Block(ticks(10, 10), 10))
-    segment.close()
+        file.commit(Block(ticks(10, 10), 10))
+    file.close()
 
 
-def test_what_a_crash_left_becomes_one_file_and_what_holds_nothing_is_removed(tmp_path):
-    segment = Segment(tmp_path, "b", ABOUT)
-    segment.commit(Block(ticks(10)))
+def test_files_of_a_crash_are_joined_and_empty_files_are_removed(tmp_path):
+    file = RecordingFile(tmp_path, "b", ABOUT)
+    file.commit(Block(ticks(10)))
     crashed = tmp_path / "b-000007.sqlite"
     for suffix in ("", "-wal"):
         crashed.with_name(crashed.name + suffix).write_bytes((tmp_path / f"b-000001.sqlite{suffix}").read_bytes())
     (tmp_path / "b-000008.sqlite").touch()
-    settle(segments(tmp_path, "b"))
+    tidy_files(recording_files(tmp_path, "b"))
     assert (tmp_path / "b-000001.sqlite-wal").exists(), "still being written"
-    segment.commit(Block(ticks(10, 10), 10))
-    segment.close()
+    file.commit(Block(ticks(10, 10), 10))
+    file.close()
     assert names(tmp_path) == ["b-000001.sqlite", "b-000007.sqlite"]
     assert [sum(block.rows.size for block in read_blocks(tmp_path / name)[1]) for name in names(tmp_path)] == [20, 10]
 
 
-def test_the_oldest_make_room_by_number(tmp_path):
+def test_the_files_with_the_lowest_numbers_are_removed_first(tmp_path):
     for k in range(1, 6):
         (tmp_path / f"b-00000{k}.sqlite").write_bytes(bytes(1000))
     (tmp_path / "b-000001.sqlite-wal").write_bytes(bytes(500))
-    assert make_room(segments(tmp_path, "b"), 2500) == 2000
+    assert make_room(recording_files(tmp_path, "b"), 2500) == 2000
     assert names(tmp_path) == ["b-000004.sqlite", "b-000005.sqlite"]
 
 
@@ -84,14 +84,14 @@ def test_closing_takes_no_more_than_the_margin(tmp_path):
     rng = np.random.default_rng(1)
     rows = ticks(16_384)
     rows["force_N"], rows["planned_V"], rows["voltage_V"] = rng.normal(size=(3, rows.size))
-    segment = Segment(tmp_path, "b", ABOUT)
+    file = RecordingFile(tmp_path, "b", ABOUT)
     for k in range(8):
-        segment.commit(Block(rows, k * rows.size))
-    allowed, seen, closed = segment.bytes, [], threading.Event()
-    watch = threading.Thread(target=lambda: [seen.append(size_of(segment.path)) for _ in iter(closed.is_set, True)])
+        file.commit(Block(rows, k * rows.size))
+    allowed, seen, closed = file.bytes, [], threading.Event()
+    watch = threading.Thread(target=lambda: [seen.append(size_bytes(file.path)) for _ in iter(closed.is_set, True)])
     watch.start()
-    segment.close()
+    file.close()
     closed.set()
     watch.join()
     assert max(seen) <= allowed
-    assert size_of(segment.path) > 2e6
+    assert size_bytes(file.path) > 2e6

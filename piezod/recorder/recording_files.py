@@ -1,9 +1,10 @@
-"""The files that the recorder writes: numbered, one open at a time, the oldest given up for the newest.
+"""The files of the recorder, written in the recorder process.
 
     NAME-000001.sqlite, NAME-000002.sqlite, ...
 
-A higher number is later, whatever the clock said meanwhile. The first block is committed together with the tables, so a
-file holds ticks or is no recording at all.
+Each file has a number; a higher number is later, whatever the clock was. One file is open at a time. The oldest files
+are removed when the folder reaches its limit. The tables are committed together with the first block, so every valid
+file contains ticks.
 """
 
 import contextlib
@@ -15,31 +16,33 @@ from piezod.recording.formats.sqlite_blocks import Block
 from piezod.recording.formats.sqlite_tables import TABLES, About, append_block, create_tables
 
 SUFFIX = ".sqlite"
-BESIDE = ("", "-wal", "-shm", "-journal")
+PARTS = ("", "-wal", "-shm", "-journal")
+"""Suffixes of a file and of the files that SQLite puts beside it."""
 CHECKPOINT_PAGES = 256
-MARGIN_BYTES = 4_000_000  # what log and last commit may add to a file that is being closed
+MARGIN_BYTES = 4_000_000
+"""Largest size that the write-ahead log and the last commit add while a file is closed [byte]."""
 LOCK_WAIT_S = 1.0
 MODE = 0o640
 
 
-class Segment:
-    """One file being written; each `commit` is on the disk when it returns.
+class RecordingFile:
+    """The file that is being written.
 
     Parameters
     ----------
     folder, bench
-        Where it lies, and the bench it is named for.
+        Folder of the file, and name of the bench.
     about
-        What it says about itself.
+        Description that the file contains.
 
     Raises
     ------
     OSError, sqlite3.Error
-        It cannot be made.
+        The file cannot be created.
     """
 
     def __init__(self, folder: Path, bench: str, about: About) -> None:
-        self.path = _claimed(folder, bench)
+        self.path = _new_file(folder, bench)
         self._about: About | None = about
         try:
             self._connection = sqlite3.connect(self.path, isolation_level=None, timeout=LOCK_WAIT_S)
@@ -60,12 +63,17 @@ class Segment:
         _sync(folder, os.O_RDONLY | os.O_DIRECTORY)
 
     def commit(self, block: Block) -> None:
-        """Put a block on the disk; it counts when this returns.
+        """Write a block to the disk; the block is on the disk when this returns.
+
+        Parameters
+        ----------
+        block
+            Block after the one that was committed last.
 
         Raises
         ------
         OSError, sqlite3.Error
-            It is not there; the file takes no more.
+            The block may not be on the disk; the file must not be used further.
         """
         self._connection.execute("BEGIN IMMEDIATE")
         if self._about is not None:
@@ -73,8 +81,8 @@ class Segment:
         append_block(self._connection, block)
         self._connection.execute("COMMIT")
         if self._about is not None:
-            log = self.path.with_name(self.path.name + "-wal")
-            self._places.append((log, _identity(log)))
+            write_ahead_log = self.path.with_name(self.path.name + "-wal")
+            self._places.append((write_ahead_log, _identity(write_ahead_log)))
             self._about = None
         for path, identity in self._places:
             if _identity(path) != identity:
@@ -82,11 +90,11 @@ class Segment:
 
     @property
     def bytes(self) -> int:
-        """What it takes on the disk, with the margin that closing it may need."""
-        return size_of(self.path) + MARGIN_BYTES
+        """Size on the disk with the margin for closing it [byte]."""
+        return size_bytes(self.path) + MARGIN_BYTES
 
     def close(self) -> None:
-        """Leave one file that needs nothing beside it; where that fails, what is committed can be read all the same."""
+        """Join everything into one file. If that fails, the committed blocks stay readable. Remove an empty file."""
         empty = self._about is not None
         with contextlib.suppress(sqlite3.Error):
             self._connection.execute("PRAGMA journal_mode = DELETE")
@@ -96,8 +104,13 @@ class Segment:
             remove(self.path)
 
 
-def segments(folder: Path, bench: str) -> list[Path]:
-    """Files of a bench in the order in which they were begun.
+def recording_files(folder: Path, bench: str) -> list[Path]:
+    """List the files of a bench, oldest first.
+
+    Parameters
+    ----------
+    folder, bench
+        Folder of the files, and name of the bench.
 
     Raises
     ------
@@ -108,8 +121,8 @@ def segments(folder: Path, bench: str) -> list[Path]:
     return [path for _, path in sorted(numbered)]
 
 
-def settle(paths: list[Path]) -> None:
-    """Bring files that a crash left with something beside them into one; remove those without a tick."""
+def tidy_files(paths: list[Path]) -> None:
+    """Join files that a crash left in several parts, and remove files without ticks."""
     for path in paths:
         with contextlib.suppress(OSError, sqlite3.Error):
             if path.stat().st_size and not path.with_name(path.name + "-wal").exists():
@@ -122,8 +135,21 @@ def settle(paths: list[Path]) -> None:
 
 
 def make_room(paths: list[Path], keep_bytes: float) -> int:
-    """Remove the oldest files until the rest takes no more than `keep_bytes`; returns what the rest takes."""
-    sizes = [size_of(path) for path in paths]
+    """Remove the oldest files until the rest is small enough.
+
+    Parameters
+    ----------
+    paths
+        Files, oldest first.
+    keep_bytes
+        Largest size of the rest [byte].
+
+    Returns
+    -------
+    int
+        Size of the rest [byte].
+    """
+    sizes = [size_bytes(path) for path in paths]
     total = sum(sizes)
     for path, size in zip(paths, sizes, strict=True):
         if total <= keep_bytes:
@@ -133,22 +159,22 @@ def make_room(paths: list[Path], keep_bytes: float) -> int:
     return total
 
 
-def size_of(path: Path) -> int:
-    """Bytes of a file and of what lies beside it; what is not there takes none."""
+def size_bytes(path: Path) -> int:
+    """Size of a file and of its parts [byte]; a missing part counts 0."""
     total = 0
-    for suffix in BESIDE:
+    for suffix in PARTS:
         with contextlib.suppress(OSError):
             total += path.with_name(path.name + suffix).stat().st_size
     return total
 
 
 def sync(path: Path) -> None:
-    """Bring a file that somebody else wrote, and its log, to the disk.
+    """Write a file of another process, and its write-ahead log, from the page cache to the disk.
 
     Raises
     ------
     OSError
-        They may not be there.
+        They may not be on the disk.
     """
     for name in (path.name, path.name + "-wal"):
         with contextlib.suppress(FileNotFoundError):
@@ -156,21 +182,21 @@ def sync(path: Path) -> None:
 
 
 def remove(path: Path) -> None:
-    """Remove a file and what lies beside it, as far as that is possible."""
-    for suffix in BESIDE:
+    """Remove a file and its parts, as far as that is possible."""
+    for suffix in PARTS:
         with contextlib.suppress(OSError):
             path.with_name(path.name + suffix).unlink()
 
 
-def _claimed(folder: Path, bench: str) -> Path:
-    """A new, empty file with the next number."""
-    existing = segments(folder, bench)
+def _new_file(folder: Path, bench: str) -> Path:
+    """Create an empty file with the next number."""
+    existing = recording_files(folder, bench)
     number = (_number(existing[-1], bench) or 0) + 1 if existing else 1
     while True:
         path = folder / f"{bench}-{number:06d}{SUFFIX}"
         try:
             os.close(os.open(path, os.O_CREAT | os.O_EXCL | os.O_WRONLY | os.O_CLOEXEC, MODE))
-        except FileExistsError:  # by the recorder of a daemon that was killed and has not ended yet
+        except FileExistsError:  # created by the recorder of a killed daemon that still runs
             number += 1
             continue
         return path

@@ -1,0 +1,28 @@
+"""The result of one check."""
+
+from dataclasses import dataclass
+from typing import Literal
+
+Level = Literal["OK", "WARN", "FAIL"]
+
+
+@dataclass(frozen=True)
+class Check:
+    """Result of one check.
+
+    Parameters
+    ----------
+    name
+        Subject of the check.
+    level
+        `OK`, `WARN`: the bench can run, or `FAIL`: the bench cannot run.
+    found
+        What was found.
+    remedy
+        What to do; empty where nothing is to be done.
+    """
+
+    name: str
+    level: Level
+    found: str
+    remedy: str = ""

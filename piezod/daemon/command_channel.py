@@ -1,0 +1,128 @@
+"""The daemon's connection to the present control process: its messages, and commands that wait for their answers."""
+
+import asyncio
+from typing import Any
+
+from piezod.errors import TemporaryError
+from piezod.session.session import Session, rebuild_error
+
+ANSWER_WITHIN_S = 10.0
+"""Longest time to wait for the answer to a command [s]."""
+
+
+class CommandChannel:
+    """Connection to one control process after the other; runs in the event loop of the daemon.
+
+    Parameters
+    ----------
+    session
+        First session, whose control process has been launched.
+
+    Attributes
+    ----------
+    session
+        Present session; None between two sessions.
+    connected
+        Whether the control process is connected to the device.
+    problem
+        Why the device is not connected; empty while it is connected or starts for the first time.
+    """
+
+    def __init__(self, session: Session) -> None:
+        self.session: Session | None = session
+        self.connected = False
+        self.problem = ""
+        self._descriptor = -1
+        self._messages: asyncio.Queue[tuple[str, Any]] = asyncio.Queue()
+        self._answers: dict[int, asyncio.Future[tuple[str, str]]] = {}
+        self._lock = asyncio.Lock()
+
+    def open(self, session: Session) -> None:
+        """Receive the messages of a session from now on.
+
+        Parameters
+        ----------
+        session
+            Session whose control process has been launched.
+        """
+        self.session, self._messages, self._descriptor = session, asyncio.Queue(), session.descriptor
+        asyncio.get_running_loop().add_reader(self._descriptor, self._receive, session, self._descriptor)
+
+    def stop_receiving(self) -> None:
+        """Receive no more messages of the session."""
+        asyncio.get_running_loop().remove_reader(self._descriptor)
+
+    def close(self) -> None:
+        """Forget the session."""
+        self.session, self.connected = None, False
+
+    @property
+    def has_message(self) -> bool:
+        """Whether `next_message` returns a message."""
+        return not self._messages.empty()
+
+    def next_message(self) -> tuple[str, Any]:
+        """Return the next message other than an answer: `ready`, `done` or `error`, as in `Session.receive`.
+
+        Raises
+        ------
+        asyncio.QueueEmpty
+            There is no message.
+        """
+        return self._messages.get_nowait()
+
+    async def send(self, name: str, argument: object = None, *, settle_s: float) -> str:
+        """Send a command and wait for its answer; one command at a time.
+
+        Parameters
+        ----------
+        name, argument
+            Command of the control process (`session/command_queue.py`).
+        settle_s
+            Time to wait after the answer, so that the next status shows the effect of the command [s].
+
+        Returns
+        -------
+        str
+            Text of the answer.
+
+        Raises
+        ------
+        PiezodError
+            The command is refused, the device is not connected, or the control process does not answer.
+        """
+        async with self._lock:
+            session = self.session
+            if session is None or not self.connected:
+                raise TemporaryError(f"{name}: the device is not connected: {self.problem or 'starting'}; try again")
+            number = session.command(name, argument)
+            self._answers[number] = asyncio.get_running_loop().create_future()
+            try:
+                kind, text = await asyncio.wait_for(self._answers[number], ANSWER_WITHIN_S)
+            except TimeoutError:
+                raise TemporaryError(f"{name}: the control process did not answer; see piezod status") from None
+            finally:
+                del self._answers[number]
+            if kind != "ok":
+                raise rebuild_error(kind, text)
+            await asyncio.sleep(settle_s)
+            return text
+
+    def _receive(self, session: Session, descriptor: int) -> None:
+        """Receive one message; called when the descriptor is readable."""
+        kind, content = session.receive()
+        if kind == "answer":
+            number, *answer = content
+            self._resolve(number, (answer[0], answer[1]))
+            return
+        if kind in ("done", "error"):
+            asyncio.get_running_loop().remove_reader(descriptor)
+            for number in list(self._answers):
+                self._resolve(number, ("TemporaryError", "the control process has ended"))
+        self._messages.put_nowait((kind, content))
+
+    def _resolve(self, number: int, answer: tuple[str, str]) -> None:
+        """Give an answer to the command that waits for it; discard an answer that is too late."""
+        waiting = self._answers.get(number)
+        if waiting is not None and not waiting.done():
+            waiting.set_result(answer)

@@ -1,0 +1,113 @@
+"""The status of the daemon: as the JSON object that its socket sends, and as the text of `piezod status`."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from piezod import __version__
+from piezod.config import BenchConfig
+
+if TYPE_CHECKING:
+    from piezod.daemon.command_channel import CommandChannel
+    from piezod.daemon.model_watch import ModelWatch
+    from piezod.daemon.statistics import TickStatistics
+    from piezod.recorder.watch import RecorderWatch
+
+_VALUES = (
+    ("force_N", "N"),
+    ("reference_N", "N"),
+    ("voltage_V", "V"),
+    ("readback_V", "V"),
+    ("temperature_C", "degC"),
+)
+
+
+def status_dict(
+    bench: BenchConfig,
+    path: Path,
+    channel: "CommandChannel",
+    statistics: "TickStatistics",
+    recorder: "RecorderWatch | None",
+    model_watch: "ModelWatch",
+    up_s: float,
+) -> dict[str, object]:
+    """Make the status; runs in the daemon.
+
+    Parameters
+    ----------
+    bench, path
+        Bench configuration and its file.
+    channel
+        Connection to the control process.
+    statistics
+        Statistics of the ticks.
+    recorder
+        Recorder; None without one.
+    model_watch
+        Comparison with the model.
+    up_s
+        Time since the start of the daemon [s].
+    """
+    drift, preview = model_watch.drift, model_watch.preview
+    return {
+        "schema": "piezod.status/1",
+        "version": __version__,
+        "bench": bench.name,
+        "config": str(path.resolve()),
+        "rate_Hz": bench.rate_Hz,
+        "connected": channel.connected,
+        "problem": channel.problem,
+        "up_s": round(up_s, 3),
+        "rows_dropped": 0 if channel.session is None else channel.session.dropped,
+        "recorder": None if recorder is None else recorder.as_dict(),
+        "drift": None if drift is None else drift.as_dict(),
+        "preview": None if preview is None else preview.as_dict(),
+        "corrected_force_N": None if drift is None else drift.corrected(),
+        **statistics.as_dict(),
+    }
+
+
+def status_text(status: dict[str, Any]) -> str:
+    """Make the lines of `piezod status`; runs in the client.
+
+    Parameters
+    ----------
+    status
+        Status as `status_dict` makes it.
+    """
+    lines = [f"{status['bench']}: {status['state']}, {status['cause']}"]
+    if status["problem"]:
+        lines.append(f"  {status['problem']}")
+    known = [
+        f"{name.rpartition('_')[0]} {status[name]:.2f} {unit}" for name, unit in _VALUES if status[name] is not None
+    ]
+    if known:
+        lines.append("  " + ", ".join(known))
+    lines.append(
+        f"  {status['ticks']} ticks at {status['rate_Hz']:g} Hz, {status['missed']} missed, "
+        f"{status['failed_exchanges']} failed exchanges; up {status['up_s']:.0f} s"
+    )
+    if status.get("corrected_force_N") is not None and status["force_N"] is not None:
+        corrected = f"corrected for the load cell {status['corrected_force_N']:.2f} N"
+        lines.append(f"  {corrected}; limits apply to the uncorrected reading")
+    if drift := status.get("drift"):
+        lines.append(f"  {_drift_text(drift)}")
+    if recorder := status.get("recorder"):
+        lines.append(f"  {_recorder_text(recorder)}")
+    return "\n".join(lines)
+
+
+def _drift_text(drift: dict[str, Any]) -> str:
+    if drift["rms_N"] is None:
+        return f"model: nothing compared yet, limit {drift['limit_N']:.2f} N"
+    found = f"{drift['rms_N']:.2f} N rms, {drift['offset_N']:+.2f} N in the mean, limit {drift['limit_N']:.2f} N"
+    if not drift["drifted"]:
+        return f"model: holds; {found}"
+    problem = f" ({drift['problem']})" if drift["problem"] else ""
+    return f"model: DRIFTED; {found}; recorded in {drift['kept']}{problem}; see piezod diagnose --from-bench"
+
+
+def _recorder_text(recorder: dict[str, Any]) -> str:
+    lost = f", {recorder['dropped']} lost" if recorder["dropped"] else ""
+    if recorder["degraded"]:
+        return f"recorder DEGRADED: {recorder['problem']}; {recorder['rows']} ticks recorded{lost}"
+    return f"recorded {recorder['rows']} ticks{lost}; {recorder['file'] or 'no file yet'}"

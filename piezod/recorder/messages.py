@@ -1,0 +1,160 @@
+"""Messages between the daemon and the recorder process, one JSON object per line.
+
+python -m piezod.recorder.writer PLAN                       a `Plan`
+
+<- {"ring": "/run/piezod/bench.ring", "session": "..."}     on stdin: record this ring log from its first row
+<- {"end": true}                                            write the remaining rows, then end
+-> {"row": 12000, "tick": 12003, "file": "...", ...}        on stdout: a `Report` of what is on the disk
+"""
+
+import contextlib
+import json
+import os
+import select
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import asdict, dataclass, field, fields
+
+_READ_BYTES = 65536
+
+
+@dataclass(frozen=True)
+class Plan:
+    """Settings of a recorder process.
+
+    Parameters
+    ----------
+    folder
+        Folder of the files.
+    bench
+        Name of the bench; the names of the files begin with it.
+    sync_every_s
+        Time between two writes to the disk [s].
+    file_bytes, file_s
+        Size [byte] and age [s] at which a new file begins.
+    folder_bytes
+        Limit for all files of the bench together [byte].
+    metadata
+        Metadata of every file.
+    absent
+        Columns that the device does not have.
+    """
+
+    folder: str
+    bench: str
+    sync_every_s: float
+    file_bytes: float
+    file_s: float
+    folder_bytes: float
+    metadata: dict[str, str] = field(default_factory=dict)
+    absent: tuple[str, ...] = ()
+
+
+@dataclass
+class Report:
+    """State of a recorder process.
+
+    Parameters
+    ----------
+    session
+        Identifier of the session that is recorded.
+    row
+        Number of rows of the session that are on the disk or lost.
+    tick
+        Number of the last tick on the disk; -1 before the first.
+    file
+        Current or last file.
+    rows
+        Number of rows that this process has written to the disk.
+    dropped
+        Number of rows that were overwritten in the ring log before this process read them.
+    failures
+        Number of files that were abandoned because of an error.
+    problem
+        Reason why nothing is recorded at present; empty while recording works.
+    bytes
+        Size of all files of the bench [byte].
+    commit_s
+        Duration of the longest commit since the previous report [s].
+    at_s
+        Time of the monotonic clock at the end of the last commit [s].
+    cpu_s
+        Processor time of this process [s].
+    """
+
+    session: str = ""
+    row: int = 0
+    tick: int = -1
+    file: str = ""
+    rows: int = 0
+    dropped: int = 0
+    failures: int = 0
+    problem: str = ""
+    bytes: int = 0
+    commit_s: float = 0.0
+    at_s: float = 0.0
+    cpu_s: float = 0.0
+
+
+class MessageReader:
+    """Reads messages from a file descriptor; used in the recorder process.
+
+    Parameters
+    ----------
+    descriptor
+        Descriptor to read from.
+
+    Attributes
+    ----------
+    closed
+        Whether the other process has closed its end.
+    """
+
+    def __init__(self, descriptor: int) -> None:
+        self._descriptor = descriptor
+        self._rest = b""
+        self.closed = False
+
+    def wait(self, longest_s: float) -> Iterator[dict[str, object]]:
+        """Yield the messages that are available now or arrive in time.
+
+        Parameters
+        ----------
+        longest_s
+            Longest time to wait [s].
+        """
+        if self.closed:
+            time.sleep(longest_s)
+            return
+        if not select.select([self._descriptor], [], [], longest_s)[0]:
+            return
+        data = os.read(self._descriptor, _READ_BYTES)
+        self.closed = not data
+        *lines, self._rest = (self._rest + data).split(b"\n")
+        for line in lines:
+            yield json.loads(line)
+
+
+def report_sender(descriptor: int) -> Callable[[Report], None]:
+    """Make a function that sends reports without waiting; used in the recorder process.
+
+    A report that does not fit into the pipe is discarded: the daemon reads the next one.
+
+    Parameters
+    ----------
+    descriptor
+        Descriptor to write to.
+    """
+    os.set_blocking(descriptor, False)
+
+    def send(report: Report) -> None:
+        with contextlib.suppress(OSError):
+            os.write(descriptor, json.dumps(asdict(report)).encode() + b"\n")
+
+    return send
+
+
+def parse_report(line: bytes) -> Report:
+    """Make a report from its line; used in the daemon."""
+    content = json.loads(line)
+    return Report(**{one.name: content[one.name] for one in fields(Report)})
