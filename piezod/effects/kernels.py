@@ -23,7 +23,8 @@ RISEN = 1.0 - math.exp(-1.0)  # state after a movement by `travel` from 0
 def first_order_step(y: float, before: float, now: float, keep: float, ramp: float) -> float:
     """State of tau y' = x - y one sample later, when x runs straight from `before` to `now`.
 
-    y <- a y + (1 - a - b) before + b now (derived here). a = exp(-T / tau) is `keep`. b = 1 - tau (1 - a) / T is `ramp`.
+    y <- a y + (1 - a - b) before + b now (derived here).
+    a = exp(-T / tau) is `keep`. b = 1 - tau (1 - a) / T is `ramp`.
     In the form below a state at rest does not change by rounding.
     """
     return y + (1.0 - keep) * (before - y) + ramp * (now - before)

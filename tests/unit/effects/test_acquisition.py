@@ -41,7 +41,7 @@ def test_a_frozen_reading_keeps_the_value_of_its_first_instant_and_then_follows_
     np.testing.assert_array_equal(np.delete(read, np.s_[41:70]), np.delete(force, np.s_[41:70]))
 
 
-def test_a_reading_frozen_from_the_start_keeps_the_first_value_and_a_stretch_that_ends_before_it_starts_freezes_nothing():
+def test_a_reading_frozen_from_the_start_keeps_its_first_value_and_an_empty_stretch_freezes_nothing():
     force = np.linspace(3.0, 9.0, 50)
     assert (forward("sensor_dropout", force, DT_s, {"from_s": 0.0, "to_s": 1e7}) == 3.0).all()
     assert np.array_equal(forward("sensor_dropout", force, DT_s, {"from_s": 0.03, "to_s": 0.01}), force)
