@@ -1,39 +1,15 @@
-"""Rows of the ring log as samples of a recording: each force beside the command that caused it.
+"""Consecutive rows of the ring log: each command beside the readings that it caused.
 
 The exchange of a tick writes a command, then reads the force that the command of the row before has caused. A sample
 therefore joins the command of row k with the readings of row k + 1. A missed tick has no row. Where an exchange
 failed, its readings are nan.
 """
 
-from collections.abc import Collection, Iterable, Iterator
-
 import numpy as np
 from numpy.typing import NDArray
 
-from piezod.recording.formats.sqlite_blocks import Block
-from piezod.recording.formats.stream import Table
-from piezod.recording.names import TIME
-
 GOOD = 0
 """`result` of an exchange that did not fail."""
-
-COMMANDS = ("voltage_V", "reference_N", "planned_V")
-READINGS = ("force_N", "readback_V", "temperature_C")
-OTHERS = ("tick", "state", "cause", "result", "segment", "lateness_ns", "exchange_ns")
-WALL = "wall_s"
-"""Time of day [s since 1970, UTC]."""
-
-
-def sample_names(absent: Collection[str]) -> tuple[str, ...]:
-    """Columns of the recording.
-
-    Parameters
-    ----------
-    absent
-        Columns that the device does not have; they are left out.
-    """
-    names = (TIME, "voltage_V", "force_N", "reference_N", "readback_V", "temperature_C", "planned_V", *OTHERS, WALL)
-    return tuple(name for name in names if name not in absent)
 
 
 def pair_rows(
@@ -55,33 +31,3 @@ def pair_rows(
     """
     joined = rows if before is None or not rows.size else np.concatenate((before, rows))
     return joined[:-1], joined[1:]
-
-
-def as_samples(blocks: Iterable[Block], origin_ns: int, wanted: Collection[str]) -> Iterator[Table]:
-    """Samples, block by block.
-
-    Parameters
-    ----------
-    blocks
-        Blocks in the order of their rows.
-    origin_ns
-        Time of the row clock at which `time_s` is 0 [ns].
-    wanted
-        Names among `sample_names`.
-    """
-    before = None
-    for block in blocks:
-        commands, readings = pair_rows(block.rows, before)
-        before = block.rows[-1:].copy() if block.rows.size else before
-        if commands.size:
-            table = _samples(commands, readings, block.wall_ns - block.clock_ns, origin_ns)
-            yield {name: table[name] for name in wanted}
-
-
-def _samples(commands: NDArray[np.void], readings: NDArray[np.void], to_wall_ns: int, origin_ns: int) -> Table:
-    table = {name: commands[name].astype(np.float64) for name in COMMANDS}
-    table |= {name: np.where(readings["result"] == GOOD, readings[name], np.nan) for name in READINGS}
-    table |= {name: readings[name].astype(np.float64) for name in OTHERS}
-    table[TIME] = (readings["time_ns"] - origin_ns) * 1e-9
-    table[WALL] = (readings["time_ns"] + to_wall_ns) * 1e-9
-    return table

@@ -14,6 +14,7 @@ import numpy as np
 
 from piezod.recording.formats.access import replaced_file
 from piezod.recording.formats.sqlite_blocks import Block, unpack
+from piezod.recording.formats.sqlite_samples import as_samples, sample_names
 from piezod.recording.formats.sqlite_tables import About, append_block, connect, create_tables, read_about
 from piezod.recording.formats.stream import (
     UNCHECKED_VALUES,
@@ -25,7 +26,6 @@ from piezod.recording.formats.stream import (
 from piezod.recording.hold import HELD_ONE_SAMPLE
 from piezod.recording.names import TIME, name_columns
 from piezod.recording.recording import Recording
-from piezod.recording.ticks import as_samples, sample_names
 
 WRITTEN_BLOCK_BYTES = 2**21
 """Size of the rows in a block that `write_sqlite` writes, before compression [bytes]."""
