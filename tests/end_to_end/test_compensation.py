@@ -16,6 +16,7 @@ from tests.studies.driven import follow, study_bench
 MODEL = ROOT / "config" / "model.yaml"
 
 
+@pytest.mark.slow
 def test_hidden_creep_lag_and_delay_are_compensated_by_what_the_diagnosis_found(tmp_path):
     command = [sys.executable, "-m", "tests.studies", "compensation", "--short", "--rates", "250"]
     done = subprocess.run(

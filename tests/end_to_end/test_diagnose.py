@@ -69,6 +69,7 @@ def diagnosed(folder, tmp_path, effects, **how):
     return findings
 
 
+@pytest.mark.slow
 def test_a_delay_counts_from_its_command_where_the_recording_says_how_long_that_was_held(identified, tmp_path):
     effects = {"electrical_lag": {"time_constant_s": 0.008}, "transport_delay": {"delay_s": 0.0105}}
     findings = diagnosed(identified, tmp_path, effects, rows_of_ring_log=True)
@@ -78,6 +79,7 @@ def test_a_delay_counts_from_its_command_where_the_recording_says_how_long_that_
     assert load_model(tmp_path / "out" / "model.yaml").read_after == 1.0
 
 
+@pytest.mark.slow
 def test_no_recording_of_held_commands_tells_a_delay_better_than_to_a_sample(identified, tmp_path):
     findings = diagnosed(identified, tmp_path, {"transport_delay": {"delay_s": 0.0105}})
     assert [one["name"] for one in findings["effects"]] == ["transport_delay"]

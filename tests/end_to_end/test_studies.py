@@ -17,6 +17,7 @@ def studied(*arguments):
     return subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
 
 
+@pytest.mark.slow
 def test_over_the_link_nothing_is_named_where_nothing_is_wrong_and_an_effect_by_its_name_and_size(tmp_path):
     done = studied("--only", "none,output_nonlinearity,charge_leakage", "--short", "--json", tmp_path / "rows.json")
     assert done.returncode == 0, done.stderr

@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
 from piezod.diagnose.basis import ForceLaw, PlayDensity
 from piezod.diagnose.chain import Chain, empty_point
@@ -26,6 +27,7 @@ def faded(u):
     return out
 
 
+@pytest.mark.slow
 def test_memory_that_fades_is_no_friction_and_a_wrong_start_does_not_hide_it():
     seconds, rng, made = time(SAMPLES, RATE_HZ), np.random.default_rng(7), []
     slow = 60.0 - 60.0 * np.cos(0.5 * seconds) * np.cos(0.031 * seconds)

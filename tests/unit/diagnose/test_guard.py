@@ -37,11 +37,17 @@ def explainable_part(missing_N):
     return variance / (variance + NOISE_N**2)
 
 
+def seeds(few, many):
+    """Numbers of noises: a few, and as many as show a rate of false alarms."""
+    return pytest.mark.parametrize("seeds", [few, pytest.param(many, marks=pytest.mark.slow)])
+
+
+@seeds(1, 25)
 @pytest.mark.parametrize("drive", [mixed_work, triangles])
 @pytest.mark.parametrize("rho", [0.0, 0.9, 0.98])
-def test_nothing_of_a_noise_is_explainable_whatever_its_colour(drive, rho):
+def test_nothing_of_a_noise_is_explainable_whatever_its_colour(drive, rho, seeds):
     u = drive(time(20_000))
-    guards = [guard_of(u, 0.0, rho=rho, seed=seed) for seed in range(25)]
+    guards = [guard_of(u, 0.0, rho=rho, seed=seed) for seed in range(seeds)]
     assert max(one.share for one in guards) < STILL_EXPLAINABLE
     assert sum(one.p <= 0.01 for one in guards) == 0
     assert sum(one.local_p <= 0.01 for one in guards) <= 1
@@ -52,11 +58,12 @@ def quick(time_s):
     return 60.0 + 50.0 * np.sin(4.0 * np.pi * time_s)
 
 
+@seeds(3, 50)
 @pytest.mark.parametrize("seconds", [3.5, 8.0])
 @pytest.mark.parametrize("rho", [0.0, 0.9, 0.98])
-def test_nothing_of_a_noise_is_explainable_in_a_short_recording(seconds, rho):
+def test_nothing_of_a_noise_is_explainable_in_a_short_recording(seconds, rho, seeds):
     u = quick(time(int(1000 * seconds)))
-    guards = [guard_of(u, 0.0, rho=rho, seed=seed) for seed in range(50)]
+    guards = [guard_of(u, 0.0, rho=rho, seed=seed) for seed in range(seeds)]
     assert sum(one.p <= SURE and one.share > STILL_EXPLAINABLE for one in guards) <= 1
 
 
@@ -75,12 +82,13 @@ def test_what_is_missing_from_a_short_recording_is_explainable(name):
     assert guard.share > STILL_EXPLAINABLE
 
 
+@seeds(1, 8)
 @pytest.mark.parametrize("drive", [mixed_work, triangles])
 @pytest.mark.parametrize("step", [1.0, 3.0, 5.0])
-def test_nothing_of_a_coarse_converter_is_explainable(drive, step):
+def test_nothing_of_a_coarse_converter_is_explainable(drive, step, seeds):
     time_s = time(20_000)
     u = drive(time_s)
-    for seed in range(8):
+    for seed in range(seeds):
         reading = step * np.round((model_of(u) + noise(u.size, 0.0, np.random.default_rng(seed))) / step)
         one = series(time_s, u, reading, np.hypot(1.0, step / np.sqrt(12.0)))
         guard = explainable([one], [reading - model_of(u)], [model_of(u)])
@@ -108,7 +116,7 @@ FOREIGN = {
 }
 
 
-@pytest.mark.parametrize("drive", [mixed_work, triangles])
+@pytest.mark.parametrize("drive", [mixed_work, pytest.param(triangles, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("name", [*KNOWN, *FOREIGN])
 def test_most_of_what_is_missing_is_explainable_known_or_foreign(drive, name):
     u = drive(time(SAMPLES))

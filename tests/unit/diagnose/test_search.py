@@ -209,6 +209,7 @@ def test_a_tone_that_was_the_ringing_of_a_mode_is_given_back_to_it(vibration_N):
         assert result.found.loss < 1.05
 
 
+@pytest.mark.slow
 def test_a_bessel_filter_of_the_reading_is_one_filter_without_a_rival_that_does_not_ring():
     """Of second order, damping ratio sqrt(3/4): neither a Butterworth filter nor a mode."""
     seconds, rng, made, cutoff_Hz = time(SAMPLES, RATE_HZ), np.random.default_rng(11), [], 6.0
@@ -228,6 +229,7 @@ def test_a_bessel_filter_of_the_reading_is_one_filter_without_a_rival_that_does_
     assert "resonance" not in {one.effects[-1] for round_ in found.rounds for one in round_.others}
 
 
+@pytest.mark.slow
 def test_a_large_step_of_the_load_is_found_in_front_of_a_filter_and_of_a_delay():
     """Its edge shows later than the load has it; and without the block that holds it nothing else tells where it is."""
     seconds, rng, made = time(SAMPLES, RATE_HZ), np.random.default_rng(5), []
@@ -260,6 +262,7 @@ def worked(rng, missing, drive=None):
     return chain, empty_point(chain, 1.8, 0.0)
 
 
+@pytest.mark.slow
 def test_a_vibration_that_was_taken_off_beside_a_larger_effect_is_followed_anew_when_that_is_found():
     def missing(force_N, u, role):
         if role == "identification":
