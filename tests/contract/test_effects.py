@@ -18,6 +18,7 @@ from numba.core.registry import CPUDispatcher
 import piezod.effects
 from piezod.effects import EFFECTS, Context, Effect, Location, Parameter, Search
 from piezod.effects.effect import Checks
+from piezod.model import COMPENSATED
 from piezod.operators.play import next_state
 from piezod.recording.hold import HELD_BEFORE, STRAIGHT, Hold
 
@@ -170,6 +171,11 @@ def test_an_effect_names_its_experiment_and_a_reason_where_it_is_not_compensated
     assert bool(effect.why) == (effect.handling != "compensated")
     assert effect.separate_by
     assert effect.title
+
+
+@every_effect
+def test_an_effect_is_declared_compensated_exactly_when_the_compensator_inverts_it(name):
+    assert (EFFECTS[name].handling == "compensated") == (name in COMPENSATED)
 
 
 @every_effect
