@@ -157,7 +157,7 @@ def _figure_rows(identification: Identification) -> list[tuple[str, ...]]:
         (f"max error [{unit}]", fit.max_fit, fit.max_held_out),
         ("fit, NRMSE [%]", fit.nrmse_percent_fit, fit.nrmse_percent_held_out),
         ("max hysteresis [%]", fit.max_hysteresis_percent_fit, fit.max_hysteresis_percent_held_out),
-        ("  not modelled [%]", fit.remaining_hysteresis_percent_fit, fit.remaining_hysteresis_percent_held_out),
+        ("  of it not modelled [%]", fit.remaining_hysteresis_percent_fit, fit.remaining_hysteresis_percent_held_out),
     )
     return [(name, *("-" if value is None else f"{value:.4g}" for value in values)) for name, *values in pairs]
 

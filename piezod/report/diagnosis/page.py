@@ -240,8 +240,8 @@ def _maps(page: _Page) -> str:
 
 
 _MAPS = (
-    "Power of the residual in decibels above the noise floor, where the noise is white. All maps have the same colour "
-    "scale. Light: noise only."
+    "Power of the residual in decibels above the noise floor, for noise of equal power at all frequencies. All maps "
+    "have the same colour scale. Light: noise only."
 )
 
 

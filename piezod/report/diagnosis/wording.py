@@ -174,14 +174,15 @@ def remaining_error(findings: Findings) -> list[str]:
     )
     if findings.verdict == "not_testable":
         return [error, "The recordings do not excite the bench enough to show what is missing."]
-    above = "The remaining error exceeds the noise. " if findings.above_noise else ""
+    above = "More than noise remains. " if findings.above_noise else ""
     consequence = {
         "matches": "no effect is missing",
         "explained": "no further effect is missing",
         "partly_explained": "the effects found do not explain all of it",
         "unexplained": "an effect is missing, and the catalogue does not contain it",
     }[findings.verdict]
-    return [error, f"{above}A flexible model without physics could explain {share} of it: {consequence}."]
+    flexible = f"A flexible model without physics could explain {share} of the remaining error"
+    return [error, f"{above}{flexible}: {consequence}."]
 
 
 def _indistinguishable(effects: Sequence[Finding]) -> list[str]:
