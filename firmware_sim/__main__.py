@@ -1,4 +1,4 @@
-"""`python -m firmware_sim CONFIG`."""
+"""`python -m firmware_sim CONFIG`: serves the emulated bench."""
 
 import sys
 

@@ -10,8 +10,7 @@ from pathlib import Path
 from firmware_sim.config import EmulatorConfig, Line, Rtu, Tcp, load_config
 from firmware_sim.errors import ConfigurationError, PortBusyError
 from firmware_sim.physics.effects import Effects
-from firmware_sim.server import build_device, serve
-from firmware_sim.wire.scheduling import be_punctual
+from firmware_sim.server import build_device, serve, use_realtime_priority
 
 EXIT_BUSY = 75
 EXIT_CONFIGURATION = 78
@@ -20,12 +19,12 @@ EXIT_CONFIGURATION = 78
 def main(arguments: Sequence[str] | None = None) -> int:
     """Serve the bench that the command line names; return the exit code."""
     options = _parser().parse_args(arguments)
-    logging.getLogger("pymodbus").setLevel(logging.CRITICAL)  # what a client sends wrong is its business
+    logging.getLogger("pymodbus").setLevel(logging.CRITICAL)  # errors of a client are not errors of the bench
     try:
         config = _adjusted(load_config(options.config), options)
         device = build_device(config, tuple(options.effect))
         if config.time == "real":
-            be_punctual()
+            use_realtime_priority()
         asyncio.run(serve(config, device, until_stdin_closes=options.until_stdin_closes))
     except ConfigurationError as error:
         sys.stderr.write(f"{error}\n")
@@ -38,13 +37,17 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser("python -m firmware_sim", description="Serve an emulated piezo bench.")
-    parser.add_argument("config", type=Path, help="its configuration, such as config/emulator.yaml")
-    parser.add_argument("--port", type=int, help="Modbus TCP port; 0 takes a free one")
+    parser.add_argument("config", type=Path, help="configuration file, such as config/emulator.yaml")
+    parser.add_argument("--port", type=int, help="Modbus TCP port; 0 takes a free port")
     parser.add_argument("--rtu", action="store_true", help="also serve Modbus RTU on a pseudo-terminal")
     parser.add_argument("--line", action="store_true", help="also serve the line protocol on a pseudo-terminal")
-    parser.add_argument("--time", choices=("real", "virtual"), help="what device time follows")
-    parser.add_argument("--seed", type=int, help="of noise and phases")
-    parser.add_argument("--scenario", help="name of a scenario, or a YAML file")
+    parser.add_argument(
+        "--time",
+        choices=("real", "virtual"),
+        help="device time follows the clock (real) or the writes of the set point (virtual)",
+    )
+    parser.add_argument("--seed", type=int, help="seed of noise and phases")
+    parser.add_argument("--scenario", help="stack, seed_bench, or a YAML file")
     parser.add_argument(
         "--effect", action="append", default=[], metavar="NAME", choices=tuple(Effects.model_fields),
         help="switch an effect on at its default strength; may be repeated",
@@ -54,7 +57,7 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _adjusted(config: EmulatorConfig, options: argparse.Namespace) -> EmulatorConfig:
-    """Let the command line have the last word."""
+    """Return the configuration with the options of the command line applied."""
     changes: dict[str, object] = {
         name: getattr(options, name) for name in ("time", "seed", "scenario") if getattr(options, name) is not None
     }

@@ -1,4 +1,4 @@
-"""The emulator's configuration file: which physics, which firmware, which connectors."""
+"""The configuration file of the emulator: physics, firmware, connections."""
 
 import re
 from pathlib import Path
@@ -16,7 +16,7 @@ PortNumber = Annotated[int, Field(ge=0, le=65535)]
 
 
 class Firmware(Section):
-    """What the device does by itself."""
+    """Settings of the device: serial number, watchdog, virtual tick, faults at power-on."""
 
     serial_number: Annotated[int, Field(ge=0, le=65535)] = 1001
     watchdog_ms: Annotated[int, Field(ge=0, le=65535)] = 0
@@ -27,7 +27,7 @@ class Firmware(Section):
 
 
 class Tls(Section):
-    """Modbus/TCP Security: PEM files of the device's certificate and key, and of who signs its clients'."""
+    """Modbus/TCP Security: PEM files of certificate and key of the device, and of the CA of its clients."""
 
     certificate: Annotated[str, Field(min_length=1)]
     key: Annotated[str, Field(min_length=1)]
@@ -35,7 +35,7 @@ class Tls(Section):
 
 
 class Tcp(Section):
-    """Modbus TCP; port 0 takes a free one. With `tls` nobody is answered in plain, or without a certificate."""
+    """Modbus TCP; port 0 takes a free port. With `tls`, every client needs a certificate."""
 
     host: str = "127.0.0.1"
     port: PortNumber = 15020
@@ -45,20 +45,20 @@ class Tcp(Section):
 
 
 class Rtu(Section):
-    """Modbus RTU on a pseudo-terminal; `link` names a symbolic link to it."""
+    """Modbus RTU on a pseudo-terminal; `link` is the path of a symbolic link to it."""
 
     unit_id: UnitId = 1
     link: str | None = None
 
 
 class LineCommand(Section):
-    """A line that the device understands, with fields in braces, and what it answers (null: nothing)."""
+    """A command line with fields in braces, and its reply (null: no reply)."""
 
     request: Annotated[str, Field(min_length=1, max_length=200)]
     reply: Annotated[str, Field(max_length=500)] | None = None
 
     def pattern(self) -> re.Pattern[str]:
-        """Return what a request must look like as a whole; a field in braces is a number."""
+        """Return the pattern of a whole request; a field in braces matches a number."""
         parts = re.split(r"\{(\w+)\}", self.request)
         texts = [re.escape(part) if index % 2 == 0 else rf"(?P<{part}>\S+)" for index, part in enumerate(parts)]
         return re.compile("".join(texts))
@@ -68,7 +68,7 @@ _MEASURED = "{force_N:.4f},{voltage_V:.4f},{heartbeat},{command_echo},{status},{
 
 
 class Line(Section):
-    """The ASCII line protocol, on a pseudo-terminal, on TCP, or on both."""
+    """The ASCII line protocol on a pseudo-terminal, on TCP, or on both."""
 
     pty: bool = True
     link: str | None = None
@@ -83,7 +83,7 @@ class Line(Section):
 
 
 class EmulatorConfig(Section):
-    """One emulated bench and how it is reached."""
+    """One emulated bench and its connections."""
 
     schema_: Annotated[Literal["firmware_sim.emulator/1"], Field(alias="schema")]
     scenario: str = "stack"
@@ -99,7 +99,7 @@ class EmulatorConfig(Section):
     @field_validator("effects", mode="before")
     @classmethod
     def _switched(cls, effects: object) -> object:
-        """Let `creep: true` stand for creep at its default strength."""
+        """Replace `creep: true` by creep at its default strength, and `false` by off."""
         if not isinstance(effects, dict):
             return effects
         plain: dict[bool, dict[str, object] | None] = {True: {}, False: None}
@@ -108,7 +108,9 @@ class EmulatorConfig(Section):
     @model_validator(mode="after")
     def _scenario_exists(self) -> Self:
         if "effects" in self.physics:
-            raise ValueError("physics.effects: effects stand in their own section, beside physics")
+            raise ValueError(
+                "physics.effects: not allowed here; put effects into the section `effects`, beside physics"
+            )
         try:
             configured_scenario(self)
         except ConfigurationError as error:
@@ -117,7 +119,7 @@ class EmulatorConfig(Section):
 
 
 def load_config(path: Path) -> EmulatorConfig:
-    """Read the emulator's configuration.
+    """Read the configuration of the emulator.
 
     Raises
     ------
@@ -128,6 +130,6 @@ def load_config(path: Path) -> EmulatorConfig:
 
 
 def configured_scenario(config: EmulatorConfig) -> Scenario:
-    """Return the scenario that a configuration names, with its overrides and effects."""
+    """Return the scenario of a configuration, with its overrides and effects."""
     effects = config.effects.model_dump(exclude_none=True)
     return load_scenario(config.scenario, {**config.physics, **({"effects": effects} if effects else {})})

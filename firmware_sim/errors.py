@@ -1,22 +1,22 @@
 """The deliberate errors of the emulated bench.
 
 EmulatorError
-    ConfigurationError      a file says something that cannot be
+    ConfigurationError      a file holds an invalid value
     PortBusyError           another program holds the port
-    RefusedError            the firmware refuses a request (carries the Modbus exception code)
+    RefusedError            the firmware refuses a request; holds the Modbus exception code
 """
 
 
 class EmulatorError(Exception):
-    """Anything that the emulated bench refuses on purpose."""
+    """Base of every deliberate error of the emulated bench."""
 
 
 class ConfigurationError(EmulatorError):
-    """One line: file, line, key, value, limit."""
+    """Invalid configuration; one line with file, line, key, value and limit."""
 
 
 class PortBusyError(EmulatorError):
-    """The address to serve on is taken."""
+    """Another program holds the address."""
 
 
 class RefusedError(EmulatorError):
@@ -25,9 +25,9 @@ class RefusedError(EmulatorError):
     Parameters
     ----------
     code
-        The Modbus exception code: 1 function, 2 address, 3 value.
+        Modbus exception code: 1 function, 2 address, 3 value.
     reason
-        For the log.
+        Reason, for the log.
     """
 
     def __init__(self, code: int, reason: str) -> None:

@@ -1,7 +1,8 @@
-"""Puts the bench, its firmware and its connectors together, and serves until told to stop."""
+"""Builds bench, firmware and connections, and serves them until a signal or the end of standard input."""
 
 import asyncio
 import contextlib
+import gc
 import json
 import os
 import signal
@@ -12,39 +13,52 @@ from collections.abc import Callable
 
 from firmware_sim.config import EmulatorConfig, configured_scenario
 from firmware_sim.firmware.device import Device
-from firmware_sim.firmware.line import LineProtocol, serve_lines
+from firmware_sim.firmware.line import LineProtocol
 from firmware_sim.firmware.modbus import ModbusUnit
 from firmware_sim.physics.bench import Bench
 from firmware_sim.physics.scenario import with_effects
+from firmware_sim.wire.lines import serve_lines
 from firmware_sim.wire.pty import PseudoTerminal
 from firmware_sim.wire.rtu import RtuStation
 from firmware_sim.wire.tcp import serve_tcp
 
-BACKGROUND_S = 0.004  # so far the physics may lag behind when nobody asks
+BACKGROUND_S = 0.004  # period of the background task that advances the physics
+PRIORITY = 70  # real-time priority, below the usual 80 of a controller
 
 
 def build_device(config: EmulatorConfig, effects: tuple[str, ...] = ()) -> Device:
-    """Build the bench and its firmware; compiles the physics, so that no request waits for it."""
+    """Build the bench and its firmware; the physics is compiled, so that no request waits for it."""
     bench = Bench(with_effects(configured_scenario(config), effects), seed=config.seed)
     bench.warm_up()
     return Device(bench, config.firmware, config.time, time.monotonic_ns)
 
 
+def use_realtime_priority() -> None:
+    """Run with a real-time priority where the system allows it, and exempt existing objects from garbage collection.
+
+    A real device has a processor of its own and does not wait for the scheduler of this machine.
+    """
+    gc.collect()
+    gc.freeze()
+    with contextlib.suppress(PermissionError):
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(PRIORITY))
+
+
 async def serve(config: EmulatorConfig, device: Device, *, until_stdin_closes: bool) -> None:
-    """Serve until SIGTERM, SIGINT or (when asked) the end of standard input."""
+    """Serve until SIGTERM, SIGINT or, with `until_stdin_closes`, the end of standard input."""
     async with contextlib.AsyncExitStack() as stack:
         ready = await _open(config, device, stack)
         stopped = asyncio.Event()
         _stop_on_signals(stopped, until_stdin_closes=until_stdin_closes)
         sys.stdout.write(json.dumps({"ready": True, **ready, "time": config.time}) + "\n")
         sys.stdout.flush()
-        background = asyncio.create_task(_keep_up(device))
+        background = asyncio.create_task(_advance_in_background(device))
         await stopped.wait()
         background.cancel()
 
 
 async def _open(config: EmulatorConfig, device: Device, stack: contextlib.AsyncExitStack) -> dict[str, str]:
-    """Open every connector that the configuration names; return where each is reached."""
+    """Open every configured connection; return the address of each."""
     unit, ready = ModbusUnit(device), {}
     if config.tcp is not None:
         server = await serve_tcp(unit, config.tcp)
@@ -73,8 +87,8 @@ def _address(server: asyncio.Server) -> str:
     return f"{host}:{port}"
 
 
-async def _keep_up(device: Device) -> None:
-    """Let the physics follow the clock when nobody asks, so that the dead-man's switch acts unasked."""
+async def _advance_in_background(device: Device) -> None:
+    """Advance the physics between requests, so that the watchdog acts without a request."""
     while not device.virtual:
         device.catch_up()
         await asyncio.sleep(BACKGROUND_S)

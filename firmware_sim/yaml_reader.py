@@ -1,4 +1,4 @@
-"""Strict YAML: no duplicate keys, no implicit dates or octal numbers, a size limit, and the line of every key."""
+"""Strict YAML: no duplicate keys, no aliases, no dates or octal numbers, a size limit, the line of every key."""
 
 import re
 from dataclasses import dataclass
@@ -24,7 +24,7 @@ _WORDS: dict[str, bool | None] = {"true": True, "false": False, "null": None, "~
 
 @dataclass(frozen=True)
 class Document:
-    """What a file says, and where it says it (lines count from 1)."""
+    """Content of a file, and the line of every key (from 1)."""
 
     name: str
     content: dict[str, Value]
@@ -43,7 +43,7 @@ def read_document(path: Path) -> Document:
     Raises
     ------
     ConfigurationError
-        The file is missing, too large, no YAML, no mapping, or repeats a key.
+        The file is missing, too large, not YAML, not a mapping, or repeats a key.
     """
     try:
         raw = path.read_bytes()
@@ -59,9 +59,9 @@ def read_document(path: Path) -> Document:
         raise ConfigurationError(f"{path}:1: is not UTF-8 text") from None
     except yaml.MarkedYAMLError as error:
         line = error.problem_mark.line + 1 if error.problem_mark else 1
-        raise ConfigurationError(f"{path}:{line}: {error.problem or 'is no YAML'}") from None
+        raise ConfigurationError(f"{path}:{line}: {error.problem or 'is not YAML'}") from None
     except yaml.YAMLError:
-        raise ConfigurationError(f"{path}:1: is no YAML text") from None
+        raise ConfigurationError(f"{path}:1: is not YAML text") from None
     lines: dict[Place, int] = {}
     content = _Walk(str(path), lines).value(root, ()) if root is not None else {}
     if not isinstance(content, dict):
@@ -70,7 +70,13 @@ def read_document(path: Path) -> Document:
 
 
 def checked(model: type[Model], document: Document) -> Model:
-    """Turn a document into its model, or say in one line what is wrong and where."""
+    """Validate a document against a model.
+
+    Raises
+    ------
+    ConfigurationError
+        One line with file, line, key, value and reason.
+    """
     try:
         return model.model_validate(document.content)
     except ValidationError as error:
@@ -84,16 +90,14 @@ def checked(model: type[Model], document: Document) -> Model:
 
 @dataclass(frozen=True)
 class _Walk:
-    """Turns YAML's nodes into plain values and notes their lines."""
+    """Converts YAML nodes to plain values, and records their lines."""
 
     name: str
     lines: dict[Place, int]
 
     def value(self, node: yaml.Node, place: Place) -> Value:
         if len(place) > DEEPEST:
-            raise ConfigurationError(
-                f"{self.name}:{node.start_mark.line + 1}: nested too deeply (or an alias of itself)"
-            )
+            raise ConfigurationError(f"{self.name}:{node.start_mark.line + 1}: nested deeper than {DEEPEST} levels")
         self.lines.setdefault(place, node.start_mark.line + 1)
         if isinstance(node, yaml.MappingNode):
             return self._mapping(node, place)
@@ -106,7 +110,7 @@ class _Walk:
         for key_node, child in node.value:
             key, line = str(key_node.value), key_node.start_mark.line + 1
             if key in found:
-                raise ConfigurationError(f"{self.name}:{line}: the key '{key}' stands twice")
+                raise ConfigurationError(f"{self.name}:{line}: the key '{key}' appears twice")
             self.lines[(*place, key)] = line
             found[key] = self.value(child, (*place, key))
         return found
@@ -116,7 +120,7 @@ def _refuse_aliases(path: Path, text: str) -> None:
     for event in yaml.parse(text, Loader=yaml.SafeLoader):
         if isinstance(event, yaml.AliasEvent):
             line = event.start_mark.line + 1 if event.start_mark else 1
-            raise ConfigurationError(f"{path}:{line}: an alias (*{event.anchor}): write it out")
+            raise ConfigurationError(f"{path}:{line}: alias *{event.anchor} is not allowed; write the value out")
 
 
 def _scalar(node: yaml.Node) -> Value:

@@ -1,1 +1,1 @@
-"""The firmware of the emulated device: registers, commands, watchdog, protocols."""
+"""The firmware of the emulated device: registers, command, watchdog, Modbus requests, ASCII lines."""

@@ -1,16 +1,18 @@
-"""The firmware: its registers, its command, its dead-man's switch and its clock.
+"""The firmware: registers, command, watchdog and device clock.
 
-Addresses (big-endian words, float32 and int32 most significant word first):
+Register map (big-endian words; of float32 and int32 the most significant word comes first):
 
-    0 identity 20570       1 map version       2-3 the number 1234.5       4 serial number       5 virtual time (0, 1)
-    100-101 set point [V]  102 command sequence
-    110 watchdog [ms]      112-113 virtual tick [us]
-    200-201 force [N]      202-203 voltage read back [V]      204 heartbeat      205 command echo      206 status
-    207-208 temperature [degC]      209-210 reference [N]     211 reference counter (both written by another master)
+- 0 identity 20570, 1 map version, 2-3 the number 1234.5, 4 serial number, 5 virtual time (0, 1)
+- 100-101 set point [V], 102 command sequence
+- 110 watchdog [ms], 112-113 virtual tick [us]
+- 200-201 force [N], 202-203 voltage read back [V], 204 heartbeat, 205 command echo, 206 status
+- 207-208 temperature [degC]
+- 209-210 reference [N], 211 reference counter (both written by another master)
 
-In real time the physics is advanced, in whole steps, to the present at every request and by a background task. In
-virtual time every write of the set point lets one tick pass, under the set point that stood before; so does a second
-reading without a command in between, or a client that only watches would see a device that stands still.
+In real time, every request and a background task advance the physics to the present, in whole steps.
+
+In virtual time, every write of the set point advances the physics by one tick, under the set point before it. A second
+reading without a command in between also advances it by one tick. A client that only reads therefore sees time pass.
 """
 
 import math
@@ -28,7 +30,7 @@ ORDER_CHECK = 1234.5
 ILLEGAL_ADDRESS = 2
 ILLEGAL_VALUE = 3
 
-LONGEST_CATCH_UP_S = 1.0  # a bench that was stopped for longer has lost the time in between
+LONGEST_CATCH_UP_S = 1.0  # after a longer pause of the process, the time beyond this is dropped
 
 _READABLE = ((0, 6), (100, 103), (110, 111), (112, 114), (200, 212))
 _WRITABLE = ((100, 103), (110, 111), (112, 114), (209, 212))
@@ -42,13 +44,13 @@ class Device:
     Parameters
     ----------
     bench
-        The physics behind it.
+        Physics of the bench.
     firmware
-        Its settings.
+        Settings of the firmware.
     time
         `real`: device time follows `now_ns`. `virtual`: it follows the writes of the set point.
     now_ns
-        A monotonic clock [ns].
+        Monotonic clock [ns].
     """
 
     def __init__(
@@ -77,7 +79,7 @@ class Device:
         self._words[110] = firmware.watchdog_ms
 
     def catch_up(self) -> None:
-        """In real time: advance the physics to the present."""
+        """Advance the physics to the present; does nothing in virtual time."""
         if self.virtual:
             return
         due = int((self._now_ns() - self._start_ns) * self._steps_per_ns)
@@ -89,7 +91,7 @@ class Device:
         self._done_steps += behind
 
     def sample(self) -> Sample:
-        """Return the present reading."""
+        """Return the present sample; in virtual time, a repeated reading first advances by one tick."""
         if self.virtual and self._was_read:
             self._pass_tick()
         self._was_read = True
@@ -98,26 +100,26 @@ class Device:
 
     @property
     def command_echo(self) -> int:
-        """The sequence number of the last command."""
+        """Sequence number of the last command."""
         return self._words[102]
 
     @property
     def serial_number(self) -> int:
-        """The device's serial number."""
+        """Serial number of the device."""
         return self._firmware.serial_number
 
     @property
     def watchdog_ms(self) -> int:
-        """How long the device waits for a command [ms]; 0: for ever."""
+        """Timeout of the watchdog [ms]; 0: off."""
         return self._words[110]
 
     @staticmethod
     def check_readable(address: int, count: int) -> None:
-        """Refuse (code 2) to read outside the map."""
+        """Raise `RefusedError` with code 2 for an address outside the map."""
         _require(address, count, _READABLE)
 
     def read(self, address: int, count: int) -> list[int]:
-        """Return registers.
+        """Read registers.
 
         Raises
         ------
@@ -130,12 +132,12 @@ class Device:
         return self._words[address : address + count]
 
     def write(self, address: int, values: Sequence[int]) -> None:
-        """Write registers, all or none.
+        """Write registers: all of them, or none.
 
         Raises
         ------
         RefusedError
-            With code 2: an address outside the map, or read only. With code 3: a value out of range.
+            With code 2: an address outside the map, or read-only. With code 3: a value out of range.
         """
         _require(address, len(values), _WRITABLE)
         words = self._words.copy()
@@ -155,12 +157,12 @@ class Device:
             self.bench.feed_watchdog()
 
     def command(self, voltage_V: float) -> None:
-        """Set the voltage [V] and count the command, as the line protocol does.
+        """Set the voltage [V] and increment the command sequence, for the line protocol.
 
         Raises
         ------
         RefusedError
-            With code 3: not a number, or out of range.
+            With code 3: the voltage is not finite, or out of range.
         """
         sequence = (self._words[102] + 1) & 0xFFFF
         self.write(100, [*_words(">f", voltage_V), sequence])

@@ -1,19 +1,18 @@
-"""The ASCII line protocol: one line a request, at most one line an answer, `ERR <code>` for what is refused.
+"""The ASCII line protocol: one line per request, at most one line per reply.
 
-Codes: 1 no such command, 2 not a number, 3 out of range.
+A refused request is answered with `ERR <code>`: 1 no such command, 2 not a number, 3 out of range.
 """
 
-import asyncio
 import contextlib
 import math
 import re
 from collections.abc import Callable
 
 from firmware_sim.config import Line, LineCommand
-from firmware_sim.errors import PortBusyError, RefusedError
+from firmware_sim.errors import RefusedError
 from firmware_sim.firmware.device import IDENTITY, MAP_VERSION, Device
 
-UNKNOWN_COMMAND, NO_NUMBER, OUT_OF_RANGE = 1, 2, 3
+UNKNOWN_COMMAND, NOT_A_NUMBER, OUT_OF_RANGE = 1, 2, 3
 LONGEST_LINE = 1024
 
 Fields = dict[str, float]
@@ -21,14 +20,14 @@ Action = Callable[[Fields], None]
 
 
 class LineProtocol:
-    """A device behind lines of text.
+    """Serves a device by lines of text.
 
     Parameters
     ----------
     device
-        Which answers.
+        Device to serve.
     settings
-        The lines it understands.
+        Commands, replies and terminator.
     """
 
     def __init__(self, device: Device, settings: Line) -> None:
@@ -37,9 +36,9 @@ class LineProtocol:
         self._bytes = b""
         actions: tuple[tuple[LineCommand, Action], ...] = (
             (settings.set_voltage, self._set_voltage),
-            (settings.measure, _nothing),
-            (settings.identify, _nothing),
-            (settings.ask_watchdog, _nothing),
+            (settings.measure, _no_action),
+            (settings.identify, _no_action),
+            (settings.ask_watchdog, _no_action),
             (settings.set_watchdog, self._set_watchdog),
         )
         self._commands = [(command.pattern(), command.reply, action) for command, action in actions]
@@ -92,41 +91,7 @@ class LineProtocol:
         self._device.write(110, [int(timeout_ms)])
 
 
-class LineConnection(asyncio.Protocol):
-    """A TCP client of the line protocol."""
-
-    def __init__(self, device: Device, settings: Line) -> None:
-        self._lines = LineProtocol(device, settings)
-        self._transport: asyncio.Transport | None = None
-
-    def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        """Take the client."""
-        assert isinstance(transport, asyncio.Transport)
-        self._transport = transport
-
-    def data_received(self, data: bytes) -> None:
-        """Answer whole lines."""
-        reply = self._lines.received(data)
-        if reply and self._transport is not None:
-            self._transport.write(reply)
-
-
-async def serve_lines(device: Device, settings: Line, port: int) -> asyncio.Server:
-    """Open the line protocol's TCP port.
-
-    Raises
-    ------
-    PortBusyError
-        Another program holds it.
-    """
-    loop = asyncio.get_running_loop()
-    try:
-        return await loop.create_server(lambda: LineConnection(device, settings), settings.host, port)
-    except OSError as error:
-        raise PortBusyError(f"{settings.host}:{port} cannot be served: {error.strerror}") from None
-
-
-def _nothing(fields: Fields) -> None:
+def _no_action(fields: Fields) -> None:
     del fields
 
 
@@ -136,4 +101,4 @@ def _number(text: str) -> float:
             value = float(text)
             if math.isfinite(value):
                 return value
-    raise RefusedError(NO_NUMBER, f"not a number: {text!r}")
+    raise RefusedError(NOT_A_NUMBER, f"not a number: {text!r}")

@@ -1,4 +1,4 @@
-"""Modbus requests, as pymodbus decodes them, to the device's registers; its answers back."""
+"""Executes Modbus requests on the registers of the device; pymodbus decodes and encodes them."""
 
 from pymodbus.constants import ExcCodes
 from pymodbus.pdu import DecodePDU, ExceptionResponse, ModbusPDU
@@ -18,16 +18,16 @@ from pymodbus.pdu.register_message import (
 from firmware_sim.errors import RefusedError
 from firmware_sim.firmware.device import Device
 
-SERVED = (3, 4, 6, 16, 23)
+SERVED = (3, 4, 6, 16, 23)  # Modbus function codes
 
 
 class ModbusUnit:
-    """One Modbus unit in front of a device.
+    """One Modbus unit that serves a device.
 
     Parameters
     ----------
     device
-        Whose registers it serves.
+        Device whose registers are served.
     """
 
     def __init__(self, device: Device) -> None:
@@ -35,7 +35,7 @@ class ModbusUnit:
         self.decoder = DecodePDU(is_server=True)
 
     def reply(self, frame: bytes, unit_id: int, transaction_id: int) -> ModbusPDU:
-        """Return the answer to a request given as its function code and data."""
+        """Return the reply to a request, given as function code and data."""
         function = frame[0]
         answer = self._answer(frame, function)
         answer.dev_id = unit_id
@@ -75,6 +75,6 @@ class ModbusUnit:
 
 
 def _check_counts(count: int, byte_count: int | None, words: int, most: int) -> None:
-    """Refuse a request whose counts contradict its payload."""
+    """Raise `RefusedError` with code 3 for counts that contradict the payload or exceed the limit."""
     if not 1 <= count <= most or byte_count != 2 * count or words != count:
         raise RefusedError(ExcCodes.ILLEGAL_VALUE, f"{count} registers announced, {words} sent")

@@ -1,8 +1,10 @@
-"""What the firmware reads: transport delay, the sampling instant, noise, mains hum, converter step, frozen readings.
+"""From the signal of the load cell to readings: transport delay, sampling, noise, mains hum, converter, frozen spans.
 
-The device samples on its own clock, which need not be a multiple of the physics step: a sample that falls between two
-steps is interpolated. The noise comes from a small generator inside the state record (splitmix64, Steele et al. 2014,
-and Box-Muller), so that a run is reproducible to the bit from its seed.
+The device samples on its own clock. A sample between two physics steps is interpolated linearly. The random generator
+lives in the state record, so that a run is reproducible to the bit from its seed.
+
+Source: splitmix64 of Steele, Lea, Flood (2014), Fast splittable pseudorandom number generators; Box, Muller (1958), A
+note on the generation of random normal deviates.
 """
 
 import math
@@ -11,22 +13,19 @@ from numba import njit, uint64
 
 from firmware_sim.physics.layout import (
     DELAY_SLOTS,
-    STATUS_AMPLIFIER_FAULT,
+    OUTPUT_OFF_FAULTS,
     STATUS_CLAMPED,
-    STATUS_MAINS_LOST,
     STATUS_OUTPUT_ON,
     STATUS_OVER_TEMPERATURE,
     STATUS_WATCHDOG_TRIPPED,
     Record,
 )
 
-_DEAD = STATUS_AMPLIFIER_FAULT | STATUS_MAINS_LOST
-
 
 @njit(cache=True)
 def acquire(state: Record, parameters: Record) -> None:
-    """Carry the cell's signal to the converter and sample it when a sample is due."""
-    _transport(state, parameters)
+    """Delay the signal of the load cell by one physics step, and sample it when a sample is due."""
+    _delay_signal(state, parameters)
     state.sample_phase += parameters.samples_per_step
     while state.sample_phase >= 1.0 - 1e-9:
         state.sample_phase -= 1.0
@@ -35,8 +34,8 @@ def acquire(state: Record, parameters: Record) -> None:
 
 
 @njit(cache=True)
-def _transport(state: Record, parameters: Record) -> None:
-    """Delay the cell's signal [N] by a number of physics steps that need not be whole."""
+def _delay_signal(state: Record, parameters: Record) -> None:
+    """Delay the signal of the load cell [N] by `delay_steps`, which need not be a whole number."""
     state.previous_arrived_N = state.arrived_N
     if parameters.delay_steps <= 0.0:
         state.arrived_N = state.cell_N
@@ -51,7 +50,7 @@ def _transport(state: Record, parameters: Record) -> None:
 
 @njit(cache=True)
 def sample(state: Record, parameters: Record, late: float) -> None:
-    """Take one device sample, `late` steps before the present one."""
+    """Take one device sample at `late` physics steps before the present, 0 to 1."""
     state.samples += 1
     time_s = (state.steps - late) * parameters.step_s
     force_N = state.arrived_N - late * (state.arrived_N - state.previous_arrived_N)
@@ -63,13 +62,13 @@ def sample(state: Record, parameters: Record, late: float) -> None:
     if not _frozen(parameters, time_s):
         state.reading_N = min(max(force_N, parameters.reading_low_N), parameters.reading_high_N)
     state.readback_V = state.output_V + parameters.readback_noise_V * _normal(state)
-    _feel_temperature(state, parameters, time_s)
+    _update_temperature(state, parameters, time_s)
     state.status = _status(state, parameters)
 
 
 @njit(cache=True)
-def _feel_temperature(state: Record, parameters: Record, time_s: float) -> None:
-    """Let the temperature [degC] wander: two slow periods that never meet again."""
+def _update_temperature(state: Record, parameters: Record, time_s: float) -> None:
+    """Set the temperature [degC]: mean plus two slow sines with an irrational ratio of periods, 0 at power-on."""
     phase = parameters.wander_rad_per_s * time_s + parameters.wander_phase
     rest = 0.75 * math.sin(parameters.wander_phase) + 0.25 * math.sin(1.7 * parameters.wander_phase)
     wave = 0.75 * math.sin(phase) + 0.25 * math.sin(2.618 * phase - 0.918 * parameters.wander_phase)
@@ -81,7 +80,7 @@ def _feel_temperature(state: Record, parameters: Record, time_s: float) -> None:
 def _status(state: Record, parameters: Record) -> int:
     """Return the status bits."""
     bits: int = state.fault_bits
-    if (state.fault_bits & _DEAD) == 0:
+    if (state.fault_bits & OUTPUT_OFF_FAULTS) == 0:
         bits |= STATUS_OUTPUT_ON
     if state.tripped != 0:
         bits |= STATUS_WATCHDOG_TRIPPED
@@ -94,7 +93,7 @@ def _status(state: Record, parameters: Record) -> int:
 
 @njit(cache=True)
 def _hum(parameters: Record, time_s: float) -> float:
-    """Return the mains' fundamental, third and fifth harmonic [N]; its phase strays a little as the mains' does."""
+    """Return the mains hum [N]: fundamental, third and fifth harmonic with a slowly varying phase."""
     phase = parameters.hum_rad_per_s * time_s + parameters.hum_phase + 0.05 * math.sin(0.11 * time_s)
     wave = math.sin(phase) + 0.3 * math.sin(3.0 * phase + 0.4) + 0.1 * math.sin(5.0 * phase + 1.1)
     hum_N: float = parameters.hum_N * wave
@@ -103,16 +102,16 @@ def _hum(parameters: Record, time_s: float) -> float:
 
 @njit(cache=True)
 def _frozen(parameters: Record, time_s: float) -> bool:
-    """Return whether the reading is stuck."""
-    for place in range(parameters.dropouts):
-        if parameters.dropout_from_s[place] <= time_s < parameters.dropout_to_s[place]:
+    """Return whether the reading is frozen."""
+    for span in range(parameters.dropouts):
+        if parameters.dropout_from_s[span] <= time_s < parameters.dropout_to_s[span]:
             return True
     return False
 
 
 @njit(cache=True)
 def _noise(state: Record, parameters: Record) -> float:
-    """Return one sample of white and of low-pass coloured noise [N]."""
+    """Return one sample of noise [N]: white noise plus noise with a first-order low-pass spectrum."""
     noise_N: float = parameters.white_N * _normal(state)
     if parameters.coloured_N > 0.0:
         keep = parameters.coloured_forgetting
@@ -124,7 +123,7 @@ def _noise(state: Record, parameters: Record) -> float:
 
 @njit(cache=True)
 def _normal(state: Record) -> float:
-    """Return a standard normal number; every second one is the spare of the pair before."""
+    """Return a standard normal number (Box-Muller); every second one is stored by the call before."""
     if state.has_spare != 0:
         state.has_spare = 0
         spare: float = state.spare_normal
@@ -138,7 +137,7 @@ def _normal(state: Record) -> float:
 
 @njit(cache=True)
 def _uniform(state: Record) -> float:
-    """Return a uniform number in (0, 1]."""
+    """Return a uniform number in (0, 1] (splitmix64)."""
     state.random = uint64(state.random + uint64(0x9E3779B97F4A7C15))
     mixed = uint64(state.random)
     mixed = (mixed ^ (mixed >> uint64(30))) * uint64(0xBF58476D1CE4E5B9)

@@ -1,7 +1,7 @@
-"""Keeps numba's cache honest: a compiled loop must not outlive an edit of a kernel that it calls.
+"""Removes outdated entries of numba's cache of compiled kernels.
 
-Numba compares a cached function only with the file in which it stands. The loops in `kernels.py` call kernels of other
-files, so a change of one of these alone would go unnoticed and yesterday's physics would run.
+Numba compares a cached function only with the file that defines it. The loops in `kernels.py` call kernels of other
+files. After a change of such a file alone, numba would run the outdated loop.
 """
 
 import functools
@@ -11,18 +11,18 @@ from firmware_sim.physics.kernels import advance
 
 
 @functools.cache
-def forget_outdated_kernels() -> None:
-    """Once a process: remove what is outdated of this package's compiled kernels."""
+def remove_outdated_kernels() -> None:
+    """Remove the outdated compiled kernels of this folder; acts once per process."""
     if advance.stats.cache_path is not None:
-        forget_older_than_sources(Path(__file__).parent, Path(advance.stats.cache_path))
+        remove_older_than_sources(Path(__file__).parent, Path(advance.stats.cache_path))
 
 
-def forget_older_than_sources(sources: Path, cache: Path) -> None:
+def remove_older_than_sources(sources: Path, cache: Path) -> None:
     """Remove the index of every cached kernel that is older than the newest source."""
     newest_s = max(source.stat().st_mtime for source in sources.glob("*.py"))
     for index in cache.glob("*.nbi"):
         try:
             if index.stat().st_mtime < newest_s:
                 index.unlink()
-        except OSError:  # another process was quicker, or the cache is not ours
+        except OSError:  # removed by another process, or no permission
             continue

@@ -1,6 +1,6 @@
-"""The effects that can be switched on in a scenario, by the names of the catalogue; each with defaults one can see.
+"""The effects of a scenario, by their catalogue names, with their parameters and default strengths.
 
-A default is a strength that shows clearly on a working record of a bench with 0.1 N of noise.
+Every default shows clearly in a record of a bench with 0.1 N of noise.
 """
 
 from typing import Annotated
@@ -10,11 +10,11 @@ from pydantic import BaseModel, ConfigDict, Field
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
-Stretch = Annotated[tuple[NotNegative, Positive], Field(strict=False)]
+Span = Annotated[tuple[NotNegative, Positive], Field(strict=False)]
 
 
 class Section(BaseModel):
-    """A part of a configuration: frozen, strict, no unknown keys."""
+    """Section of a configuration: frozen, strict, without unknown keys."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
 
@@ -32,13 +32,13 @@ class SlewLimit(Section):
 
 
 class VoltageClamp(Section):
-    """The output stage saturates below its rating."""
+    """Output stage that saturates below its rating."""
 
     limit_V: Positive = 115.0
 
 
 class RateDependentHysteresis(Section):
-    """Coercive offset, in parts of the density's width scale, that grows with ln(1 + rate / reference)."""
+    """Coercive offset `growth` ln(1 + rate / reference), relative to the width scale; it builds up over `path_V`."""
 
     growth: Positive = 0.03
     reference_V_per_s: Positive = 10.0
@@ -46,13 +46,13 @@ class RateDependentHysteresis(Section):
 
 
 class NoncongruentMinorLoops(Section):
-    """Part of the irreversible weight whose density depends on the bias."""
+    """Share of the irreversible weight whose Preisach density depends on the bias."""
 
     share: Annotated[float, Field(gt=0, le=1)] = 0.4
 
 
 class Creep(Section):
-    """Creep with the logarithm of time, relative to the step, between two times."""
+    """Creep with the logarithm of time between `from_s` and `to_s`, relative to the step."""
 
     per_decade: Positive = 0.015
     from_s: Positive = 0.1
@@ -60,27 +60,27 @@ class Creep(Section):
 
 
 class GainDrift(Section):
-    """Sensitivity that changes by `relative_change` within `over_s` and levels off."""
+    """Relative change of the sensitivity at `over_s`; it levels off exponentially."""
 
     relative_change: Finite = -0.03
     over_s: Positive = 60.0
 
 
 class OutputNonlinearity(Section):
-    """Curvature k of the force law beyond the scenario's own."""
+    """Curvature k of the force law, in addition to that of the scenario."""
 
     curvature: Annotated[float, Field(ge=-1, le=1)] = 0.05
 
 
 class ContactGap(Section):
-    """Force that only closes a gap before anything arrives; `touch_N` softens the onset."""
+    """Gap that the first `gap_N` close before any force arrives; `touch_N` softens the onset."""
 
     gap_N: Positive = 20.0
     touch_N: Positive = 1.0
 
 
 class Friction(Section):
-    """Dahl friction in the guide; `presliding_N` is the travel, in force, in which it develops."""
+    """Dahl friction in the guide; it develops over the travel `presliding_N`, measured in force."""
 
     force_N: Positive = 3.0
     presliding_N: Positive = 15.0
@@ -100,7 +100,7 @@ class ThermalDrift(Section):
 
 
 class LoadStep(Section):
-    """A load that is put on, and taken off again unless `off_s` is null."""
+    """Load applied at `on_s` and removed at `off_s` (null: never)."""
 
     step_N: Finite = 5.0
     on_s: NotNegative = 10.0
@@ -109,7 +109,7 @@ class LoadStep(Section):
 
 
 class Vibration(Section):
-    """A machine nearby; its amplitude breathes."""
+    """Vibration from a machine nearby; `breathing` is the relative modulation of its amplitude."""
 
     amplitude_N: Positive = 1.0
     frequency_Hz: Positive = 23.7
@@ -117,40 +117,40 @@ class Vibration(Section):
 
 
 class ChargeLeakage(Section):
-    """A charge amplifier that forgets its mean."""
+    """Charge amplifier whose charge leaks with a time constant."""
 
     time_constant_s: Positive = 60.0
 
 
 class SensorFilter(Section):
-    """Low-pass of the load cell's amplifier; order 2 is Butterworth."""
+    """Low-pass of the load cell amplifier; order 2 is Butterworth."""
 
     cutoff_Hz: Positive = 15.0
     order: Annotated[int, Field(ge=1, le=2)] = 1
 
 
 class Feedthrough(Section):
-    """The drive couples into the signal; band-limited as the input stage is."""
+    """Cross-talk of the voltage rate into the signal, limited to `bandwidth_Hz`."""
 
     coefficient_N_s_per_V: Finite = 0.01
     bandwidth_Hz: Positive = 300.0
 
 
 class MainsHum(Section):
-    """Mains and its third and fifth harmonic, in phase with nothing of ours."""
+    """Mains hum with third and fifth harmonic, at a random phase."""
 
     amplitude_N: Positive = 0.8
     frequency_Hz: Positive = 50.0
 
 
 class SensorDropout(Section):
-    """Stretches, in device time, in which the reading freezes."""
+    """Spans (from, to) of device time [s] in which the reading is frozen."""
 
-    places_s: Annotated[tuple[Stretch, ...], Field(max_length=16, strict=False)] = ((5.0, 5.4), (12.0, 13.0))
+    places_s: Annotated[tuple[Span, ...], Field(max_length=16, strict=False)] = ((5.0, 5.4), (12.0, 13.0))
 
 
 class Quantisation(Section):
-    """A coarse converter."""
+    """Coarse converter step."""
 
     step_N: Positive = 1.0
 
@@ -162,13 +162,13 @@ class TransportDelay(Section):
 
 
 class ClockSkew(Section):
-    """The device's clock against the client's."""
+    """Rate error of the device clock relative to the clock of the client."""
 
     skew_ppm: Annotated[float, Field(ge=-20_000, le=20_000)] = 500.0
 
 
 class Effects(Section):
-    """Which effects are on; None is off."""
+    """The effects of a scenario; None: off."""
 
     electrical_lag: ElectricalLag | None = None
     slew_limit: SlewLimit | None = None

@@ -1,10 +1,10 @@
-"""The physics, step by step: one compiled loop through the whole chain."""
+"""The compiled loops: one physics step runs through the whole chain, from command to sample."""
 
 import numpy as np
 from numba import njit
 
 from firmware_sim.physics.acquisition import acquire, sample
-from firmware_sim.physics.amplifier import drive, watch_for_commands
+from firmware_sim.physics.amplifier import drive, run_watchdog
 from firmware_sim.physics.layout import Record, Records
 from firmware_sim.physics.load_cell import sense
 from firmware_sim.physics.mechanics import load
@@ -12,15 +12,15 @@ from firmware_sim.physics.stack import deform
 
 
 @njit(cache=True)
-def begin(states: Records, parameter_sets: Records) -> None:
-    """Take the reading that stands at power-on; the heartbeat counts from there."""
+def take_first_sample(states: Records, parameter_sets: Records) -> None:
+    """Take the sample at power-on; the heartbeat counts from it."""
     sample(states[0], parameter_sets[0], 0.0)
     states[0].samples = 0
 
 
 @njit(cache=True)
 def advance(states: Records, parameter_sets: Records, steps: int) -> None:
-    """Advance a bench, records of shape (1,), by a number of physics steps."""
+    """Advance a bench (records of shape (1,)) by a number of physics steps."""
     state = states[0]
     parameters = parameter_sets[0]
     for _ in range(steps):
@@ -29,9 +29,9 @@ def advance(states: Records, parameter_sets: Records, steps: int) -> None:
 
 @njit(cache=True)
 def _step(state: Record, parameters: Record) -> None:
-    """Let one physics step pass through amplifier, stack, mechanics, load cell and converter."""
+    """Advance by one physics step: watchdog, amplifier, stack, mechanics, load cell, acquisition."""
     state.steps += 1
-    watch_for_commands(state, parameters)
+    run_watchdog(state, parameters)
     drive(state, parameters)
     deform(state, parameters)
     load(state, parameters)
@@ -49,11 +49,10 @@ def run(
     force_N: np.ndarray,
     interpolate: bool,
 ) -> None:
-    """Drive a bench with a voltage record [V] and note a force reading [N] each sample.
+    """Drive a bench with a voltage record [V] and store one force reading [N] per sample.
 
-    Command k acts from physics step `ticks[k]` on; reading k is taken at step `ends[k]`. The two clocks are given
-    apart, so that they can run at different rates. With `interpolate` the command runs straight from one value to the
-    next.
+    Command k acts from physics step `ticks[k]` on. Reading k is taken at step `ends[k]`. The two can run at different
+    rates, for a skewed clock. With `interpolate` the command runs straight from one value to the next.
     """
     state = states[0]
     parameters = parameter_sets[0]
@@ -66,7 +65,7 @@ def run(
             if interpolate and command < last:
                 part = (step - ticks[command]) / (ticks[command + 1] - ticks[command])
                 state.command_V += part * (voltage_V[command + 1] - voltage_V[command])
-            state.quiet_steps = 0
+            state.steps_since_command = 0
             _step(state, parameters)
             step += 1
         force_N[reading] = state.reading_N

@@ -1,7 +1,8 @@
-"""The memory of the physics: one record of parameters and one of state, preallocated and handed to the kernels.
+"""Memory layout of the physics: one record of parameters, one record of state, and the status bits.
 
-A record's fields are read by name in the compiled code (`state.output_V`), so that the kernels read like the equations.
-Every field carries its unit. `parameters.py` fills the first record from a scenario; only the kernels write the second.
+The compiled kernels read the fields by name (`state.output_V`), so that they read like the equations. Field names end
+in their unit. `parameters.py` fills the parameters from a scenario. The kernels write the state; `bench.py` writes the
+command, the watchdog and the fault bits.
 """
 
 from typing import Any, TypeAlias
@@ -10,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 CREEP_MODES = 32  # slots: eight decades at four relaxations a decade
-REVERSALS = 256  # slots: reversal extrema remembered; each costs two floats
-DELAY_SLOTS = 8192  # physics steps that the transport can delay by
-DROPOUTS = 16  # stretches of a frozen reading
+REVERSALS = 256  # slots: reversal extrema remembered; of two floats each
+DELAY_SLOTS = 8192  # slots: physics steps of the transport delay
+DROPOUTS = 16  # slots: spans of a frozen reading
 
 STATUS_OUTPUT_ON = 1
 STATUS_WATCHDOG_TRIPPED = 2
@@ -20,11 +21,12 @@ STATUS_CLAMPED = 4
 STATUS_AMPLIFIER_FAULT = 8
 STATUS_OVER_TEMPERATURE = 16
 STATUS_MAINS_LOST = 32
+OUTPUT_OFF_FAULTS = STATUS_AMPLIFIER_FAULT | STATUS_MAINS_LOST
 
 _PARAMETER_FIELDS: dict[str, tuple[str, ...]] = {
     "clock": ("step_s", "samples_per_step"),
     "amplifier": ("minimum_V", "maximum_V", "converter_step_V", "lag_s", "slew_V_per_s", "readback_noise_V"),
-    "dead man's switch": ("safe_V", "watchdog_ramp_V_per_s"),
+    "watchdog": ("safe_V", "watchdog_ramp_V_per_s"),
     "stack": (
         "reversible",
         "width_scale_V",
@@ -95,7 +97,7 @@ STATE = np.dtype(
         # firmware
         ("command_V", "f8"),
         ("watchdog_steps", "i8"),  # 0: off
-        ("quiet_steps", "i8"),  # since the last command
+        ("steps_since_command", "i8"),  # physics steps since the last command
         ("tripped", "i8"),
         ("fault_bits", "i8"),  # 8, 16 and 32, set from outside
         ("status", "i8"),
@@ -147,4 +149,4 @@ STATE = np.dtype(
 )
 
 Records = NDArray[np.void]  # shape (1,), as a compiled loop takes them
-Record: TypeAlias = Any  # one element of these; its fields are known by name, not to the type checker
+Record: TypeAlias = Any  # one element of Records; the type checker does not know its fields

@@ -1,7 +1,10 @@
-"""The load cell's analogue side: cross-talk from the drive, a leaking charge amplifier, a low-pass.
+"""The analogue side of the load cell: leaking charge amplifier, cross-talk from the drive, low-pass.
 
-Leakage `dy/dt = dF/dt - y / tau` and the filters (first order, or second order Butterworth) are integrated by the
-trapezoidal rule at the physics step.
+- Leakage: `dy/dt = dF/dt - y / tau`.
+- Cross-talk: `k du/dt`, behind a first-order low-pass.
+- Low-pass: first order, or second order Butterworth.
+
+All are integrated by the trapezoidal rule at the physics step.
 """
 
 import math
@@ -13,7 +16,7 @@ from firmware_sim.physics.layout import Record
 
 @njit(cache=True)
 def sense(state: Record, parameters: Record) -> None:
-    """Advance the cell's analogue signal [N] by one physics step."""
+    """Advance the analogue signal of the load cell [N] by one physics step."""
     signal_N = state.true_force_N
     if parameters.leakage_s > 0.0:
         half = 0.5 * parameters.step_s / parameters.leakage_s
@@ -28,7 +31,7 @@ def sense(state: Record, parameters: Record) -> None:
 
 @njit(cache=True)
 def _cross_talk(state: Record, parameters: Record) -> float:
-    """Return `k du/dt` [N], band-limited as the input stage is."""
+    """Return the cross-talk `k du/dt` [N], limited to the bandwidth of the input stage."""
     rate_V_per_s = (state.output_V - state.feedthrough_V) / (parameters.feedthrough_lag_s + 0.5 * parameters.step_s)
     state.feedthrough_V += rate_V_per_s * parameters.step_s
     coupled_N: float = parameters.feedthrough_N_s_per_V * rate_V_per_s
@@ -44,7 +47,7 @@ def _low_pass(state: Record, parameters: Record, signal_N: float) -> float:
     if parameters.filter_order < 2.0:
         state.filter_N += 2.0 * half * (middle_N - state.filter_N) / (1.0 + half)
     else:
-        # x' = w r, r' = w (u - x) - sqrt(2) w r with r the rate over w: solved for the rate at the step's middle.
+        # x' = w r, r' = w (u - x) - sqrt(2) w r; solved for the rate r in the middle of the step.
         rate = (state.filter_N_per_s + half * (middle_N - state.filter_N)) / (1.0 + math.sqrt(2.0) * half + half * half)
         state.filter_N += 2.0 * half * rate
         state.filter_N_per_s = 2.0 * rate - state.filter_N_per_s

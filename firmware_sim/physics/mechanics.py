@@ -1,10 +1,11 @@
-"""The mechanics between stack and load cell: force law, contact, friction, a mode, and what acts from outside.
+"""The mechanics between stack and load cell: force law, contact, friction, one mode, external forces.
 
-- Force law: `F = F_full x (1 + a x^2) / (1 + b x)`, scaled to F_full at full stroke x = 1: it stiffens and saturates.
-- Further curvature k: `F_full (exp(2 k x) - 1) / (2 k)`, which bends up for k > 0 and down for k < 0.
-- Contact: the force less the lost preload, with a soft onset `e^2 / (e + h)` as of touching rough faces.
-- Friction: Dahl's law `dz/dx = s (1 - z sgn(dx) / z_max)` by the midpoint rule (Dahl 1968), against the motion.
-- Mode: `F'' + 2 d w F' + w^2 F = w^2 F_in`, fourth-order Runge-Kutta in parts short against the period.
+- Force law: `F = F_full x (1 + a x^2) / (1 + b x)`, scaled to F_full at full stroke x = 1. It stiffens (a) and
+  saturates (b). Chosen here.
+- Output nonlinearity of curvature k: `F_full (exp(2 k x) - 1) / (2 k)`; it bends up for k > 0, down for k < 0.
+- Contact: `e^2 / (e + h)` of the excess e = F - gap > 0, with the softness h of rough faces. Chosen here.
+- Friction: `dz/dx = s (1 - z sgn(dx) / z_max)` by the midpoint rule. Source: Dahl (1968), A solid friction model.
+- Mode: `F'' + 2 d w F' + w^2 F = w^2 F_in`, fourth-order Runge-Kutta in parts that are short against the period.
 """
 
 import math
@@ -22,11 +23,11 @@ def load(state: Record, parameters: Record) -> None:
     before_N = state.drive_N
     state.drive_N = state.contact_N
     if parameters.friction_N > 0.0:
-        _rub(state, parameters)
+        _advance_friction(state, parameters)
         state.drive_N -= state.friction_N
-    _add_outside(state, parameters)
+    _add_external_forces(state, parameters)
     if parameters.mode_rad_per_s > 0.0:
-        _swing(state, parameters, before_N)
+        _advance_mode(state, parameters, before_N)
     else:
         state.mode_N = state.drive_N
     state.true_force_N = state.mode_N - parameters.tare_N
@@ -46,7 +47,7 @@ def _force_law(parameters: Record, stroke: float) -> float:
 
 @njit(cache=True)
 def _contact(parameters: Record, force_N: float) -> float:
-    """Return what of the force [N] arrives when the first `gap_N` only close a gap."""
+    """Return the force [N] that arrives behind a gap of `gap_N`."""
     if parameters.gap_N <= 0.0:
         return force_N
     excess_N: float = force_N - parameters.gap_N
@@ -57,37 +58,39 @@ def _contact(parameters: Record, force_N: float) -> float:
 
 
 @njit(cache=True)
-def _rub(state: Record, parameters: Record) -> None:
-    """Advance the friction [N] with the motion, measured by the contact force it would give."""
+def _advance_friction(state: Record, parameters: Record) -> None:
+    """Advance the friction [N]; the motion is measured in contact force."""
     travel = state.contact_N - state.previous_contact_N
     if travel == 0.0:
         return
     parts = 1 + int(4.0 * abs(travel) / parameters.presliding_N)
     ratio = abs(travel) / parameters.presliding_N / parts
-    for _ in range(parts):  # a midpoint step longer than the presliding would overshoot
+    for _ in range(parts):  # a midpoint step longer than the presliding travel would overshoot
         gap_N = math.copysign(parameters.friction_N, travel) - state.friction_N
         state.friction_N += gap_N * ratio / (1.0 + 0.5 * ratio)
 
 
 @njit(cache=True)
-def _add_outside(state: Record, parameters: Record) -> None:
-    """Add temperature, a shifted load and a machine nearby to the driving force [N]."""
+def _add_external_forces(state: Record, parameters: Record) -> None:
+    """Add thermal force, load step and vibration to the driving force [N]."""
     time_s = state.steps * parameters.step_s
     if parameters.drift_N_per_K != 0.0:
         state.drive_N += parameters.drift_N_per_K * (state.temperature_C - parameters.mean_degC)
     if parameters.load_N != 0.0:
-        here = parameters.load_N if parameters.load_on_s <= time_s < parameters.load_off_s else 0.0
-        state.load_N += (here - state.load_N) * parameters.step_s / (parameters.load_rise_s + 0.5 * parameters.step_s)
+        applied_N = parameters.load_N if parameters.load_on_s <= time_s < parameters.load_off_s else 0.0
+        state.load_N += (
+            (applied_N - state.load_N) * parameters.step_s / (parameters.load_rise_s + 0.5 * parameters.step_s)
+        )
         state.drive_N += state.load_N
     if parameters.vibration_N != 0.0:
         phase = parameters.vibration_rad_per_s * time_s + parameters.vibration_phase
-        breath = 1.0 + parameters.vibration_breathing * math.sin(0.013 * phase)
-        state.drive_N += parameters.vibration_N * breath * math.sin(phase)
+        envelope = 1.0 + parameters.vibration_breathing * math.sin(0.013 * phase)
+        state.drive_N += parameters.vibration_N * envelope * math.sin(phase)
 
 
 @njit(cache=True)
-def _swing(state: Record, parameters: Record, before_N: float) -> None:
-    """Advance the mode over the step while its drive runs linearly from the last to the present one."""
+def _advance_mode(state: Record, parameters: Record, before_N: float) -> None:
+    """Advance the mode by one step; its input runs linearly from `before_N` to `state.drive_N`."""
     parts = 1 + int(5.0 * parameters.mode_rad_per_s * parameters.step_s)
     part_s = parameters.step_s / parts
     slope_N = (state.drive_N - before_N) / parts

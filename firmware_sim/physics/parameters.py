@@ -1,4 +1,4 @@
-"""From a scenario to the two records that the kernels work on."""
+"""Builds the parameter record and the initial state record of the kernels from a scenario."""
 
 import math
 
@@ -15,7 +15,7 @@ NEVER_S = 1e18
 
 
 def parameter_record(scenario: Scenario, generator: np.random.Generator) -> Records:
-    """Return the parameters of a scenario, shape (1,); the phases of what is periodic are drawn."""
+    """Return the parameters of a scenario, shape (1,); the phases of periodic effects are drawn."""
     parameters = np.zeros(1, PARAMETERS)
     record = parameters[0]
     record["step_s"] = scenario.step_s
@@ -32,7 +32,7 @@ def parameter_record(scenario: Scenario, generator: np.random.Generator) -> Reco
 
 
 def initial_state(parameters: Records, generator: np.random.Generator) -> Records:
-    """Return a bench at rest that was never driven, shape (1,)."""
+    """Return the state of a virgin bench at rest, shape (1,)."""
     state = np.zeros(1, STATE)
     state[0]["random"] = generator.integers(0, 2**64, dtype=np.uint64)
     state[0]["temperature_C"] = parameters[0]["mean_degC"]
@@ -59,8 +59,8 @@ def _fill_stack(record: np.void, scenario: Scenario) -> None:
     record["width_weight"], record["bias_weight"] = 1.0, 0.0
     by_width = irreversible_V / virgin(record, stack.full_V)
     record["width_weight"], record["bias_weight"] = 0.0, 1.0
-    by_place = irreversible_V / virgin(record, stack.full_V)
-    record["width_weight"], record["bias_weight"] = (1.0 - share) * by_width, share * by_place
+    by_bias = irreversible_V / virgin(record, stack.full_V)
+    record["width_weight"], record["bias_weight"] = (1.0 - share) * by_width, share * by_bias
     _fill_creep(record, effects)
     if effects.rate_dependent_hysteresis:
         rate = effects.rate_dependent_hysteresis
@@ -71,12 +71,12 @@ def _fill_stack(record: np.void, scenario: Scenario) -> None:
 
 
 def _fill_creep(record: np.void, effects: Effects) -> None:
-    """Lay the relaxations evenly on the logarithm of time, with halved weights at the two ends."""
+    """Space the relaxations evenly in log(time); the two outermost have half the weight."""
     if effects.creep is None:
         return
     creep = effects.creep
     if creep.to_s <= creep.from_s:
-        raise ConfigurationError(f"effects.creep.to_s is {creep.to_s:g}, must be above from_s, {creep.from_s:g}")
+        raise ConfigurationError(f"effects.creep.to_s is {creep.to_s:g}, must be above from_s = {creep.from_s:g}")
     decades = math.log10(creep.to_s / creep.from_s)
     modes = min(CREEP_MODES, 2 + math.ceil(decades * CREEP_MODES_PER_DECADE))
     weight = np.full(modes, creep.per_decade * decades / (modes - 1))

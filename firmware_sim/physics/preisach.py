@@ -1,17 +1,18 @@
-"""Hysteresis as a Preisach plane, evaluated through its Everett function and a stack of reversal extrema.
+"""Hysteresis as a Preisach plane, evaluated by its Everett function and a memory of reversals.
 
-The plane is populated by relays that switch up at a and down at b <= a. The Everett function E(x, y) is the weight of
-the relays with x <= b and a <= y: what the output changes by between two reversals at x and y. With the remembered
-reversals x_1, x_2, ... the output is that of the last reversal plus or minus E between it and the present input, and an
-input that passes an older reversal wipes out the pair in between (Mayergoyz, Mathematical Models of Hysteresis, 1991).
+The plane consists of relays that switch up at a and down at b <= a. The Everett function E(x, y) is the weight of the
+relays with x <= b and a <= y. It equals the change of the output between two reversals at x and y. The output is that
+of the last reversal plus or minus E between this reversal and the present input. An input that passes an older reversal
+erases the pair of reversals in between. Source: Mayergoyz (1991), Mathematical Models of Hysteresis, chapter 1.
 
-Two closed-form densities are added, both smooth:
-- of the width w = a - b alone, `g(w) = 1 / (1 + (w/s)^2)`, so that equal minor loops are congruent at every bias:
-  E(x, y) = s d atan(d/s) - s^2/2 ln(1 + (d/s)^2), d = y - x (twice integrated, derived here);
-- of the place, `p(a) p(b)` with `p(x) = 1 / (1 + (x/q)^2)`: E = (P(y) - P(x))^2 / 2 with P(x) = q atan(x/q). It makes
-  loops near zero bias wider than loops far from it.
+The density is the sum of two smooth closed forms (derived here):
 
-The stack starts demagnetised (relays with a + b > 0 down): the virgin curve is half of E(-u, u).
+- of the width w = a - b alone, `g(w) = 1 / (1 + (w/s)^2)`. Equal minor loops are congruent at every bias.
+  E(x, y) = s d atan(d/s) - s^2/2 ln(1 + (d/s)^2) with d = y - x.
+- of the bias too, `p(a) p(b)` with `p(x) = 1 / (1 + (x/q)^2)`. Loops near zero bias are wider than loops far from it.
+  E = (P(y) - P(x))^2 / 2 with P(x) = q atan(x/q).
+
+The stack starts demagnetised: relays with a + b > 0 are down. The virgin curve is half of E(-u, u).
 """
 
 import math
@@ -23,20 +24,20 @@ from firmware_sim.physics.layout import REVERSALS, Record
 
 @njit(cache=True)
 def everett(parameters: Record, low_V: float, high_V: float) -> float:
-    """Return what the output changes by when the input runs from a reversal at `low_V` to `high_V` or back."""
+    """Return E(low, high) [V]: the change of the output when the input runs between two reversals."""
     ratio = (high_V - low_V) / parameters.width_scale_V
     by_width = ratio * math.atan(ratio) - 0.5 * math.log1p(ratio * ratio)
     total: float = parameters.width_weight * parameters.width_scale_V**2 * by_width
     if parameters.bias_weight > 0.0:
-        place = parameters.bias_scale_V
-        by_place = place * (math.atan(high_V / place) - math.atan(low_V / place))
-        total += parameters.bias_weight * 0.5 * by_place * by_place
+        scale_V = parameters.bias_scale_V
+        by_bias = scale_V * (math.atan(high_V / scale_V) - math.atan(low_V / scale_V))
+        total += parameters.bias_weight * 0.5 * by_bias * by_bias
     return total
 
 
 @njit(cache=True)
 def virgin(parameters: Record, field_V: float) -> float:
-    """Return the output on the first rise (or fall) out of the demagnetised state."""
+    """Return the output [V] on the first rise or fall from the demagnetised state."""
     size_V = abs(field_V)
     half = 0.5 * everett(parameters, -size_V, size_V)
     return math.copysign(half, field_V)
@@ -44,7 +45,7 @@ def virgin(parameters: Record, field_V: float) -> float:
 
 @njit(cache=True)
 def move_field(state: Record, parameters: Record, field_V: float) -> None:
-    """Move the plane's input to `field_V`; leaves the output in `state.irreversible`."""
+    """Move the input of the plane to `field_V`; the output goes to `state.irreversible`."""
     if field_V == state.field_V:
         return
     direction = 1.0 if field_V > state.field_V else -1.0
@@ -63,7 +64,7 @@ def move_field(state: Record, parameters: Record, field_V: float) -> None:
 
 @njit(cache=True)
 def _remember(state: Record) -> None:
-    """Push the present point as a reversal; when the memory is full, its smallest loop is forgotten."""
+    """Store the present point as a reversal; a full memory drops its smallest loop first."""
     if state.reversals == REVERSALS:
         state.reversals -= 2
     state.reversal_V[state.reversals] = state.field_V
@@ -73,7 +74,7 @@ def _remember(state: Record) -> None:
 
 @njit(cache=True)
 def _wipe_out(state: Record, direction: float, field_V: float) -> None:
-    """Forget the reversals that the input passes."""
+    """Erase the reversals that the input passes."""
     while state.reversals >= 2 and direction * (field_V - state.reversal_V[state.reversals - 2]) >= 0.0:
         state.reversals -= 2
     if state.reversals == 1 and direction * field_V >= abs(state.reversal_V[0]):

@@ -13,7 +13,7 @@ from firmware_sim.yaml_reader import Document, Value, checked, read_document
 
 
 class Amplifier(Section):
-    """Output stage; a lag or slew limit of 0 means none that matters."""
+    """Output stage; a time constant or slew limit of 0 means none."""
 
     minimum_V: Finite = 0.0
     maximum_V: Positive = 140.0
@@ -24,10 +24,10 @@ class Amplifier(Section):
 
 
 class Stack(Section):
-    """Hysteresis: weight of the irreversible part, and the scales of its two densities.
+    """Hysteresis: share of the irreversible part, and the scales of its two densities.
 
-    `irreversible` is the irreversible part of the stroke on the virgin curve at full scale. `driven_to_V` is
-    the highest voltage that the stack ever saw before power-on (with the force tared afterwards); 0: it comes virgin.
+    `irreversible` is the irreversible share of the stroke on the virgin curve at `full_V`. `driven_to_V` is the highest
+    voltage before power-on; the force is tared afterwards. 0: the stack is virgin.
     """
 
     full_V: Positive = 140.0
@@ -46,7 +46,7 @@ class Mechanics(Section):
 
 
 class LoadCell(Section):
-    """Noise of a reading (white, and low-pass coloured), the converter's step and range."""
+    """Rms of white and of coloured noise of a reading, step and range of the converter."""
 
     white_noise_N: NotNegative = 0.1
     coloured_noise_N: NotNegative = 0.0
@@ -57,7 +57,7 @@ class LoadCell(Section):
 
 
 class Temperature(Section):
-    """The bench's temperature, which wanders whether or not the force follows it."""
+    """Temperature of the bench: mean, amplitude and period of its slow variation, and over-temperature limit."""
 
     mean_degC: Finite = 23.0
     wander_K: NotNegative = 1.0
@@ -81,18 +81,18 @@ class Scenario(Section):
 
 
 def scenario_names() -> list[str]:
-    """Return the names of the scenarios that come with the package."""
+    """Return the names of the scenarios of the package."""
     folder = resources.files("firmware_sim") / "scenarios"
     return sorted(entry.name.removesuffix(".yaml") for entry in folder.iterdir() if entry.name.endswith(".yaml"))
 
 
 def load_scenario(name: str, overrides: Mapping[str, Value] | None = None) -> Scenario:
-    """Read a scenario by name (or path to a YAML file), with some of its values replaced.
+    """Read a scenario by name, or from a YAML file, with some of its values replaced.
 
     Raises
     ------
     ConfigurationError
-        No such scenario, or a value in it cannot be.
+        The scenario does not exist, or a value is invalid.
     """
     path = Path(name)
     if not name.endswith((".yaml", ".yml")):
@@ -106,7 +106,7 @@ def load_scenario(name: str, overrides: Mapping[str, Value] | None = None) -> Sc
 
 
 def with_effects(scenario: Scenario, names: tuple[str, ...]) -> Scenario:
-    """Return the scenario with these effects switched on, at their default strengths where they were off."""
+    """Return the scenario with these effects on; an effect that was off gets its default strength."""
     chosen = scenario.effects.model_dump(exclude_none=True)
     for name in names:
         if name not in Effects.model_fields:

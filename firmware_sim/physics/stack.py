@@ -1,10 +1,12 @@
-"""The piezo stack: voltage to free stroke (in volts' worth), with hysteresis, rate, creep and ageing.
+"""The piezo stack: from voltage to free stroke, expressed in volts.
 
-- Rate: the field that the relays see trails the voltage by a coercive offset that grows with the logarithm of the rate.
-  It builds up over a path travelled in volts, not over time, so that nothing moves while the voltage rests.
-- Creep: a dense spectrum of relaxations, several a decade with faded edges, driven by the hysteresis' output and
-  integrated by the trapezoidal rule; its step response climbs with the logarithm of time.
-- Ageing: the stroke's gain saturates exponentially.
+- Rate dependence: the relays see the voltage less a coercive offset. The offset grows with ln(1 + rate / reference). It
+  builds up over the path travelled [V], not over time, so that nothing moves while the voltage rests.
+- Creep: relaxations `tau dx/dt = w h - x` of the output h of the hysteresis, evenly spaced in log(tau). The step
+  response rises with the logarithm of time. Integrated by the trapezoidal rule.
+- Ageing: the gain of the stroke approaches its end value exponentially.
+
+All are derived here; the hysteresis stands in `preisach.py`.
 """
 
 import math
@@ -18,21 +20,21 @@ from firmware_sim.physics.preisach import move_field
 @njit(cache=True)
 def deform(state: Record, parameters: Record) -> None:
     """Advance the free stroke [V] by one physics step under the amplifier's output."""
-    _trail(state, parameters)
+    _advance_coercive_offset(state, parameters)
     move_field(state, parameters, state.output_V - state.coercive_V)
     state.previous_hysteresis = state.hysteresis
     state.hysteresis = parameters.reversible * state.output_V + state.irreversible
     state.stroke = state.hysteresis
     if parameters.creep_modes > 0:
-        _creep(state, parameters)
+        _advance_creep(state, parameters)
     if parameters.gain_change != 0.0:
         age = state.steps * parameters.step_s / parameters.gain_time_s
         state.stroke *= 1.0 - parameters.gain_change * math.expm1(-age) / (1.0 - math.exp(-1.0))
 
 
 @njit(cache=True)
-def _trail(state: Record, parameters: Record) -> None:
-    """Let the coercive offset approach the one that belongs to the present rate."""
+def _advance_coercive_offset(state: Record, parameters: Record) -> None:
+    """Move the coercive offset towards its value at the present rate."""
     travel_V = state.output_V - state.previous_output_V
     if parameters.rate_growth == 0.0 or travel_V == 0.0:
         return
@@ -46,8 +48,8 @@ def _trail(state: Record, parameters: Record) -> None:
 
 
 @njit(cache=True)
-def _creep(state: Record, parameters: Record) -> None:
-    """Relax every mode towards its share of the hysteresis' output and add it to the stroke."""
+def _advance_creep(state: Record, parameters: Record) -> None:
+    """Move every relaxation towards its share of the hysteresis output, and add them to the stroke."""
     middle = 0.5 * (state.previous_hysteresis + state.hysteresis)
     total = 0.0
     for mode in range(parameters.creep_modes):

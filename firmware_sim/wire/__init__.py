@@ -1,1 +1,1 @@
-"""The connectors of the emulated device: TCP, RTU on a pty, lines on a pty."""
+"""The connections of the emulated device: Modbus TCP, Modbus RTU, ASCII lines, pseudo-terminals."""

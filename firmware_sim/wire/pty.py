@@ -1,4 +1,4 @@
-"""Pseudo-terminals that stand where a serial port stands."""
+"""Pseudo-terminals in place of serial ports."""
 
 import asyncio
 import contextlib
@@ -11,19 +11,19 @@ MOST_BYTES = 4096
 
 
 class PseudoTerminal:
-    """A raw pseudo-terminal served by the running event loop.
+    """A raw pseudo-terminal that the running event loop serves.
 
     Parameters
     ----------
     received
-        Called with the bytes that came in; what it returns is sent back.
+        Called with the received bytes; returns the bytes to send.
     link
-        A symbolic link to make to it, or None.
+        Path of a symbolic link to it; None: no link.
     """
 
     def __init__(self, received: Callable[[bytes], bytes], link: str | None = None) -> None:
         self._received = received
-        self._master, self._slave = os.openpty()  # the slave stays open, or the last client's close would end it
+        self._master, self._slave = os.openpty()  # open slave: the terminal survives the close of the last client
         tty.setraw(self._slave)
         os.set_blocking(self._master, False)
         self.path = os.ttyname(self._slave)
@@ -35,7 +35,7 @@ class PseudoTerminal:
         self._loop.add_reader(self._master, self._readable)
 
     def close(self) -> None:
-        """Stop serving."""
+        """Stop serving; close the terminal and remove the link."""
         self._loop.remove_reader(self._master)
         os.close(self._master)
         os.close(self._slave)
@@ -46,4 +46,4 @@ class PseudoTerminal:
         with contextlib.suppress(BlockingIOError):
             reply = self._received(os.read(self._master, MOST_BYTES))
             if reply:
-                os.write(self._master, reply)  # nobody reads: a serial line loses bytes too
+                os.write(self._master, reply)  # without a reader the bytes are lost, as on a serial line

@@ -1,4 +1,4 @@
-"""Modbus RTU: pymodbus' RTU framer on bytes that come in any pieces."""
+"""Modbus RTU: the RTU framer of pymodbus on bytes that arrive in any pieces."""
 
 from collections.abc import Callable
 
@@ -11,16 +11,16 @@ LONGEST_ADU = 256
 
 
 class RtuStation:
-    """One station on a serial line.
+    """One Modbus RTU station on a serial line.
 
     Parameters
     ----------
     unit
-        Which answers.
+        Modbus unit that executes the requests.
     unit_id
-        Its number on the line; requests to others are ignored, those to 0 are carried out without an answer.
+        Address on the line, 1 to 247. Requests to other addresses are ignored; requests to 0 get no reply.
     now_ns
-        A monotonic clock [ns].
+        Monotonic clock [ns].
     """
 
     def __init__(self, unit: ModbusUnit, unit_id: int, now_ns: Callable[[], int]) -> None:
@@ -32,7 +32,7 @@ class RtuStation:
         self._last_ns = 0
 
     def received(self, data: bytes) -> bytes:
-        """Return the reply to the request that these bytes complete, or nothing."""
+        """Return the reply to the request that these bytes complete; empty while it is incomplete."""
         now_ns = self._now_ns()
         if now_ns - self._last_ns > SILENCE_NS:
             self._bytes = b""

@@ -1,4 +1,4 @@
-"""Modbus TCP: pymodbus' socket framer on an asyncio protocol."""
+"""Modbus TCP: the socket framer of pymodbus on an asyncio protocol, with optional TLS."""
 
 import asyncio
 import ssl
@@ -15,16 +15,16 @@ GATEWAY_NO_RESPONSE = 11
 
 
 class ModbusTcpProtocol(asyncio.Protocol):
-    """One client's connection.
+    """The connection of one client.
 
     Parameters
     ----------
     unit
-        Which answers.
+        Modbus unit that executes the requests.
     settings
-        Unit id, and whether a second client is turned away.
+        Unit id, and whether a second client is refused.
     clients
-        The connections that are open, shared by all of them.
+        Open connections, shared by all protocols of a server.
     """
 
     def __init__(self, unit: ModbusUnit, settings: Tcp, clients: set[asyncio.Transport]) -> None:
@@ -36,7 +36,7 @@ class ModbusTcpProtocol(asyncio.Protocol):
         self._received = b""
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        """Take the client, or close at once when there is one and only one is wanted."""
+        """Accept the client; with `one_client`, close the connection of a second client at once."""
         assert isinstance(transport, asyncio.Transport)
         if self._settings.one_client and self._clients:
             transport.abort()
@@ -45,14 +45,14 @@ class ModbusTcpProtocol(asyncio.Protocol):
         self._clients.add(transport)
 
     def connection_lost(self, error: Exception | None) -> None:
-        """Forget the client."""
+        """Remove the client."""
         del error
         if self._transport is not None:
             self._clients.discard(self._transport)
             self._transport = None
 
     def data_received(self, data: bytes) -> None:
-        """Answer every whole frame; close when the bytes cannot be Modbus."""
+        """Answer every complete frame; close the connection when the bytes cannot be Modbus."""
         received = self._received + data if self._received else data
         while self._transport is not None:
             used, unit_id, transaction_id, frame = self._framer.decode(received)
@@ -77,19 +77,19 @@ class ModbusTcpProtocol(asyncio.Protocol):
 
 
 def _may_become_a_frame(received: bytes) -> bool:
-    """Tell whether what was received so far can be the beginning of a frame (protocol 0, a length of 2 to 254)."""
+    """Return whether the received bytes can begin a frame: protocol 0, length 2 to 254."""
     if received[2:4].strip(b"\0"):
         return False
     return len(received) < 6 or 2 <= int.from_bytes(received[4:6], "big") <= LONGEST_ADU - 6
 
 
 async def serve_tcp(unit: ModbusUnit, settings: Tcp) -> asyncio.Server:
-    """Open the port.
+    """Open the Modbus TCP port.
 
     Raises
     ------
     PortBusyError
-        Another program holds it.
+        Another program holds the port.
     ConfigurationError
         Certificate, key or CA cannot be used.
     """
@@ -105,7 +105,7 @@ async def serve_tcp(unit: ModbusUnit, settings: Tcp) -> asyncio.Server:
 
 
 def _context(tls: Tls) -> ssl.SSLContext:
-    """Build what shows the device's certificate and asks every client for one."""
+    """Build a TLS context that presents the certificate of the device and requires one of every client."""
     context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
     context.minimum_version = ssl.TLSVersion.TLSv1_2
     context.verify_mode = ssl.CERT_REQUIRED

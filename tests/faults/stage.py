@@ -24,10 +24,9 @@ from firmware_sim.firmware.device import Device
 from firmware_sim.firmware.modbus import ModbusUnit
 from firmware_sim.physics.bench import Bench, Sample
 from firmware_sim.physics.scenario import load_scenario, with_effects
-from firmware_sim.server import BACKGROUND_S
+from firmware_sim.server import BACKGROUND_S, use_realtime_priority
 from firmware_sim.wire.pty import PseudoTerminal
 from firmware_sim.wire.rtu import RtuStation
-from firmware_sim.wire.scheduling import be_punctual
 from firmware_sim.wire.tcp import serve_tcp
 from tests.contract.judged_bench import Judge, JudgedBench, restart
 from tests.faults.proxy import PtyProxy, Rule, TcpProxy
@@ -342,5 +341,5 @@ def _say(answer: dict[str, Any]) -> None:
 
 
 if __name__ == "__main__":
-    be_punctual()
+    use_realtime_priority()
     asyncio.run(_serve(json.loads(sys.argv[1])))

@@ -1,11 +1,10 @@
 """One concealed plant: the chain from the commands of a record to its readings without noise.
 
-    amplifier   clamp, slew limit, lag                         stroke.py, amplifier.py
-    stack       hysteresis, creep, drift of the gain           stroke.py, hysteresis.py, creep.py
-    mechanics   force law, gap, friction, temperature, load    force.py, force_law.py, friction.py
-                mode, vibration                                force.py
-    load cell   leakage, low-pass, cross-talk, hum             load_cell.py
-    readings    delay, clock of the readings                   load_cell.py, sampling.py
+- amplifier: clamp, slew limit, lag (`stroke.py`, `amplifier.py`);
+- stack: hysteresis, creep, drift of the gain (`stroke.py`, `hysteresis.py`, `creep.py`);
+- mechanics: force law, gap, friction, temperature, load, mode, vibration (`force.py`, `force_law.py`, `friction.py`);
+- load cell: leakage, low-pass, cross-talk, hum (`load_cell.py`);
+- readings: delay, clock of the readings (`load_cell.py`, `sampling.py`).
 
 The chain runs on a grid 3 to 16 times finer than the record. Single events stand in the details of their effect. Phases
 and random walks come from the seed of the record.

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from firmware_sim.physics.bench import Bench
-from firmware_sim.physics.compiled_cache import forget_older_than_sources
+from firmware_sim.physics.compiled_cache import remove_older_than_sources
 from firmware_sim.physics.scenario import scenario_names
 from tests.unit.firmware_sim.waves import bench, forces, opening_percent, triangles
 
@@ -129,6 +129,6 @@ def test_a_compiled_loop_does_not_outlive_an_edit_of_what_it_calls(tmp_path):
     for path, modified_s in ((outdated, 100), (source, 200), (fresh, 300)):
         path.touch()
         os.utime(path, (modified_s, modified_s))
-    forget_older_than_sources(tmp_path, tmp_path)
+    remove_older_than_sources(tmp_path, tmp_path)
     assert not outdated.exists()
     assert fresh.exists()
