@@ -10,7 +10,8 @@ from firmware_sim.concealed.plant.arrays import Array
 from firmware_sim.concealed.plant.chain import Plant
 from firmware_sim.concealed.plant.drives import Drive
 from firmware_sim.concealed.plant.record_context import Effect
-from firmware_sim.concealed.study.catalogue import ALREADY_THERE, COME_SINCE, ONCE, TONES, frozen_spans
+from firmware_sim.concealed.study.catalogue import ONCE, TONES, frozen_spans
+from firmware_sim.concealed.study.entry import ALREADY_THERE, COME_SINCE
 
 TEMPERATURE_NOISE_K = 0.01
 

@@ -14,15 +14,8 @@ from firmware_sim.concealed.plant.hysteresis import Kind, draw_hysteresis, draw_
 from firmware_sim.concealed.plant.record_context import Effect
 from firmware_sim.concealed.plant.sampling import frozen, quantised
 from firmware_sim.concealed.study.case import Case, Noise, Record, effects_in
-from firmware_sim.concealed.study.catalogue import (
-    COME_SINCE,
-    ENTRIES,
-    RAMP_SAMPLES,
-    Context,
-    Entry,
-    frozen_spans,
-    places,
-)
+from firmware_sim.concealed.study.catalogue import ENTRIES, frozen_spans, places
+from firmware_sim.concealed.study.entry import COME_SINCE, RAMP_SAMPLES, Context, Entry
 from firmware_sim.concealed.study.strength import VisibleDifference, find_scale
 
 STRENGTHS = (0.8, 4.0, 20.0)  # [noise rms]

@@ -12,8 +12,9 @@ from firmware_sim.concealed.errors import SealError, StudyError
 from firmware_sim.concealed.plant.foreign import FOREIGN
 from firmware_sim.concealed.plant.sampling import frozen, quantised
 from firmware_sim.concealed.study.case import effects_in
-from firmware_sim.concealed.study.catalogue import COME_SINCE, ENTRIES
+from firmware_sim.concealed.study.catalogue import ENTRIES
 from firmware_sim.concealed.study.drawing import CaseSpec, draw_case
+from firmware_sim.concealed.study.entry import COME_SINCE
 from firmware_sim.concealed.study.make import make
 from firmware_sim.concealed.study.plan import KINDS, case_specs
 from firmware_sim.concealed.study.seal import open_truth, unpack_arrays
