@@ -8,8 +8,8 @@ import time
 from pathlib import Path
 
 from tests.faults import kills, replies, run
+from tests.faults.bench_pool import open_bench_pool, raised_priority
 from tests.faults.probe import Probe
-from tests.faults.stand import served_first, standing
 
 
 def main() -> int:
@@ -39,10 +39,10 @@ def _list(options) -> int:
     print(run.header(), flush=True)
     probe, results = Probe(), []
     try:
-        with standing() as stand:
+        with open_bench_pool() as pool:
             for fault in faults:
                 if not options.ids or fault.id in options.ids:
-                    results.append(run.run(fault, stand, probe))
+                    results.append(run.run(fault, pool, probe))
                     print(results[-1].text(), flush=True)
     finally:
         probe.close()
@@ -50,7 +50,7 @@ def _list(options) -> int:
     if options.json:
         rows = [
             {"id": one.fault.id, "survived": one.survived, "skipped": one.skipped, "problems": one.problems,
-             "after_ms": one.seen and one.seen.after_ms, "figures": one.seen and one.seen.figures,
+             "after_ms": one.observed and one.observed.after_ms, "figures": one.observed and one.observed.figures,
              "tries": one.tries, "lasted_s": one.lasted_s}
             for one in results
         ]  # fmt: skip
@@ -75,7 +75,7 @@ def _progress(found) -> None:
 
 def _replies(options) -> int:
     print(replies.HEADER, flush=True)
-    with served_first():
+    with raised_priority():
         rows = list(replies.rows(options.times, show=lambda row: print(row.text(), flush=True)))
     print(replies.summary(rows))
     return 1 if any(row.accepted for row in rows) else 0

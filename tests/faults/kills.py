@@ -14,8 +14,8 @@ import time
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from tests.faults.live import TIMING, LiveBench
-from tests.faults.stand import served_first
+from tests.faults.bench_pool import raised_priority
+from tests.faults.live_bench import TIMING, LiveBench
 
 DEVICE_TICK_MS = 0.25  # of the emulated device: it samples four thousand times a second
 SAFE_WITHIN_MS = TIMING["device_watchdog_ms"] + DEVICE_TICK_MS
@@ -57,10 +57,10 @@ class Kills:
 
 def kill(bench, how, found):
     """Once: arm, end or stop the process that drives, and look at the device."""
-    bench.heal()
+    bench.restore()
     bench.arm(settle_s=0.1)
     victim, parent = bench.service.control_pid(), bench.service.process.pid
-    bench.stage.ask("mark")
+    bench.device.ask("mark")
     begun_ns = time.monotonic_ns()
     if how == "SIGKILL":  # both, or the one that drives would be told of the other's end and ramp down
         os.kill(victim, signal.SIGKILL)
@@ -81,7 +81,7 @@ def kill(bench, how, found):
         commands = report["commands"]
         os.kill(victim, signal.SIGCONT)
         found.disarmed += bench.wait_state("FAULT") == "FAULT"
-        afterwards = bench.stage.ask("report")
+        afterwards = bench.device.ask("report")
         found.written_afterwards += afterwards["commands"] - commands
         found.wrong += afterwards["wrong"]
 
@@ -89,7 +89,7 @@ def kill(bench, how, found):
 def _await_rest(bench):
     deadline_s = time.monotonic() + 5.0
     while True:
-        report = bench.stage.ask("report")
+        report = bench.device.ask("report")
         if (report["rest_ns"] and report["taken_over_ns"]) or time.monotonic() > deadline_s:
             return report
         time.sleep(0.02)
@@ -99,7 +99,7 @@ def kills(how, times, show=None):
     """So many times, one bench."""
     found = Kills(how)
     with (
-        served_first(),
+        raised_priority(),
         tempfile.TemporaryDirectory(prefix="piezod-kills-") as folder,
         _bench(Path(folder) / "bench") as bench,
     ):

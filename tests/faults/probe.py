@@ -1,6 +1,6 @@
-"""Says when this machine stood still: a sleeper of the highest priority that is woken late.
+"""A probe for standstills of this machine: a process of the highest priority that measures its late wake-ups.
 
-`python -m tests.faults.probe` writes a line for each wake-up that was more than `STILL_MS` late, until it is ended.
+`python -m tests.faults.probe` writes a line for each wake-up that was more than `STILL_MS` late, until it is killed.
 """
 
 import contextlib
@@ -15,7 +15,7 @@ SLEEP_S = 0.001
 
 
 def watch():
-    """Sleep a millisecond, and another."""
+    """Sleep repeatedly for 1 ms and print each late wake-up."""
     with contextlib.suppress(PermissionError):
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(99))
     before_ns = time.monotonic_ns()
@@ -30,7 +30,7 @@ def watch():
 
 
 class Probe:
-    """The sleeper in a process of its own."""
+    """The probe in a separate process; `stills` holds (begin [ns], end [ns], delay [ms])."""
 
     def __init__(self):
         self.stills = []
@@ -44,7 +44,7 @@ class Probe:
             self.stills.append((int(begun), int(ended), float(late_ms)))
 
     def worst_ms(self, begun_ns):
-        """The longest standstill since then [ms]; 0 when there was none."""
+        """The longest standstill that ended after `begun_ns` [ms]; 0 without any."""
         return max((late_ms for _, ended_ns, late_ms in self.stills if ended_ns >= begun_ns), default=0.0)
 
     def close(self):

@@ -22,7 +22,7 @@ from typing import Literal
 from tests.faults.forgeries import forged
 
 Way = Literal["request", "reply"]
-DOES = (
+ACTIONS = (
     "delay",  # pass it on `by` seconds later, and what follows after it
     "drop",
     "duplicate",  # twice in one segment
@@ -72,8 +72,8 @@ class Rule:
     kind: str = ""
 
     def __post_init__(self) -> None:
-        if self.do not in DOES:
-            raise ValueError(f"rule is {self.do!r}, must be one of {', '.join(DOES)}")
+        if self.do not in ACTIONS:
+            raise ValueError(f"rule is {self.do!r}, must be one of {', '.join(ACTIONS)}")
         self._seen = 0
 
     def takes(self, way: Way) -> bool:
@@ -86,7 +86,7 @@ class Rule:
 
 
 @dataclass(frozen=True)
-class Deed:
+class ProxyAction:
     """Something that the proxy did: when (monotonic [ns]), what, and to which frame of its way."""
 
     time_ns: int
@@ -102,7 +102,7 @@ class _Wire:
 
     def __init__(self) -> None:
         self.rules: list[Rule] = []
-        self.done: list[Deed] = []
+        self.done: list[ProxyAction] = []
         self.passed = 0
         self.late_s = 0.0  # by how much more than asked for a frame was held back at most
         self._before = b""
@@ -118,7 +118,7 @@ class _Wire:
 
     def note(self, do: str, way: str = "", frame: bytes = b"") -> None:
         """Keep what was done."""
-        self.done.append(Deed(time.monotonic_ns(), do, way, frame.hex()))
+        self.done.append(ProxyAction(time.monotonic_ns(), do, way, frame.hex()))
 
     def stall(self, duration_s: float) -> None:
         """Let nothing pass for a while."""
@@ -254,10 +254,10 @@ class TcpProxy(_Wire):
         newcomers too. `heal`: everything is as it was at first, connections that were spoilt are ended.
         """
         self.note(what)
-        if what in ("refuse", "heal") and self._server is not None:
+        if what in ("refuse", "restore") and self._server is not None:
             self._server.close()
             self._server = None
-        if what == "heal":
+        if what == "restore":
             self.deaf = False
             for line in [line for line in self._lines if line.dead]:
                 _end(self._lines[line], "reset")
@@ -381,7 +381,7 @@ class PtyProxy(_Wire):
         self.note(what)
         if what == "unplug":
             self._unplug()
-        elif what in ("plug", "heal"):
+        elif what in ("plug", "restore"):
             self._line.dead = False
             if self._master < 0:
                 self._plug()

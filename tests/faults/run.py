@@ -5,23 +5,23 @@ import traceback
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from tests.faults import at_start, at_work, in_hand, of_disk, of_files, of_process
+from tests.faults import disk_faults, input_faults, manual_clock_faults, process_faults, running_faults, startup_faults
+from tests.faults.bench_pool import InjectionUnavailableError, Observation
 from tests.faults.catalogue import Fault, load_faults
 from tests.faults.probe import STILL_MS
-from tests.faults.stand import CannotBeDoneHereError, Seen
 
 INJECTORS: dict[str, Callable] = {
-    **at_work.INJECTORS,
-    **in_hand.INJECTORS,
-    **at_start.INJECTORS,
-    **of_process.INJECTORS,
-    **of_files.INJECTORS,
-    **of_disk.INJECTORS,
+    **running_faults.INJECTORS,
+    **manual_clock_faults.INJECTORS,
+    **startup_faults.INJECTORS,
+    **process_faults.INJECTORS,
+    **input_faults.INJECTORS,
+    **disk_faults.INJECTORS,
 }
 MOST_TRIES = 3  # of a fault during which the machine stood still
 BEHIND = {"late_ms": 1.0, "behind_ms": STILL_MS}  # a reply held back for longer, a device woken later: another fault
 
-COLUMNS = "{id:<4} {fault:<52.52} {expected:<17.17} {seen:<10.10} {after:>9} {bound:>8}  {verdict}"
+COLUMNS = "{id:<4} {fault:<52.52} {expected:<17.17} {observed:<10.10} {after:>9} {bound:>8}  {verdict}"
 
 
 @dataclass
@@ -47,7 +47,7 @@ class Result:
     """
 
     fault: Fault
-    seen: Seen | None
+    observed: Observation | None
     problems: list[str]
     skipped: str = ""
     lasted_s: float = 0.0
@@ -60,7 +60,7 @@ class Result:
 
     def text(self):
         """The row of the table."""
-        fault, seen = self.fault, self.seen
+        fault, observed = self.fault, self.observed
         expected = fault.expect.state if fault.expect.state not in (None, "none") else ""
         if fault.expect.exit_code is not None:
             expected = f"{expected} exit {fault.expect.exit_code}".strip()
@@ -69,13 +69,17 @@ class Result:
         )
         if self.tries > 1:
             verdict += f" ({self.tries} tries, the machine stood still)"
-        found = "" if seen is None else seen.state or ("" if seen.exit_code is None else f"exit {seen.exit_code}")
+        found = (
+            ""
+            if observed is None
+            else observed.state or ("" if observed.exit_code is None else f"exit {observed.exit_code}")
+        )
         return COLUMNS.format(
             id=fault.id,
             fault=fault.fault,
             expected=expected or "as counted",
-            seen="" if found == "none" else found,
-            after="" if seen is None else "stays" if seen.after_ms == 0.0 else f"{seen.after_ms:.0f} ms",
+            observed="" if found == "none" else found,
+            after="" if observed is None else "stays" if observed.after_ms == 0.0 else f"{observed.after_ms:.0f} ms",
             bound=fault.within,
             verdict=verdict,
         )
@@ -86,14 +90,14 @@ def faults() -> tuple[Fault, ...]:
     return load_faults(INJECTORS)
 
 
-def run(fault: Fault, stand, probe) -> Result:
+def run(fault: Fault, pool, probe) -> Result:
     """Inject one fault; again when it was not survived while the machine, or the device on it, stood still."""
     begun_s = time.monotonic()
     for tried in range(1, MOST_TRIES + 1):
         begun_ns = time.monotonic_ns()
-        result = _once(fault, stand)
+        result = _once(fault, pool)
         result.tries, result.lasted_s = tried, time.monotonic() - begun_s
-        figures = {} if result.seen is None else result.seen.figures
+        figures = {} if result.observed is None else result.observed.figures
         stills = [probe.worst_ms(begun_ns) if probe else 0.0]
         stills += [figures[name] for name, most_ms in BEHIND.items() if figures.get(name, 0.0) > most_ms]
         result.still_ms = max(stills)
@@ -102,22 +106,28 @@ def run(fault: Fault, stand, probe) -> Result:
     return result
 
 
-def _once(fault: Fault, stand) -> Result:
+def _once(fault: Fault, pool) -> Result:
     try:
-        seen = INJECTORS[fault.injector](stand, fault, **fault.parameters)
-    except CannotBeDoneHereError as reason:
+        observed = INJECTORS[fault.injector](pool, fault, **fault.parameters)
+    except InjectionUnavailableError as reason:
         return Result(fault, None, [], str(reason))
     except Exception as error:  # noqa: BLE001  # whatever the injector ran into, it is this fault that was not survived
-        stand.drop()  # nothing is known of the benches
+        pool.drop()  # nothing is known of the benches
         where = traceback.extract_tb(error.__traceback__)[-1]
         return Result(fault, None, [f"{type(error).__name__}: {str(error)[:300]} ({where.name}, line {where.lineno})"])
-    return Result(fault, seen, seen.judged(fault))
+    return Result(fault, observed, observed.deviations(fault))
 
 
 def header() -> str:
     """Names of the columns."""
     return COLUMNS.format(
-        id="id", fault="fault", expected="expected", seen="seen", after="after", bound="bound", verdict="verdict"
+        id="id",
+        fault="fault",
+        expected="expected",
+        observed="observed",
+        after="after",
+        bound="bound",
+        verdict="verdict",
     )
 
 
@@ -126,9 +136,9 @@ def summary(results: list[Result]) -> str:
     lines = [f"skipped {result.fault.id}: {result.skipped}" for result in results if result.skipped]
     lines += [f"instead {one.fault.id}: {' '.join(one.fault.instead.split())}" for one in results if one.fault.instead]
     run_ = [result for result in results if not result.skipped]
-    armings = sum(result.seen.armings for result in run_ if result.seen is not None)
-    judged = [result for result in run_ if result.seen is not None and result.seen.wrong is not None]
-    outside = sum(bool(result.seen.wrong) for result in judged)
+    armings = sum(result.observed.armings for result in run_ if result.observed is not None)
+    judged = [result for result in run_ if result.observed is not None and result.observed.wrong is not None]
+    outside = sum(bool(result.observed.wrong) for result in judged)
     lines.append(f"re-arms: {armings}; output outside its envelope: {outside} of the {len(judged)} where it was judged")
     lines.append(f"{sum(result.survived for result in run_)} of {len(run_)} faults survived")
     return "\n".join(lines)

@@ -8,17 +8,17 @@ import pytest
 
 from piezod.errors import ConfigurationError
 from tests.faults import run
+from tests.faults.bench_pool import open_bench_pool
 from tests.faults.catalogue import load_faults
-from tests.faults.live import Stage
+from tests.faults.live_bench import DeviceProcess
 from tests.faults.probe import STILL_MS, Probe
-from tests.faults.stand import standing
 
 FAULTS = run.faults()
 
 
 @pytest.fixture(scope="module")
-def stand():
-    with standing() as benches:
+def pool():
+    with open_bench_pool() as benches:
         yield benches
 
 
@@ -30,11 +30,11 @@ def probe():
 
 
 @pytest.mark.parametrize("fault", FAULTS, ids=lambda fault: fault.id)
-def test_the_fault_is_survived_as_the_list_says(fault, stand, probe):
-    result = run.run(fault, stand, probe)
+def test_the_fault_is_survived_as_the_list_says(fault, pool, probe):
+    result = run.run(fault, pool, probe)
     if result.skipped:
         pytest.skip(f"{fault.id}: {result.skipped}")
-    assert not result.problems, f"{result.text()}\nseen: {result.seen and result.seen.figures}"
+    assert not result.problems, f"{result.text()}\nseen: {result.observed and result.observed.figures}"
 
 
 def test_at_least_a_hundred_faults_are_injected_here_and_not_by_tests_of_their_own():
@@ -42,18 +42,18 @@ def test_at_least_a_hundred_faults_are_injected_here_and_not_by_tests_of_their_o
 
 
 def test_a_device_that_stood_still_meanwhile_says_for_how_long():
-    stage = Stage({})
+    device = DeviceProcess({})
     try:
-        stage.ask("mark")
-        os.kill(stage.process.pid, signal.SIGSTOP)
+        device.ask("mark")
+        os.kill(device.process.pid, signal.SIGSTOP)
         time.sleep(0.05)
-        os.kill(stage.process.pid, signal.SIGCONT)
+        os.kill(device.process.pid, signal.SIGCONT)
         time.sleep(0.05)
-        assert stage.ask("report")["behind_ms"] > 50.0 - 2 * STILL_MS
-        stage.ask("mark")
-        assert stage.ask("report")["behind_ms"] < 50.0 - 2 * STILL_MS
+        assert device.ask("report")["behind_ms"] > 50.0 - 2 * STILL_MS
+        device.ask("mark")
+        assert device.ask("report")["behind_ms"] < 50.0 - 2 * STILL_MS
     finally:
-        stage.close()
+        device.close()
 
 
 ROW = """\

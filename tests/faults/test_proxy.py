@@ -34,7 +34,7 @@ def through(rules, talk):
         proxy.schedule([Rule(**rule) for rule in rules])
         reader, writer = await asyncio.open_connection("127.0.0.1", port)
         try:
-            return await talk(proxy, reader, writer), [deed.do for deed in proxy.done]
+            return await talk(proxy, reader, writer), [action.do for action in proxy.done]
         finally:
             writer.transport.abort()
             await proxy.close()
@@ -94,7 +94,7 @@ def test_nobody_is_let_in_while_it_refuses_and_again_when_it_is_healed():
         await proxy.act("refuse")
         with pytest.raises(ConnectionRefusedError):
             await asyncio.open_connection(*proxy._address)
-        await proxy.act("heal")
+        await proxy.act("restore")
         reader, writer = await asyncio.open_connection(*proxy._address)
         writer.write(frame(9))
         got = await reader.read(4096)

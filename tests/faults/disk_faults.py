@@ -1,28 +1,28 @@
-"""Faults of the disk that the recorder writes to: its own studies and checks, in their short forms."""
+"""Faults of the disk of the recorder, injected by its study and its tests in short form."""
 
 import re
 import subprocess
 import sys
 import time
 
-from tests.faults.live import ROOT
-from tests.faults.stand import CannotBeDoneHereError, Seen
+from tests.faults.bench_pool import InjectionUnavailableError, Observation
+from tests.faults.live_bench import ROOT
 from tests.studies import recorder as study
 
 
-def recorded(stand, fault, *, part, amount, only=()):
-    """One part of the recorder's study: what it lost of what it had acknowledged.
+def recorded(pool, fault, *, part, amount, only=()):
+    """Run one part of the recorder study and count the acknowledged rows that are lost.
 
     Parameters
     ----------
     part
         `kills`, `cuts`, `faults` or `full`.
     amount
-        How often, or for how many seconds.
+        Number of repetitions, or duration [s].
     only
-        Of the system calls that fail, those.
+        Names of `study.FAULTS` to run; all when empty.
     """
-    folder = stand.new_folder()
+    folder = pool.new_folder()
     begun_s, every = time.monotonic(), study.FAULTS
     try:
         if only:
@@ -37,21 +37,23 @@ def recorded(stand, fault, *, part, amount, only=()):
     finally:
         study.FAULTS = every
     if skipped := [line.skipped for line in lines if line.skipped]:
-        raise CannotBeDoneHereError(skipped[0])
-    seen = Seen("none", text="\n".join(line.text() for line in lines), after_ms=1e3 * (time.monotonic() - begun_s))
-    seen.figures = {
+        raise InjectionUnavailableError(skipped[0])
+    observed = Observation(
+        "none", text="\n".join(line.text() for line in lines), after_ms=1e3 * (time.monotonic() - begun_s)
+    )
+    observed.figures = {
         "lines": len(lines),
         "failed": sum(line.failed for line in lines),
         "acknowledged": sum(line.acknowledged for line in lines),
         "rows_lost": sum(line.lost for line in lines if not line.what.startswith("the same, a CSV")),
         "rows_wrong": sum(line.wrong for line in lines),
     }
-    return seen
+    return observed
 
 
-def checked(stand, fault, *, tests):
-    """Checks of the recorder that inject it: the file of tests, and words that their names have."""
-    begun_s, passed, said = time.monotonic(), 0, ""
+def checked(pool, fault, *, tests):
+    """Run existing tests that inject the fault; `tests` holds pairs of test file and pytest -k expression."""
+    begun_s, passed, messages = time.monotonic(), 0, ""
     for place, words in tests:
         done = subprocess.run(
             [sys.executable, "-m", "pytest", "-p", "no:cacheprovider", place, "-k", words],
@@ -59,10 +61,10 @@ def checked(stand, fault, *, tests):
         )  # fmt: skip
         found = re.search(r"(\d+) passed", done.stdout)
         passed += int(found[1]) if found and done.returncode == 0 else 0
-        said += "" if done.returncode == 0 else done.stdout[-300:]
-    seen = Seen("none", text=said, after_ms=1e3 * (time.monotonic() - begun_s))
-    seen.figures = {"passed": passed}
-    return seen
+        messages += "" if done.returncode == 0 else done.stdout[-300:]
+    observed = Observation("none", text=messages, after_ms=1e3 * (time.monotonic() - begun_s))
+    observed.figures = {"passed": passed}
+    return observed
 
 
 INJECTORS = {"recorded": recorded, "checked": checked}

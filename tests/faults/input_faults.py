@@ -1,4 +1,4 @@
-"""Faults of what people write: the bench file, its model, recordings, names; and of what devices call themselves."""
+"""Faults of inputs: bench file, model, recordings, names, TLS peers, metrics port and control socket."""
 
 import contextlib
 import json
@@ -21,16 +21,16 @@ from piezod.config import load_bench
 from piezod.errors import PiezodError
 from piezod.transport import make_link
 from tests.benches.certificates import Authority
-from tests.faults.at_work import Watch
-from tests.faults.live import BENCH, ROOT
-from tests.faults.stand import CannotBeDoneHereError, Seen, apart, command
+from tests.faults.bench_pool import InjectionUnavailableError, Observation, run_piezod, run_piezod_in_process
+from tests.faults.live_bench import BENCH, ROOT
+from tests.faults.running_faults import Watch
 from tests.unit.transport.conftest import line_config
 from tests.unit.transport.scripted import ScriptedLine
 
 
-def bench_file(stand, fault, *, kind="edit", old="", new="", verb="run", times=1):
-    """Give a command a bench file that is wrong: edited, or no such file at all."""
-    folder = stand.new_folder()
+def bench_file(pool, fault, *, kind="edit", old="", new="", verb="run", times=1):
+    """Run a command with a wrong bench file: an edited one, or one of `_KINDS`."""
+    folder = pool.new_folder()
     path = folder / "bench.yaml"
     text = BENCH.read_text(encoding="utf-8").replace("model: model.yaml", f"model: {ROOT / 'config' / 'model.yaml'}", 1)
     text = text.replace("ring_log: /dev/shm/piezod-{name}.ring", f"ring_log: {folder / 'ring'}", 1)
@@ -40,10 +40,10 @@ def bench_file(stand, fault, *, kind="edit", old="", new="", verb="run", times=1
         path.write_text(text.replace(old, new, 1), encoding="utf-8")
     else:
         path = _KINDS[kind](path, text, times)
-    code, said, after_ms = (apart if verb == "run" else command)(verb, path)
-    seen = Seen("none", code, said, after_ms)
-    seen.figures["lines"] = sum(line.startswith("piezod: ") for line in said.splitlines())
-    return seen
+    code, messages, after_ms = (run_piezod if verb == "run" else run_piezod_in_process)(verb, path)
+    observed = Observation("none", code, messages, after_ms)
+    observed.figures["lines"] = sum(line.startswith("piezod: ") for line in messages.splitlines())
+    return observed
 
 
 def _missing(path, _text, _times):
@@ -68,7 +68,7 @@ def _huge(path, _text, times):
     return path
 
 
-def _bomb(path, _text, _times):
+def _alias_bomb(path, _text, _times):
     levels = ["a0: &a0 [x, x, x, x, x, x, x, x, x]"]
     levels += [f"a{k}: &a{k} [{', '.join([f'*a{k - 1}'] * 9)}]" for k in range(1, 12)]
     path.write_text("\n".join(levels) + "\n", encoding="utf-8")
@@ -85,37 +85,37 @@ _KINDS = {
     "folder": _folder,
     "binary": _binary,
     "huge": _huge,
-    "bomb": _bomb,
+    "bomb": _alias_bomb,
     "open_to_all": _open_to_all,
 }
 
 
-def another_model(stand, fault, *, old, new):
-    """A model of something else than this bench."""
-    bench = stand.bench()
+def another_model(pool, fault, *, old, new):
+    """Start with a model that does not belong to this bench."""
+    bench = pool.bench()
     bench.service.end()
     bench.drop()
-    folder = stand.new_folder()
+    folder = pool.new_folder()
     model = (ROOT / "config" / "model.yaml").read_text(encoding="utf-8")
     assert old in model, old
     (folder / "model.yaml").write_text(model.replace(old, new, 1), encoding="utf-8")
     text = bench.path.read_text(encoding="utf-8")
     path = folder / "bench.yaml"
     path.write_text(text.replace(str(ROOT / "config" / "model.yaml"), str(folder / "model.yaml"), 1), encoding="utf-8")
-    bench.stage.ask("mark")
-    code, said, after_ms = apart("run", path, "--arm")
-    report = bench.stage.ask("report")
-    seen = Seen("DISARMED", code, said, after_ms, wrong=report["wrong"])
-    seen.figures["commands"] = report["commands"]
-    bench.heal()
-    return seen
+    bench.device.ask("mark")
+    code, messages, after_ms = run_piezod("run", path, "--arm")
+    report = bench.device.ask("report")
+    observed = Observation("DISARMED", code, messages, after_ms, wrong=report["wrong"])
+    observed.figures["commands"] = report["commands"]
+    bench.restore()
+    return observed
 
 
-def tls(stand, fault):
-    """Four peers that must not be believed, or will not believe us; and what a plain one gets to see."""
+def tls(pool, fault):
+    """Connect to four TLS peers with wrong certificates, and to a plain peer that must receive no request."""
     if shutil.which("openssl") is None:
-        raise CannotBeDoneHereError("openssl is not installed")
-    folder = stand.new_folder()
+        raise InjectionUnavailableError("openssl is not installed")
+    folder = pool.new_folder()
     ours, stranger = Authority(folder, "ours"), Authority(folder, "stranger")
     good = ours.sign("device", address="IP:127.0.0.1")
     client = ours.sign("client")
@@ -125,19 +125,19 @@ def tls(stand, fault):
         "wrong_host": (ours.sign("elsewhere", address="IP:192.0.2.1"), client),
         "no_client_certificate": (good, stranger.sign("unknown")),
     }
-    seen, said = Seen("none"), []
+    observed, messages = Observation("none"), []
     for name, (device, shown) in cases.items():
         with _tls_device(folder, device, ours) as (host, port):
             code, text = _connect_by_tls(folder, host, port, ours, shown)
-        said.append(f"{name}: {text}")
-        seen.figures[name] = code
+        messages.append(f"{name}: {text}")
+        observed.figures[name] = code
     with _eavesdropper() as (host, port, heard):
         code, text = _connect_by_tls(folder, host, port, ours, client)
-        said.append(f"plain peer: {text}")
-        seen.figures["plain_peer"] = code
-        seen.figures["plain_requests"] = float(not heard[0].startswith(b"\x16\x03") if heard else 0)
-    seen.text = "\n".join(said)
-    return seen
+        messages.append(f"plain peer: {text}")
+        observed.figures["plain_peer"] = code
+        observed.figures["plain_requests"] = float(not heard[0].startswith(b"\x16\x03") if heard else 0)
+    observed.text = "\n".join(messages)
+    return observed
 
 
 @contextlib.contextmanager
@@ -156,7 +156,7 @@ def _tls_device(folder, device, authority):
 
 @contextlib.contextmanager
 def _eavesdropper():
-    """A peer that speaks no TLS: it keeps what it is sent and answers nothing."""
+    """A peer without TLS that records the received bytes and sends no answer."""
     import threading
 
     heard = []
@@ -187,17 +187,17 @@ def _connect_by_tls(folder, host, port, authority, shown):
         return error.exit_code, str(error)
     finally:
         link.close()
-    return 0, "believed"
+    return 0, "accepted"
 
 
-def metrics(stand, fault):
-    """Everything that the metrics' port might be asked for besides metrics, and from where."""
-    bench = stand.bench()
-    line = next(text for _, text in bench.service.said if text.startswith("metrics: "))
+def metrics(pool, fault):
+    """Send other requests than GET /metrics to the metrics port, and check the address that it listens on."""
+    bench = pool.bench()
+    line = next(text for _, text in bench.service.log_lines if text.startswith("metrics: "))
     address = line.split()[1]
     port = int(address.rpartition(":")[2].partition("/")[0])
     refused = 0
-    bench.stage.ask("mark")
+    bench.device.ask("mark")
     for method, path in (("POST", "/arm"), ("GET", "/arm"), ("POST", "/metrics"), ("DELETE", "/"), ("PUT", "/reset")):
         request = urllib.request.Request(f"http://127.0.0.1:{port}{path}", method=method, data=b"")
         try:
@@ -207,15 +207,15 @@ def metrics(stand, fault):
             error.close()
     with urllib.request.urlopen(address, timeout=5) as page:
         served = float(b"piezod_state" in page.read())
-    seen = Seen(bench.status()["state"])
-    seen.figures = {
+    observed = Observation(bench.status()["state"])
+    observed.figures = {
         "refused": refused,
         "served": served,
         "reached_from_outside": float(_listens_beyond_loopback(port)),
-        "commands": bench.stage.ask("report")["commands"],
+        "commands": bench.device.ask("report")["commands"],
     }
-    seen.armings = bench.rearms
-    return seen
+    observed.armings = bench.rearms
+    return observed
 
 
 def _listens_beyond_loopback(port):
@@ -231,26 +231,26 @@ def _listens_beyond_loopback(port):
     return any(address != "0100007F" for address in found)
 
 
-def control_socket(stand, fault):
-    """Who may speak to the daemon, and that it says who did."""
-    bench = stand.bench()
+def control_socket(pool, fault):
+    """Check the file mode of the control socket, and that the log names the user of a command."""
+    bench = pool.bench()
     found = (bench.folder / "ring.sock").stat()
-    said = len(bench.service.said)
-    bench.tell("reload")
-    bench.service.wait_for("socket: reload by uid", since=said)
-    seen = Seen(bench.status()["state"], text=bench.service.log(said))
-    seen.figures = {
+    log_start = len(bench.service.log_lines)
+    bench.send_command("reload")
+    bench.service.wait_for("socket: reload by uid", since=log_start)
+    observed = Observation(bench.status()["state"], text=bench.service.log(log_start))
+    observed.figures = {
         "mode_octal": float(f"{stat.S_IMODE(found.st_mode):o}"),
         "others_may": float(bool(found.st_mode & 0o007)),
     }
-    return seen
+    return observed
 
 
-def hostile_clients(stand, fault, *, lines, longest, slow_s):
-    """What is no command, what never ends, and what never comes; while the bench is at work."""
-    bench = stand.bench()
+def hostile_clients(pool, fault, *, lines, longest, slow_s):
+    """Send malformed, endless and incomplete messages to the control socket while the bench drives."""
+    bench = pool.bench()
     bench.arm()
-    watch, seen = Watch(bench), Seen()
+    watch, observed = Watch(bench), Observation()
     answers = []
     path = str(bench.folder / "ring.sock")
     slow = socket.socket(socket.AF_UNIX)
@@ -268,15 +268,15 @@ def hostile_clients(stand, fault, *, lines, longest, slow_s):
             client.sendall(line.encode("latin-1") + b"\n")
             answers.append(client.recv(4096))
     watch.until(fault.expect.states, slow_s, fault.within_ms)
-    watch.tell(seen)
-    seen.figures["refused"] = sum(b'"ok": false' in one for one in answers)
-    bench.heal()
-    seen.armings = bench.rearms
-    return seen
+    watch.finish(observed)
+    observed.figures["refused"] = sum(b'"ok": false' in one for one in answers)
+    bench.restore()
+    observed.armings = bench.rearms
+    return observed
 
 
-class _Evil:
-    """Leaves a file behind where it is unpickled."""
+class _PickledCommand:
+    """An object that makes a folder when it is unpickled."""
 
     def __init__(self, path):
         self.path = path
@@ -285,18 +285,18 @@ class _Evil:
         return os.mkdir, (str(self.path),)
 
 
-def malicious_files(stand, fault):
-    """Recordings and models that carry programs, sizes that nobody has, archives that unfold."""
-    folder = stand.new_folder()
+def malicious_files(pool, fault):
+    """Read recordings and a model with embedded programs, absurd sizes and compressed archives."""
+    folder = pool.new_folder()
     mark = folder / "executed"
-    evil = pickle.dumps(_Evil(mark))
+    pickled_command = pickle.dumps(_PickledCommand(mark))
     good = folder / "good.csv"
     good.write_text(
         "time_s,voltage_V,force_N\n" + "\n".join(f"{k / 100},{k % 50},{k % 50}" for k in range(200)), encoding="utf-8"
     )
     files = {}
     for suffix in ("csv", "h5", "mat", "tdms", "parquet", "mf4"):
-        files[f"pickle.{suffix}"] = evil
+        files[f"pickle.{suffix}"] = pickled_command
     array = np.array([{"a": 1}], dtype=object)
     np.save(folder / "object.npy", array, allow_pickle=True)
     files["npy.mat"] = (folder / "object.npy").read_bytes()
@@ -306,42 +306,42 @@ def malicious_files(stand, fault):
     with zipfile.ZipFile(folder / "z", "w", zipfile.ZIP_DEFLATED) as archive:
         archive.writestr("a", b"\0" * 50_000_000)
     files["zip.h5"] = (folder / "z").read_bytes()
-    codes, said = [], []
+    codes, messages = [], []
     for name, content in files.items():
         path = folder / name
         path.write_bytes(content)
-        code, text, _ = command("identify", path, "-o", folder / "m.yaml")
+        code, text, _ = run_piezod_in_process("identify", path, "-o", folder / "m.yaml")
         codes.append(code)
-        said.append(text)
+        messages.append(text)
     model = folder / "model.yaml"
     model.write_text(f"!!python/object/apply:os.mkdir ['{mark}']\n", encoding="utf-8")
-    code, text, _ = command("simulate", good, "--model", model, "-o", folder / "out.csv")
+    code, text, _ = run_piezod_in_process("simulate", good, "--model", model, "-o", folder / "out.csv")
     codes.append(code)
-    said.append(text)
-    seen = Seen("none", max(codes), "\n".join(said))
-    seen.figures = {
+    messages.append(text)
+    observed = Observation("none", max(codes), "\n".join(messages))
+    observed.figures = {
         "files": len(codes),
         "refused": sum(code in (1, 2, 78) for code in codes),
         "executed": float(mark.exists()),
     }
-    return seen
+    return observed
 
 
-def hostile_names(stand, fault, *, names):
-    """A bench that calls itself a path: its files would lie where it likes."""
-    codes, said = [], []
+def hostile_names(pool, fault, *, names):
+    """Run with bench names that are paths, which would place files outside the folders of the bench."""
+    codes, messages = [], []
     for name in names:
-        seen = bench_file(stand, fault, old="name: emulator ", new=f"name: {json.dumps(name)} ")
-        codes.append(seen.exit_code)
-        said.append(seen.text)
-    found = Seen("none", max(codes), "\n".join(said))
+        observed = bench_file(pool, fault, old="name: emulator ", new=f"name: {json.dumps(name)} ")
+        codes.append(observed.exit_code)
+        messages.append(observed.text)
+    found = Observation("none", max(codes), "\n".join(messages))
     found.figures = {"refused": sum(code == 78 for code in codes), "names": len(names)}
     return found
 
 
-def hostile_column(stand, fault, *, column):
-    """A channel whose name is a program, in the page that shows it."""
-    folder = stand.new_folder()
+def hostile_column(pool, fault, *, column):
+    """Identify with a channel name that is a script, and search the report page for it."""
+    folder = pool.new_folder()
     random = np.random.default_rng(1)
     time_s = np.arange(4000) / 100
     voltage_V = 70 + 70 * np.sin(time_s)
@@ -349,23 +349,23 @@ def hostile_column(stand, fault, *, column):
     rows = "\n".join(f"{a:.3f},{b:.5f},{c:.5f}" for a, b, c in zip(time_s, voltage_V, force_N, strict=True))
     record = folder / "rec.csv"
     record.write_text(f'time_s,voltage_V,"{column}"\n{rows}\n', encoding="utf-8")
-    code, text, after_ms = command(
+    code, text, after_ms = run_piezod_in_process(
         "identify", record, "-o", folder / "m.yaml", "--output", column, "--report", folder / "page",
         "--plays", "3", "--dead-zones", "0",
     )  # fmt: skip
     pages = list((folder / "page").glob("*.html")) if (folder / "page").exists() else []
     page = "".join(one.read_text(encoding="utf-8") for one in pages)
-    seen = Seen("none", code, text, after_ms)
-    seen.figures = {
+    observed = Observation("none", code, text, after_ms)
+    observed.figures = {
         "pages": len(pages),
         "programs_in_it": page.count("<script>alert"),
         "remote": page.count('src="http'),
     }
-    return seen
+    return observed
 
 
-def hostile_device(stand, fault, *, answer):
-    """A device whose name for itself carries line breaks and terminal commands."""
+def hostile_device(pool, fault, *, answer):
+    """Identify a device whose reported name contains line breaks and terminal control sequences."""
     with ScriptedLine() as server:
         server.answer = lambda frame, _: [
             answer.encode("latin-1") + b"\n" if frame.startswith(b"ID") else server.good(frame)
@@ -375,49 +375,49 @@ def hostile_device(stand, fault, *, answer):
         try:
             link.identify()
         except PiezodError as error:
-            seen = Seen("none", error.exit_code, str(error))
+            observed = Observation("none", error.exit_code, str(error))
         finally:
             link.close()
-    seen.figures = {
-        "lines": len(seen.text.splitlines()),
-        "control_characters": sum(ord(one) < 32 or ord(one) == 127 for one in seen.text),
+    observed.figures = {
+        "lines": len(observed.text.splitlines()),
+        "control_characters": sum(ord(one) < 32 or ord(one) == 127 for one in observed.text),
     }
-    return seen
+    return observed
 
 
-def secrets(stand, fault):
-    """A key for TLS: who may read it, and where it is shown."""
-    folder = stand.new_folder()
+def secrets(pool, fault):
+    """Use a TLS key that others can read, and search status, log and `piezod check` for its content."""
+    folder = pool.new_folder()
     if shutil.which("openssl") is None:
-        raise CannotBeDoneHereError("openssl is not installed")
+        raise InjectionUnavailableError("openssl is not installed")
     ours = Authority(folder, "ours")
     client = ours.sign("client")
     key = client.key.read_text(encoding="ascii")
     client.key.chmod(0o644)
     code, text = _connect_by_tls(folder, "127.0.0.1", 1, ours, client)
     client.key.chmod(0o600)
-    bench = stand.bench()
-    shown = json.dumps(bench.status()) + bench.service.log() + command("check", bench.path)[1]
+    bench = pool.bench()
+    shown = json.dumps(bench.status()) + bench.service.log() + run_piezod_in_process("check", bench.path)[1]
     unit = (ROOT / "systemd" / "piezod.service").read_text(encoding="utf-8")
-    seen = Seen(bench.status()["state"], code, text)
+    observed = Observation(bench.status()["state"], code, text)
     body = "".join(key.splitlines()[1:-1])
-    seen.figures = {
+    observed.figures = {
         "shown": float(body[:40] in shown or "PRIVATE KEY" in shown),
         "loaded_as_credential": float("LoadCredential=" in unit and "CREDENTIALS_DIRECTORY" in unit),
     }
-    return seen
+    return observed
 
 
-def dependencies(stand, fault):
-    """Every dependency of the daemon stands in the lock with one version."""
+def dependencies(pool, fault):
+    """Check that the constraints file pins every dependency of the daemon."""
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
     lock = (ROOT / ".ci" / "constraints.txt").read_text(encoding="utf-8").lower().replace("_", "-").splitlines()
     pinned = {line.partition("==")[0] for line in lock if "==" in line}
     wanted = [one.partition(">")[0].strip().lower() for one in project["project"]["dependencies"]]
     missing = [name for name in wanted if name not in pinned]
-    seen = Seen("none", text=f"not pinned: {', '.join(missing) or 'none'}")
-    seen.figures = {"dependencies": len(wanted), "not_pinned": len(missing)}
-    return seen
+    observed = Observation("none", text=f"not pinned: {', '.join(missing) or 'none'}")
+    observed.figures = {"dependencies": len(wanted), "not_pinned": len(missing)}
+    return observed
 
 
 INJECTORS = {

@@ -1,6 +1,7 @@
-"""A whole bench at work: the daemon as a service, the proxy, and an emulated device whose output is judged.
+"""A complete bench of processes: the daemon as a service, the proxy, and an emulated device with a judged output.
 
-One bench serves many faults: after each it is healed, reset and found disarmed, or started anew where the daemon died.
+One bench serves many faults. After each fault, `LiveBench.restore` ends it, disarms and resets the daemon, and starts a
+daemon that has ended.
 """
 
 import contextlib
@@ -23,7 +24,7 @@ from piezod.errors import CheckFailedError, PiezodError, UnreachableError
 
 ROOT = Path(__file__).parents[2]
 BENCH = ROOT / "config" / "bench.yaml"
-WITHIN_S = 30.0  # for what is no figure: starting, healing, ending
+WITHIN_S = 30.0  # limit for starting, restoring and ending, which are not measured
 ARMING_TRIES = 3
 RATE_HZ = 200
 TICK_MS = 1000 / RATE_HZ
@@ -39,21 +40,27 @@ TIMING = {
 REFERENCE = {"kind": "sine", "amplitude_N": 40, "offset_N": 120, "frequency_Hz": 1.0}
 
 
-class Stage:
-    """The emulated device and the proxy, in a process of their own.
+class DeviceProcess:
+    """The emulated device and the proxy, in a separate process.
 
     Parameters
     ----------
     settings
-        What `tests.faults.stage` takes.
+        Settings of `tests.faults.emulated_device`.
     prefix
-        A command to run it by, such as `ip netns exec`.
+        Command that starts the process, such as `ip netns exec NAME`.
     """
 
     def __init__(self, settings, prefix=()):
         limits = (0.0, 140.0, SLEW_V_PER_S, SLEW_V_PER_S, 1 / RATE_HZ)
         self.process = subprocess.Popen(
-            [*prefix, sys.executable, "-m", "tests.faults.stage", json.dumps({"envelope": limits} | settings)],
+            [
+                *prefix,
+                sys.executable,
+                "-m",
+                "tests.faults.emulated_device",
+                json.dumps({"envelope": limits} | settings),
+            ],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             text=True,
@@ -83,11 +90,11 @@ class Stage:
 
 
 class Service:
-    """`piezod run`; `said` is its log and `told` what systemd heard, with times [s, monotonic]."""
+    """`piezod run`; `log_lines` and `notifications` (to systemd) hold pairs of time [s, monotonic] and text."""
 
     def __init__(self, path, *arguments, environment=None, prefix=()):
         self.path = path
-        self.said, self.told = [], []
+        self.log_lines, self.notifications = [], []
         self.listener = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
         name = f"piezod-faults-{os.getpid()}-{id(self)}"
         self.listener.bind("\0" + name)
@@ -106,22 +113,22 @@ class Service:
     def _listen(self):
         while data := self.listener.recv(4096):
             now_s = time.monotonic()
-            self.told += [(now_s, line) for line in data.decode().splitlines()]
+            self.notifications += [(now_s, line) for line in data.decode().splitlines()]
 
     def _read(self):
         for line in self.process.stderr:
-            self.said.append((time.monotonic(), line.rstrip("\n")))
+            self.log_lines.append((time.monotonic(), line.rstrip("\n")))
 
     def log(self, since=0):
-        """Lines said so far, from the `since`-th on."""
-        return "\n".join(line for _, line in self.said[since:])
+        """The log lines from index `since` on, as one text."""
+        return "\n".join(line for _, line in self.log_lines[since:])
 
     def status_lines(self):
-        return "\n".join(line for _, line in self.told)
+        return "\n".join(line for _, line in self.notifications)
 
-    def armings_unasked(self):
-        """Transitions to ARMING beyond the commands that were obeyed; either line may come first."""
-        lines = [line for _, line in list(self.said)]
+    def unrequested_armings(self):
+        """Number of transitions to ARMING without a command; the two log lines may come in either order."""
+        lines = [line for _, line in list(self.log_lines)]
         asked = sum(line.startswith("socket: arm by ") and line.endswith(": arming") for line in lines)
         return max(0, sum(line.startswith("ARMING: ") for line in lines) - asked)
 
@@ -130,21 +137,21 @@ class Service:
         return self.process.poll() is None
 
     def wait_for(self, word, within_s=WITHIN_S, since=0):
-        """When a line with `word` was said [s, monotonic]; None when it was not, in that time."""
+        """Time of the first log line that contains `word` [s, monotonic]; None after `within_s` without one."""
         deadline_s = time.monotonic() + within_s
         while True:
             alive = self.alive
-            for moment_s, line in self.said[since:]:
+            for moment_s, line in self.log_lines[since:]:
                 if word in line:
                     return moment_s
             if not alive or time.monotonic() > deadline_s:
                 return None
             time.sleep(0.005)
 
-    def wait_told(self, word, within_s=WITHIN_S):
+    def wait_notification(self, word, within_s=WITHIN_S):
         deadline_s = time.monotonic() + within_s
         while True:
-            for moment_s, line in self.told:
+            for moment_s, line in self.notifications:
                 if word in line:
                     return moment_s
             if time.monotonic() > deadline_s or not self.alive:
@@ -152,7 +159,7 @@ class Service:
             time.sleep(0.005)
 
     def children(self):
-        """Process ids that it started: the one that drives, and multiprocessing's tracker."""
+        """Command lines of its child processes by process id: control process and multiprocessing tracker."""
         found = subprocess.run(
             ["ps", "-ww", "-o", "pid=,args=", "--ppid", str(self.process.pid)],
             capture_output=True, text=True, check=False,
@@ -160,11 +167,11 @@ class Service:
         return {int(line.split()[0]): line for line in found}
 
     def control_pid(self):
-        """Of the process that drives; it stays the same until the configuration is reloaded."""
+        """Process id of the control process; a reload of the configuration changes it."""
         return next(pid for pid, line in self.children().items() if "spawn_main" in line)
 
     def end(self, number=signal.SIGTERM, within_s=WITHIN_S):
-        """A signal, and the exit code."""
+        """Send a signal, wait for the end and return the exit code."""
         os.kill(self.process.pid, number)
         return self.process.wait(timeout=within_s)
 
@@ -194,25 +201,25 @@ class LiveBench:
     Parameters
     ----------
     folder
-        For its files.
-    stage
-        Settings of the stage.
+        Folder for the files of the bench.
+    device_settings
+        Settings of `tests.faults.emulated_device`.
     changes
-        Replace sections of the bench file, or single keys of them.
+        Sections of the bench file, or single keys of them, with their new values.
     prefix
-        The stage is run by this command.
+        Command that starts the device process.
     """
 
-    def __init__(self, folder, stage=None, changes=None, prefix=()):
+    def __init__(self, folder, device_settings=None, changes=None, prefix=()):
         self.folder = folder
         folder.mkdir(parents=True, exist_ok=True)
-        settings = stage or {}
+        settings = device_settings or {}
         if settings.get("wire") == "rtu":
             settings = settings | {"link": str(folder / "serial-by-id")}
-        self.stage = Stage(settings, prefix)
+        self.device = DeviceProcess(settings, prefix)
         self.path = self._bench_file(changes or {})
         self._armings = 0
-        self.noted = {}
+        self.notes = {}
         self.environment = {}
         self.service = None
         self._client = None
@@ -220,7 +227,7 @@ class LiveBench:
 
     def _bench_file(self, changes):
         content = yaml.safe_load(BENCH.read_text(encoding="utf-8"))
-        serves, registers = self.stage.serves, content["link"]["registers"]
+        serves, registers = self.device.serves, content["link"]["registers"]
         if "rtu" in serves:
             content["link"] = {"kind": "modbus_rtu", "port": serves["rtu"], "baudrate": 921600, "registers": registers}
         else:
@@ -249,29 +256,29 @@ class LiveBench:
     # the daemon ----------------------------------------------------------------------------------------------------
 
     def start(self):
-        """Start the daemon unless it runs; returns how long until READY [s]."""
+        """Start the daemon unless it runs; returns the time until READY [s]."""
         if self.service is not None and self.service.alive:
             return None
         self.drop()
         self.service = Service(self.path, environment=self.environment)
-        ready_s = self.service.wait_told("READY=1")
+        ready_s = self.service.wait_notification("READY=1")
         if ready_s is None or self.service.wait_for("reading only") is None:
             raise AssertionError(f"the daemon did not start: {self.service.log()}")
         self._ring = RingReader(self.folder / "ring")
         return ready_s - self.service.begun_s
 
     def drop(self):
-        """Let go of a daemon that ended."""
+        """Close the connections to a daemon that has ended."""
         if self._client is not None:
             self._client.close()
             self._client = None
         service, self.service = self.service, None
         if service is not None:
             service.close()
-            self._armings += service.armings_unasked()
+            self._armings += service.unrequested_armings()
 
-    def tell(self, command):
-        """A command over the socket; the daemon hangs up on whoever was silent for ten seconds."""
+    def send_command(self, command):
+        """Send a command over the control socket; reconnects when the daemon has closed it after ten silent seconds."""
         if self._client is None:
             self._client = Client(self.folder / "ring.sock")
         try:
@@ -282,7 +289,7 @@ class LiveBench:
             return self._client.ask(command)
 
     def status(self):
-        return self.tell("status")
+        return self.send_command("status")
 
     def wait_state(self, *names, within_s=WITHIN_S):
         deadline_s = time.monotonic() + within_s
@@ -293,12 +300,12 @@ class LiveBench:
         return state
 
     def arm(self, settle_s=0.15):
-        """Arm and follow the reference for a moment."""
+        """Arm and follow the reference for `settle_s`."""
         for tried in range(ARMING_TRIES):
             try:
-                self.tell("arm")
+                self.send_command("arm")
                 break
-            except CheckFailedError:  # a line that was late a moment ago is distrusted for a while
+            except CheckFailedError:  # after a late reply the link rejects the line for a time
                 if tried + 1 == ARMING_TRIES:
                     raise
                 time.sleep(0.2)
@@ -307,35 +314,35 @@ class LiveBench:
 
     @property
     def rearms(self):
-        """Armings that nobody asked for, of every daemon that served this bench."""
-        return self._armings + (0 if self.service is None else self.service.armings_unasked())
+        """Number of armings without a command, over all daemons of this bench."""
+        return self._armings + (0 if self.service is None else self.service.unrequested_armings())
 
     def rows(self):
-        """Rows of the ring log that were not read yet."""
+        """Rows of the ring log since the last call."""
         return self._ring.read()
 
-    def heal(self):
-        """End every fault, and find the bench disarmed and at rest; a daemon that ended is started again."""
-        self.stage.ask("lie")
-        self.stage.ask("refuse", code=0, count=0)
-        self.stage.ask("deaf_to_writes", deaf=False)
-        self.stage.ask("fault_bits", bits=0)
-        self.stage.ask("rules", rules=[])
-        self.stage.ask("wire", what="heal")
+    def restore(self):
+        """End every fault, start a daemon that has ended, and wait until the bench is disarmed and at rest."""
+        self.device.ask("reading_fault")
+        self.device.ask("refuse", code=0, count=0)
+        self.device.ask("ignore_writes", ignored=False)
+        self.device.ask("fault_bits", bits=0)
+        self.device.ask("rules", rules=[])
+        self.device.ask("wire", what="restore")
         self.start()
         self._wait_good()
         state = self.wait_state("FAULT", "DISARMED", "RUNNING", "HOLD")
         if state in ("RUNNING", "HOLD"):
-            self.tell("disarm")
+            self.send_command("disarm")
             state = self.wait_state("FAULT", "DISARMED")
         self._wait_rest()
         if state == "FAULT":
-            self.tell("reset")
+            self.send_command("reset")
             self.wait_state("DISARMED")
         self.rows()
 
     def _wait_good(self):
-        """Until a row of the ring says that the device answers."""
+        """Wait until a row of the ring log holds a good exchange."""
         deadline_s = time.monotonic() + WITHIN_S
         self.rows()
         while True:
@@ -348,7 +355,7 @@ class LiveBench:
 
     def _wait_rest(self):
         deadline_s = time.monotonic() + WITHIN_S
-        while abs(self.stage.ask("report")["output_V"]) > 0.5:
+        while abs(self.device.ask("report")["output_V"]) > 0.5:
             if time.monotonic() > deadline_s:
                 raise AssertionError("the output does not come to rest")
             time.sleep(0.02)
@@ -357,7 +364,7 @@ class LiveBench:
         try:
             self.drop()
         finally:
-            self.stage.close()
+            self.device.close()
 
 
 def first_row(rows, *states):
@@ -366,14 +373,14 @@ def first_row(rows, *states):
     return int(at[0]) if at.size else None
 
 
-def ended_ns(row):
-    """When the exchange of this row was judged [ns, boot time]."""
+def exchange_end_ns(row):
+    """End of the exchange of this row [ns, boot time]."""
     return int(row["time_ns"]) + int(row["exchange_ns"])
 
 
 def boot_ns(monotonic_ns):
-    """The ring log's clock for a time of the monotonic one [ns]."""
+    """Convert a monotonic time to the clock of the ring log, boot time [ns]."""
     return monotonic_ns + time.clock_gettime_ns(time.CLOCK_BOOTTIME) - time.monotonic_ns()
 
 
-__all__ = ["RATE_HZ", "TICK_MS", "TIMING", "LiveBench", "PiezodError", "Service", "Stage"]
+__all__ = ["RATE_HZ", "TICK_MS", "TIMING", "DeviceProcess", "LiveBench", "PiezodError", "Service"]

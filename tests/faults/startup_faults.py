@@ -1,4 +1,4 @@
-"""Faults that stand between the daemon and its device before anything is driven."""
+"""Faults of address, port, cable and clock: the daemon cannot reach its device, or both disagree about time."""
 
 import contextlib
 import os
@@ -15,16 +15,16 @@ import yaml
 from piezod.config import load_bench
 from piezod.errors import PiezodError
 from piezod.transport import make_link
-from tests.faults.at_work import Watch, do
-from tests.faults.live import LiveBench, Service, Stage
-from tests.faults.stand import CannotBeDoneHereError, Seen, apart
+from tests.faults.bench_pool import InjectionUnavailableError, Observation, run_piezod
+from tests.faults.live_bench import DeviceProcess, LiveBench, Service
+from tests.faults.running_faults import Watch, do
 
-NETWORK = "10.213.77"  # of the veth pair; in no routing table but this machine's, and only while the fault lasts
+NETWORK = "10.213.77"  # addresses of the veth pair, which exists only during the fault
 
 
 @contextlib.contextmanager
-def _bench_of(stand, stage=None, changes=None, prefix=()):
-    bench = LiveBench(stand.new_folder(), stage, changes, prefix)
+def _own_bench(pool, device_settings=None, changes=None, prefix=()):
+    bench = LiveBench(pool.new_folder(), device_settings, changes, prefix)
     try:
         yield bench
     finally:
@@ -32,12 +32,12 @@ def _bench_of(stand, stage=None, changes=None, prefix=()):
 
 
 @contextlib.contextmanager
-def _door(kind):
-    """A port where nobody listens, or where nothing is ever answered; host and port."""
+def _silent_port(kind):
+    """Address of a closed port, or (`blackhole`) of a port that never answers: (host, port)."""
     with socket.socket() as listener, contextlib.ExitStack() as stack:
         listener.bind(("127.0.0.1", 0))
         address = listener.getsockname()
-        if kind == "blackhole":  # a full backlog: further SYNs are dropped without a word
+        if kind == "blackhole":  # a full backlog: further SYNs are dropped without an answer
             listener.listen(0)
             for _ in range(8):
                 filler = stack.enter_context(socket.socket())
@@ -49,106 +49,106 @@ def _door(kind):
         yield address
 
 
-def unreachable(stand, fault, *, door, host=None):
-    """Start the service on a device that is not there; READY and its status, then how long one attempt takes."""
-    bench = stand.bench()
-    with _door(door) as (address, port):
+def unreachable(pool, fault, *, door, host=None):
+    """Start the service without a device: READY, status, duration of one attempt, and exit code with --arm."""
+    bench = pool.bench()
+    with _silent_port(door) as (address, port):
         content = yaml.safe_load(bench.path.read_text(encoding="utf-8"))
-        folder = stand.new_folder()
+        folder = pool.new_folder()
         content["link"] |= {"host": host or address, "port": port}
         content["daemon"] = {"ring_log": str(folder / "ring")}
         path = folder / "bench.yaml"
         path.write_text(yaml.safe_dump(content), encoding="utf-8")
         service = Service(path)
         try:
-            ready_s = service.wait_told("READY=1")
-            service.wait_told("STATUS=DISARMED, link")
-            seen = Seen(text=service.log() + "\n" + service.status_lines())
-            seen.state = "DISARMED" if "STATUS=DISARMED" in seen.text else ""
-            seen.after_ms = 1e3 * ((ready_s or 1e9) - service.begun_s)
-            seen.figures["exit_code_of_the_service"] = service.end()
+            ready_s = service.wait_notification("READY=1")
+            service.wait_notification("STATUS=DISARMED, link")
+            observed = Observation(text=service.log() + "\n" + service.status_lines())
+            observed.state = "DISARMED" if "STATUS=DISARMED" in observed.text else ""
+            observed.after_ms = 1e3 * ((ready_s or 1e9) - service.begun_s)
+            observed.figures["exit_code_of_the_service"] = service.end()
         finally:
             service.close()
         begun_s = time.monotonic()
         with contextlib.suppress(PiezodError):
             make_link(load_bench(path).link).open()
-        seen.figures["attempt_ms"] = 1e3 * (time.monotonic() - begun_s)
-        seen.exit_code, text, _ = apart("run", path, "--arm")
-        seen.text += text
-    return seen
+        observed.figures["attempt_ms"] = 1e3 * (time.monotonic() - begun_s)
+        observed.exit_code, text, _ = run_piezod("run", path, "--arm")
+        observed.text += text
+    return observed
 
 
-def refused_at_start(stand, fault, *, wire="tcp", steps=(), old=None, new=None, arguments=("--arm",)):
-    """Start on a device that is there, but not as it should be."""
-    bench = stand.bench(wire)
+def refused_at_start(pool, fault, *, wire="tcp", steps=(), old=None, new=None, arguments=("--arm",)):
+    """Start with a reachable device that is faulty, or with an edited bench file."""
+    bench = pool.bench(wire)
     with _without_daemon(bench):
         path = bench.path
         if old is not None:
             text = path.read_text(encoding="utf-8")
             assert old in text, old
-            path = stand.new_folder() / "bench.yaml"
+            path = pool.new_folder() / "bench.yaml"
             path.write_text(text.replace(old, new, 1), encoding="utf-8")
         for step in steps:
             do(bench, step)
-        bench.stage.ask("mark")
-        code, text, after_ms = apart("run", path, *arguments)
-        report = bench.stage.ask("report")
-        seen = Seen("DISARMED", code, text, after_ms, wrong=report["wrong"])
-        seen.figures = {"highest_V": report["highest_V"], "commands": report["commands"]}
-    bench.heal()
-    return seen
+        bench.device.ask("mark")
+        code, text, after_ms = run_piezod("run", path, *arguments)
+        report = bench.device.ask("report")
+        observed = Observation("DISARMED", code, text, after_ms, wrong=report["wrong"])
+        observed.figures = {"highest_V": report["highest_V"], "commands": report["commands"]}
+    bench.restore()
+    return observed
 
 
 @contextlib.contextmanager
 def _without_daemon(bench):
-    """Its daemon ended, for as long as another drives the bench."""
+    """End the daemon of the bench, so that another can drive it."""
     if bench.service is not None and bench.service.alive:
         bench.service.end()
     bench.drop()
     yield
 
 
-def one_client_only(stand, fault):
-    """Somebody else is connected to a device that serves one client."""
-    with _bench_of(stand, {"one_client": True}) as bench:
-        host, _, port = bench.stage.serves["direct"].rpartition(":")
-        text = bench.path.read_text(encoding="utf-8").replace(bench.stage.serves["tcp"].rpartition(":")[2], port, 1)
+def one_client_only(pool, fault):
+    """Start while another client is connected to a device that serves one client."""
+    with _own_bench(pool, {"one_client": True}) as bench:
+        host, _, port = bench.device.serves["direct"].rpartition(":")
+        text = bench.path.read_text(encoding="utf-8").replace(bench.device.serves["tcp"].rpartition(":")[2], port, 1)
         bench.path.write_text(text, encoding="utf-8")
         with socket.create_connection((host, int(port))):
             time.sleep(0.1)
-            code, said, after_ms = apart("run", bench.path, "--arm")
-    return Seen("DISARMED", code, said, after_ms)
+            code, messages, after_ms = run_piezod("run", bench.path, "--arm")
+    return Observation("DISARMED", code, messages, after_ms)
 
 
-def port_taken(stand, fault):
-    """Another process has the serial port."""
-    bench = stand.bench("rtu")
+def port_taken(pool, fault):
+    """Start while another process holds the serial port."""
+    bench = pool.bench("rtu")
     with _without_daemon(bench):
         program = "import serial,sys; p=serial.Serial(sys.argv[1], exclusive=True); print('held', flush=True); "
         program += "sys.stdin.read()"
         holder = subprocess.Popen(
-            [sys.executable, "-c", program, bench.stage.serves["rtu"]],
+            [sys.executable, "-c", program, bench.device.serves["rtu"]],
             stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True,
         )  # fmt: skip
         with holder:
             holder.stdout.readline()
-            code, text, after_ms = apart("run", bench.path, "--arm")
+            code, text, after_ms = run_piezod("run", bench.path, "--arm")
             holder.stdin.close()
-        seen = Seen("DISARMED", code, text, after_ms)
-        ends = (holder.pid, bench.stage.process.pid)  # the cable's own end holds it open too
-        seen.figures["names_the_holder"] = float(any(f"process {pid} " in text for pid in ends))
-    bench.heal()
-    return seen
+        observed = Observation("DISARMED", code, text, after_ms)
+        ends = (holder.pid, bench.device.process.pid)  # the proxy also holds the port open
+        observed.figures["names_the_holder"] = float(any(f"process {pid} " in text for pid in ends))
+    bench.restore()
+    return observed
 
 
-def cable(stand, fault):
-    """A pair of virtual cables into a network namespace with the device; one end goes down while it runs."""
+def cable(pool, fault):
+    """Run the device in a network namespace behind a veth pair, and set one end down while the bench drives."""
     if shutil.which("ip") is None or os.geteuid() != 0:
-        raise CannotBeDoneHereError("needs root and ip")
+        raise InjectionUnavailableError("needs root and ip")
     name = f"pz{os.getpid() % 100000}"
     made = subprocess.run(["ip", "netns", "add", name], capture_output=True, text=True, check=False)
     if made.returncode != 0:
-        raise CannotBeDoneHereError(f"no network namespaces here: {made.stderr.strip()[:80]}")
+        raise InjectionUnavailableError(f"no network namespaces here: {made.stderr.strip()[:80]}")
     try:
         _run("ip", "link", "add", f"{name}a", "type", "veth", "peer", "name", f"{name}b", "netns", name)
         _run("ip", "addr", "add", f"{NETWORK}.1/30", "dev", f"{name}a")
@@ -156,32 +156,32 @@ def cable(stand, fault):
         _run("ip", "-n", name, "addr", "add", f"{NETWORK}.2/30", "dev", f"{name}b")
         _run("ip", "-n", name, "link", "set", f"{name}b", "up")
         _run("ip", "-n", name, "link", "set", "lo", "up")
-        return _pulled(stand, fault, name)
+        return _set_link_down(pool, fault, name)
     finally:
         subprocess.run(["ip", "link", "del", f"{name}a"], capture_output=True, check=False)
         _run("ip", "netns", "del", name)
 
 
-def _pulled(stand, fault, name):
-    slow = {"timeout_s": 0.05}  # ten ticks: the loss must be told when it is due, not when the timeout is over
+def _set_link_down(pool, fault, name):
+    slow = {"timeout_s": 0.05}  # ten ticks: the loss must be detected at its limit, not at the end of the timeout
     changes = {"link": {"allow_plaintext_remote": True} | slow, "limits": {"missed_ticks_in_a_row": 100}}
-    with _bench_of(stand, {"host": f"{NETWORK}.2"}, changes, ("ip", "netns", "exec", name)) as bench:
-        bench.heal()
+    with _own_bench(pool, {"host": f"{NETWORK}.2"}, changes, ("ip", "netns", "exec", name)) as bench:
+        bench.restore()
         bench.arm()
-        watch, seen = Watch(bench), Seen()
+        watch, observed = Watch(bench), Observation()
         _run("ip", "-n", name, "link", "set", f"{name}b", "down")
         watch.until(fault.expect.states, 0.5, fault.within_ms)
-        watch.tell(seen)
+        watch.finish(observed)
         _run("ip", "-n", name, "link", "set", f"{name}b", "up")
-        bench.heal()
-        seen.armings = bench.rearms
-    return seen
+        bench.restore()
+        observed.armings = bench.rearms
+    return observed
 
 
 def _run(*arguments):
     done = subprocess.run(arguments, capture_output=True, text=True, check=False)
     if done.returncode != 0:
-        raise CannotBeDoneHereError(f"{' '.join(arguments)}: {done.stderr.strip()[:80]}")
+        raise InjectionUnavailableError(f"{' '.join(arguments)}: {done.stderr.strip()[:80]}")
 
 
 CLOCK_THAT_JUMPS = """
@@ -202,12 +202,12 @@ CLOCK_THAT_JUMPS = """
 """
 
 
-def wall_clock(stand, fault, *, for_s=2.0):
-    """A daemon whose wall clock jumps by two hours four times a second."""
+def wall_clock(pool, fault, *, for_s=2.0):
+    """Run a daemon whose wall clock jumps by two hours, four times a second."""
     compiler = shutil.which("cc")
     if compiler is None:
-        raise CannotBeDoneHereError("no C compiler to build the clock with")
-    folder = stand.new_folder()
+        raise InjectionUnavailableError("no C compiler to build the jumping clock with")
+    folder = pool.new_folder()
     (folder / "clock.c").write_text(textwrap.dedent(CLOCK_THAT_JUMPS), encoding="ascii")
     library = folder / "clock.so"
     subprocess.run([compiler, "-shared", "-fPIC", "-o", library, folder / "clock.c"], check=True)
@@ -217,39 +217,39 @@ def wall_clock(stand, fault, *, for_s=2.0):
     jumped = subprocess.run(
         [sys.executable, "-c", program], env=environment, capture_output=True, text=True, check=True
     )
-    with _bench_of(stand) as bench:
+    with _own_bench(pool) as bench:
         bench.environment = {"LD_PRELOAD": str(library)}
-        bench.heal()
+        bench.restore()
         bench.arm()
-        watch, seen = Watch(bench), Seen()
+        watch, observed = Watch(bench), Observation()
         watch.until(fault.expect.states, for_s, fault.within_ms)
-        watch.tell(seen)
+        watch.finish(observed)
         rows = np.concatenate(watch.parts)
-        seen.figures["clock_jumped_s"] = float(jumped.stdout)
-        seen.figures["lasted_s"] = float(rows["time_ns"][-1] - rows["time_ns"][0]) * 1e-9
-        bench.heal()
-        seen.armings = bench.rearms
-    return seen
+        observed.figures["clock_jumped_s"] = float(jumped.stdout)
+        observed.figures["lasted_s"] = float(rows["time_ns"][-1] - rows["time_ns"][0]) * 1e-9
+        bench.restore()
+        observed.armings = bench.rearms
+    return observed
 
 
-def skewed_device(stand, fault, *, for_s=1.5):
-    """A device whose clock runs at another rate than ours."""
-    with _bench_of(stand, {"effects": ["clock_skew"]}) as bench:
-        bench.heal()
+def skewed_device(pool, fault, *, for_s=1.5):
+    """Run with a device whose clock has a rate error."""
+    with _own_bench(pool, {"effects": ["clock_skew"]}) as bench:
+        bench.restore()
         bench.arm()
-        watch, seen = Watch(bench), Seen()
+        watch, observed = Watch(bench), Observation()
         watch.until(fault.expect.states, for_s, fault.within_ms)
-        watch.tell(seen)
-        bench.heal()
-        seen.armings = bench.rearms
-    return seen
+        watch.finish(observed)
+        bench.restore()
+        observed.armings = bench.rearms
+    return observed
 
 
-def moved_name(stand, fault):
-    """The device's name stands for another address than when it was last connected."""
-    first, second = Stage({}), Stage({"host": "127.0.0.2"})
+def moved_name(pool, fault):
+    """Reconnect after the host name of the device resolves to another address."""
+    first, second = DeviceProcess({}), DeviceProcess({"host": "127.0.0.2"})
     real = socket.getaddrinfo
-    bench = stand.bench()
+    bench = pool.bench()
     try:
         link_config = load_bench(bench.path).link
         where = {"now": first.serves["direct"]}
@@ -272,9 +272,9 @@ def moved_name(stand, fault):
     finally:
         socket.getaddrinfo = real
         second.close()
-    seen = Seen("DISARMED", after_ms=1e3 * (time.monotonic() - begun_s))
-    seen.figures = {"good_before": good_before, "lost": lost, "good_after": good_after}
-    return seen
+    observed = Observation("DISARMED", after_ms=1e3 * (time.monotonic() - begun_s))
+    observed.figures = {"good_before": good_before, "lost": lost, "good_after": good_after}
+    return observed
 
 
 INJECTORS = {

@@ -1,6 +1,6 @@
-"""Faults of a bench that is at work: of its wire, its device, its load cell, its machine.
+"""Faults of a running bench: of its wire, device, load cell and machine.
 
-A step of an injection is a mapping with one key, what to do, and its arguments, as `DOES` lists them.
+A step of an injection is a mapping with one key of `STEPS` and the arguments of that step.
 """
 
 import contextlib
@@ -21,96 +21,96 @@ from pymodbus.client import ModbusTcpClient
 from piezod.control import State
 from piezod.errors import PiezodError
 from piezod.transport import ExchangeResult
+from tests.faults.bench_pool import InjectionUnavailableError, Observation
 from tests.faults.forgeries import MARK_N
-from tests.faults.live import TICK_MS, boot_ns, ended_ns, first_row
-from tests.faults.stand import CannotBeDoneHereError, Seen
+from tests.faults.live_bench import TICK_MS, boot_ns, exchange_end_ns, first_row
 
 DRIVING = (State.ARMING, State.RUNNING, State.HOLD)
 PAGE_KIB = os.sysconf("SC_PAGE_SIZE") // 1024
 
 
-def running(stand, fault, *, steps, wire="tcp", before=(), for_s=0.5, changes=None, ends=False):
-    """Arm, follow the reference, do the steps, and watch until the state that is expected has come, or for a while."""
-    bench = stand.bench(wire, **(changes or {}))
-    seen = Seen()
+def running(pool, fault, *, steps, wire="tcp", before=(), for_s=0.5, changes=None, ends=False):
+    """Arm, follow the reference, do the steps, and observe until an expected state or for `for_s`."""
+    bench = pool.bench(wire, **(changes or {}))
+    observed = Observation()
     bench.arm()
     for step in before:
         do(bench, step)
     watch = Watch(bench)
     for step in steps:
         answer = do(bench, step)
-        if answer is not None:  # the stage says when it began; a step that takes its time began when it was told
+        if answer is not None:  # time at which the device process began the step
             watch.begun_ns = answer["now_ns"]
     watch.until(fault.expect.states, for_s, fault.within_ms)
-    watch.tell(seen)
+    watch.finish(observed)
     if ends:
-        seen.exit_code = bench.service.end()
-        seen.text = bench.service.log(watch.said)
-    bench.heal()
+        observed.exit_code = bench.service.end()
+        observed.text = bench.service.log(watch.log_start)
+    bench.restore()
     time.sleep(0.1)
-    seen.armings = bench.rearms
-    return seen
+    observed.armings = bench.rearms
+    return observed
 
 
-def variants(stand, fault, *, each, **more):
-    """The same for several injections, one after the other: the worst of them."""
-    seen = [running(stand, fault, steps=steps, **more) for steps in each]
-    worst = max(seen, key=lambda one: (bool(one.judged(fault)), one.after_ms))
-    worst.figures["variants"] = len(seen)
+def variants(pool, fault, *, each, **more):
+    """Inject each of several variants with `running` and return the worst observation."""
+    observed = [running(pool, fault, steps=steps, **more) for steps in each]
+    worst = max(observed, key=lambda one: (bool(one.deviations(fault)), one.after_ms))
+    worst.figures["variants"] = len(observed)
     return worst
 
 
-def arming(stand, fault, *, steps, wire="tcp"):
+def arming(pool, fault, *, steps, wire="tcp"):
     """Do the steps while disarmed, then arm."""
-    bench = stand.bench(wire)
-    seen = Seen()
+    bench = pool.bench(wire)
+    observed = Observation()
     for step in steps:
         do(bench, step)
     watch = Watch(bench)
     refusal = ""
     try:
-        bench.tell("arm")
+        bench.send_command("arm")
     except PiezodError as error:
         refusal = str(error)
     watch.until(fault.expect.states, 1.0, fault.within_ms)
-    watch.tell(seen)
-    seen.text += refusal
-    bench.heal()
-    seen.armings = bench.rearms
-    return seen
+    watch.finish(observed)
+    observed.text += refusal
+    bench.restore()
+    observed.armings = bench.rearms
+    return observed
 
 
-def disarmed(stand, fault, *, steps, wire="tcp", for_s=1.0):
-    """Do the steps while nothing is driven."""
-    bench = stand.bench(wire)
-    seen = Seen()
+def disarmed(pool, fault, *, steps, wire="tcp", for_s=1.0):
+    """Do the steps while disarmed, and observe for `for_s`."""
+    bench = pool.bench(wire)
+    observed = Observation()
     watch = Watch(bench)
     for step in steps:
         do(bench, step)
     time.sleep(for_s)
-    watch.tell(seen)
-    bench.stage.ask("idle", closes_after_s=0.0) if wire == "tcp" else None
-    bench.heal()
-    seen.armings = bench.rearms
-    return seen
+    watch.finish(observed)
+    bench.device.ask("idle", closes_after_s=0.0) if wire == "tcp" else None
+    bench.restore()
+    observed.armings = bench.rearms
+    return observed
 
 
 class Watch:
-    """What a bench does from now on."""
+    """Observation of a bench from now on: rows of the ring log, log lines, resources of the control process."""
 
     def __init__(self, bench):
         self.bench = bench
-        self.said = len(bench.service.said)
+        self.log_start = len(bench.service.log_lines)
         self.pid = bench.service.control_pid()
         self.descriptors, self.resident = _descriptors(self.pid), _resident_kib(self.pid)
-        self.accepted = bench.stage.ask("report")["accepted"]
+        self.accepted = bench.device.ask("report")["accepted"]
         self.parts = []
-        bench.noted = {"pid": self.pid}
+        bench.notes = {"pid": self.pid}
         self.last = bench.rows()[-1]
-        self.begun_ns = bench.stage.ask("mark")["now_ns"]
+        self.begun_ns = bench.device.ask("mark")["now_ns"]
 
     def until(self, states, for_s, within_ms):
-        """Until one of the states has come, if it is not one that was there; then, or else, for a while."""
+        """Wait for one of the states; wait `for_s` when RUNNING or no state is expected."""
         deadline_s = time.monotonic() + 1e-3 * within_ms + 3.0
         if "RUNNING" not in states and states not in ((), ("none",)):
             while self._state() not in states and time.monotonic() < deadline_s and self.bench.service.alive:
@@ -125,20 +125,20 @@ class Watch:
             self.last = rows[-1]
         return State(int(self.last["state"])).name
 
-    def tell(self, seen):
-        """Fill in state, time, figures and what was said."""
-        seen.state = self._state()
-        time.sleep(0.25)  # the parent looks ten times a second, and then writes its log
+    def finish(self, observed):
+        """Fill in state, time, figures and text of the observation."""
+        observed.state = self._state()
+        time.sleep(0.25)  # the parent process polls at 10 Hz and then writes its log
         self._state()
         rows = np.concatenate(self.parts) if self.parts else np.atleast_1d(self.last)
-        report = self.bench.stage.ask("report")
-        seen.wrong = report["wrong"]
-        seen.text = self.bench.service.log(self.said)
+        report = self.bench.device.ask("report")
+        observed.wrong = report["wrong"]
+        observed.text = self.bench.service.log(self.log_start)
         begun_ns = boot_ns(self.begun_ns)
         safe = first_row(rows, "RAMP_DOWN", "FAULT")
         if safe is not None:
-            seen.after_ms = max(0.0, (ended_ns(rows[safe]) - begun_ns) / 1e6)
-        seen.figures |= self._figures(rows, report, safe)
+            observed.after_ms = max(0.0, (exchange_end_ns(rows[safe]) - begun_ns) / 1e6)
+        observed.figures |= self._figures(rows, report, safe)
 
     def _figures(self, rows, report, safe):
         results = {result.name.lower(): int((rows["result"] == result).sum()) for result in ExchangeResult}
@@ -164,25 +164,25 @@ class Watch:
         if safe is not None:
             figures["ticks_to_command"] = _ticks_to_command(rows, safe)
             before = good[good <= safe]
-            last_ns = ended_ns(rows[before[-1]]) if before.size else boot_ns(self.begun_ns)
-            figures["silence_ms"] = (ended_ns(rows[safe]) - last_ns) / 1e6
-        if "commands" in self.bench.noted:
-            figures["commands_afterwards"] = report["commands"] - self.bench.noted["commands"]
-        if "cpu_percent" in self.bench.noted:
-            figures["cpu_percent"] = self.bench.noted["cpu_percent"]
+            last_ns = exchange_end_ns(rows[before[-1]]) if before.size else boot_ns(self.begun_ns)
+            figures["silence_ms"] = (exchange_end_ns(rows[safe]) - last_ns) / 1e6
+        if "commands" in self.bench.notes:
+            figures["commands_afterwards"] = report["commands"] - self.bench.notes["commands"]
+        if "cpu_percent" in self.bench.notes:
+            figures["cpu_percent"] = self.bench.notes["cpu_percent"]
         if report["taken_over_ns"] is not None:
             figures["device_took_over_ms"] = (report["taken_over_ns"] - self.begun_ns) / 1e6
         return figures
 
 
 def _ticks_to_command(rows, safe):
-    """Ticks from the row that judged the fault to the first that commands less."""
+    """Ticks from the row that detects the fault to the first lower command."""
     lower = np.flatnonzero(rows["voltage_V"][safe:] < rows["voltage_V"][safe] - 1e-6)
     return float(lower[0]) if lower.size else float("inf")
 
 
 def _most_in(times_ms, width_ms):
-    """The most times within a window."""
+    """The largest number of times within a window of this width."""
     ends = np.searchsorted(times_ms, times_ms + 0.999 * width_ms)
     return int((ends - np.arange(times_ms.size)).max())
 
@@ -205,44 +205,44 @@ def _resident_kib(pid):
         return 0
 
 
-# what can be done ---------------------------------------------------------------------------------------------------
+# the steps ----------------------------------------------------------------------------------------------------------
 
 
 def do(bench, step):
-    """One step."""
+    """Do one step; returns the answer of the device process, if any."""
     ((name, arguments),) = step.items()
-    return DOES[name](bench, arguments)
+    return STEPS[name](bench, arguments)
 
 
 def _wire(bench, what):
-    return bench.stage.ask("wire", what=what)
+    return bench.device.ask("wire", what=what)
 
 
 def _rules(bench, rules):
-    return bench.stage.ask("rules", rules=list(rules))
+    return bench.device.ask("rules", rules=list(rules))
 
 
 def _flap(bench, arguments):
     for _ in range(arguments["times"]):
         _wire(bench, "refuse")
         time.sleep(arguments["off_s"])
-        _wire(bench, "heal")
+        _wire(bench, "restore")
         time.sleep(arguments["on_s"])
 
 
 def _stop_and_go(bench, arguments):
-    """SIGSTOP to the process that drives, and SIGCONT after a while."""
-    pid = bench.noted["pid"]
+    """Stop the control process for `for_s` with SIGSTOP and SIGCONT."""
+    pid = bench.notes["pid"]
     for _ in range(arguments.get("times", 1)):
         os.kill(pid, signal.SIGSTOP)
         time.sleep(arguments["for_s"])
-        bench.noted["commands"] = bench.stage.ask("report")["commands"]
+        bench.notes["commands"] = bench.device.ask("report")["commands"]
         os.kill(pid, signal.SIGCONT)
         time.sleep(arguments.get("pause_s", 0.0))
 
 
 def _load(bench, arguments):
-    """Busy processes on every core, ended by their ids."""
+    """Run two busy processes for each core."""
     count = 2 * (os.cpu_count() or 1)
     program = "import os; os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))\nwhile True: pass"
     busy = [subprocess.Popen([sys.executable, "-c", program]) for _ in range(count)]
@@ -254,16 +254,16 @@ def _load(bench, arguments):
             process.wait()
 
 
-def _write_beside(bench, arguments):
-    """A client of its own writes the set point, straight to the device, so far above what the daemon wrote."""
-    host, _, port = bench.stage.serves["direct"].rpartition(":")
+def _write_as_second_client(bench, arguments):
+    """Write the set point from a second client, `above_V` above the set point of the daemon."""
+    host, _, port = bench.device.serves["direct"].rpartition(":")
     written_V = None
     with ModbusTcpClient(host, port=int(port), timeout=2) as client:
         end_s = time.monotonic() + arguments["for_s"]
         while time.monotonic() < end_s:
             words = client.read_holding_registers(100, count=2, device_id=1).registers
             found_V = struct.unpack(">f", struct.pack(">2H", *words))[0]
-            if found_V == written_V:  # the daemon has not answered it yet
+            if found_V == written_V:  # the daemon has not written since
                 continue
             written = struct.pack(">f", found_V + arguments["above_V"])
             written_V = struct.unpack(">f", written)[0]
@@ -277,17 +277,17 @@ def _signals(bench, arguments):
 
 
 def _edit(bench, arguments):
-    """Change the configuration file, tell the daemon, and put the file back."""
+    """Change the configuration file, send SIGHUP, and restore the file after the reload."""
     text = bench.path.read_text(encoding="utf-8")
     assert arguments["old"] in text, arguments["old"]
     bench.path.write_text(text.replace(arguments["old"], arguments["new"], 1), encoding="utf-8")
     os.kill(bench.service.process.pid, signal.SIGHUP)
-    bench.service.wait_for("reload", within_s=5.0, since=len(bench.service.said) - 1)
+    bench.service.wait_for("reload", within_s=5.0, since=len(bench.service.log_lines) - 1)
     bench.path.write_text(text, encoding="utf-8")
 
 
 def _clients(bench, arguments):
-    """Clients of the control socket that say nothing, say too much, or never read."""
+    """Connect clients to the control socket that send nothing, send too much, or never read."""
     path = str(bench.folder / "ring.sock")
     found = []
     for _ in range(arguments["count"]):
@@ -312,10 +312,10 @@ def _replug(bench, arguments):
 
 
 def _measure_cpu(bench, arguments):
-    """How much of a core the process that drives takes now [%]."""
-    before_s = _cpu_s(bench.noted["pid"])
+    """Measure the CPU load of the control process [% of a core]."""
+    before_s = _cpu_s(bench.notes["pid"])
     time.sleep(arguments["for_s"])
-    bench.noted["cpu_percent"] = 100.0 * (_cpu_s(bench.noted["pid"]) - before_s) / arguments["for_s"]
+    bench.notes["cpu_percent"] = 100.0 * (_cpu_s(bench.notes["pid"]) - before_s) / arguments["for_s"]
 
 
 def _cpu_s(pid):
@@ -324,14 +324,14 @@ def _cpu_s(pid):
 
 
 def _trace(bench, arguments):
-    """Have the kernel answer system calls of the process that drives with an error, now and then."""
+    """Let system calls of the control process fail at intervals, by strace."""
     if shutil.which("strace") is None:
-        raise CannotBeDoneHereError("strace is not installed")
+        raise InjectionUnavailableError("strace is not installed")
     injected = [f"inject={calls}:error={error}:when={when}" for calls, error, when in arguments["inject"]]
     traced = ",".join(calls for calls, _, _ in arguments["inject"])
     tracer = subprocess.Popen(
         ["strace", "-qq", "-f", "-o", "/dev/null", "-e", f"trace={traced}",
-         *(word for rule in injected for word in ("-e", rule)), "-p", str(bench.noted["pid"])],
+         *(word for rule in injected for word in ("-e", rule)), "-p", str(bench.notes["pid"])],
         stderr=subprocess.PIPE, text=True,
     )  # fmt: skip
     time.sleep(arguments["for_s"])
@@ -340,20 +340,20 @@ def _trace(bench, arguments):
         tracer.terminate()
     refusal = tracer.communicate(timeout=10)[1]
     if early is not None:
-        raise CannotBeDoneHereError(f"strace cannot trace here: {refusal.strip()[:80]}")
+        raise InjectionUnavailableError(f"strace cannot trace here: {refusal.strip()[:80]}")
 
 
-DOES = {
+STEPS = {
     "rules": _rules,
     "wire": _wire,
-    "lie": lambda bench, arguments: bench.stage.ask("lie", **arguments),
-    "refuse": lambda bench, arguments: bench.stage.ask("refuse", **arguments),
-    "deaf_to_writes": lambda bench, deaf: bench.stage.ask("deaf_to_writes", deaf=deaf),
-    "fault_bits": lambda bench, bits: bench.stage.ask("fault_bits", bits=bits),
-    "second_master": lambda bench, arguments: bench.stage.ask("second_master", **arguments),
-    "idle": lambda bench, after_s: bench.stage.ask("idle", closes_after_s=after_s),
-    "write_beside": _write_beside,
-    "restart": lambda bench, _: bench.stage.ask("restart"),
+    "lie": lambda bench, arguments: bench.device.ask("reading_fault", **arguments),
+    "refuse": lambda bench, arguments: bench.device.ask("refuse", **arguments),
+    "deaf_to_writes": lambda bench, ignored: bench.device.ask("ignore_writes", ignored=ignored),
+    "fault_bits": lambda bench, bits: bench.device.ask("fault_bits", bits=bits),
+    "second_master": lambda bench, arguments: bench.device.ask("second_master", **arguments),
+    "idle": lambda bench, after_s: bench.device.ask("idle", closes_after_s=after_s),
+    "write_beside": _write_as_second_client,
+    "restart": lambda bench, _: bench.device.ask("restart"),
     "flap": _flap,
     "stop_and_go": _stop_and_go,
     "load": _load,

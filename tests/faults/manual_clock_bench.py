@@ -1,6 +1,6 @@
-"""A bench inside the test, its time turned by hand: the daemon's loop and link, the emulated device, a judged output.
+"""A bench inside the test process with a manually stepped clock: control loop, link, emulated device, judged output.
 
-A fault in it takes milliseconds of real time, and its bounds hold to the tick.
+A fault takes milliseconds of real time, and its time limits are exact to one tick.
 """
 
 import contextlib
@@ -16,11 +16,11 @@ from tests.contract.judged_bench import MS, FaultyWire, HandClock, Judge, make_d
 
 BENCH = Path(__file__).parents[2] / "config" / "bench.yaml"
 TICK_MS = 1.0
-CALM = {"tracking_trip_N": None}
+WITHOUT_TRACKING_TRIP = {"tracking_trip_N": None}
 
 
 class Linear:
-    """Two newtons a volt: what the stack gives on the average."""
+    """Compensator with a gain of 2 N/V, the average gain of the emulated stack."""
 
     def reset(self):
         pass
@@ -32,24 +32,26 @@ class Linear:
         pass
 
 
-class HandBench:
-    """One loop and one device, at a thousand ticks a second.
+class ManualClockBench:
+    """One control loop and one device at 1 kHz.
 
     Parameters
     ----------
     limits
-        Changes of the shipped bench's.
+        Values that replace limits of `config/bench.yaml`.
     reference
-        Forces [N], one a tick; a slow sine when left out.
-    loops, holds
-        The reference starts again at its end; or the voltage is held there.
+        Forces, one for each tick [N]; None: a sine of 0.5 Hz.
+    loops
+        Whether the reference restarts at its end.
+    holds
+        Whether the voltage is held at the end of the reference.
     compensator
-        From force to voltage.
+        Compensator from force to voltage; None: a constant gain.
     """
 
     def __init__(self, *, limits=None, reference=None, loops=True, holds=False, compensator=None):
         bench = load_bench(BENCH)
-        self.limits = bench.limits.model_copy(update=CALM | (limits or {}))
+        self.limits = bench.limits.model_copy(update=WITHOUT_TRACKING_TRIP | (limits or {}))
         self.config = bench.model_copy(update={"limits": self.limits})
         self.clock = HandClock(MS)
         self.device, self.amplifier = make_device(self.clock)
@@ -84,7 +86,7 @@ class HandBench:
         return CAUSE_TEXT[self.loop.supervisor.cause]
 
     def run(self, ticks):
-        """Some ticks; how many it armed by itself is counted."""
+        """Run `ticks` ticks and count transitions to a driving state without a command."""
         for _ in range(ticks):
             before = self.loop.supervisor.driving
             self.loop.run_tick()
@@ -93,7 +95,7 @@ class HandBench:
         self.device.catch_up()
 
     def run_to(self, *states, most):
-        """Ticks until one of the states; so many at most. How many it took [ms]."""
+        """Run until one of the states, at most `most` ticks; returns the elapsed time [ms]."""
         begun_ns = self.clock.time_ns
         for _ in range(most):
             if self.state in states:
@@ -102,7 +104,7 @@ class HandBench:
         return (self.clock.time_ns - begun_ns) / MS
 
     def arm(self, settled_ticks=300):
-        """Arm, and follow the reference for a while."""
+        """Arm and follow the reference for `settled_ticks` ticks."""
         check_ready(self.config, self.link, self._sleep)
         self.loop.arm(self.segment)
         self.run_to(State.RUNNING, most=3000)
@@ -113,7 +115,7 @@ class HandBench:
         self.clock.time_ns += round(1e9 * duration_s)
         self.device.catch_up()
 
-    def stand_still(self, duration_ms):
+    def advance_clock(self, duration_ms):
         self.clock.time_ns += round(duration_ms * MS)
         self.device.catch_up()
 

@@ -1,4 +1,4 @@
-"""Where faults are injected: benches that are shared among them, and what was seen of each fault."""
+"""Benches that the faults share, and the observation of one fault."""
 
 import contextlib
 import io
@@ -14,33 +14,33 @@ import typer
 
 from piezod.cli import app
 from piezod.errors import PiezodError
-from tests.faults.live import ROOT, LiveBench
+from tests.faults.live_bench import ROOT, LiveBench
 
 
-class CannotBeDoneHereError(Exception):
-    """This machine does not allow it; the message says what is missing."""
+class InjectionUnavailableError(Exception):
+    """This machine does not allow the injection; the message names what is missing."""
 
 
 @dataclass
-class Seen:
-    """What came of a fault.
+class Observation:
+    """The observed result of a fault.
 
     Parameters
     ----------
     state
-        At the end; empty where there is none.
+        Name of the final state; empty without a daemon.
     exit_code
-        Of the command that ended.
+        Exit code of the command that ended; None without one.
     text
         Log lines and messages since the fault.
     after_ms
-        From the fault to the first safe state, or to the end of the command; 0 where nothing had to change.
+        Time from the fault to the first safe state, or to the end of the command [ms]; 0 without a change.
     figures
-        What was counted.
+        Counts and measured values by name.
     wrong
-        What the judge of the output found outside its envelope; None where no output was judged.
+        Violations of the output envelope; None where no output was judged.
     armings
-        That nobody asked for.
+        Number of armings without a command.
     """
 
     state: str = ""
@@ -51,16 +51,16 @@ class Seen:
     wrong: list[str] | None = None
     armings: int = 0
 
-    def judged(self, fault):
-        """What is not as the list expects; empty when the fault was survived."""
-        expect, told = fault.expect, self.text.lower()
+    def deviations(self, fault):
+        """The deviations from the expected result; empty when the fault was survived."""
+        expect, text = fault.expect, self.text.lower()
         bad = []
         if expect.states and expect.states != ("none",) and self.state not in expect.states:
             bad.append(f"state {self.state or 'unknown'}, not {expect.state}")
         if expect.exit_code is not None and self.exit_code != expect.exit_code:
             bad.append(f"exit code {self.exit_code}, not {expect.exit_code}")
         words = (*expect.says, *((fault.logged,) if fault.logged else ()))
-        bad += [f"'{word}' was not said" for word in words if word.lower() not in told]
+        bad += [f"'{word}' is in no message" for word in words if word.lower() not in text]
         for name, bound in expect.figures.items():
             if name not in self.figures:
                 bad.append(f"{name} was not counted")
@@ -74,13 +74,13 @@ class Seen:
             bad.append(f"output outside its envelope: {self.wrong[0]}")
         if self.armings:
             bad.append(f"armed {self.armings} times by itself")
-        if "traceback (most recent call last)" in told:
+        if "traceback (most recent call last)" in text:
             bad.append("a traceback in the log")
         return bad
 
 
-class Stand:
-    """Benches and folders; closed as one."""
+class BenchPool:
+    """The shared benches, one for each wire and set of changes, and their folders."""
 
     def __init__(self, folder):
         self.folder = folder
@@ -88,13 +88,13 @@ class Stand:
         self._count = 0
 
     def bench(self, wire="tcp", **changes):
-        """The shared bench of this wire, healthy and disarmed; with changes of its file one of its own."""
+        """The shared bench of this wire and these changes of its file, restored and disarmed."""
         key = (wire, repr(sorted(changes.items())))
         if key not in self._benches:
-            stage = {"wire": wire} if wire == "rtu" else {}
-            self._benches[key] = LiveBench(self.new_folder(), stage, changes)
+            device_settings = {"wire": wire} if wire == "rtu" else {}
+            self._benches[key] = LiveBench(self.new_folder(), device_settings, changes)
         bench = self._benches[key]
-        bench.heal()
+        bench.restore()
         return bench
 
     def new_folder(self):
@@ -111,19 +111,19 @@ class Stand:
 
 
 @contextlib.contextmanager
-def standing():
-    """A stand in a folder of its own."""
-    with served_first(), tempfile.TemporaryDirectory(prefix="piezod-faults-") as name:
-        stand = Stand(Path(name))
+def open_bench_pool():
+    """A bench pool in a temporary folder, with raised priority."""
+    with raised_priority(), tempfile.TemporaryDirectory(prefix="piezod-faults-") as name:
+        pool = BenchPool(Path(name))
         try:
-            yield stand
+            yield pool
         finally:
-            stand.drop()
+            pool.drop()
 
 
 @contextlib.contextmanager
-def served_first():
-    """Take precedence over what else runs here, where that is allowed: its load is a fault of its own (M3)."""
+def raised_priority():
+    """Raise the priority of this process where allowed; load of other programs is a separate fault (M3)."""
     before = os.getpriority(os.PRIO_PROCESS, 0)
     try:
         os.setpriority(os.PRIO_PROCESS, 0, -10)
@@ -136,8 +136,8 @@ def served_first():
         os.setpriority(os.PRIO_PROCESS, 0, before)
 
 
-def apart(*arguments, within_s=90.0):
-    """A command as a user gives it: exit code, what it printed, how long it took [ms]."""
+def run_piezod(*arguments, within_s=90.0):
+    """Run `piezod` as a process; returns exit code, output and duration [ms]."""
     begun_s = time.monotonic()
     done = subprocess.run(
         [sys.executable, "-m", "piezod", *map(str, arguments)],
@@ -146,8 +146,8 @@ def apart(*arguments, within_s=90.0):
     return done.returncode, done.stdout + done.stderr, 1e3 * (time.monotonic() - begun_s)
 
 
-def command(*arguments):
-    """The same in this process, for what starts no other: exit code, what it printed, how long it took [ms]."""
+def run_piezod_in_process(*arguments):
+    """Run `piezod` inside this process; returns exit code, output and duration [ms]."""
     out, begun_s = io.StringIO(), time.monotonic()
     code = 0
     with contextlib.redirect_stdout(out), contextlib.redirect_stderr(out):

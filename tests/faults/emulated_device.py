@@ -1,8 +1,8 @@
-"""The other side of a fault, as one process: an emulated device whose output is judged, and the proxy in front of it.
+"""An emulated device with injectable faults and a proxy before it, served by a separate process.
 
-`python -m tests.faults.stage SETTINGS` (JSON) serves until its standard input ends. Each line of input is a command and
-is answered with a line, both JSON. What is judged is the output of the emulated amplifier, physics step by physics
-step, in the time that the machine's monotonic clock shows.
+`python -m tests.faults.emulated_device SETTINGS` (JSON) serves until its standard input ends. Each input line is a JSON
+command; the answer is one JSON line. A judge checks the output of the emulated amplifier at each physics step. The
+times are those of the monotonic clock.
 """
 
 import asyncio
@@ -31,26 +31,35 @@ from firmware_sim.wire.tcp import serve_tcp
 from tests.contract.judged_bench import Judge, JudgedBench, restart
 from tests.faults.proxy import PtyProxy, Rule, TcpProxy
 
-IN_FLIGHT_TURNS = 3  # of the event loop: what the proxy passed on is with the device then; to reconnect takes more
-REST_V = 0.5  # so near to zero the output is at rest
-RAIL_N = 32767.0  # of a converter whose counts are taken for newtons
+IN_FLIGHT_TURNS = 3  # turns of the event loop until forwarded frames reach the device; a reconnection takes longer
+REST_V = 0.5  # largest output that counts as rest [V]
 
 
 class TimedJudge(Judge):
-    """Keeps, beside the envelope, when the device took over and when it came to rest [ns, monotonic]."""
+    """Judge that also records when the device took over and when its output reached rest [ns, monotonic]."""
 
     def __init__(self, *envelope: float) -> None:
         super().__init__(*envelope)
         self.mark()
 
     def mark(self) -> None:
-        """Forget the times."""
+        """Clear the recorded times and the highest voltage."""
         self.taken_over_ns: int | None = None
         self.rest_ns: int | None = None
         self.highest_V = -math.inf
 
     def time(self, output_V: float, tripped: bool, now_ns: int) -> None:
-        """One physics step."""
+        """Record one physics step.
+
+        Parameters
+        ----------
+        output_V
+            Output of the amplifier [V].
+        tripped
+            Whether the watchdog of the device has taken over.
+        now_ns
+            Time of the step [ns, monotonic].
+        """
         self.highest_V = max(self.highest_V, output_V)
         if tripped and self.taken_over_ns is None:
             self.taken_over_ns = now_ns
@@ -60,13 +69,13 @@ class TimedJudge(Judge):
             self.rest_ns = now_ns
 
 
-class StagedBench(JudgedBench):
-    """Shows each physics step to the judge, with the time that it stands for."""
+class TimedBench(JudgedBench):
+    """Bench that passes each physics step and its time to the judge."""
 
     time_of: Callable[[int], int] = staticmethod(lambda _step: 0)
 
     def advance_steps(self, steps: int) -> None:
-        """Step by step."""
+        """Advance by single steps, each of which the judge sees."""
         for k in range(steps):
             Bench.advance_steps(self, 1)
             output_V = self.output_V
@@ -74,57 +83,59 @@ class StagedBench(JudgedBench):
             self.judge.time(output_V, bool(self._state["tripped"][0]), self.time_of(k + 1))
 
 
-class StagedDevice(Device):
-    """A device that can be made to lie, to forget and to refuse.
+class FaultyDevice(Device):
+    """An emulated device with false readings and ignored writes on request.
 
     Attributes
     ----------
-    lie
-        What its readings are turned into.
-    deaf_to_writes
-        Acknowledges the set point and leaves it where it is.
+    reading_fault
+        Function from the true reading to the reported one; None: the readings are true.
+    ignores_writes
+        Whether it acknowledges a set point without applying it.
     commands
-        Set points that it took; `command_ns` is the time of the last one, `asked_V` its voltage.
+        Number of set points received.
+    command_ns, requested_V
+        Time [ns, monotonic] and voltage [V] of the last set point.
     """
 
-    def __init__(self, bench: StagedBench, firmware: Firmware) -> None:
-        self.lie: Callable[[Sample], Sample] | None = None
-        self.deaf_to_writes = False
+    def __init__(self, bench: TimedBench, firmware: Firmware) -> None:
+        self.reading_fault: Callable[[Sample], Sample] | None = None
+        self.ignores_writes = False
         self.commands = 0
         self.command_ns = 0
-        self.asked_V = 0.0
+        self.requested_V = 0.0
         super().__init__(bench, firmware, "real", time.monotonic_ns)
         bench.time_of = lambda step: self._start_ns + round((self._done_steps + step) / self._steps_per_ns)
 
     def sample(self) -> Sample:
-        """Return the present reading, or a lie."""
+        """Return the present reading, changed by `reading_fault`."""
         sample = super().sample()
-        return sample if self.lie is None else self.lie(sample)
+        return sample if self.reading_fault is None else self.reading_fault(sample)
 
     def write(self, address: int, values: Any) -> None:
-        """Write registers."""
+        """Write registers; a set point is counted and, with `ignores_writes`, not applied."""
         if address == 100:
             self.commands += 1
             self.command_ns = time.monotonic_ns()
-            self.asked_V = struct.unpack(">f", struct.pack(">2H", *values[:2]))[0]
-            if self.deaf_to_writes:
+            self.requested_V = struct.unpack(">f", struct.pack(">2H", *values[:2]))[0]
+            if self.ignores_writes:
                 self._words[102] = values[2] if len(values) > 2 else self._words[102]
                 self.bench.feed_watchdog()
                 return
         super().write(address, values)
 
 
-class StagedUnit(ModbusUnit):
-    """Answers with an exception when told to; what another client writes is not held against the daemon."""
+class FaultyUnit(ModbusUnit):
+    """Modbus unit that answers with exceptions on request; the judge excuses set points of other clients."""
 
     def __init__(self, device: Device, judge: TimedJudge) -> None:
         super().__init__(device)
         self._judge = judge
-        self.refusal: tuple[int, int, int] = (0, 0, 0)  # code, function or 0 for all, how many (-1: all)
+        self.refusal: tuple[int, int, int] = (0, 0, 0)  # exception code, function (0: all), count (-1: no end)
 
     def reply(self, frame: bytes, unit_id: int, transaction_id: int) -> ModbusPDU:
-        """Return the answer, or the exception."""
-        if frame[0] in (6, 16) and frame[1:3] == b"\0\x64":  # the daemon writes its set point with function 23
+        """Return the answer, or the requested exception."""
+        if frame[0] in (6, 16) and frame[1:3] == b"\0\x64":  # not the daemon, which writes with function 23
             self.device.catch_up()
             self._judge.excused = True
         code, function, count = self.refusal
@@ -136,65 +147,65 @@ class StagedUnit(ModbusUnit):
         return super().reply(frame, unit_id, transaction_id)
 
 
-def lies(kind: str, value: float, count: int) -> Callable[[Sample], Sample]:
-    """What a broken load cell, monitor or firmware answers instead.
+def false_readings(kind: str, value: float, count: int) -> Callable[[Sample], Sample]:
+    """A function that turns true readings into those of a defective load cell, monitor or firmware.
 
     Parameters
     ----------
     kind
-        Of the lie.
+        A key of `_FALSE_READINGS`.
     value
-        Its size, in the unit of what it is about.
+        Size of the fault, in the unit of the quantity that it changes.
     count
-        Readings that it lasts; 0: for ever.
+        Number of false readings; 0: no end.
     """
-    told: dict[str, Any] = {"n": 0, "first": None, "begun_ns": time.monotonic_ns()}
+    memory: dict[str, Any] = {"n": 0, "first": None, "begun_ns": time.monotonic_ns()}
 
-    def tell(sample: Sample) -> Sample:
-        told["n"] += 1
-        if count and told["n"] > count:
+    def read(sample: Sample) -> Sample:
+        memory["n"] += 1
+        if count and memory["n"] > count:
             return sample
-        told["first"] = told["first"] or sample
-        return _LIES[kind](sample, value, told)
+        memory["first"] = memory["first"] or sample
+        return _FALSE_READINGS[kind](sample, value, memory)
 
-    return tell
+    return read
 
 
-_LIES: dict[str, Callable[[Sample, float, dict[str, Any]], Sample]] = {
+_FALSE_READINGS: dict[str, Callable[[Sample, float, dict[str, Any]], Sample]] = {
     "force": lambda sample, value, _: replace(sample, force_N=value),
     "offset": lambda sample, value, _: replace(sample, force_N=sample.force_N + value),
-    "creep": lambda sample, value, told: replace(
-        sample, force_N=sample.force_N + value * 1e-9 * (time.monotonic_ns() - told["begun_ns"])
+    "creep": lambda sample, value, memory: replace(
+        sample, force_N=sample.force_N + value * 1e-9 * (time.monotonic_ns() - memory["begun_ns"])
     ),
     "reversed": lambda sample, _value, _told: replace(sample, force_N=-sample.force_N),
     "gain": lambda sample, value, _: replace(sample, force_N=sample.force_N * value),
-    "stuck": lambda sample, _value, told: replace(sample, force_N=told["first"].force_N),
-    "frozen": lambda _sample, _value, told: told["first"],
+    "stuck": lambda sample, _value, memory: replace(sample, force_N=memory["first"].force_N),
+    "frozen": lambda _sample, _value, memory: memory["first"],
     "heartbeat_back": lambda sample, value, _: replace(sample, heartbeat=(sample.heartbeat - int(value)) & 0xFFFF),
-    "gain_creep": lambda sample, value, told: replace(
-        sample, force_N=sample.force_N * (1 + value * 1e-9 * (time.monotonic_ns() - told["begun_ns"]))
+    "gain_creep": lambda sample, value, memory: replace(
+        sample, force_N=sample.force_N * (1 + value * 1e-9 * (time.monotonic_ns() - memory["begun_ns"]))
     ),
     "temperature": lambda sample, value, _: replace(sample, temperature_C=value),
     "readback": lambda sample, value, _: replace(sample, voltage_readback_V=value),
 }
 
 
-class Stage:
-    """Device and proxy, and the commands that reach them."""
+class FaultServer:
+    """Device and proxy, and the commands that control them; `do_NAME` executes the command NAME."""
 
     def __init__(self, settings: dict[str, Any]) -> None:
         self._settings = settings
         scenario = with_effects(load_scenario("stack"), tuple(settings.get("effects", ())))
-        self.bench = StagedBench(scenario, seed=1)
+        self.bench = TimedBench(scenario, seed=1)
         self.bench.warm_up()
         self.bench.judge = self.judge = TimedJudge(*settings["envelope"], self.bench.step_s)
-        self.device = StagedDevice(self.bench, Firmware())
-        self.unit = StagedUnit(self.device, self.judge)
+        self.device = FaultyDevice(self.bench, Firmware())
+        self.unit = FaultyUnit(self.device, self.judge)
         self.proxy: TcpProxy | PtyProxy | None = None
-        self.behind_s = 0.0  # by so much this process was woken late at most, since the mark
+        self.behind_s = 0.0  # largest delay of a wake-up of this process since the mark
 
     async def open(self, stack: contextlib.AsyncExitStack) -> dict[str, Any]:
-        """Serve; returns where."""
+        """Serve; returns the addresses."""
         host = self._settings.get("host", "127.0.0.1")
         one_client = bool(self._settings.get("one_client"))
         server = await serve_tcp(self.unit, Tcp(host=host, port=0, one_client=one_client))
@@ -215,38 +226,38 @@ class Stage:
         stack.push_async_callback(self.proxy.close)
         return ready
 
-    async def obey(self, command: dict[str, Any]) -> dict[str, Any]:
-        """Carry out one command."""
+    async def execute(self, command: dict[str, Any]) -> dict[str, Any]:
+        """Execute one command and return its answer."""
         name = command.pop("do")
         return await getattr(self, f"do_{name}")(**command)
 
     async def do_rules(self, rules: list[dict[str, Any]]) -> dict[str, Any]:
-        """Schedule the proxy."""
+        """Set the rules of the proxy."""
         self.proxy.schedule([Rule(**rule) for rule in rules])
         return self._now()
 
     async def do_wire(self, what: str) -> dict[str, Any]:
-        """Do something to the connections."""
+        """Apply an action of `TcpProxy.act` or `PtyProxy.act` to the connections."""
         await self.proxy.act(what)
         return self._now()
 
-    async def do_lie(self, kind: str = "", value: float | str = 0.0, count: int = 0) -> dict[str, Any]:
-        """Lie, or with no kind stop lying; a value may be a word: nan, inf."""
-        self.device.lie = lies(kind, float(value), count) if kind else None
+    async def do_reading_fault(self, kind: str = "", value: float | str = 0.0, count: int = 0) -> dict[str, Any]:
+        """Report false readings; without a kind, true ones. The value may be the word nan or inf."""
+        self.device.reading_fault = false_readings(kind, float(value), count) if kind else None
         return self._now()
 
     async def do_refuse(self, code: int, function: int = 0, count: int = -1) -> dict[str, Any]:
-        """Answer with exceptions; a count of 0 ends it."""
+        """Answer with exceptions; a count of 0 stops them."""
         self.unit.refusal = (code, function, count)
         return self._now()
 
-    async def do_deaf_to_writes(self, deaf: bool) -> dict[str, Any]:
-        """Acknowledge set points without taking them."""
-        self.device.deaf_to_writes = deaf
+    async def do_ignore_writes(self, ignored: bool) -> dict[str, Any]:
+        """Acknowledge set points without applying them."""
+        self.device.ignores_writes = ignored
         return self._now()
 
     async def do_fault_bits(self, bits: int) -> dict[str, Any]:
-        """Trip the amplifier: its output falls by itself. Switched on again it begins at rest."""
+        """Trip the amplifier, whose output then falls; 0 switches it on again, at rest."""
         self.device.catch_up()
         self.judge.excused = True
         if not bits:
@@ -255,7 +266,7 @@ class Stage:
         return self._now()
 
     async def do_restart(self) -> dict[str, Any]:
-        """Power-on of the firmware. Its connections break first: no request of before reaches what has started anew."""
+        """Restart the firmware. The connections are reset first, so that no earlier request reaches the new state."""
         await self.proxy.act("reset")
         for _ in range(IN_FLIGHT_TURNS):
             await asyncio.sleep(0)
@@ -264,23 +275,23 @@ class Stage:
         return self._now()
 
     async def do_second_master(self, above_V: float, times: int, every_s: float) -> dict[str, Any]:
-        """Somebody else writes the set point, so far above what stands there."""
+        """Write the set point as a second client does: `above_V` above the present one, `times` times."""
         begun = self._now()
         for _ in range(times):
             self.device.catch_up()
             self.judge.excused = True
-            words = struct.unpack(">2H", struct.pack(">f", self.device.asked_V + above_V))
+            words = struct.unpack(">2H", struct.pack(">f", self.device.requested_V + above_V))
             Device.write(self.device, 100, [*words, self.device.command_echo])
             await asyncio.sleep(every_s)
         return begun
 
     async def do_idle(self, closes_after_s: float) -> dict[str, Any]:
-        """Hang up on whoever is silent for so long; 0: never."""
+        """Close connections that are silent for this time [s]; 0: never."""
         self.proxy.idle_s = closes_after_s
         return self._now()
 
     async def do_mark(self) -> dict[str, Any]:
-        """Begin to take times anew."""
+        """Start a new measurement: clear times and counts."""
         self.device.catch_up()
         self.judge.mark()
         self.proxy.done.clear()
@@ -289,7 +300,7 @@ class Stage:
         return self._now()
 
     async def do_report(self) -> dict[str, Any]:
-        """What was seen since the mark; what was wrong since the last report."""
+        """Times and counts since the mark, and violations of the envelope since the last report."""
         self.device.catch_up()
         wrong, self.judge.wrong = self.judge.wrong, []
         return self._now() | {
@@ -305,7 +316,7 @@ class Stage:
             "watchdog_ms": self.device.watchdog_ms,
             "passed": self.proxy.passed,
             "accepted": getattr(self.proxy, "accepted", 0),
-            "done": [asdict(deed) for deed in self.proxy.done[:50]],
+            "done": [asdict(action) for action in self.proxy.done[:50]],
             "deeds": len(self.proxy.done),
             "late_ms": 1e3 * self.proxy.late_s,
             "behind_ms": 1e3 * self.behind_s,
@@ -315,7 +326,7 @@ class Stage:
         return {"now_ns": time.monotonic_ns()}
 
     async def keep_up(self) -> None:
-        """Let the physics go on while nobody asks, and see by how much this process is woken late."""
+        """Advance the physics between requests, and measure how late this process wakes up."""
         while True:
             self.device.catch_up()
             begun_s = time.monotonic()
@@ -325,17 +336,17 @@ class Stage:
 
 async def _serve(settings: dict[str, Any]) -> None:
     async with contextlib.AsyncExitStack() as stack:
-        stage = Stage(settings)
-        _say(await stage.open(stack))
-        background = asyncio.create_task(stage.keep_up())
+        server = FaultServer(settings)
+        _answer(await server.open(stack))
+        background = asyncio.create_task(server.keep_up())
         reader = asyncio.StreamReader()
         await asyncio.get_running_loop().connect_read_pipe(lambda: asyncio.StreamReaderProtocol(reader), sys.stdin)
         while line := await reader.readline():
-            _say(await stage.obey(json.loads(line)))
+            _answer(await server.execute(json.loads(line)))
         background.cancel()
 
 
-def _say(answer: dict[str, Any]) -> None:
+def _answer(answer: dict[str, Any]) -> None:
     sys.stdout.write(json.dumps(answer) + "\n")
     sys.stdout.flush()
 
