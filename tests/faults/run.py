@@ -102,7 +102,7 @@ def run(fault: Fault, pool, probe) -> Result:
         result.tries, result.lasted_s = tried, time.monotonic() - begun_s
         figures = {} if result.observed is None else result.observed.figures
         stills = [probe.worst_ms(begun_ns) if probe else 0.0]
-        stills += [figures[name] for name, most_ms in BEHIND.items() if figures.get(name, 0.0) > most_ms]
+        stills += [figures[name] for name, most_ms in EXCESS_DELAY.items() if figures.get(name, 0.0) > most_ms]
         result.still_ms = max(stills)
         if not result.problems or result.still_ms == 0.0:
             break
