@@ -19,10 +19,7 @@ INJECTORS: dict[str, Callable] = {
     **disk_faults.INJECTORS,
 }
 MOST_TRIES = 3  # largest number of injections of a fault during standstills of the machine
-BEHIND = {
-    "late_ms": 1.0,
-    "behind_ms": STILL_MS,
-}  # beyond this excess delay of a reply or a wake-up [ms] the fault was another one
+EXCESS_DELAY = {"late_ms": 1.0, "behind_ms": STILL_MS}  # of a reply, of a wake-up [ms]; beyond, a failure is repeated
 
 COLUMNS = "{id:<4} {fault:<52.52} {expected:<17.17} {observed:<10.10} {after:>9} {bound:>8}  {verdict}"
 
