@@ -133,7 +133,7 @@ def soak(duration_s: float, rate_Hz: float, *, on_look: Callable[[Soaked], None]
     soaked = Soaked(rate_Hz)
     with contextlib.ExitStack() as stack:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
-        with peers.punctual():
+        with peers.device_priority():
             address = stack.enter_context(peers.emulator("tcp", "real"))
         bench = _bench_file(folder, address, rate_Hz)
         process = stack.enter_context(_ended(_service(bench)))
