@@ -69,7 +69,7 @@ def minimal_server(kind: str) -> Iterator[Address]:
 
 @contextlib.contextmanager
 def emulator(kind: str, time_is: str = "virtual") -> Iterator[Address]:
-    """The emulated bench; in virtual time each exchange is the next sample, in real time it samples by its own clock."""
+    """The emulated bench; in virtual time each exchange is the next sample, in real time it uses its own clock."""
     wire = ["--rtu"] if kind == "rtu" else []
     with emulator_process(shipped("emulator.yaml"), "--port", "0", "--time", time_is, *wire) as serves:
         yield Address(kind, serves[kind])
