@@ -174,7 +174,7 @@ class RecorderProcess:
 
 
 @dataclass
-class Kept:
+class Comparison:
     """Comparison of the files of a folder with the rows of a feed.
 
     Parameters
@@ -209,23 +209,23 @@ class Kept:
         return not (self.lost or self.twice or self.wrong or self.damaged)
 
 
-def judge(folder: Path, bench: str, acknowledged: int) -> Kept:
+def compare(folder: Path, bench: str, acknowledged: int) -> Comparison:
     """Compare the files of a folder with the written rows."""
-    kept = Kept()
+    found = Comparison()
     seen: list[np.ndarray] = []
     for path in recording_files(folder, bench) if folder.exists() else ():
         _, blocks, damaged = read_blocks(path)
-        kept.damaged += damaged
-        kept.files += 1
-        kept.bytes += path.stat().st_size
+        found.damaged += damaged
+        found.files += 1
+        found.bytes += path.stat().st_size
         for block in blocks:
             right = block.rows == rows_of(block.first, block.rows.size)
-            kept.wrong += int(np.count_nonzero(~right))
+            found.wrong += int(np.count_nonzero(~right))
             seen.append(block.rows["tick"])
     numbers = np.concatenate(seen) if seen else np.empty(0, np.int64)
     there = np.unique(numbers)
-    kept.rows = there.size
-    kept.twice = int(numbers.size - there.size)
-    kept.wrong += int(np.count_nonzero(np.diff(numbers) < 0))
-    kept.lost = acknowledged - int(np.count_nonzero(there < acknowledged))
-    return kept
+    found.rows = there.size
+    found.twice = int(numbers.size - there.size)
+    found.wrong += int(np.count_nonzero(np.diff(numbers) < 0))
+    found.lost = acknowledged - int(np.count_nonzero(there < acknowledged))
+    return found
