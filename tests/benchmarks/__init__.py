@@ -1,4 +1,4 @@
-"""How fast it is, every figure beside what the machine allows.
+"""Benchmarks; each figure stands beside the limit of the machine.
 
     python -m tests.benchmarks [NAME...] [--json FILE] [--quick]
 

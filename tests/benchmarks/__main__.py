@@ -1,4 +1,4 @@
-"""The command: run the benchmarks that are named, or all, and print the table."""
+"""Command line: run the named benchmarks, or all, and print the table."""
 
 import argparse
 import json
@@ -27,7 +27,7 @@ SLOW = ("diagnose",)  # up to an hour: only when named
 
 
 def run(name: str, *, quick: bool) -> Iterator[Row]:
-    """Rows of one benchmark; where nothing can be measured, one row that says why."""
+    """Rows of one benchmark; a single row with the reason when it cannot be measured."""
     try:
         yield from import_module(f"tests.benchmarks.{name}").measure(quick=quick)
     except (NotMeasuredError, PiezodError) as reason:
@@ -35,15 +35,15 @@ def run(name: str, *, quick: bool) -> Iterator[Row]:
 
 
 def main() -> None:
-    """Parse, run, print."""
+    """Run the benchmarks, print the table and write the JSON file."""
     parser = argparse.ArgumentParser(prog="python -m tests.benchmarks", description=__doc__)
     parser.add_argument(
         "names",
         nargs="*",
         metavar="NAME",
-        help=f"one of {', '.join(BENCHMARKS)} (all of them when left out), {', '.join(SLOW)}",
+        help=f"one of {', '.join(BENCHMARKS)} (default: all), {', '.join(SLOW)}",
     )
-    parser.add_argument("--json", type=Path, metavar="FILE", help="write the rows as JSON too")
+    parser.add_argument("--json", type=Path, metavar="FILE", help="also write the rows as JSON")
     parser.add_argument("--quick", action="store_true", help="fewer and shorter rounds: under 20 s in all")
     options = parser.parse_args()
     if unknown := sorted(set(options.names) - {*BENCHMARKS, *SLOW}):

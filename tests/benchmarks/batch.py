@@ -43,7 +43,7 @@ def _row(kind: str, u: Array, size: tuple[int, int], runs: dict[str, Run], round
         return lambda: _duration_ms(run, packed.copy(), u, y)
 
     found = alternate({name: measured(run, y) for (name, run), y in zip(runs.items(), outputs, strict=True)}, rounds)
-    apart = np.ptp(outputs, axis=0).max()
+    largest_difference = np.ptp(outputs, axis=0).max()
     return Row(
         "batch",
         f"10^6 samples, {kind}, {size[0]} plays, {size[1]} dead z.",
@@ -52,7 +52,7 @@ def _row(kind: str, u: Array, size: tuple[int, int], runs: dict[str, Run], round
         float(found["C"]) if "C" in found else None,
         "the same in C, -O2",
         most_ratio=MOST_RATIO,
-        note=f"C: not measured: {note}" if note else f"largest difference of the outputs {apart:.1g}",
+        note=f"C: not measured: {note}" if note else f"largest difference of the outputs {largest_difference:.1g}",
     )
 
 

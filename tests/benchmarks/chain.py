@@ -23,7 +23,7 @@ MOST_NS = {(10, 4): 250.0}
 
 @dataclass(frozen=True)
 class Step:
-    """One compiled step, its C twin over a record and its twin in plain Python."""
+    """One compiled step, the same step in C over a record and in plain Python."""
 
     name: str
     call: Callable[[Array, float], float]
@@ -33,13 +33,13 @@ class Step:
 
     @property
     def c_name(self) -> str:
-        """Of the function in `chain.c`."""
+        """Name of the function in `chain.c`."""
         return f"{self.name}_run"
 
 
 @numba.njit(cache=True)
 def empty_step(packed: Array, x: float) -> float:
-    """What crossing from Python into compiled code and back costs by itself."""
+    """An empty compiled function, which shows the cost of the call alone."""
     return packed[0] + x
 
 

@@ -1,4 +1,4 @@
-"""The C sources beside this file, compiled on the spot into a folder that vanishes afterwards."""
+"""The C sources of this folder, compiled into a temporary folder."""
 
 import contextlib
 import shutil
@@ -10,12 +10,12 @@ from pathlib import Path
 from tests.benchmarks.table import NotMeasuredError
 
 _HERE = Path(__file__).resolve().parent
-_FLAGS = ("-O2", "-fno-fast-math", "-Wall")  # what a careful C programmer would ship: no reordered sums
+_FLAGS = ("-O2", "-fno-fast-math", "-Wall")  # without reordered sums
 
 
 @contextlib.contextmanager
 def compiled(source: str | Path, *flags: str) -> Iterator[Path]:
-    """Compile `source` with `flags` and yield what came out.
+    """Compile `source` with `flags` and yield the path of the result.
 
     Raises
     ------
@@ -30,5 +30,5 @@ def compiled(source: str | Path, *flags: str) -> Iterator[Path]:
         command = [compiler, *_FLAGS, str(_HERE / source), "-o", str(target), *flags]
         done = subprocess.run(command, capture_output=True, text=True, check=False)
         if done.returncode != 0:
-            raise NotMeasuredError(f"{source} does not compile here: {done.stderr.strip().splitlines()[0]}")
+            raise NotMeasuredError(f"{source} does not compile: {done.stderr.strip().splitlines()[0]}")
         yield target

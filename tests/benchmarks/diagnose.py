@@ -1,4 +1,4 @@
-"""A diagnosis against the recording's length and against the number of effects that are tried: time and memory.
+"""Time and memory of a diagnosis, by length of the recording and by number of tried effects.
 
 The recordings are the emulated bench's, a lag and creep since it was identified, at 1 kHz. The limit of a length is the
 shortest length's time in proportion to all samples, those of the identification included. Where the cores are shared,
@@ -33,31 +33,31 @@ RATE_Hz, PEAK_V = 1000.0, 130.0
 EFFECTS_ON = {"electrical_lag": {"time_constant_s": 0.004}, "creep": {"per_decade": 0.01}}
 MINUTE = 60_000  # samples
 MOST_MINUTE_s = 60.0
-SHORT_s = 40.0  # runs below are done three times
+SHORT_s = 40.0  # shorter runs are repeated three times
 WITHIN_s = 7200.0  # a run
 
 
 @dataclass(frozen=True)
 class Figures:
-    """Of one diagnosis, medians over the runs."""
+    """Figures of one diagnosis, medians over the runs."""
 
     seconds: float
     cpu_s: float
     resident_MiB: float
     at_start_MiB: float
     runs: int
-    said: str
+    result: str
 
     @property
     def added_MiB(self) -> float:
-        """Above what the imports take."""
+        """Memory above that of the imports [MiB]."""
         return self.resident_MiB - self.at_start_MiB
 
     def note(self, samples: int) -> str:
-        """Processor time, memory, and what was found."""
+        """Processor time, memory, and the result of the diagnosis."""
         more_kB = self.added_MiB * 1048.576 / samples
         memory = f"{self.resident_MiB:.0f} MiB, {more_kB:.2f} kB a sample above the imports"
-        return f"{self.cpu_s:.1f} s of processor; {memory}; {self.said}; median of {self.runs}"
+        return f"{self.cpu_s:.1f} s of processor; {memory}; {self.result}; median of {self.runs}"
 
 
 def measure(*, quick: bool) -> Iterator[Row]:
@@ -68,43 +68,43 @@ def measure(*, quick: bool) -> Iterator[Row]:
         _diagnosed(folder, LENGTHS[0], len(EFFECTS), again=False)  # compiled and cached
         first: Figures | None = None
         for samples in LENGTHS[: 1 if quick else None]:
-            here = _diagnosed(folder, samples, len(EFFECTS), again=not quick)
-            first = first or here
+            figures = _diagnosed(folder, samples, len(EFFECTS), again=not quick)
+            first = first or figures
             share = (samples + past) / (LENGTHS[0] + past)
             what = f"{samples:.0e} samples, whole catalogue"
-            yield _row(what, here, first, share, samples + past)
-            limit_MiB = None if here is first else share * first.added_MiB
-            limit_is = "" if here is first else "in proportion to the first"
-            yield Row("diagnose", f"{what}, above imports", "MiB", here.added_MiB, limit_MiB, limit_is)
+            yield _row(what, figures, first, share, samples + past)
+            limit_MiB = None if figures is first else share * first.added_MiB
+            limit_is = "" if figures is first else "in proportion to the first"
+            yield Row("diagnose", f"{what}, above imports", "MiB", figures.added_MiB, limit_MiB, limit_is)
         if quick:
             return
         first = None
         for tried in CATALOGUES:
-            here = _diagnosed(folder, LENGTHS[1], tried, again=True)
-            first = first or here
+            figures = _diagnosed(folder, LENGTHS[1], tried, again=True)
+            first = first or figures
             what = f"{LENGTHS[1]:.0e} samples, {tried} effects"
-            yield _row(what, here, first, tried / CATALOGUES[0], LENGTHS[1] + past)
-        here = _diagnosed(folder, MINUTE, len(EFFECTS), again=True)
+            yield _row(what, figures, first, tried / CATALOGUES[0], LENGTHS[1] + past)
+        figures = _diagnosed(folder, MINUTE, len(EFFECTS), again=True)
         yield Row(
             "diagnose",
             "60 s at 1 kHz, whole catalogue, two cores",
             "s",
-            here.seconds,
+            figures.seconds,
             most=MOST_MINUTE_s,
-            note=here.note(MINUTE + past),
+            note=figures.note(MINUTE + past),
         )
 
 
-def _row(what: str, here: Figures, first: Figures, share: float, samples: int) -> Row:
-    """One diagnosis; the first of a series is what the others are held against."""
-    alone = here is first
+def _row(what: str, figures: Figures, first: Figures, share: float, samples: int) -> Row:
+    """The row of one diagnosis; its limit follows from the first of the series."""
+    alone = figures is first
     limit = None if alone else share * first.seconds
     limit_is = "" if alone else "in proportion to the first"
-    return Row("diagnose", what, "s", here.seconds, limit, limit_is, note=here.note(samples))
+    return Row("diagnose", what, "s", figures.seconds, limit, limit_is, note=figures.note(samples))
 
 
 def _make_model(folder: Path) -> int:
-    """Identify the bench as it was; returns the samples of that recording."""
+    """Identify the unchanged bench; returns the number of samples of that recording."""
     path = folder / "identification.csv"
     voltage_V = excitation(IDENTIFICATION, 140.0, 1.0, 1, RATE_Hz)
     _write(path, voltage_V, {}, seed=1)
@@ -124,15 +124,15 @@ def _write(path: Path, voltage_V: np.ndarray, effects: dict[str, object], seed: 
 
 
 def _diagnosed(folder: Path, samples: int, tried: int, *, again: bool) -> Figures:
-    """Median of three runs where one is short."""
+    """Figures of one run, or the medians of three short runs."""
     _write(folder / "work.csv", mixed_work(3, samples / RATE_Hz, RATE_Hz, PEAK_V), EFFECTS_ON, seed=2)
     runs = [_one(folder, tried)]
     if again and runs[0]["seconds"] < SHORT_s:
         runs += [_one(folder, tried), _one(folder, tried)]
     keys = ("seconds", "cpu_s", "MiB", "at_start_MiB")
     seconds, cpu_s, most, start = (float(np.median([run[key] for run in runs])) for key in keys)
-    said = f"{runs[0]['verdict']}: {', '.join(runs[0]['named']) or 'nothing'}"
-    return Figures(seconds, cpu_s, most, start, len(runs), said)
+    result = f"{runs[0]['verdict']}: {', '.join(runs[0]['named']) or 'nothing'}"
+    return Figures(seconds, cpu_s, most, start, len(runs), result)
 
 
 def _one(folder: Path, tried: int) -> dict:
@@ -142,6 +142,6 @@ def _one(folder: Path, tried: int) -> dict:
     except subprocess.TimeoutExpired:
         raise NotMeasuredError(f"{tried} effects: not done within {WITHIN_s:g} s") from None
     if done.returncode != 0:
-        said = done.stderr.strip().splitlines() or ["nothing said"]
-        raise NotMeasuredError(f"{tried} effects: {said[-1]}")
+        messages = done.stderr.strip().splitlines() or ["no message"]
+        raise NotMeasuredError(f"{tried} effects: {messages[-1]}")
     return json.loads(done.stdout)

@@ -23,11 +23,9 @@ from tests.benchmarks import modbus_peers as peers
 from tests.benchmarks.rounds import PERCENTILES, ROUNDS, Figures, alternate, percentiles
 from tests.benchmarks.table import NotMeasuredError, Row
 
-EXCHANGES = 1500  # a round: short, and many rounds, because the cost of waking a core changes from second to second
-SLOW_EXCHANGES = 100  # of pymodbus' serial client, which takes milliseconds
-SILENCE_NS = (
-    20_000  # above the 3.5 characters that separate RTU frames; in a tick it passes while nothing is to be done
-)
+EXCHANGES = 1500  # a round; many short rounds, since the cost of a core's wake-up varies
+SLOW_EXCHANGES = 100  # for the serial client of pymodbus, which takes milliseconds
+SILENCE_NS = 20_000  # above the 3.5 characters that separate RTU frames; within a tick the loop is idle for longer
 MOST_RATIO = {("libmodbus", "tcp"): 1.3, ("libmodbus", "rtu"): 1.3, ("pymodbus", "rtu"): 0.1}
 SERVERS = {"minimal server": peers.minimal_server, "emulator": peers.emulator}
 WIRES = {"tcp": "TCP", "rtu": "RTU on a pty"}
@@ -57,7 +55,7 @@ def measure(*, quick: bool) -> Iterator[Row]:
 
 @contextlib.contextmanager
 def in_real_time() -> Iterator[str]:
-    """Priority and latency request of the control process, inherited by what is started; yields what is missing."""
+    """Give this process the priority and latency request of the control process; yields what is missing."""
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         with real_time(RealTimeConfig(lock_memory=False)):
@@ -66,7 +64,7 @@ def in_real_time() -> Iterator[str]:
 
 @contextlib.contextmanager
 def on_core(core: int) -> Iterator[None]:
-    """This process, and what it starts meanwhile, on one core."""
+    """Restrict this process and its new children to one core."""
     before = os.sched_getaffinity(0)
     os.sched_setaffinity(0, {core})
     try:

@@ -29,7 +29,7 @@ FOUND = {
 
 
 def measure(*, quick: bool) -> Iterator[Row]:
-    """One row; delay and mode have shaped the reference before its first tick, and cost none."""
+    """One row; delay and mode have shaped the reference before its first tick, and cost no time there."""
     count = TICKS // 10 if quick else TICKS
     model = extended_model()
     forces_N = 150.0 - 110.0 * np.cos(2.0 * np.pi * np.arange(count) * DT_S)

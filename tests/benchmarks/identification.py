@@ -1,4 +1,4 @@
-"""One fit against the length of the recording and the number of plays: time, and how nearly linear it grows."""
+"""One fit against the length of the recording and the number of plays: time, and deviation from linear growth."""
 
 import resource
 from collections.abc import Iterator

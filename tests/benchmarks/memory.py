@@ -1,4 +1,4 @@
-"""What a million ticks of the compensator leave behind in the interpreter: nothing."""
+"""Memory that a million ticks of the compensator leave allocated; the limit is 0."""
 
 import contextlib
 import gc
@@ -18,7 +18,7 @@ PASS = 1000  # ticks over one list of references
 
 
 def measure(*, quick: bool) -> Iterator[Row]:
-    """Rows for both sizes: growth in blocks and in bytes; a step that keeps something, to show that it is seen."""
+    """Rows for both sizes: growth in blocks and in bytes; a step that stores its results shows the sensitivity."""
     passes = (TICKS // 10 if quick else TICKS) // PASS
     for size in SIZES:
         compensator = InverseCompensator(make_model(*size))
@@ -26,11 +26,11 @@ def measure(*, quick: bool) -> Iterator[Row]:
         what = f"{size[0]} plays, {size[1]} dead zones, {passes * PASS:.0e} ticks"
         for counter, unit in ((blocks, "block"), (traced_bytes, "byte")):
             with counted(unit):
-                grown, kept = (
-                    growth(step, forces_N, passes, counter) for step in (tick(compensator), keeping_tick(compensator))
+                grown, storing = (
+                    growth(step, forces_N, passes, counter) for step in (tick(compensator), storing_tick(compensator))
                 )
             yield Row(
-                "memory", what, unit, grown, limit_is="none", most=0, note=f"a step that keeps its result: {kept}"
+                "memory", what, unit, grown, limit_is="none", most=0, note=f"a step that stores its results: {storing}"
             )
 
 
@@ -53,7 +53,7 @@ def make_model(plays: int, zones: int) -> Model:
 
 
 def tick(compensator: InverseCompensator) -> Callable[[float], None]:
-    """What the loop does with the compensator once a tick."""
+    """The calls of the loop to the compensator in one tick."""
 
     def step(force_N: float) -> None:
         compensator.commit(compensator.plan(force_N))
@@ -61,24 +61,24 @@ def tick(compensator: InverseCompensator) -> Callable[[float], None]:
     return step
 
 
-def keeping_tick(compensator: InverseCompensator) -> Callable[[float], None]:
-    """The same, but every voltage is kept in a list."""
-    kept: list[float] = []
+def storing_tick(compensator: InverseCompensator) -> Callable[[float], None]:
+    """The same, but it stores every voltage in a list."""
+    voltages_V: list[float] = []
 
     def step(force_N: float) -> None:
-        kept.append(compensator.plan(force_N))
-        compensator.commit(kept[-1])
+        voltages_V.append(compensator.plan(force_N))
+        compensator.commit(voltages_V[-1])
 
     return step
 
 
 def growth(step: Callable[[float], None], forces_N: list[float], passes: int, count: Callable[[], int]) -> int:
-    """By how much `count` grows over `passes` times all `forces_N`; the first two passes warm up."""
+    """Growth of `count` over `passes` passes through all `forces_N`, after two passes to warm up."""
     for _ in repeat(None, 2):
         for force_N in forces_N:
             step(force_N)
     before = count()
-    before = count()  # a second time: now, as at the end, an earlier result is alive while it counts
+    before = count()  # again: as at the end, an earlier result exists during the count
     for _ in repeat(None, passes):
         for force_N in forces_N:
             step(force_N)
@@ -86,12 +86,12 @@ def growth(step: Callable[[float], None], forces_N: list[float], passes: int, co
 
 
 def blocks() -> int:
-    """Blocks that the interpreter has handed out."""
+    """Number of allocated blocks of the interpreter."""
     return sys.getallocatedblocks()
 
 
 def traced_bytes() -> int:
-    """Bytes in live blocks since tracing began."""
+    """Allocated bytes since the start of tracing."""
     return tracemalloc.get_traced_memory()[0]
 
 

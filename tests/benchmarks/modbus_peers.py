@@ -1,4 +1,4 @@
-"""Servers to talk to (the least there can be, and the emulated bench), and clients to compare with."""
+"""Modbus servers (a minimal one and the emulated bench) and clients to compare with."""
 
 import contextlib
 import os
@@ -19,7 +19,7 @@ from tests.benchmarks.compiled import compiled
 from tests.benchmarks.rounds import Figures, percentiles
 from tests.benchmarks.table import NotMeasuredError
 
-BAUDRATE = 4_000_000  # a pty has none; the highest leaves the shortest silence between two frames
+BAUDRATE = 4_000_000  # no effect on a pty; the highest gives the shortest silence between frames
 UNIT = 1
 DEVICE_PRIORITY = 70  # below the control process
 WRITE_AT, READ_AT, READS = 100, 200, 12  # the tick's blocks in config/bench.yaml
@@ -27,7 +27,7 @@ WRITE_AT, READ_AT, READS = 100, 200, 12  # the tick's blocks in config/bench.yam
 
 @dataclass(frozen=True)
 class Address:
-    """Where a server is: `tcp` HOST:PORT, or `rtu` and a pty's path."""
+    """Address of a server: `tcp` with HOST:PORT, or `rtu` with the path of a pty."""
 
     kind: str
     where: str
@@ -44,13 +44,13 @@ class Address:
 
     @property
     def arguments(self) -> tuple[str, str]:
-        """As `modbus_client.c` takes them."""
+        """Arguments of `modbus_client.c`."""
         return (self.host, str(self.port)) if self.kind == "tcp" else (self.where, str(BAUDRATE))
 
 
 @contextlib.contextmanager
 def minimal_server(kind: str) -> Iterator[Address]:
-    """`modbus_server.c`."""
+    """Run `modbus_server.c` and yield its address."""
     with contextlib.ExitStack() as stack:
         program = stack.enter_context(compiled("modbus_server.c"))
         if kind == "tcp":
@@ -69,15 +69,15 @@ def minimal_server(kind: str) -> Iterator[Address]:
 
 @contextlib.contextmanager
 def emulator(kind: str, time_is: str = "virtual") -> Iterator[Address]:
-    """The emulated bench; in virtual time every exchange is its next sample, in real time it may be asked too often."""
+    """The emulated bench; in virtual time each exchange is the next sample, in real time it uses its own clock."""
     wire = ["--rtu"] if kind == "rtu" else []
     with emulator_process(shipped("emulator.yaml"), "--port", "0", "--time", time_is, *wire) as serves:
         yield Address(kind, serves[kind])
 
 
 @contextlib.contextmanager
-def punctual() -> Iterator[None]:
-    """Start processes with a real-time priority: a device is a machine of its own and waits for no scheduler here."""
+def device_priority() -> Iterator[None]:
+    """Start processes with real-time priority, since a real device does not wait for the scheduler of this machine."""
     before = os.sched_getscheduler(0), os.sched_getparam(0)
     with contextlib.suppress(PermissionError):
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(DEVICE_PRIORITY))
@@ -96,13 +96,13 @@ def _end(process: subprocess.Popen) -> None:
 
 @contextlib.contextmanager
 def libmodbus_client() -> Iterator[Path]:
-    """`modbus_client.c`."""
+    """Compile `modbus_client.c` and yield the program."""
     with compiled("modbus_client.c", "-lmodbus") as program:
         yield program
 
 
 def libmodbus_ns(program: Path, address: Address, count: int, period_us: int = 0) -> np.ndarray:
-    """What so many exchanges took [ns].
+    """Durations of `count` exchanges [ns].
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""One diagnosis in a process of its own: how long it took, and the most memory that the process held.
+"""One diagnosis in a separate process: its duration and the peak memory of the process.
 
     python -m tests.benchmarks.one_diagnosis FOLDER EFFECTS
 
@@ -16,11 +16,18 @@ from piezod.diagnose.command import diagnose_files
 from piezod.effects import EFFECTS
 from piezod.effects.effect import Effect
 
-FIRST = ("electrical_lag", "creep", "resonance", "friction", "load_step", "sensor_filter")  # what is there, look-alikes
+FIRST = (
+    "electrical_lag",
+    "creep",
+    "resonance",
+    "friction",
+    "load_step",
+    "sensor_filter",
+)  # present, then similar
 
 
 class Cut(dict[str, Effect]):
-    """The catalogue, of which only the first few are tried."""
+    """The catalogue, limited to the effects to try."""
 
     def __init__(self, tried: int) -> None:
         super().__init__(EFFECTS)
@@ -28,12 +35,12 @@ class Cut(dict[str, Effect]):
         self.tried = {name: effect for name, effect in EFFECTS.items() if name in order[:tried]}
 
     def values(self) -> ValuesView[Effect]:
-        """Those that are tried."""
+        """The effects to try."""
         return self.tried.values()
 
 
 def main() -> None:
-    """Diagnose, print JSON."""
+    """Diagnose and print the figures as JSON."""
     folder, tried = Path(sys.argv[1]), int(sys.argv[2])
     ideas.EFFECTS = Cut(tried)
     at_start_MiB = most_resident_MiB()
@@ -52,7 +59,7 @@ def main() -> None:
 
 
 def most_resident_MiB() -> float:
-    """Of this process since it began; `getrusage` would count what the one that started it held."""
+    """Peak memory of this process; `getrusage` would include that of its parent before exec."""
     for line in Path("/proc/self/status").read_text(encoding="ascii").splitlines():
         if line.startswith("VmHWM:"):
             return float(line.split()[1]) / 1024.0

@@ -1,4 +1,4 @@
-"""The operators that are timed, of both sizes, and the record they are driven with."""
+"""The timed operators in both sizes, and their input record."""
 
 import ctypes
 from pathlib import Path

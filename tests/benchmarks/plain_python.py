@@ -1,4 +1,4 @@
-"""The chain in plain Python floats and lists: what one would write without a compiler."""
+"""The chain in plain Python with floats and lists, without a compiler."""
 
 from piezod.operators import ImplicitInverse, PrandtlIshlinskii
 

@@ -1,4 +1,4 @@
-"""Alternate what is compared, round by round, so that a busy moment of the machine falls on all of it."""
+"""Rounds that alternate the compared actions, so that load of the machine affects all of them."""
 
 from collections.abc import Callable, Mapping
 from typing import Any

@@ -29,7 +29,7 @@ PATIENCE = {"comm_loss_ms": 2000, "device_watchdog_ms": 1000, "missed_ticks_in_a
 
 
 def measure(*, quick: bool) -> Iterator[Row]:
-    """Rows of start, stop and what a start cannot be faster than."""
+    """Rows of start and stop, and the lower limit of a start."""
     rounds = 2 if quick else ROUNDS
     with tempfile.TemporaryDirectory() as name, peers.emulator("tcp", "real") as address:
         bench = _bench_file(Path(name), address)
@@ -75,7 +75,7 @@ def _bench_file(folder: Path, address: peers.Address) -> Path:
 
 @contextlib.contextmanager
 def _started(bench: Path) -> Iterator[tuple[subprocess.Popen[bytes], Client]]:
-    """A service that has said READY, and a connection to it."""
+    """A service after READY, and a client connected to it."""
     name = f"\0piezod-benchmark-{os.getpid()}"
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as listener:
         listener.bind(name)

@@ -63,7 +63,7 @@ def known_program(plays: int, zones: int) -> tuple[Array, Constraints, Array]:
 
 
 def solvers() -> dict[str, Solver]:
-    """Those that are installed here."""
+    """The installed solvers."""
     found: dict[str, Solver] = {"ProxQP": solve, "nnls": by_nnls}
     with contextlib.suppress(ImportError):
         import quadprog
@@ -88,7 +88,7 @@ def scaled(gram: Array, constraints: Constraints) -> tuple[Array, Array, Array, 
 
 
 def by_quadprog(quadprog, gram: Array, constraints: Constraints) -> Array:
-    """Goldfarb and Idnani's dual method; needs a matrix that is positive definite, so a trace of it is added."""
+    """Goldfarb and Idnani's dual method; a small diagonal makes the matrix positive definite."""
     scale, hessian, rows, sides = scaled(gram, constraints)
     hessian = hessian + 1e-13 * np.eye(hessian.shape[0])
     solution = quadprog.solve_qp(hessian, np.zeros(hessian.shape[0]), rows.T.copy(), sides, 1)

@@ -1,4 +1,4 @@
-"""One row of the table: a figure, the limit it is held against, and what was promised."""
+"""One row of the table: a figure, its limit and its target."""
 
 from dataclasses import asdict, dataclass
 
@@ -8,7 +8,7 @@ _COLUMNS = (
 
 
 class NotMeasuredError(Exception):
-    """Something that the measurement needs is missing here; the message says what."""
+    """The measurement is not possible on this machine; the message names what is missing."""
 
 
 @dataclass(frozen=True)
@@ -50,8 +50,8 @@ class Row:
     def meets(self) -> bool | None:
         """Whether the target is met; None without a target or a figure."""
         pairs = ((self.figure, self.most), (self.ratio, self.most_ratio))
-        judged = [found <= most for found, most in pairs if found is not None and most is not None]
-        return all(judged) if judged else None
+        met = [found <= most for found, most in pairs if found is not None and most is not None]
+        return all(met) if met else None
 
     @property
     def target(self) -> str:
@@ -61,7 +61,7 @@ class Row:
         return ", ".join(words)
 
     def as_dict(self) -> dict[str, object]:
-        """Everything, for `--json`."""
+        """All fields, for `--json`."""
         return asdict(self) | {"ratio": self.ratio, "meets": self.meets}
 
     def text(self) -> str:
@@ -82,7 +82,7 @@ class Row:
 
 
 def header() -> str:
-    """The line above the rows."""
+    """The header line."""
     names = ("benchmark", "what", "figure", "limit", "ratio", "unit", "target", "verdict")
     return _COLUMNS.format(**{name: name for name in names}, limit_is="limit is").rstrip()
 

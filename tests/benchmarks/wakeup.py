@@ -1,4 +1,4 @@
-"""How late the rate keeper wakes up at a kilohertz, against cyclictest with the same priority."""
+"""Lateness of the rate keeper at 1 kHz, beside cyclictest with the same priority."""
 
 import shutil
 import subprocess
@@ -52,7 +52,7 @@ def _keeper_us(duration_s: float, notes: set[str]) -> Figures:
 
 
 def _cyclictest_us(duration_s: float) -> Figures:
-    """From its histogram, whose buckets are whole microseconds cut off.
+    """Percentiles of the histogram of cyclictest, with buckets of 1 us, rounded down.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""The whole control process at a kilohertz on the emulated bench: deadline to committed state, and its memory.
+"""The control process at 1 kHz on the emulated bench: time from deadline to committed state, and memory.
 
 The limit is libmodbus in C doing one exchange a period on the same bench: the same rights, no model, no checks, no log.
 """
@@ -30,10 +30,10 @@ PERCENTILES = (50, 99, 99.9)
 
 
 def measure(*, quick: bool) -> Iterator[Row]:
-    """Rows of completion, of what went wrong, and of resident memory."""
+    """Rows of completion times, losses and resident memory."""
     duration_s = DURATION_S / 12 if quick else DURATION_S
     with contextlib.ExitStack() as stack:
-        with peers.punctual():
+        with peers.device_priority():
             address = stack.enter_context(peers.emulator("tcp", "real"))
         note, limits_ns = "", []
         try:

@@ -9,7 +9,7 @@ import pytest
 
 from piezod.recording import Recording
 from tests.benches.emulator import ROOT
-from tests.studies.laid_over import LAID_OVER, Bare, as_strong_as, laid_over, with_room
+from tests.studies.overlaid_effects import OVERLAYS, BaseRecording, overlaid, scaled_overlay, with_room_temperature
 from tests.studies.overlay import OverlayRow, Verdict, compared, evenly, summary
 
 RATE_HZ = 200.0
@@ -21,31 +21,33 @@ def bare():
     time_s = np.arange(2000) / RATE_HZ
     voltage = 1.8 - 1.7 * np.cos(2 * np.pi * 0.7 * time_s)
     output = 12.0 * voltage + 2.0 * np.sin(2 * np.pi * 0.7 * time_s - 0.4)
-    return Bare(with_room(Recording(time_s, {"voltage_V": voltage, "x_um": output})), "voltage_V", "x_um", 0.4)
+    return BaseRecording(
+        with_room_temperature(Recording(time_s, {"voltage_V": voltage, "x_um": output})), "voltage_V", "x_um", 0.4
+    )
 
 
 def test_a_recording_with_nothing_laid_over_is_as_it_was(bare):
-    same = laid_over(bare, {})
+    same = overlaid(bare, {})
     for name, values in bare.recording.channels.items():
         np.testing.assert_allclose(same.channel(name), values, atol=1e-6)
 
 
-@pytest.mark.parametrize("name", LAID_OVER)
+@pytest.mark.parametrize("name", OVERLAYS)
 def test_an_effect_is_as_strong_as_was_asked(bare, name):
-    made, values, size = as_strong_as(name, bare, 3.0)
+    made, values, size = scaled_overlay(name, bare, 3.0)
     assert name == "sensor_dropout" or size == pytest.approx(3.0, rel=0.1)
-    assert LAID_OVER[name].parameter == "from_s" or LAID_OVER[name].parameter in values
+    assert OVERLAYS[name].parameter == "from_s" or OVERLAYS[name].parameter in values
     assert not np.array_equal(made.channel("x_um"), bare.recording.channel("x_um")) or name == "electrical_lag"
 
 
 def test_a_delayed_record_shows_the_output_of_before(bare):
-    made = laid_over(bare, {"transport_delay": {"delay_s": 0.02}})
+    made = overlaid(bare, {"transport_delay": {"delay_s": 0.02}})
     late = made.channel("x_um")[1000:]
     np.testing.assert_allclose(late, bare.recording.channel("x_um")[996:-4], atol=1e-3)
 
 
 def test_a_lag_is_what_turns_the_recorded_command_into_the_voltage_that_acted(bare):
-    made = laid_over(bare, {"electrical_lag": {"time_constant_s": 0.02}})
+    made = overlaid(bare, {"electrical_lag": {"time_constant_s": 0.02}})
     command, acted = made.channel("voltage_V"), bare.recording.channel("voltage_V")
     keep, output = np.exp(-1.0 / RATE_HZ / 0.02), acted[0]
     lagged = []

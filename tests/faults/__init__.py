@@ -1,6 +1,6 @@
-"""The fault list: everything that can go wrong around a bench, done to a running one, and what came of it.
+"""Fault injection: the faults of `faults.yaml` on a running bench, with their expected results.
 
-python -m tests.faults list              every fault of faults.yaml, and how long until the expected state
-python -m tests.faults kills             SIGKILL and SIGSTOP, over and over: the device is safe by itself
-python -m tests.faults replies           stale and forged replies against the links, and against bare pymodbus
+python -m tests.faults list              every fault of faults.yaml, and the time until the expected state
+python -m tests.faults kills             repeated SIGKILL and SIGSTOP: the watchdog of the device makes it safe
+python -m tests.faults replies           stale and false replies to the links and to plain pymodbus clients
 """

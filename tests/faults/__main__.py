@@ -1,4 +1,4 @@
-"""The command: run the list, the kills, or the replies, and print the table."""
+"""Command line: inject the listed faults, kills or false replies, and print the table."""
 
 import argparse
 import faulthandler
@@ -13,17 +13,17 @@ from tests.faults.probe import Probe
 
 
 def main() -> int:
-    """Parse, run, print; 1 when something was not survived."""
+    """Run the chosen study; returns 1 when a fault was not survived."""
     faulthandler.enable()
     parser = argparse.ArgumentParser(prog="python -m tests.faults", description=__doc__)
     studies = parser.add_subparsers(dest="what", required=True)
     listed = studies.add_parser("list", help="every fault of faults.yaml")
-    listed.add_argument("ids", nargs="*", metavar="ID", help="such as T3 V6; all when left out")
-    listed.add_argument("--json", type=Path, metavar="FILE", help="write what was seen as JSON too")
-    killed = studies.add_parser("kills", help="SIGKILL and SIGSTOP, over and over")
+    listed.add_argument("ids", nargs="*", metavar="ID", help="ids such as T3 V6; default: all")
+    listed.add_argument("--json", type=Path, metavar="FILE", help="also write the results as JSON")
+    killed = studies.add_parser("kills", help="repeated SIGKILL and SIGSTOP of the control process")
     killed.add_argument("--times", type=int, default=100)
-    replied = studies.add_parser("replies", help="stale and forged replies against the links, and bare pymodbus")
-    replied.add_argument("--times", type=int, default=1000, help="of each kind")
+    replied = studies.add_parser("replies", help="stale and false replies to the links and to plain pymodbus clients")
+    replied.add_argument("--times", type=int, default=1000, help="number of replies of each kind")
     options = parser.parse_args()
     begun_s = time.monotonic()
     code = {"list": _list, "kills": _kills, "replies": _replies}[options.what](options)

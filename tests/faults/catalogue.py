@@ -11,14 +11,14 @@ from piezod.config.checked import Section, check
 from piezod.config.yaml_reader import read_document
 
 LIST = Path(__file__).with_name("faults.yaml")
-ROOMS = {"T": 23, "P": 17, "M": 10, "V": 14, "C": 11, "R": 15, "D": 8, "S": 12}
+COUNTS = {"T": 23, "P": 17, "M": 10, "V": 14, "C": 11, "R": 15, "D": 8, "S": 12}
 UNITS_MS = {"ms": 1.0, "s": 1000.0}
 
 StateName = Literal["DISARMED", "ARMING", "RUNNING", "HOLD", "RAMP_DOWN", "FAULT", "none"]
 
 
 class Bound(Section):
-    """What a figure may be."""
+    """Allowed range of a figure; at least one bound is given."""
 
     least: float | None = None
     most: float | None = None
@@ -30,23 +30,23 @@ class Bound(Section):
         return self
 
     def holds(self, value: float) -> bool:
-        """Whether a figure is within."""
+        """Whether a value is within the bounds."""
         return (self.least is None or value >= self.least) and (self.most is None or value <= self.most)
 
 
 class Expected(Section):
-    """What must come of the fault.
+    """The expected result of a fault.
 
     Parameters
     ----------
     state
-        The state that it ends in; `none` where nothing is driven. Two words: either.
+        Final state; `A or B` allows both; `none`: without a bench.
     exit_code
-        Of the command.
+        Exit code of the command.
     says
-        What must stand in the log or the message, whatever the case of its letters.
+        Texts that the log or the message must contain, in upper or lower case.
     figures
-        What was counted, and what it may be.
+        Allowed ranges of figures by name.
     """
 
     state: Annotated[str, Field(pattern=r"^[A-Z_]+( or [A-Z_]+)*$|^none$")] | None = None
@@ -57,34 +57,34 @@ class Expected(Section):
     @model_validator(mode="after")
     def _expects_something(self) -> "Expected":
         if self.state is None and self.exit_code is None and not self.says and not self.figures:
-            raise ValueError("needs a state, an exit_code, says or figures: a fault that nothing is expected of")
+            raise ValueError("needs a state, an exit_code, says or figures")
         return self
 
     @property
     def states(self) -> tuple[str, ...]:
-        """The states, any of which will do."""
+        """The allowed final states."""
         return () if self.state is None else tuple(self.state.split(" or "))
 
 
 class Fault(Section):
-    """One row.
+    """One fault of the list.
 
     Parameters
     ----------
     id
-        As in the list of faults: T1 to S12.
+        T1 to S12; the letter is the group.
     fault
-        What it is.
+        Short description.
     inject
         `by` names the injector; the other keys are its parameters.
     expect
-        What must come of it.
+        The expected result.
     within
-        From the fault to the first safe state, or to the end of the command: a number and ms or s.
+        Limit of the time from the fault to the first safe state, or to the end of the command: a number and ms or s.
     logged
-        The cause that must stand in the log; the same as the text of a latched fault.
+        Cause that the log must contain; the text of a latched fault.
     instead
-        What is expected instead of what the list of faults says, and why.
+        Why the injection or the expected result differs from the description.
     """
 
     id: Annotated[str, Field(pattern=r"^[TPMVCRDS][0-9]{1,2}$")]
@@ -103,30 +103,30 @@ class Fault(Section):
 
     @property
     def injector(self) -> str:
-        """Its name."""
+        """Name of the injector."""
         return str(self.inject["by"])
 
     @property
     def parameters(self) -> dict[str, Any]:
-        """What the injector is given."""
+        """Parameters of the injector."""
         return {name: value for name, value in self.inject.items() if name != "by"}
 
 
 class FaultList(Section):
-    """The file."""
+    """The content of `faults.yaml`."""
 
     schema_: Annotated[Literal["piezod.faults/1"], Field(alias="schema")]
     faults: Annotated[tuple[Fault, ...], Field(strict=False)]
 
     @model_validator(mode="after")
     def _is_whole(self) -> "FaultList":
-        """Every row of the list of faults stands here once, in its order."""
-        wanted = [f"{room}{number}" for room, most in ROOMS.items() for number in range(1, most + 1)]
+        """Check that each id occurs once, in order."""
+        wanted = [f"{letter}{number}" for letter, count in COUNTS.items() for number in range(1, count + 1)]
         found = [fault.id for fault in self.faults]
         if found != wanted:
             missing = [name for name in wanted if name not in found]
             double = sorted({name for name in found if found.count(name) > 1})
-            raise ValueError(f"faults: missing {missing}, twice {double}; every one must stand there, in order")
+            raise ValueError(f"faults: missing {missing}, twice {double}; each id must occur once, in order")
         return self
 
 
@@ -136,9 +136,9 @@ def load_faults(injectors: Mapping[str, Callable[..., Any]], path: Path = LIST) 
     Raises
     ------
     ConfigurationError
-        One line: file, line, key, value, what it must be.
+        The file is not valid; the message names file, line, key, value and limit.
     ValueError
-        An injector that does not exist, or a parameter that it does not take.
+        An injector or one of its parameters does not exist.
     """
     faults = check(read_document(path), FaultList).faults
     for fault in faults:

@@ -1,14 +1,16 @@
-"""Replies that must never be believed: each is made from a good reply, and carries a force that nobody measured.
+"""False replies that a link must reject, made from good replies; most carry the marked force `MARK_N`.
 
-TCP  [ tid | protocol 0 | length | unit ][ function | byte count | registers ]
-RTU                               [ unit ][ function | byte count | registers ][ CRC ]
+::
+
+    TCP  [ tid | protocol 0 | length | unit ][ function | byte count | registers ]
+    RTU                               [ unit ][ function | byte count | registers ][ CRC ]
 """
 
 import struct
 
-MARK_N = 555.0  # inside low..high of the map, and far from what the bench answers
+MARK_N = 555.0  # within the range of the register map, far from the forces of the bench
 FORCE_AT = 2  # in the protocol data unit: after function and byte count
-HEARTBEAT_AT = 10  # force and voltage stand before it
+HEARTBEAT_AT = 10  # after force and voltage
 ECHO_AT = 12
 
 KINDS = {
@@ -18,12 +20,12 @@ KINDS = {
     "wrong_function": "another function",
     "fewer_registers": "one register less",
     "more_registers": "one register more",
-    "byte_count": "a byte count that is not the payload's",
+    "byte_count": "a byte count unequal to the payload",
     "odd_byte_count": "an odd number of bytes",
     "length": "MBAP length 0, 1, 65535",
     "protocol_id": "a protocol id that is not 0",
-    "late_reply": "the reply to the request before",
-    "stale_heartbeat": "a heartbeat that stood still",
+    "late_reply": "the reply to the previous request",
+    "stale_heartbeat": "an unchanged heartbeat",
     "exception_as_data": "an exception's function code before registers",
     "bad_crc": "a wrong checksum",
 }
@@ -43,25 +45,25 @@ def crc(data: bytes) -> bytes:
 
 
 def with_force(pdu: bytes, force_N: float = MARK_N) -> bytes:
-    """A protocol data unit with another force; what is too short stays as it is."""
+    """A protocol data unit with another force; a unit that is too short is returned unchanged."""
     if len(pdu) < FORCE_AT + 4:
         return pdu
     return pdu[:FORCE_AT] + struct.pack(">f", force_N) + pdu[FORCE_AT + 4 :]
 
 
 def forged(kind: str, good: bytes, before: bytes, number: int, *, framing: str) -> bytes:
-    """A reply of this kind.
+    """A false reply of the given kind.
 
     Parameters
     ----------
     kind
         One of `KINDS`.
     good
-        The reply that the device gives, as a whole frame.
+        The good reply, as a whole frame.
     before
-        The good reply to the request before.
+        The good reply to the previous request.
     number
-        Counts the forgeries: where there are variants they take turns.
+        Index of the false reply; selects a variant in turn.
     framing
         `tcp` or `rtu`.
     """

@@ -1,8 +1,8 @@
-"""SIGKILL and SIGSTOP of the process that drives, again and again: the device brings its output down by itself.
+"""Repeated SIGKILL and SIGSTOP of the control process: the watchdog of the device brings the output to zero.
 
-The device is safe when its own dead-man's switch has taken the output over: from then on it ramps to zero. That must be
-within its watchdog and one tick of it, counted from the signal, or from the command that was on its way then; `rest` is
-when the output is there. Both are taken at the emulated device, in its physics steps.
+The device is safe once its watchdog has taken over the output, which then ramps to zero. The limit is the watchdog time
+and one device tick. The time counts from the signal, or from a command in transit at that moment. `rest` is the time at
+which the output is zero. The emulated device measures both times at its physics steps.
 """
 
 import contextlib
@@ -17,15 +17,15 @@ from pathlib import Path
 from tests.faults.bench_pool import raised_priority
 from tests.faults.live_bench import TIMING, LiveBench
 
-DEVICE_TICK_MS = 0.25  # of the emulated device: it samples four thousand times a second
+DEVICE_TICK_MS = 0.25  # sampling at 4 kHz
 SAFE_WITHIN_MS = TIMING["device_watchdog_ms"] + DEVICE_TICK_MS
 READY_WITHIN_MS = 2000.0
-REST_WITHIN_MS = SAFE_WITHIN_MS + 1000.0 * 140 / 400  # from the top of the range, at the device's own ramp
+REST_WITHIN_MS = SAFE_WITHIN_MS + 1000.0 * 140 / 400  # from 140 V, at the ramp of the device
 
 
 @dataclass
 class Kills:
-    """What came of one kind of end, over and over."""
+    """Results of repeated signals of one kind."""
 
     how: str
     safe_ms: list[float] = field(default_factory=list)
@@ -42,7 +42,7 @@ class Kills:
 
     @property
     def safe(self):
-        """How often the device was safe in time."""
+        """Number of signals after which the device was safe in time."""
         return sum(one <= SAFE_WITHIN_MS for one in self.safe_ms)
 
     def problems(self):
@@ -56,19 +56,19 @@ class Kills:
 
 
 def kill(bench, how, found):
-    """Once: arm, end or stop the process that drives, and look at the device."""
+    """Arm, kill or stop the control process once, and add the result to `found`."""
     bench.restore()
     bench.arm(settle_s=0.1)
     victim, parent = bench.service.control_pid(), bench.service.process.pid
     bench.device.ask("mark")
     begun_ns = time.monotonic_ns()
-    if how == "SIGKILL":  # both, or the one that drives would be told of the other's end and ramp down
+    if how == "SIGKILL":  # both: otherwise the control process would detect the end of its parent and ramp down
         os.kill(victim, signal.SIGKILL)
         os.kill(parent, signal.SIGKILL)
     else:
         os.kill(victim, signal.SIGSTOP)
     report = _await_rest(bench)
-    counted_ns = max(begun_ns, report["command_ns"])  # a command on its way arrives after the signal
+    counted_ns = max(begun_ns, report["command_ns"])  # a command in transit arrives after the signal
     found.safe_ms.append((report["taken_over_ns"] - counted_ns) / 1e6 if report["taken_over_ns"] else float("inf"))
     found.rest_ms.append((report["rest_ns"] - begun_ns) / 1e6 if report["rest_ns"] else float("inf"))
     found.wrong += report["wrong"]
@@ -96,7 +96,7 @@ def _await_rest(bench):
 
 
 def kills(how, times, show=None):
-    """So many times, one bench."""
+    """Kill or stop `times` times on one bench."""
     found = Kills(how)
     with (
         raised_priority(),
@@ -121,7 +121,7 @@ def _bench(folder):
 
 
 def line(found):
-    """The figures in one line."""
+    """The row of the table."""
 
     def spread(values):
         return f"{statistics.median(values):7.1f} {max(values):7.1f}" if values else f"{'-':>7} {'-':>7}"

@@ -1,9 +1,9 @@
-"""A wire with faults between daemon and device, over TCP or between two pseudo-terminals.
+"""A proxy with injectable faults between daemon and device, over TCP or between two pseudo-terminals.
 
     daemon  <->  proxy  <->  device
 
-The proxy passes whole frames. Rules say what it does to some of them; `act` does something to the connection at once.
-Everything that it did stands in `done`, with the time.
+The proxy forwards whole frames. Rules change some of them; `act` acts on the connections at once. `done` lists every
+action with its time.
 """
 
 import asyncio
@@ -23,21 +23,21 @@ from tests.faults.forgeries import forged
 
 Way = Literal["request", "reply"]
 ACTIONS = (
-    "delay",  # pass it on `by` seconds later, and what follows after it
+    "delay",  # forward it `by` seconds later; later frames wait too
     "drop",
     "duplicate",  # twice in one segment
-    "split",  # byte by byte, each a segment
-    "corrupt",  # one bit in the middle is wrong
-    "reset",  # the connection, instead of passing the frame
+    "split",  # byte by byte, each in its own segment
+    "corrupt",  # invert one bit in the middle
+    "reset",  # reset the connection instead of forwarding the frame
     "close",
-    "half_open",  # from here on nothing passes, and nobody is told
-    "stall",  # nothing passes for `by` seconds, either way, then everything
-    "lag",  # each is held until the next one of its way comes
-    "forge",  # a reply of `kind` instead
-    "noise",  # three bytes before, two behind
-    "echo",  # a request comes back to the one who sent it, before its reply
+    "half_open",  # forward nothing from now on, without closing the connection
+    "stall",  # hold all frames of both directions for `by` seconds
+    "lag",  # hold each frame until the next one of its direction
+    "forge",  # a false reply of `kind` instead
+    "noise",  # three bytes before the frame, two after it
+    "echo",  # send a request back to its sender, before the reply
     "throttle",  # `by` bytes a second
-    "random",  # random bytes instead, as many as there were or more
+    "random",  # random bytes instead, at least as many
 )
 NOISE = (b"\x55\x00\xff", b"\xaa\x7e")
 READ_BYTES = 4096
@@ -46,22 +46,22 @@ ROUNDED_S = 0.0015
 
 @dataclass
 class Rule:
-    """What is done to some frames.
+    """An action on some frames.
 
     Parameters
     ----------
     do
-        One of `DOES`.
+        One of `ACTIONS`.
     way
-        To requests or to replies.
+        Direction of the frames: `request` or `reply`.
     after
-        Frames of that way that pass untouched first.
+        Number of frames that are forwarded unchanged first.
     count
-        Frames that it is done to; 0: all from then on.
+        Number of frames to act on; 0: all later ones.
     by
-        Seconds, or bytes a second.
+        Duration [s], or rate of `throttle` [byte/s].
     kind
-        Of a forgery.
+        Kind of a false reply, one of `forgeries.KINDS`.
     """
 
     do: str
@@ -77,7 +77,7 @@ class Rule:
         self._seen = 0
 
     def takes(self, way: Way) -> bool:
-        """Whether this frame is one of its frames; counts it."""
+        """Count a frame and return whether the rule applies to it."""
         if way != self.way:
             return False
         self._seen += 1
@@ -87,7 +87,7 @@ class Rule:
 
 @dataclass(frozen=True)
 class ProxyAction:
-    """Something that the proxy did: when (monotonic [ns]), what, and to which frame of its way."""
+    """An executed action: time [ns, monotonic], name, direction and frame (hexadecimal)."""
 
     time_ns: int
     do: str
@@ -96,7 +96,7 @@ class ProxyAction:
 
 
 class _Wire:
-    """What every proxy does with a frame, whatever carries it."""
+    """The part of a proxy that does not depend on the transport: rules and their application to frames."""
 
     framing = "tcp"
 
@@ -104,7 +104,7 @@ class _Wire:
         self.rules: list[Rule] = []
         self.done: list[ProxyAction] = []
         self.passed = 0
-        self.late_s = 0.0  # by how much more than asked for a frame was held back at most
+        self.late_s = 0.0  # largest excess over a requested delay
         self._before = b""
         self._forged = 0
         self._random = random.Random(1)
@@ -112,22 +112,22 @@ class _Wire:
         self._flowing.set()
 
     def schedule(self, rules: list[Rule]) -> None:
-        """Do this from now on; what was scheduled before is over."""
+        """Replace the rules and end a stall."""
         self.rules = rules
         self._flowing.set()
 
     def note(self, do: str, way: str = "", frame: bytes = b"") -> None:
-        """Keep what was done."""
+        """Add an action to `done`."""
         self.done.append(ProxyAction(time.monotonic_ns(), do, way, frame.hex()))
 
     def stall(self, duration_s: float) -> None:
-        """Let nothing pass for a while."""
+        """Hold all frames for `duration_s`."""
         self.note("stall")
         self._flowing.clear()
         asyncio.get_running_loop().call_later(duration_s, self._flowing.set)
 
     async def carry(self, frame: bytes, way: Way, line: "_Line") -> None:
-        """Pass a frame on, or do to it what a rule says."""
+        """Forward a frame, or apply the first rule that takes it."""
         await self._flowing.wait()
         rule = self._rule(way)
         if way == "reply":
@@ -142,12 +142,12 @@ class _Wire:
         await self._do(rule, frame, before, way, line)
 
     def _rule(self, way: Way) -> Rule | None:
-        """The first rule that takes the frame; all of them count it."""
+        """The first rule that applies to the frame; all rules count the frame."""
         taken = [rule for rule in self.rules if rule.takes(way)]
         return taken[0] if taken else None
 
     async def _do(self, rule: Rule, frame: bytes, before: bytes, way: Way, line: "_Line") -> None:
-        """What is done in time, or to the connection; the frame itself is changed by `_changed`."""
+        """Apply a rule; `_changed` makes the bytes of rules that change the frame."""
         match rule.do:
             case "reset" | "close" | "half_open":
                 line.act(rule.do)
@@ -168,10 +168,10 @@ class _Wire:
             case _:
                 for part in self._changed(rule, frame, before):
                     line.send(part, way)
-                    await asyncio.sleep(0)  # a segment each
+                    await asyncio.sleep(0)  # send each part in its own segment
 
     def _changed(self, rule: Rule, frame: bytes, before: bytes) -> list[bytes]:
-        """The segments that are sent instead of a frame."""
+        """The segments sent instead of a frame."""
         if rule.do == "forge" and before:
             self._forged += 1
             return [forged(rule.kind, frame, before, self._forged - 1, framing=self.framing)]
@@ -188,9 +188,9 @@ class _Wire:
 
 
 async def _pause(duration_s: float) -> float:
-    """Let so much time pass: asyncio alone rounds up to whole milliseconds, which is a good part of a tick.
+    """Wait; returns the excess over `duration_s` [s].
 
-    Returns by how much it was more [s].
+    asyncio alone rounds up to whole milliseconds, a large part of a tick; so the last part polls the clock.
     """
     end_s = time.monotonic() + duration_s
     if duration_s > ROUNDED_S:
@@ -209,12 +209,12 @@ class _Line:
         self.dead = False
 
     def send(self, data: bytes, way: Way) -> None:
-        """Towards the device, or back."""
+        """Send data in the given direction unless the line is half open."""
         if data and not self.dead:
             self._send(data, way)
 
     def act(self, what: str) -> None:
-        """End it, or let it fall silent."""
+        """Reset or close the connection, or (`half_open`) stop forwarding."""
         if what == "half_open":
             self.dead = True
         else:
@@ -222,7 +222,7 @@ class _Line:
 
 
 class TcpProxy(_Wire):
-    """Listens where the daemon connects, and connects to the device.
+    """A proxy that listens for the daemon and connects to the device over TCP.
 
     Parameters
     ----------
@@ -234,7 +234,7 @@ class TcpProxy(_Wire):
         super().__init__()
         self.upstream = upstream
         self.accepted = 0
-        self.deaf = False
+        self.silent = False
         self.idle_s = 0.0
         self._address: tuple[str, int] = ("127.0.0.1", 0)
         self._server: asyncio.Server | None = None
@@ -248,22 +248,23 @@ class TcpProxy(_Wire):
         return self._address[1]
 
     async def act(self, what: str) -> None:
-        """Do something to every connection, or to the door, at once.
+        """Act on every connection, or on the listening socket, at once.
 
-        `reset`, `close`, `half_open`: the connections. `refuse`: nobody listens any more. `deaf`: half open, and
-        newcomers too. `heal`: everything is as it was at first, connections that were spoilt are ended.
+        `reset`, `close`, `half_open`: act on the connections. `refuse`: stop listening and reset the connections.
+        `silent`: half open, for present and new connections. `restore`: listen and forward again; half-open
+        connections are reset.
         """
         self.note(what)
         if what in ("refuse", "restore") and self._server is not None:
             self._server.close()
             self._server = None
         if what == "restore":
-            self.deaf = False
+            self.silent = False
             for line in [line for line in self._lines if line.dead]:
                 _end(self._lines[line], "reset")
             await self.open(*self._address)
-        elif what == "deaf":
-            self.deaf = True
+        elif what == "silent":
+            self.silent = True
             for line in self._lines:
                 line.act("half_open")
         else:
@@ -271,7 +272,7 @@ class TcpProxy(_Wire):
                 line.act("reset" if what == "refuse" else what)
 
     async def close(self) -> None:
-        """Stop listening and hang up."""
+        """Stop listening and close the connections."""
         if self._server is not None:
             self._server.close()
         for task in self._served:
@@ -292,7 +293,7 @@ class TcpProxy(_Wire):
             return
         ends: dict[str, asyncio.StreamWriter] = {"request": to_device, "reply": writer}
         line = _Line(lambda data, way: ends[way].write(data), lambda what: _end(writer, what))
-        line.dead = self.deaf
+        line.dead = self.silent
         self._lines[line] = writer
         pumps = [
             asyncio.ensure_future(self._pump(reader, "request", line)),
@@ -311,7 +312,7 @@ class TcpProxy(_Wire):
             await asyncio.gather(*pumps, return_exceptions=True)
 
     async def _pump(self, reader: asyncio.StreamReader, way: Way, line: _Line) -> None:
-        """Pass frames of one way; what is no frame passes as it comes."""
+        """Forward the frames of one direction; the MBAP length delimits them."""
         waiting = b""
         with contextlib.suppress(OSError):
             while data := await self._read(reader, way, line):
@@ -320,10 +321,10 @@ class TcpProxy(_Wire):
                     frame, waiting = waiting[:size], waiting[size:]
                     await self.carry(frame, way, line)
             if line.dead:
-                await asyncio.Event().wait()  # neither side is told of the other's end
+                await asyncio.Event().wait()  # a half-open connection does not report the end of the other side
 
     async def _read(self, reader: asyncio.StreamReader, way: Way, line: _Line) -> bytes:
-        """What comes next; a client that is silent for `idle_s` is hung up on."""
+        """Read the next bytes; closes the connection of a client that is silent for `idle_s`."""
         if way == "reply" or self.idle_s == 0.0:
             return await reader.read(READ_BYTES)
         try:
@@ -336,7 +337,7 @@ class TcpProxy(_Wire):
 
 
 def _end(writer: asyncio.StreamWriter, what: str) -> None:
-    """Close a connection, with a reset or without."""
+    """Close a connection; `what` is `reset` or `close`."""
     if what == "reset":
         connection = writer.get_extra_info("socket")
         with contextlib.suppress(OSError):
@@ -347,14 +348,14 @@ def _end(writer: asyncio.StreamWriter, what: str) -> None:
 
 
 class PtyProxy(_Wire):
-    """A pseudo-terminal for the daemon, tied to the one of the device; a read is a frame.
+    """A proxy between a pseudo-terminal for the daemon and that of the device; each read is a frame.
 
     Parameters
     ----------
     device
-        Path of the device's own.
+        Path of the terminal of the device.
     link
-        Symbolic link to what the daemon opens, as udev makes them by serial number.
+        Symbolic link that the daemon opens, like those of udev by serial number.
     """
 
     framing = "rtu"
@@ -369,7 +370,7 @@ class PtyProxy(_Wire):
         self._queues: dict[str, asyncio.Queue[bytes]] = {"request": asyncio.Queue(), "reply": asyncio.Queue()}
 
     async def open(self) -> None:
-        """Plug in."""
+        """Connect both terminals."""
         loop = asyncio.get_running_loop()
         loop.add_reader(self._device, self._read, self._device, "reply")
         for way in ("request", "reply"):
@@ -377,7 +378,7 @@ class PtyProxy(_Wire):
         self._plug()
 
     async def act(self, what: str) -> None:
-        """`unplug`; `plug`: as another terminal behind the same link."""
+        """`unplug` removes the terminal, `plug` adds a new one behind the same link, `silent` stops forwarding."""
         self.note(what)
         if what == "unplug":
             self._unplug()
@@ -385,11 +386,11 @@ class PtyProxy(_Wire):
             self._line.dead = False
             if self._master < 0:
                 self._plug()
-        elif what in ("deaf", "half_open"):
+        elif what in ("silent", "half_open"):
             self._line.dead = True
 
     async def close(self) -> None:
-        """Unplug for good."""
+        """Remove the terminal and stop forwarding."""
         self._unplug()
         asyncio.get_running_loop().remove_reader(self._device)
         os.close(self._device)
@@ -398,7 +399,7 @@ class PtyProxy(_Wire):
         await asyncio.gather(*self._pumps, return_exceptions=True)
 
     def _plug(self) -> None:
-        self._master, self._slave = os.openpty()  # our own end of it stays open: a cable is no hang-up
+        self._master, self._slave = os.openpty()  # this end stays open, so that no hang-up is reported
         tty.setraw(self._slave)
         os.set_blocking(self._master, False)
         self.link.unlink(missing_ok=True)
@@ -424,5 +425,5 @@ class PtyProxy(_Wire):
 
     def _send(self, data: bytes, way: Way) -> None:
         descriptor = self._device if way == "request" else self._master
-        with contextlib.suppress(OSError):  # unplugged, or nobody reads: a serial line loses bytes
+        with contextlib.suppress(OSError):  # unplugged or without a reader: the bytes are lost
             os.write(descriptor, data)

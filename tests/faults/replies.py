@@ -1,8 +1,7 @@
-"""Stale and forged replies against the links over a real socket and a real pseudo-terminal, and against bare pymodbus.
+"""Stale and false replies to the links over a socket and a pseudo-terminal, and to plain pymodbus clients.
 
-A reply counts as accepted when the exchange says OK, or when the force that nobody measured stands in the reading.
-pymodbus' own synchronous clients are asked the same (function 23) beside it, without retries; they count as accepting
-when they hand out registers.
+A reply counts as accepted when the exchange result is OK, or when the reading holds the marked force. The synchronous
+clients of pymodbus get the same replies (function 23, no retries). They accept a reply when they return registers.
 """
 
 import contextlib
@@ -20,17 +19,17 @@ from tests.unit.transport.scripted import ScriptedPty, ScriptedTcp
 
 TIMEOUT_S = 0.02
 RECOVERS_WITHIN_S = 5.0
-PYMODBUS_TIMES = 5  # it does the same every time
+PYMODBUS_TIMES = 5  # its result does not vary
 WIRES = {"tcp": (ScriptedTcp, tcp_config, ON_TCP), "rtu": (ScriptedPty, rtu_config, ON_RTU)}
 HEADER = (
     f"{'kind':<18} {'what':<42} {'wire':<4} {'sent':>6} {'accepted':>8}  {'refused as':<34} "
-    f"{'bare pymodbus accepts':>21}"
+    f"{'plain pymodbus accepts':>22}"
 )  # fmt: skip
 
 
 @dataclass
 class Row:
-    """One kind on one wire."""
+    """Result of one kind of reply on one wire."""
 
     kind: str
     wire: str
@@ -51,7 +50,7 @@ class Row:
 
 
 def rows(times, kinds=tuple(KINDS), show=None):
-    """A row for each kind on each wire that has it, the kind sent so many times."""
+    """Yield a row for each kind on each wire where it exists, each sent `times` times."""
     logging.getLogger("pymodbus").setLevel(logging.CRITICAL)
     for wire, (server_class, make_config, known) in WIRES.items():
         for kind in known:
@@ -70,7 +69,7 @@ def rows(times, kinds=tuple(KINDS), show=None):
 
 
 class _Forger:
-    """Lets a scripted device answer well, and badly when told to."""
+    """Makes a scripted device answer correctly, or with a false reply while `armed`."""
 
     def __init__(self, server, kind, wire):
         self.server, self.kind, self.wire = server, kind, wire
@@ -88,7 +87,7 @@ class _Forger:
 
 
 def against_link(server, config, kind, wire, times):
-    """How many were accepted, and what the others were refused as."""
+    """Number of accepted replies, and the counts of exchange results of the refused ones."""
     forger, accepted, refused_as = _Forger(server, kind, wire), 0, {}
     link = make_link(config)
     link.open()
@@ -99,14 +98,14 @@ def against_link(server, config, kind, wire, times):
             forger.armed = True
             result = link.exchange(2.0 + k % 5)
             forger.armed = False
-            if forger.sent == before:  # the request came too late for a reply in time: once more
+            if forger.sent == before:  # the request came too late for a reply in time: repeat
                 continue
             if result is ExchangeResult.OK or link.reading.force_N == MARK_N:
                 accepted += 1
             else:
                 name = result.name.lower()
                 refused_as[name] = refused_as.get(name, 0) + 1
-                if kind != "stale_heartbeat":  # this one does answer the request, its reading alone is stale
+                if kind != "stale_heartbeat":  # a stale heartbeat acknowledges the command; only its reading is stale
                     accepted += result in ACKNOWLEDGED
     finally:
         link.close()
@@ -114,7 +113,7 @@ def against_link(server, config, kind, wire, times):
 
 
 def _until_good(act):
-    """Repeat until the link is well again: after a doubtful reply it distrusts the line for a while."""
+    """Repeat until an exchange is OK: after a false reply the link rejects the line for a time."""
     end_s = time.monotonic() + RECOVERS_WITHIN_S
     while (result := act()) is not ExchangeResult.OK:
         assert time.monotonic() < end_s, f"the link does not recover: {result.name}"
@@ -122,7 +121,7 @@ def _until_good(act):
 
 
 def against_pymodbus(server, kind, wire, times):
-    """How many pymodbus' own client takes for an answer."""
+    """Number of replies that the client of pymodbus accepts."""
     forger, accepted = _Forger(server, kind, wire), 0
     for _ in range(times):
         client = (
@@ -151,11 +150,11 @@ def _ask(client):
 
 
 def summary(found):
-    """Both counts."""
+    """Counts of accepted replies, for the links and for pymodbus."""
     kinds = {row.kind for row in found}
     taken = sorted({row.kind for row in found if row.pymodbus})
     sent, accepted = sum(row.sent for row in found), sum(row.accepted for row in found)
     return (
-        f"{accepted} of {sent} stale or forged replies accepted, {len(kinds)} kinds; "
-        f"bare pymodbus accepts {len(taken)} of them ({', '.join(taken)})"
+        f"{accepted} of {sent} stale or false replies accepted, {len(kinds)} kinds; "
+        f"plain pymodbus accepts {len(taken)} of them ({', '.join(taken)})"
     )

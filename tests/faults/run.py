@@ -1,4 +1,4 @@
-"""Runs the list: injects each fault, judges what was seen, and says so in a row."""
+"""Injection of the listed faults, and the table of their results."""
 
 import time
 import traceback
@@ -18,32 +18,32 @@ INJECTORS: dict[str, Callable] = {
     **input_faults.INJECTORS,
     **disk_faults.INJECTORS,
 }
-MOST_TRIES = 3  # of a fault during which the machine stood still
-BEHIND = {"late_ms": 1.0, "behind_ms": STILL_MS}  # a reply held back for longer, a device woken later: another fault
+MOST_TRIES = 3  # largest number of injections of a fault during standstills of the machine
+EXCESS_DELAY = {"late_ms": 1.0, "behind_ms": STILL_MS}  # of a reply, of a wake-up [ms]; beyond, a failure is repeated
 
 COLUMNS = "{id:<4} {fault:<52.52} {expected:<17.17} {observed:<10.10} {after:>9} {bound:>8}  {verdict}"
 
 
 @dataclass
 class Result:
-    """A fault and what came of it.
+    """A fault and its result.
 
     Parameters
     ----------
     fault
         The row of the list.
     seen
-        What came of it; None where it could not be injected.
+        Observed result; None where it could not be injected.
     problems
-        What is not as expected.
+        Deviations from the expected result.
     skipped
-        Why it could not be injected.
+        Reason why it could not be injected; empty otherwise.
     lasted_s
-        All in all.
+        Duration of all tries [s].
     tries
-        How often it was injected: again only when the machine stood still meanwhile.
+        Number of injections; repeated only after a standstill of the machine.
     still_ms
-        Longest standstill of the machine in the last try.
+        Longest standstill of the machine in the last try [ms].
     """
 
     fault: Fault
@@ -77,7 +77,7 @@ class Result:
         return COLUMNS.format(
             id=fault.id,
             fault=fault.fault,
-            expected=expected or "as counted",
+            expected=expected or "figures",
             observed="" if found == "none" else found,
             after="" if observed is None else "stays" if observed.after_ms == 0.0 else f"{observed.after_ms:.0f} ms",
             bound=fault.within,
@@ -86,12 +86,12 @@ class Result:
 
 
 def faults() -> tuple[Fault, ...]:
-    """The list, checked against the injectors."""
+    """The listed faults, checked against the injectors."""
     return load_faults(INJECTORS)
 
 
 def run(fault: Fault, pool, probe) -> Result:
-    """Inject one fault; again when it was not survived while the machine, or the device on it, stood still."""
+    """Inject one fault; repeats a failure during which the machine or the device process stood still."""
     begun_s = time.monotonic()
     for tried in range(1, MOST_TRIES + 1):
         begun_ns = time.monotonic_ns()
@@ -99,7 +99,7 @@ def run(fault: Fault, pool, probe) -> Result:
         result.tries, result.lasted_s = tried, time.monotonic() - begun_s
         figures = {} if result.observed is None else result.observed.figures
         stills = [probe.worst_ms(begun_ns) if probe else 0.0]
-        stills += [figures[name] for name, most_ms in BEHIND.items() if figures.get(name, 0.0) > most_ms]
+        stills += [figures[name] for name, most_ms in EXCESS_DELAY.items() if figures.get(name, 0.0) > most_ms]
         result.still_ms = max(stills)
         if not result.problems or result.still_ms == 0.0:
             break
@@ -111,8 +111,8 @@ def _once(fault: Fault, pool) -> Result:
         observed = INJECTORS[fault.injector](pool, fault, **fault.parameters)
     except InjectionUnavailableError as reason:
         return Result(fault, None, [], str(reason))
-    except Exception as error:  # noqa: BLE001  # whatever the injector ran into, it is this fault that was not survived
-        pool.drop()  # nothing is known of the benches
+    except Exception as error:  # noqa: BLE001  # any error of the injector fails this fault
+        pool.drop()  # the state of the benches is unknown
         where = traceback.extract_tb(error.__traceback__)[-1]
         return Result(fault, None, [f"{type(error).__name__}: {str(error)[:300]} ({where.name}, line {where.lineno})"])
     return Result(fault, observed, observed.deviations(fault))
@@ -132,7 +132,7 @@ def header() -> str:
 
 
 def summary(results: list[Result]) -> str:
-    """What was not injected, aloud; armings; the count."""
+    """Skipped faults, replaced expectations, armings, envelope violations and the count of survived faults."""
     lines = [f"skipped {result.fault.id}: {result.skipped}" for result in results if result.skipped]
     lines += [f"instead {one.fault.id}: {' '.join(one.fault.instead.split())}" for one in results if one.fault.instead]
     run_ = [result for result in results if not result.skipped]

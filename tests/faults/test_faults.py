@@ -1,4 +1,4 @@
-"""The list of faults: each is injected, and what comes of it is as the list says."""
+"""Every listed fault is injected and has its expected result."""
 
 import os
 import signal
@@ -30,18 +30,18 @@ def probe():
 
 
 @pytest.mark.parametrize("fault", FAULTS, ids=lambda fault: fault.id)
-def test_the_fault_is_survived_as_the_list_says(fault, pool, probe):
+def test_fault_has_its_expected_result(fault, pool, probe):
     result = run.run(fault, pool, probe)
     if result.skipped:
         pytest.skip(f"{fault.id}: {result.skipped}")
-    assert not result.problems, f"{result.text()}\nseen: {result.observed and result.observed.figures}"
+    assert not result.problems, f"{result.text()}\nobserved: {result.observed and result.observed.figures}"
 
 
-def test_at_least_a_hundred_faults_are_injected_here_and_not_by_tests_of_their_own():
+def test_at_least_a_hundred_faults_are_injected_without_other_tests():
     assert sum(fault.injector != "checked" for fault in FAULTS) >= 100
 
 
-def test_a_device_that_stood_still_meanwhile_says_for_how_long():
+def test_device_process_reports_its_own_standstill():
     device = DeviceProcess({})
     try:
         device.ask("mark")
@@ -77,7 +77,7 @@ faults:
         ("", "", "missing"),
     ],
 )
-def test_a_list_that_says_something_else_is_refused(tmp_path, old, new, says):
+def test_list_with_a_wrong_entry_is_refused(tmp_path, old, new, says):
     path = tmp_path / "faults.yaml"
     path.write_text(ROW.replace(old, new, 1), encoding="utf-8")
     with pytest.raises(ConfigurationError, match=says):
@@ -91,7 +91,7 @@ def test_a_list_that_says_something_else_is_refused(tmp_path, old, new, says):
         ("by: unreachable, door: closed", "by: unreachable, window: closed", "unexpected keyword|missing a required"),
     ],
 )
-def test_an_injector_that_does_not_exist_or_does_not_take_a_parameter_is_refused(tmp_path, old, new, says):
+def test_list_with_an_unknown_injector_or_parameter_is_refused(tmp_path, old, new, says):
     from tests.faults.catalogue import LIST
 
     path = tmp_path / "faults.yaml"

@@ -1,4 +1,4 @@
-"""Killed and stopped, the device is safe by itself; a reply that answers nothing is never believed."""
+"""After SIGKILL or SIGSTOP the watchdog makes the device safe; the links accept no false reply."""
 
 import pytest
 
@@ -17,7 +17,7 @@ def test_the_device_is_safe_within_its_watchdog_and_a_tick(how):
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_no_stale_or_forged_reply_is_accepted(kind):
+def test_link_accepts_no_stale_or_false_reply(kind):
     rows = list(replies.rows(30, kinds=(kind,)))
     assert rows
     for row in rows:

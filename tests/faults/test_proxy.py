@@ -1,4 +1,4 @@
-"""The proxy does what its rules say, to the frames that they name, and says so."""
+"""The proxy applies its rules to the named frames and lists its actions."""
 
 import asyncio
 import contextlib
@@ -15,7 +15,7 @@ def frame(transaction, pdu=b"\x03\x02\x00\x2a"):
 
 
 async def device(reader, writer):
-    """Sends every frame back."""
+    """Echo every frame."""
     try:
         with contextlib.suppress(OSError):
             while data := await reader.read(4096):
@@ -25,7 +25,7 @@ async def device(reader, writer):
 
 
 def through(rules, talk):
-    """Let `talk(proxy, reader, writer)` speak to an echoing device through a proxy with these rules."""
+    """Run `talk(proxy, reader, writer)` with an echoing device behind a proxy with these rules."""
 
     async def run():
         server = await asyncio.start_server(device, "127.0.0.1", 0)
@@ -75,7 +75,7 @@ def sending(count, wait_s=0.15):
         ([{"do": "close"}], 1, b"", ["close"]),
     ],
 )
-def test_a_rule_does_what_it_says_to_its_frames_alone(rules, count, expected, done):
+def test_rule_acts_on_its_frames_only(rules, count, expected, done):
     assert through(rules, sending(count)) == (expected, done)
 
 
@@ -89,7 +89,7 @@ def test_a_split_frame_arrives_whole_and_a_corrupt_one_differs_in_one_bit():
     assert sum((a ^ b).bit_count() for a, b in zip(corrupt, frame(1), strict=True)) == 1
 
 
-def test_nobody_is_let_in_while_it_refuses_and_again_when_it_is_healed():
+def test_proxy_refuses_connections_until_it_is_restored():
     async def talk(proxy, _reader, _writer):
         await proxy.act("refuse")
         with pytest.raises(ConnectionRefusedError):
@@ -114,7 +114,7 @@ BEFORE = b"\x17\x0e" + struct.pack(">ffHHH", 0.5, 1.0, 6, 2, 1)
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_a_forgery_is_what_its_name_says_and_never_the_good_reply(kind):
+def test_false_reply_carries_the_marked_force_and_differs_from_the_good_one(kind):
     if kind in ON_TCP:
         good, before = frame(5, PDU), frame(4, BEFORE)
         made = forged(kind, good, before, 0, framing="tcp")

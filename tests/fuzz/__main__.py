@@ -1,4 +1,4 @@
-"""The command: fuzz every parser, and print the table."""
+"""Command line: fuzz every parser and print the table."""
 
 import argparse
 import importlib.util
@@ -14,7 +14,7 @@ from tests.fuzz.watch import Result, Watch, reproduce
 
 MODULES = (frames, files, messages)
 GROUPS = {"frames": 20_000, "configurations": 1000, "models": 1000, "recordings": 3000, "messages": 5000}
-"""What is counted, and how many cases of it when nothing is said: a minute or two in all."""
+"""Groups of targets and their default numbers of cases: one to two minutes in total."""
 
 _COLUMNS = (
     "{group:<15} {target:<15} {engine:<9} {cases:>9} {accepted:>9} {failed:>7} {crashes:>8} {hangs:>6} {peak:>9} "
@@ -23,13 +23,13 @@ _COLUMNS = (
 
 
 def main() -> int:
-    """Parse, run, print."""
+    """Run the fuzzer; returns 1 when an input fails."""
     options = _parse()
     targets = {target.name: (module.__name__, target) for module in MODULES for target in module.TARGETS}
     if options.reproduce:
         name, path = options.reproduce
         what = reproduce(targets[name][1], Path(path))
-        print(what or f"{name}: all is well")
+        print(what or f"{name}: no violation")
         return 1 if what else 0
     engine = _engine(options.engine)
     print(_COLUMNS.format(**_HEADER), flush=True)
@@ -94,14 +94,14 @@ def _load() -> str:
 
 
 def _progress(target: Target, count: int):
-    """A line that is written over, on a terminal alone."""
+    """A progress line on a terminal; nothing elsewhere."""
     if not sys.stderr.isatty():
         return lambda _cases: None
     return lambda cases: print(f"\r{target.name}: {cases} of {count} ", end="\r", file=sys.stderr, flush=True)
 
 
 def _engine(wanted: str | None) -> str:
-    """Which engine, and why when it is the lesser one."""
+    """Name of the engine; prints it, with the reason when atheris is missing."""
     guided = importlib.util.find_spec("atheris") is not None
     if wanted == "atheris" and not guided:
         sys.exit("atheris is not installed: pip install 'piezod-bench[fuzz]', or --engine mutation")
@@ -117,10 +117,10 @@ def _parse() -> argparse.Namespace:
         parser.add_argument(
             f"--{group}", type=int, default=None, metavar="N", help=f"cases ({count} when no group is named)"
         )
-    parser.add_argument("--engine", choices=("mutation", "atheris"), help="atheris where it is installed, unless named")
+    parser.add_argument("--engine", choices=("mutation", "atheris"), help="default: atheris where installed")
     parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--keep", type=Path, metavar="DIR", help="where inputs that fail are kept")
-    parser.add_argument("--reproduce", nargs=2, metavar=("TARGET", "FILE"), help="try one kept input")
+    parser.add_argument("--keep", type=Path, metavar="DIR", help="folder for inputs that fail")
+    parser.add_argument("--reproduce", nargs=2, metavar=("TARGET", "FILE"), help="try one stored input")
     options = parser.parse_args()
     none_named = all(getattr(options, group) is None for group in GROUPS)
     for group, count in GROUPS.items():

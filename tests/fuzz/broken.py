@@ -1,4 +1,4 @@
-"""Parsers that are broken on purpose: the fuzzer must find each of them out."""
+"""Parsers with a deliberate defect, each of which the fuzzer must find."""
 
 import ctypes
 import mmap
@@ -47,13 +47,13 @@ def _says_two_lines(data: bytes) -> None:
 
 
 class TwoLinesError(RecordingError):
-    """A refusal as it must not be."""
+    """A refusal with two lines, which is not allowed."""
 
     def __str__(self) -> str:
         return "this\nand that"
 
 
-def _swells(path: Path) -> None:
+def _grows(path: Path) -> None:
     if b":" not in path.read_bytes():
         with mmap.mmap(-1, 2 * files.MOST_MIB * 2**20) as memory:
             for page in range(0, len(memory), mmap.PAGESIZE):
@@ -68,30 +68,30 @@ def _asks_for_too_much(path: Path) -> None:
             raise RecordingError(f"{path}: cannot be read") from error
 
 
-def believes_any_transaction() -> Check:
-    """A Modbus TCP link that takes whatever reply comes for its own."""
+def accepts_any_transaction() -> Check:
+    """A Modbus TCP link that accepts a reply with any transaction id."""
     dialogues = frames._modbus("tcp")
 
-    def judge(request: frames.Asked, received: int, wire: frames.TcpWire) -> tuple[ExchangeResult, int]:
+    def classify(request: frames.Request, received: int, wire: frames.TcpWire) -> tuple[ExchangeResult, int]:
         wire._buffer[0:2] = request.reply_head[0:2]
         return original(wire, request, received)
 
     original = frames.TcpWire._classify_first_frame
 
-    class Believing(frames.TcpWire):
+    class AnyTransactionWire(frames.TcpWire):
         def _classify_first_frame(self, request, received):
-            return judge(request, received, self)
+            return classify(request, received, self)
 
     for dialogue in dialogues:
-        dialogue.wire = dialogue.link._wire = Believing(dialogue.wire._config)
+        dialogue.wire = dialogue.link._wire = AnyTransactionWire(dialogue.wire._config)
     return frames.check_with(dialogues)
 
 
-def trusts_the_length() -> Check:
-    """An RTU link whose checksum is never wrong."""
+def ignores_the_checksum() -> Check:
+    """An RTU link that does not check the checksum."""
     dialogues = frames._modbus("rtu")
 
-    class Trusting(frames.RtuWire):
+    class WithoutChecksumWire(frames.RtuWire):
         def _receive(self, request, deadline_s):
             received = 0
             while received < request.reply_size:
@@ -102,7 +102,7 @@ def trusts_the_length() -> Check:
             return ExchangeResult.OK if good else ExchangeResult.BAD_CRC
 
     for dialogue in dialogues:
-        wire = Trusting(dialogue.wire._config)
+        wire = WithoutChecksumWire(dialogue.wire._config)
         wire._port, wire.payload = dialogue.wire._port, dialogue.wire.payload
         dialogue.wire = dialogue.link._wire = wire
     return frames.check_with(dialogues)
@@ -115,10 +115,10 @@ TARGETS = [
     Target("crashes", "broken", _seeds, lambda: _crashes),
     Target("leaks", "broken", _seeds, lambda: _leaks),
     Target("says_two_lines", "broken", _seeds, lambda: _says_two_lines),
-    Target("swells", "broken", _seeds, lambda: files.from_file(".txt", _swells)),
+    Target("grows", "broken", _seeds, lambda: files.from_file(".txt", _grows)),
     Target("asks_for_too_much", "broken", _seeds, lambda: files.from_file(".txt", _asks_for_too_much)),
     Target(
-        "believes_any_transaction", "broken", lambda: frames.seeds_of(frames._modbus("tcp")), believes_any_transaction
+        "accepts_any_transaction", "broken", lambda: frames.seeds_of(frames._modbus("tcp")), accepts_any_transaction
     ),
-    Target("trusts_the_length", "broken", lambda: frames.seeds_of(frames._modbus("rtu")), trusts_the_length),
+    Target("ignores_the_checksum", "broken", lambda: frames.seeds_of(frames._modbus("rtu")), ignores_the_checksum),
 ]

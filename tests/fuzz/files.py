@@ -1,4 +1,4 @@
-"""Files that a user, a disk or an enemy may have changed: bench configurations, models, recordings."""
+"""Fuzzing of files: bench configurations, models, recordings."""
 
 import shutil
 import tempfile
@@ -27,7 +27,7 @@ from tests.unit.transport.scripted import LINE
 
 SHARED = "/dev/shm"
 MOST_MIB = 400
-"""By how much reading one small file may raise the peak of the resident memory."""
+"""Largest growth of the peak resident memory by reading one small file [MiB]."""
 
 SUFFIXES = (".csv", ".h5", ".mat", ".tdms", ".parquet", ".mf4", ".sqlite")
 BENCHES = ("bench.yaml", "wago_750.yaml", "labjack_t7.yaml", "thorlabs_mdt693b.yaml")
@@ -37,7 +37,7 @@ NOT_NEEDED = ("map_version", "order_check", "virtual_time", "virtual_tick_us")
 
 
 def bench_seeds() -> list[bytes]:
-    """Benches of every link, without comments."""
+    """Bench files for every link, without comments."""
     contents = [_short(yaml.safe_load(shipped(name).read_text(encoding="utf-8"))) for name in BENCHES]
     contents[0]["link"]["registers"] = {
         role: entry for role, entry in contents[0]["link"]["registers"].items() if role not in NOT_NEEDED
@@ -55,7 +55,7 @@ def bench_seeds() -> list[bytes]:
 
 
 def _short(content: dict[str, Any]) -> dict[str, Any]:
-    """Without what need not be said: PyYAML takes most of the time."""
+    """Remove optional keys, since PyYAML takes most of the time."""
     return {
         key: {name: one for name, one in value.items() if one is not None} if isinstance(value, dict) else value
         for key, value in content.items()
@@ -64,14 +64,14 @@ def _short(content: dict[str, Any]) -> dict[str, Any]:
 
 
 def _with_link(content: dict[str, Any], link: dict[str, Any]) -> dict[str, Any]:
-    """The bench on another link, with what that link cannot say left out."""
+    """The bench with another link, without the keys that this link does not have."""
     registers = {} if link["kind"] == "serial_line" else {"registers": content["link"]["registers"]}
     limits = content["limits"] | {"temperature_trip_degC": None, "device_watchdog_ms": 100}
     return content | {"link": link | registers, "limits": limits, "rate_Hz": 200}
 
 
 def bench_check() -> Check:
-    """Load a bench as the daemon does, make its link, and look at what was accepted."""
+    """Load a bench as the daemon does, make its link, and check the accepted values."""
 
     def check(path: Path) -> None:
         bench = load_bench(path)
@@ -80,14 +80,14 @@ def bench_check() -> Check:
         try:
             check_wire(bench)
             make_link(bench.link, bench.load_cell_link).close()
-        except PiezodError as error:  # names the key, the command names the file
+        except PiezodError as error:  # the error names the key; the command adds the file
             raise type(error)(f"{path}: {error}") from error.__cause__
 
     return from_file(".yaml", check)
 
 
 def consistent(bench: BenchConfig) -> None:
-    """What must hold of an accepted bench, said again."""
+    """Check the conditions of an accepted bench independently."""
     limits, tick_ms = bench.limits, 1e3 / bench.rate_Hz
     held = {
         "voltage range": limits.voltage_min_V < limits.voltage_max_V,
@@ -103,7 +103,7 @@ def consistent(bench: BenchConfig) -> None:
 
 
 def model_seeds() -> list[bytes]:
-    """The shipped model with fewer operators, and the same with an effect and a start of states."""
+    """The shipped model with fewer operators, without and with an effect and initial states."""
     content = yaml.safe_load(shipped("model.yaml").read_text(encoding="utf-8"))
     for kind, count in (("plays", 5), ("dead_zones", 3)):
         operators = content["hysteresis"][kind]
@@ -116,7 +116,7 @@ def model_seeds() -> list[bytes]:
 
 
 def model_check() -> Check:
-    """Load a model, and ask its operator for a force."""
+    """Load a model and evaluate its operator once."""
 
     def check(path: Path) -> None:
         model = load_model(path)
@@ -128,7 +128,7 @@ def model_check() -> Check:
 
 
 def finite(value: object) -> None:
-    """No number of an accepted file is infinite or none."""
+    """Check that every number of an accepted file is finite."""
     if isinstance(value, float) and not isfinite(value):
         raise AssertionError("a number that is not finite was accepted")
     if isinstance(value, BaseModel):
@@ -146,7 +146,7 @@ def finite(value: object) -> None:
 
 
 def recording_seeds(suffix: str) -> list[bytes]:
-    """Files as the project writes them: some samples, one sample, and missing ones."""
+    """Recordings as the project writes them: several samples, one sample, and missing samples."""
     rng = np.random.default_rng(1)
     seeds = []
     with tempfile.TemporaryDirectory(dir=SHARED) as folder:
@@ -161,7 +161,7 @@ def recording_seeds(suffix: str) -> list[bytes]:
 
 
 def recording_check(suffix: str) -> Callable[[], Check]:
-    """Read a recording whole and in pieces: both must say the same."""
+    """Read a recording at once and in pieces, and compare the results."""
 
     def check(path: Path) -> None:
         recording = read_recording(path)
@@ -179,7 +179,7 @@ def recording_check(suffix: str) -> Callable[[], Check]:
 
 
 def from_file(suffix: str, check: Callable[[Path], None]) -> Check:
-    """Have an input in a file; a refusal must name it first, and memory must not swell."""
+    """Check an input as a file; a refusal must begin with its name, and memory must not grow."""
     path = Path(tempfile.mkdtemp(dir=SHARED, prefix="piezod-fuzz-")) / f"f{suffix}"
 
     def written(data: bytes) -> None:

@@ -1,13 +1,13 @@
-"""Replies of a device, garbled: the three wires with their system calls replaced by a script, nothing else.
+"""Fuzzing of device replies: the three wires with scripted system calls.
 
 An input is one dialogue::
 
     [ how ][ split ][ bytes of the first reply | bytes of the second ]
        1       1       split                      the rest
 
-`how` chooses the link, what is asked of it, in which pieces the bytes come, whether lengths and checksums are put right
-(else hardly any input would get past them), and whether the device hangs up. What a link accepts is held against the
-standards (MODBUS Messaging on TCP/IP 1.0b, Serial Line 1.02, Application Protocol 1.1b3), read a second time here.
+`how` selects the link, its request, the pieces of the stream, and whether the device closes the connection. It also
+selects whether lengths and checksums are corrected; otherwise few inputs would pass them. A second reader of the
+standards checks what a link accepts (MODBUS Messaging on TCP/IP 1.0b, Serial Line 1.02, Application Protocol 1.1b3).
 """
 
 import re
@@ -33,29 +33,29 @@ VARIANT, POLL, SET_UP_READ, REPAIR, ENDS = 0b11, 1 << 2, 1 << 3, 1 << 4, 1 << 5
 PIECES = (4096, 1, 3, 7)
 UNIT, TRANSACTION, SEQUENCE, HEARTBEAT = 1, 0x0102, 42, 5
 VOLTAGE_V = 20.0
-PATIENCE_S = 10.0  # nothing here waits, but a process may be stopped, and then a link sends nothing any more
+PATIENCE_S = 10.0  # nothing waits for it, except that a link stops sending after a standstill of the process
 
 Values = tuple[float, ...]
 
 
 @dataclass(frozen=True)
 class Map:
-    """A register map, and how its block of registers reads by the standard.
+    """A register map, and the layout of its register block.
 
     Parameters
     ----------
     registers
-        For the configuration.
+        Registers section of the configuration.
     code
-        Of the block read, as struct has it; force first, then read-back, heartbeat, echo.
+        `struct` format of the block: force, read-back, heartbeat, echo.
     unscrambled
-        Puts the bytes of the block into that order.
+        Function that puts the bytes of the block into that order.
     write_function, read_function
-        23 for both: one exchange.
+        Modbus functions; 23 for both: one exchange.
     scale
-        Of force and read-back.
+        Scale of force and read-back.
     written
-        The bytes that the voltage becomes.
+        Bytes of the written voltage.
     """
 
     registers: dict[str, Any]
@@ -68,12 +68,12 @@ class Map:
 
     @property
     def size(self) -> int:
-        """Bytes of the block."""
+        """Size of the block [byte]."""
         return struct.calcsize(self.code)
 
 
 def _integers() -> dict[str, Any]:
-    """A map of integers as an analog I/O station has it, low byte first in the force."""
+    """An integer map as of an analog I/O station, with the low byte of the force first."""
     return {
         "voltage_setpoint": {"address": 100, "function": 6, "type": "int16", "scale": 0.01, "unit": "V"},
         "force": {
@@ -98,7 +98,7 @@ MAPS = (
 
 
 class Script:
-    """What the device sends: the next part after each request, in pieces, and nothing by itself."""
+    """The scripted device: sends the next part after each request, in pieces."""
 
     def __init__(self) -> None:
         self.parts: list[bytes] = []
@@ -107,20 +107,20 @@ class Script:
         self.ends = False
 
     def load(self, parts: list[bytes], piece: int, *, ends: bool) -> None:
-        """Begin a dialogue."""
+        """Start a dialogue."""
         self.parts, self.waiting, self.piece, self.ends = parts, b"", piece, ends
 
     def request(self) -> None:
-        """Take a request."""
+        """Receive a request."""
         if self.parts:
             self.waiting += self.parts.pop(0)
 
     def gives(self) -> bool:
-        """Whether there is something to be read, if only the end."""
+        """Whether bytes or the end of the stream can be read."""
         return bool(self.waiting) or (self.ends and not self.parts)
 
     def give(self, space: memoryview) -> int:
-        """Hand out the next piece; 0 at the end."""
+        """Copy the next piece; returns 0 at the end."""
         count = min(len(space), self.piece, len(self.waiting))
         space[:count] = self.waiting[:count]
         self.waiting = self.waiting[count:]
@@ -128,7 +128,7 @@ class Script:
 
 
 class ScriptedConnection:
-    """Stands where a socket and its poll object stand."""
+    """Replacement of a socket and its poll object."""
 
     def __init__(self, script: Script) -> None:
         self.script = script
@@ -183,22 +183,22 @@ class ScriptedPort(SerialPort):
 
 
 @dataclass(frozen=True)
-class Asked:
-    """One request as the standard sees it: the function, and the data of its good reply but the registers read."""
+class Request:
+    """One request: its function, and its good reply (echoed bytes, number of bytes read)."""
 
     function: int
     echo: bytes
     bytes_read: int
 
     def payload(self, pdu: bytes) -> bytes | None:
-        """What a good reply carries; None when it is another one."""
+        """The register bytes of a good reply; None for any other reply."""
         head = bytes((self.function, self.bytes_read)) if self.bytes_read else bytes((self.function,)) + self.echo
         good = pdu.startswith(head) and len(pdu) == len(head) + self.bytes_read
         return pdu[len(head) :] if good else None
 
 
 class Dialogue:
-    """One Modbus link, its state the same before every case, and what the standard says of the replies to it."""
+    """One Modbus link with the same state before every case, and the expected results by the standard."""
 
     def __init__(self, block: Map, framing: str) -> None:
         self.map, self.framing, self.script = block, framing, Script()
@@ -206,10 +206,10 @@ class Dialogue:
         self.link = ModbusLink(self.wire._config, self.wire)
         words = len(block.written) // 2
         wrote = b"\0\x64" + (struct.pack(">H", words) if block.write_function == 16 else block.written)
-        read = Asked(block.read_function, b"", block.size)
-        self.exchanged = [read] if block.write_function == 23 else [Asked(block.write_function, wrote, 0), read]
-        self.polled = [Asked(4 if block.read_function == 4 else 3, b"", block.size)]
-        self.set_up = [Asked(3, b"", 2)]
+        read = Request(block.read_function, b"", block.size)
+        self.exchanged = [read] if block.write_function == 23 else [Request(block.write_function, wrote, 0), read]
+        self.polled = [Request(4 if block.read_function == 4 else 3, b"", block.size)]
+        self.set_up = [Request(3, b"", 2)]
 
     def _tcp(self) -> TcpWire:
         where = {"kind": "modbus_tcp", "host": "127.0.0.1", "timeout_s": PATIENCE_S}
@@ -223,12 +223,12 @@ class Dialogue:
         wire.payload = wire._port.view
         return wire
 
-    def asked(self, how: int) -> list[Asked]:
+    def asked(self, how: int) -> list[Request]:
         """The requests of a dialogue."""
         return self.set_up if how & SET_UP_READ else self.polled if how & POLL else self.exchanged
 
     def hold(self, how: int, parts: list[bytes]) -> None:
-        """Have the dialogue, and hold what was accepted against the standard."""
+        """Run the dialogue and compare the accepted replies with the standard."""
         self._begin(how, parts)
         expected = self._expected(how, parts)
         if how & SET_UP_READ:
@@ -254,13 +254,13 @@ class Dialogue:
         return struct.pack(">HHHB", TRANSACTION + number, 0, len(pdu) + 1, UNIT) + pdu
 
     def repaired(self, part: bytes, number: int) -> bytes:
-        """The part with number, length and checksum put right."""
+        """The part with corrected transaction id, length and checksum."""
         if self.framing == "rtu":
             return crc(part[:-2])
         return struct.pack(">HHH", TRANSACTION + number, 0, max(0, len(part) - 6) % 65536) + part[6:]
 
     def _begin(self, how: int, parts: list[bytes]) -> None:
-        """Connected, one exchange was good, the next one is to come."""
+        """Set the state after connection and one good exchange."""
         self.script.load(list(parts), PIECES[how >> 6], ends=bool(how & ENDS))
         if isinstance(self.wire, TcpWire):
             self.wire._socket = self.wire._waiter = ScriptedConnection(self.script)
@@ -271,13 +271,13 @@ class Dialogue:
         self.link._written_generation = -1
 
     def _block(self) -> bytes:
-        """A block of registers that is all right."""
+        """A valid register block."""
         if self.map.scale == 1.0:
             return struct.pack(">ffHHH", 41.5, VOLTAGE_V, HEARTBEAT + 1, SEQUENCE, 1)
         return struct.pack("<h", 4150) + struct.pack(">hH", 2000, HEARTBEAT + 1)
 
     def _expected(self, how: int, parts: list[bytes]) -> Values | None:
-        """Force, read-back and heartbeat (or the one register of set-up); None when something must be refused."""
+        """Force, read-back and heartbeat (or the one register of set-up); None when the reply must be refused."""
         payload: bytes | None = b""
         for k, one in enumerate(self.asked(how)):
             pdu = (rtu_pdu if self.framing == "rtu" else tcp_pdu)(parts[k] if k < len(parts) else b"", k, one)
@@ -305,7 +305,7 @@ class Dialogue:
 
 
 class LineDialogue:
-    """A device that speaks lines: it answers `GET`, `DOG`, and nothing to `SET`."""
+    """A line link; its device answers `GET` and `DOG`, and sends nothing after `SET`."""
 
     number = r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?"
     reading = re.compile(rf"F=({number}) V=({number}) N=([0-9]+)")
@@ -320,7 +320,7 @@ class LineDialogue:
         self.link._set_up_generation = self.link._port.generation
 
     def hold(self, how: int, parts: list[bytes]) -> None:
-        """Have the dialogue, and hold what was accepted against what a line must look like."""
+        """Run the dialogue and compare the accepted replies with the line format."""
         self.script.load(list(parts), PIECES[how >> 6], ends=bool(how & ENDS))
         self.link._plausibility._heartbeat, self.link._plausibility._heartbeat_known = HEARTBEAT, True
         if how & SET_UP_READ:
@@ -337,11 +337,11 @@ class LineDialogue:
         return [b"DOG 100\n"] if how & SET_UP_READ else [answer] if how & POLL else [b"", answer]
 
     def asked(self, how: int) -> list[bytes]:
-        """As many as there are requests."""
+        """One reply for each request."""
         return self.good(how)
 
     def repaired(self, part: bytes, number: int) -> bytes:
-        """The part with an end."""
+        """The part with a line end."""
         return part + b"\n"
 
     def _expected(self, part: bytes) -> Values | None:
@@ -354,8 +354,8 @@ class LineDialogue:
         return (force_N, readback_V, heartbeat) if good else None
 
 
-def tcp_pdu(stream: bytes, number: int, _asked: Asked) -> bytes | None:
-    """Data unit of the first frame with our number; None when one before it is no frame, or it is not whole."""
+def tcp_pdu(stream: bytes, number: int, _asked: Request) -> bytes | None:
+    """Data unit of the first frame with our transaction id; None after an invalid or incomplete frame."""
     at = 0
     while len(stream) - at >= 7:
         transaction, protocol, length, unit = struct.unpack_from(">HHHB", stream, at)
@@ -367,8 +367,8 @@ def tcp_pdu(stream: bytes, number: int, _asked: Asked) -> bytes | None:
     return None
 
 
-def rtu_pdu(stream: bytes, _number: int, asked: Asked) -> bytes | None:
-    """Data unit of the reply that the stream begins with; None when length, unit or checksum is another."""
+def rtu_pdu(stream: bytes, _number: int, asked: Request) -> bytes | None:
+    """Data unit of the reply at the start of the stream; None for a wrong length, unit or checksum."""
     size = (5 + asked.bytes_read) if asked.bytes_read else 8
     frame = stream[:size]
     good = len(frame) == size and frame[0] == UNIT and crc(frame[:-2]) == frame
@@ -376,12 +376,12 @@ def rtu_pdu(stream: bytes, _number: int, asked: Asked) -> bytes | None:
 
 
 def advanced(heartbeat: int) -> bool:
-    """Whether the counter of 16 bits went on, and not back."""
+    """Whether the 16-bit counter has advanced."""
     return 0 < (heartbeat - HEARTBEAT) % 65536 < 32768
 
 
 def check_reading(link: Link, found: ExchangeResult, expected: Values | None) -> None:
-    """Compare verdict and reading with what the standard says."""
+    """Compare result and reading with the standard."""
     if (found is OK) != (expected is not None):
         raise AssertionError(f"the link says {found.name}, the standard says {expected or 'refuse'}")
     reading = link.reading
@@ -390,7 +390,7 @@ def check_reading(link: Link, found: ExchangeResult, expected: Values | None) ->
 
 
 def dialogue_of(data: bytes, dialogues: list[Any]) -> tuple[Any, int, list[bytes]]:
-    """Link, way of asking and replies that an input stands for."""
+    """Link, request and replies that an input encodes."""
     how, split = data[0], data[1]
     dialogue, body = dialogues[how % (VARIANT + 1) % len(dialogues)], data[2:]
     parts = [body[:split], body[split:]] if len(dialogue.asked(how)) > 1 else [body]
@@ -400,7 +400,7 @@ def dialogue_of(data: bytes, dialogues: list[Any]) -> tuple[Any, int, list[bytes
 
 
 def check_with(dialogues: list[Any]) -> Check:
-    """Hold a dialogue, then a good one: the link must have come out of the first unharmed."""
+    """Run a dialogue, then a good one, which must succeed."""
 
     def check(data: bytes) -> None:
         if len(data) < 2:
@@ -416,7 +416,7 @@ def check_with(dialogues: list[Any]) -> Check:
 
 
 def seeds_of(dialogues: list[Any]) -> list[bytes]:
-    """Good dialogues of every link and way of asking, an exception, and a reply to somebody else first."""
+    """Good dialogues of every link and request, an exception, and a reply to another client first."""
     seeds = []
     for variant, dialogue in enumerate(dialogues):
         for how in (variant, variant | POLL, variant | SET_UP_READ, variant | REPAIR, variant | ENDS, variant | 1 << 6):

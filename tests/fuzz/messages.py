@@ -1,4 +1,4 @@
-"""What may be sent to the control socket: any bytes, by any client that may connect."""
+"""Fuzzing of the control socket: any bytes of a client that may connect."""
 
 import asyncio
 import json
@@ -14,8 +14,8 @@ from tests.fuzz.target import Check, Target
 COMMANDS = ("status", "arm", "disarm", "stop", "reset", "reload")
 
 
-class Answered:
-    """Stands where the stream to the client stands."""
+class RecordingWriter:
+    """Replacement of the stream writer to the client; `lines` holds the written bytes."""
 
     def __init__(self, ours: socket.socket) -> None:
         self._socket = ours
@@ -38,13 +38,13 @@ class Answered:
 
 
 def seeds() -> list[bytes]:
-    """Every command, several in a row, and what a shell user may try."""
+    """Every command, all commands in a row, an escaped command, and a line without JSON."""
     lines = [json.dumps({"command": command}).encode() + b"\n" for command in COMMANDS]
     return [*lines, b"".join(lines), b'{"command": "\\u0061rm", "x": [1, {"y": null}]}\n', b"status\n"]
 
 
 def check() -> Check:
-    """Send, and hold what was done against what was said: only a whole line of one key does anything."""
+    """Check that only a whole line with the one key `command` executes a command."""
     ours, theirs = socket.socketpair(socket.AF_UNIX)
     done: list[str] = []
 
@@ -58,7 +58,7 @@ def check() -> Check:
         reader = asyncio.StreamReader(limit=4096)
         reader.feed_data(data)
         reader.feed_eof()
-        writer: Any = Answered(ours)
+        writer: Any = RecordingWriter(ours)
         await control._serve(reader, writer)
         return writer.lines
 
@@ -68,27 +68,27 @@ def check() -> Check:
         done.clear()
         answers = runner.run(serve(data)).split(b"\n")
         if answers.pop() != b"" or not all(isinstance(json.loads(line), dict) for line in answers):
-            raise AssertionError("an answer is no line of JSON")
-        if done != _asked(data):
-            raise AssertionError(f"{done} was done, {_asked(data)} was asked for")
+            raise AssertionError("an answer is not a line of JSON")
+        if done != _requested(data):
+            raise AssertionError(f"executed {done}, requested {_requested(data)}")
 
     for held in (runner, ours, theirs):
         weakref.finalize(send, held.close)
     return send
 
 
-def _asked(data: bytes) -> list[str]:
-    """The commands of whole lines, up to the first that is too long."""
+def _requested(data: bytes) -> list[str]:
+    """The commands of whole lines, up to the first line that is too long."""
     commands = []
     for line in data.split(b"\n")[:-1]:
         if len(line) > 4096:
             break
         try:
-            said = json.loads(line)
+            content = json.loads(line)
         except (ValueError, RecursionError):
             continue
-        if isinstance(said, dict) and list(said) == ["command"] and isinstance(said["command"], str):
-            commands.append(said["command"])
+        if isinstance(content, dict) and list(content) == ["command"] and isinstance(content["command"], str):
+            commands.append(content["command"])
     return commands
 
 

@@ -1,4 +1,4 @@
-"""Changes to valid inputs, drawn from a seeded generator: bytes as they come, and lines of YAML with odd values."""
+"""Random changes to valid inputs from a seeded generator: changed bytes, and YAML lines with odd values."""
 
 import re
 from pathlib import Path
@@ -6,17 +6,17 @@ from random import Random
 
 MOST_CHANGES = 4
 LARGEST = 2**16
-"""Bytes that an input may grow to."""
+"""Largest size of an input [byte]."""
 
 NUMBERS = (0, 1, 2, 3, 127, 128, 255, 256, *(2**k + d for k in (15, 16, 31, 32, 63) for d in (-1, 0)), 2**64 - 1)
-"""Values at which lengths, counts and positions break."""
+"""Critical values of lengths, counts and positions."""
 
 ODD_VALUES = (
     *(Path(__file__).parent / "odd_values.txt").read_text(encoding="utf-8").splitlines(),
     "1" * 5000,
     "[" * 200,
 )
-"""What somebody may write for a value, by mistake or not."""
+"""Wrong values that a user or an attacker may write."""
 
 _LINE = re.compile(rb"^(\s*(?:- )?)([A-Za-z_]\w*)(:)(.*)$")
 
@@ -58,7 +58,7 @@ def _number(random: Random, data: bytearray, _: list[bytes]) -> None:
 
 
 def _near(random: Random, data: bytearray, _: list[bytes]) -> None:
-    """A number that stands there, a little more or less."""
+    """A number of the line, changed slightly."""
     size = random.choice((1, 2, 4, 8))
     if len(data) >= size:
         at = random.randrange(len(data) - size + 1)
@@ -95,7 +95,7 @@ def _graft(random: Random, data: bytearray, seeds: list[bytes]) -> None:
 
 
 def _span(random: Random, data: bytes | bytearray) -> tuple[int, int]:
-    """First and last of some neighbouring bytes, mostly few."""
+    """Start and end of a random range of bytes, mostly short."""
     first = random.randint(0, len(data))
     return first, min(len(data), first + int(2 ** random.uniform(0, 10)))
 

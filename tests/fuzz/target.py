@@ -1,4 +1,4 @@
-"""What is fuzzed: a parser, valid inputs to begin with, and how an input is judged."""
+"""A fuzzing target: a parser, its valid inputs, and the check of an input."""
 
 import traceback
 from collections.abc import Callable
@@ -22,16 +22,16 @@ class Target:
     Parameters
     ----------
     name
-        Of the parser, for the table and for `--reproduce`.
+        Name of the parser in the table and for `--reproduce`.
     group
-        What is counted on the command line: frames, configurations, models, recordings or messages.
+        Option of the command line that counts it: frames, configurations, models, recordings or messages.
     seeds
-        Makes the valid inputs.
+        Function that makes the valid inputs.
     check
-        Makes what is called with each input: it raises PiezodError when the parser refuses, and anything else when a
-        promise is broken.
+        Function that makes the check. The check takes an input, raises PiezodError when the parser refuses it, and any
+        other exception for a violation.
     mutate
-        Changes an input.
+        Function that changes an input.
     """
 
     name: str
@@ -41,19 +41,19 @@ class Target:
     mutate: Mutate = mutate
 
 
-def judge(check: Check, data: bytes) -> str:
-    """Try one input; empty when all is well, else what is wrong, the last line in short."""
+def find_violation(check: Check, data: bytes) -> str:
+    """Try one input; returns the violation, with a short last line, or an empty text."""
     try:
         check(data)
     except PiezodError as error:
         return complaint(error)
-    except Exception as error:  # noqa: BLE001  # whatever a parser lets out is what is looked for
+    except Exception as error:  # noqa: BLE001  # any other exception is a violation
         return f"{traceback.format_exc(limit=-6).strip()}\n{type(error).__name__}: {' '.join(str(error).split())[:300]}"
     return ""
 
 
 def complaint(error: PiezodError) -> str:
-    """Say what is wrong with a refusal; empty when it is one printable line, and not for want of memory."""
+    """The violation of a refusal: not one printable line, too long, or caused by lack of memory; else empty."""
     text = str(error)
     if not text or not text.isprintable():
         return f"{type(error).__name__} is not one printable line: {text[:200]!r}"
@@ -65,6 +65,6 @@ def complaint(error: PiezodError) -> str:
 
 
 def peak_resident_KiB() -> int:  # a unit
-    """Of this program alone: `ru_maxrss` begins with what the process had in it that started it."""
+    """Peak resident memory of this program; `ru_maxrss` would include that of the parent before exec."""
     fields = dict(line.split(":", 1) for line in Path("/proc/self/status").read_text(encoding="ascii").splitlines())
     return int(fields["VmHWM"].split()[0])

@@ -1,4 +1,4 @@
-"""The parent of a worker: it counts, keeps what failed, ends a case that hangs, and begins again after a crash."""
+"""The parent of a worker: counts cases, stores failed inputs, ends hanging cases, restarts after a crash."""
 
 import contextlib
 import hashlib
@@ -14,12 +14,12 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from tests.fuzz.board import Board
+from tests.fuzz.shared_progress import SharedProgress
 from tests.fuzz.target import Target
 
 ROOT = Path(__file__).parents[2]
-HANGS_AFTER_S = 10.0  # of computing; a case takes milliseconds
-ASLEEP = 30  # times as long may pass by the clock: a machine that is busy or stands still is given its time
+HANGS_AFTER_S = 10.0  # of processor time; a case takes milliseconds
+ASLEEP = 30  # factor for the wall clock, which allows for a busy machine and standstills
 START_S = 600.0
 MOST_RESTARTS = MOST_FINDINGS = 20
 LOOK_EVERY_S = 0.05
@@ -27,24 +27,24 @@ LOOK_EVERY_S = 0.05
 
 @dataclass(frozen=True)
 class Finding:
-    """An input that broke a promise: what happened, and where the input is kept."""
+    """An input with a violation: its target, the violation and the path of the stored input."""
 
     target: str
     what: str
     path: Path
 
     def text(self) -> str:
-        """For people, with the command that repeats it."""
-        said = self.what.splitlines()
-        where = next((line.strip() for line in reversed(said) if line.strip().startswith("File ")), "")
+        """Summary, with the command that repeats the case."""
+        lines = self.what.splitlines()
+        where = next((line.strip() for line in reversed(lines) if line.strip().startswith("File ")), "")
         return (
-            f"{self.target}: {said[-1][:300]} {where}\n    python -m tests.fuzz --reproduce {self.target} {self.path}"
+            f"{self.target}: {lines[-1][:300]} {where}\n    python -m tests.fuzz --reproduce {self.target} {self.path}"
         )
 
 
 @dataclass
 class Result:
-    """What a run of one target came to."""
+    """Result of a run of one target."""
 
     target: str
     engine: str
@@ -60,12 +60,12 @@ class Result:
 
 
 class Watch:
-    """Runs one target.
+    """Runs workers for one target.
 
     Parameters
     ----------
     module, target
-        What is tried, and the module that a worker finds it in.
+        Name of the target, and the module that holds it.
     engine
         `mutation` or `atheris`.
     keep
@@ -87,7 +87,7 @@ class Watch:
         self.result = Result(target, engine)
 
     def run(self, seed: int, count: int, on_progress: Callable[[int], None] = lambda _cases: None) -> Result:
-        """Try so many cases, with as many workers after each other as it takes."""
+        """Try `count` cases; starts a new worker after each crash or hang."""
         begun_s, result = time.monotonic(), self.result
         for again in range(MOST_RESTARTS):
             left = count - result.cases
@@ -101,9 +101,9 @@ class Watch:
         return result
 
     def _one_worker(self, folder: Path, seed: int, count: int, on_progress: Callable[[int], None]) -> bool:
-        """Watch one worker to its end; whether it came to its end by itself."""
-        board, before = Board(folder / "board"), self.result.cases
-        board.idle()
+        """Watch one worker until it ends; returns whether it ended normally."""
+        shared, before = SharedProgress(folder / "progress"), self.result.cases
+        shared.idle()
         command = [
             sys.executable,
             "-m",
@@ -115,63 +115,63 @@ class Watch:
         ]
         command += ["--seed", str(seed), "--count", str(count), "--folder", str(folder)]
         command += ["--most-findings", str(self._most_findings)]
-        with (folder / "said").open("w+b") as said, (folder / "errors").open("w+b") as errors:
-            process = subprocess.Popen(command, cwd=ROOT, stdout=said, stderr=errors, start_new_session=True)
+        with (folder / "output").open("w+b") as output, (folder / "errors").open("w+b") as errors:
+            process = subprocess.Popen(command, cwd=ROOT, stdout=output, stderr=errors, start_new_session=True)
             try:
-                hung = self._wait(process, board, lambda: on_progress(before + board.cases))
+                hung = self._wait(process, shared, lambda: on_progress(before + shared.cases))
             finally:
                 if process.poll() is None:
                     process.kill()
                 code = process.wait()
-            self._take(before, board)
-            self._hear(said)
+            self._read_progress(before, shared)
+            self._read_findings(output)
             if hung or code != 0:
-                self._blame(board, hung, code, _tail(errors))
-        board.close()
+                self._record_failure(shared, hung, code, _tail(errors))
+        shared.close()
         return not hung and code == 0
 
-    def _wait(self, process: subprocess.Popen[bytes], board: Board, progress: Callable[[], None]) -> bool:
-        """Wait for the worker's end, or for a case that does not end: then True."""
+    def _wait(self, process: subprocess.Popen[bytes], shared: SharedProgress, progress: Callable[[], None]) -> bool:
+        """Wait for the end of the worker; returns True when a case hangs."""
         begun_s, case, computed_s = time.monotonic(), 0, 0.0
         while process.poll() is None:
-            if board.cases != case:
-                case, computed_s = board.cases, computing_s(process.pid)
+            if shared.cases != case:
+                case, computed_s = shared.cases, computing_s(process.pid)
             late_s = time.monotonic() - begun_s if case == 0 else 0.0
-            hung = board.age_s > self._hangs_after_s and computing_s(process.pid) - computed_s > self._hangs_after_s
-            if hung or board.age_s > ASLEEP * self._hangs_after_s or late_s > START_S:
+            hung = shared.age_s > self._hangs_after_s and computing_s(process.pid) - computed_s > self._hangs_after_s
+            if hung or shared.age_s > ASLEEP * self._hangs_after_s or late_s > START_S:
                 return True
             progress()
             time.sleep(LOOK_EVERY_S)
         return False
 
-    def _take(self, before: int, board: Board) -> None:
-        """Take in how many cases there were and what they took."""
-        result, (peak_MiB, grown_MiB, descriptors, accepted) = self.result, board.took
-        result.cases = before + board.cases
+    def _read_progress(self, before: int, shared: SharedProgress) -> None:
+        """Add the counts and resources of the worker to the result."""
+        result, (peak_MiB, grown_MiB, descriptors, accepted) = self.result, shared.took
+        result.cases = before + shared.cases
         result.accepted += accepted
         result.peak_MiB = max(result.peak_MiB, peak_MiB)
         result.grown_MiB = max(result.grown_MiB, grown_MiB)
         result.descriptors = max(result.descriptors, descriptors)
 
-    def _hear(self, said: Any) -> None:
-        """Take in what the worker said."""
-        said.seek(0)
-        for line in said:
+    def _read_findings(self, output: Any) -> None:
+        """Read the findings that the worker printed."""
+        output.seek(0)
+        for line in output:
             with contextlib.suppress(ValueError):
                 what = json.loads(line)
                 self._found(what["found"], bytes.fromhex(what["data"]))
 
-    def _blame(self, board: Board, hung: bool, code: int, errors: str) -> None:
-        """The case at which the worker was stopped, or died."""
-        if not board.cases:
+    def _record_failure(self, shared: SharedProgress, hung: bool, code: int, errors: str) -> None:
+        """Record the case at which the worker hung or crashed."""
+        if not shared.cases:
             raise RuntimeError(f"the worker of {self._target} did not start, it ended with {code}: {errors}")
         if hung:
             self.result.hangs += 1
-            self._found("does not end", board.data)
+            self._found("does not end", shared.data)
             return
         self.result.crashes += 1
         name = signal.Signals(-code).name if code < 0 else f"exit code {code}"
-        self._found(f"the process died of {name}: {errors}", board.data)
+        self._found(f"the process died of {name}: {errors}", shared.data)
 
     def _found(self, what: str, data: bytes) -> None:
         self._keep.mkdir(parents=True, exist_ok=True)
@@ -182,14 +182,14 @@ class Watch:
 
 
 def reproduce(target: Target, path: Path) -> str:
-    """Try one kept input in this process; empty when all is well."""
-    from tests.fuzz.target import judge
+    """Try one stored input in this process; returns the violation or an empty text."""
+    from tests.fuzz.target import find_violation
 
-    return judge(target.check(), path.read_bytes())
+    return find_violation(target.check(), path.read_bytes())
 
 
 def computing_s(pid: int) -> float:
-    """Processor time that a process took so far [s]; 0 when it has ended."""
+    """Processor time of a process [s]; 0 when it has ended."""
     try:
         fields = Path(f"/proc/{pid}/stat").read_text(encoding="ascii").rpartition(")")[2].split()
     except OSError:

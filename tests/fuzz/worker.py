@@ -1,6 +1,6 @@
-"""The child that tries the cases of one target: `python -m tests.fuzz.worker`, started by `watch.py`.
+"""The child process that tries the cases of one target: `python -m tests.fuzz.worker`, started by `watch.py`.
 
-It prints a JSON line for each finding, and may die at any case: the board says at which.
+It prints a JSON line for each finding, and may crash at any case; the shared progress names the case.
 """
 
 import argparse
@@ -17,8 +17,8 @@ from pathlib import Path
 from random import Random
 from typing import Any
 
-from tests.fuzz.board import Board
-from tests.fuzz.target import Target, judge, peak_resident_KiB
+from tests.fuzz.shared_progress import SharedProgress
+from tests.fuzz.target import Target, find_violation, peak_resident_KiB
 
 INSTRUMENTED = [
     "piezod.config",
@@ -29,10 +29,10 @@ INSTRUMENTED = [
     "piezod.model.parameters",
 ]
 COMPILED = ("piezod.operators", "piezod.effects")
-"""Rooms that numba compiles: what atheris writes into their code it would not understand."""
+"""Packages that numba compiles; numba does not accept code instrumented by atheris."""
 
 ADDRESSES_MIB = 2048
-"""Address space beyond what the imports took: an input that wants more is met with MemoryError, which is a finding."""
+"""Address space beyond that of the imports; an input that needs more gets MemoryError, which is a finding."""
 
 SUM_UP_EVERY = 500
 
@@ -40,59 +40,59 @@ Attempt = Callable[[bytes], None]
 
 
 class Worker:
-    """Tries inputs and says what was found.
+    """Tries inputs and reports violations.
 
     Parameters
     ----------
     target
-        What is tried.
-    board
-        Where the case is written down.
+        The target to try.
+    progress
+        The shared progress.
     count
-        How many are to be tried.
+        Number of cases to try.
     most_findings
-        After so many it ends; so it does when its parent has gone.
+        The worker ends after this number of findings, or when its parent has ended.
     """
 
-    def __init__(self, target: Target, board: Board, count: int, most_findings: int) -> None:
-        self.target, self.board, self.count, self.most_findings = target, board, count, most_findings
+    def __init__(self, target: Target, progress: SharedProgress, count: int, most_findings: int) -> None:
+        self.target, self.progress, self.count, self.most_findings = target, progress, count, most_findings
         self.parent = os.getppid()
         self.seeds = target.seeds()
         self._parse = target.check()
         self.found = self.tried = self.accepted = 0
-        for seed in self.seeds:  # imports, caches and buffers are no growth
-            judge(self.check, seed)
+        for seed in self.seeds:  # imports, caches and buffers do not count as growth
+            find_violation(self.check, seed)
         self.accepted = 0
         self.descriptors_before = _descriptors()
         self.resident_before_KiB = peak_resident_KiB()
 
     def attempt(self, data: bytes) -> None:
         """Try one input."""
-        self.board.begin(data)
-        if what := judge(self.check, data):
+        self.progress.begin(data)
+        if what := find_violation(self.check, data):
             self.found += 1
-            say({"found": what, "data": data.hex()})
+            report({"found": what, "data": data.hex()})
         if self.found >= self.most_findings or os.getppid() != self.parent:
             self.sum_up()
             os._exit(0)
-        self.board.idle()
+        self.progress.idle()
         self.tried += 1
         if self.tried % SUM_UP_EVERY == 0 or self.tried >= self.count:
             self.sum_up()
 
     def check(self, data: bytes) -> None:
-        """Have it parsed; count what is not refused."""
+        """Parse an input and count it when it is accepted."""
         self._parse(data)
         self.accepted += 1
 
     def mutated(self, seed: int) -> None:
-        """Inputs drawn from a seeded generator."""
+        """Try inputs mutated by a seeded generator."""
         for number in range(self.count):
             random = Random(f"{self.target.name} {seed} {number}")
             self.attempt(self.target.mutate(random, random.choice(self.seeds), self.seeds))
 
     def guided(self, seed: int, corpus: Path) -> None:
-        """Inputs chosen by what they reach in the code, by atheris; ends the process."""
+        """Try inputs guided by code coverage, by atheris; ends the process."""
         atheris: Any = importlib.import_module("atheris")
         for number, data in enumerate(self.seeds):
             (corpus / f"seed{number}").write_bytes(data)
@@ -101,7 +101,7 @@ class Worker:
             random = Random(drawn)
             if random.random() < 0.5:
                 return bytes(atheris.Mutate(data, most))
-            begun = data if random.random() < 0.5 else random.choice(self.seeds)  # some changes from what is valid
+            begun = data if random.random() < 0.5 else random.choice(self.seeds)  # half from valid inputs
             return self.target.mutate(random, begun, self.seeds)[:most]
 
         largest = max(len(data) for data in self.seeds)
@@ -117,32 +117,32 @@ class Worker:
         atheris.Fuzz()
 
     def sum_up(self) -> None:
-        """Write down what the cases took."""
+        """Store resources and counts in the shared progress."""
         peak_KiB = peak_resident_KiB()
         grown_KiB = peak_KiB - self.resident_before_KiB
-        self.board.take(peak_KiB, grown_KiB, _descriptors() - self.descriptors_before, self.accepted)
+        self.progress.take(peak_KiB, grown_KiB, _descriptors() - self.descriptors_before, self.accepted)
 
 
-def say(what: dict[str, Any]) -> None:
-    """One line to the parent, in one piece."""
+def report(what: dict[str, Any]) -> None:
+    """Write one JSON line to the parent, in a single call."""
     os.write(1, json.dumps(what).encode() + b"\n")
 
 
 def main() -> None:
-    """Parse, limit, try."""
+    """Limit the address space and try the cases."""
     parser = argparse.ArgumentParser(prog="python -m tests.fuzz.worker", description=__doc__)
-    parser.add_argument("module", help="where the target is")
+    parser.add_argument("module", help="module that holds the target")
     parser.add_argument("target")
     parser.add_argument("--engine", choices=("mutation", "atheris"), required=True)
     parser.add_argument("--seed", type=int, required=True)
     parser.add_argument("--count", type=int, required=True)
     parser.add_argument("--most-findings", type=int, required=True)
-    parser.add_argument("--folder", type=Path, required=True, help="of board and corpus")
+    parser.add_argument("--folder", type=Path, required=True, help="of progress and corpus")
     options = parser.parse_args()
-    board = Board(options.folder / "board")
+    progress = SharedProgress(options.folder / "progress")
     target = _load(options.module, options.target, guided=options.engine == "atheris")
     warnings.simplefilter("ignore")
-    worker = Worker(target, board, options.count, options.most_findings)
+    worker = Worker(target, progress, options.count, options.most_findings)
     _limit_addresses()
     if options.engine == "mutation":
         worker.mutated(options.seed)
@@ -170,7 +170,7 @@ def _limit_addresses() -> None:
 
 
 def _descriptors() -> int:
-    gc.collect()  # what a cycle still holds is no leak
+    gc.collect()  # descriptors held by reference cycles are not leaks
     return sum(1 for _ in Path("/proc/self/fd").iterdir())
 
 

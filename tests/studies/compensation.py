@@ -42,9 +42,9 @@ HIDDEN: dict[str, dict[str, dict[str, object]]] = {
     },
     "creep-mode": {"creep": {"per_decade": 0.01}, "resonance": {"frequency_Hz": 90.0, "damping_ratio": 0.1}},
 }
-FIRST = "creep-lag-delay"  # what the others are variants of
+FIRST = "creep-lag-delay"  # the default bench
 AMPLITUDE_N, OFFSET_N = 110.0, 150.0
-SMALL_N = 30.0  # at 10 Hz the whole range asks for more than the bench's slew limit at every reversal
+SMALL_N = 30.0  # at 10 Hz the whole range exceeds the slew limit of the bench at every reversal
 SEED, WORK_SEED, RUN_SEED = 1, 3, 5
 SETTLES_S = 0.1
 COMPENSATIONS = {"plain gain": ("gain", "model"), "static inverse": ("inverse", "model")}
@@ -53,18 +53,18 @@ EXTENDED = "extended inverse"
 
 @dataclass(frozen=True)
 class Extent:
-    """How much is recorded and driven.
+    """Size of the recordings and runs.
 
     Parameters
     ----------
     identification_Hz
         Frequency of the main triangle of the excitation that the model comes from.
     work_s
-        Of mixed work.
+        Duration of the mixed work [s].
     orders
-        Plays and dead zones; None: judged on held-out data.
+        Plays and dead zones; None: chosen on held-out data.
     periods
-        Of the 0.1 Hz triangle; the others last in proportion.
+        Periods of the 0.1 Hz triangle; the durations of the others are proportional.
     """
 
     identification_Hz: float
@@ -78,7 +78,7 @@ SHORT = Extent(0.5, 30.0, (14, 6), 1.0)
 
 
 def references(extent: Extent) -> dict[str, WaveformReference]:
-    """What is followed."""
+    """The references by name."""
     slow_s = 10.0 * extent.periods
     shapes: dict[str, tuple[str, float, float, float]] = {
         "triangle 0.1 Hz": ("triangle", AMPLITUDE_N, 0.1, slow_s),
@@ -103,15 +103,15 @@ class CompensationRow:
     Parameters
     ----------
     bench, rate_Hz, reference, compensation
-        What was driven how.
+        Bench, rate of the loop [Hz], reference and compensation.
     rms, largest
-        Of the reading against the reference.
+        Errors of the reading.
     true_rms, true_largest
-        Of the force itself.
+        Errors of the true force.
     limited
-        Ticks whose planned voltage a limit changed [%].
+        Share of ticks whose planned voltage a limit changed [%].
     why
-        What went wrong, where something did.
+        Error message; empty without an error.
     """
 
     bench: str
@@ -126,11 +126,11 @@ class CompensationRow:
     why: str = ""
 
     def as_dict(self) -> dict[str, object]:
-        """Everything, for `--json`."""
+        """All fields, for `--json`."""
         return asdict(self)
 
     def text(self) -> str:
-        """One line, a second one where something went wrong."""
+        """One line, and a second one for an error."""
         numbers = (self.rms, self.largest, self.true_rms, self.true_largest)
         line = _COLUMNS.format(
             self.bench,
@@ -147,14 +147,14 @@ _COLUMNS = "{:<16} {:>5}  {:<26} {:<17} {:>7} {:>7} {:>9} {:>9} {:>9}"
 
 
 def header() -> str:
-    """The line above the rows."""
+    """The header line."""
     return _COLUMNS.format(
         "bench", "Hz", "reference", "compensation", "rms %", "max %", "true rms", "true max", "limited %"
     )
 
 
 def summary(rows: Sequence[CompensationRow]) -> str:
-    """What the rows say of the aims."""
+    """The summary line: how many rows meet the aims."""
     of: dict[tuple[str, float, str], dict[str, float]] = {}
     for row in rows:
         if row.rms is not None:
@@ -177,7 +177,7 @@ def _span(values: Sequence[float]) -> str:
 
 
 def study(benches: Sequence[str], rates_Hz: Sequence[float], extent: Extent, folder: Path) -> Iterator[CompensationRow]:
-    """Rows as they are done: a model for every bench and rate, then every reference under every compensation."""
+    """Yield the rows: a model for every bench and rate, then every reference with every compensation."""
     for bench in benches:
         for rate_Hz in rates_Hz:
             place = folder / f"{bench}-{rate_Hz:g}"
@@ -193,7 +193,7 @@ def study(benches: Sequence[str], rates_Hz: Sequence[float], extent: Extent, fol
 def driven(
     bench: str, rate_Hz: float, name: str, reference: WaveformReference, place: Path
 ) -> Iterator[CompensationRow]:
-    """One reference under every compensation, and its floor."""
+    """Rows of one reference with every compensation, and its floor."""
     scenario = load_scenario("stack", {"effects": HIDDEN[bench]})
     followed: Followed | None = None
     for title, (kind, model) in {**COMPENSATIONS, EXTENDED: ("inverse", "out/model")}.items():
@@ -211,7 +211,7 @@ def driven(
 
 
 def floor_percent(followed: Followed, bench: str, rate_Hz: float) -> tuple[float, float]:
-    """What is read of the same voltages with the load cell's noise and without [% of the reference's range]."""
+    """Difference of the readings with and without noise of the load cell, same voltages [% of the reference range]."""
     noisy = load_scenario("stack", {"effects": HIDDEN[bench]})
     quiet = load_scenario("stack", {"effects": HIDDEN[bench], "load_cell": {"white_noise_N": 0.0}})
     readings = [Bench(one, seed=RUN_SEED).run(followed.voltage_V, 1.0 / rate_Hz) for one in (noisy, quiet)]

@@ -1,7 +1,7 @@
 """A force reference followed on the emulated bench, in virtual time and within one process.
 
-Loop, limits, link and frames are the daemon's, device and physics are `firmware_sim`; only the socket between them is
-left out. So the true force on the load cell can be noted beside its reading, and a run repeats to the bit.
+Loop, limits, link and frames are those of the daemon; device and physics are `firmware_sim`, without a socket between
+them. So the true force on the load cell is available beside its reading, and a run is reproducible to the bit.
 """
 
 import tempfile
@@ -27,25 +27,25 @@ from tests.studies.scenarios import LIMITS, ROOT
 
 Array = NDArray[np.float64]
 
-AS_PLANNED_V = 1e-3  # float32 on the wire
+AS_PLANNED_V = 1e-3  # tolerance for float32 on the wire
 
 
 @dataclass(frozen=True)
 class Followed:
-    """What became of a reference while it was followed, one value a tick, each shape (N,).
+    """Signals of a run along a reference, one value for each tick, each shape (N,).
 
     Parameters
     ----------
     reference_N
-        Wanted at the end of the tick [N].
+        Reference at the end of the tick [N].
     reading_N
-        Of the load cell at the end of the tick [N].
+        Reading of the load cell at the end of the tick [N].
     true_N
-        On the load cell at the end of the tick [N].
+        True force on the load cell at the end of the tick [N].
     planned_V, voltage_V
-        What the compensation wished, and what was written [V].
+        Planned voltage of the compensation, and written voltage [V].
     before_V, before_N
-        Voltages and readings from rest until then, each shape (M,) [V], [N].
+        Voltages and readings from rest to the first tick, each shape (M,) [V], [N].
     """
 
     reference_N: Array
@@ -58,12 +58,12 @@ class Followed:
 
     @property
     def range_N(self) -> float:
-        """Of the reference [N]."""
+        """Range of the reference [N]."""
         return float(np.ptp(self.reference_N))
 
     @property
     def limited_percent(self) -> float:
-        """Ticks in which a limit changed what was planned [%]."""
+        """Share of ticks in which a limit changed the planned voltage [%]."""
         return 100.0 * float(np.mean(np.abs(self.planned_V - self.voltage_V) > AS_PLANNED_V))
 
     def error_percent(self, force_N: Array, skip: int = 0) -> tuple[float, float]:
@@ -73,7 +73,7 @@ class Followed:
 
 
 def study_bench(rate_Hz: float) -> BenchConfig:
-    """The shipped bench with the limits of a study, at a rate; its link is not opened."""
+    """The shipped bench with the limits of a study, at a rate; without an opened link."""
     bench = load_bench(ROOT / "config" / "bench.yaml")
     link = bench.link.model_copy(update={"heartbeat_within_s": 1e3})
     arming = bench.arming.model_copy(update={"without": ("sign_check",)})
@@ -90,7 +90,7 @@ def follow(
     reference: WaveformReference,
     on_for_s: float = 0.0,
 ) -> Followed:
-    """Arm a bench that has just been switched on, follow a reference to its end, ramp down.
+    """Arm a bench after its power-on, follow a reference to its end, ramp down.
 
     Parameters
     ----------
@@ -99,16 +99,16 @@ def follow(
     bench
         Rate and limits.
     model, compensation
-        `gain` or `inverse` of the model.
+        Model, and its compensation: `gain` or `inverse`.
     reference
-        With a duration.
+        Reference with a duration.
     on_for_s
-        How long the bench was on, at rest, before it is armed [s].
+        Time at rest from power-on to arming [s].
 
     Raises
     ------
     AssertionError
-        A fault ended it early.
+        A fault ended the run early.
     """
     physics = Bench(scenario, seed=seed)
     physics.advance(on_for_s)
@@ -136,7 +136,7 @@ def follow(
 
 
 def _paired(rows: NDArray[np.void], true_N: Array) -> Followed:
-    """An exchange reads the force that the command before it has led to, so readings move one row up."""
+    """Pair each command with the reading of the next exchange, which shows its force."""
     running = rows["state"] == State.RUNNING
     commands = np.flatnonzero(running[:-1] & running[1:])
     answers = commands + 1

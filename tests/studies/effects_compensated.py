@@ -1,10 +1,10 @@
-"""Each effect of the catalogue alone on the emulated bench: the force before and after what was found is used.
+"""Each effect of the catalogue alone on the emulated bench: tracking error before and after compensation.
 
 A model is identified on a bench without any effect. The effect is switched on, mixed work is recorded and diagnosed,
 and a reference is followed with the inverse of either model, in virtual time. The tracking error is that of the force
-on the load cell itself, in % of the reference's range; of a delay between force and reading it is that of the reading,
-as no reading can tell on which side of the force a delay is. What sits in the load cell must change no voltage: there
-the error of the reading is shown, as it is read and as it is corrected (`piezod.model.expected`).
+on the load cell, in % of the range of the reference. For a transport delay it is that of the reading, since a reading
+does not show on which side of the force a delay is. An effect in the load cell must not change the voltage. For it the
+table shows the error of the reading, raw and corrected (`piezod.model.expected`).
 """
 
 import json
@@ -42,30 +42,30 @@ SETTLES_S = 0.1
 USUAL = WaveformReference(kind="multisine", amplitude_N=100.0, offset_N=155.0, frequency_Hz=0.5, duration_s=20.0)
 FAST = WaveformReference(kind="triangle", amplitude_N=100.0, offset_N=155.0, frequency_Hz=6.0, duration_s=5.0)
 REFERENCES = {"slew_limit": FAST, "rate_dependent_hysteresis": FAST}
-GOES_ON = ("gain_drift",)  # with the time that the bench is on: driven when the recording would have ended
+GOES_ON = ("gain_drift",)  # grows with the on-time: driven after the duration of the recording
 READ_LATE = ("transport_delay",)
 
 
 @dataclass(frozen=True)
 class EffectRow:
-    """What became of one effect; errors are root mean squares in % of the reference's range.
+    """Result of one effect; errors are root mean squares in % of the range of the reference.
 
     Parameters
     ----------
     effect
-        What was switched on.
+        The active effect.
     handling
-        By the catalogue.
+        Handling in the catalogue.
     named
-        What the diagnosis names.
+        Effects that the diagnosis names.
     before, after
         Tracking error with the inverse of the identified and of the diagnosed model.
     read, corrected
-        Error of the reading against the force it stands for, as it is and corrected.
+        Error of the reading against the true force, raw and corrected.
     refused
-        The reason, where the effect is not driven against; `after` is then without it.
+        Reason for which the effect is not compensated; `after` is then without it.
     why
-        What went wrong, where something did.
+        Error message; empty without an error.
     """
 
     effect: str
@@ -79,11 +79,11 @@ class EffectRow:
     why: str = ""
 
     def as_dict(self) -> dict[str, object]:
-        """Everything, for `--json`."""
+        """All fields, for `--json`."""
         return asdict(self)
 
     def text(self) -> str:
-        """One line, a second one for a refusal or a failure."""
+        """One line, and a second one for a refusal or an error."""
         line = _COLUMNS.format(
             self.effect,
             self.handling,
@@ -98,12 +98,12 @@ _COLUMNS = "{:<26} {:<25} {:>8} {:>8} {:>8} {:>9}  {}"
 
 
 def header() -> str:
-    """The line above the rows."""
+    """The header line."""
     return _COLUMNS.format("effect", "handling", "before %", "after %", "read %", "corrected", "named")
 
 
 def summary(rows: Sequence[EffectRow]) -> str:
-    """The last line."""
+    """The summary line."""
     done = [row for row in rows if row.before is not None and row.after is not None]
     better = [row.effect for row in done if row.handling == "compensated" and row.after < 0.5 * row.before]
     shown = [row.effect for row in done if row.corrected is not None and row.corrected < 0.5 * row.read]

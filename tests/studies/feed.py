@@ -1,7 +1,7 @@
-"""A ring log filled at a rate by a thread, a recorder that follows it, and a judge of what its files hold.
+"""A ring log filled at a constant rate, a recorder that follows it, and the comparison of its files.
 
-What a row holds follows from its number, so that the judge knows every row that was ever written. What is acknowledged
-is what the recorder said on its pipe before it died.
+The content of a row follows from its number, so that every written row is known. A row is acknowledged when the
+recorder reported it on its pipe.
 """
 
 import contextlib
@@ -28,7 +28,7 @@ BEGAN_NS = 10**12
 
 
 def rows_of(first: int, count: int) -> np.ndarray:
-    """Rows of these numbers: values like those of a bench, float32 from the wire among them."""
+    """The rows of these numbers, with values like those of a bench, partly float32."""
     rows = np.zeros(count, ROW_DTYPE)
     k = np.arange(first, first + count)
     rows["tick"], rows["time_ns"] = k, BEGAN_NS + 1_000_000 * k
@@ -45,16 +45,16 @@ def rows_of(first: int, count: int) -> np.ndarray:
 
 
 class Feed:
-    """Writes the ring log, so many rows a second, until it is closed.
+    """Writes rows to the ring log at a constant rate until it is closed.
 
     Parameters
     ----------
     path
-        Of the ring log.
+        Path of the ring log.
     rate_Hz
-        Rows a second; those that come too late are made up for.
+        Rows per second; late rows are written as soon as possible.
     capacity
-        Of the ring.
+        Capacity of the ring [rows].
     """
 
     def __init__(self, path: Path, rate_Hz: float = 1000.0, capacity: int = 60_000) -> None:
@@ -75,7 +75,7 @@ class Feed:
             self.written = max(self.written, due)
 
     def close(self) -> int:
-        """Stop; returns how many rows were written. May be called twice."""
+        """Stop; returns the number of written rows. Can be called twice."""
         self._ended.set()
         self._thread.join()
         self._ring.close()
@@ -89,16 +89,16 @@ class Feed:
 
 
 class RecorderProcess:
-    """A recorder as the daemon starts it.
+    """A recorder process, started as the daemon does.
 
     Parameters
     ----------
     plan
-        Its plan.
+        Plan of the recorder.
     ring
-        The ring log that it follows.
+        Path of the ring log.
     prefix
-        A command that runs it, such as strace.
+        Command that starts it, such as strace.
     """
 
     def __init__(self, plan: Plan, ring: Path, *prefix: str) -> None:
@@ -129,12 +129,12 @@ class RecorderProcess:
                 self.problems.append(self.last.problem)
 
     def wait_for(self, condition: object) -> None:
-        """Wait until the last report is so.
+        """Wait until the last report meets a condition.
 
         Raises
         ------
         TimeoutError
-            It does not come to it.
+            The condition is not met in time.
         """
         deadline_s = time.monotonic() + WITHIN_S
         while not condition(self.last):
@@ -143,11 +143,11 @@ class RecorderProcess:
             time.sleep(0.01)
 
     def acknowledged(self, before_s: float) -> int:
-        """Rows whose commit was over before this moment of the monotonic clock."""
+        """Number of rows whose commit ended before this time [s, monotonic]."""
         return max((row for at_s, row in self.words if at_s < before_s), default=0)
 
     def kill(self) -> Report:
-        """SIGKILL to it and what runs it; returns what it had acknowledged."""
+        """Kill it and its prefix command; returns the last acknowledgement."""
         with contextlib.suppress(ProcessLookupError):
             os.killpg(self.process.pid, signal.SIGKILL)
         return self._ended()
@@ -160,7 +160,7 @@ class RecorderProcess:
             self.kill()
 
     def end(self) -> Report:
-        """Tell it to end; returns its last report."""
+        """Request its end; returns its last report."""
         self._send({"end": True})
         self.process.wait(timeout=WITHIN_S)
         return self._ended()
@@ -174,21 +174,21 @@ class RecorderProcess:
 
 
 @dataclass
-class Kept:
-    """What the files of a folder hold of the rows of a feed.
+class Comparison:
+    """Comparison of the files of a folder with the rows of a feed.
 
     Parameters
     ----------
     rows
-        That are there, as they were written.
+        Number of rows present.
     lost
-        Of those before `acknowledged` that are not there.
+        Number of acknowledged rows that are missing.
     twice
-        Rows that are there more than once.
+        Number of rows present more than once.
     wrong
-        Rows that are not what was written, or out of order.
+        Number of rows that differ from the written ones, or are out of order.
     damaged
-        Blocks that were left out.
+        Number of damaged blocks.
     bytes
         Of the files.
     files
@@ -209,23 +209,23 @@ class Kept:
         return not (self.lost or self.twice or self.wrong or self.damaged)
 
 
-def judge(folder: Path, bench: str, acknowledged: int) -> Kept:
-    """Compare everything in a folder with what was written, up to the number of rows that was acknowledged."""
-    kept = Kept()
+def compare(folder: Path, bench: str, acknowledged: int) -> Comparison:
+    """Compare the files of a folder with the written rows."""
+    found = Comparison()
     seen: list[np.ndarray] = []
     for path in recording_files(folder, bench) if folder.exists() else ():
         _, blocks, damaged = read_blocks(path)
-        kept.damaged += damaged
-        kept.files += 1
-        kept.bytes += path.stat().st_size
+        found.damaged += damaged
+        found.files += 1
+        found.bytes += path.stat().st_size
         for block in blocks:
             right = block.rows == rows_of(block.first, block.rows.size)
-            kept.wrong += int(np.count_nonzero(~right))
+            found.wrong += int(np.count_nonzero(~right))
             seen.append(block.rows["tick"])
     numbers = np.concatenate(seen) if seen else np.empty(0, np.int64)
     there = np.unique(numbers)
-    kept.rows = there.size
-    kept.twice = int(numbers.size - there.size)
-    kept.wrong += int(np.count_nonzero(np.diff(numbers) < 0))
-    kept.lost = acknowledged - int(np.count_nonzero(there < acknowledged))
-    return kept
+    found.rows = there.size
+    found.twice = int(numbers.size - there.size)
+    found.wrong += int(np.count_nonzero(np.diff(numbers) < 0))
+    found.lost = acknowledged - int(np.count_nonzero(there < acknowledged))
+    return found

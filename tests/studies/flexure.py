@@ -1,11 +1,10 @@
-"""What a diagnosed model would make of a real feedforward: the recorded stack of `piezo-flexure`.
+"""Prediction of a real feedforward by a diagnosed model: the recorded stack of `piezo-flexure`.
 
-The stack cannot be driven here. Its author followed a sine with the inverse of a backlash model. A model is identified
-on the author's identification recording, another one on that and the first part of the tracking recording, which is
-then diagnosed; the rest is held out. An inverse that is exact leaves of a reference what its model leaves of the
-measurement, so the error that would remain is predicted by each model's free run over the held-out part, beside the
-error that was recorded there. Then the inverse is run over the author's reference, and its voltages through the forward
-chain: whether it can be driven at all.
+Only recordings of this stack exist. Its author followed a sine with the inverse of a backlash model. One model is
+identified on the identification recording. A second one also uses the first part of the tracking recording, which is
+then diagnosed; the rest is held out. The tracking error of an exact inverse equals the simulation error of its model.
+So the free run of each model over the held-out part predicts the remaining error, beside the recorded one. Then the
+inverse plans the voltages for the reference of the author, and the forward chain simulates them within the range.
 """
 
 import json
@@ -36,13 +35,13 @@ class FlexureRow:
     Parameters
     ----------
     feedforward
-        Whose.
+        Name of the feedforward.
     rms_um, largest_um
-        Of the error, without its mean: the sensor's zero is arbitrary.
+        Rms and largest error without the mean, since the zero of the sensor is arbitrary [um].
     percent
         Root mean square in % of the reference's range.
     note
-        How it was had.
+        Origin of the row.
     """
 
     feedforward: str
@@ -52,7 +51,7 @@ class FlexureRow:
     note: str
 
     def as_dict(self) -> dict[str, object]:
-        """Everything, for `--json`."""
+        """All fields, for `--json`."""
         return asdict(self)
 
     def text(self) -> str:
@@ -66,12 +65,12 @@ _COLUMNS = "{:<34} {:>8} {:>8} {:>6}  {}"
 
 
 def header() -> str:
-    """The line above the rows."""
+    """The header line."""
     return _COLUMNS.format("feedforward", "rms um", "max um", "rms %", "how")
 
 
 def summary(rows: Sequence[FlexureRow]) -> str:
-    """The last line."""
+    """The summary line."""
     recorded, extended = rows[0], rows[-2]
     return (
         f"recorded feedforward error {recorded.rms_um:.3f} um rms; the extended inverse is predicted to leave "
@@ -92,7 +91,7 @@ def study(folder: Path) -> Iterator[FlexureRow]:
     named = ", ".join(f"{one['name']} {one['confidence']:.2f}" for one in findings["effects"]) or "nothing"
     reference = rest.channel("reference_um")
     settled = rest.time_s > rest.time_s[0] + SETTLES_S
-    yield _row("the author's, as recorded", rest.channel("displacement_um") - reference, reference, settled, "measured")
+    yield _row("recorded by the author", rest.channel("displacement_um") - reference, reference, settled, "measured")
     extended = load_model(folder / "out" / "model.yaml")
     for title, model, note in (
         ("static inverse, predicted", load_model(folder / "alone.yaml"), "identification.csv alone"),

@@ -1,24 +1,24 @@
-"""Work as a bench does it, all kinds of movement in one record: what a diagnosis needs to see.
+"""A drive signal with all kinds of movement in one record, for a diagnosis.
 
-Every stretch is drawn from a seed: sines of 0.3 to 5 Hz, triangles, steps with holds, ramps, minor loops of one size
-at three biases, and holds of two seconds; a straight way leads from each to the next.
+Every section is drawn from a seed: sines of 0.3 to 5 Hz, triangles, steps with holds, ramps, minor loops of one size
+at three biases, and holds of two seconds; a ramp connects successive sections.
 """
 
 import numpy as np
 
-WAY_s = 0.2  # from one stretch to the next
+RAMP_s = 0.2  # between two sections
 LONG_HOLD_s = 2.0
 
 
 def mixed_work(seed: int, duration_s: float, rate_Hz: float, peak_V: float) -> np.ndarray:
-    """Voltages from 0 to `peak_V`, one a tick [V]; every kind comes once before one comes again."""
+    """Voltages from 0 to `peak_V` for each tick [V]; every kind occurs once before any repeats."""
     rng = np.random.default_rng(seed)
-    parts, order, ticks = [np.zeros(round(WAY_s * rate_Hz))], [], 0
+    parts, order, ticks = [np.zeros(round(RAMP_s * rate_Hz))], [], 0
     while ticks < duration_s * rate_Hz:
         if not order:
             order = rng.permutation(len(KINDS)).tolist()
-        stretch = np.clip(KINDS[order.pop()](rng, rate_Hz), 0.0, 1.0) * peak_V
-        parts += [np.linspace(parts[-1][-1], stretch[0], round(WAY_s * rate_Hz)), stretch]
+        section = np.clip(KINDS[order.pop()](rng, rate_Hz), 0.0, 1.0) * peak_V
+        parts += [np.linspace(parts[-1][-1], section[0], round(RAMP_s * rate_Hz)), section]
         ticks = sum(part.size for part in parts)
     return np.concatenate(parts)[: round(duration_s * rate_Hz)]
 
@@ -28,7 +28,7 @@ def _time_s(rng: np.random.Generator, rate_Hz: float) -> np.ndarray:
 
 
 def _reach(rng: np.random.Generator) -> tuple[float, float]:
-    """Middle and half the travel, in parts of the peak."""
+    """Middle and half the range, as shares of the peak."""
     reach = rng.uniform(0.1, 0.5)
     return rng.uniform(reach, 1.0 - reach), reach
 
@@ -61,7 +61,7 @@ def _minor_loops(rng: np.random.Generator, rate_Hz: float) -> np.ndarray:
 
 
 def _rest(rng: np.random.Generator, rate_Hz: float) -> np.ndarray:
-    """A jump, two seconds of rest, down to 0 and rest again."""
+    """A step, two seconds of rest, a step to 0, and rest."""
     held = round(LONG_HOLD_s * rate_Hz)
     return np.concatenate([np.full(held, rng.uniform(0.3, 1.0)), np.zeros(held // 2)])
 

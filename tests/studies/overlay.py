@@ -1,8 +1,8 @@
-"""Effects laid over real recordings, and diagnosed: is what was laid over named beside what the bench lacks anyway?
+"""Effects laid over real recordings and diagnosed.
 
-A model is identified on one real recording as it is. Another one of the same bench is diagnosed as it is, and again
-with each effect laid over it (`laid_over.py`). An effect is found when its name comes in addition, with its parameter
-inside the interval or within `CLOSE_ENOUGH`. The recordings stay where they are, in `../shared/recordings`.
+A model is identified on one recording of a real bench. A second recording of that bench is diagnosed unchanged, and
+with each effect laid over it (`overlaid_effects.py`). An effect is found when the diagnosis names it in addition, with
+its parameter inside the interval or within `CLOSE_ENOUGH`. The recordings are read from `../shared/recordings`.
 """
 
 import json
@@ -15,13 +15,13 @@ from pathlib import Path
 import numpy as np
 
 from piezod.recording import Recording, read_csv, write_csv
-from tests.studies.laid_over import LAID_OVER, Bare, as_strong_as, with_room
+from tests.studies.overlaid_effects import OVERLAYS, BaseRecording, scaled_overlay, with_room_temperature
 from tests.studies.scenarios import ROOT, StepError, run
 
 REAL = ROOT.parent / "shared" / "recordings"
-STRENGTH = 3.0  # of an effect, over what is left of the recording as it is
-CLOSE_ENOUGH = 0.1  # of a parameter
-PAUSE = 5.0  # periods; the longest stretch without a longer one is used
+STRENGTH = 3.0  # of an effect, relative to the residual of the unchanged recording
+CLOSE_ENOUGH = 0.1  # relative error of a parameter
+PAUSE = 5.0  # sample periods; the longest part without such a pause is used
 SHORT_s, SHORT_ORDERS = 25.0, (14, 6)
 
 
@@ -32,11 +32,11 @@ class Real:
     Parameters
     ----------
     identification, work
-        Files: the model comes from one, the other is diagnosed.
+        File for the model, and file for the diagnosis.
     command, output
         Columns.
     effects
-        That are laid over it.
+        Effects that are laid over it.
     """
 
     identification: str
@@ -47,7 +47,7 @@ class Real:
 
 
 BENCHES = {
-    "piezo-flexure": Real("identification.csv", "tracking.csv", "voltage_V", "displacement_um", tuple(LAID_OVER)),
+    "piezo-flexure": Real("identification.csv", "tracking.csv", "voltage_V", "displacement_um", tuple(OVERLAYS)),
     "pneumatic-friction": Real(
         "kidney_3bar.csv",
         "circle_3bar.csv",
@@ -67,7 +67,7 @@ BENCHES = {
 
 @dataclass(frozen=True)
 class Verdict:
-    """What a diagnosis says, as far as it is compared."""
+    """The compared results of a diagnosis."""
 
     word: str
     named: dict[str, dict[str, dict[str, float]]]
@@ -80,32 +80,32 @@ class Verdict:
 
 @dataclass(frozen=True)
 class OverlayRow:
-    """What became of one effect.
+    """Result of one overlaid effect.
 
     Parameters
     ----------
     bench, effect
-        What was laid over what.
+        Names of bench and effect.
     size
-        Root mean square of the change over what is left of the bare recording.
+        Root mean square of the change over the residual of the unchanged recording.
     found
-        Whether its name comes in addition, with its parameter.
+        Whether it is named in addition, with its parameter.
     named, rival
-        Whether it is named; whether it is among the rivals of what is named.
+        Whether it is named; whether it is a rival of a named effect.
     parameter, true, value, low, high
-        What was laid over beside what was found, and its interval; None where there is nothing to compare.
+        Parameter, its true and found value, and its interval; None without a comparison.
     alike
-        Whether the emulated law has the parameter in the catalogue's sense.
+        Whether the emulated law uses the parameter as the catalogue defines it.
     verdict
-        Of the diagnosis.
+        Verdict of the diagnosis.
     before, after, floor
-        Error on blocks left out with the given and the extended model, and the noise [output unit].
+        Error on held-out blocks with the given and the extended model, and the noise [output unit].
     extra, lost
-        Names besides those of the bare recording; names of it that are gone.
+        Additional names, and missing names, relative to the unchanged recording.
     seconds
-        That the diagnosis took.
+        Duration of the diagnosis [s].
     why
-        What went wrong on the way, where something did.
+        Error message; empty without an error.
     """
 
     bench: str
@@ -130,11 +130,11 @@ class OverlayRow:
     why: str = ""
 
     def as_dict(self) -> dict[str, object]:
-        """Everything, for `--json`."""
+        """All fields, for `--json`."""
         return asdict(self)
 
     def text(self) -> str:
-        """One line, a second one where something is to be said."""
+        """One line, and a second one for an error."""
         interval = "-" if self.low is None else f"{_number(self.low)} to {_number(self.high)}"
         line = _COLUMNS.format(
             bench=self.bench,
@@ -164,50 +164,50 @@ _COLUMNS = (
 
 
 def header() -> str:
-    """The line above the rows."""
+    """The header line."""
     names = ("bench", "effect", "size", "found", "named", "parameter", "true", "value", "interval", "verdict")
     more = {name: name for name in ("before", "after", "floor", "extra", "lost")}
     return _COLUMNS.format(**{name: name for name in names}, **more, seconds="s").rstrip()
 
 
 def summary(rows: Sequence[OverlayRow]) -> str:
-    """The last line."""
+    """The summary line."""
     laid = [row for row in rows if row.effect != "none"]
     missed = [f"{row.bench}/{row.effect}" for row in laid if not row.found]
     extra = sum(len(row.extra) for row in laid)
-    said = f"; not: {', '.join(missed)}" if missed else ""
+    not_found = f"; not: {', '.join(missed)}" if missed else ""
     return (
         f"{len(laid) - len(missed)} of {len(laid)} found, {sum(row.named for row in laid)} named, {extra} extra names"
-        f"{said}. size: change over what is left of the bare recording; found: named in addition, with the parameter "
-        "that was laid over it; a bench that has some of the effect itself shows more; ~: another law, not judged"
+        f"{not_found}. size: change over the residual of the unchanged recording; found: named in addition, with its "
+        "parameter; a bench that has the effect itself shows a larger value; ~: another law, not compared"
     )
 
 
 def overlay_study(
     benches: Sequence[str], only: Sequence[str], folder: Path, *, short: bool, strength: float, jobs: int
 ) -> Iterator[OverlayRow]:
-    """Rows, for every bench first the recording as it is, then each effect.
+    """Rows for every bench: first the unchanged recording, then each effect.
 
     Parameters
     ----------
     benches
-        Of `BENCHES`.
+        Names in `BENCHES`.
     only
-        Effects; those that do not suit a bench are left out.
+        Effects; those that do not suit a bench are skipped.
     folder
-        Where models, recordings and findings are written.
+        Folder for models, recordings and findings.
     short
-        The first `SHORT_s` of each recording, and a model of given orders.
+        Use the first `SHORT_s` of each recording and a model of given orders.
     strength
-        Of each effect.
+        Strength of each effect.
     jobs
-        Diagnoses at a time.
+        Number of parallel diagnoses.
     """
     for name in benches:
         place = folder / name
         place.mkdir(parents=True, exist_ok=True)
         try:
-            bare, first = _as_it_is(name, place, short=short)
+            bare, first = _unchanged(name, place, short=short)
         except StepError as error:
             yield OverlayRow(name, "none", why=str(error))
             continue
@@ -215,27 +215,27 @@ def overlay_study(
         effects = [effect for effect in BENCHES[name].effects if effect in only]
         threads = {"OMP_NUM_THREADS": "1"} if jobs > 1 else {}
 
-        def judge(effect: str, bare: Bare = bare, first: Verdict = first, place: Path = place) -> OverlayRow:
-            return _judged(place.name, effect, bare, first, place, strength, threads)  # noqa: B023  # same for all
+        def row_of(effect: str, bare: BaseRecording = bare, first: Verdict = first, place: Path = place) -> OverlayRow:
+            return _overlaid_row(place.name, effect, bare, first, place, strength, threads)  # noqa: B023  # same for all
 
         with ThreadPoolExecutor(jobs) as pool:
-            yield from pool.map(judge, effects)
+            yield from pool.map(row_of, effects)
 
 
-def _as_it_is(name: str, folder: Path, *, short: bool) -> tuple[Bare, Verdict]:
-    """The model of a bench, its other recording as it is, and what the diagnosis says of that."""
+def _unchanged(name: str, folder: Path, *, short: bool) -> tuple[BaseRecording, Verdict]:
+    """Identify the model of a bench; returns its unchanged second recording and the verdict on that."""
     real = BENCHES[name]
     columns = ("--input", real.command, "--output", real.output)
     orders = ("--plays", SHORT_ORDERS[0], "--dead-zones", SHORT_ORDERS[1]) if short else ()
     run("identify", REAL / name / real.identification, "-o", folder / "model.yaml", *columns, *orders)
-    recording = with_room(evenly(read_csv(REAL / name / real.work), SHORT_s if short else None))
+    recording = with_room_temperature(evenly(read_csv(REAL / name / real.work), SHORT_s if short else None))
     write_csv(recording, folder / "none.csv")
     verdict = _diagnosed(folder, "none", real, {})
-    return Bare(recording, real.command, real.output, verdict.after), verdict
+    return BaseRecording(recording, real.command, real.output, verdict.after), verdict
 
 
 def evenly(recording: Recording, longest_s: float | None) -> Recording:
-    """The longest stretch without a pause, on equal steps, from its own zero; at most `longest_s` of it [s]."""
+    """The longest part without a pause, resampled evenly from time 0; at most `longest_s` [s]."""
     time_s = recording.time_s
     dt_s = float(np.median(np.diff(time_s)))
     edges = np.concatenate(([0], np.flatnonzero(np.diff(time_s) > PAUSE * dt_s) + 1, [time_s.size]))
@@ -249,11 +249,11 @@ def evenly(recording: Recording, longest_s: float | None) -> Recording:
     return Recording(grid_s, channels, recording.metadata, recording.source)
 
 
-def _judged(
-    name: str, effect: str, bare: Bare, first: Verdict, folder: Path, strength: float, threads: dict[str, str]
+def _overlaid_row(
+    name: str, effect: str, bare: BaseRecording, first: Verdict, folder: Path, strength: float, threads: dict[str, str]
 ) -> OverlayRow:
     """Lay an effect over the recording, diagnose it, compare."""
-    made, values, size = as_strong_as(effect, bare, strength)
+    made, values, size = scaled_overlay(effect, bare, strength)
     write_csv(made, folder / f"{effect}.csv")
     try:
         verdict = _diagnosed(folder, effect, BENCHES[name], threads)
@@ -265,8 +265,8 @@ def _judged(
 def compared(
     name: str, effect: str, values: dict[str, object], size: float, verdict: Verdict, first: Verdict
 ) -> OverlayRow:
-    """A verdict beside what was laid over and beside the verdict on the recording as it is."""
-    how = LAID_OVER[effect]
+    """Compare a verdict with the overlaid effect and with the verdict on the unchanged recording."""
+    how = OVERLAYS[effect]
     true = values["places_s"][0][0] if effect == "sensor_dropout" else float(values[how.parameter])
     row = OverlayRow(name, effect, size, parameter=how.parameter, true=true, alike=how.alike, verdict=verdict.word)
     row = replace(

@@ -1,7 +1,7 @@
-"""A file system of its own on a loop device, whose power can be cut, and a small one that can be filled.
+"""A file system on a loop device with a simulated power cut, and a small file system to fill.
 
-The cut is `EXT4_IOC_SHUTDOWN` with NOLOGFLUSH: nothing that lies in memory reaches the image any more, calls fail,
-and what the image holds after mounting again is what a disk would hold. The device's own cache is not part of it.
+The cut is `EXT4_IOC_SHUTDOWN` with NOLOGFLUSH: no data in memory reaches the image any more, and calls fail. The image
+then holds what a disk would hold; the cache of a real device is not simulated.
 """
 
 import contextlib
@@ -19,14 +19,14 @@ _NO_LOG_FLUSH = 2
 
 
 class Disk:
-    """An ext4 image, mounted.
+    """A mounted ext4 image.
 
     Parameters
     ----------
     folder
-        Where image and mount point lie.
+        Folder of image and mount point.
     megabytes
-        Its size.
+        Size of the image [MB].
     """
 
     def __init__(self, folder: Path, megabytes: int = 64) -> None:
@@ -42,7 +42,7 @@ class Disk:
         _run("mount", "-o", "loop", self.image, self.root)
 
     def cut(self) -> None:
-        """Cut the power."""
+        """Simulate the power cut."""
         descriptor = os.open(self.root, os.O_RDONLY)
         try:
             fcntl.ioctl(descriptor, _SHUTDOWN, struct.pack("I", _NO_LOG_FLUSH))
@@ -50,9 +50,9 @@ class Disk:
             os.close(descriptor)
 
     def restore(self) -> None:
-        """Mount again, as after a start of the machine; nobody may have a file open.
+        """Mount again, as after a restart of the machine; no file may be open.
 
-        What is mounted is a copy: where another mount name space still holds the disk, its image stays without power.
+        A copy is mounted, since another mount namespace can still hold the first image.
         """
         self.unmount()
         self._cuts += 1
@@ -63,7 +63,7 @@ class Disk:
         self._mount()
 
     def unmount(self) -> None:
-        """Take it away; what still holds it is waited for."""
+        """Unmount; waits for processes that still use it."""
         for _ in range(50):
             done = subprocess.run(["umount", self.root], capture_output=True, text=True, check=False)
             if done.returncode == 0 or "not mounted" in done.stderr:
@@ -74,7 +74,7 @@ class Disk:
 
 @contextlib.contextmanager
 def disk(folder: Path, megabytes: int = 64) -> Iterator[Disk]:
-    """Make a disk, and take it away whatever happens."""
+    """Make a disk, and unmount it at the end."""
     made = Disk(folder, megabytes)
     try:
         yield made
@@ -84,7 +84,7 @@ def disk(folder: Path, megabytes: int = 64) -> Iterator[Disk]:
 
 @contextlib.contextmanager
 def small_folder(folder: Path, megabytes: float) -> Iterator[Path]:
-    """A file system in memory that holds so much and no more."""
+    """A file system in memory with this capacity [MB]."""
     folder.mkdir()
     _run("mount", "-t", "tmpfs", "-o", f"size={round(megabytes * 1e6)}", "none", folder)
     try:
@@ -94,7 +94,7 @@ def small_folder(folder: Path, megabytes: float) -> Iterator[Path]:
 
 
 def fill(folder: Path) -> Path:
-    """Take every byte that is left; returns the file that does."""
+    """Fill the file system; returns the file that fills it."""
     ballast = folder / "ballast"
     with ballast.open("wb", buffering=0) as file, contextlib.suppress(OSError):
         for size in (2**16, 2**12, 1):
@@ -105,7 +105,7 @@ def fill(folder: Path) -> Path:
 
 
 def cannot_cut() -> str:
-    """Why this machine cannot cut the power of a loop device; empty when it can."""
+    """Reason why this machine cannot simulate a power cut; empty when it can."""
     if os.getuid() != 0:
         return "needs root"
     if missing := [tool for tool in ("mkfs.ext4", "mount", "umount") if shutil.which(tool) is None]:
@@ -116,7 +116,7 @@ def cannot_cut() -> str:
 
 
 def cannot_mount() -> str:
-    """Why this machine cannot mount a small file system; empty when it can."""
+    """Reason why this machine cannot mount a small file system; empty when it can."""
     return "needs root" if os.getuid() != 0 else ""
 
 

@@ -1,7 +1,7 @@
-"""What the recorder keeps, whatever happens to it: killed, without power, on a full, failing or slow disk.
+"""The recorder under kills, power cuts, and full, failing or slow disks: no acknowledged row may be lost.
 
-A row counts as acknowledged when the recorder has said on its pipe that it is on the disk. Afterwards its files are
-opened as anybody would, and every row is compared with what was written into the ring log.
+A row is acknowledged when the recorder reports on its pipe that the row is on the disk. Afterwards its files are read,
+and every row is compared with the row written to the ring log.
 """
 
 import argparse
@@ -20,13 +20,13 @@ from pathlib import Path
 from piezod.recorder.messages import Plan
 from piezod.recorder.recording_files import recording_files
 from tests.benches.recorded_blocks import read_blocks
-from tests.studies.feed import Feed, Kept, RecorderProcess, judge
+from tests.studies.feed import Comparison, Feed, RecorderProcess, compare
 from tests.studies.powercut import cannot_cut, cannot_mount, disk, fill, small_folder
 from tests.studies.served import Served, served
 
 SEED = 7
-WHILE_WRITING = 0.8  # share of the kills; the others meet a start
-SYNC_S = 0.05  # ten times as often as usual, so that many a kill meets a commit
+WHILE_WRITING = 0.8  # share of the kills; the others hit the start
+SYNC_S = 0.05  # a tenth of the default, so that many kills hit a commit
 _LINE = "{what:<34} {times:>6} {acknowledged:>13} {kept:>9} {lost:>5} {twice:>6} {wrong:>6}  {note}"
 
 
@@ -37,15 +37,15 @@ class Line:
     Parameters
     ----------
     what, times
-        What was done, and how often.
+        Description and number of repetitions.
     acknowledged, kept, lost, twice, wrong
-        Rows that were acknowledged; that are there; of the acknowledged ones not there; there twice; not as written.
+        Numbers of rows: acknowledged; present; acknowledged but missing; present twice; not as written.
     note
-        What else was seen.
+        Further observations.
     failed
-        Whether it is not as it should be.
+        Whether the result is wrong.
     skipped
-        Why it was not done; empty when it was.
+        Reason why it was skipped; empty otherwise.
     """
 
     what: str
@@ -67,12 +67,12 @@ class Line:
 
 
 def header() -> str:
-    """The line above the rows."""
+    """The header line."""
     return _LINE.format(**{name: name for name in ("what", "times", "acknowledged", "kept", "lost", "twice", "wrong", "note")})  # fmt: skip  # noqa: E501
 
 
 def kills(folder: Path, times: int) -> Iterator[Line]:
-    """SIGKILL at random times; each time the next one goes on. At the end nothing at all may be missing."""
+    """SIGKILL at random times; the next recorder continues. At the end no row may be missing."""
     draw = random.Random(SEED)
     lost = twice = wrong = acknowledged = beyond = 0
     plan = _plan(folder / "kept")
@@ -83,21 +83,23 @@ def kills(folder: Path, times: int) -> Iterator[Line]:
                     recorder.wait_for(lambda report: report.rows > 0)
                 time.sleep(draw.uniform(0.0, 1.0))
                 acknowledged = max(acknowledged, recorder.kill().row)
-            kept = judge(folder / "kept", plan.bench, acknowledged)
-            lost, twice, wrong = max(lost, kept.lost), max(twice, kept.twice), wrong + kept.wrong + kept.damaged
-            beyond += kept.rows > acknowledged
+            found = compare(folder / "kept", plan.bench, acknowledged)
+            lost, twice, wrong = max(lost, found.lost), max(twice, found.twice), wrong + found.wrong + found.damaged
+            beyond += found.rows > acknowledged
         with RecorderProcess(plan, feed.path) as recorder:
             recorder.wait_for(lambda report: report.rows > 0)
             written = feed.close()
             dropped = recorder.end().dropped
-    kept = judge(folder / "kept", plan.bench, written)
-    note = f"{beyond} between commit and word; at the end {kept.lost} of {written} written missing, {kept.files} files"
-    bad = bool(lost or twice or wrong or dropped or not kept.sound)
-    yield Line("SIGKILL of the recorder", times, acknowledged, kept.rows, lost, twice, wrong, note, bad)
+    found = compare(folder / "kept", plan.bench, written)
+    note = (
+        f"{beyond} between commit and report; at the end {found.lost} of {written} written missing, {found.files} files"
+    )
+    bad = bool(lost or twice or wrong or dropped or not found.sound)
+    yield Line("SIGKILL of the recorder", times, acknowledged, found.rows, lost, twice, wrong, note, bad)
 
 
 def daemon_kills(folder: Path, times: int) -> Iterator[Line]:
-    """SIGKILL of the whole daemon while it drives; what its status said must be in the files."""
+    """SIGKILL of the daemon while driving; the files must hold the rows that its status reported."""
     draw = random.Random(SEED)
     lost = acknowledged = rows = after = 0
     for k in range(times):
@@ -106,65 +108,65 @@ def daemon_kills(folder: Path, times: int) -> Iterator[Line]:
             daemon.command("arm")
             daemon.wait_until(lambda status: status["recorder"]["rows"] > 0)
             time.sleep(draw.uniform(0.1, 1.0))
-            said = daemon.status()["recorder"]
+            status = daemon.status()["recorder"]
             os.kill(daemon.process.pid, signal.SIGKILL)
             daemon.process.wait()
-            kept = _kept_ticks(place / "kept")
-            lost += max(0, said["rows"] - sum(tick <= said["last_tick"] for tick, _ in kept))
-            acknowledged += said["rows"]
+            kept = _recorded_ticks(place / "kept")
+            lost += max(0, status["rows"] - sum(tick <= status["last_tick"] for tick, _ in kept))
+            acknowledged += status["rows"]
             _wait_for_quiet(place / "kept")
-            kept = _kept_ticks(place / "kept")
+            kept = _recorded_ticks(place / "kept")
             rows += len(kept)
-            after += kept[-1][1] == 0  # DISARMED: the ramp down is in it
-    note = f"in {after} of {times} the ramp down after the kill is kept to its end"
+            after += kept[-1][1] == 0  # DISARMED: the ramp down is recorded
+    note = f"in {after} of {times} the ramp down after the kill is recorded to its end"
     yield Line("SIGKILL of the daemon", times, acknowledged, rows, lost, 0, 0, note, bool(lost or after < times))
 
 
-def _kept_ticks(folder: Path) -> list[tuple[int, int]]:
+def _recorded_ticks(folder: Path) -> list[tuple[int, int]]:
     """(tick, state) of every row, in order."""
     blocks = [block for path in recording_files(folder, "emulator") for block in read_blocks(path)[1]]
     return [(int(row["tick"]), int(row["state"])) for block in blocks for row in block.rows]
 
 
 def _wait_for_quiet(folder: Path) -> None:
-    """Until the recorder, orphaned, has ended: then nothing lies beside its file."""
+    """Wait until the orphaned recorder has ended and its -wal file is gone."""
     deadline_s = time.monotonic() + 30.0
     while any(folder.glob("*-wal")) and time.monotonic() < deadline_s:
         time.sleep(0.1)
 
 
 def cuts(folder: Path, times: int) -> Iterator[Line]:
-    """Cut the power of the disk at random times; and of a writer that does not sync, to see that a cut costs."""
+    """Cut the power of the disk at random times; an unsynced CSV file shows that a cut loses data."""
     what = "power cut, ext4 on a loop device"
     if why := cannot_cut():
-        yield Line(what, skipped=f"{why}; see the kills, which leave the machine's memory in place")
+        yield Line(what, skipped=f"{why}; the kills do not test this, since the memory survives them")
         return
     draw = random.Random(SEED)
     with disk(folder) as cut_disk, Feed(folder / "ring") as feed:
         plan = _plan(cut_disk.root / "kept")
-        worst, lost, acknowledged = Kept(), 0, 0
+        worst, lost, acknowledged = Comparison(), 0, 0
         for _ in range(times):
             with RecorderProcess(plan, feed.path) as recorder:
                 recorder.wait_for(lambda report: report.rows > 0)
                 time.sleep(draw.uniform(0.0, 1.0))
                 cut_s = time.monotonic()
                 cut_disk.cut()
-                time.sleep(3 * SYNC_S)  # with the power gone nobody would hear what it says now
+                time.sleep(3 * SYNC_S)  # reports after the cut do not count
                 recorder.kill()
                 acknowledged = max(acknowledged, recorder.acknowledged(cut_s))
             cut_disk.restore()
-            worst = judge(cut_disk.root / "kept", plan.bench, acknowledged)
+            worst = compare(cut_disk.root / "kept", plan.bench, acknowledged)
             lost = max(lost, worst.lost)
         bad = bool(lost or not worst.sound)
         note = f"{worst.files} files"
         yield Line(what, times, acknowledged, worst.rows, lost, worst.twice, worst.wrong, note, bad)
         written, left = _unsynced(cut_disk.root / "unsynced", cut_disk.cut, cut_disk.restore)
-        note = "shows that a cut takes what was not synced"
+        note = "shows that a cut loses unsynced data"
         yield Line("the same, a CSV without fsync", 1, written, left, written - left, 0, 0, note, left == written)
 
 
 def _unsynced(path: Path, cut: Callable[[], None], restore: Callable[[], None]) -> tuple[int, int]:
-    """Rows written to a file and flushed, and those that are there after a cut."""
+    """Number of rows written and flushed, and number of those present after a cut."""
     with path.open("w", encoding="ascii") as file:
         for k in range(1000):
             file.write(f"{k},1.0\n")
@@ -200,18 +202,19 @@ def faults(folder: Path, seconds: float) -> Iterator[Line]:
             time.sleep(seconds)
             acknowledged = recorder.kill().row
             written = feed.close()
-        kept = judge(place / "kept", plan.bench, acknowledged)
+        found = compare(place / "kept", plan.bench, acknowledged)
         last = recorder.last
         slow = "delay" in how
         hit = recorder.worst_commit_s > 4.0 if slow else last.failures > 0
-        note = f"{last.failures} files given up, {last.dropped} dropped, {written - acknowledged} behind at the end; "
+        note = f"{last.failures} files abandoned, {last.dropped} rows dropped, "
+        note += f"{written - acknowledged} not acknowledged at the end; "
         note += f"slowest commit {recorder.worst_commit_s:.1f} s" if slow else f"{(recorder.problems or ['-'])[0]:.70}"
-        bad = bool(kept.lost or kept.wrong or kept.damaged or not hit or last.dropped)
-        yield Line(what, 1, acknowledged, kept.rows, kept.lost, kept.twice, kept.wrong, note, bad)
+        bad = bool(found.lost or found.wrong or found.damaged or not hit or last.dropped)
+        yield Line(what, 1, acknowledged, found.rows, found.lost, found.twice, found.wrong, note, bad)
 
 
 def full(folder: Path, seconds: float, rounds: int) -> Iterator[Line]:
-    """The control loop at 1 kHz without a recorder, with one, and with one whose disk is full; in turn."""
+    """The control loop at 1 kHz without a recorder, with a recorder, and with a full disk, in turn."""
     if why := cannot_mount():
         yield Line("a full disk", skipped=why)
         return
@@ -231,16 +234,16 @@ def full(folder: Path, seconds: float, rounds: int) -> Iterator[Line]:
             ticks[mode] += ran
             failed = failed or bad
     for mode, missed in counted.items():
-        names = {"off": "no recorder", "on": "recorder", "full": "recorder, its disk full"}
+        names = {"off": "no recorder", "on": "recorder", "full": "recorder, full disk"}
         note = (
-            f"missed {sum(missed)} of {ticks[mode] + sum(missed)} ticks, a round {min(missed)} to {max(missed)}, "
+            f"missed {sum(missed)} of {ticks[mode] + sum(missed)} ticks, in each round {min(missed)} to {max(missed)}, "
             f"median {statistics.median(missed):g}; {notes[mode]}"
         )
         yield Line(f"1 kHz, {names[mode]}", rounds, note=note, failed=failed and mode == "full")
 
 
 def _drive(daemon: Served, full_disk: Path | None, seconds: float) -> tuple[int, int, str, bool]:
-    """Drive for a while; (ticks, missed, what was seen, whether that is wrong)."""
+    """Drive for `seconds`; returns (ticks, missed ticks, note, whether the result is wrong)."""
     daemon.command("arm")
     ballast = None
     if full_disk is not None:
@@ -254,19 +257,19 @@ def _drive(daemon: Served, full_disk: Path | None, seconds: float) -> tuple[int,
     bad = after["state"] != "RUNNING" or ran == 0
     note = ""
     if ballast is not None:
-        said = after["recorder"]
-        note = f"'{said['problem'].rpartition(': ')[2]}'"
-        bad = bad or not said["degraded"]
+        status = after["recorder"]
+        note = f"'{status['problem'].rpartition(': ')[2]}'"
+        bad = bad or not status["degraded"]
         ballast.unlink()
         begun_s = time.monotonic()
         back = daemon.wait_until(lambda status: not status["recorder"]["degraded"])["recorder"]
-        note += f", back {time.monotonic() - begun_s:.1f} s after there is room, {back['dropped']} lost"
+        note += f", recording again {time.monotonic() - begun_s:.1f} s after space is free, {back['dropped']} lost"
         bad = bad or bool(back["dropped"])
     return ran, missed, note, bad
 
 
 def cost(folder: Path, seconds: float) -> Iterator[Line]:
-    """Processor time and bytes of a tick at 1 kHz, on the emulated bench, as configured by default."""
+    """Processor time and bytes for each tick at 1 kHz, on the emulated bench with default settings."""
     place = folder / "cost"
     with served(place, {"folder": str(place / "kept")}) as daemon:
         daemon.command("arm")
@@ -280,13 +283,14 @@ def cost(folder: Path, seconds: float) -> Iterator[Line]:
         resident_kB = _resident_kB(after["pid"])
     rows = after["rows"] - before["rows"]
     size = sum(path.stat().st_size for path in (place / "kept").iterdir())
-    kept = len(_kept_ticks(place / "kept"))
+    ticks = len(_recorded_ticks(place / "kept"))
     note = (
-        f"{1e6 * (after['cpu_s'] - before['cpu_s']) / rows:.1f} us of processor and {size / kept:.1f} bytes a tick, "
-        f"{1e-6 * size / kept * 3.6e6:.0f} MB an hour; commit {1e3 * statistics.median(commits):.1f} ms median, "
+        f"{1e6 * (after['cpu_s'] - before['cpu_s']) / rows:.1f} us of processor time "
+        f"and {size / ticks:.1f} bytes for each tick, "
+        f"{1e-6 * size / ticks * 3.6e6:.0f} MB/h; commit {1e3 * statistics.median(commits):.1f} ms median, "
         f"{1e3 * max(commits):.1f} ms longest; resident {resident_kB / 1024:.0f} MiB"
     )
-    yield Line("cost at 1 kHz", 1, kept=kept, note=note)
+    yield Line("cost at 1 kHz", 1, kept=ticks, note=note)
 
 
 def _resident_kB(pid: int) -> int:
@@ -309,15 +313,15 @@ def _plan(folder: Path) -> Plan:
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
-    """Its options, and what runs it."""
-    parser.add_argument("--only", metavar="NAME,...", help=f"of {', '.join(PARTS)}; all when left out")
-    parser.add_argument("--short", action="store_true", help="a minute or two instead of ten")
-    parser.add_argument("--json", type=Path, metavar="FILE", help="write the rows as JSON too")
+    """Add the options of this study."""
+    parser.add_argument("--only", metavar="NAME,...", help=f"of {', '.join(PARTS)}; default: all")
+    parser.add_argument("--short", action="store_true", help="two minutes instead of ten")
+    parser.add_argument("--json", type=Path, metavar="FILE", help="also write the rows as JSON")
     parser.set_defaults(run=run)
 
 
 def run(options: argparse.Namespace, parser: argparse.ArgumentParser) -> None:
-    """Print the table; exit code 1 when a line is not as it should be."""
+    """Print the table; exit code 1 when a result is wrong."""
     names = options.only.split(",") if options.only else list(PARTS)
     if unknown := sorted(set(names) - set(PARTS)):
         parser.error(f"no part is called {', '.join(unknown)}; there are {', '.join(PARTS)}")
@@ -330,11 +334,11 @@ def run(options: argparse.Namespace, parser: argparse.ArgumentParser) -> None:
                 lines.append(line)
     failed = [line.what for line in lines if line.failed]
     skipped = [line.what for line in lines if line.skipped]
-    print(f"{len(lines) - len(failed) - len(skipped)} of {len(lines)} as they should be, {len(skipped)} skipped")
+    print(f"{len(lines) - len(failed) - len(skipped)} of {len(lines)} passed, {len(skipped)} skipped")
     if options.json:
         options.json.write_text(json.dumps([asdict(line) for line in lines], indent=2) + "\n", encoding="utf-8")
     if failed:
-        parser.exit(1, f"not: {', '.join(failed)}\n")
+        parser.exit(1, f"failed: {', '.join(failed)}\n")
 
 
 if __name__ == "__main__":

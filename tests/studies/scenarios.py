@@ -1,11 +1,10 @@
-"""Every effect of the catalogue switched on at the emulated bench, recorded over its link, and diagnosed.
+"""Every effect of the catalogue on the emulated bench, recorded over its link and diagnosed.
 
-The model is identified on a bench without any effect, which was recorded the same way: what the link itself adds, such
-as the tick for which a command is held before its answer is read, is then in both recordings. Every step is a command
-as a user gives it.
+The model is identified on a bench without any effect, recorded in the same way. Both recordings therefore contain the
+influence of the link, such as the tick between a command and its reading. Every step is a `piezod` command.
 
-Interlocks that would end a recording of the case they are there for are off: the read-back of a clamped amplifier, the
-stuck sensor, the rate of a jumping force, the sign check of a stack that has lost its contact.
+Interlocks that would end such a recording are off: read-back (clamped amplifier), stuck sensor, force rate (jumping
+force) and sign check (lost contact).
 """
 
 import contextlib
@@ -31,7 +30,7 @@ from tests.studies.strengths import NOISE_N, SWITCHED, Switched
 from tests.studies.table import Row
 
 ROOT = Path(__file__).parents[2]
-PATIENT_s = 0.5  # a virtual machine may stand still for a tenth of a second
+PATIENT_s = 0.5  # longer than a standstill of a virtual machine
 WORK_SEED, BASE_NOISE, WORK_NOISE = 3, 1, 2
 WITHIN_s = 1800.0
 LIMITS = {
@@ -51,18 +50,18 @@ LIMITS = {
 
 @dataclass(frozen=True)
 class Size:
-    """How much is recorded.
+    """Size of the recordings.
 
     Parameters
     ----------
     rate_Hz
-        Ticks a second.
+        Rate of the loop [Hz].
     work_s
-        Of mixed work.
+        Duration of the mixed work [s].
     identification_Hz
         Frequency of the main triangle of the excitation that the model comes from.
     orders
-        Plays and dead zones; None: judged on held-out data.
+        Plays and dead zones; None: chosen on held-out data.
     """
 
     rate_Hz: float
@@ -73,22 +72,22 @@ class Size:
 
 LONG = Size(500.0, 60.0, 0.25, None)
 SHORT = Size(250.0, 30.0, 0.5, (14, 6))
-PEAK_V = 130.0  # of the work, within what the model was identified on
+PEAK_V = 130.0  # peak of the work, within the range of the identification
 
 
 class StepError(Exception):
-    """A command of the chain failed; the message is what it said."""
+    """A command of the chain failed; the message holds its last lines."""
 
 
 def study(names: Sequence[str], size: Size, folder: Path, *, jobs: int) -> Iterator[Row]:
-    """Rows in the order of the names, each as soon as it and those before it are done."""
+    """Yield the rows in the order of the names."""
     model = identified(folder, size)
     work = folder / "drive.csv"
     voltage_V = mixed_work(WORK_SEED, size.work_s, size.rate_Hz, PEAK_V)
     write_csv(Recording(np.arange(voltage_V.size) / size.rate_Hz, {"voltage_V": voltage_V}), work)
     with ThreadPoolExecutor(jobs) as pool:
         threads = {"OMP_NUM_THREADS": "1"} if jobs > 1 else {}
-        yield from pool.map(lambda name: judged(name, SWITCHED[name], model, work, size, folder, threads), names)
+        yield from pool.map(lambda name: scenario_row(name, SWITCHED[name], model, work, size, folder, threads), names)
 
 
 def identified(folder: Path, size: Size) -> Path:
@@ -101,10 +100,10 @@ def identified(folder: Path, size: Size) -> Path:
     return model
 
 
-def judged(
+def scenario_row(
     name: str, switched: Switched, model: Path, work: Path, size: Size, folder: Path, threads: dict[str, str]
 ) -> Row:
-    """Record the work with what is switched on, diagnose it, compare."""
+    """Record with the effect, diagnose, and compare with the truth."""
     place = folder / name
     try:
         record = recorded if switched.over_link else logged
@@ -119,7 +118,7 @@ def judged(
 
 
 def row(name: str, switched: Switched, findings: dict, size: float | None, seconds: float) -> Row:
-    """Findings beside the truth."""
+    """The row that compares the findings with the truth."""
     named = tuple(one["name"] for one in findings["effects"])
     mine = next((one for one in findings["effects"] if one["name"] == switched.effect), None)
     found = None if mine is None or not switched.parameter else mine["parameters"][switched.parameter]["value"]
@@ -144,7 +143,7 @@ def row(name: str, switched: Switched, findings: dict, size: float | None, secon
 
 
 def noises(switched: Switched, work: Path, size: Size) -> float | None:
-    """What the effect changes in this work besides the mean (a tare), over the noise: two benches, no link."""
+    """Rms change by the effect without its mean, over the noise; from two benches without a link."""
     if switched.effect is None:
         return None
     voltage_V = read_csv(work).channel("voltage_V")
@@ -153,14 +152,14 @@ def noises(switched: Switched, work: Path, size: Size) -> float | None:
 
 
 def without_link(switched: Switched, seed: int, voltage_V: np.ndarray, size: Size) -> np.ndarray:
-    """What the bench reads just before each command acts [N]."""
+    """Readings of the bench immediately before each command acts [N]."""
     effects = {} if switched.effect is None else {switched.effect: switched.values}
     scenario = load_scenario("stack", {"load_cell": {"white_noise_N": NOISE_N}, "effects": effects})
     return Bench(scenario, seed=seed).run(voltage_V, 1.0 / size.rate_Hz)
 
 
 def logged(folder: Path, switched: Switched, seed: int, size: Size, drive: Path, output: Path) -> None:
-    """Record by two loggers; as over the link, a row is a command and the reading at the end of its tick."""
+    """Record without a link; a row is a command and the reading at the end of its tick."""
     folder.mkdir(parents=True, exist_ok=True)
     most_V = yaml.safe_load((ROOT / "config" / "bench.yaml").read_text(encoding="utf-8"))["limits"]["slew_V_per_s"]
     voltage_V = read_csv(drive).channel("voltage_V")
@@ -173,7 +172,7 @@ def logged(folder: Path, switched: Switched, seed: int, size: Size, drive: Path,
 
 
 def recorded(folder: Path, switched: Switched, seed: int, size: Size, excitation: object, output: Path) -> None:
-    """Start the emulated bench with what is switched on, record through its link."""
+    """Start the emulated bench with one effect and record over its link."""
     effects = {} if switched.effect is None else {switched.effect: switched.values}
     recorded_with(folder, effects, seed, size, excitation, output)
 
@@ -181,7 +180,7 @@ def recorded(folder: Path, switched: Switched, seed: int, size: Size, excitation
 def recorded_with(
     folder: Path, effects: dict[str, dict[str, object]], seed: int, size: Size, excitation: object, output: Path
 ) -> None:
-    """The same with several effects at once."""
+    """Start the emulated bench with several effects and record over its link."""
     folder.mkdir(parents=True, exist_ok=True)
     emulator = yaml.safe_load((ROOT / "config" / "emulator.yaml").read_text(encoding="utf-8"))
     emulator |= {"seed": seed, "time": "virtual", "physics": {"load_cell": {"white_noise_N": NOISE_N}}}
@@ -205,7 +204,7 @@ def recorded_with(
 
 @contextlib.contextmanager
 def serving(config: Path) -> Iterator[tuple[str, int]]:
-    """The emulated bench in a process of its own: where it listens."""
+    """Run the emulated bench as a process; yields host and port."""
     process = subprocess.Popen(
         [sys.executable, "-m", "firmware_sim", str(config), "--until-stdin-closes"],
         stdin=subprocess.PIPE,
@@ -226,12 +225,12 @@ def serving(config: Path) -> Iterator[tuple[str, int]]:
 
 
 def run(*arguments: object, threads: dict[str, str] | None = None) -> None:
-    """One command, as a user gives it.
+    """Run a `piezod` command.
 
     Raises
     ------
     StepError
-        It failed; what it said at the end.
+        The command failed; the message holds its last lines.
     """
     done = subprocess.run(
         [sys.executable, "-m", "piezod", *map(str, arguments)],
@@ -243,5 +242,5 @@ def run(*arguments: object, threads: dict[str, str] | None = None) -> None:
         env=os.environ | (threads or {}),
     )
     if done.returncode != 0:
-        said = done.stderr.strip().splitlines() or ["nothing said"]
-        raise StepError(f"piezod {arguments[0]} ended with {done.returncode}: {' | '.join(said[-3:])}")
+        messages = done.stderr.strip().splitlines() or ["no message"]
+        raise StepError(f"piezod {arguments[0]} ended with {done.returncode}: {' | '.join(messages[-3:])}")

@@ -1,4 +1,4 @@
-"""The daemon on the emulated bench for a while: a control process in real time, and what it says of itself."""
+"""The daemon on the emulated bench, with a control process in real time."""
 
 import contextlib
 import os
@@ -26,29 +26,29 @@ class Served:
     Parameters
     ----------
     process
-        Its process.
+        Process of the daemon.
     socket
-        Where it is spoken to.
+        Path of the control socket.
     """
 
     def __init__(self, process: subprocess.Popen, socket: Path) -> None:
         self.process, self._socket = process, socket
 
     def status(self) -> dict[str, Any]:
-        """As `piezod status --json`."""
+        """The status, as of `piezod status --json`."""
         return command_and_wait(self._socket, "status", wait=False)
 
     def command(self, name: str) -> dict[str, Any]:
-        """Give a command and wait for what comes of it."""
+        """Send a command and wait for its result."""
         return command_and_wait(self._socket, name, wait=True)
 
     def wait_until(self, condition: object, within_s: float = WITHIN_S) -> dict[str, Any]:
-        """Wait until the status is so; returns it.
+        """Wait until the status meets a condition; returns the status.
 
         Raises
         ------
         TimeoutError
-            It does not come to it.
+            The condition is not met in time.
         """
         deadline_s = time.monotonic() + within_s
         status: dict[str, Any] = {}
@@ -58,21 +58,21 @@ class Served:
                 if condition(status):
                     return status
             time.sleep(0.05)
-        raise TimeoutError(f"the daemon does not come to it: {status}")
+        raise TimeoutError(f"the daemon does not reach the expected status: {status}")
 
 
 @contextlib.contextmanager
 def served(folder: Path, recorder: dict[str, object] | None, rate_Hz: float = 1000.0) -> Iterator[Served]:
-    """A daemon on an emulated bench of its own, connected and disarmed; ended whatever happens.
+    """Run a daemon on its own emulated bench; yields it connected and disarmed.
 
     Parameters
     ----------
     folder
-        Where its files lie.
+        Folder for its files.
     recorder
-        The section of the configuration.
+        Recorder section of the configuration; None: no recorder.
     rate_Hz
-        Of the loop.
+        Rate of the loop [Hz].
     """
     folder.mkdir(parents=True, exist_ok=True)
     emulator = yaml.safe_load((ROOT / "config" / "emulator.yaml").read_text(encoding="utf-8"))
@@ -104,7 +104,7 @@ def served(folder: Path, recorder: dict[str, object] | None, rate_Hz: float = 10
 
 
 def _hasten_children() -> None:
-    """Give the emulator a core when it needs one, where this user may."""
+    """Give the emulator real-time priority where this user may."""
     with contextlib.suppress(OSError):
         for thread in Path("/proc/self/task").iterdir():
             for child in (thread / "children").read_text(encoding="ascii").split():

@@ -1,8 +1,8 @@
-"""The daemon driving for a long time on a machine whose cores are all busy, beside cyclictest on the same cores.
+"""A long run of the daemon on a machine with busy cores, beside cyclictest on the same cores.
 
-The emulated bench answers over TCP in real time, the daemon follows a triangle at a kilohertz under SCHED_FIFO, a busy
-process keeps every core occupied, and cyclictest wakes up at the same rate, policy and priority at the same time: what
-it loses, the machine loses, and nobody's program can hold. A fault is counted, reset, and the bench armed again.
+The emulated bench answers over TCP in real time. The daemon follows a triangle at 1 kHz under SCHED_FIFO, and a busy
+process loads each core. cyclictest runs at the same time with the same rate, policy and priority. Periods that it loses
+are lost by the machine, not by the daemon. After a fault, which is counted, the bench is reset and armed again.
 """
 
 import argparse
@@ -33,25 +33,25 @@ from tests.benchmarks.table import Row, header
 PRIORITY = 80
 MOST_MISSED_RATIO = 3.0
 MOST_RESIDENT_MB = 250.0
-LONGEST_US = 1_000_000  # lateness is counted in classes of a microsecond up to here
-LOOK_EVERY_S = 0.5
-WEIGH_EVERY_S = 2.0
+LONGEST_US = 1_000_000  # largest lateness class; the classes have a width of 1 us
+READ_EVERY_S = 0.5
+SAMPLE_EVERY_S = 2.0
 WITHIN_S = 60.0
 MIB = 2**20
 DEADLINES = {Cause.MISSED_TICKS}
 
-# A machine that stands still for a tenth of a second is not what is looked for: that must end no run.
+# Limits that a standstill of the machine of 0.1 s does not exceed.
 PATIENCE = {"comm_loss_ms": 2000, "device_watchdog_ms": 1000, "missed_ticks_in_a_row": 500}
 
 
 @dataclass
 class Process:
-    """What one process took, over time.
+    """Resources of one process over time.
 
     Attributes
     ----------
     at_s, resident_MB, descriptors
-        When it was looked at [s], and what it held then.
+        Time of each sample [s], resident memory [MB] and number of open descriptors.
     """
 
     name: str
@@ -60,8 +60,8 @@ class Process:
     resident_MB: list[float] = field(default_factory=list)
     descriptors: list[int] = field(default_factory=list)
 
-    def weigh(self, now_s: float) -> None:
-        """Look at it."""
+    def sample_resources(self, now_s: float) -> None:
+        """Append one sample."""
         statm = Path(f"/proc/{self.pid}/statm").read_text(encoding="ascii").split()
         self.at_s.append(now_s)
         self.resident_MB.append(int(statm[1]) * os.sysconf("SC_PAGE_SIZE") * 1e-6)
@@ -77,20 +77,20 @@ class Process:
 
 @dataclass
 class Soaked:
-    """What a soak came to.
+    """Result of a soak run.
 
     Attributes
     ----------
     ticks, missed
-        Of the control loop while it drove.
+        Ticks of the control loop while driving, and missed ticks.
     stalls, longest_stall
-        How often ticks were missed, and most of them in a row.
+        Number of gaps with missed ticks, and the largest number of ticks in one gap.
     late_answers
-        Exchanges that lasted longer than a period: the device, or the way to it, had not answered.
+        Number of exchanges longer than a period, caused by the device or the network.
     lateness, cyclictest
-        Wake-ups by lateness, classes of 1 us; of cyclictest None where it could not run.
+        Numbers of wake-ups by lateness in classes of 1 us; cyclictest: None where it could not run.
     faults
-        By name, how often.
+        Number of faults by name.
     """
 
     rate_Hz: float
@@ -111,29 +111,29 @@ class Soaked:
 
     @property
     def period_us(self) -> float:
-        """Between two deadlines."""
+        """Period of the deadlines [us]."""
         return 1e6 / self.rate_Hz
 
     def over_period(self, counts: np.ndarray) -> int:
-        """Wake-ups later than a period."""
+        """Number of wake-ups later than a period."""
         return int(counts[int(self.period_us) :].sum())
 
     def periods_lost(self, counts: np.ndarray) -> int:
-        """Whole periods that passed over those wake-ups."""
+        """Number of whole periods lost by those wake-ups."""
         return int((counts * (np.arange(counts.size) // int(self.period_us))).sum())
 
     @property
     def other_faults(self) -> dict[str, int]:
-        """Faults that are no missed deadlines."""
+        """Faults other than missed deadlines."""
         return {name: count for name, count in self.faults.items() if name not in {one.name for one in DEADLINES}}
 
 
 def soak(duration_s: float, rate_Hz: float, *, on_look: Callable[[Soaked], None] = lambda _soaked: None) -> Soaked:
-    """Drive for so long; everything that was started has ended afterwards."""
+    """Drive for `duration_s`; all started processes end afterwards."""
     soaked = Soaked(rate_Hz)
     with contextlib.ExitStack() as stack:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
-        with peers.punctual():
+        with peers.device_priority():
             address = stack.enter_context(peers.emulator("tcp", "real"))
         bench = _bench_file(folder, address, rate_Hz)
         process = stack.enter_context(_ended(_service(bench)))
@@ -144,18 +144,16 @@ def soak(duration_s: float, rate_Hz: float, *, on_look: Callable[[Soaked], None]
         soaked.processes = [Process("service", process.pid), Process("control", _control_pid(process.pid))]
         cyclictest = stack.enter_context(_cyclictest(folder, duration_s, rate_Hz, soaked))
         _follow(soaked, client, RingReader(bench.parent / "ring"), duration_s, on_look)
-        _hear(soaked, cyclictest, folder)
+        _read_cyclictest(soaked, cyclictest, folder)
         client.ask("disarm")
         client.wait_until_settled()
     return soaked
 
 
 def rows(soaked: Soaked) -> Iterator[Row]:
-    """The table."""
+    """The rows of the table."""
     loads = ", ".join(f"{load:.1f}" for load in soaked.loads)
-    yield Row(
-        "soak", "driven", "s", soaked.seconds, note=f"load average at the beginning, on the way and at the end: {loads}"
-    )
+    yield Row("soak", "driven", "s", soaked.seconds, note=f"load average at start, middle and end: {loads}")
     yield Row("soak", f"ticks at {soaked.rate_Hz:g} Hz", "tick", soaked.ticks)
     yield from _timing(soaked)
     named = ", ".join(f"{name.lower()} {count}" for name, count in soaked.faults.items())
@@ -167,16 +165,16 @@ def rows(soaked: Soaked) -> Iterator[Row]:
 
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Options of the command."""
-    parser.add_argument("--minutes", type=float, default=10.0, metavar="M", help="how long, %(default)g")
-    parser.add_argument("--rate", type=float, default=1000.0, metavar="HZ", help="ticks a second, %(default)g")
-    parser.add_argument("--json", type=Path, metavar="FILE", help="write the rows as JSON too")
+    parser.add_argument("--minutes", type=float, default=10.0, metavar="M", help="duration, %(default)g")
+    parser.add_argument("--rate", type=float, default=1000.0, metavar="HZ", help="rate of the loop, %(default)g")
+    parser.add_argument("--json", type=Path, metavar="FILE", help="also write the rows as JSON")
     parser.set_defaults(run=_run)
 
 
 def _run(options: argparse.Namespace, _parser: argparse.ArgumentParser) -> None:
-    """Soak and print; a line that is written over on the way, on a terminal alone."""
-    said = _progress(60.0 * options.minutes) if sys.stderr.isatty() else lambda _soaked: None
-    table = list(rows(soak(60.0 * options.minutes, options.rate, on_look=said)))
+    """Run the soak and print the table; on a terminal with a progress line."""
+    on_look = _progress(60.0 * options.minutes) if sys.stderr.isatty() else lambda _soaked: None
+    table = list(rows(soak(60.0 * options.minutes, options.rate, on_look=on_look)))
     print(header())
     for row in table:
         print(row.text())
@@ -212,7 +210,7 @@ def _timing(soaked: Soaked) -> Iterator[Row]:
         None if other is None else soaked.over_period(other),
         f"wake-ups over a period of cyclictest -m -p{PRIORITY}",
         most_ratio=MOST_MISSED_RATIO,
-        note=f"{soaked.late_answers} exchanges lasted over a period: there the emulated device was late, no wake-up",
+        note=f"{soaked.late_answers} exchanges took over a period: the emulated device was late, not the wake-up",
     )
     for q in (50.0, 99.0, 99.9, 99.99):
         limit = None if other is None else _percentile_us(other, q)
@@ -223,40 +221,36 @@ def _timing(soaked: Soaked) -> Iterator[Row]:
 
 
 def _percentile_us(counts: np.ndarray, q: float) -> float:
-    """The class that the percentile falls into [us]; nan when nothing was counted."""
+    """The class of the percentile [us]; nan without counts."""
     total = np.cumsum(counts)
     return float(np.searchsorted(total, 0.01 * q * total[-1])) if total[-1] else float("nan")
 
 
 def _held(one: Process) -> Iterator[Row]:
     first, last = one.resident_MB[0], one.resident_MB[-1]
-    slope = f"{one.slope_MB_per_h:+.2f} MB an hour over the second half, most {max(one.resident_MB):.1f} MB"
-    yield Row(
-        "soak", f"{one.name}: resident memory", "MB", last, first, "at the beginning", MOST_RESIDENT_MB, note=slope
-    )
+    slope = f"{one.slope_MB_per_h:+.2f} MB/h over the second half, most {max(one.resident_MB):.1f} MB"
+    yield Row("soak", f"{one.name}: resident memory", "MB", last, first, "at start", MOST_RESIDENT_MB, note=slope)
     first_count, last_count = one.descriptors[0], one.descriptors[-1]
-    yield Row(
-        "soak", f"{one.name}: descriptors", "", last_count, first_count, "at the beginning", max(one.descriptors[0], 1)
-    )
+    yield Row("soak", f"{one.name}: descriptors", "", last_count, first_count, "at start", max(one.descriptors[0], 1))
 
 
 def _follow(
     soaked: Soaked, client: Client, ring: RingReader, duration_s: float, on_look: Callable[[Soaked], None]
 ) -> None:
-    """Read the ring log until the time is over; what goes wrong is counted, and driving goes on."""
+    """Read the ring log for `duration_s`; faults are counted, and driving continues."""
     ring.read()
     before = client.ask("status")
     begun_s = time.monotonic()
-    weighed_s, next_tick = -WEIGH_EVERY_S, None
+    sampled_s, next_tick = -SAMPLE_EVERY_S, None
     soaked.loads.append(os.getloadavg()[0])
     while soaked.seconds < duration_s:
-        time.sleep(LOOK_EVERY_S)
+        time.sleep(READ_EVERY_S)
         soaked.seconds = time.monotonic() - begun_s
         next_tick = _take(soaked, ring.read(), next_tick)
-        if soaked.seconds - weighed_s >= WEIGH_EVERY_S:
-            weighed_s = soaked.seconds
+        if soaked.seconds - sampled_s >= SAMPLE_EVERY_S:
+            sampled_s = soaked.seconds
             for one in soaked.processes:
-                one.weigh(soaked.seconds)
+                one.sample_resources(soaked.seconds)
             _drive_again(soaked, client)
         if len(soaked.loads) == 1 and soaked.seconds > 0.5 * duration_s:
             soaked.loads.append(os.getloadavg()[0])
@@ -267,7 +261,7 @@ def _follow(
 
 
 def _take(soaked: Soaked, table: np.ndarray, next_tick: int | None) -> int | None:
-    """Count ticks, those that are missing between them, and their lateness; returns the tick that comes next."""
+    """Count ticks, missing ticks and lateness; returns the number of the next tick."""
     if not table.size:
         return next_tick
     ticks = table["tick"]
@@ -287,7 +281,7 @@ def _take(soaked: Soaked, table: np.ndarray, next_tick: int | None) -> int | Non
 
 
 def _drive_again(soaked: Soaked, client: Client) -> None:
-    """Reset and arm after a fault; one that was not seen in the ring log is counted here."""
+    """Reset and arm after a fault; counts a fault that the ring log did not show."""
     status = client.ask("status")
     if status["state"] == "FAULT":
         if not soaked.faults:
@@ -318,7 +312,7 @@ def _service(bench: Path) -> subprocess.Popen[bytes]:
 
 
 def _connected(bench: Path, process: subprocess.Popen[bytes], stack: contextlib.ExitStack) -> Client:
-    """A client of the service, once it is connected to its device."""
+    """A client of the service, after the service is connected to its device."""
     deadline_s = time.monotonic() + WITHIN_S
     while True:
         with contextlib.suppress(PiezodError):
@@ -333,7 +327,7 @@ def _connected(bench: Path, process: subprocess.Popen[bytes], stack: contextlib.
 
 
 def _arm(client: Client) -> None:
-    """Arm, again and again on a machine too busy to answer."""
+    """Arm; repeats on a machine that is too busy to answer."""
     deadline_s = time.monotonic() + WITHIN_S
     while (state := client.wait_until_settled()["state"]) != "RUNNING":
         if time.monotonic() > deadline_s:
@@ -343,7 +337,7 @@ def _arm(client: Client) -> None:
 
 
 def _control_pid(service: int) -> int:
-    """The process that the service started and that drives."""
+    """Process id of the control process of the service."""
     children = Path(f"/proc/{service}/task/{service}/children").read_text(encoding="ascii").split()
     for child in children:
         if b"spawn_main" in Path(f"/proc/{child}/cmdline").read_bytes():
@@ -352,13 +346,13 @@ def _control_pid(service: int) -> int:
 
 
 def _busy() -> subprocess.Popen[bytes]:
-    """A process that wants a core for itself."""
+    """A process that uses a full core."""
     return subprocess.Popen([sys.executable, "-c", "while True: pass"], stdin=subprocess.DEVNULL)
 
 
 @contextlib.contextmanager
 def _ended(process: subprocess.Popen[bytes]) -> Iterator[subprocess.Popen[bytes]]:
-    """The process, ended by its id whatever happens; a service ramps down first."""
+    """Yield the process and end it afterwards; a service ramps down first."""
     try:
         yield process
     finally:
@@ -375,7 +369,7 @@ def _ended(process: subprocess.Popen[bytes]) -> Iterator[subprocess.Popen[bytes]
 def _cyclictest(
     folder: Path, duration_s: float, rate_Hz: float, soaked: Soaked
 ) -> Iterator[subprocess.Popen[bytes] | None]:
-    """Cyclictest for as long; None where it is not installed or may not run in real time."""
+    """Run cyclictest for `duration_s`; yields None where it is missing or has no real-time right."""
     program = shutil.which("cyclictest")
     if program is None or not _may_be_real_time():
         soaked.cyclictest_says = "cyclictest: not measured: not installed, or no right to SCHED_FIFO"
@@ -388,8 +382,8 @@ def _cyclictest(
         yield process
 
 
-def _hear(soaked: Soaked, process: subprocess.Popen[bytes] | None, folder: Path) -> None:
-    """Take in what cyclictest measured; lost wake-ups make it take longer than asked for, so it is told to end."""
+def _read_cyclictest(soaked: Soaked, process: subprocess.Popen[bytes] | None, folder: Path) -> None:
+    """Read the result of cyclictest; SIGINT ends it, since lost wake-ups prolong its run."""
     if process is None:
         return
     with contextlib.suppress(subprocess.TimeoutExpired):

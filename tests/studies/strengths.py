@@ -1,9 +1,9 @@
-"""What is switched on at the emulated bench for every effect of the catalogue, how strong, and why so.
+"""Parameters of every effect of the catalogue on the emulated bench, and their reasons.
 
-The noise is 0.1 N. A strength is one that such a bench may have, and that shows in mixed work with 4 to 20 times the
-noise (rms); the study measures that for every case, on the bench without its link.
+The noise is 0.1 N. Each strength is realistic for such a bench and changes the force in mixed work by 4 to 20 times
+the noise (rms). The study measures this for every case, on the bench without its link.
 
-| effect | why so strong |
+| effect | reason of the strength |
 |---|---|
 | electrical_lag | 400 Ohm into 10 uF: a series resistor against ringing |
 | slew_limit | 25 mA into 10 uF: met in steps, which the controller drives at 4000 V/s, not in slow work |
@@ -36,18 +36,18 @@ NOISE_N = 0.1
 
 @dataclass(frozen=True)
 class Switched:
-    """What one scenario switches on.
+    """The effect of one scenario.
 
     Parameters
     ----------
     effect
-        Of the catalogue; None: nothing.
+        Name in the catalogue; None: no effect.
     values
-        As `firmware_sim` takes them.
+        Values for `firmware_sim`.
     parameter
-        Whose value is compared with what was switched on.
+        Name of the compared parameter.
     alike
-        Whether the emulated physics has that parameter in the catalogue's sense; else the law is another one.
+        Whether the emulated physics uses the parameter as the catalogue defines it.
     over_link
         Whether it is recorded over the link; else by two loggers, command and reading each with its own clock.
     """
@@ -60,7 +60,7 @@ class Switched:
 
     @property
     def truth(self) -> float | None:
-        """The parameter's value."""
+        """True value of the parameter."""
         if not self.parameter:
             return None
         if self.effect == "sensor_dropout":

@@ -11,20 +11,20 @@ _COLUMNS = (
 
 @dataclass(frozen=True)
 class Row:
-    """What became of one scenario.
+    """Result of one scenario.
 
     Parameters
     ----------
     effect
-        What was switched on.
+        The active effect.
     size
-        Root mean square of what it changes in this work, over the noise.
+        Root mean square of its change in this record, over the noise.
     named
-        What the diagnosis names.
+        Effects that the diagnosis names.
     exact
-        Whether that is the truth and nothing else.
+        Whether exactly the active effect is named.
     parameter, true, found
-        What was compared; None where there is nothing to compare.
+        Compared parameter, its true and found value; None without a comparison.
     alike
         Whether the emulated physics has the parameter in the catalogue's sense.
     verdict
@@ -57,17 +57,17 @@ class Row:
 
     @property
     def error_percent(self) -> float | None:
-        """Of the parameter [%]; None where it is not the same quantity."""
+        """Error of the parameter [%]; None where it is not the same quantity."""
         if self.true is None or self.found is None or not self.alike:
             return None
         return 100.0 * (self.found / self.true - 1.0)
 
     def as_dict(self) -> dict[str, object]:
-        """Everything, for `--json`."""
+        """All fields, for `--json`."""
         return asdict(self) | {"error_percent": self.error_percent}
 
     def text(self) -> str:
-        """One line, a second one where something went wrong."""
+        """One line, and a second one for an error."""
         error = self.error_percent
         line = _COLUMNS.format(
             effect=self.effect,
@@ -90,7 +90,7 @@ class Row:
 
 
 def header() -> str:
-    """The line above the rows."""
+    """The header line."""
     names = ("effect", "size", "named", "exact", "parameter", "true", "found", "error", "verdict")
     return _COLUMNS.format(
         **{name: name for name in names}, before="before", after="after", floor="floor", seconds="s"
@@ -98,10 +98,10 @@ def header() -> str:
 
 
 def summary(rows: Sequence[Row]) -> str:
-    """The last line."""
+    """The summary line."""
     wrong = [row.effect for row in rows if not row.exact]
-    said = f"; not: {', '.join(wrong)}" if wrong else ""
-    return f"{len(rows) - len(wrong)} of {len(rows)} exact{said}. size: in noises; before, after, floor in N"
+    not_exact = f"; not: {', '.join(wrong)}" if wrong else ""
+    return f"{len(rows) - len(wrong)} of {len(rows)} exact{not_exact}. size: in noise rms; before, after, floor in N"
 
 
 def _number(value: float | None) -> str:

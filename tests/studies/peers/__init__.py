@@ -2,9 +2,9 @@
 
     python -m tests.studies peers STUDY VERDICTS [--only case_0001,...] [--cases N] [--folder DIR] [--json FILE]
 
-`STUDY` was made by `piezod blind make`, `VERDICTS` by `piezod blind run`. A peer gets what `piezod` gets, and the
-simulation of the identified model as one more column; it runs in a process and an environment of its own. The truth is
-opened when all predictions are written.
+`STUDY` was made by `piezod blind make`, `VERDICTS` by `piezod blind run`. A peer gets the same
+data as `piezod`, and the simulation of the identified model as a further column. It runs in a separate process and
+environment. The truth is read after all predictions are written.
 
     given        what a peer may see of a case
     exchange     how it reads that and answers; copied beside it

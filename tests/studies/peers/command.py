@@ -1,4 +1,4 @@
-"""`python -m tests.studies peers`: what it takes, and how it ends."""
+"""Options and exit codes of `python -m tests.studies peers`."""
 
 import argparse
 import json
@@ -13,20 +13,20 @@ from tests.studies.peers.study import Wanted, compare
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
-    """Give a parser the options of this study; `run` is what does it."""
+    """Add the options of this study to a parser."""
     parser.add_argument("concealed", type=Path, metavar="STUDY", help="made by piezod blind make")
     parser.add_argument("verdicts", type=Path, metavar="VERDICTS", help="made by piezod blind run")
-    parser.add_argument("--only", metavar="CASE,...", help="as case_0001; all when left out")
-    parser.add_argument("--cases", type=int, metavar="N", help="the first so many of them")
+    parser.add_argument("--only", metavar="CASE,...", help="cases such as case_0001; default: all")
+    parser.add_argument("--cases", type=int, metavar="N", help="only the first N of them")
     parser.add_argument("--peers", default=",".join(PEERS), metavar="PEER,...", help=f"of {', '.join(PEERS)}")
-    parser.add_argument("--json", type=Path, metavar="FILE", help="write the figures as JSON too, case by case")
+    parser.add_argument("--json", type=Path, metavar="FILE", help="also write the figures of each case as JSON")
     parser.add_argument("--folder", type=Path, metavar="DIR", help="keep the answers there; a later run goes on")
     parser.add_argument("--cache", type=Path, default=cache_folder(), metavar="DIR", help="environments of the peers")
     parser.set_defaults(run=_run)
 
 
 def _run(options: argparse.Namespace, parser: argparse.ArgumentParser) -> None:
-    """Compare; exit code 1 where a case is left out or a peer failed."""
+    """Run the comparison; exit code 1 when a case is skipped or a peer failed."""
     if options.cases is not None and options.cases < 1:
         parser.error(f"--cases is {options.cases}, must be at least 1")
     only = tuple(options.only.split(",")) if options.only else ()

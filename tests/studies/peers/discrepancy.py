@@ -1,13 +1,13 @@
-"""PySINDy as a discrepancy model: a sparse equation for the rate of what the identified model leaves out.
+"""PySINDy as a discrepancy model: a sparse differential equation for the residual of the identified model.
 
-With r the measured less the simulated force, dr/dt = f(r, u, du/dt, base, what else was recorded), all columns scaled
+r is the measured minus the simulated force, and dr/dt = f(r, u, du/dt, base, further columns). All columns are scaled
 to a spread of 1. Libraries are polynomials of first and second degree, with or without sines and cosines of the inputs;
 the derivative is smoothed (two windows), or the weak form is fitted (polynomials alone: PySINDy's weak library takes no
-composed one). The columns and the regression are those that `pysindy.SINDy.fit` puts together; apart, since
-all thresholds share one set of columns.
+composed one). Columns and regression are those of `pysindy.SINDy.fit`; they are separate, since all
+thresholds share one set of columns.
 
-Every setting runs freely over every recording, from r = 0 at rest, and is judged on the last fifth, which it was not
-fitted to. f is at most quadratic in r, so three evaluations a sample give its coefficients, and an exponential Euler
+Every setting is simulated over every recording, from r = 0 at rest. It is compared on the last fifth, to which it was
+not fitted. f is at most quadratic in r, so three evaluations a sample give its coefficients, and an exponential Euler
 step (exact where f is linear in r and the inputs are held) integrates it.
 """
 
@@ -37,7 +37,7 @@ class Library:
     Parameters
     ----------
     name
-        In words.
+        Description.
     degree
         Of the polynomials in all columns.
     sines
@@ -76,7 +76,7 @@ class Columns:
     values
         Shape (n, 1 + inputs); r is 0 where it was not measured.
     split
-        First sample of the part that settings are judged on.
+        First sample of the part on which settings are compared.
     """
 
     time_s: np.ndarray
@@ -85,12 +85,12 @@ class Columns:
 
     @property
     def trained(self) -> "Columns":
-        """The part that settings are fitted to."""
+        """The part for fitting."""
         return Columns(self.time_s[: self.split], self.values[: self.split], self.split)
 
 
 class Scaling:
-    """Puts records into columns with a spread of 1 on the recordings; r is divided by its spread alone."""
+    """Scaling of records to columns with a spread of 1; r keeps its zero."""
 
     def __init__(self, recordings: tuple[exchange.Record, ...]) -> None:
         self.spread_N = float(np.concatenate([record.missing_N for record in recordings]).std()) or 1.0
@@ -101,7 +101,7 @@ class Scaling:
         self.names = ("r", "u", "base", *recordings[0].extra, "du/dt")
 
     def columns(self, record: exchange.Record) -> Columns:
-        """A record in columns."""
+        """The scaled columns of a record."""
         inputs = [(record[name] - self._scales[name][0]) / self._scales[name][1] for name in self._inputs]
         r = record.missing_N / self.spread_N if "force_N" in record.columns else np.zeros(record.size)
         values = np.column_stack([r, *inputs, _rate(record) / self._rate_scale])
@@ -109,8 +109,8 @@ class Scaling:
 
 
 @dataclass(frozen=True)
-class Course:
-    """A record's inputs, over which any equation of one library can run.
+class LibraryInputs:
+    """Inputs of a record, evaluated by the terms of one library.
 
     Parameters
     ----------
@@ -124,8 +124,8 @@ class Course:
     terms: tuple[np.ndarray, ...]
 
     @classmethod
-    def of(cls, library: Library, columns: Columns) -> "Course":
-        """Of a record; its r is not looked at."""
+    def of(cls, library: Library, columns: Columns) -> "LibraryInputs":
+        """Evaluate the terms for a record; its r is not used."""
         terms = []
         for r in (-1.0, 0.0, 1.0):
             values = columns.values.copy()
@@ -135,33 +135,33 @@ class Course:
 
 
 def main() -> None:
-    """Fit every setting, take the best, predict."""
+    """Fit every setting, select the best, and predict."""
     warnings.simplefilter("ignore")
     given = exchange.read()
     scaling = Scaling(given.recordings)
     records = [scaling.columns(record) for record in given.recordings]
     best, best_error, settings = None, math.inf, 0
     for library in LIBRARIES:
-        courses = [Course.of(library, record) for record in records]
+        inputs_of_records = [LibraryInputs.of(library, record) for record in records]
         known: dict[bytes, float] = {}
         for setting, coefficients in equations(library, [record.trained for record in records]):
             settings += 1
             key = coefficients.tobytes()
             if key not in known:
-                known[key] = _error(coefficients, courses, records)
+                known[key] = _error(coefficients, inputs_of_records, records)
             if known[key] < best_error:
                 best, best_error = (library, coefficients, setting), known[key]
     force_N, terms, setting = given.held_out["base_N"], [], "none: all diverge"
     if best is not None:
         library, coefficients, setting = best
-        course = Course.of(library, scaling.columns(given.held_out))
-        force_N = force_N + scaling.spread_N * free_run(course, coefficients)
+        library_inputs = LibraryInputs.of(library, scaling.columns(given.held_out))
+        force_N = force_N + scaling.spread_N * free_run(library_inputs, coefficients)
         terms = _kept(library, coefficients, scaling.names)
     exchange.answer(given, force_N, terms, setting, settings)
 
 
 def equations(library: Library, trained: list[Columns]) -> Iterator[tuple[str, np.ndarray]]:
-    """Every setting of a library in words, and the coefficients of its terms, shape (terms,)."""
+    """Description of every setting of a library, and its coefficients, shape (terms,)."""
     for derivative, (columns, rate) in _problems(library, trained):
         for share in SHARES:
             threshold = share * float(np.linalg.norm(rate))
@@ -169,21 +169,21 @@ def equations(library: Library, trained: list[Columns]) -> Iterator[tuple[str, n
             yield f"{library.name}, {derivative}, threshold {share:g}", np.ravel(fit.coef_)
 
 
-def free_run(course: Course, coefficients: np.ndarray) -> np.ndarray:
-    """Integrate r from 0, shape (n,); infinite from where it has run away.
+def free_run(library_inputs: LibraryInputs, coefficients: np.ndarray) -> np.ndarray:
+    """Integrate r from 0, shape (n,); infinite after a divergence.
 
     Parameters
     ----------
-    course
+    library_inputs
         The inputs.
     coefficients
         Of the terms, shape (terms,).
     """
-    low, middle, high = (terms[:-1] @ coefficients for terms in course.terms)
+    low, middle, high = (terms[:-1] @ coefficients for terms in library_inputs.terms)
     square, slope = 0.5 * (high + low) - middle, 0.5 * (high - low)
     r, run = 0.0, [0.0]
     for c0, c1, c2, step_s in zip(
-        middle.tolist(), slope.tolist(), square.tolist(), course.steps_s.tolist(), strict=True
+        middle.tolist(), slope.tolist(), square.tolist(), library_inputs.steps_s.tolist(), strict=True
     ):
         steep = step_s * (c1 + 2.0 * c2 * r)
         grown = math.expm1(min(steep, 30.0)) / steep if abs(steep) > 1e-9 else 1.0
@@ -191,11 +191,11 @@ def free_run(course: Course, coefficients: np.ndarray) -> np.ndarray:
         if not abs(r) < RUNS_AWAY:
             break
         run.append(r)
-    return np.array(run + [math.inf] * (course.steps_s.size + 1 - len(run)))
+    return np.array(run + [math.inf] * (library_inputs.steps_s.size + 1 - len(run)))
 
 
 def _problems(library: Library, trained: list[Columns]) -> Iterator[tuple[str, tuple[np.ndarray, np.ndarray]]]:
-    """Ways to take the derivative: in words, columns of the terms, shape (rows, terms), and rates, shape (rows, 1)."""
+    """Methods for the derivative: description, columns of the terms, (rows, terms), rates (rows, 1)."""
     for window in WINDOWS:
         yield f"smoothed over {window} samples", _stacked(_smoothed(library, each, window) for each in trained)
     if not library.sines:
@@ -225,11 +225,11 @@ def _weak(library: Library, record: Columns, half_s: float, domains: int) -> tup
     return np.asarray(weak.fit_transform(values)), np.asarray(weak.convert_u_dot_integral(values[:, :1]))
 
 
-def _error(coefficients: np.ndarray, courses: list[Course], records: list[Columns]) -> float:
-    """Mean square of what is left on the last part of the recordings, in spreads of r; infinite where it runs away."""
+def _error(coefficients: np.ndarray, inputs_of_records: list[LibraryInputs], records: list[Columns]) -> float:
+    """Mean square residual on the last part of the recordings [squared spread of r]; infinite after a divergence."""
     left = [
-        (record.values[:, 0] - free_run(course, coefficients))[record.split :]
-        for course, record in zip(courses, records, strict=True)
+        (record.values[:, 0] - free_run(library_inputs, coefficients))[record.split :]
+        for library_inputs, record in zip(inputs_of_records, records, strict=True)
     ]
     mean = float(np.mean(np.concatenate(left) ** 2))
     return mean if math.isfinite(mean) else math.inf
@@ -238,8 +238,8 @@ def _error(coefficients: np.ndarray, courses: list[Course], records: list[Column
 def _kept(library: Library, coefficients: np.ndarray, names: tuple[str, ...]) -> list[str]:
     """Names of the terms that are not 0; none where only r drives itself, since it begins at 0."""
     terms = library.terms(len(names)).fit(np.zeros((2, len(names)))).get_feature_names(list(names))
-    kept = [term for term, coefficient in zip(terms, coefficients, strict=True) if coefficient != 0.0]
-    return [] if set(kept) <= {"r", "r^2"} else kept
+    active = [term for term, coefficient in zip(terms, coefficients, strict=True) if coefficient != 0.0]
+    return [] if set(active) <= {"r", "r^2"} else active
 
 
 def _rate(record: exchange.Record) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""A virtual environment for every peer, made once and kept under a cache folder; all packages are pinned."""
+"""A virtual environment for every peer, created once in a cache folder, with pinned packages."""
 
 import hashlib
 import os
@@ -16,17 +16,17 @@ WITHIN_s = 900.0
 
 
 def cache_folder() -> Path:
-    """Where environments are kept unless another place is named."""
+    """Default folder of the environments."""
     return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "piezod-peers"
 
 
 def interpreter(name: str, packages: Sequence[str], cache: Path) -> Path:
-    """The Python of an environment that has these packages; it is made where it is not there.
+    """The Python interpreter of an environment with these packages; creates a missing environment.
 
     Parameters
     ----------
     name
-        Of the peer.
+        Name of the peer.
     packages
         As pip takes them; versions are those of `constraints.txt`.
     cache
@@ -53,9 +53,9 @@ def interpreter(name: str, packages: Sequence[str], cache: Path) -> Path:
 def _run(name: str, *command: object) -> None:
     try:
         done = subprocess.run([*map(str, command)], capture_output=True, text=True, timeout=WITHIN_s, check=False)
-        code, said = done.returncode, done.stderr.strip().splitlines()
+        code, messages = done.returncode, done.stderr.strip().splitlines()
     except (OSError, subprocess.TimeoutExpired) as error:
-        code, said = 1, [str(error)]
+        code, messages = 1, [str(error)]
     if code != 0:
-        wrong = [line for line in said if line.startswith("ERROR")] or said or ["nothing said"]
+        wrong = [line for line in messages if line.startswith("ERROR")] or messages or ["no message"]
         raise TemporaryError(f"environment of {name}: not made: {wrong[-1]}; leave it out with --peers, or try again")

@@ -1,8 +1,8 @@
-"""How a peer reads its case and answers. Copied beside the peer, which runs where nothing of `piezod` is installed.
+"""Input and output of a peer. This file is copied beside the peer, whose environment does not contain `piezod`.
 
-In the current directory lies `given.json`, which names the files, and each file is an `.npz` of columns of one length:
-`time_s`, `voltage_V`, `base_N` (the identified model's simulation) and what else was recorded; `force_N` is missing in
-the held-out record. The answer is `prediction.npz` with `force_N`, and `said.json`.
+`given.json` in the current directory names the files. Each file is an `.npz` with columns of equal length: `time_s`,
+`voltage_V`, `base_N` (simulation of the identified model) and further recorded columns. The held-out record has no
+`force_N`. The answer is `prediction.npz` with `force_N`, and `said.json`.
 """
 
 import json
@@ -15,7 +15,7 @@ import numpy as np
 
 GIVEN, PREDICTION, SAID = "given.json", "prediction.npz", "said.json"
 KNOWN = ("time_s", "voltage_V", "base_N", "force_N")
-TRAINED = 0.8  # of every recording; on the rest settings are compared
+TRAINED = 0.8  # share of every recording for fitting; the rest compares settings
 
 
 @dataclass(frozen=True)
@@ -25,7 +25,7 @@ class Record:
     Parameters
     ----------
     columns
-        By name, shape (n,) each.
+        Columns by name, each of shape (n,).
     """
 
     columns: dict[str, np.ndarray]
@@ -35,7 +35,7 @@ class Record:
 
     @property
     def size(self) -> int:
-        """Samples."""
+        """Number of samples."""
         return self["time_s"].size
 
     @property
@@ -45,23 +45,23 @@ class Record:
 
     @property
     def extra(self) -> tuple[str, ...]:
-        """Names of what else was recorded, such as `temperature_C`."""
+        """Names of further columns, such as `temperature_C`."""
         return tuple(sorted(set(self.columns) - set(KNOWN)))
 
     @property
     def missing_N(self) -> np.ndarray:
-        """What the identified model leaves out: measured less simulated, shape (n,) [N]."""
+        """Residual of the identified model: measured minus simulated force, shape (n,) [N]."""
         return self["force_N"] - self["base_N"]
 
 
 @dataclass(frozen=True)
 class Given:
-    """What a peer is given.
+    """The case of a peer.
 
     Parameters
     ----------
     identification
-        What the model was identified on.
+        Recording of the identification.
     recordings
         What it shall explain.
     held_out
@@ -78,8 +78,8 @@ class Given:
 
 def read() -> Given:
     """Read the case in the current directory."""
-    said = json.loads(Path(GIVEN).read_text(encoding="utf-8"))
-    return Given(_record(said["identification"]), tuple(map(_record, said["recordings"])), _record(said["held_out"]))
+    names = json.loads(Path(GIVEN).read_text(encoding="utf-8"))
+    return Given(_record(names["identification"]), tuple(map(_record, names["recordings"])), _record(names["held_out"]))
 
 
 def answer(given: Given, force_N: np.ndarray, terms: Sequence[str], setting: str, settings: int) -> None:

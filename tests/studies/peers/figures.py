@@ -1,4 +1,4 @@
-"""The table: every method on the same cases, judged against the truth, which is opened here and not before.
+"""The table of all methods on the same cases, compared with the truth, which is read last.
 
 - gap closed: as `firmware_sim.concealed.scoring.case_score` defines it, against the noise-free held-out force, for the
   cases that it counts. A prediction that diverged was cut at the measured range, so it closes less than nothing; one
@@ -41,7 +41,7 @@ class CaseFigures:
     Parameters
     ----------
     case, kind
-        Which.
+        Name and kind of the case.
     gap
         Closed on the held-out record (1); None: not counted.
     worse
@@ -51,9 +51,9 @@ class CaseFigures:
     said
         Terms or names.
     diverged, failed
-        Of the prediction.
+        Whether the prediction diverged or is missing.
     seconds
-        That it took: of a peer processor time, of `piezod` the time that its verdict says.
+        Duration: processor time of a peer, or the time in the verdict of `piezod` [s].
     """
 
     case: str

@@ -61,7 +61,7 @@ PEERS = {
 
 @dataclass(frozen=True)
 class Answer:
-    """What a peer said of a case.
+    """The answer of a peer to a case.
 
     Parameters
     ----------
@@ -127,10 +127,10 @@ def ask(peer: Peer, python: Path, case: Given, folder: Path) -> Answer:
 
 
 def read_answer(peer: Peer, folder: Path) -> Answer | None:
-    """What this version of a peer said before; None: nothing, or not to its end."""
+    """The stored answer of this version of a peer; None when it is missing or incomplete."""
     try:
-        said = json.loads((folder / ANSWER).read_text(encoding="utf-8"))
-        return Answer(**said | {"terms": tuple(said["terms"])}) if said["version"] == peer.version else None
+        stored = json.loads((folder / ANSWER).read_text(encoding="utf-8"))
+        return Answer(**stored | {"terms": tuple(stored["terms"])}) if stored["version"] == peer.version else None
     except (OSError, ValueError, KeyError, TypeError):
         return None
 
@@ -160,14 +160,14 @@ def _run(python: Path, program: str, scratch: Path) -> str:
         )
     except subprocess.TimeoutExpired:
         return f"took more than {WITHIN_s:g} s"
-    said = done.stderr.strip().splitlines() or ["nothing said"]
-    return f"ended with {done.returncode}: {said[-1]}" if done.returncode else ""
+    messages = done.stderr.strip().splitlines() or ["no message"]
+    return f"ended with {done.returncode}: {messages[-1]}" if done.returncode else ""
 
 
 def _answer(scratch: Path, case: Given) -> tuple[Answer, np.ndarray | None]:
-    """What was answered, the prediction cut at the measured range around the identified model's."""
+    """The answer, and the prediction, limited to the measured range around the identified model."""
     try:
-        said = json.loads((scratch / SAID).read_text(encoding="utf-8"))
+        content = json.loads((scratch / SAID).read_text(encoding="utf-8"))
         force_N = read_prediction(scratch)
     except (OSError, ValueError, KeyError) as error:
         return Answer(failed=f"its answer cannot be read: {error!r}"), None
@@ -176,5 +176,5 @@ def _answer(scratch: Path, case: Given) -> tuple[Answer, np.ndarray | None]:
         return Answer(failed="its prediction is missing or has another length than the held-out record"), None
     change_N = np.nan_to_num(force_N - base_N, nan=np.inf, posinf=np.inf, neginf=-np.inf)
     diverged = bool(np.max(np.abs(change_N)) > case.span_N)
-    answer = Answer(tuple(said["terms"]), said["setting"], said["settings"], said["busy_s"], diverged)
+    answer = Answer(tuple(content["terms"]), content["setting"], content["settings"], content["busy_s"], diverged)
     return answer, base_N + np.clip(change_N, -case.span_N, case.span_N)

@@ -13,6 +13,7 @@ from piezod.model import ExtendedCompensator, Model, Plant
 from piezod.model.compensator import InverseCompensator
 from piezod.model.parameters import Channel, Hysteresis, Provenance, Start, Superposition
 from tests.benchmarks.extended import extended_model
+from tests.benchmarks.memory import growth, traced_bytes
 
 PASS = 1000  # ticks over one list of references
 
@@ -62,23 +63,6 @@ def _tracing():
     tracemalloc.start()
     yield
     tracemalloc.stop()
-
-
-def growth(step, forces_N, passes, count):
-    """Growth of `count` over `passes` passes through all `forces_N`, after two passes to warm up."""
-    for _ in repeat(None, 2):
-        for force_N in forces_N:
-            step(force_N)
-    before = count()
-    before = count()  # again: as at the end, an earlier result exists during the count
-    for _ in repeat(None, passes):
-        for force_N in forces_N:
-            step(force_N)
-    return count() - before
-
-
-def traced_bytes():
-    return tracemalloc.get_traced_memory()[0]
 
 
 def tick_of(model):

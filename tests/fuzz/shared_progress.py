@@ -1,4 +1,4 @@
-"""What a worker is at, in memory that outlives it: the case's number, when it began, its input, and what it took."""
+"""Progress of a worker in shared memory that survives its crash: case number, start time, input, resources."""
 
 import mmap
 import time
@@ -6,19 +6,19 @@ from pathlib import Path
 
 from tests.fuzz.mutation import LARGEST
 
-# Whole numbers of 8 bytes, each written in one piece: the parent reads at any moment, struct would show it zeros.
+# Integers of 8 bytes, each written atomically, since the parent reads at any time; struct.pack_into is not atomic.
 _CASES, _BEGUN_NS, _SIZE, _PEAK_KIB, _GROWN_KIB, _DESCRIPTORS, _ACCEPTED = range(7)
 _WORD, _WORDS = 8, 8
 _DATA = _WORD * _WORDS
 
 
-class Board:
+class SharedProgress:
     """A file in shared memory, written by the worker and read by its parent.
 
     Parameters
     ----------
     path
-        The file; made if it is not there.
+        Path of the file; created if it is missing.
     """
 
     def __init__(self, path: Path) -> None:
@@ -30,46 +30,46 @@ class Board:
         self._words = self._view[:_DATA].cast("q")
 
     def begin(self, data: bytes) -> None:
-        """Write down the case before it is tried."""
-        words, kept = self._words, data[:LARGEST]
-        self._memory[_DATA : _DATA + len(kept)] = kept
-        words[_SIZE] = len(kept)
+        """Store a case before it is tried."""
+        words, stored = self._words, data[:LARGEST]
+        self._memory[_DATA : _DATA + len(stored)] = stored
+        words[_SIZE] = len(stored)
         words[_CASES] += 1
         words[_BEGUN_NS] = time.monotonic_ns()
 
     def idle(self) -> None:
-        """Nothing is being tried: what takes long now is no case."""
+        """Mark that no case is running."""
         self._words[_BEGUN_NS] = 0
 
     def take(self, peak_KiB: int, grown_KiB: int, descriptors: int, accepted: int) -> None:
-        """Write down what the cases took so far, and how many the parser accepted."""
+        """Store the resources used so far and the number of accepted cases."""
         self._words[_PEAK_KIB], self._words[_GROWN_KIB] = peak_KiB, grown_KiB
         self._words[_DESCRIPTORS], self._words[_ACCEPTED] = descriptors, accepted
 
     @property
     def took(self) -> tuple[float, float, int, int]:
-        """Peak and growth of the resident memory [MiB], descriptors more than before, cases accepted."""
+        """Peak and growth of the resident memory [MiB], additional descriptors, accepted cases."""
         words = self._words
         return words[_PEAK_KIB] / 1024, words[_GROWN_KIB] / 1024, words[_DESCRIPTORS], words[_ACCEPTED]
 
     @property
     def cases(self) -> int:
-        """How many were begun."""
+        """Number of started cases."""
         return self._words[_CASES]
 
     @property
     def age_s(self) -> float:
-        """How long the present case has been tried [s]; 0 when there is none."""
+        """Duration of the present case [s]; 0 without one."""
         begun_ns = self._words[_BEGUN_NS]
         return 1e-9 * (time.monotonic_ns() - begun_ns) if begun_ns else 0.0
 
     @property
     def data(self) -> bytes:
-        """Its input."""
+        """Input of the present case."""
         return bytes(self._view[_DATA : _DATA + self._words[_SIZE]])
 
     def close(self) -> None:
-        """Let go of the memory."""
+        """Release the memory."""
         self._words.release()
         self._view.release()
         self._memory.close()

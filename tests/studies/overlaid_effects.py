@@ -1,13 +1,12 @@
-"""An effect laid over a real recording: what the record would show had the bench had it.
+"""Effects laid over a real recording, as if the bench had them.
 
-The recorded output takes the place of the emulated stack: it runs through the emulator's own laws of creep, mechanics,
-load cell and converter, at `FINER` steps a sample, between samples along a cubic spline. An electrical lag acts in
-front of the stack: the voltage that the real stack got stands for the lagged one, and the command that would have led
-to it is recorded instead. What a clamp, a slew limit, a rate or a bias-dependent loop would have made of voltages that
-the stack never got cannot be laid over.
+The recorded output replaces the emulated stack. It passes the laws of the emulator for creep, mechanics, load cell and
+converter, with `FINER` steps for each sample and a cubic spline between samples. An electrical lag acts before the
+stack: the recorded voltage becomes the lagged one, and the command is computed from it. A clamp, a slew limit, a rate
+dependence and bias-dependent loops cannot be laid over, since the stack never received such voltages.
 
-An effect is made as strong as is asked: the root mean square of what it changes, besides the mean, is a multiple of
-what the diagnosis leaves of the recording as it is.
+The strength of an effect is the root mean square of its change without the mean, divided by the residual of the
+diagnosis of the unchanged recording.
 """
 
 from collections.abc import Callable, Mapping
@@ -27,34 +26,34 @@ from firmware_sim.physics.scenario import load_scenario
 from firmware_sim.physics.stack import deform
 from piezod.recording import Recording
 
-FINER = 40  # steps a sample
-SEED = 11  # of phases: mains, machine, room
-WIDE = 1e6  # of the output: no converter ends there
-CLOSE = 0.02  # to the strength that was asked for
-WIDER, HALVINGS = 3.0, 14  # of the factor on the way to it
+FINER = 40  # physics steps for each sample
+SEED = 11  # seed of the phases of mains, machine and room temperature
+WIDE = 1e6  # converter range beyond any output
+CLOSE = 0.02  # relative tolerance of the strength
+WIDER, HALVINGS = 3.0, 14  # growth and bisections of the search for the factor
 TEMPERATURE = "temperature_C"
 LAG = "electrical_lag"
 
 
 @dataclass(frozen=True)
-class LaidOver:
+class Overlay:
     """How an effect is laid over a recording.
 
     Parameters
     ----------
     values
-        As `firmware_sim` takes them, for a recording and a factor of strength.
+        Function from a recording and a strength factor to the values for `firmware_sim`.
     parameter
-        Whose value is compared.
+        Name of the compared parameter.
     start
-        Factor to begin with; None: its strength is what it is.
+        First factor of the search; None: the strength is fixed.
     inverse
-        Whether the parameter falls as the effect grows: a cut-off, a time constant.
+        Whether the parameter falls as the effect grows, as a cut-off does.
     alike
-        Whether the emulated law has the parameter in the catalogue's sense.
+        Whether the emulated law uses the parameter as the catalogue defines it.
     """
 
-    values: Callable[["Bare", float], dict[str, object]]
+    values: Callable[["BaseRecording", float], dict[str, object]]
     parameter: str
     start: float | None
     inverse: bool = False
@@ -62,17 +61,17 @@ class LaidOver:
 
 
 @dataclass(frozen=True)
-class Bare:
-    """A recording as it is, and what an effect is measured by.
+class BaseRecording:
+    """A recording without an overlaid effect, and its residual.
 
     Parameters
     ----------
     recording
-        Evenly sampled; with the made temperature of the room.
+        Evenly sampled, with an emulated room temperature.
     command, output
-        Its channels.
+        Names of its channels.
     residual
-        What its diagnosis leaves on blocks left out [output unit].
+        Residual of its diagnosis on held-out blocks [output unit].
     """
 
     recording: Recording
@@ -87,57 +86,57 @@ class Bare:
 
     @property
     def duration_s(self) -> float:
-        """Of the record [s]."""
+        """Duration of the record [s]."""
         return float(np.ptp(self.recording.time_s))
 
     @property
     def span(self) -> float:
-        """Of the output [output unit]."""
+        """Range of the output [output unit]."""
         return float(np.ptp(self.recording.channel(self.output)))
 
 
-def _part(of: float) -> Callable[[Bare], float]:
+def _part(of: float) -> Callable[[BaseRecording], float]:
     return lambda bare: of * bare.duration_s
 
 
 def _simple(
     effect: str,
     parameter: str,
-    of: Callable[[Bare], float],
+    of: Callable[[BaseRecording], float],
     start: float,
     *,
     inverse: bool = False,
     alike: bool = True,
     **others: object,
-) -> tuple[str, LaidOver]:
-    """An effect of one strength: `of` a recording times the factor, or over it."""
+) -> tuple[str, Overlay]:
+    """An overlay with one parameter: `of` the recording, multiplied or divided by the factor."""
 
-    def values(bare: Bare, factor: float) -> dict[str, object]:
+    def values(bare: BaseRecording, factor: float) -> dict[str, object]:
         rest = {name: value(bare) if callable(value) else value for name, value in others.items()}
         return {parameter: of(bare) / factor if inverse else of(bare) * factor, **rest}
 
-    return effect, LaidOver(values, parameter, start, inverse, alike)
+    return effect, Overlay(values, parameter, start, inverse, alike)
 
 
-def _residual(bare: Bare) -> float:
+def _residual(bare: BaseRecording) -> float:
     return bare.residual
 
 
-def _sample(bare: Bare) -> float:
+def _sample(bare: BaseRecording) -> float:
     return bare.dt_s
 
 
-def _per_speed(bare: Bare) -> float:
+def _per_speed(bare: BaseRecording) -> float:
     """Residual over the rate of the command [output unit s / command unit]."""
     return bare.residual / float(np.std(np.gradient(bare.recording.channel(bare.command), bare.dt_s)))
 
 
-def _dropped(bare: Bare, factor: float) -> dict[str, object]:  # it is there or not
+def _dropped(bare: BaseRecording, factor: float) -> dict[str, object]:  # without a strength
     places = [[part * bare.duration_s, part * bare.duration_s + 40.0 * bare.dt_s] for part in (0.21, 0.47, 0.74)]
     return {"places_s": places}
 
 
-LAID_OVER = dict(
+OVERLAYS = dict(
     (
         _simple(LAG, "time_constant_s", _sample, 4.0),
         _simple("creep", "per_decade", lambda _: 1.0, 0.02, from_s=0.1, to_s=1000.0),
@@ -153,37 +152,37 @@ LAID_OVER = dict(
         _simple("sensor_filter", "cutoff_Hz", lambda bare: 0.05 / bare.dt_s, 1.0, inverse=True),
         _simple("feedthrough", "coefficient_N_s_per_V", _per_speed, 3.0, bandwidth_Hz=lambda bare: 0.25 / bare.dt_s),
         _simple("mains_hum", "amplitude_N", _residual, 4.0, frequency_Hz=50.0),
-        ("sensor_dropout", LaidOver(_dropped, "from_s", None)),
+        ("sensor_dropout", Overlay(_dropped, "from_s", None)),
         _simple("quantisation", "step_N", _residual, 10.0),
         _simple("transport_delay", "delay_s", _sample, 3.0),
         _simple("clock_skew", "skew_ppm", lambda bare: 1e6 * bare.dt_s / bare.duration_s, 6.0),
     )
 )
-NOT_LAID_OVER = "slew_limit, voltage_clamp, rate_dependent_hysteresis, noncongruent_minor_loops"
+NOT_OVERLAID = "slew_limit, voltage_clamp, rate_dependent_hysteresis, noncongruent_minor_loops"
 
 
-def as_strong_as(name: str, bare: Bare, strength: float) -> tuple[Recording, dict[str, object], float]:
-    """A recording with an effect that changes it by so many residuals.
+def scaled_overlay(name: str, bare: BaseRecording, strength: float) -> tuple[Recording, dict[str, object], float]:
+    """A recording with an effect of the given strength.
 
     Parameters
     ----------
     name
-        Of the catalogue.
+        Name of the effect.
     bare
-        The recording as it is.
+        The recording without the effect.
     strength
-        Root mean square of the change besides its mean, over the residual.
+        Root mean square of the change without its mean, over the residual.
 
     Returns
     -------
     recording, values, size
-        The record, what was switched on, and the strength reached: less where the effect cannot be as strong.
+        The changed recording, the values of the effect, and the reached strength, which can be lower.
     """
-    how = LAID_OVER[name]
+    how = OVERLAYS[name]
 
     def made(factor: float) -> tuple[Recording, dict[str, object], float]:
         values = how.values(bare, factor)
-        recording = laid_over(bare, {name: values})
+        recording = overlaid(bare, {name: values})
         return recording, values, _change(bare, recording, name) / bare.residual
 
     if how.start is None:
@@ -196,9 +195,9 @@ def as_strong_as(name: str, bare: Bare, strength: float) -> tuple[Recording, dic
         weaker, high = found, WIDER * high
         try:
             found = made(high)
-        except ConfigurationError:  # beyond what the emulator takes
+        except ConfigurationError:  # beyond the limits of the emulator
             return weaker
-        if found[2] < (1.0 + CLOSE) * weaker[2]:  # as strong as it can be
+        if found[2] < (1.0 + CLOSE) * weaker[2]:  # the largest possible strength
             return weaker
     for _ in range(HALVINGS):
         middle = float(np.sqrt(low * high))
@@ -209,8 +208,8 @@ def as_strong_as(name: str, bare: Bare, strength: float) -> tuple[Recording, dic
     return found
 
 
-def with_room(recording: Recording) -> Recording:
-    """The same with the made temperature of the room that every record of a study has."""
+def with_room_temperature(recording: Recording) -> Recording:
+    """The recording with an emulated room temperature, as in every study."""
     time_s = recording.time_s - recording.time_s[0]
     temperature_C, _ = _run(time_s, np.zeros(time_s.size), np.zeros(time_s.size), {}, 1.0)
     return Recording(
@@ -218,8 +217,8 @@ def with_room(recording: Recording) -> Recording:
     )
 
 
-def laid_over(bare: Bare, effects: Mapping[str, Mapping[str, object]]) -> Recording:
-    """The record that shows what the emulated laws make of the real output; the temperature stays the room's."""
+def overlaid(bare: BaseRecording, effects: Mapping[str, Mapping[str, object]]) -> Recording:
+    """The recording with these effects laid over its output; the temperature does not change."""
     recording = bare.recording
     time_s = recording.time_s - recording.time_s[0]
     command, output = recording.channel(bare.command), recording.channel(bare.output)
@@ -232,8 +231,8 @@ def laid_over(bare: Bare, effects: Mapping[str, Mapping[str, object]]) -> Record
     return Recording(recording.time_s, channels, recording.metadata, recording.source)
 
 
-def _change(bare: Bare, made: Recording, name: str) -> float:
-    """Root mean square of what an effect changes besides the mean; of a lag, by the output's own slope."""
+def _change(bare: BaseRecording, made: Recording, name: str) -> float:
+    """Root mean square of the change without its mean; for a lag, scaled by the mean gain of the output."""
     if name != LAG:
         return float(np.std(made.channel(bare.output) - bare.recording.channel(bare.output)))
     earlier = made.channel(bare.command) - bare.recording.channel(bare.command)
@@ -242,7 +241,7 @@ def _change(bare: Bare, made: Recording, name: str) -> float:
 
 
 def _before_lag(time_s: np.ndarray, voltage: np.ndarray, time_constant_s: float) -> np.ndarray:
-    """Commands that a first-order lag makes these voltages of; `tau du/dt = command - u` on the fine steps."""
+    """Commands from which a first-order lag makes these voltages; `tau du/dt = command - u` on the fine steps."""
     step_s = float(np.median(np.diff(time_s))) / FINER
     spline = CubicSpline(time_s, voltage)
     middle_s = time_s + 0.5 * step_s
@@ -253,7 +252,7 @@ def _before_lag(time_s: np.ndarray, voltage: np.ndarray, time_constant_s: float)
 def _run(
     time_s: np.ndarray, output: np.ndarray, drive: np.ndarray, effects: Mapping[str, Mapping[str, object]], span: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Temperature [degC] and readings of the emulated chain behind a stack that does what was recorded."""
+    """Temperature [degC] and readings of the emulated chain behind a stack with the recorded output."""
     step_s = float(np.median(np.diff(time_s))) / FINER
     scenario = load_scenario(
         "stack",
@@ -289,7 +288,7 @@ def _run(
 def _pass(
     states: Records, parameter_sets: Records, output: np.ndarray, drive: np.ndarray, ends: np.ndarray, rows: np.ndarray
 ) -> None:
-    """Let a recorded output through what comes behind a stack; rows of temperature and reading at steps `ends`."""
+    """Pass a recorded output through the chain behind the stack; rows: temperature and reading at steps `ends`."""
     state, parameters = states[0], parameter_sets[0]
     step = 0
     for row in range(ends.size):
@@ -302,7 +301,7 @@ def _pass(
 
 @njit(cache=True)
 def _step(state: Record, parameters: Record, output: float, drive: float) -> None:
-    """One physics step; the stack's voltage stands for what it does, then for what couples into the signal."""
+    """One physics step; `output_V` first holds the output of the stack, then the drive that couples into the signal."""
     state.steps += 1
     state.output_V = output
     deform(state, parameters)
