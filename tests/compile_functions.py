@@ -1,4 +1,4 @@
-"""The command that compiles the functions of both packages, so that the processes of a test run load them from the cache.
+"""Compile the functions of both packages, so that the processes of a test run load them from the cache.
 
     python -m tests.compile_functions
 

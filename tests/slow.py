@@ -1,10 +1,10 @@
 """The command that runs the tests marked `slow`, and writes their results into `tests/README.md`.
 
-    python -m tests.slow                  # all of them
-    python -m tests.slow tests/studies    # those below a path; the table in the README stays as it is
+python -m tests.slow                  # all of them
+python -m tests.slow tests/studies    # those below a path; the table in the README stays as it is
 """
 
-import datetime
+import datetime as dt
 import sys
 import time
 from pathlib import Path
@@ -34,14 +34,16 @@ class Results:
 
     def table(self, total_s):
         """Markdown table of the tests, the date and the total time."""
-        date = datetime.datetime.now(tz=datetime.UTC).date().isoformat()
+        date = dt.datetime.now(tz=dt.UTC).date().isoformat()
         count = {word: list(self.outcomes.values()).count(word) for word in ("passed", "failed", "skipped")}
         counts = ", ".join(f"{number} {word}" for word, number in count.items() if number)
         rows = [
             f"| `{name.removeprefix('tests/')}` | {self.outcomes[name]} | {self.seconds[name]:.0f} s |"
             for name in sorted(self.outcomes)
         ]
-        return "\n".join([f"{date}: {counts}, {total_s:.0f} s in all", "", "| test | result | time |", "|---|---|---|", *rows])
+        return "\n".join(
+            [f"{date}: {counts}, {total_s:.0f} s in all", "", "| test | result | time |", "|---|---|---|", *rows]
+        )
 
 
 def written(text, table):

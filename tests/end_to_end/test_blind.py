@@ -123,6 +123,7 @@ def running(*arguments):
     return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
 
 
+@pytest.mark.slow
 def test_what_no_effect_explains_leaves_the_model_as_it_was(tmp_path):
     made = piezod("blind", "make", tmp_path / "study", "--cases", 1, "--kind", "foreign", "--seed", FOREIGN_SEED)
     assert made.returncode == 0, made.stderr
@@ -160,6 +161,7 @@ def test_a_cluster_whose_workers_see_no_file_of_ours_says_the_same(bare, judged,
         assert same(verdict(tmp_path / "verdicts" / name), verdict(judged / name))
 
 
+@pytest.mark.slow
 def test_a_worker_of_the_cluster_that_is_killed_loses_no_case(bare, judged, tmp_path):
     with cluster(tmp_path) as (address, workers):
         run = running(bare, "-o", tmp_path / "verdicts", "--scheduler", address)

@@ -103,7 +103,11 @@ def test_a_bench_with_nothing_wrong_matches_its_model(identified, tmp_path):
 
 @pytest.mark.parametrize(
     ("name", "parameter", "within"),
-    [("electrical_lag", "time_constant_s", 0.02), ("creep", "per_decade", 0.25), ("resonance", "frequency_Hz", 0.005)],
+    [
+        ("electrical_lag", "time_constant_s", 0.02),
+        pytest.param("creep", "per_decade", 0.25, marks=pytest.mark.slow),
+        pytest.param("resonance", "frequency_Hz", 0.005, marks=pytest.mark.slow),
+    ],
 )
 def test_an_effect_that_has_come_since_is_named_measured_and_modelled(identified, tmp_path, name, parameter, within):
     given = {"electrical_lag": 0.008, "creep": 0.015, "resonance": 45.0}[name]

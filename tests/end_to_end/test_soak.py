@@ -4,6 +4,7 @@ import os
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from piezod.control import Cause, State
 from piezod.recording.ring_log import ROW_DTYPE
@@ -13,6 +14,7 @@ DURATION_S = 10.0
 RATE_HZ = 200.0  # a busy machine may be slow, the memory does not mind
 
 
+@pytest.mark.slow
 def test_a_busy_machine_costs_no_memory_no_descriptors_and_no_fault_but_deadlines():
     before = set(own_children())
     soaked = soak(DURATION_S, RATE_HZ)

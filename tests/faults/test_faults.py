@@ -7,7 +7,7 @@ import time
 import pytest
 
 from piezod.errors import ConfigurationError
-from tests.faults import run
+from tests.faults import input_faults, manual_clock_faults, run
 from tests.faults.bench_pool import open_bench_pool
 from tests.faults.catalogue import load_faults
 from tests.faults.live_bench import DeviceProcess
@@ -29,7 +29,13 @@ def probe():
     sleeper.close()
 
 
-@pytest.mark.parametrize("fault", FAULTS, ids=lambda fault: fault.id)
+def listed(fault):
+    """A fault as a parameter; only the benches without a process of their own do not depend on the real clock."""
+    in_process = fault.injector in manual_clock_faults.INJECTORS or fault.injector in input_faults.INJECTORS
+    return pytest.param(fault, id=fault.id, marks=() if in_process else pytest.mark.alone)
+
+
+@pytest.mark.parametrize("fault", map(listed, FAULTS))
 def test_fault_has_its_expected_result(fault, pool, probe):
     result = run.run(fault, pool, probe)
     if result.skipped:
@@ -41,6 +47,7 @@ def test_at_least_a_hundred_faults_are_injected_without_other_tests():
     assert sum(fault.injector != "checked" for fault in FAULTS) >= 100
 
 
+@pytest.mark.alone
 def test_device_process_reports_its_own_standstill():
     device = DeviceProcess({})
     try:
