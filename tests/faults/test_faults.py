@@ -35,7 +35,7 @@ def listed(fault):
     return pytest.param(fault, id=fault.id, marks=() if in_process else pytest.mark.alone)
 
 
-@pytest.mark.parametrize("fault", map(listed, FAULTS))
+@pytest.mark.parametrize("fault", [listed(fault) for fault in FAULTS])
 def test_fault_has_its_expected_result(fault, pool, probe):
     result = run.run(fault, pool, probe)
     if result.skipped:
