@@ -2,6 +2,6 @@
 
     python -m tests.benchmarks [NAME...] [--json FILE] [--quick]
 
-Absolute times move with the machine; ratios within one run hold. So every figure stands beside a limit that is measured
-in the same run, the two alternating round by round, and both are medians over the rounds. No test asserts any of it.
+Absolute times vary with the machine; ratios within one run are stable. So each figure stands beside a limit measured in
+the same run. Figure and limit alternate round by round, and both are medians over the rounds. No test asserts a time.
 """

@@ -1,12 +1,12 @@
-/* libmodbus exchanging the block of config/bench.yaml by function 0x17, timed.
+/* Times the exchanges of libmodbus: function 0x17 with the block of config/bench.yaml.
 
    modbus_client tcp HOST PORT COUNT PERIOD_US
    modbus_client rtu PATH BAUDRATE COUNT PERIOD_US
 
-   PERIOD_US 0: one exchange after the other (on a serial line after the silence between frames), and what each took.
-   Else: as the control process does it (SCHED_FIFO, memory locked, latency request held), one exchange a period, and the
-   time from its deadline to its end; a missed deadline is skipped.
-   Prints COUNT numbers [ns], one a line; exits with 1 when an exchange fails. */
+   PERIOD_US 0: successive exchanges (on a serial line after the silence between frames), and the duration of each.
+   Otherwise: one exchange in each period, as in the control process (SCHED_FIFO, locked memory, latency request), and
+   the time from its deadline to its end; a missed deadline is skipped.
+   Prints COUNT numbers [ns], one on each line; exits with 1 when an exchange fails. */
 
 #include <errno.h>
 #include <fcntl.h>

@@ -1,7 +1,7 @@
-/* The least Modbus server there can be, for function 0x17 alone: what it costs is what the wire and the kernel cost.
+/* A minimal Modbus server for function 0x17; its time is mainly that of the wire and the kernel.
 
-   modbus_server tcp        listens on a free port, prints it, serves one client after the other
-   modbus_server rtu        serves the pty's other end on standard input
+   modbus_server tcp        listens on a free port, prints it, serves one client at a time
+   modbus_server rtu        serves the other end of the pty on standard input
 
    The answer is the block of config/bench.yaml: force, voltage read back (as written), heartbeat (counts), command echo. */
 

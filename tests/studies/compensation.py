@@ -1,14 +1,14 @@
-"""How well a force is followed on the emulated bench: plain gain, static inverse, extended inverse, and the floor.
+"""Tracking on the emulated bench with plain gain, static inverse and extended inverse, beside the floor.
 
-The bench hides what `HIDDEN` says, and nobody tells `piezod`: an identification excitation is recorded over the link
-and identified, mixed work is recorded and diagnosed, each by its command, at the rate that is driven afterwards. The
-static inverse is that of the identified model, the extended one that of the diagnosed model. Every row begins with a
-bench that has just been switched on, in virtual time, so nothing depends on how busy the machine is.
+The bench has the effects in `HIDDEN`, which `piezod` does not know. An identification excitation is recorded over the
+link and identified. Mixed work is recorded and diagnosed. Both use `piezod` commands, at the rate of the later run. The
+static inverse is that of the identified model, the extended inverse that of the diagnosed model. Every row starts with
+a bench after power-on, in virtual time, so that load of the machine has no influence.
 
-Errors are those of the reading, without the first `SETTLES_S` of a run, in which the approach is still being read. The
-floor is what no feedforward can take off: the load cell's noise. `true` is the error of the force itself, which is
-ahead of its reading by what delays the reading. `limited` says how much of the time the bench's own slew limit (or a
-rail) did not let the planned voltage through.
+Errors are those of the reading, without the first `SETTLES_S` of a run, which contain the approach. The floor is the
+noise of the load cell, which no feedforward can reduce. `true` is the error of the true force, which precedes its
+reading by the delay of the reading. `limited` is the share of ticks in which the slew limit or a voltage limit of the
+bench changed the planned voltage.
 """
 
 import json

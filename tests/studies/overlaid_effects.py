@@ -1,12 +1,12 @@
 """Effects laid over a real recording, as if the bench had them.
 
 The recorded output replaces the emulated stack. It passes the laws of the emulator for creep, mechanics, load cell and
-converter, with `FINER` steps for each sample and a cubic spline between samples. An electrical lag acts before the
+converter. Each sample has `FINER` steps, with a cubic spline between samples. An electrical lag acts before the
 stack: the recorded voltage becomes the lagged one, and the command is computed from it. A clamp, a slew limit, a rate
 dependence and bias-dependent loops cannot be laid over, since the stack never received such voltages.
 
-The strength of an effect is the root mean square of its change without the mean, divided by the residual of the
-diagnosis of the unchanged recording.
+The strength of an effect is the root mean square of its change without the mean, in units of the residual. The
+residual is that of the diagnosis of the unchanged recording.
 """
 
 from collections.abc import Callable, Mapping

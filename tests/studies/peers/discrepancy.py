@@ -7,8 +7,8 @@ composed one). Columns and regression are those of `pysindy.SINDy.fit`; they are
 thresholds share one set of columns.
 
 Every setting is simulated over every recording, from r = 0 at rest. It is compared on the last fifth, to which it was
-not fitted. f is at most quadratic in r, so three evaluations a sample give its coefficients, and an exponential Euler
-step (exact where f is linear in r and the inputs are held) integrates it.
+not fitted. f is at most quadratic in r, so three evaluations for each sample give its coefficients. An exponential
+Euler step integrates it, exactly where f is linear in r and the inputs are held.
 """
 
 import math

@@ -1,7 +1,8 @@
-"""Ridge regression of what the identified model leaves out on lagged columns: predicts and says nothing, for scale.
+"""Ridge regression of the residual of the identified model on lagged columns: a prediction without terms, for scale.
 
-Voltage, its rate, the identified model's force and what else was recorded, each now and at lags of up to ten seconds,
-and the squares of the first three; the penalty is chosen on the last fifth of the recordings.
+The columns are voltage, its rate, the force of the identified model and further recorded columns. Each is used at the
+present and at lags of up to ten seconds; the first three also squared. The penalty is chosen on the last fifth of the
+recordings.
 """
 
 import math

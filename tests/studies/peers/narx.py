@@ -1,12 +1,12 @@
 """SysIdentPy's FROLS: a polynomial NARX model with the voltage and the identified model's simulation as inputs.
 
-Structures differ in what is modelled (the force, or what the identified model leaves out), lags, degree and number of
-terms; each runs freely over the last fifth of the recordings, from its measured beginning, and the best one predicts.
-Recordings are put behind each other; all begin at rest. SysIdentPy's inputs begin one sample back, so they are
-shifted by one: the present voltage may be used, as `piezod` uses it.
+Structures differ in the output (the force, or the residual of the identified model), lags, degree and number of terms.
+Each is simulated over the last fifth of the recordings, from its measured start, and the best one predicts. Recordings
+are concatenated; all begin at rest. SysIdentPy's inputs begin one sample back, so they are shifted by one sample: the
+present voltage may be used, as `piezod` uses it.
 
-The identified model's present force for the force, or for what is missing nothing but its own past, which begins at 0,
-says that nothing is missing.
+A structure reports no missing term in two cases. For the force: only the present force of the identified model. For the
+residual: only its own past, which begins at 0.
 """
 
 import math
