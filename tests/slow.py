@@ -1,7 +1,9 @@
 """The command that runs the tests marked `slow`, and writes their results into `tests/README.md`.
 
-python -m tests.slow                  # all of them
-python -m tests.slow tests/studies    # those below a path; the table in the README stays as it is
+    python -m tests.slow                  # all of them
+    python -m tests.slow tests/studies    # those below a path; the table in the README stays as it is
+
+The workers of pytest run the tests at the same time, so a time of this table is longer than that of a test alone.
 """
 
 import datetime as dt

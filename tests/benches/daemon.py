@@ -34,7 +34,7 @@ class Daemon:
         self.told, self.said = [], []
         self.begun_s = time.monotonic()
         self.listener = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
-        name = f"\0piezod-hil-{os.getpid()}-{id(self)}"
+        name = f"\0piezod-tests-{os.getpid()}-{id(self)}"
         self.listener.bind(name)
         self.process = subprocess.Popen(
             [sys.executable, "-m", "piezod", "run", str(bench), *arguments],

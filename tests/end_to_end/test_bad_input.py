@@ -161,14 +161,22 @@ def test_an_unknown_excitation_and_a_peak_above_the_limit_end_with_2(tmp_path):
     assert not output.exists()
 
 
-@pytest.mark.parametrize(
-    ("old", "new", "says"),
-    [
-        ("unit: N", "unit: um", "output.unit is 'um' (column force_N), must be 'N' to drive a bench; identify on"),
-        ("unit: V", "unit: mm", "input.unit is 'mm' (column voltage_V), must be 'V' to drive a bench; identify on"),
-    ],
+OTHER_OUTPUT = (
+    "unit: N",
+    "unit: um",
+    "output.unit is 'um' (column force_N), must be 'N' to drive a bench; identify on",
 )
-@pytest.mark.parametrize("command", ["run", "check", "validate"])
+OTHER_INPUT = (
+    "unit: V",
+    "unit: mm",
+    "input.unit is 'mm' (column voltage_V), must be 'V' to drive a bench; identify on",
+)
+
+
+@pytest.mark.parametrize(
+    ("command", "old", "new", "says"),
+    [("run", *OTHER_OUTPUT), ("run", *OTHER_INPUT), ("check", *OTHER_OUTPUT), ("validate", *OTHER_INPUT)],
+)
 def test_a_model_of_other_units_than_the_benchs_is_refused_before_the_device_is_spoken_to(
     tmp_path, command, old, new, says
 ):

@@ -17,6 +17,7 @@ def commissioned(tmp_path_factory):
     return folder, json.loads(done.stdout)
 
 
+@pytest.mark.slow
 def test_the_better_models_leave_a_tenth_of_the_hysteresis_that_the_thesis_began_with(commissioned):
     _, result = commissioned
     assert result["better"] == "staircase-minor-loops-multisine"
@@ -31,6 +32,7 @@ def test_the_better_models_leave_a_tenth_of_the_hysteresis_that_the_thesis_began
     assert 4.5 < max(openings["without"]) < 6.5
 
 
+@pytest.mark.slow
 def test_models_recordings_and_pages_are_left(commissioned):
     folder, _ = commissioned
     for name in EXCITATIONS:
