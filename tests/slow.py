@@ -29,7 +29,7 @@ class Results:
 
     def pytest_runtest_logreport(self, report):
         """Add one phase (setup, call or teardown) of a test."""
-        name = report.nodeid
+        name = report.nodeid.partition("@")[0]  # without the group
         self.seconds[name] = self.seconds.get(name, 0.0) + report.duration
         if report.outcome != "passed" or name not in self.outcomes:
             self.outcomes[name] = report.outcome

@@ -151,6 +151,7 @@ def test_the_cases_are_judged_without_the_truth_and_then_scored_with_it(study, j
     assert "counted as wrong" not in done.stdout
 
 
+@pytest.mark.slow
 def test_a_cluster_whose_workers_see_no_file_of_ours_says_the_same(bare, judged, tmp_path):
     with cluster(tmp_path) as (address, _):
         done = piezod("blind", "run", bare, "-o", tmp_path / "verdicts", "--scheduler", address)
@@ -176,6 +177,7 @@ def test_a_worker_of_the_cluster_that_is_killed_loses_no_case(bare, judged, tmp_
         assert same(verdict(tmp_path / "verdicts" / name), verdict(judged / name))
 
 
+@pytest.mark.slow
 def test_a_run_that_is_interrupted_leaves_nothing_behind_and_goes_on_where_it_stopped(bare, judged, tmp_path):
     folder = tmp_path / "verdicts"
     run = running(bare, "-o", folder, "--jobs", 1)

@@ -59,6 +59,7 @@ def test_a_changed_bench_is_noticed_said_once_and_kept(left):
     assert 30.0 * 200 < len(rows) < 62.0 * 200
 
 
+@pytest.mark.slow
 def test_what_was_kept_is_diagnosed_with_the_model_of_the_bench(left, tmp_path):
     _, bench, _ = left
     done = piezod("diagnose", "--from-bench", bench, "-o", tmp_path / "out")

@@ -31,7 +31,7 @@ def test_a_bench_file_is_made_without_questions_and_passes_the_check(serves, tmp
     assert found[-1] == "identity, map version and byte order: as the profile expects, as far as it names them"
     bench = load_bench(path)
     assert (bench.name, bench.link.port) == ("press", int(port))
-    assert "Units stand in the names" in path.read_text(encoding="utf-8")
+    assert "The name of a key contains its unit" in path.read_text(encoding="utf-8")
     checked = piezod("config", "check", path)
     assert checked.returncode == 0
     assert "bench 'press', 1000 Hz over modbus_tcp" in checked.stdout

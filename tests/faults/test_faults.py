@@ -32,7 +32,7 @@ def probe():
 def listed(fault):
     """A fault as a parameter; only the benches without a process of their own do not depend on the real clock."""
     in_process = fault.injector in manual_clock_faults.INJECTORS or fault.injector in input_faults.INJECTORS
-    return pytest.param(fault, id=fault.id, marks=() if in_process else pytest.mark.alone)
+    return pytest.param(fault, id=fault.id, marks=() if in_process else pytest.mark.real_time)
 
 
 @pytest.mark.parametrize("fault", [listed(fault) for fault in FAULTS])
@@ -47,7 +47,7 @@ def test_at_least_a_hundred_faults_are_injected_without_other_tests():
     assert sum(fault.injector != "checked" for fault in FAULTS) >= 100
 
 
-@pytest.mark.alone
+@pytest.mark.real_time
 def test_device_process_reports_its_own_standstill():
     device = DeviceProcess({})
     try:
