@@ -1,11 +1,14 @@
 """Settings that every test shares, and the order in which workers take the tests.
 
 Each file is one group, which one worker runs from its first test to its last, so that it sets a shared bench up once.
-Tests marked `real_time` are one group over all files: they wait for the real clock, at most one of them at a time, and
-leave the cores to the others. They start first, then the files that take longest, then the rest.
+Tests marked `real_time` judge deadlines of the real clock. They are the last group, and run while no other test does.
 """
 
+import contextlib
+import fcntl
 import os
+import tempfile
+from pathlib import Path
 
 import pytest
 from hypothesis import settings
@@ -16,25 +19,43 @@ settings.load_profile("piezod")
 for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"):  # one worker a core; children inherit it
     os.environ.setdefault(name, "1")
 
-LONGEST_FIRST = ("real time", "tests/end_to_end/", "tests/unit/diagnose/", "tests/contract/", "tests/")
-MOST_WORKERS = 5
-
-
-def pytest_xdist_auto_num_workers():
-    """One worker a core, and one that mostly waits, for the real-time tests."""
-    return min(len(os.sched_getaffinity(0)) + 1, MOST_WORKERS)
+ORDER = ("tests/end_to_end/", "tests/unit/diagnose/", "tests/contract/", "tests/", "real time")
+"""Groups by what their names start with: those that take longest come first."""
 
 
 @pytest.hookimpl(tryfirst=True)  # before xdist reads the groups
 def pytest_collection_modifyitems(items):
-    """Put every test into its group, and the groups that take longest first."""
+    """Put every test into its group, and the groups into their order."""
     for item in items:
-        if item.get_closest_marker("xdist_group") is None:
-            real_time = item.get_closest_marker("real_time") is not None
-            item.add_marker(pytest.mark.xdist_group("real time" if real_time else item.nodeid.partition("::")[0]))
-    items.sort(key=_rank)
+        real_time = item.get_closest_marker("real_time") is not None
+        item.add_marker(pytest.mark.xdist_group("real time" if real_time else item.nodeid.partition("::")[0]))
+    items.sort(key=_place)
 
 
-def _rank(item):
+def _place(item):
     group = item.get_closest_marker("xdist_group").args[0]
-    return next(rank for rank, start in enumerate(LONGEST_FIRST) if group.startswith(start))
+    return next(place for place, start in enumerate(ORDER) if group.startswith(start))
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_protocol(item):
+    """A test holds the lock of the run together with other tests, a real-time test holds it alone."""
+    with _lock(alone=item.get_closest_marker("real_time") is not None):
+        return (yield)
+
+
+@contextlib.contextmanager
+def _lock(*, alone):
+    run = os.environ.get("PYTEST_XDIST_TESTRUNUID")
+    if run is None:
+        yield
+        return
+    with (Path(tempfile.gettempdir()) / f"piezod-tests-{run}.lock").open("w") as file:
+        fcntl.flock(file, fcntl.LOCK_EX if alone else fcntl.LOCK_SH)
+        yield
+
+
+def pytest_unconfigure(config):
+    """Remove the lock of the run when its workers have ended."""
+    if run := getattr(config.pluginmanager.get_plugin("dsession"), "testrunuid", None):
+        (Path(tempfile.gettempdir()) / f"piezod-tests-{run}.lock").unlink(missing_ok=True)

@@ -65,6 +65,7 @@ def test_a_smooth_stack_needs_no_corner(by_all):
     assert found is None or found[1].loss > SHARPER * smooth.loss
 
 
+@pytest.mark.slow
 def test_what_corners_explain_gets_no_name_and_what_they_do_not_keeps_its_own():
     assert search(*chain_over(few_plays), lambda *_: None).names == ()
     bent = search(*chain_over(few_plays, lambda force_N: force_N + 1e-4 * force_N**2), lambda *_: None)
