@@ -40,13 +40,13 @@ def _place(item):
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_protocol(item):
     """A test holds the lock of the run together with other tests, a real-time test holds it alone."""
-    with _lock(alone=item.get_closest_marker("real_time") is not None):
+    worker = getattr(item.config, "workerinput", {})  # not the environment: a pytest that a test starts inherits that
+    with _lock(worker.get("testrunuid"), alone=item.get_closest_marker("real_time") is not None):
         return (yield)
 
 
 @contextlib.contextmanager
-def _lock(*, alone):
-    run = os.environ.get("PYTEST_XDIST_TESTRUNUID")
+def _lock(run, *, alone):
     if run is None:
         yield
         return
