@@ -14,7 +14,7 @@ import typer
 
 from piezod.cli import app
 from piezod.errors import PiezodError
-from tests.faults.live_bench import ROOT, LiveBench
+from tests.faults.live_bench import DAEMON_ROOT, LiveBench
 
 
 class InjectionUnavailableError(Exception):
@@ -141,7 +141,7 @@ def run_piezod(*arguments, within_s=90.0):
     begun_s = time.monotonic()
     done = subprocess.run(
         [sys.executable, "-m", "piezod", *map(str, arguments)],
-        capture_output=True, text=True, timeout=within_s, check=False, cwd=ROOT,
+        capture_output=True, text=True, timeout=within_s, check=False, cwd=DAEMON_ROOT,
     )  # fmt: skip
     return done.returncode, done.stdout + done.stderr, 1e3 * (time.monotonic() - begun_s)
 

@@ -23,6 +23,7 @@ from piezod.daemon.client import Client
 from piezod.errors import CheckFailedError, PiezodError, UnreachableError
 
 ROOT = Path(__file__).parents[2]
+DAEMON_ROOT = Path(os.environ.get("PIEZOD_UNDER_TEST", ROOT))  # the checkout whose daemon is tested
 BENCH = ROOT / "config" / "bench.yaml"
 WITHIN_S = 30.0  # limit for starting, restoring and ending, which are not measured
 ARMING_TRIES = 3
@@ -103,7 +104,7 @@ class Service:
             [*prefix, sys.executable, "-m", "piezod", "run", str(path), *arguments],
             stderr=subprocess.PIPE,
             text=True,
-            cwd=ROOT,
+            cwd=DAEMON_ROOT,  # `python -m` imports from here first
             env=os.environ | {"NOTIFY_SOCKET": "@" + name} | (environment or {}),
         )
         self._threads = [threading.Thread(target=self._listen), threading.Thread(target=self._read)]
