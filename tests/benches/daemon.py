@@ -18,6 +18,7 @@ from pymodbus.client import ModbusTcpClient
 from piezod.daemon.client import command_and_wait
 from piezod.errors import CheckFailedError
 from tests.benches.emulator import piezod
+from tests.benches.processes import Popen
 
 PATIENT = {"comm_loss_ms": 2000, "device_watchdog_ms": 1000, "missed_ticks_in_a_row": 100}
 WITHIN_S = 30.0  # however busy the machine is
@@ -36,7 +37,7 @@ class Daemon:
         self.listener = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
         name = f"\0piezod-tests-{os.getpid()}-{id(self)}"
         self.listener.bind(name)
-        self.process = subprocess.Popen(
+        self.process = Popen(
             [sys.executable, "-m", "piezod", "run", str(bench), *arguments],
             stderr=subprocess.PIPE,
             text=True,

@@ -8,6 +8,8 @@ from pathlib import Path
 
 import yaml
 
+from tests.benches.processes import Popen, run
+
 ROOT = Path(__file__).parents[2]
 BENCH = ROOT / "config" / "bench.yaml"
 PATIENT_S = 0.5  # a virtual machine may stand still for a tenth of a second
@@ -17,7 +19,7 @@ EMULATOR = ROOT / "config" / "emulator.yaml"
 @contextlib.contextmanager
 def emulator(*arguments, config=EMULATOR):
     """Start it, yield what it serves, end it by its id."""
-    process = subprocess.Popen(
+    process = Popen(
         [sys.executable, "-m", "firmware_sim", str(config), "--until-stdin-closes", *arguments],
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
@@ -79,10 +81,4 @@ def line_link(port):
 
 def piezod(*arguments, timeout=120):
     """Run a command as a user would."""
-    return subprocess.run(
-        [sys.executable, "-m", "piezod", *map(str, arguments)],
-        capture_output=True,
-        text=True,
-        timeout=timeout,
-        check=False,
-    )
+    return run([sys.executable, "-m", "piezod", *map(str, arguments)], timeout=timeout)

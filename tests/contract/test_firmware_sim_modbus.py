@@ -16,13 +16,15 @@ import pytest
 import serial
 from pymodbus.client import ModbusSerialClient, ModbusTcpClient
 
+from tests.benches.processes import Popen
+
 ROOT = Path(__file__).parents[2]
 EMULATOR = ROOT / "config" / "emulator.yaml"
 
 
 @contextlib.contextmanager
 def emulator(*arguments, config=EMULATOR):
-    process = subprocess.Popen(
+    process = Popen(
         [sys.executable, "-m", "firmware_sim", str(config), "--port", "0", "--until-stdin-closes", *arguments],
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,

@@ -3,11 +3,13 @@
 import json
 import socket
 import struct
+import sys
 import threading
 
 import pytest
 
-from tests.benches.emulator import BENCH, ROOT, bench_file, emulator, piezod
+from tests.benches.emulator import BENCH, EMULATOR, ROOT, bench_file, emulator, piezod
+from tests.benches.processes import run
 
 SET_POINT = 100
 
@@ -137,16 +139,7 @@ def test_a_serial_port_that_is_not_there_ends_with_75(tmp_path):
 def test_the_emulator_says_when_its_port_is_in_use():
     with emulator("--port", "0") as serves:
         port = serves["tcp"].rpartition(":")[2]
-        import subprocess
-        import sys
-
-        done = subprocess.run(
-            [sys.executable, "-m", "firmware_sim", str(ROOT / "config" / "emulator.yaml"), "--port", port],
-            capture_output=True,
-            text=True,
-            timeout=30,
-            check=False,
-        )
+        done = run([sys.executable, "-m", "firmware_sim", str(EMULATOR), "--port", port], timeout=30)
     assert done.returncode == 75
     assert len(done.stderr.strip().splitlines()) == 1
     assert port in done.stderr

@@ -197,6 +197,7 @@ def test_a_run_that_is_interrupted_leaves_nothing_behind_and_goes_on_where_it_st
         assert same(verdict(folder / name), verdict(judged / name))
 
 
+@pytest.mark.slow
 def test_a_process_that_is_killed_is_started_again(bare, tmp_path):
     run = running(bare, "-o", tmp_path / "verdicts", "--only", "case_0001")
     os.kill(until(lambda: judging(run.pid), run)[0].pid, signal.SIGKILL)

@@ -18,6 +18,7 @@ from pymodbus.client import ModbusTcpClient
 from piezod.control import RingReader
 from piezod.recording import read_csv
 from tests.benches.emulator import bench_file, emulator, piezod
+from tests.benches.processes import Popen
 
 PATIENT = {"comm_loss_ms": 2000, "device_watchdog_ms": 1000, "missed_ticks_in_a_row": 100}
 
@@ -25,9 +26,7 @@ PATIENT = {"comm_loss_ms": 2000, "device_watchdog_ms": 1000, "missed_ticks_in_a_
 @contextlib.contextmanager
 def running(bench, *arguments):
     """`piezod run` as a child; ended by its id whatever happens."""
-    process = subprocess.Popen(
-        [sys.executable, "-m", "piezod", "run", str(bench), *arguments], stderr=subprocess.PIPE, text=True
-    )
+    process = Popen([sys.executable, "-m", "piezod", "run", str(bench), *arguments], stderr=subprocess.PIPE, text=True)
     try:
         yield process
     finally:
@@ -186,6 +185,7 @@ def test_a_ring_log_is_there_while_the_bench_runs_and_gone_afterwards(tmp_path):
     assert not (tmp_path / "ring").exists()
 
 
+@pytest.mark.slow
 def test_the_demo_shows_that_at_most_a_quarter_of_the_hysteresis_is_left(tmp_path):
     page, figures = tmp_path / "demo.html", tmp_path / "demo.json"
     done = piezod("demo", "--report", page, "--json", figures, timeout=600)
@@ -213,7 +213,7 @@ def test_the_demo_shows_that_at_most_a_quarter_of_the_hysteresis_is_left(tmp_pat
 
 
 def test_an_interrupted_demo_ramps_down_says_so_and_does_not_pass(tmp_path):
-    process = subprocess.Popen(
+    process = Popen(
         [sys.executable, "-m", "piezod", "demo", "--report", str(tmp_path / "demo.html")],
         stdout=subprocess.PIPE,
         text=True,

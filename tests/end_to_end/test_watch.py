@@ -13,6 +13,7 @@ from piezod.control import RingReader, State
 from tests.benches.browser import chromium, open_page
 from tests.benches.daemon import WITHIN_S, change, daemon
 from tests.benches.emulator import bench_file, emulator, piezod
+from tests.benches.processes import Popen
 
 NEVER = {"comm_loss_ms": 9000, "device_watchdog_ms": 8000, "stale_after_ms": 4000, "missed_ticks_in_a_row": 2000}
 NEWEST = """() => Bokeh.documents[0].get_model_by_name("force").renderers[0].data_source.data.time_ms.at(-1)"""
@@ -23,7 +24,7 @@ def watch(bench, *options):
     """`piezod watch` on a free port: yields the process and its address."""
     port = () if "--port" in options else ("--port", "0")
     command = [sys.executable, "-m", "piezod", "watch", str(bench), *port, *options]
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+    process = Popen(command, stdout=subprocess.PIPE, text=True)
     try:
         line = process.stdout.readline()
         assert line.startswith("live page: http://127.0.0.1:"), line

@@ -3,7 +3,6 @@
 import contextlib
 import io
 import os
-import subprocess
 import sys
 import tempfile
 import time
@@ -14,6 +13,7 @@ import typer
 
 from piezod.cli import app
 from piezod.errors import PiezodError
+from tests.benches.processes import run
 from tests.faults.live_bench import DAEMON_ROOT, LiveBench
 
 
@@ -139,10 +139,7 @@ def raised_priority():
 def run_piezod(*arguments, within_s=90.0):
     """Run `piezod` as a process; returns exit code, output and duration [ms]."""
     begun_s = time.monotonic()
-    done = subprocess.run(
-        [sys.executable, "-m", "piezod", *map(str, arguments)],
-        capture_output=True, text=True, timeout=within_s, check=False, cwd=DAEMON_ROOT,
-    )  # fmt: skip
+    done = run([sys.executable, "-m", "piezod", *map(str, arguments)], timeout=within_s, cwd=DAEMON_ROOT)
     return done.returncode, done.stdout + done.stderr, 1e3 * (time.monotonic() - begun_s)
 
 

@@ -21,6 +21,7 @@ import yaml
 from piezod.control import RingReader, State
 from piezod.daemon.client import Client
 from piezod.errors import CheckFailedError, PiezodError, UnreachableError
+from tests.benches.processes import Popen
 
 ROOT = Path(__file__).parents[2]
 DAEMON_ROOT = Path(os.environ.get("PIEZOD_UNDER_TEST", ROOT))  # the checkout whose daemon is tested
@@ -54,7 +55,7 @@ class DeviceProcess:
 
     def __init__(self, settings, prefix=()):
         limits = (0.0, 140.0, SLEW_V_PER_S, SLEW_V_PER_S, 1 / RATE_HZ)
-        self.process = subprocess.Popen(
+        self.process = Popen(
             [
                 *prefix,
                 sys.executable,
@@ -100,7 +101,7 @@ class Service:
         name = f"piezod-faults-{os.getpid()}-{id(self)}"
         self.listener.bind("\0" + name)
         self.begun_s = time.monotonic()
-        self.process = subprocess.Popen(
+        self.process = Popen(
             [*prefix, sys.executable, "-m", "piezod", "run", str(path), *arguments],
             stderr=subprocess.PIPE,
             text=True,

@@ -7,7 +7,7 @@ import time
 import pytest
 
 from piezod.errors import ConfigurationError
-from tests.faults import input_faults, manual_clock_faults, run
+from tests.faults import disk_faults, input_faults, manual_clock_faults, run
 from tests.faults.bench_pool import open_bench_pool
 from tests.faults.catalogue import load_faults
 from tests.faults.live_bench import DeviceProcess
@@ -30,7 +30,13 @@ def probe():
 
 
 def listed(fault):
-    """A fault as a parameter; only the benches without a process of their own do not depend on the real clock."""
+    """A fault as a parameter.
+
+    Faults of the disk repeat the tests and the study of the recorder: they are slow. Benches without a process of their
+    own do not depend on the real clock.
+    """
+    if fault.injector in disk_faults.INJECTORS:
+        return pytest.param(fault, id=fault.id, marks=pytest.mark.slow)
     in_process = fault.injector in manual_clock_faults.INJECTORS or fault.injector in input_faults.INJECTORS
     return pytest.param(fault, id=fault.id, marks=() if in_process else pytest.mark.real_time)
 

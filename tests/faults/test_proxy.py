@@ -85,6 +85,11 @@ def test_a_split_frame_arrives_whole_and_a_corrupt_one_differs_in_one_bit():
         return await reader.readexactly(len(frame(1)))
 
     assert through([{"do": "split"}], talk)[0] == frame(1)
+    wire = TcpProxy(("127.0.0.1", 0))
+    splits = [wire._split(frame(1)) for _ in frame(1)]
+    assert all(b"".join(segments) == frame(1) and all(segments) for segments in splits)
+    boundaries = {sum(map(len, segments[:k])) for segments in splits for k in range(1, len(segments))}
+    assert boundaries == set(range(1, len(frame(1))))
     corrupt = through([{"do": "corrupt"}], talk)[0]
     assert sum((a ^ b).bit_count() for a, b in zip(corrupt, frame(1), strict=True)) == 1
 

@@ -301,7 +301,7 @@ class Dialogue:
                 raise AssertionError(f"{expected} was answered, and refused") from None
             raise
         if (found,) != expected:
-            raise AssertionError(f"{found} was read, the standard says {expected}")
+            raise AssertionError(f"{found} was read, the standard says {expected or 'refuse'}")
 
 
 class LineDialogue:

@@ -35,6 +35,7 @@ def behind(cutoff_Hz, coupled_N_s_per_V):
     return missing
 
 
+@pytest.mark.slow
 def test_what_a_pair_promises_is_what_least_squares_gains_with_both():
     chain, start = worked(np.random.default_rng(4), behind(12.0, 0.033))
     point = fit(chain, (), start).point
@@ -61,6 +62,7 @@ def test_what_a_pair_promises_is_what_least_squares_gains_with_both():
     assert first.gain == pytest.approx(squares(columns[:, :-2]) - squares(columns), rel=0.02)
 
 
+@pytest.mark.slow
 def test_a_filter_and_a_coupling_that_nearly_cancel_are_found_together():
     chain, start = worked(np.random.default_rng(5), behind(12.0, 0.033))
     base = fit(chain, (), start)

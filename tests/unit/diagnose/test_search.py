@@ -39,6 +39,7 @@ def chain_over(missing_N, temperature_C, there_already_N=np.zeros_like):
     return chain, empty_point(chain, 1.8, 0.0)
 
 
+@pytest.mark.slow
 def test_a_step_that_goes_again_does_not_hide_a_drift():
     def missing_N(seconds):
         return 0.15 * (temperature_C - 20.0) + 0.8 * ((seconds > 21.0) & (seconds < 33.0))
@@ -49,6 +50,7 @@ def test_a_step_that_goes_again_does_not_hide_a_drift():
     assert found.found.loss < 1.05
 
 
+@pytest.mark.slow
 def test_a_hum_that_was_there_already_hides_nothing_that_is_a_hundredth_of_it():
     def hum_N(seconds):
         return 10.0 * np.sin(2.0 * np.pi * 50.02 * seconds) + np.sin(4.0 * np.pi * 50.02 * seconds + 1.0)
@@ -64,6 +66,7 @@ def test_a_hum_that_was_there_already_hides_nothing_that_is_a_hundredth_of_it():
     assert len(found.tones_asked_about) == 1
 
 
+@pytest.mark.slow
 def test_a_start_that_was_estimated_without_an_effect_is_no_part_of_what_the_effect_gains():
     def missing_N(seconds):
         return 0.4 * (temperature_C - 20.0)
