@@ -1,11 +1,12 @@
-"""Compile the functions of both packages, so that the processes of a test run load them from the cache.
+"""Compile modules and functions of both packages, so that the processes of a test run load them from their caches.
 
     python -m tests.compile_functions
 
 numba compiles a function when it is first called, and stores it beside its source. Processes that begin with an empty
-cache compile the same functions at the same time.
+cache compile the same functions at the same time. Python itself stores no module where PYTHONDONTWRITEBYTECODE is set.
 """
 
+import compileall
 import tempfile
 import time
 from pathlib import Path
@@ -22,6 +23,7 @@ from piezod.identify.intake import load_recordings
 from piezod.model import save_model
 from piezod.recording import Recording, write_csv
 
+ROOT = Path(__file__).parents[1]
 RATE_HZ, PEAK_V = 200.0, 130.0
 EFFECTS = {"electrical_lag": {"time_constant_s": 0.02}, "creep": {"per_decade": 0.02}}
 STUDY_SEED, STUDY_CASES = 13, 4
@@ -37,6 +39,8 @@ def record(path, voltage_V, effects):
 def main():
     """Identify a bench, diagnose a changed one, and make a small concealed study."""
     begun_s = time.monotonic()
+    for package in ("piezod", "firmware_sim"):
+        compileall.compile_dir(ROOT / package, quiet=1)
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         voltage_V = varying_triangles(PEAK_V, 1.0, 11, RATE_HZ)

@@ -136,6 +136,7 @@ def test_what_no_effect_explains_leaves_the_model_as_it_was(tmp_path):
     np.testing.assert_array_equal(extended, base)
 
 
+@pytest.mark.slow
 def test_the_cases_are_judged_without_the_truth_and_then_scored_with_it(study, judged):
     for name in names(study):
         findings, run, *_ = verdict(judged / name)

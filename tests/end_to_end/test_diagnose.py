@@ -104,7 +104,7 @@ def test_a_bench_with_nothing_wrong_matches_its_model(identified, tmp_path):
 @pytest.mark.parametrize(
     ("name", "parameter", "within"),
     [
-        ("electrical_lag", "time_constant_s", 0.02),
+        pytest.param("electrical_lag", "time_constant_s", 0.02, marks=pytest.mark.slow),
         pytest.param("creep", "per_decade", 0.25, marks=pytest.mark.slow),
         pytest.param("resonance", "frequency_Hz", 0.005, marks=pytest.mark.slow),
     ],

@@ -31,7 +31,8 @@ def on(places, axis):
     return [one for one in places if one.axis == axis]
 
 
-@pytest.mark.parametrize("drive", [mixed_work, pytest.param(triangles, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("drive", [mixed_work, triangles])
 def test_noise_has_no_place_more_often_than_five_in_a_hundred_whatever_its_colour(drive):
     time_s = time(6000)
     u = drive(time_s)

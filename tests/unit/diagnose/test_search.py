@@ -289,7 +289,7 @@ def slipping(force_N, force, presliding_N):
     return force_N - taken
 
 
-@pytest.mark.parametrize("coupled_N_s_per_V", [0.0012, 0.0])
+@pytest.mark.parametrize("coupled_N_s_per_V", [pytest.param(0.0012, marks=pytest.mark.slow), 0.0])
 def test_two_effects_are_found_at_once_where_each_leaves_what_the_other_one_is(coupled_N_s_per_V):
     def missing(force_N, u, role):
         if role == "recording":
