@@ -23,12 +23,13 @@ def chromium():
             browser.close()
 
 
-def open_page(browser, address, viewport="desktop", **options):
-    """A page, and what went wrong in it."""
+def open_page(browser, address, viewport="desktop", requests=None, **options):
+    """A page, and its errors; `requests` receives the addresses that it asks for."""
     width, height = VIEWPORTS[viewport]
     page = browser.new_page(viewport={"width": width, "height": height}, **options)
     page.set_default_timeout(60_000)  # however busy the machine is
     errors = []
     page.on("pageerror", lambda error: errors.append(str(error)))
+    page.on("request", lambda request: None if requests is None else requests.append(request.url))
     page.goto(address)
     return page, errors

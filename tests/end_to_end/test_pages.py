@@ -126,42 +126,50 @@ def drawn(opened):
     return opened.evaluate("() => Bokeh.documents.reduce((sum, one) => sum + one.roots().length, 0)")
 
 
+@pytest.fixture(scope="module")
+def on_desktop(page, browser):
+    """The page without a network, its errors, and the addresses that it asked for."""
+    asked = []
+    opened, errors = open_page(browser, page.as_uri(), requests=asked, offline=True)
+    yield opened, errors, asked
+    opened.close()
+
+
 def test_a_page_is_small(page):
     assert page.stat().st_size <= LIMIT_BYTES
 
 
 @pytest.mark.parametrize("viewport", ["desktop", "telephone"])
-def test_a_page_draws_itself_offline_and_fits_its_screen(page, browser, viewport):
-    opened, errors = open_page(browser, page.as_uri(), viewport, offline=True)
-    asked = []
-    opened.on("request", lambda request: asked.append(request.url))
-    opened.reload()
+def test_a_page_draws_itself_offline_and_fits_its_screen(page, browser, on_desktop, viewport):
+    opened, errors, asked = on_desktop
+    if viewport != "desktop":
+        asked = []
+        opened, errors = open_page(browser, page.as_uri(), viewport, asked, offline=True)
     assert drawn(opened) > 0
     assert errors == []
+    assert page.as_uri() in asked
     assert [address for address in asked if not address.startswith(("file:", "data:", "blob:"))] == []
     assert opened.evaluate("document.documentElement.scrollWidth <= window.innerWidth")
-    opened.close()
+    if viewport != "desktop":
+        opened.close()
 
 
-def test_a_page_prints_to_a4(page, browser, tmp_path):
-    opened, _ = open_page(browser, page.as_uri())
+def test_every_figure_has_its_data_beside_the_page(page, on_desktop):
+    figures = drawn(on_desktop[0])
+    own = sorted(page.parent.glob("figures/*.csv"))  # the diagnosis names its own, some for two figures
+    files = own or sorted(page.parent.glob("page.data/*.csv"))
+    assert own or len(files) == figures
+    assert all(len(path.read_text(encoding="utf-8").splitlines()) > 1 for path in files)
+
+
+def test_a_page_prints_to_a4(on_desktop, tmp_path):
+    opened, _, _ = on_desktop
     drawn(opened)
     opened.pdf(path=tmp_path / "page.pdf", prefer_css_page_size=True)
     sheets = re.findall(rb"/MediaBox\s*\[\s*0 0 ([\d.]+) ([\d.]+)\s*\]", (tmp_path / "page.pdf").read_bytes())
     assert 1 <= len(sheets) <= 12
     for sheet in sheets:
         assert tuple(map(float, sheet)) == pytest.approx(A4_POINTS, abs=1.0)
-    opened.close()
-
-
-def test_every_figure_has_its_data_beside_the_page(page, browser):
-    opened, _ = open_page(browser, page.as_uri())
-    figures = drawn(opened)
-    own = sorted(page.parent.glob("figures/*.csv"))  # the diagnosis names its own, some for two figures
-    files = own or sorted(page.parent.glob("page.data/*.csv"))
-    assert own or len(files) == figures
-    assert all(len(path.read_text(encoding="utf-8").splitlines()) > 1 for path in files)
-    opened.close()
 
 
 def test_a_run_that_was_cut_off_has_its_report(tmp_path, browser):
