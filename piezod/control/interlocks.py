@@ -1,6 +1,7 @@
 """Interlocks: each checks one quantity of every good reading and returns the cause of a trip, or `Cause.NONE`.
 
 The supervisor calls `clear` when the bench is armed, and `check` with every good reading while voltages are written.
+`set_limits` replaces the limits and keeps everything else: a new limit discards no heat, count or time.
 The states are plain floats and integers, so a check allocates no container.
 """
 
@@ -43,12 +44,15 @@ class ForceInterlock:
     )
 
     def __init__(self, limits: LimitsConfig) -> None:
+        self.spikes = 0
+        self.clear()
+        self.set_limits(limits)
+
+    def set_limits(self, limits: LimitsConfig) -> None:
+        """Replace the limits; the earlier samples and the debounce stay."""
         self._max_N, self._min_N = limits.force_trip_N, limits.force_min_N
         self._rate_N_per_ns = inf if limits.force_rate_trip_N_per_s is None else 1e-9 * limits.force_rate_trip_N_per_s
         self._needed = limits.force_debounce_samples
-        self.spikes = 0
-        self.suspect = False
-        self.clear()
 
     def clear(self) -> None:
         """Discard the earlier samples."""
@@ -95,9 +99,13 @@ class StuckInterlock:
     __slots__ = ("_equal", "_force_N", "_heartbeat", "_high_V", "_low_V", "_samples", "_travel_V")
 
     def __init__(self, limits: LimitsConfig) -> None:
+        self.clear()
+        self.set_limits(limits)
+
+    def set_limits(self, limits: LimitsConfig) -> None:
+        """Replace the limits; the count of equal samples and their travel stay."""
         self._samples = limits.stuck_samples or 0
         self._travel_V = limits.stuck_travel_V
-        self.clear()
 
     def clear(self) -> None:
         """Discard the earlier samples."""
@@ -144,9 +152,13 @@ class ReadbackInterlock:
     __slots__ = ("_begun_ns", "_earlier_high", "_earlier_low", "_high", "_low", "_outside", "_trip_V", "_window_ns")
 
     def __init__(self, limits: LimitsConfig) -> None:
+        self.clear()
+        self.set_limits(limits)
+
+    def set_limits(self, limits: LimitsConfig) -> None:
+        """Replace the limits; the band of the voltages written and the count stay."""
         self._trip_V = inf if limits.readback_trip_V is None else limits.readback_trip_V
         self._window_ns = round(1e6 * limits.readback_trip_ms)
-        self.clear()
 
     def clear(self) -> None:
         """Discard the voltages written earlier."""
@@ -189,9 +201,13 @@ class TrackingInterlock:
     __slots__ = ("_duration_ns", "_expected_N", "_since_ns", "_trip_N")
 
     def __init__(self, limits: LimitsConfig) -> None:
+        self.clear()
+        self.set_limits(limits)
+
+    def set_limits(self, limits: LimitsConfig) -> None:
+        """Replace the limits; the time since which the error lasts stays."""
         self._trip_N = inf if limits.tracking_trip_N is None else limits.tracking_trip_N
         self._duration_ns = round(1e6 * limits.tracking_trip_ms)
-        self.clear()
 
     def clear(self) -> None:
         """Discard the earlier error."""
@@ -237,20 +253,36 @@ class HeatInterlock:
     Attributes
     ----------
     power_W
-        Mean power now [W]. It survives disarming, because the heat does.
+        Mean power now [W]. It survives disarming and new limits, because the heat does. Set it to continue a sum.
     """
 
-    __slots__ = ("_checked", "_extreme_V", "_factor", "_max_W", "_ripple_V", "_rising", "_share", "_turn_V", "power_W")
+    __slots__ = (
+        "_checked",
+        "_dt_s",
+        "_extreme_V",
+        "_factor",
+        "_max_W",
+        "_ripple_V",
+        "_rising",
+        "_share",
+        "_turn_V",
+        "power_W",
+    )
 
     def __init__(self, limits: LimitsConfig, dt_s: float) -> None:
-        self._checked = limits.dissipation_max_W is not None
-        self._max_W = limits.dissipation_max_W or inf
-        self._factor = 0.5 * pi * limits.capacitance_F * (limits.loss_tangent or 0.0) / limits.dissipation_over_s
-        self._share = dt_s / limits.dissipation_over_s
-        self._ripple_V = 0.01 * (limits.voltage_max_V - limits.voltage_min_V)
+        self._dt_s = dt_s
         self._turn_V = self._extreme_V = limits.voltage_safe_V
         self._rising = True
         self.power_W = 0.0
+        self.set_limits(limits)
+
+    def set_limits(self, limits: LimitsConfig) -> None:
+        """Replace the limits; the heat and the last reversal stay."""
+        self._checked = limits.dissipation_max_W is not None
+        self._max_W = limits.dissipation_max_W or inf
+        self._factor = 0.5 * pi * limits.capacitance_F * (limits.loss_tangent or 0.0) / limits.dissipation_over_s
+        self._share = self._dt_s / limits.dissipation_over_s
+        self._ripple_V = 0.01 * (limits.voltage_max_V - limits.voltage_min_V)
 
     def check(self, written_V: float) -> Cause:
         """Add the heat of the last change of voltage.

@@ -83,7 +83,8 @@ class ControlLoop:
         self._link, self._clock, self._ring = link, rate_keeper, ring_log
         self._dt_s, self._dt_ns = dt_s, round(dt_s * 1e9)
         self._readback_within_V = readback_within_V
-        self._stops_requested = self._failed_ticks = self._begun_ns = 0
+        self._stop_requested = self._stop_fast = False
+        self._failed_ticks = self._begun_ns = 0
         self._settling_ns = -1
         self.limiter, self.supervisor = Limiter(limits, dt_s), Supervisor(limits, dt_s)
         check = None if sign_check is None else SignCheck(sign_check, dt_s, limits.voltage_step_V)
@@ -115,14 +116,26 @@ class ControlLoop:
         self._as_planned_V = max(limits.voltage_step_V, AS_PLANNED_V)
         self._comm_loss_ns = round(1e6 * limits.comm_loss_ms)
 
-    def request_stop(self) -> None:
-        """Ramp down at the next tick; after a second request, as fast as the slew allows. Safe in a signal handler."""
-        self._stops_requested += 1
+    def request_stop(self, *, fast: bool = False) -> None:
+        """Ramp down at the next tick; repeated requests change nothing. Safe in a signal handler.
+
+        Parameters
+        ----------
+        fast
+            Ramp down as fast as the slew limit allows; a later request without it does not slow the ramp.
+        """
+        self._stop_requested = True
+        self._stop_fast = self._stop_fast or fast
 
     @property
     def stopped(self) -> bool:
         """Whether a stop was requested."""
-        return self._stops_requested > 0
+        return self._stop_requested
+
+    @property
+    def at_rest(self) -> bool:
+        """Whether the last readback is the safe voltage; True for a device without readback."""
+        return self._is_safe(self._link.reading.voltage_readback_V)
 
     def begin(self, segment: Segment) -> None:
         """Select `segment`; it starts when the loop is armed."""
@@ -151,18 +164,37 @@ class ControlLoop:
     def watch(self, ticks: int | None = None) -> None:
         """Read without writing, for a number of ticks or until a stop is requested."""
         self._clock.start()
-        while not self._stops_requested and ticks != 0:
+        while not self._stop_requested and ticks != 0:
             self.run_tick()
             self._clock.wait()
             ticks = None if ticks is None else ticks - 1
 
     def serve(self, after_tick: Callable[[], None]) -> None:
-        """Run ticks until a stop is requested and the bench is at rest; call `after_tick` after each."""
+        """Run ticks until a stop is requested and the bench is at rest; call `after_tick` after each.
+
+        An exception of `after_tick` while voltages are written latches a fault and ramps down; it never ends the ramp.
+
+        Raises
+        ------
+        Exception
+            `after_tick` raised it while nothing was driven.
+        """
         self._clock.start()
-        while self.supervisor.driving or not self._stops_requested:
+        while self.supervisor.driving or not self._stop_requested:
             self.run_tick()
-            after_tick()
+            self._call_guarded(after_tick)
             self._clock.wait()
+
+    def _call_guarded(self, after_tick: Callable[[], None]) -> None:
+        """Call `after_tick`; while voltages are written, its exception requests a ramp down and the end."""
+        try:
+            after_tick()
+        except Exception as error:
+            if not (self.supervisor.driving or self._stop_requested):
+                raise
+            self.failure = self.failure or f"{type(error).__name__}: {error}"
+            self.supervisor.trip(Cause.CONTROLLER)
+            self.request_stop()
 
     def _start_from(self, output_V: float) -> None:
         self._clock.start()
@@ -198,8 +230,8 @@ class ControlLoop:
         begun_ns = clock.now_ns()
         supervisor.check_pause(begun_ns - self._begun_ns)
         self._begun_ns = begun_ns
-        if self._stops_requested:
-            supervisor.stop(fast=self._stops_requested > 1)
+        if self._stop_requested:
+            supervisor.stop(fast=self._stop_fast)
         planned_V = self._planner.plan_voltage(clock.tick, begun_ns, self._safe_V)
         self._act_on(self._planner.event)
         result = self._exchange(planned_V, begun_ns)
@@ -272,11 +304,14 @@ class ControlLoop:
             return
         if self._settling_ns < 0:
             self._settling_ns = now_ns
-        if isnan(readback_V) or abs(readback_V - self._safe_V) <= self._readback_within_V:
+        if self._is_safe(readback_V):
             self.supervisor.end_ramp_down()
         elif now_ns - self._settling_ns > self._comm_loss_ns:
             self.supervisor.trip(Cause.READBACK)
             self.supervisor.end_ramp_down()
+
+    def _is_safe(self, readback_V: float) -> bool:
+        return isnan(readback_V) or abs(readback_V - self._safe_V) <= self._readback_within_V
 
     def _log(self, planned_V: float, result: int, begun_ns: int, done_ns: int) -> None:
         reading, supervisor, clock = self._link.reading, self.supervisor, self._clock

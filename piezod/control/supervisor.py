@@ -48,7 +48,6 @@ class Supervisor:
     """
 
     def __init__(self, limits: LimitsConfig, dt_s: float = 1e-3) -> None:
-        self._dt_s = dt_s
         self._last_good_ns = 0
         self._bad_in_a_row = 0
         self._fault = Cause.NONE
@@ -57,10 +56,15 @@ class Supervisor:
         self.readings_stale = False
         self.state = State.DISARMED
         self.cause = Cause.NONE
+        self._force = ForceInterlock(limits)
+        self._stuck = StuckInterlock(limits)
+        self._readback = ReadbackInterlock(limits)
+        self._tracking = TrackingInterlock(limits)
+        self._heat = HeatInterlock(limits, dt_s)
         self.set_limits(limits)
 
     def set_limits(self, limits: LimitsConfig) -> None:
-        """Replace the limits; state and latched fault stay."""
+        """Replace the limits; state, latched fault and everything that the interlocks have summed up stay."""
         self._limits = limits
         self._stale_ns = round(limits.stale_after_ms * 1e6)
         self._comm_loss_ns = round(limits.comm_loss_ms * 1e6)
@@ -68,11 +72,17 @@ class Supervisor:
         self._give_up_ns = self._comm_loss_ns + round(full_ramp_s * 1e9)
         self._holds_on_comm_loss = limits.comm_loss_action == "hold"
         self._watchdog_ns = round(limits.device_watchdog_ms * 1e6)
-        self._force = ForceInterlock(limits)
-        self._stuck = StuckInterlock(limits)
-        self._readback = ReadbackInterlock(limits)
-        self._tracking = TrackingInterlock(limits)
-        self._heat = HeatInterlock(limits, self._dt_s)
+        for interlock in (self._force, self._stuck, self._readback, self._tracking, self._heat):
+            interlock.set_limits(limits)
+
+    @property
+    def heat_W(self) -> float:
+        """Mean power that the stack turns into heat [W]; set it to continue the sum of an earlier control process."""
+        return self._heat.power_W
+
+    @heat_W.setter
+    def heat_W(self, power_W: float) -> None:
+        self._heat.power_W = power_W
 
     @property
     def driving(self) -> bool:
@@ -171,9 +181,15 @@ class Supervisor:
             else:
                 self._go(State.FAULT, self._fault)
 
-    def reset(self) -> None:
-        """FAULT -> DISARMED; only a command of an operator calls it."""
-        if self.state is State.FAULT:
+    def reset(self, *, at_rest: bool) -> None:
+        """FAULT -> DISARMED; only a command of an operator calls it. No effect in another state or off rest.
+
+        Parameters
+        ----------
+        at_rest
+            Whether the output is at the safe voltage.
+        """
+        if self.state is State.FAULT and at_rest:
             self._fault = Cause.NONE
             self._go(State.DISARMED, Cause.RESET)
 

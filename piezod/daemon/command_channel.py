@@ -1,13 +1,17 @@
 """The daemon's connection to the present control process: its messages, and commands that wait for their answers."""
 
 import asyncio
+import contextlib
+import time
 from typing import Any
 
 from piezod.errors import TemporaryError
 from piezod.session.session import Session, rebuild_error
 
 ANSWER_WITHIN_S = 10.0
-"""Longest time to wait for the answer to a command [s]."""
+"""Longest time from the request of a command to its answer [s]; shorter than the patience of a client."""
+AT_ONCE = ("disarm", "stop")
+"""Commands that do not wait for the answer to another command."""
 
 
 class CommandChannel:
@@ -24,13 +28,15 @@ class CommandChannel:
         Present session; None between two sessions.
     connected
         Whether the control process is connected to the device.
+    ended
+        Whether the control process of the present session has ended.
     problem
         Why the device is not connected; empty while it is connected or starts for the first time.
     """
 
     def __init__(self, session: Session) -> None:
         self.session: Session | None = session
-        self.connected = False
+        self.connected = self.ended = False
         self.problem = ""
         self._descriptor = -1
         self._messages: asyncio.Queue[tuple[str, Any]] = asyncio.Queue()
@@ -46,6 +52,7 @@ class CommandChannel:
             Session whose control process has been launched.
         """
         self.session, self._messages, self._descriptor = session, asyncio.Queue(), session.descriptor
+        self.ended = False
         asyncio.get_running_loop().add_reader(self._descriptor, self._receive, session, self._descriptor)
 
     def stop_receiving(self) -> None:
@@ -72,7 +79,7 @@ class CommandChannel:
         return self._messages.get_nowait()
 
     async def send(self, name: str, argument: object = None, *, settle_s: float) -> str:
-        """Send a command and wait for its answer; one command at a time.
+        """Send a command and wait for its answer; one command at a time, except those of `AT_ONCE`.
 
         Parameters
         ----------
@@ -91,22 +98,35 @@ class CommandChannel:
         PiezodError
             The command is refused, the device is not connected, or the control process does not answer.
         """
-        async with self._lock:
-            session = self.session
-            if session is None or not self.connected:
-                raise TemporaryError(f"{name}: the device is not connected: {self.problem or 'starting'}; try again")
-            number = session.command(name, argument)
-            self._answers[number] = asyncio.get_running_loop().create_future()
-            try:
-                kind, text = await asyncio.wait_for(self._answers[number], ANSWER_WITHIN_S)
-            except TimeoutError:
-                raise TemporaryError(f"{name}: the control process did not answer; see piezod status") from None
-            finally:
-                del self._answers[number]
-            if kind != "ok":
-                raise rebuild_error(kind, text)
-            await asyncio.sleep(settle_s)
-            return text
+        asked_ns = time.monotonic_ns()
+        try:
+            async with asyncio.timeout(ANSWER_WITHIN_S):
+                async with contextlib.nullcontext() if name in AT_ONCE else self._lock:
+                    kind, text = await self._ask(name, argument, asked_ns)
+        except TimeoutError:
+            raise TemporaryError(f"{name}: the control process did not answer; see piezod status") from None
+        if kind != "ok":
+            raise rebuild_error(kind, text)
+        await asyncio.sleep(settle_s)
+        return text
+
+    async def _ask(self, name: str, argument: object, asked_ns: int) -> tuple[str, str]:
+        """Send one command and return its answer; an `arm` whose answer does not come in time is taken back."""
+        session = self.session
+        if session is None or not self.connected:
+            raise TemporaryError(f"{name}: the device is not connected: {self.problem or 'starting'}; try again")
+        if self.ended:
+            raise TemporaryError(f"{name}: the control process has ended; try again")
+        number = session.command(name, argument, asked_ns)
+        self._answers[number] = asyncio.get_running_loop().create_future()
+        try:
+            return await self._answers[number]
+        except asyncio.CancelledError:
+            if name == "arm":
+                session.command("disarm")  # behind the `arm` in the pipe
+            raise
+        finally:
+            del self._answers[number]
 
     def _receive(self, session: Session, descriptor: int) -> None:
         """Receive one message; called when the descriptor is readable."""
@@ -116,6 +136,7 @@ class CommandChannel:
             self._resolve(number, (answer[0], answer[1]))
             return
         if kind in ("done", "error"):
+            self.ended = True
             asyncio.get_running_loop().remove_reader(descriptor)
             for number in list(self._answers):
                 self._resolve(number, ("TemporaryError", "the control process has ended"))

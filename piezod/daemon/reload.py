@@ -1,15 +1,14 @@
 """Rules for a configuration that is read again while the daemon runs.
 
 - `name`, `daemon` and `recorder` never change.
-- All other keys change when the bench is not connected, or disarmed. A disarmed control process is started again.
+- While a control process starts, nothing changes: it has the former configuration and would drive with it.
+- All other keys change when no control process runs, or when it is disarmed. It is then started again.
 - In any other state only `limits` change, each of them only to a tighter value.
 """
 
-from pathlib import Path
-
 from piezod.config import BenchConfig, loosened_limit
 from piezod.control import State
-from piezod.errors import CheckFailedError
+from piezod.errors import CheckFailedError, TemporaryError
 
 
 def check_restart_keys(old: BenchConfig, new: BenchConfig) -> None:
@@ -29,7 +28,30 @@ def check_restart_keys(old: BenchConfig, new: BenchConfig) -> None:
         raise CheckFailedError("reload: name, daemon and recorder can only change with a restart; nothing was changed")
 
 
-def check_armed_change(old: BenchConfig, new: BenchConfig, state: State, *, is_other_model: bool) -> None:
+def check_settled(*, connected: bool, ended: bool, problem: str) -> None:
+    """Refuse a reload while a control process starts or ends.
+
+    Parameters
+    ----------
+    connected, ended
+        Whether the control process is connected to the device, and whether it has ended.
+    problem
+        Why it is not connected; empty at the first start.
+
+    Raises
+    ------
+    TemporaryError
+        The control process has the former configuration, and has not reported that it is connected.
+    """
+    if not connected or ended:
+        reason = f" ({problem})" if problem and not ended else ""
+        raise TemporaryError(
+            f"reload: the control process is {'ending' if ended else 'starting'} with the former "
+            f"configuration{reason}; nothing was changed, try again"
+        )
+
+
+def check_armed_change(old: BenchConfig, new: BenchConfig, state: State, *, is_other_file: bool) -> None:
     """Refuse every change but tighter limits, for a bench that is not disarmed.
 
     Parameters
@@ -38,29 +60,15 @@ def check_armed_change(old: BenchConfig, new: BenchConfig, state: State, *, is_o
         Present configuration, and the configuration in the file.
     state
         State of the bench, for the message.
-    is_other_model
-        Whether the content of the model file has changed.
+    is_other_file
+        Whether the content of the model or of the reference file has changed.
 
     Raises
     ------
     CheckFailedError
         More than the limits has changed, or a limit is looser than before.
     """
-    if new.model_copy(update={"limits": old.limits}) != old or is_other_model:
+    if new.model_copy(update={"limits": old.limits}) != old or is_other_file:
         raise CheckFailedError(f"reload: while {state.name} only limits may change; disarm first")
     if looser := loosened_limit(old.limits, new.limits):
         raise CheckFailedError(f"reload: {looser}")
-
-
-def file_content(path: Path) -> bytes:
-    """Content of a file, for a comparison; empty if it cannot be read: loading it reports the error.
-
-    Parameters
-    ----------
-    path
-        File to read.
-    """
-    try:
-        return path.read_bytes()
-    except OSError:
-        return b""

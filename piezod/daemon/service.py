@@ -13,20 +13,21 @@ from typing import Any
 
 import numpy as np
 
-from piezod.config import BenchConfig, model_path
+from piezod.config import BenchConfig
 from piezod.control import CAUSE_TEXT, Cause, State
 from piezod.daemon.command_channel import CommandChannel
 from piezod.daemon.control_socket import ControlSocket, Peer
 from piezod.daemon.journal import log_line
 from piezod.daemon.metrics import BenchMetrics, MetricsServer
 from piezod.daemon.model_watch import ModelWatch
-from piezod.daemon.reload import check_armed_change, check_restart_keys, file_content
+from piezod.daemon.reload import check_armed_change, check_restart_keys, check_settled
 from piezod.daemon.statistics import TickStatistics
 from piezod.daemon.status import status_dict
 from piezod.daemon.systemd import Notifier
 from piezod.errors import PiezodError, TemporaryError
 from piezod.recorder.watch import RecorderWatch
 from piezod.session.assembly import load_bench_and_model
+from piezod.session.files import files_digest
 from piezod.session.lock import BenchLock
 from piezod.session.session import POLL_INTERVAL_S, Session, rebuild_error
 from piezod.session.task import Outcome
@@ -65,14 +66,16 @@ class Service:
 
     def __init__(self, path: Path, bench: BenchConfig, lock: BenchLock, session: Session, *, arm: bool) -> None:
         self._path, self._bench, self._lock = path, bench, lock
-        self._model_content = file_content(model_path(bench, path))
+        self._files = ""
+        self._next: BenchConfig | None = None
+        self._launched = asyncio.Event()
+        self._reload_lock = asyncio.Lock()
         self._arm = arm
         self._begun_s = time.monotonic()
         self._notifier = Notifier()
         self._channel = CommandChannel(session)
         self._wake = asyncio.Event()
         self._stops_requested = 0
-        self._reloading = False
         self.outcome = Outcome()
         self.statistics = TickStatistics(self._log_transition)
         self._recorder = None if bench.recorder is None else RecorderWatch(bench, log_line)
@@ -122,11 +125,8 @@ class Service:
         """Run sessions; start again after a failed start and after a reload."""
         attempt, again = 0, True
         while again and not self._stops_requested:
-            self._reloading = again = False
-            session = self._channel.session
-            if session is None:
-                session = Session(self._bench, None, self._path.parent, [], serves=self._path, lock=self._lock)
-                session.launch()
+            again = False
+            session = self._channel.session or self._launch()
             try:
                 await self._run_session(session)
                 attempt = 0
@@ -138,7 +138,18 @@ class Service:
             finally:
                 self._channel.close()
                 session.close()
-            again = again or self._reloading
+            again = again or self._next is not None
+
+    def _launch(self) -> Session:
+        """Start a control process with the configuration that a reload has set, or with the present one."""
+        bench, self._next = self._next or self._bench, None
+        session = Session(
+            bench, None, self._path.parent, [], serves=self._path, lock=self._lock, heat_W=self.outcome.heat_W
+        )
+        session.launch()
+        self._bench, self._files = bench, ""
+        self._launched.set()
+        return session
 
     async def _wait_to_retry(self, error: TemporaryError, pause_s: float) -> None:
         """Wait, disarmed. No control process ticks now, so the daemon itself feeds the watchdog of systemd."""
@@ -162,16 +173,18 @@ class Service:
             if kind != "ready":
                 return
             session.open_ring_log()
+            self._files = content.files
             channel.connected, channel.problem = True, ""
             if self._recorder is not None:
                 self._recorder.follow(self._bench.ring_log_path)
             self.statistics.begin()
             self.model_watch.begin(self._bench)
             self._notifier.ready()
-            self._notifier.status(f"DISARMED, {content}")
+            self._notifier.status(f"DISARMED, {content.description}")
             if self._stops_requested:
                 session.stop()
-            arming = asyncio.get_running_loop().create_task(self._arm_at_start(session)) if self._arm else None
+            arms = self._arm and not self._stops_requested
+            arming = asyncio.get_running_loop().create_task(self._arm_at_start(session)) if arms else None
             if arming is None:
                 log_line(
                     f"{self._bench.name}: {self._bench.rate_Hz:g} Hz, reading only; arm with: piezod arm {self._path}"
@@ -265,27 +278,37 @@ class Service:
             self._notifier.ready()
 
     async def _reload(self) -> str:
-        """Apply the configuration file as far as the state of the bench permits (`daemon/reload.py`)."""
-        bench, _ = load_bench_and_model(self._path)
-        old, content = self._bench, file_content(model_path(bench, self._path))
-        is_other_model = content != self._model_content
-        check_restart_keys(old, bench)
-        if bench == old and not is_other_model:
-            return "nothing has changed"
-        if self._channel.session is None or not self._channel.connected:
-            self._bench, self._model_content = bench, content
-            self._wake.set()
-            return "configuration taken"
-        if self.status()["state"] == State.DISARMED.name and not self._arm:
-            before = old, self._model_content
-            self._bench, self._model_content, self._reloading = bench, content, True
-            try:
-                await self._command("end")
-            except PiezodError:
-                (self._bench, self._model_content), self._reloading = before, False
-                raise
-            return "configuration taken; starting again, disarmed"
-        check_armed_change(old, bench, self.statistics.state, is_other_model=is_other_model)
-        answer = await self._command("limits", bench.limits)
-        self._bench = bench
-        return answer
+        """Apply the configuration file as far as the state of the bench permits (`daemon/reload.py`).
+
+        The answer comes when no control process with the former configuration can drive any more.
+        """
+        async with self._reload_lock:
+            bench, _ = load_bench_and_model(self._path)
+            files = files_digest(bench, self._path)
+            old, channel = self._bench, self._channel
+            check_restart_keys(old, bench)
+            if channel.session is None:
+                self._bench = bench
+                self._wake.set()
+                return "configuration taken; the next connection uses it"
+            check_settled(connected=channel.connected, ended=channel.ended, problem=channel.problem)
+            if bench == old and files == self._files:
+                return "nothing has changed"
+            if self.status()["state"] == State.DISARMED.name and not self._arm:
+                return await self._start_again(bench)
+            check_armed_change(old, bench, self.statistics.state, is_other_file=files != self._files)
+            answer = await self._command("limits", bench.limits)
+            self._bench = bench
+            return answer
+
+    async def _start_again(self, bench: BenchConfig) -> str:
+        """End the control process, which is disarmed, and wait for the launch of the next one."""
+        self._next = bench
+        self._launched.clear()
+        try:
+            await self._command("end")
+        except PiezodError:
+            self._next = None
+            raise
+        await self._launched.wait()
+        return "configuration taken; starting again, disarmed"

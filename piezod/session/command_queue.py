@@ -3,8 +3,12 @@
 The parent sends (number, time, name, argument) through a pipe and announces it with SIGUSR1. Without an announcement
 the pause after a tick costs one comparison: the loop neither polls the pipe nor waits for it.
 
-    -> (7, 81234567890, "arm", None)          time: CLOCK_MONOTONIC [ns]
+    -> (7, 81234567890, "arm", None)          time of the request: CLOCK_MONOTONIC [ns]
     <- ("answer", (7, "ok", "arming"))        or the name and the text of an error
+
+A command that the parent has reported as failed must not act. Every command except `disarm` and `stop` therefore
+expires `VALID_FOR_S` after its request. The age of `arm` is judged after every precondition, directly before it acts.
+The death of the parent closes the pipe: that requests a ramp down, and no error of the pipe ends it.
 """
 
 import time
@@ -13,12 +17,12 @@ from typing import Any
 
 from piezod.config import BenchConfig, LimitsConfig
 from piezod.control import CAUSE_TEXT, ControlLoop, Segment, State, check_ready
-from piezod.errors import CheckFailedError, PiezodError
+from piezod.errors import CheckFailedError, PiezodError, TemporaryError
 from piezod.transport import Link
 
-ENERGISING = ("arm",)
+NEVER_EXPIRE = ("disarm", "stop")
 VALID_FOR_S = 5.0
-"""Age above which an energising command is refused [s]: half of the time that the parent waits for its answer."""
+"""Age above which a command is refused [s]: half of the time that the parent waits for its answer."""
 
 
 class CommandQueue:
@@ -52,33 +56,43 @@ class CommandQueue:
         if not self._announced:
             return
         self._announced = False
-        while self._pipe.poll():
-            number, sent_ns, name, argument = self._pipe.recv()
-            try:
-                age_s = 1e-9 * (time.monotonic_ns() - sent_ns)
-                if name in ENERGISING and age_s > VALID_FOR_S:
-                    raise CheckFailedError(
-                        f"{name}: received {age_s:.1f} s after it was sent, must be at most {VALID_FOR_S:g} s; send it "
-                        "again"
-                    )
-                kind, text = "ok", self._execute(name, argument)
-            except PiezodError as error:
-                kind, text = type(error).__name__, str(error)
-            self._pipe.send(("answer", (number, kind, text)))
+        try:
+            while self._pipe.poll():
+                self._serve(*self._pipe.recv())
+        except (EOFError, OSError):  # the parent is gone, and its last command with it
+            self._loop.request_stop()
 
-    def _execute(self, name: str, argument: Any) -> str:  # noqa: ANN401  # any object that the parent sends
+    def _serve(self, number: int, asked_ns: int, name: str, argument: Any) -> None:  # noqa: ANN401  # as in _execute
+        """Execute and answer one command."""
+        try:
+            if name not in NEVER_EXPIRE:
+                self._require_valid(name, asked_ns)
+            kind, text = "ok", self._execute(name, argument, asked_ns)
+        except PiezodError as error:
+            kind, text = type(error).__name__, str(error)
+        self._pipe.send(("answer", (number, kind, text)))
+
+    def _require_valid(self, name: str, asked_ns: int) -> None:
+        """Refuse an expired command, and every command after the request to end."""
+        age_s = 1e-9 * (time.monotonic_ns() - asked_ns)
+        if age_s > VALID_FOR_S:
+            raise CheckFailedError(
+                f"{name}: {age_s:.1f} s have passed since the request, must be at most {VALID_FOR_S:g} s: the device "
+                "or this machine is slow; nothing was done, try again"
+            )
+        if self._loop.stopped:
+            raise TemporaryError(f"{name}: the control process is ending; try again")
+
+    def _execute(self, name: str, argument: Any, asked_ns: int) -> str:  # noqa: ANN401  # any object of the parent
         supervisor = self._loop.supervisor
         match name:
             case "arm":
-                return self._arm()
+                return self._arm(asked_ns)
             case "disarm" | "stop":
                 supervisor.stop(fast=name == "stop")
                 return "ramping down" if supervisor.driving else f"{supervisor.state.name}: nothing is driven"
             case "reset":
-                if supervisor.state is not State.FAULT:
-                    raise CheckFailedError(f"reset: state is {supervisor.state.name}, must be FAULT; nothing to reset")
-                supervisor.reset()
-                return "fault reset; disarmed"
+                return self._reset()
             case "limits":
                 return self._change_limits(argument)
             case "end":
@@ -87,14 +101,31 @@ class CommandQueue:
                 return "ending"
         raise CheckFailedError(f"'{name}' is not a command of the control process")
 
-    def _arm(self) -> str:
-        """Check every precondition, then arm. A slow device delays no tick, because nothing is driven yet."""
+    def _arm(self, asked_ns: int) -> str:
+        """Check every precondition, then the age of the command, then arm.
+
+        A slow device delays no tick, because nothing is driven yet. It delays the checks, so the age counts after them.
+        """
         self._require_disarmed("arm")
         if self._segment is None:
             raise CheckFailedError("arm: this session only reads")
         check_ready(self._bench, self._link)
+        self._require_valid("arm", asked_ns)
         self._loop.arm(self._segment)
         return "arming"
+
+    def _reset(self) -> str:
+        supervisor = self._loop.supervisor
+        if supervisor.state is not State.FAULT:
+            raise CheckFailedError(f"reset: state is {supervisor.state.name}, must be FAULT; nothing to reset")
+        if not self._loop.at_rest:
+            raise CheckFailedError(
+                f"reset: the amplifier reads back {self._link.reading.voltage_readback_V:.3g} V, must be within "
+                f"{self._bench.arming.readback_within_V:g} V of {self._bench.limits.voltage_safe_V:g} V; wait for the "
+                "device, or end the daemon and ramp it down (piezod stop CONFIG --direct)"
+            )
+        supervisor.reset(at_rest=True)
+        return "fault reset; disarmed"
 
     def _require_disarmed(self, name: str) -> None:
         state = self._loop.supervisor.state

@@ -1,18 +1,21 @@
 """The control process: its set-up, and its single thread that reads, plans and writes.
 
-SIGTERM requests a ramp down and the end; a second SIGTERM ramps down at the slew limit. SIGUSR1 announces a command
-(`session/command_queue.py`).
+SIGTERM requests a ramp down and the end, however often it comes: the kernel may send it more than once when the parent
+dies. SIGUSR2 requests the same as fast as the slew limit allows. SIGUSR1 announces a command
+(`session/command_queue.py`). Nothing that concerns the parent ends a ramp: a closed pipe only requests one.
 """
 
 import contextlib
 import ctypes
 import gc
+import multiprocessing
 import os
 import signal
 import sys
 import warnings
 from multiprocessing.connection import Connection
 from pathlib import Path
+from typing import Any
 
 from piezod.config import model_path
 from piezod.control import CAUSE_TEXT, Cause, ControlLoop, RingLog, Segment, check_ready, real_time
@@ -28,8 +31,9 @@ from piezod.session.assembly import (
     opened_link,
 )
 from piezod.session.command_queue import CommandQueue
+from piezod.session.files import files_digest
 from piezod.session.lock import BenchLock
-from piezod.session.task import Outcome, SegmentSpec, Task
+from piezod.session.task import Outcome, Ready, SegmentSpec, Task
 from piezod.transport import ExchangeResult, Link
 
 _PR_SET_PDEATHSIG = 1  # prctl(2): the signal that the kernel sends when the parent dies
@@ -51,25 +55,42 @@ def run(task: Task, pipe: Connection, lock: BenchLock) -> None:
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGHUP, signal.SIG_IGN)
-    ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
+    if not _end_with_parent():
+        lock.close()
+        return
     try:
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always")
             outcome = _execute(task, pipe)
         outcome.warnings = [str(warning.message) for warning in caught]
-        with contextlib.suppress(BrokenPipeError):
-            pipe.send(("done", outcome))
+        _send(pipe, ("done", outcome))
     except PiezodError as error:
-        with contextlib.suppress(BrokenPipeError):
-            pipe.send(("error", (type(error).__name__, str(error))))
+        _send(pipe, ("error", (type(error).__name__, str(error))))
     finally:
         lock.close()
         gc.freeze()  # the end of the interpreter visits every object otherwise, which takes 0.2 s
 
 
+def _end_with_parent() -> bool:
+    """Request SIGTERM at the death of the parent; False when it has died already, which sends no signal."""
+    ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
+    parent = multiprocessing.parent_process()
+    return parent is None or parent.pid == os.getppid()
+
+
+def _send(pipe: Connection, message: tuple[str, Any]) -> bool:
+    """Send a message to the parent; False when the parent is gone."""
+    try:
+        pipe.send(message)
+    except OSError:
+        return False
+    return True
+
+
 def _execute(task: Task, pipe: Connection) -> Outcome:
     """Connect the bench, build its loop, and drive the segments or serve commands."""
     bench = task.bench
+    files = "" if task.serves is None else files_digest(bench, task.serves)
     model, specs = _model_and_segments(task)
     with opened_link(bench) as link, contextlib.ExitStack() as stack:
         clock = make_rate_keeper(bench, link)
@@ -82,12 +103,15 @@ def _execute(task: Task, pipe: Connection) -> Outcome:
         ring_log = RingLog(bench.ring_log_path, round(bench.daemon.ring_seconds * bench.rate_Hz))
         stack.callback(ring_log.close)
         loop = make_loop(bench, link, clock, ring_log)
+        loop.supervisor.heat_W = task.heat_W
         commands = CommandQueue(bench, link, loop, pipe, segments[0] if segments else None)
-        signal.signal(signal.SIGTERM, lambda *_: loop.request_stop())
-        signal.signal(signal.SIGUSR1, lambda *_: commands.notify())
-        pipe.send(("ready", link.description))
-        if task.serves is not None:  # after `ready`: the loop is disarmed, so no tick depends on it yet
+        if task.serves is not None:  # before `ready`: an `arm` that arrives now would wait until it is too old
             _warm_up(segments)
+        signal.signal(signal.SIGTERM, lambda *_: loop.request_stop())
+        signal.signal(signal.SIGUSR2, lambda *_: loop.request_stop(fast=True))
+        signal.signal(signal.SIGUSR1, lambda *_: commands.notify())
+        if not _send(pipe, ("ready", Ready(link.description, files))):
+            loop.request_stop()
         with real_time(bench.real_time):
             fault = _drive(loop, segments) if task.serves is None else _serve(loop, commands)
         return _outcome(link, loop, fault, clock.missed)
@@ -144,6 +168,7 @@ def _outcome(link: Link, loop: ControlLoop, fault: Cause, missed: int) -> Outcom
         stale_bytes=link.stale_bytes,
         spikes=loop.supervisor.spikes,
         hint=link.hint,
+        heat_W=loop.supervisor.heat_W,
     )
 
 

@@ -46,6 +46,8 @@ class Session:
         Bench configuration to serve until stopped: the control process waits for commands and follows its reference.
     lock
         Lock of the bench that the caller holds. None: the session takes it at the start and releases it at the end.
+    heat_W
+        `Outcome.heat_W` of the session before on the same bench [W]: the stack is still warm.
     """
 
     def __init__(
@@ -57,13 +59,15 @@ class Session:
         *,
         serves: Path | None = None,
         lock: BenchLock | None = None,
+        heat_W: float = 0.0,
     ) -> None:
-        self._task = Task(bench, model, folder, tuple(segments), serves)
+        self._task = Task(bench, model, folder, tuple(segments), serves, heat_W)
         self._lock, self._owns_lock = lock, lock is None
         self._pipe: Connection | None = None
         self._process: Any = None
         self._reader: RingReader | None = None
         self._commands = 0
+        self._stop_requested = False
         self.outcome = Outcome()
 
     @property
@@ -109,13 +113,13 @@ class Session:
         Returns
         -------
         tuple
-            `("ready", description)`, `("answer", (number, kind, text))`, `("done", outcome)` or
+            `("ready", Ready)`, `("answer", (number, kind, text))`, `("done", outcome)` or
             `("error", (name, text))`.
         """
         assert self._pipe is not None
         try:
             kind, content = self._pipe.recv()
-        except (EOFError, ConnectionResetError):
+        except (EOFError, OSError):
             self._process.join()
             kind = "error"
             content = ("PiezodError", f"the control process ended with code {self._process.exitcode}")
@@ -157,8 +161,15 @@ class Session:
             raise rebuild_error(*content)
         yield self.read()
 
-    def command(self, name: str, argument: object = None) -> int:
+    def command(self, name: str, argument: object = None, asked_ns: int | None = None) -> int:
         """Send a command to a control process that serves.
+
+        Parameters
+        ----------
+        name, argument
+            Command (`session/command_queue.py`).
+        asked_ns
+            Monotonic time of the request, from which the command expires [ns]; None: now.
 
         Returns
         -------
@@ -167,14 +178,15 @@ class Session:
         """
         assert self._pipe is not None
         self._commands += 1
-        with contextlib.suppress(BrokenPipeError):
-            self._pipe.send((self._commands, time.monotonic_ns(), name, argument))
+        with contextlib.suppress(OSError):
+            self._pipe.send((self._commands, asked_ns or time.monotonic_ns(), name, argument))
         self._signal(signal.SIGUSR1)
         return self._commands
 
     def stop(self) -> None:
         """Request a ramp down and the end; the second call ramps down at the slew limit."""
-        self._signal(signal.SIGTERM)
+        self._signal(signal.SIGUSR2 if self._stop_requested else signal.SIGTERM)
+        self._stop_requested = True
 
     def _signal(self, number: int) -> None:
         with contextlib.suppress(ProcessLookupError):
@@ -184,7 +196,7 @@ class Session:
     def close(self) -> None:
         """Ramp down if the bench is still driven, wait for the end, and release lock and ring log."""
         if self._process is not None:
-            self.stop()
+            self._signal(signal.SIGTERM)  # never a second call of `stop`: closing is no reason for haste
             self._process.join(timeout=END_WITHIN_S)
             if self._process.is_alive():
                 self._process.kill()

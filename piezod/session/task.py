@@ -60,6 +60,8 @@ class Task:
     serves
         Bench configuration to serve until stopped. The control process loads the model that it names, follows its
         reference after each `arm`, and is disarmed otherwise. None: drive `segments`.
+    heat_W
+        Mean power of the stack at the end of the control process before [W].
     """
 
     bench: BenchConfig
@@ -67,6 +69,23 @@ class Task:
     folder: Path
     segments: tuple[SegmentSpec, ...]
     serves: Path | None = None
+    heat_W: float = 0.0
+
+
+@dataclass(frozen=True)
+class Ready:
+    """Content of the message `ready`.
+
+    Parameters
+    ----------
+    description
+        Description of the link.
+    files
+        Digest of model and reference file, read before they were loaded (`session/files.py`); empty: none was loaded.
+    """
+
+    description: str
+    files: str = ""
 
 
 @dataclass
@@ -95,6 +114,8 @@ class Outcome:
         Number of force spikes that were ignored.
     hint
         Advice about the link; empty without one.
+    heat_W
+        Mean power that the stack turned into heat, at the end [W].
     """
 
     ticks: int = 0
@@ -108,3 +129,4 @@ class Outcome:
     stale_bytes: int = 0
     spikes: int = 0
     hint: str = ""
+    heat_W: float = 0.0

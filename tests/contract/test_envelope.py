@@ -166,7 +166,7 @@ class Envelope(RuleBasedStateMachine):
 
     @rule()
     def reset(self):
-        self.loop.supervisor.reset()
+        self.loop.supervisor.reset(at_rest=True)
 
     @rule(share=st.floats(0.3, 1.0))
     def tighten(self, share):

@@ -182,3 +182,53 @@ def test_an_interlock_without_a_limit_never_trips():
         assert readback_without.check(1000.0, 0.0, k * MS) is Cause.NONE
         assert tracking_without.check(1000.0, 0.0, k * MS) is Cause.NONE
     assert HeatInterlock(without, 0.001).check(inf) is Cause.NONE
+
+
+def test_new_limits_keep_heat_reversal_and_trip():
+    interlock, undisturbed = heat(), heat()
+    causes = []
+    tighter = limits(dissipation_max_W=0.9, loss_tangent=0.02, dissipation_over_s=2.0)
+    for k in range(4000):
+        voltage_V = 140.0 * (k // 4 % 2)
+        undisturbed.check(voltage_V)
+        causes.append(interlock.check(voltage_V))
+        if k % 10 == 9:
+            interlock.set_limits(tighter)
+    assert interlock.power_W == pytest.approx(undisturbed.power_W)
+    assert causes[-1] is Cause.OVERHEATED
+
+
+def test_new_limits_keep_the_debounce_the_spikes_and_the_last_force():
+    changes = {"force_debounce_samples": 3, "force_rate_trip_N_per_s": 1e4}
+    interlock = ForceInterlock(limits(**changes))
+    check_all(interlock, [10.0, 900.0, 10.0, 900.0, 900.0])
+    interlock.set_limits(limits(**changes, force_trip_N=350.0))
+    assert (interlock.spikes, interlock.suspect) == (1, True)
+    assert interlock.check(900.0, 5 * MS) is Cause.OVER_FORCE
+    jumping = ForceInterlock(limits(force_rate_trip_N_per_s=1e4))
+    jumping.check(10.0, 0)
+    jumping.set_limits(limits(force_rate_trip_N_per_s=9e3))
+    assert jumping.check(100.0, MS) is Cause.FORCE_RATE
+
+
+def test_new_limits_keep_the_count_of_equal_readings_and_their_travel():
+    interlock = stuck(10)
+    causes = []
+    for k in range(10):
+        causes.append(interlock.check(42.0, k + 1, float(k)))
+        interlock.set_limits(limits(stuck_samples=10, stuck_travel_V=5.0))
+    assert causes[-1] is Cause.SENSOR_STUCK
+
+
+def test_new_limits_keep_the_time_of_a_tracking_error_and_the_readback_outside_its_band():
+    interlock = tracking()
+    causes = []
+    for k in range(13):
+        causes.append(interlock.check(100.0, 150.0, k * MS))
+        interlock.set_limits(limits(tracking_trip_N=29.0, tracking_trip_ms=10.0))
+    assert causes.index(Cause.TRACKING) == 11
+    output = readback()
+    output.check(50.0, 50.0, 0)
+    output.check(20.0, 50.0, MS)
+    output.set_limits(limits(readback_trip_V=1.9, readback_trip_ms=20.0))
+    assert output.check(20.0, 50.0, 2 * MS) is Cause.READBACK

@@ -82,8 +82,8 @@ def test_a_device_that_falls_silent_is_ramped_down_by_the_loop_and_then_left_to_
     assert loop._clock.tick < 100 + 200 + 350 + 10
 
 
-def test_a_stop_request_ramps_down_and_a_second_one_ramps_at_the_slew_limit(ring_log):
-    for requests, fall in ((1, 0.4), (2, 4.0)):
+def test_only_a_fast_stop_ramps_at_the_slew_limit_however_often_a_stop_is_requested(ring_log):
+    for requests, fall in (([False], 0.4), ([False] * 5, 0.4), ([False, True, False], 4.0)):
         link = FakeLink()
         loop = make_loop(link, ring_log)
         loop.begin(Segment("long", TableReference(np.full(10**5, 100.0)), Halving()))
@@ -92,8 +92,8 @@ def test_a_stop_request_ramps_down_and_a_second_one_ramps_at_the_slew_limit(ring
             loop.tick()
             loop._clock.wait()
         assert link.voltages[-1] == pytest.approx(50.0)
-        for _ in range(requests):
-            loop.request_stop()
+        for fast in requests:
+            loop.request_stop(fast=fast)
         while loop.supervisor.driving:
             loop.tick()
             loop._clock.wait()
@@ -220,3 +220,49 @@ def test_a_link_that_raises_again_and_again_ends_the_loop(ring_log):
     link.exchange = link.poll = fail
     with pytest.raises(RuntimeError):
         run(loop, 10)
+
+
+def test_an_exception_between_two_ticks_latches_a_fault_and_does_not_end_the_ramp(ring_log):
+    link = FakeLink()
+    loop = armed_loop(link, ring_log)
+    calls = []
+
+    def fail():
+        calls.append(loop.limiter.applied_V)
+        if len(calls) > 300:
+            raise OSError("the pipe is broken")
+
+    loop.serve(fail)
+    assert calls[300] == pytest.approx(30.0)
+    assert (loop.supervisor.state, loop.supervisor.fault) == (State.FAULT, Cause.CONTROLLER)
+    assert loop.failure == "OSError: the pipe is broken"
+    assert link.voltages[-1] == pytest.approx(0.0, abs=1e-9)
+    assert np.diff(link.voltages).min() >= -0.4 - 1e-9
+
+
+def test_an_exception_between_two_ticks_is_raised_while_nothing_is_driven(ring_log):
+    def fail():
+        raise OSError("the pipe is broken")
+
+    with pytest.raises(OSError, match="broken"):
+        make_loop(FakeLink(), ring_log).serve(fail)
+
+
+def test_a_stop_while_arming_waits_for_its_reference_ends_disarmed_at_rest(ring_log):
+    class Silent(TableReference):
+        def read(self, tick, now_ns):
+            self.freshness = Freshness.STALE
+            return 0.0
+
+    for ask in (lambda loop: loop.request_stop(), lambda loop: loop.supervisor.stop()):
+        link = FakeLink()
+        loop = make_loop(link, ring_log)
+        link.reading.voltage_readback_V = link.written_V = 20.0
+        loop.arm(Segment("silent", Silent([0.0]), Halving()))
+        run(loop, 100)
+        assert loop.supervisor.state is State.ARMING
+        assert link.voltages[-1] == 20.0
+        ask(loop)
+        run(loop, 100)
+        assert loop.supervisor.state is State.DISARMED
+        assert link.voltages[-1] == pytest.approx(0.0, abs=1e-9)

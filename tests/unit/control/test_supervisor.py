@@ -24,7 +24,7 @@ def test_a_force_above_the_trip_ramps_down_and_latches():
     assert supervisor.state is State.FAULT
     supervisor.arm(0)
     assert supervisor.state is State.FAULT
-    supervisor.reset()
+    supervisor.reset(at_rest=True)
     assert supervisor.state is State.DISARMED
 
 
@@ -199,3 +199,33 @@ def test_an_exchange_may_last_until_the_silence_is_a_loss_and_without_limit_whil
     assert supervisor.exchange_time_left_s(150 * MS) == pytest.approx(0.06)
     assert supervisor.exchange_time_left_s(250 * MS) == float("inf")
     assert Supervisor(limits()).exchange_time_left_s(0) == float("inf")
+
+
+def test_a_reset_acts_in_the_state_fault_at_rest_and_nowhere_else():
+    supervisor = Supervisor(limits())
+    supervisor.reset(at_rest=True)
+    assert (supervisor.state, supervisor.cause) == (State.DISARMED, Cause.NONE)
+    supervisor.arm(0)
+    supervisor.reset(at_rest=True)
+    assert supervisor.state is State.ARMING
+    supervisor.start_running()
+    supervisor.reset(at_rest=True)
+    assert supervisor.state is State.RUNNING
+    supervisor.trip(Cause.OVER_FORCE)
+    supervisor.reset(at_rest=True)
+    assert (supervisor.state, supervisor.fault) == (State.RAMP_DOWN, Cause.OVER_FORCE)
+    supervisor.end_ramp_down()
+    supervisor.reset(at_rest=False)
+    assert (supervisor.state, supervisor.fault) == (State.FAULT, Cause.OVER_FORCE)
+    supervisor.reset(at_rest=True)
+    assert (supervisor.state, supervisor.fault) == (State.DISARMED, Cause.NONE)
+
+
+def test_a_stop_ramps_down_from_every_state_that_drives():
+    for lead in (lambda _: None, Supervisor.start_running, lambda one: (one.start_running(), one.hold(Cause.ARMED))):
+        supervisor = Supervisor(limits())
+        supervisor.arm(0)
+        lead(supervisor)
+        assert supervisor.driving
+        supervisor.stop()
+        assert (supervisor.state, supervisor.cause) == (State.RAMP_DOWN, Cause.STOPPED)

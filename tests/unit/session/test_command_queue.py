@@ -48,6 +48,7 @@ def bench(tmp_path, monkeypatch):
         commands.serve_pending()
         return pipe.sent.pop()
 
+    command.pipe, command.queue = pipe, commands
     yield loop, command
     ring_log.close()
 
@@ -68,6 +69,77 @@ def test_a_late_arm_is_refused_and_a_late_stop_is_executed(bench):
     assert command("stop", age_s=600.0)[1][1] == "ok"
     assert loop.supervisor.state is State.RAMP_DOWN
     assert loop.supervisor.fast_ramp
+
+
+def test_an_arm_whose_checks_last_too_long_is_refused_after_them(bench, monkeypatch):
+    loop, command = bench
+    clock = [0]
+    monkeypatch.setattr(command_queue.time, "monotonic_ns", lambda: clock[0])
+
+    def slow_checks(*_):
+        clock[0] += 5_100_000_000
+
+    monkeypatch.setattr(command_queue, "check_ready", slow_checks)
+    _, (_, kind, text) = command("arm")
+    assert kind == "CheckFailedError"
+    assert "must be at most 5 s" in text
+    assert loop.supervisor.state is State.DISARMED
+
+
+@pytest.mark.parametrize("name", ["arm", "reset", "limits", "end"])
+def test_every_command_that_is_no_stop_expires(bench, name):
+    loop, command = bench
+    if name == "reset":
+        command("arm")
+        loop.supervisor.trip(Cause.DEVICE_WATCHDOG)
+    before = loop.supervisor.state
+    assert "must be at most 5 s" in command(name, limits(), age_s=5.1)[1][2]
+    assert (loop.supervisor.state, loop.stopped) == (before, False)
+
+
+def test_after_the_request_to_end_only_a_stop_is_executed(bench):
+    loop, command = bench
+    assert command("end")[1][1] == "ok"
+    assert command("arm")[1][1] == "TemporaryError"
+    assert command("stop")[1][1] == "ok"
+    assert loop.supervisor.state is State.DISARMED
+
+
+def test_a_stop_during_the_checks_of_an_arm_prevents_it(bench, monkeypatch):
+    loop, command = bench
+    monkeypatch.setattr(command_queue, "check_ready", lambda *_: loop.request_stop())
+    assert command("arm")[1][1] == "TemporaryError"
+    assert loop.supervisor.state is State.DISARMED
+
+
+@pytest.mark.parametrize("broken", ["poll", "recv", "send"])
+@pytest.mark.parametrize("error", [BrokenPipeError, ConnectionResetError, EOFError])
+def test_the_death_of_the_parent_requests_a_stop_and_raises_nothing(bench, broken, error):
+    loop, command = bench
+    command("arm")
+
+    def fail(*_):
+        raise error
+
+    setattr(command.pipe, broken, fail)
+    command.pipe.waiting.append((8, time.monotonic_ns(), "limits", limits()))
+    command.queue.notify()
+    command.queue.serve_pending()
+    assert loop.stopped
+    loop.run_tick()
+    assert loop.supervisor.state in (State.RAMP_DOWN, State.DISARMED)
+
+
+def test_a_reset_is_refused_until_the_output_reads_back_at_rest(bench):
+    loop, command = bench
+    command("arm")
+    loop.supervisor.trip(Cause.DEVICE_WATCHDOG)
+    loop._readback_within_V = 2.0
+    loop._link.reading.voltage_readback_V = 84.0
+    assert "reads back 84 V" in command("reset")[1][2]
+    assert loop.supervisor.state is State.FAULT
+    loop._link.reading.voltage_readback_V = 1.9
+    assert command("reset")[1][1] == "ok"
 
 
 def test_a_failed_precondition_leaves_the_bench_disarmed(bench, monkeypatch):

@@ -1,0 +1,30 @@
+"""Digest of the files that a control process loads besides its bench configuration."""
+
+import hashlib
+from pathlib import Path
+
+from piezod.config import BenchConfig, model_path
+from piezod.config.reference import FileReference
+
+
+def files_digest(bench: BenchConfig, path: Path) -> str:
+    """Digest of the content of the model file, and of the reference file if there is one.
+
+    A file that cannot be read counts as empty; loading it reports the error.
+
+    Parameters
+    ----------
+    bench, path
+        Bench configuration and its file.
+    """
+    digest = hashlib.sha256()
+    files = [model_path(bench, path)]
+    if isinstance(bench.reference, FileReference):
+        files.append(path.parent / bench.reference.path)
+    for file in files:
+        try:
+            content = file.read_bytes()
+        except OSError:
+            content = b""
+        digest.update(len(content).to_bytes(8, "little") + content)
+    return digest.hexdigest()
