@@ -5,7 +5,15 @@ import traceback
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from tests.faults import disk_faults, input_faults, manual_clock_faults, process_faults, running_faults, startup_faults
+from tests.faults import (
+    disk_faults,
+    input_faults,
+    manual_clock_faults,
+    process_faults,
+    running_faults,
+    session_faults,
+    startup_faults,
+)
 from tests.faults.bench_pool import InjectionUnavailableError, Observation
 from tests.faults.catalogue import Fault, load_faults
 from tests.faults.probe import STILL_MS
@@ -15,6 +23,7 @@ INJECTORS: dict[str, Callable] = {
     **manual_clock_faults.INJECTORS,
     **startup_faults.INJECTORS,
     **process_faults.INJECTORS,
+    **session_faults.INJECTORS,
     **input_faults.INJECTORS,
     **disk_faults.INJECTORS,
 }
