@@ -34,6 +34,8 @@ from piezod.session.task import Outcome
 
 RETRY_S = (0.5, 1.0, 2.0, 5.0, 10.0)
 """Pauses after failed starts in a row [s]; the last value repeats."""
+CONNECTED_WITHIN_S = 120.0
+"""Time for the start of a control process [s]: with an empty cache it compiles its steps before it is ready."""
 READY_WITHIN_S = 30.0
 """Time for the first tick [s]. Afterwards a control process without ticks counts as hung, and systemd restarts it."""
 COMMANDS = ("status", "arm", "disarm", "stop", "reset", "reload")
@@ -200,8 +202,8 @@ class Service:
         """Wait for the first message of the control process; a stop during this time ends it without an error."""
         begun_s = time.monotonic()
         while not self._channel.has_message:
-            if time.monotonic() - begun_s < READY_WITHIN_S:
-                self._notifier.alive()
+            if time.monotonic() - begun_s < CONNECTED_WITHIN_S:
+                self._notifier.starting()
             if self._stops_requested:
                 session.stop()
             await asyncio.sleep(POLL_INTERVAL_S / 10)

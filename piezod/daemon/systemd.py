@@ -8,6 +8,9 @@ import os
 import socket
 import time
 
+EXTEND_S = 10
+"""Time by which `starting` extends the start timeout of systemd [s]."""
+
 
 class Notifier:
     """Sends `READY=1`, `STATUS=...`, `WATCHDOG=1` and the other messages.
@@ -51,6 +54,10 @@ class Notifier:
     def stopping(self) -> None:
         """Report that the daemon ends."""
         self.send("STOPPING=1")
+
+    def starting(self) -> None:
+        """Report that a control process starts; extends the start timeout and restarts the watchdog timer."""
+        self.send("WATCHDOG=1", f"EXTEND_TIMEOUT_USEC={EXTEND_S * 1_000_000}")
 
     def alive(self) -> None:
         """Report that the control process ticks; restarts the watchdog timer of systemd."""

@@ -242,12 +242,18 @@ def _stop_and_go(bench, arguments):
 
 
 def _load(bench, arguments):
+    with busy_machine():
+        time.sleep(arguments["for_s"])
+
+
+@contextlib.contextmanager
+def busy_machine():
     """Run two busy processes for each core."""
     count = 2 * (os.cpu_count() or 1)
     program = "import os; os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))\nwhile True: pass"
     busy = [subprocess.Popen([sys.executable, "-c", program]) for _ in range(count)]
     try:
-        time.sleep(arguments["for_s"])
+        yield
     finally:
         for process in busy:
             process.kill()

@@ -5,13 +5,15 @@ import json
 import os
 import signal
 import socket
-import tempfile
 import time
 from pathlib import Path
 
+import yaml
+
 from piezod.errors import PiezodError, TemporaryError
 from tests.faults.bench_pool import Observation, run_piezod
-from tests.faults.running_faults import Watch
+from tests.faults.live_bench import ROOT, LiveBench
+from tests.faults.running_faults import Watch, busy_machine
 
 POLL_S = 0.02
 WITHOUT_WATCHDOG = {
@@ -133,27 +135,31 @@ def armed_with_late_replies(pool, fault, *, late_s, clear_after_s, for_s):
     return observed
 
 
-def armed_on_a_cold_cache(pool, fault):
-    """Start with an empty cache of compiled steps, and arm as soon as the daemon reports its connection."""
-    bench = pool.bench()
-    bench.service.end()
+def armed_on_a_cold_cache(pool, fault, *, effect):
+    """Start with an empty cache of compiled steps on a busy machine, and arm as soon as the daemon reports READY."""
+    folder = pool.new_folder()
+    model = yaml.safe_load((ROOT / "config" / "model.yaml").read_text(encoding="utf-8"))
+    (folder / "model.yaml").write_text(yaml.safe_dump(model | {"effects": [effect]}), encoding="utf-8")
+    bench = LiveBench(folder / "bench", changes={"model": str(folder / "model.yaml")})
     observed = Observation()
-    with tempfile.TemporaryDirectory(prefix="piezod-cold-") as folder:
-        bench.environment = {"NUMBA_CACHE_DIR": folder}
-        ready_s = bench.start()
-        begun_s = time.monotonic()
-        try:
-            bench.send_command("arm")
-        except PiezodError as error:
-            observed.text = str(error)
+    try:
+        with busy_machine():
+            bench.environment = {"NUMBA_CACHE_DIR": str(folder)}
+            ready_s = bench.start()
+            begun_s = time.monotonic()
+            try:
+                bench.send_command("arm")
+            except PiezodError as error:
+                observed.text = str(error)
         with contextlib.suppress(AssertionError):
             bench.wait_state("RUNNING", within_s=10.0)
         observed.after_ms = 1e3 * (time.monotonic() - begun_s)
         observed.state = bench.status()["state"]
         observed.figures = {"ready_s": ready_s}
         observed.text += bench.service.log()
-        _start_anew(bench, environment={})
-    observed.armings = bench.rearms
+        observed.armings = bench.rearms
+    finally:
+        bench.close()
     return observed
 
 
@@ -246,12 +252,10 @@ def _wait(condition, within_s=20.0):
         time.sleep(0.005)
 
 
-def _start_anew(bench, environment=None):
+def _start_anew(bench):
     """End the daemon and start it with the configuration file as it is now."""
     bench.service.end()
     bench.drop()
-    if environment is not None:
-        bench.environment = environment
     bench.restore()
 
 

@@ -24,12 +24,14 @@ def test_each_message_is_one_datagram(manager):
     notifier.ready()
     notifier.status("RUNNING: first reference\nreached")
     notifier.alive()
+    notifier.starting()
     notifier.stopping()
     notifier.close()
-    assert [listener.recv(1024) for _ in range(4)] == [
+    assert [listener.recv(1024) for _ in range(5)] == [
         b"READY=1",
         b"STATUS=RUNNING: first reference reached",
         b"WATCHDOG=1",
+        b"WATCHDOG=1\nEXTEND_TIMEOUT_USEC=10000000",
         b"STOPPING=1",
     ]
 
