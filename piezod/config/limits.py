@@ -42,6 +42,7 @@ class LimitsConfig(Section):
     comm_loss_action: Literal["ramp_down", "hold", "zero"] = "ramp_down"
     device_watchdog_ms: Annotated[int, Field(ge=0, le=65535)] = 0
     missed_ticks_in_a_row: Annotated[int, Field(ge=1)] = 5
+    arming_timeout_s: Annotated[float, Field(gt=0, le=3600)] = 10.0
 
     @property
     def voltage_safe_V(self) -> float:
@@ -129,6 +130,7 @@ _TIGHTER_DIRECTION = {
     "stale_after_ms": -1,
     "comm_loss_ms": -1,
     "missed_ticks_in_a_row": -1,
+    "arming_timeout_s": -1,
 }
 
 

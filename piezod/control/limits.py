@@ -54,6 +54,11 @@ class Limiter:
         self._acceleration_V = inf if acceleration is None else acceleration * self._dt_s**2
 
     @property
+    def span_V(self) -> float:
+        """Width of the permitted range [V]."""
+        return self._high_V - self._low_V
+
+    @property
     def applied_V(self) -> float:
         """Voltage that the device acknowledged last [V]; set it when the output is known from a readback."""
         return self._applied_V

@@ -148,7 +148,7 @@ class ControlLoop:
         readback_V = self._link.reading.voltage_readback_V
         self._start_from(readback_V if isfinite(readback_V) else self._safe_V)
         self.begin(segment)
-        self.supervisor.arm(self._clock.now_ns())
+        self.supervisor.arm(self._clock.now_ns(), self._planner.preparation_ticks * self._dt_ns)
 
     def drive(self, segment: Segment) -> Cause:
         """Arm, follow `segment` to its end and ramp down; the result is the fault, or `Cause.NONE`."""
@@ -296,6 +296,7 @@ class ControlLoop:
             self._check_rest(good, reading.voltage_readback_V, now_ns)
         else:
             self._settling_ns = -1
+        supervisor.check_arming(now_ns)  # last: the ring log shows its cause even where the output is at rest already
 
     def _check_rest(self, good: bool, readback_V: float, now_ns: int) -> None:
         """End the ramp down when the safe voltage is written and read back; trip when the readback stays away."""

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from math import inf, isnan, nan
+from math import ceil, inf, isnan, nan
 
 from piezod.control.limits import Limiter
 from piezod.control.references import Freshness, Reference, TableReference
@@ -66,6 +66,8 @@ class SegmentPlanner:
         Value of the reference in the last tick that followed it.
     expected_force_N
         Force that the planned voltage should produce [N]; nan where none is expected.
+    preparation_ticks
+        Planned length of sign check, reset cycle and approach, the approach from end to end of the range [ticks].
     event
         Event of the tick planned last: `Cause.NONE`, REFERENCE_REACHED (the first reference), REFERENCE_LIVE (again,
         after a hold), REFERENCE_ENDED or REFERENCE_STALE.
@@ -77,6 +79,7 @@ class SegmentPlanner:
         self._limiter, self._supervisor = limiter, supervisor
         self._sign_check = sign_check
         self._approach_V = approach_V
+        self.preparation_ticks = 0
         self._checking_sign = self._cycling = self._approaching = False
         self.segment: Segment | None = None
         self.number = -1
@@ -100,6 +103,7 @@ class SegmentPlanner:
             segment.compensator.reset()
         self.segment = segment
         self.number += 1
+        self.preparation_ticks = self._planned_ticks(segment)
         self._checking_sign = self._sign_check is not None
         self._cycling = segment.reset_cycle is not None
         self._approaching = False
@@ -107,6 +111,13 @@ class SegmentPlanner:
             self._sign_check.start(self._limiter.applied_V)
         elif segment.reset_cycle is not None:
             segment.reset_cycle.start(tick)
+
+    def _planned_ticks(self, segment: Segment) -> int:
+        """Planned length of the preparation of `segment` [ticks]; the sign check rises and falls at the slow rate."""
+        ticks = self._limiter.span_V / self._approach_V
+        if self._sign_check is not None:
+            ticks += 2 * self._sign_check.window + 2 * self._sign_check.step_V / self._approach_V
+        return ceil(ticks) + (0 if segment.reset_cycle is None else len(segment.reset_cycle))
 
     def sign_is_right(self, force_N: float) -> bool:
         """Add a good reading [N] to the sign check; False when the force has not risen with the step."""

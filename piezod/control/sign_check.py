@@ -24,6 +24,10 @@ class SignCheck:
 
     Attributes
     ----------
+    window
+        Length of one window [ticks].
+    step_V
+        Height of the step [V].
     passed
         True when the force has risen by at least `config.rise_N`.
     done
@@ -38,15 +42,17 @@ class SignCheck:
         "_sum_N",
         "_ticks",
         "_tolerance_V",
-        "_window",
         "done",
         "passed",
+        "step_V",
+        "window",
     )
 
     def __init__(self, config: SignCheckConfig, dt_s: float, converter_step_V: float = 0.0) -> None:
         self._config = config
+        self.step_V = config.step_V
         self._tolerance_V = max(0.1 * config.step_V, converter_step_V)
-        self._window = max(FEWEST_SAMPLES, ceil(config.settle_s / dt_s))
+        self.window = max(FEWEST_SAMPLES, ceil(config.settle_s / dt_s))
         self.start(0.0)
 
     def start(self, rest_V: float) -> None:
@@ -58,7 +64,7 @@ class SignCheck:
 
     def plan_voltage(self, applied_V: float) -> float:
         """Voltage of this tick [V]: rest, step, then rest again. `applied_V` is the voltage in force [V]."""
-        if self._ticks < self._window or self.passed:
+        if self._ticks < self.window or self.passed:
             self.done = self.passed and abs(applied_V - self._rest_V) <= self._tolerance_V
             return self._rest_V
         return self._rest_V + self._config.step_V
@@ -73,15 +79,15 @@ class SignCheck:
         applied_V
             Voltage in force [V].
         """
-        stepped = self._ticks >= self._window
+        stepped = self._ticks >= self.window
         if self.passed or (stepped and abs(applied_V - self._rest_V - self._config.step_V) > self._tolerance_V):
             return True  # the output is on its way to the step, or back
         self._ticks += 1
-        tick = self._ticks - self._window if stepped else self._ticks
-        if 2 * tick > self._window:
+        tick = self._ticks - self.window if stepped else self._ticks
+        if 2 * tick > self.window:
             self._sum_N += force_N
             self._count += 1
-        if tick < self._window:
+        if tick < self.window:
             return True
         mean_N, self._sum_N, self._count = self._sum_N / self._count, 0.0, 0
         if not stepped:

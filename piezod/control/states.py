@@ -49,6 +49,7 @@ class Cause(IntEnum):
     CONTROLLER = 25
     DEVICE_TOO_HOT = 26
     MAINS_LOST = 27
+    ARMING_TIMEOUT = 28
 
 
 CAUSE_TEXT = {
@@ -82,6 +83,8 @@ CAUSE_TEXT = {
     Cause.CONTROLLER: "the controller failed; see the log",
     Cause.DEVICE_TOO_HOT: "the amplifier reports over-temperature; let it cool, check its fan",
     Cause.MAINS_LOST: "the amplifier reports a loss of mains; check its supply",
+    Cause.ARMING_TIMEOUT: "the first reference was not reached within limits.arming_timeout_s; check the reference and "
+    "its sender",
 }
 
 DEVICE_HAS_TAKEN_OVER = frozenset({Cause.DEVICE_WATCHDOG, Cause.DEVICE_RESTARTED})  # the device drives its output

@@ -48,7 +48,7 @@ class Supervisor:
     """
 
     def __init__(self, limits: LimitsConfig, dt_s: float = 1e-3) -> None:
-        self._last_good_ns = 0
+        self._last_good_ns = self._armed_ns = self._planned_ns = 0
         self._bad_in_a_row = 0
         self._fault = Cause.NONE
         self._fast_stop = False
@@ -70,6 +70,7 @@ class Supervisor:
         self._comm_loss_ns = round(limits.comm_loss_ms * 1e6)
         full_ramp_s = (limits.voltage_max_V - limits.voltage_min_V) / limits.ramp_down_V_per_s
         self._give_up_ns = self._comm_loss_ns + round(full_ramp_s * 1e9)
+        self._arming_timeout_ns = round(limits.arming_timeout_s * 1e9)
         self._holds_on_comm_loss = limits.comm_loss_action == "hold"
         self._watchdog_ns = round(limits.device_watchdog_ms * 1e6)
         for interlock in (self._force, self._stuck, self._readback, self._tracking, self._heat):
@@ -119,10 +120,19 @@ class Supervisor:
         """Latched fault; `Cause.NONE` without a fault."""
         return self._fault
 
-    def arm(self, now_ns: int) -> None:
-        """DISARMED -> ARMING at the monotonic time `now_ns` [ns]; no effect in any other state."""
+    def arm(self, now_ns: int, planned_ns: int = 0) -> None:
+        """DISARMED -> ARMING; no effect in any other state.
+
+        Parameters
+        ----------
+        now_ns
+            Monotonic time [ns].
+        planned_ns
+            Planned duration of ARMING [ns]; `limits.arming_timeout_s` counts after it.
+        """
         if self.state is State.DISARMED and self._fault is Cause.NONE:
-            self._last_good_ns = now_ns
+            self._last_good_ns = self._armed_ns = now_ns
+            self._planned_ns = planned_ns
             self._bad_in_a_row = 0
             self._fast_stop = self.readings_stale = False
             self._watchdog_clear = False  # a watchdog that tripped earlier is cleared by the first command
@@ -208,6 +218,17 @@ class Supervisor:
             self.end_ramp_down()
         elif pause_ns > self._comm_loss_ns:
             self.trip(Cause.STOOD_STILL)
+
+    def check_arming(self, now_ns: int) -> None:
+        """Ramp down when ARMING lasts too long: a voltage must not stay on while nobody sends a reference.
+
+        Parameters
+        ----------
+        now_ns
+            Monotonic time [ns].
+        """
+        if self.state is State.ARMING and now_ns - self._armed_ns > self._planned_ns + self._arming_timeout_ns:
+            self.stop(Cause.ARMING_TIMEOUT)
 
     def check_exchange(self, good: bool, now_ns: int, *, answered: bool = False, ahead_ns: int = 0) -> None:
         """Evaluate an exchange: mark stale readings; trip on a long silence or on invalid readings.

@@ -25,7 +25,7 @@ from tests.benches.processes import Popen
 
 ROOT = Path(__file__).parents[2]
 DAEMON_ROOT = Path(os.environ.get("PIEZOD_UNDER_TEST", ROOT))  # the checkout whose daemon is tested
-BENCH = ROOT / "config" / "bench.yaml"
+BENCH = DAEMON_ROOT / "config" / "bench.yaml"  # with the keys that this daemon knows
 WITHIN_S = 30.0  # limit for starting, restoring and ending, which are not measured
 ARMING_TRIES = 3
 RATE_HZ = 200

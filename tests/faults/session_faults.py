@@ -135,6 +135,23 @@ def armed_with_late_replies(pool, fault, *, late_s, clear_after_s, for_s):
     return observed
 
 
+def armed_without_reference(pool, fault, *, wait_s):
+    """Arm a bench whose stream has no sender, and wait until it is disarmed, at most `wait_s`."""
+    bench = pool.bench(reference={"kind": "stream", "listen": str(pool.folder / "stream"), "when_stale": "ramp_down"})
+    watch, observed = Watch(bench), Observation()
+    bench.send_command("arm")
+    end_s = time.monotonic() + wait_s
+    while bench.status()["state"] != "DISARMED" and time.monotonic() < end_s:
+        time.sleep(0.1)
+    watch.finish(observed)
+    observed.figures["timeouts"] = observed.text.count("limits.arming_timeout_s")
+    observed.figures["output_V"] = abs(bench.device.ask("report")["output_V"])
+    bench.send_command("disarm")
+    bench.restore()
+    observed.armings = bench.rearms
+    return observed
+
+
 def armed_on_a_cold_cache(pool, fault, *, effect):
     """Start with an empty cache of compiled steps on a busy machine, and arm as soon as the daemon reports READY."""
     folder = pool.new_folder()
@@ -274,6 +291,7 @@ def _lives(pid, within_s=3.0):
 
 
 INJECTORS = {
+    "armed_without_reference": armed_without_reference,
     "reloaded_while_starting": reloaded_while_starting,
     "reloaded_while_driving": reloaded_while_driving,
     "reloaded_between_two_drives": reloaded_between_two_drives,

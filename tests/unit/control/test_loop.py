@@ -266,3 +266,45 @@ def test_a_stop_while_arming_waits_for_its_reference_ends_disarmed_at_rest(ring_
         run(loop, 100)
         assert loop.supervisor.state is State.DISARMED
         assert link.voltages[-1] == pytest.approx(0.0, abs=1e-9)
+
+
+class Late(TableReference):
+    """Stale until the tick `live_from`, then 20 N."""
+
+    live_from = 10**9
+
+    def read(self, tick, now_ns):
+        self.freshness = Freshness.STALE if tick < self.live_from else Freshness.LIVE
+        self.ahead = 20.0
+        return 20.0
+
+
+def test_arming_without_a_reference_ends_disarmed_after_its_preparation_and_the_timeout(tmp_path, ring_log):
+    cycle = TableReference(np.full(300, 5.0))
+    for reset_cycle, planned in ((None, 700), (cycle, 1000)):  # 140 V at 0.2 V a tick
+        loop = make_loop(FakeLink(), ring_log, arming_timeout_s=0.5)
+        loop.arm(Segment("silent", Late([0.0]), Halving(), reset_cycle))
+        run(loop, planned + 501)
+        assert loop.supervisor.state is State.ARMING
+        run(loop, 1)
+        assert (loop.supervisor.state, loop.supervisor.cause) == (State.RAMP_DOWN, Cause.ARMING_TIMEOUT)
+        run(loop, 100)
+        assert (loop.supervisor.state, loop.supervisor.fault) == (State.DISARMED, Cause.NONE)
+    rows = rows_of(tmp_path)
+    assert (rows["cause"] == Cause.ARMING_TIMEOUT).any()
+
+
+def test_a_reference_that_comes_within_the_timeout_is_followed(ring_log):
+    loop = make_loop(FakeLink(), ring_log, arming_timeout_s=0.5)
+    reference = Late([0.0])
+    reference.live_from = 1100
+    loop.arm(Segment("late", reference, Halving()))
+    run(loop, 1500)
+    assert loop.supervisor.state is State.RUNNING
+
+
+def test_the_timeout_of_arming_does_not_end_a_run(ring_log):
+    loop = make_loop(FakeLink(), ring_log, arming_timeout_s=0.001)
+    loop.arm(Segment("work", TableReference(np.full(5000, 60.0)), Halving()))
+    run(loop, 3000)
+    assert loop.supervisor.state is State.RUNNING
