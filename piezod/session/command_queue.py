@@ -7,7 +7,7 @@ the pause after a tick costs one comparison: the loop neither polls the pipe nor
     <- ("answer", (7, "ok", "arming"))        or the name and the text of an error
 
 A command that the parent has reported as failed must not act. Every command except `disarm` and `stop` therefore
-expires `VALID_FOR_S` after its request. The age of `arm` is judged after every precondition, directly before it acts.
+expires `VALID_FOR_S` after its request. The age of `arm` is checked after every precondition.
 The death of the parent closes the pipe: that requests a ramp down, and no error of the pipe ends it.
 """
 
