@@ -13,6 +13,7 @@ from prometheus_client.registry import Collector
 
 from piezod.control import State
 from piezod.daemon.drift import DriftWatch
+from piezod.daemon.railed import RailedWatch
 from piezod.daemon.statistics import BOUNDS_S, DurationHistogram, TickStatistics
 from piezod.errors import BusyError
 from piezod.recorder.watch import RecorderWatch
@@ -56,6 +57,8 @@ class BenchMetrics(Collector):
         Recorder; None without one.
     drift
         Function that returns the present comparison with the model; it returns None without one.
+    railed
+        Watch for a reference out of reach; None without one.
     """
 
     def __init__(
@@ -64,11 +67,13 @@ class BenchMetrics(Collector):
         statistics: TickStatistics,
         recorder: RecorderWatch | None = None,
         drift: Callable[[], DriftWatch | None] = lambda: None,
+        railed: RailedWatch | None = None,
     ) -> None:
         self._labels = [name]
         self._statistics = statistics
         self._recorder = recorder
         self._drift = drift
+        self._railed = railed
 
     def collect(self) -> Iterable[Metric]:
         """Yield all metrics with their present values."""
@@ -95,6 +100,11 @@ class BenchMetrics(Collector):
         if self._recorder is not None:
             yield from self._recorder_metrics(self._recorder)
         yield from self._drift_metrics()
+        if self._railed is not None:
+            text = "1 while the reference is out of reach because the voltage is at a limit"
+            gauge = GaugeMetricFamily("piezod_railed", text, labels=["bench"])
+            gauge.add_metric(self._labels, float(self._railed.railed))
+            yield gauge
 
     def _drift_metrics(self) -> Iterable[Metric]:
         watch = self._drift()

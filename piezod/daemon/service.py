@@ -20,6 +20,7 @@ from piezod.daemon.control_socket import ControlSocket, Peer
 from piezod.daemon.journal import log_line
 from piezod.daemon.metrics import BenchMetrics, MetricsServer
 from piezod.daemon.model_watch import ModelWatch
+from piezod.daemon.railed import RailedWatch
 from piezod.daemon.reload import check_armed_change, check_restart_keys, check_settled
 from piezod.daemon.statistics import TickStatistics
 from piezod.daemon.status import status_dict
@@ -64,6 +65,8 @@ class Service:
         Statistics of the ticks of all sessions.
     model_watch
         Comparison with the model.
+    railed_watch
+        Watch for a reference out of reach.
     """
 
     def __init__(self, path: Path, bench: BenchConfig, lock: BenchLock, session: Session, *, arm: bool) -> None:
@@ -82,6 +85,7 @@ class Service:
         self.statistics = TickStatistics(self._log_transition)
         self._recorder = None if bench.recorder is None else RecorderWatch(bench, log_line)
         self.model_watch = ModelWatch(path)
+        self.railed_watch = RailedWatch(log_line)
 
     async def run(self) -> None:
         """Serve the socket and run one session after the other until a signal ends the daemon."""
@@ -94,7 +98,13 @@ class Service:
             stack.push_async_callback(control_socket.close)
             await control_socket.open()
             if self._bench.daemon.metrics_port is not None:
-                shown = BenchMetrics(self._bench.name, self.statistics, self._recorder, lambda: self.model_watch.drift)
+                shown = BenchMetrics(
+                    self._bench.name,
+                    self.statistics,
+                    self._recorder,
+                    lambda: self.model_watch.drift,
+                    self.railed_watch,
+                )
                 metrics = MetricsServer(shown, log_line)
                 stack.push_async_callback(metrics.close)
                 await metrics.open(self._bench.daemon.metrics_port)
@@ -106,7 +116,14 @@ class Service:
             self._read_rows(self._channel.session)
         up_s = time.monotonic() - self._begun_s
         return status_dict(
-            self._bench, self._path, self._channel, self.statistics, self._recorder, self.model_watch, up_s
+            self._bench,
+            self._path,
+            self._channel,
+            self.statistics,
+            self._recorder,
+            self.model_watch,
+            self.railed_watch,
+            up_s,
         )
 
     def _add_signal_handlers(self) -> None:
@@ -244,6 +261,7 @@ class Service:
         rows = session.read()
         self.statistics.add(rows)
         self.model_watch.add(rows)
+        self.railed_watch.add(rows, self._bench)
         return bool(rows.size)
 
     def _log_transition(self, state: State, cause: Cause, row: np.void) -> None:

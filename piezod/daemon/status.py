@@ -9,6 +9,7 @@ from piezod.config import BenchConfig
 if TYPE_CHECKING:
     from piezod.daemon.command_channel import CommandChannel
     from piezod.daemon.model_watch import ModelWatch
+    from piezod.daemon.railed import RailedWatch
     from piezod.daemon.statistics import TickStatistics
     from piezod.recorder.watch import RecorderWatch
 
@@ -28,6 +29,7 @@ def status_dict(
     statistics: "TickStatistics",
     recorder: "RecorderWatch | None",
     model_watch: "ModelWatch",
+    railed_watch: "RailedWatch",
     up_s: float,
 ) -> dict[str, object]:
     """Make the status; runs in the daemon.
@@ -44,6 +46,8 @@ def status_dict(
         Recorder; None without one.
     model_watch
         Comparison with the model.
+    railed_watch
+        Watch for a reference out of reach.
     up_s
         Time since the start of the daemon [s].
     """
@@ -60,6 +64,7 @@ def status_dict(
         "rows_dropped": 0 if channel.session is None else channel.session.dropped,
         "recorder": None if recorder is None else recorder.as_dict(),
         "drift": None if drift is None else drift.as_dict(),
+        "rail": railed_watch.as_dict(),
         "preview": None if preview is None else preview.as_dict(),
         "corrected_force_N": None if drift is None else drift.corrected(),
         **statistics.as_dict(),
@@ -91,6 +96,9 @@ def status_text(status: dict[str, Any]) -> str:
         lines.append(f"  {corrected}; limits apply to the uncorrected reading")
     if drift := status.get("drift"):
         lines.append(f"  {_drift_text(drift)}")
+    rail = status.get("rail")
+    if rail and rail["railed"]:
+        lines.append(f"  reference: RAILED; not reachable, the voltage is at a limit for {rail['lasted_s']:.1f} s")
     if recorder := status.get("recorder"):
         lines.append(f"  {_recorder_text(recorder)}")
     return "\n".join(lines)

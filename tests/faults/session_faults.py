@@ -152,6 +152,22 @@ def armed_without_reference(pool, fault, *, wait_s):
     return observed
 
 
+def reference_out_of_reach(pool, fault, *, reference, wait_s):
+    """Follow a reference that the voltage range does not reach."""
+    bench = pool.bench(reference=reference)
+    observed, begun = Observation(), len(bench.service.log_lines)
+    bench.arm(settle_s=0.0)
+    watch = Watch(bench)
+    time.sleep(wait_s)
+    observed.figures["railed"] = float(bench.status().get("rail", {}).get("railed", False))
+    watch.finish(observed)
+    observed.text = bench.service.log(begun)
+    observed.figures["lines"] = observed.text.count("RAILED")
+    bench.restore()
+    observed.armings = bench.rearms
+    return observed
+
+
 def armed_on_a_cold_cache(pool, fault, *, effect):
     """Start with an empty cache of compiled steps on a busy machine, and arm as soon as the daemon reports READY."""
     folder = pool.new_folder()
@@ -291,6 +307,7 @@ def _lives(pid, within_s=3.0):
 
 
 INJECTORS = {
+    "reference_out_of_reach": reference_out_of_reach,
     "armed_without_reference": armed_without_reference,
     "reloaded_while_starting": reloaded_while_starting,
     "reloaded_while_driving": reloaded_while_driving,
