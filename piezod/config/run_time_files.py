@@ -4,6 +4,7 @@ Only what piezod made is ever replaced or removed. Mode and group are set explic
 """
 
 import contextlib
+import errno
 import grp
 import os
 import socket
@@ -14,9 +15,11 @@ from piezod.errors import BusyError, ConfigurationError
 
 FILE_MODE = 0o640
 """Mode of every run-time file: the owner writes, the group reads."""
+NO_SPACE = (errno.ENOSPC, errno.EDQUOT, errno.ENOMEM, errno.EFBIG, errno.EMFILE, errno.ENFILE)
+"""Errors of a machine that is out of space or descriptors now, and may not be later."""
 
 
-def is_own_file(path: Path, key: str, magic: bytes) -> bool:
+def is_own_file(path: Path, key: str, magic: bytes, head_bytes: int = 0) -> bool:
     """Whether piezod made the file at `path`; False if there is none.
 
     Parameters
@@ -27,6 +30,8 @@ def is_own_file(path: Path, key: str, magic: bytes) -> bool:
         Key of the bench file, for the message.
     magic
         First bytes of every file that piezod makes for this key.
+    head_bytes
+        Length of the head in which `magic` stands; 0: at its begin.
 
     Raises
     ------
@@ -39,7 +44,7 @@ def is_own_file(path: Path, key: str, magic: bytes) -> bool:
         return False
     except OSError as error:
         raise ConfigurationError(f"{key}: {path} cannot be used: {error.strerror}") from error
-    reason = _strange(found) or _without_magic(path, magic)
+    reason = _strange(found) or _without_magic(path, magic, head_bytes)
     if reason:
         raise ConfigurationError(f"{key}: {path} {reason}; piezod replaces only its own files: name another path")
     return True
@@ -63,10 +68,11 @@ def is_owner(found: os.stat_result) -> bool:
     return os.geteuid() in (0, found.st_uid)
 
 
-def _without_magic(path: Path, magic: bytes) -> str:
+def _without_magic(path: Path, magic: bytes, head_bytes: int) -> str:
     try:
         with path.open("rb") as file:
-            return "" if file.read(len(magic)) == magic else "exists, and was not made by piezod"
+            found = file.read(head_bytes or len(magic))
+            return "" if magic in found else "exists, and was not made by piezod"
     except OSError as error:
         return f"cannot be read: {error.strerror}"
 

@@ -78,6 +78,7 @@ class SegmentPlanner:
         self._sign_check = sign_check
         self._approach_V = approach_V
         self._checking_sign = self._cycling = self._approaching = False
+        self._at_rest: Reference | None = None
         self.segment: Segment | None = None
         self.number = -1
         self.reference = 0.0
@@ -99,6 +100,8 @@ class SegmentPlanner:
         if segment is not self.segment or segment.reset_cycle is not None:
             segment.compensator.reset()
         self.segment = segment
+        self.observe(segment.reference)
+        segment.reference.begin()
         self.number += 1
         self._checking_sign = self._sign_check is not None
         self._cycling = segment.reset_cycle is not None
@@ -107,6 +110,10 @@ class SegmentPlanner:
             self._sign_check.start(self._limiter.applied_V)
         elif segment.reset_cycle is not None:
             segment.reset_cycle.start(tick)
+
+    def observe(self, reference: Reference) -> None:
+        """Receive the values of `reference` in every tick that does not follow it, so that none gets old unseen."""
+        self._at_rest = reference
 
     def sign_is_right(self, force_N: float) -> bool:
         """Add a good reading [N] to the sign check; False when the force has not risen with the step."""
@@ -133,16 +140,23 @@ class SegmentPlanner:
         self.event = Cause.NONE
         ramps_down = not supervisor.driving or supervisor.state is State.RAMP_DOWN or supervisor.force_suspect
         if segment is None or ramps_down:
+            self._receive(now_ns)
             return safe_V
         if supervisor.readings_stale:
+            self._receive(now_ns)
             return self._limiter.applied_V
         if supervisor.state is State.ARMING and not self._approaching:
             planned_V = self._prepare(segment, tick, now_ns)
             if not isnan(planned_V):
+                self._receive(now_ns)
                 return planned_V
             self._approaching = True
             segment.reference.start(tick)
         return self._follow(segment, tick, now_ns, safe_V)
+
+    def _receive(self, now_ns: int) -> None:
+        if self._at_rest is not None:
+            self._at_rest.idle(now_ns)
 
     def _prepare(self, segment: Segment, tick: int, now_ns: int) -> float:
         """Voltage of the sign check, then of the reset cycle [V]; nan after both."""

@@ -24,6 +24,7 @@ from typing import Any
 from piezod.config import BenchConfig
 from piezod.config.run_time_files import UnixSocket, group_id
 from piezod.daemon.admission import MAX_CLIENTS, MAX_PER_USER, Admission, Place
+from piezod.daemon.connections import Connections
 from piezod.errors import ConfigurationError, TemporaryError
 
 LONGEST_LINE = 4096
@@ -77,7 +78,7 @@ class ControlSocket:
     def __init__(self, bench: BenchConfig, answer: Answer, log: Callable[[str], None]) -> None:
         self._bench, self._answer, self._log = bench, answer, log
         self._clients: Admission[asyncio.Task[None]] = Admission()
-        self._tasks: set[asyncio.Task[None]] = set()
+        self._connections = Connections(self._serve)
         self._is_full = False
         self._listener: UnixSocket | None = None
         self._server: asyncio.Server | None = None
@@ -97,7 +98,7 @@ class ControlSocket:
         listener = UnixSocket(socket.SOCK_STREAM, path, "daemon.socket", int(daemon.socket_mode, 8), gid)
         try:
             self._server = await asyncio.start_unix_server(
-                self._serve, sock=listener.socket, limit=LONGEST_LINE, backlog=ACCEPTED_AT_ONCE
+                self._connections.accept, sock=listener.socket, limit=LONGEST_LINE, backlog=ACCEPTED_AT_ONCE
             )
             listener.socket.listen(BACKLOG)
         except OSError as error:
@@ -110,9 +111,7 @@ class ControlSocket:
         if self._server is None or self._listener is None:
             return
         self._server.close()
-        for task in list(self._tasks):
-            task.cancel()
-        await asyncio.gather(*self._tasks, return_exceptions=True)
+        await self._connections.close()
         self._listener.close()
 
     async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
@@ -120,7 +119,6 @@ class ControlSocket:
         assert task is not None
         peer = _peer_of(writer)
         place, leaves = self._clients.admit(task, peer.uid)
-        self._tasks.add(task)
         if leaves is not None:
             leaves.client.cancel()
         self._log_full(peer, is_full=not place.served)
@@ -133,7 +131,6 @@ class ControlSocket:
             pass
         finally:
             self._clients.leave(place)
-            self._tasks.discard(task)
             writer.close()
             with contextlib.suppress(OSError, asyncio.CancelledError):
                 await writer.wait_closed()

@@ -22,7 +22,7 @@ from piezod.daemon.metrics import BenchMetrics, MetricsServer
 from piezod.daemon.model_watch import ModelWatch
 from piezod.daemon.reload import check_armed_change, check_restart_keys, file_content
 from piezod.daemon.statistics import TickStatistics
-from piezod.daemon.status import status_dict
+from piezod.daemon.status import reference_values, status_dict
 from piezod.daemon.systemd import Notifier
 from piezod.errors import PiezodError, TemporaryError
 from piezod.recorder.watch import RecorderWatch
@@ -89,7 +89,13 @@ class Service:
             stack.push_async_callback(control_socket.close)
             await control_socket.open()
             if self._bench.daemon.metrics_port is not None:
-                shown = BenchMetrics(self._bench.name, self.statistics, self._recorder, lambda: self.model_watch.drift)
+                shown = BenchMetrics(
+                    self._bench.name,
+                    self.statistics,
+                    self._recorder,
+                    lambda: self.model_watch.drift,
+                    lambda: reference_values(self._bench, self._channel),
+                )
                 metrics = MetricsServer(shown, log_line)
                 stack.push_async_callback(metrics.close)
                 await metrics.open(self._bench.daemon.metrics_port)

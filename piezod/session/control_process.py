@@ -14,9 +14,9 @@ import warnings
 from multiprocessing.connection import Connection
 from pathlib import Path
 
-from piezod.config import model_path
+from piezod.config import BenchConfig, model_path
 from piezod.control import CAUSE_TEXT, Cause, ControlLoop, RingLog, Segment, check_ready, real_time
-from piezod.errors import PiezodError
+from piezod.errors import PiezodError, TemporaryError, system_error_text
 from piezod.model import Model
 from piezod.session.assembly import (
     check_effects,
@@ -28,6 +28,7 @@ from piezod.session.assembly import (
     opened_link,
 )
 from piezod.session.command_queue import CommandQueue
+from piezod.session.device_names import device_names
 from piezod.session.lock import BenchLock
 from piezod.session.task import Outcome, SegmentSpec, Task
 from piezod.transport import ExchangeResult, Link
@@ -55,22 +56,26 @@ def run(task: Task, pipe: Connection, lock: BenchLock) -> None:
     try:
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always")
-            outcome = _execute(task, pipe)
+            outcome = _execute(task, pipe, lock)
         outcome.warnings = [str(warning.message) for warning in caught]
         with contextlib.suppress(BrokenPipeError):
             pipe.send(("done", outcome))
     except PiezodError as error:
         with contextlib.suppress(BrokenPipeError):
             pipe.send(("error", (type(error).__name__, str(error))))
+    except OSError as error:
+        with contextlib.suppress(BrokenPipeError):
+            pipe.send(("error", (TemporaryError.__name__, system_error_text(error))))
     finally:
         lock.close()
         gc.freeze()  # the end of the interpreter visits every object otherwise, which takes 0.2 s
 
 
-def _execute(task: Task, pipe: Connection) -> Outcome:
+def _execute(task: Task, pipe: Connection, lock: BenchLock) -> Outcome:
     """Connect the bench, build its loop, and drive the segments or serve commands."""
     bench = task.bench
     model, specs = _model_and_segments(task)
+    lock.cover(device_names(bench.link))  # again: names may resolve to other addresses, and a reload may name another
     with opened_link(bench) as link, contextlib.ExitStack() as stack:
         clock = make_rate_keeper(bench, link)
         segments = [make_segment(spec, bench, model, link, task.folder) for spec in specs]
@@ -79,9 +84,11 @@ def _execute(task: Task, pipe: Connection) -> Outcome:
         if segments and task.serves is None:
             _warm_up(segments)
             check_ready(bench, link)
-        ring_log = RingLog(bench.ring_log_path, round(bench.daemon.ring_seconds * bench.rate_Hz))
+        ring_log = _ring_log(bench)
         stack.callback(ring_log.close)
         loop = make_loop(bench, link, clock, ring_log)
+        for segment in segments[:1]:
+            loop.observe(segment, ring_log)
         commands = CommandQueue(bench, link, loop, pipe, segments[0] if segments else None)
         signal.signal(signal.SIGTERM, lambda *_: loop.request_stop())
         signal.signal(signal.SIGUSR1, lambda *_: commands.notify())
@@ -91,6 +98,11 @@ def _execute(task: Task, pipe: Connection) -> Outcome:
         with real_time(bench.real_time):
             fault = _drive(loop, segments) if task.serves is None else _serve(loop, commands)
         return _outcome(link, loop, fault, clock.missed)
+
+
+def _ring_log(bench: BenchConfig) -> RingLog:
+    capacity = round(bench.daemon.ring_seconds * bench.rate_Hz)
+    return RingLog(bench.ring_log_path, capacity, bench.daemon.socket_group)
 
 
 def _model_and_segments(task: Task) -> tuple[Model | None, tuple[SegmentSpec, ...]]:

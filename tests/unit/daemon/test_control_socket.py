@@ -202,3 +202,17 @@ def test_an_unusable_path_or_group_is_a_configuration_error(tmp_path, changes, s
 
     with pytest.raises(ConfigurationError, match=says):
         asyncio.run(open_it())
+
+
+@pytest.mark.parametrize("turns", range(4))
+def test_the_end_of_the_server_during_a_connection_reports_nothing(tmp_path, caplog, turns):
+    async def end():
+        async with open_server(tmp_path / "s"):
+            with socket.socket(socket.AF_UNIX) as client:
+                client.setblocking(False)
+                client.connect(str(tmp_path / "s"))
+                for _ in range(turns):
+                    await asyncio.sleep(0)
+
+    asyncio.run(end())
+    assert [record.getMessage() for record in caplog.records] == []

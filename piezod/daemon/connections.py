@@ -1,0 +1,50 @@
+"""The tasks that serve the clients of a server: started at a connection, ended with the server.
+
+The end of the server never leaves a task behind. A task that the event loop cancels at its own end would print a
+traceback (Python 3.11), also where the daemon ends for another reason and with one line.
+"""
+
+import asyncio
+from collections.abc import Awaitable, Callable
+
+Serve = Callable[[asyncio.StreamReader, asyncio.StreamWriter], Awaitable[None]]
+
+
+class Connections:
+    """Client callback of an asyncio server.
+
+    Parameters
+    ----------
+    serve
+        Serves one client until it is done or cancelled.
+    """
+
+    def __init__(self, serve: Serve) -> None:
+        self._serve = serve
+        self._tasks: set[asyncio.Task[None]] = set()
+        self._closed = False
+
+    def accept(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        """Start the task of a client."""
+        if self._closed:
+            writer.close()
+            return
+        task = asyncio.get_running_loop().create_task(self._run(reader, writer))
+        self._tasks.add(task)
+        task.add_done_callback(lambda ended: self._end(ended, writer))
+
+    async def _run(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        await self._serve(reader, writer)
+
+    def _end(self, task: asyncio.Task[None], writer: asyncio.StreamWriter) -> None:
+        self._tasks.discard(task)
+        writer.close()
+
+    async def close(self) -> None:
+        """Cancel every task, wait for its end, and refuse further clients."""
+        self._closed = True
+        tasks = list(self._tasks)
+        for task in tasks:
+            task.cancel()
+        await asyncio.gather(*tasks, return_exceptions=True)
+        await asyncio.sleep(0)  # the event loop closes the sockets now
