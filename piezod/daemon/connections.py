@@ -7,6 +7,9 @@ traceback (Python 3.11), also where the daemon ends for another reason and with 
 import asyncio
 from collections.abc import Awaitable, Callable
 
+TURNS = 4
+"""Turns of the event loop from the acceptance of a connection to the call of `Connections.accept`, at most."""
+
 Serve = Callable[[asyncio.StreamReader, asyncio.StreamWriter], Awaitable[None]]
 
 
@@ -43,6 +46,8 @@ class Connections:
     async def close(self) -> None:
         """Cancel every task, wait for its end, and refuse further clients."""
         self._closed = True
+        for _ in range(TURNS):
+            await asyncio.sleep(0)
         tasks = list(self._tasks)
         for task in tasks:
             task.cancel()
