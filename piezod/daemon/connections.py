@@ -43,11 +43,20 @@ class Connections:
         self._tasks.discard(task)
         writer.close()
 
-    async def close(self) -> None:
-        """Cancel every task, wait for its end, and refuse further clients."""
+    async def close(self, server: asyncio.Server) -> None:
+        """Close a server, cancel the task of every client and wait for its end.
+
+        Parameters
+        ----------
+        server
+            Server that calls `accept`.
+        """
         self._closed = True
+        for listener in server.sockets:
+            asyncio.get_running_loop().remove_reader(listener.fileno())
         for _ in range(TURNS):
             await asyncio.sleep(0)
+        server.close()
         tasks = list(self._tasks)
         for task in tasks:
             task.cancel()

@@ -110,8 +110,7 @@ class ControlSocket:
         """Close the server and every connection, and remove the socket."""
         if self._server is None or self._listener is None:
             return
-        self._server.close()
-        await self._connections.close()
+        await self._connections.close(self._server)
         self._listener.close()
 
     async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:

@@ -199,8 +199,7 @@ class MetricsServer:
     async def close(self) -> None:
         """Close the server."""
         if self._server is not None:
-            self._server.close()
-            await self._connections.close()
+            await self._connections.close(self._server)
 
     async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         self._clients += 1
