@@ -1,7 +1,7 @@
 """The tasks that serve the clients of a server: started at a connection, ended with the server.
 
-The end of the server never leaves a task behind. A task that the event loop cancels at its own end would print a
-traceback (Python 3.11), also where the daemon ends for another reason and with one line.
+The end of the server never leaves a task behind. The event loop would cancel it at its own end and print a traceback
+(Python 3.11).
 """
 
 import asyncio

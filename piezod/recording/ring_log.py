@@ -2,7 +2,9 @@
 
     file = header | capacity rows | counters
     header = magic, 8 bytes | row size | capacity | number of rows written so far, each uint64
-    counters = 8 counters of the writer, each uint64: the checked values of a live reference; a reader may ignore them
+    counters = 8 counts of the writer, each uint64
+
+The counters hold how many values of a live reference passed each result of their check. A reader may ignore them.
 
 The control loop is the only writer. It writes the row, then increases the count. A reader copies rows and reads the
 count again. Rows that were overwritten in the meantime are dropped and counted. The writer takes no lock and makes no

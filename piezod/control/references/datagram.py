@@ -32,7 +32,7 @@ JUMP = 1_000_000
 LEAST_KEY_BYTES = 16
 
 
-class DatagramCheck:
+class DatagramGate:
     """Accepts or refuses one datagram after the other.
 
     Parameters
@@ -63,7 +63,7 @@ class DatagramCheck:
         if self._key is None:
             self._session = self._sequence = -1
 
-    def judge(self, datagram: memoryview, now_ns: int) -> ValueResult:
+    def check(self, datagram: memoryview, now_ns: int) -> ValueResult:
         """Check a datagram; after `ACCEPTED` its value is in `value_N`.
 
         Parameters

@@ -34,8 +34,8 @@ def make_reference(
     Raises
     ------
     ConfigurationError
-        A file cannot be read or holds a value beyond the range, a waveform does not fit the tick rate, or the path or
-        the key of a stream cannot be used.
+        A file cannot be read or holds a value beyond the range. A waveform does not fit the tick rate. The path or the
+        key of a stream cannot be used.
     BusyError
         The address of the stream is in use.
     """

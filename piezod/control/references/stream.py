@@ -8,7 +8,7 @@ from piezod.config.reference import StreamReference
 from piezod.config.reference_range import ReferenceRange
 from piezod.config.run_time_files import UnixSocket, group_id
 from piezod.control.references.counts import ValueResult, new_counts
-from piezod.control.references.datagram import LARGEST, DatagramCheck, read_key
+from piezod.control.references.datagram import LARGEST, DatagramGate, read_key
 from piezod.control.references.reference import Freshness
 from piezod.errors import BusyError
 
@@ -46,7 +46,7 @@ class DatagramStream:
 
     def __init__(self, config: StreamReference, allowed: ReferenceRange) -> None:
         key = None if config.key_file is None else read_key(config.key_file)
-        self._check = DatagramCheck(allowed, key, config.stamp_within_s)
+        self._gate = DatagramGate(allowed, key, config.stamp_within_s)
         self._stale_ns = round(config.stale_after_s * 1e9)
         self._buffer = bytearray(LARGEST + 1)
         self._view = memoryview(self._buffer)
@@ -80,7 +80,7 @@ class DatagramStream:
         with contextlib.suppress(BlockingIOError):
             for _ in range(_MOST_DISCARDED):
                 self._socket.recv_into(self._buffer)
-        self._check.begin()
+        self._gate.begin()
 
     def start(self, tick: int) -> None:
         """No effect: a value counts from its arrival."""
@@ -103,10 +103,10 @@ class DatagramStream:
                 size = self._socket.recv_into(self._buffer)
             except (BlockingIOError, InterruptedError):
                 break
-            result = self._check.judge(self._view[:size], now_ns)
+            result = self._gate.check(self._view[:size], now_ns)
             self.counts[result] += 1
             if result is ValueResult.ACCEPTED:
-                self.ahead, self._received_ns = self._check.value_N, now_ns
+                self.ahead, self._received_ns = self._gate.value_N, now_ns
 
     def close(self) -> None:
         """Close the socket and remove a unix socket's path."""

@@ -11,7 +11,7 @@ import pytest
 from piezod.config.reference import StreamReference
 from piezod.config.reference_range import ReferenceRange
 from piezod.control.references import DatagramStream, Freshness, ValueResult
-from piezod.control.references.datagram import DatagramCheck, read_key
+from piezod.control.references.datagram import DatagramGate, read_key
 from piezod.errors import ConfigurationError
 
 MS = 1_000_000
@@ -73,71 +73,71 @@ def test_a_sender_that_goes_on_through_arming_is_live_at_once(stream):
 
 
 def test_a_sender_that_begins_again_at_one_is_heard_after_arming_and_not_before():
-    check = DatagramCheck(RANGE)
-    assert check.judge(plain(500_000), 0) is ACCEPTED
-    assert check.judge(plain(1), 5 * MS) is OUT_OF_ORDER
-    check.begin()
-    assert check.judge(plain(1), 10 * MS) is ACCEPTED
+    gate = DatagramGate(RANGE)
+    assert gate.check(plain(500_000), 0) is ACCEPTED
+    assert gate.check(plain(1), 5 * MS) is OUT_OF_ORDER
+    gate.begin()
+    assert gate.check(plain(1), 10 * MS) is ACCEPTED
 
 
 def test_a_wild_number_is_refused_and_does_not_block_the_next_one():
-    check = DatagramCheck(RANGE)
-    assert check.judge(plain(2**64 - 1), 0) is JUMPED
-    assert check.judge(plain(7), MS) is ACCEPTED
-    assert check.judge(plain(2**64 - 1), 2 * MS) is JUMPED
-    assert check.judge(plain(2**62), 3 * MS) is JUMPED
-    assert check.judge(plain(8), 4 * MS) is ACCEPTED
+    gate = DatagramGate(RANGE)
+    assert gate.check(plain(2**64 - 1), 0) is JUMPED
+    assert gate.check(plain(7), MS) is ACCEPTED
+    assert gate.check(plain(2**64 - 1), 2 * MS) is JUMPED
+    assert gate.check(plain(2**62), 3 * MS) is JUMPED
+    assert gate.check(plain(8), 4 * MS) is ACCEPTED
 
 
 def test_a_sender_may_pause_and_may_count_nanoseconds():
-    check = DatagramCheck(RANGE)
-    assert check.judge(plain(1000), 0) is ACCEPTED
-    assert check.judge(plain(1_001_000), 3600 * 1000 * MS) is ACCEPTED
-    assert check.judge(plain(1_001_000 + 5 * MS), 3600 * 1000 * MS + 5 * MS) is ACCEPTED
+    gate = DatagramGate(RANGE)
+    assert gate.check(plain(1000), 0) is ACCEPTED
+    assert gate.check(plain(1_001_000), 3600 * 1000 * MS) is ACCEPTED
+    assert gate.check(plain(1_001_000 + 5 * MS), 3600 * 1000 * MS + 5 * MS) is ACCEPTED
 
 
 def test_a_higher_session_begins_anew_and_a_lower_one_is_refused():
-    check = DatagramCheck(RANGE)
-    assert check.judge(in_session(5, 900), 0) is ACCEPTED
-    assert check.judge(in_session(6, 1), 1) is ACCEPTED
-    assert check.judge(in_session(5, 901), 2) is OUT_OF_ORDER
-    assert check.judge(plain(902), 3) is OUT_OF_ORDER
-    assert check.judge(in_session(2**64 - 1, 1), 4) is JUMPED
-    assert check.judge(in_session(6, 2), 5) is ACCEPTED
+    gate = DatagramGate(RANGE)
+    assert gate.check(in_session(5, 900), 0) is ACCEPTED
+    assert gate.check(in_session(6, 1), 1) is ACCEPTED
+    assert gate.check(in_session(5, 901), 2) is OUT_OF_ORDER
+    assert gate.check(plain(902), 3) is OUT_OF_ORDER
+    assert gate.check(in_session(2**64 - 1, 1), 4) is JUMPED
+    assert gate.check(in_session(6, 2), 5) is ACCEPTED
 
 
 @pytest.mark.parametrize("value", [300.1, -0.1, 1e300, -1e300])
 def test_a_value_beyond_the_range_is_refused_and_not_clamped(value):
-    check = DatagramCheck(RANGE)
-    assert check.judge(plain(1, 100.0), 0) is ACCEPTED
-    assert check.judge(plain(2, value), 1) is ValueResult.OUT_OF_RANGE
-    assert check.value_N == 100.0
-    assert check.judge(plain(2, 300.0), 2) is ACCEPTED
+    gate = DatagramGate(RANGE)
+    assert gate.check(plain(1, 100.0), 0) is ACCEPTED
+    assert gate.check(plain(2, value), 1) is ValueResult.OUT_OF_RANGE
+    assert gate.value_N == 100.0
+    assert gate.check(plain(2, 300.0), 2) is ACCEPTED
 
 
 def test_with_a_key_only_a_valid_tag_is_accepted():
-    check = DatagramCheck(RANGE, KEY)
+    gate = DatagramGate(RANGE, KEY)
     good = bytes(signed(1, 1))
-    assert check.judge(memoryview(good), 0) is ACCEPTED
+    assert gate.check(memoryview(good), 0) is ACCEPTED
     refused = [bytes(plain(2)), bytes(in_session(1, 2)), bytes(signed(1, 2, key=bytes(32))), b"", good + b"x"]
     refused += [good[:k] + bytes([good[k] ^ 1]) + good[k + 1 :] for k in range(len(good))]
-    assert {check.judge(memoryview(one), 1) for one in refused} == {ValueResult.UNAUTHENTICATED}
+    assert {gate.check(memoryview(one), 1) for one in refused} == {ValueResult.UNAUTHENTICATED}
 
 
 def test_with_a_key_no_recorded_datagram_is_accepted_again_also_after_arming():
-    check = DatagramCheck(RANGE, KEY)
+    gate = DatagramGate(RANGE, KEY)
     recorded = [signed(1, 1), signed(1, 2), signed(2, 1)]
-    assert [check.judge(one, 0) for one in recorded] == [ACCEPTED] * 3
-    check.begin()
-    assert [check.judge(one, 1) for one in recorded] == [OUT_OF_ORDER] * 3
-    assert check.judge(signed(2, 2), 2) is ACCEPTED
+    assert [gate.check(one, 0) for one in recorded] == [ACCEPTED] * 3
+    gate.begin()
+    assert [gate.check(one, 1) for one in recorded] == [OUT_OF_ORDER] * 3
+    assert gate.check(signed(2, 2), 2) is ACCEPTED
 
 
 def test_the_time_of_the_sender_counts_where_it_is_configured():
-    check = DatagramCheck(RANGE, KEY, stamp_within_s=1.0)
+    gate = DatagramGate(RANGE, KEY, stamp_within_s=1.0)
     now_ns = time.time_ns()
-    assert check.judge(signed(1, 1, stamp_ns=now_ns - 10**10), 0) is ValueResult.MISTIMED
-    assert check.judge(signed(1, 1, stamp_ns=now_ns), 0) is ACCEPTED
+    assert gate.check(signed(1, 1, stamp_ns=now_ns - 10**10), 0) is ValueResult.MISTIMED
+    assert gate.check(signed(1, 1, stamp_ns=now_ns), 0) is ACCEPTED
 
 
 def test_a_key_is_read_from_a_file_that_only_owner_and_group_can_read(tmp_path):

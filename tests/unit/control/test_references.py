@@ -14,6 +14,7 @@ from piezod.control.references import (
     Freshness,
     RegisterValue,
     TableReference,
+    ValueResult,
     counts_dict,
     file_table,
     make_reference,
@@ -225,3 +226,35 @@ def test_a_loop_planned_ahead_runs_in_once_and_then_repeats_without_a_pause():
     reference.start(0)
     read = [(reference.read(tick, 0), reference.ahead) for tick in range(8)]
     assert read == [(1, 1), (1, 2), (2, 3), (3, 1), (1, 2), (2, 3), (3, 1), (1, 2)]
+
+
+@pytest.mark.parametrize(
+    ("value", "says"), [(1e300, r"1e\+300 N at 5.01 s, must be at most"), (np.nan, "must be finite")]
+)
+def test_a_file_with_an_absurd_value_between_two_ticks_is_refused(tmp_path, value, says):
+    time_s = np.array([5.0, 5.01, 5.02, 6.0])
+    write_csv(Recording(time_s, {"reference_N": np.array([1.0, value, 1.0, 1.0])}), tmp_path / "rec.csv")
+    with pytest.raises(ConfigurationError, match=says):
+        file_table(FileReference(kind="file", path="rec.csv"), 10.0, tmp_path, ANY)
+
+
+def test_a_register_value_beyond_the_range_is_refused_and_counted():
+    reading = Reading()
+    allowed = ReferenceRange(0.0, 300.0)
+    reference = RegisterValue(reading, RegisterReference(kind="register", stale_after_s=0.5), allowed, counted=True)
+    for counter, value in enumerate((10.0, 20.0, 301.0, -1.0)):
+        reading.reference_N, reading.reference_counter = value, counter
+        reference.idle(counter * MS)
+    assert reference.read(4, 4 * MS) == 20.0
+    assert (reference.counts[ValueResult.ACCEPTED], reference.counts[ValueResult.OUT_OF_RANGE]) == (1, 2)
+
+
+def test_a_register_value_that_was_there_before_the_first_reading_is_stale():
+    reading = Reading()
+    reference = RegisterValue(reading, RegisterReference(kind="register", stale_after_s=0.5), ANY, counted=True)
+    reference.idle(0)  # no exchange yet
+    reading.reference_N, reading.reference_counter = 200.0, 77
+    reference.idle(MS)
+    reference.begin()
+    reference.read(2, 2 * MS)
+    assert reference.freshness is Freshness.STALE
