@@ -1,8 +1,8 @@
 """The ring log: a file in shared memory that holds the latest ticks; one process writes, any number of processes read.
 
-    file = header | capacity rows | counters
-    header = magic, 8 bytes | row size | capacity | number of rows written so far, each uint64
-    counters = 8 counts of the writer, each uint64
+    file       = header | capacity rows | counters
+    header     = magic, 8 bytes | row size | capacity | number of rows written so far, each uint64
+    counters   = 8 counts of the writer, each uint64
 
 The counters hold how many values of a live reference passed each result of their check. A reader may ignore them.
 
