@@ -69,5 +69,17 @@ class RecordingError(ConfigurationError):
     """A recording cannot be read or used."""
 
 
+def system_error_text(error: OSError) -> str:
+    """Make one line of an error of the system that was not expected where it occurred.
+
+    Parameters
+    ----------
+    error
+        The error; its file name is part of the line.
+    """
+    place = "" if error.filename is None else f"{error.filename}: "
+    return f"{place}{error.strerror or type(error).__name__}: the system refused it; free the resource and try again"
+
+
 def _escaped(character: str) -> str:
     return character if character.isprintable() else character.encode("unicode_escape").decode("ascii")

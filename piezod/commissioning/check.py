@@ -136,7 +136,7 @@ def _reference(bench: BenchConfig, model: Model, folder: Path) -> Iterator[Check
     if isinstance(bench.reference, (RegisterReference, StreamReference)):
         return
     try:
-        table = make_reference(bench.reference, bench.rate_Hz, folder, Reading(), counted=False)
+        table = make_reference(bench.reference, bench.rate_Hz, folder, Reading(), bench.reference_range, counted=False)
     except PiezodError as error:
         yield Check("reference", "FAIL", str(error))
         return

@@ -11,7 +11,7 @@ from piezod.config import BenchConfig
 from piezod.control import CAUSE_TEXT, Cause, RingLog
 from piezod.errors import CheckFailedError, UnreachableError
 from piezod.session.assembly import load_bench_without_model, make_loop, make_rate_keeper, opened_link
-from piezod.session.lock import BenchLock
+from piezod.session.lock import lock_bench
 from piezod.transport import ExchangeResult, Link
 from piezod.transport.status import STATUS_WATCHDOG
 
@@ -52,7 +52,7 @@ def stop_directly(path: Path) -> str:
     bench = load_bench_without_model(path)
     limits = bench.limits
     ramp_s = (limits.voltage_max_V - limits.voltage_min_V) / limits.ramp_down_V_per_s
-    lock = BenchLock(bench.lock_path, wait_s=LOCK_WITHIN_S + ramp_s)
+    lock = lock_bench(bench, wait_s=LOCK_WITHIN_S + ramp_s)
     try:
         with opened_link(bench) as link:
             return _bring_to_rest(bench, link)
@@ -75,12 +75,11 @@ def _bring_to_rest(bench: BenchConfig, link: Link) -> str:
 
 
 def _ramp(bench: BenchConfig, link: Link, from_V: float) -> Cause:
-    ring_log = RingLog(bench.ring_log_path, round(bench.rate_Hz))
+    ring_log = RingLog(None, round(bench.rate_Hz))  # without a file: a full file system must not prevent a stop
     try:
         return make_loop(bench, link, make_rate_keeper(bench, link), ring_log).bring_down(from_V)
     finally:
         ring_log.close()
-        bench.ring_log_path.unlink(missing_ok=True)
 
 
 def _wait_for_rest(bench: BenchConfig, link: Link) -> float:

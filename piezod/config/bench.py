@@ -9,6 +9,7 @@ from piezod.config.checked import Section, check, require, shortened
 from piezod.config.limits import LimitsConfig
 from piezod.config.link import LinkConfig, ModbusRtuLink, ModbusTcpLink, SerialLineLink
 from piezod.config.reference import ReferenceConfig, RegisterReference
+from piezod.config.reference_range import ReferenceRange, reference_range
 from piezod.config.sections import ArmingConfig, DaemonConfig, DriftConfig, RealTimeConfig, RecorderConfig
 from piezod.config.yaml_reader import Document, read_document
 from piezod.errors import ConfigurationError
@@ -97,6 +98,16 @@ class BenchConfig(Section):
             arming.sign_check.step_V,
             f"at most {highest_V:g}, from the safe voltage to limits.voltage_max_V",
         )
+        return self
+
+    @property
+    def reference_range(self) -> ReferenceRange:
+        """Range of forces that the reference may ask for."""
+        return reference_range(self.reference, self.limits)
+
+    @model_validator(mode="after")
+    def _reference_is_within_its_range(self) -> Self:
+        reference_range(self.reference, self.limits)
         return self
 
     @model_validator(mode="after")

@@ -4,13 +4,26 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
-from piezod.config.checked import Section
+from piezod.config.checked import Section, require
 
 Positive = Annotated[float, Field(gt=0)]
 EndAction = Literal["hold", "ramp_down"]
 
 
-class WaveformReference(Section):
+class _LimitedReference(Section):
+    """Keys of every source: the range of forces that may be asked for; None: the force limits of the bench."""
+
+    low_N: float | None = None
+    high_N: float | None = None
+
+    @model_validator(mode="after")
+    def _low_is_below_high(self) -> Self:
+        if self.low_N is not None and self.high_N is not None:
+            require(self.low_N < self.high_N, "low_N", self.low_N, f"below high_N, {self.high_N:g}")
+        return self
+
+
+class WaveformReference(_LimitedReference):
     """A built-in waveform: `offset_N` + `amplitude_N` * shape [N], with the shape between -1 and 1."""
 
     kind: Literal["triangle", "sine", "staircase", "steps", "multisine"]
@@ -23,7 +36,7 @@ class WaveformReference(Section):
     at_end: EndAction = "ramp_down"
 
 
-class FileReference(Section):
+class FileReference(_LimitedReference):
     """A column of a recording, interpolated at the ticks: `value * scale + offset_N` [N]."""
 
     kind: Literal["file"]
@@ -35,7 +48,7 @@ class FileReference(Section):
     at_end: EndAction = "ramp_down"
 
 
-class RegisterReference(Section):
+class RegisterReference(_LimitedReference):
     """The `reference` register, written by a PLC; stale when `reference_counter` does not change."""
 
     kind: Literal["register"]
@@ -43,13 +56,20 @@ class RegisterReference(Section):
     when_stale: EndAction = "hold"
 
 
-class StreamReference(Section):
-    """Datagrams of 24 bytes, little-endian: sequence number (uint64), time [ns] (uint64), force [N] (float64)."""
+class StreamReference(_LimitedReference):
+    """Datagrams, little-endian: sequence number (uint64), time [ns] (uint64), force [N] (float64).
+
+    A session number (uint64) may precede them. With `key_file` it must, and an authentication tag of 16 bytes follows.
+    """
 
     kind: Literal["stream"]
     listen: Annotated[str, Field(min_length=1)]
     stale_after_s: Positive = 0.1
     when_stale: EndAction = "hold"
+    key_file: Annotated[str, Field(pattern=r"^(/|\$CREDENTIALS_DIRECTORY/).+")] | None = None
+    stamp_within_s: Positive | None = None
+    socket_group: Annotated[str, Field(min_length=1)] | None = None
+    socket_mode: Annotated[str, Field(pattern=r"^0?[0-7]{3}$")] = "0660"
 
     @property
     def udp_address(self) -> tuple[str, int] | None:

@@ -11,6 +11,7 @@ from math import inf, isfinite, isnan, nan
 from piezod.config import LimitsConfig, SignCheckConfig
 from piezod.control.limits import Limiter
 from piezod.control.rate_keeper import RateKeeper
+from piezod.control.references import DatagramStream, RegisterValue
 from piezod.control.segment_planner import Segment, SegmentPlanner
 from piezod.control.sign_check import SignCheck
 from piezod.control.states import Cause, State
@@ -140,6 +141,12 @@ class ControlLoop:
     def begin(self, segment: Segment) -> None:
         """Select `segment`; it starts when the loop is armed."""
         self._planner.begin(segment, self._clock.tick)
+
+    def observe(self, segment: Segment, ring_log: RingLog) -> None:
+        """Receive the values of `segment`'s reference from now on, also at rest, and count them in the ring log."""
+        self._planner.observe(segment.reference)
+        if isinstance(segment.reference, (DatagramStream, RegisterValue)):
+            segment.reference.counts = ring_log.counters
 
     def arm(self, segment: Segment) -> None:
         """Start `segment` from the voltage that is read back; no effect unless the state is DISARMED."""

@@ -81,6 +81,7 @@ class SegmentPlanner:
         self._approach_V = approach_V
         self.preparation_ticks = 0
         self._checking_sign = self._cycling = self._approaching = False
+        self._at_rest: Reference | None = None
         self.segment: Segment | None = None
         self.number = -1
         self.reference = 0.0
@@ -102,6 +103,8 @@ class SegmentPlanner:
         if segment is not self.segment or segment.reset_cycle is not None:
             segment.compensator.reset()
         self.segment = segment
+        self.observe(segment.reference)
+        segment.reference.begin()
         self.number += 1
         self.preparation_ticks = self._planned_ticks(segment)
         self._checking_sign = self._sign_check is not None
@@ -118,6 +121,10 @@ class SegmentPlanner:
         if self._sign_check is not None:
             ticks += 2 * self._sign_check.window + 2 * self._sign_check.step_V / self._approach_V
         return ceil(ticks) + (0 if segment.reset_cycle is None else len(segment.reset_cycle))
+
+    def observe(self, reference: Reference) -> None:
+        """Receive the values of `reference` in every tick that does not follow it, so that none gets old unseen."""
+        self._at_rest = reference
 
     def sign_is_right(self, force_N: float) -> bool:
         """Add a good reading [N] to the sign check; False when the force has not risen with the step."""
@@ -144,16 +151,23 @@ class SegmentPlanner:
         self.event = Cause.NONE
         ramps_down = not supervisor.driving or supervisor.state is State.RAMP_DOWN or supervisor.force_suspect
         if segment is None or ramps_down:
+            self._receive(now_ns)
             return safe_V
         if supervisor.readings_stale:
+            self._receive(now_ns)
             return self._limiter.applied_V
         if supervisor.state is State.ARMING and not self._approaching:
             planned_V = self._prepare(segment, tick, now_ns)
             if not isnan(planned_V):
+                self._receive(now_ns)
                 return planned_V
             self._approaching = True
             segment.reference.start(tick)
         return self._follow(segment, tick, now_ns, safe_V)
+
+    def _receive(self, now_ns: int) -> None:
+        if self._at_rest is not None:
+            self._at_rest.idle(now_ns)
 
     def _prepare(self, segment: Segment, tick: int, now_ns: int) -> float:
         """Voltage of the sign check, then of the reset cycle [V]; nan after both."""

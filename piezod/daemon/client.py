@@ -13,6 +13,8 @@ ANSWER_WITHIN_S = 15.0
 """Longest time to wait for an answer of the daemon [s]."""
 POLL_INTERVAL_S = 0.1
 """Time between two status requests while the bench arms or ramps down [s]."""
+QUEUE_INTERVAL_S = 0.01
+"""Time between two attempts to connect while other clients wait to be accepted [s]."""
 _FOLDERS = (Path("/run/piezod"), Path("/dev/shm"))  # noqa: S108  # default folders of the daemon's socket
 _MOVING = ("ARMING", "RAMP_DOWN")
 
@@ -66,13 +68,26 @@ class Client:
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM | socket.SOCK_CLOEXEC)
         self._socket.settimeout(ANSWER_WITHIN_S)
         try:
-            self._socket.connect(str(path))
+            self._connect()
         except OSError as error:
             self._socket.close()
             reason = error.strerror or str(error)
             advice = "are you in its group?" if isinstance(error, PermissionError) else "is the daemon running?"
             raise UnreachableError(f"{path}: {reason}: {advice}") from error
         self._lines = self._socket.makefile("rb")
+
+    def _connect(self) -> None:
+        """Connect; wait while the queue of the socket is full, which the kernel reports as an error."""
+        deadline_s = time.monotonic() + ANSWER_WITHIN_S
+        while True:
+            try:
+                self._socket.connect(str(self._path))
+            except BlockingIOError:
+                if time.monotonic() > deadline_s:
+                    raise
+                time.sleep(QUEUE_INTERVAL_S)
+            else:
+                return
 
     def ask(self, command: str) -> dict[str, Any]:
         """Send a command and return the answer of the daemon.

@@ -7,13 +7,13 @@
 Owner, group and mode of the socket file decide who may connect. The kernel reports who has connected, and the daemon
 logs it. The length of a line, the time for a line and the number of clients are limited. A faulty, slow or hostile
 client therefore cannot block the daemon. The control loop runs in another process.
+
+`stop` and `disarm` are obeyed however many clients are connected (`daemon/admission.py`).
 """
 
 import asyncio
 import contextlib
-import grp
 import json
-import os
 import pwd
 import socket
 import struct
@@ -22,13 +22,24 @@ from dataclasses import dataclass
 from typing import Any
 
 from piezod.config import BenchConfig
-from piezod.errors import BusyError, ConfigurationError
+from piezod.config.run_time_files import UnixSocket, group_id
+from piezod.daemon.admission import MAX_CLIENTS, MAX_PER_USER, Admission, Place
+from piezod.daemon.connections import Connections
+from piezod.errors import ConfigurationError, TemporaryError
 
 LONGEST_LINE = 4096
 """Longest line of a client [byte]."""
 LINE_WITHIN_S = 10.0
 """Longest time until a client has sent a line, or has read its answer [s]."""
-MAX_CLIENTS = 16
+URGENT_WITHIN_S = 2.0
+"""Longest time until a client in the waiting room has sent its line [s]."""
+ACCEPTED_AT_ONCE = 8
+"""Connections that are accepted before the lines that have arrived are read; far below the size of the waiting room."""
+BACKLOG = 1024
+"""Connections that the kernel holds until they are accepted."""
+_FULL_TEXT = (
+    f"{MAX_CLIENTS} clients, or {MAX_PER_USER} of this user, are connected already; only stop and disarm are obeyed now"
+)
 _CREDENTIALS = struct.Struct("3i")  # struct ucred: pid, uid, gid
 
 
@@ -65,10 +76,11 @@ class ControlSocket:
     """
 
     def __init__(self, bench: BenchConfig, answer: Answer, log: Callable[[str], None]) -> None:
-        self._path = bench.socket_path
-        self._group, self._mode = bench.daemon.socket_group, int(bench.daemon.socket_mode, 8)
-        self._answer, self._log = answer, log
-        self._clients: set[asyncio.Task[None]] = set()
+        self._bench, self._answer, self._log = bench, answer, log
+        self._clients: Admission[asyncio.Task[None]] = Admission()
+        self._connections = Connections(self._serve)
+        self._is_full = False
+        self._listener: UnixSocket | None = None
         self._server: asyncio.Server | None = None
 
     async def open(self) -> None:
@@ -77,82 +89,61 @@ class ControlSocket:
         Raises
         ------
         ConfigurationError
-            The path cannot be bound, or the group does not exist.
+            The path cannot be bound, is another kind of file, or the group does not exist.
         BusyError
-            Another daemon listens there, or the path is another kind of file.
+            Another daemon listens there.
         """
-        listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM | socket.SOCK_CLOEXEC)
+        path, daemon = self._bench.socket_path, self._bench.daemon
+        gid = group_id(daemon.socket_group, "daemon.socket_group")
+        listener = UnixSocket(socket.SOCK_STREAM, path, "daemon.socket", int(daemon.socket_mode, 8), gid)
         try:
-            self._remove_unused_socket()
-            before = os.umask(0o777)  # nobody may connect before group and mode are set
-            try:
-                listener.bind(str(self._path))
-            finally:
-                os.umask(before)
-            group = None if self._group is None else _gid_of(self._group)
-            if group not in (None, self._path.lstat().st_gid):  # the sandbox of the service forbids chown
-                os.chown(self._path, -1, group)
-            self._path.chmod(self._mode)
-            listener.setblocking(False)
-            self._server = await asyncio.start_unix_server(self._serve, sock=listener, limit=LONGEST_LINE)
+            self._server = await asyncio.start_unix_server(
+                self._connections.accept, sock=listener.socket, limit=LONGEST_LINE, backlog=ACCEPTED_AT_ONCE
+            )
+            listener.socket.listen(BACKLOG)
         except OSError as error:
             listener.close()
-            raise ConfigurationError(
-                f"daemon.socket: {self._path} cannot be bound: {error.strerror or error}"
-            ) from error
-        except BaseException:
-            listener.close()
-            raise
-
-    def _remove_unused_socket(self) -> None:
-        """Remove a socket without a listener; refuse any other file."""
-        if not os.path.lexists(self._path):
-            return
-        if not self._path.is_socket():
-            raise BusyError(f"daemon.socket: {self._path} is a file and no socket; remove it")
-        with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as probe:
-            probe.setblocking(False)
-            with contextlib.suppress(ConnectionRefusedError, FileNotFoundError):
-                probe.connect(str(self._path))
-                raise BusyError(f"daemon.socket: {self._path}: another daemon listens there; stop it, or name another")
-        self._path.unlink(missing_ok=True)
+            raise ConfigurationError(f"daemon.socket: {path} cannot be bound: {error.strerror or error}") from error
+        self._listener = listener
 
     async def close(self) -> None:
         """Close the server and every connection, and remove the socket."""
-        if self._server is None:
+        if self._server is None or self._listener is None:
             return
-        self._server.close()
-        for client in list(self._clients):
-            client.cancel()
-        await asyncio.gather(*self._clients, return_exceptions=True)
-        self._path.unlink(missing_ok=True)
+        await self._connections.close(self._server)
+        self._listener.close()
 
     async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         task = asyncio.current_task()
         assert task is not None
         peer = _peer_of(writer)
-        if len(self._clients) >= MAX_CLIENTS:
-            self._log(f"socket: {peer} refused: {MAX_CLIENTS} clients are connected already")
-            writer.close()
-            return
-        self._clients.add(task)
+        place, leaves = self._clients.admit(task, peer.uid)
+        if leaves is not None:
+            leaves.client.cancel()
+        self._log_full(peer, is_full=not place.served)
         try:
-            while line := await self._read_line(reader, peer):
-                writer.write(json.dumps(await self._reply(line, peer)).encode() + b"\n")
+            while line := await self._read_line(reader, peer, place):
+                writer.write(json.dumps(await self._reply(line, peer, place)).encode() + b"\n")
                 async with asyncio.timeout(LINE_WITHIN_S):
                     await writer.drain()
         except (OSError, TimeoutError, asyncio.CancelledError):
             pass
         finally:
-            self._clients.discard(task)
+            self._clients.leave(place)
             writer.close()
             with contextlib.suppress(OSError, asyncio.CancelledError):
                 await writer.wait_closed()
 
-    async def _read_line(self, reader: asyncio.StreamReader, peer: Peer) -> bytes:
+    def _log_full(self, peer: Peer, *, is_full: bool) -> None:
+        """Log once when the places are taken, and not for each client that comes then."""
+        if is_full and not self._is_full:
+            self._log(f"socket: {peer}: {_FULL_TEXT}")
+        self._is_full = is_full
+
+    async def _read_line(self, reader: asyncio.StreamReader, peer: Peer, place: Place[asyncio.Task[None]]) -> bytes:
         """Return the next line; empty at the end, and for a line that is too long or too late."""
         try:
-            async with asyncio.timeout(LINE_WITHIN_S):
+            async with asyncio.timeout(LINE_WITHIN_S if place.served or place.commanded else URGENT_WITHIN_S):
                 return await reader.readuntil(b"\n")
         except asyncio.IncompleteReadError:
             return b""
@@ -162,7 +153,7 @@ class ControlSocket:
         except TimeoutError:
             return b""
 
-    async def _reply(self, line: bytes, peer: Peer) -> dict[str, object]:
+    async def _reply(self, line: bytes, peer: Peer, place: Place[asyncio.Task[None]]) -> dict[str, object]:
         try:
             request: Any = json.loads(line)
         except (ValueError, RecursionError):
@@ -170,6 +161,9 @@ class ControlSocket:
         command = request.get("command") if isinstance(request, dict) else None
         if not isinstance(command, str) or set(request) != {"command"}:
             return _refusal('line must be an object with one key, such as {"command": "status"}')
+        if not place.may_send(command):
+            return {"ok": False, "error": f"{command}: {_FULL_TEXT}; try again", "code": TemporaryError.exit_code}
+        place.commanded = not place.served
         return await self._answer(command, peer)
 
 
@@ -180,12 +174,3 @@ def _refusal(text: str) -> dict[str, object]:
 def _peer_of(writer: asyncio.StreamWriter) -> Peer:
     raw = writer.get_extra_info("socket").getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, _CREDENTIALS.size)
     return Peer(*_CREDENTIALS.unpack(raw))
-
-
-def _gid_of(group: str) -> int:
-    try:
-        return grp.getgrnam(group).gr_gid
-    except KeyError:
-        raise ConfigurationError(
-            f"daemon.socket_group is '{group}', which does not exist; create it or name another"
-        ) from None

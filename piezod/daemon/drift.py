@@ -6,6 +6,7 @@ windows in a row exceed the limit. The daemon then logs it once and shows it in 
 the last arming are written to a file for `piezod diagnose --from-bench`. `drift.keep_s` bounds the memory.
 """
 
+import os
 import threading
 from collections.abc import Callable
 from math import isfinite, nan, sqrt
@@ -15,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piezod.config import BenchConfig, load_bench, model_path
+from piezod.config.run_time_files import FILE_MODE, is_own_file, set_access
 from piezod.control import State
 from piezod.errors import CheckFailedError, ConfigurationError, PiezodError
 from piezod.model import Model
@@ -29,6 +31,9 @@ LIMIT_IN_MODEL_ERRORS = 3.0
 """Default limit, as a multiple of the held-out rms error of the model."""
 LIMIT_IN_RANGES = 0.01
 """Default limit as a part of the force range, for a model without a held-out error."""
+DRIFT_MAGIC = b"\n# kept: left its model\n"
+"""Line in the head of every recording of a drift."""
+DRIFT_HEAD_BYTES = 4096
 WINDOWS = 2
 """Number of windows in a row above the limit that count as a drift."""
 LONGEST_GAP_S = 5.0
@@ -210,9 +215,28 @@ class DriftWatch:
         time_s = readings["tick"] * self._bench.dt_s
         metadata = {"bench": self._bench.name, "model": self._name, "kept": "left its model"} | HELD_ONE_SAMPLE.metadata
         try:
+            check_drift_file(self._bench)
             write_csv(Recording(time_s - time_s[0], columns, metadata=metadata), self.path)
+            set_access(self.path, FILE_MODE, os.getegid())
         except (PiezodError, OSError) as error:
             self.problem = str(error)
+
+
+def check_drift_file(bench: BenchConfig) -> None:
+    """Refuse a file that is not an earlier recording of a drift: it would be replaced.
+
+    Parameters
+    ----------
+    bench
+        Bench configuration.
+
+    Raises
+    ------
+    ConfigurationError
+        `drift.file` names another file.
+    """
+    if bench.drift is not None:
+        is_own_file(drift_recording_path(bench), "drift.file", DRIFT_MAGIC, DRIFT_HEAD_BYTES)
 
 
 def drift_recording_path(bench: BenchConfig) -> Path:

@@ -12,6 +12,7 @@ from prometheus_client.exposition import CONTENT_TYPE_LATEST, generate_latest
 from prometheus_client.registry import Collector
 
 from piezod.control import State
+from piezod.daemon.connections import Connections
 from piezod.daemon.drift import DriftWatch
 from piezod.daemon.railed import RailedWatch
 from piezod.daemon.statistics import BOUNDS_S, DurationHistogram, TickStatistics
@@ -59,6 +60,8 @@ class BenchMetrics(Collector):
         Function that returns the present comparison with the model; it returns None without one.
     railed
         Watch for a reference out of reach; None without one.
+    values
+        Function that returns the counts of a live reference by result; it returns None without one.
     """
 
     def __init__(
@@ -68,12 +71,14 @@ class BenchMetrics(Collector):
         recorder: RecorderWatch | None = None,
         drift: Callable[[], DriftWatch | None] = lambda: None,
         railed: RailedWatch | None = None,
+        values: Callable[[], dict[str, int] | None] = lambda: None,
     ) -> None:
         self._labels = [name]
         self._statistics = statistics
         self._recorder = recorder
         self._drift = drift
         self._railed = railed
+        self._values = values
 
     def collect(self) -> Iterable[Metric]:
         """Yield all metrics with their present values."""
@@ -105,6 +110,12 @@ class BenchMetrics(Collector):
             gauge = GaugeMetricFamily("piezod_railed", text, labels=["bench"])
             gauge.add_metric(self._labels, float(self._railed.railed))
             yield gauge
+        if (values := self._values()) is not None:
+            text = "Values of a live reference by result of their check"
+            counter = CounterMetricFamily("piezod_reference_values", text, labels=["bench", "result"])
+            for name, count in values.items():
+                counter.add_metric([*self._labels, name], count)
+            yield counter
 
     def _drift_metrics(self) -> Iterable[Metric]:
         watch = self._drift()
@@ -171,6 +182,7 @@ class MetricsServer:
         self._registry.register(collector)
         self._log = log
         self._clients = 0
+        self._connections = Connections(self._serve)
         self._server: asyncio.Server | None = None
 
     async def open(self, port: int) -> None:
@@ -187,7 +199,7 @@ class MetricsServer:
             Another program uses the port.
         """
         try:
-            self._server = await asyncio.start_server(self._serve, ADDRESS, port, limit=LONGEST_REQUEST)
+            self._server = await asyncio.start_server(self._connections.accept, ADDRESS, port, limit=LONGEST_REQUEST)
         except OSError as error:
             raise BusyError(
                 f"daemon.metrics_port: {ADDRESS}:{port} cannot be bound: {error.strerror}; choose another port"
@@ -197,7 +209,7 @@ class MetricsServer:
     async def close(self) -> None:
         """Close the server."""
         if self._server is not None:
-            self._server.close()
+            await self._connections.close(self._server)
 
     async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         self._clients += 1

@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING
 
 from piezod.config import load_bench
 from piezod.daemon.journal import log_line
-from piezod.session.lock import BenchLock
+from piezod.errors import TemporaryError, system_error_text
+from piezod.session.lock import lock_bench
 from piezod.session.session import Session
 from piezod.session.task import Outcome
 
@@ -70,14 +71,18 @@ def run_foreground(path: Path, *, arm: bool) -> RunResult:
         The bench could not be started; nothing was written to the device.
     """
     bench = load_bench(path)
-    lock = BenchLock(bench.lock_path)
+    lock = lock_bench(bench)
     session = Session(bench, None, path.parent, [], serves=path, lock=lock)
     try:
         session.launch()
-        from piezod.daemon.service import Service  # noqa: PLC0415  # slow import, while the control process starts
+        from piezod.daemon.drift import check_drift_file  # noqa: PLC0415  # slow import, while the control process starts
+        from piezod.daemon.service import Service  # noqa: PLC0415
 
+        check_drift_file(bench)
         service = Service(path, bench, lock, session, arm=arm)
         asyncio.run(service.run())
+    except OSError as error:
+        raise TemporaryError(f"{path}: {system_error_text(error)}") from error
     finally:
         session.close()
         lock.close()

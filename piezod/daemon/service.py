@@ -23,7 +23,7 @@ from piezod.daemon.model_watch import ModelWatch
 from piezod.daemon.railed import RailedWatch
 from piezod.daemon.reload import check_armed_change, check_restart_keys, check_settled
 from piezod.daemon.statistics import TickStatistics
-from piezod.daemon.status import status_dict
+from piezod.daemon.status import reference_values, status_dict
 from piezod.daemon.systemd import Notifier
 from piezod.errors import PiezodError, TemporaryError
 from piezod.recorder.watch import RecorderWatch
@@ -104,6 +104,7 @@ class Service:
                     self._recorder,
                     lambda: self.model_watch.drift,
                     self.railed_watch,
+                    lambda: reference_values(self._bench, self._channel),
                 )
                 metrics = MetricsServer(shown, log_line)
                 stack.push_async_callback(metrics.close)

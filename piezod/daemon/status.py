@@ -5,6 +5,8 @@ from typing import TYPE_CHECKING, Any
 
 from piezod import __version__
 from piezod.config import BenchConfig
+from piezod.config.reference import RegisterReference, StreamReference
+from piezod.control.references import counts_dict
 
 if TYPE_CHECKING:
     from piezod.daemon.command_channel import CommandChannel
@@ -62,6 +64,7 @@ def status_dict(
         "problem": channel.problem,
         "up_s": round(up_s, 3),
         "rows_dropped": 0 if channel.session is None else channel.session.dropped,
+        "reference_values": reference_values(bench, channel),
         "recorder": None if recorder is None else recorder.as_dict(),
         "drift": None if drift is None else drift.as_dict(),
         "rail": railed_watch.as_dict(),
@@ -69,6 +72,21 @@ def status_dict(
         "corrected_force_N": None if drift is None else drift.corrected(),
         **statistics.as_dict(),
     }
+
+
+def reference_values(bench: BenchConfig, channel: "CommandChannel") -> dict[str, int] | None:
+    """Count the values of a live reference by the result of their check; None for a reference that is known ahead.
+
+    Parameters
+    ----------
+    bench
+        Bench configuration.
+    channel
+        Connection to the control process.
+    """
+    if not isinstance(bench.reference, (RegisterReference, StreamReference)):
+        return None
+    return counts_dict(() if channel.session is None else channel.session.counters)
 
 
 def status_text(status: dict[str, Any]) -> str:
@@ -94,6 +112,8 @@ def status_text(status: dict[str, Any]) -> str:
     if status.get("corrected_force_N") is not None and status["force_N"] is not None:
         corrected = f"corrected for the load cell {status['corrected_force_N']:.2f} N"
         lines.append(f"  {corrected}; limits apply to the uncorrected reading")
+    if values := status.get("reference_values"):
+        lines.append(f"  {_values_text(values)}")
     if drift := status.get("drift"):
         lines.append(f"  {_drift_text(drift)}")
     rail = status.get("rail")
@@ -102,6 +122,14 @@ def status_text(status: dict[str, Any]) -> str:
     if recorder := status.get("recorder"):
         lines.append(f"  {_recorder_text(recorder)}")
     return "\n".join(lines)
+
+
+def _values_text(values: dict[str, int]) -> str:
+    refused = {name: count for name, count in values.items() if count and name != "accepted"}
+    reasons = ", ".join(f"{count} {name.replace('_', ' ')}" for name, count in refused.items())
+    return f"reference: {values['accepted']} values accepted, {sum(refused.values())} refused" + (
+        f" ({reasons})" if reasons else ""
+    )
 
 
 def _drift_text(drift: dict[str, Any]) -> str:

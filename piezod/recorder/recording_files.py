@@ -12,6 +12,7 @@ import os
 import sqlite3
 from pathlib import Path
 
+from piezod.config.run_time_files import FILE_MODE
 from piezod.recording.formats.sqlite_blocks import Block
 from piezod.recording.formats.sqlite_tables import TABLES, About, append_block, create_tables
 
@@ -22,7 +23,6 @@ CHECKPOINT_PAGES = 256
 MARGIN_BYTES = 4_000_000
 """Largest size that the write-ahead log and the last commit add while a file is closed [byte]."""
 LOCK_WAIT_S = 1.0
-MODE = 0o640
 
 
 class RecordingFile:
@@ -122,7 +122,7 @@ def recording_files(folder: Path, bench: str) -> list[Path]:
 
 
 def tidy_files(paths: list[Path]) -> None:
-    """Join files that a crash left in several parts, and remove files without ticks."""
+    """Join files that a crash left in several parts, and remove files without ticks; foreign files stay as they are."""
     for path in paths:
         with contextlib.suppress(OSError, sqlite3.Error):
             if path.stat().st_size and not path.with_name(path.name + "-wal").exists():
@@ -130,12 +130,12 @@ def tidy_files(paths: list[Path]) -> None:
             with contextlib.closing(sqlite3.connect(path, isolation_level=None, timeout=0.0)) as connection:
                 tables = {name for (name,) in connection.execute("SELECT name FROM sqlite_schema")}
                 connection.execute("PRAGMA journal_mode = DELETE")  # refused while another process has it open
-            if not tables.issuperset(TABLES):
+            if not tables:
                 remove(path)
 
 
 def make_room(paths: list[Path], keep_bytes: float) -> int:
-    """Remove the oldest files until the rest is small enough.
+    """Remove the oldest recordings until the rest is small enough; a file with other content stays.
 
     Parameters
     ----------
@@ -149,6 +149,7 @@ def make_room(paths: list[Path], keep_bytes: float) -> int:
     int
         Size of the rest [byte].
     """
+    paths = [path for path in paths if _is_recording(path)]
     sizes = [size_bytes(path) for path in paths]
     total = sum(sizes)
     for path, size in zip(paths, sizes, strict=True):
@@ -195,11 +196,26 @@ def _new_file(folder: Path, bench: str) -> Path:
     while True:
         path = folder / f"{bench}-{number:06d}{SUFFIX}"
         try:
-            os.close(os.open(path, os.O_CREAT | os.O_EXCL | os.O_WRONLY | os.O_CLOEXEC, MODE))
+            descriptor = os.open(path, os.O_CREAT | os.O_EXCL | os.O_WRONLY | os.O_CLOEXEC, FILE_MODE)
         except FileExistsError:  # created by the recorder of a killed daemon that still runs
             number += 1
             continue
+        try:
+            os.fchmod(descriptor, FILE_MODE)  # SQLite gives its further files the same mode
+        finally:
+            os.close(descriptor)
         return path
+
+
+def _is_recording(path: Path) -> bool:
+    """Whether the recorder made a file: SQLite with its tables or with none yet, or emptied by a crash."""
+    with contextlib.suppress(OSError):
+        with path.open("rb") as file:
+            head = file.read(4096)
+        has_tables = all(statement.encode() in head for statement in TABLES.values())
+        is_empty = not head.strip(b"\0") or (head.startswith(b"SQLite format 3\0") and b"CREATE" not in head)
+        return has_tables or is_empty
+    return False
 
 
 def _number(path: Path, bench: str) -> int | None:

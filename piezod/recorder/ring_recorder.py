@@ -30,6 +30,7 @@ from piezod.recording.ring_log import ROW_DTYPE, RingReader
 
 MAX_BLOCK_ROWS = 16_384
 """Largest number of rows of one block; a backlog after a slow disk is written in several blocks."""
+FOLDER_MODE = 0o750
 RETRY_S = (0.0, 0.5, 1.0, 2.0, 5.0)
 """Pauses after failed writes in a row [s]; the last value repeats."""
 
@@ -163,6 +164,7 @@ class RingRecorder:
     def _make_folder(self) -> None:
         with contextlib.suppress(FileExistsError):
             self._folder.mkdir()
+            self._folder.chmod(FOLDER_MODE)
 
     def _fail(self, error: OSError | sqlite3.Error) -> None:
         """Abandon the file: after a failed write the content of the disk is unknown. Committed rows stay."""

@@ -1,13 +1,17 @@
 """The ring log: a file in shared memory that holds the latest ticks; one process writes, any number of processes read.
 
-    file = header | capacity rows
-    header = magic, 8 bytes | row size | capacity | number of rows written so far, each uint64
+    file       = header | capacity rows | counters
+    header     = magic, 8 bytes | row size | capacity | number of rows written so far, each uint64
+    counters   = 8 counts of the writer, each uint64
+
+The counters hold how many values of a live reference passed each result of their check. A reader may ignore them.
 
 The control loop is the only writer. It writes the row, then increases the count. A reader copies rows and reads the
 count again. Rows that were overwritten in the meantime are dropped and counted. The writer takes no lock and makes no
 system call, so no reader can delay a tick.
 """
 
+import contextlib
 import mmap
 import os
 import struct
@@ -16,9 +20,14 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from piezod.errors import ConfigurationError, UnreachableError
+from piezod.config.run_time_files import FILE_MODE, NO_SPACE, group_id, is_own_file, set_access
+from piezod.errors import ConfigurationError, TemporaryError, UnreachableError
 
 MAGIC = b"PIEZRNG1"
+_OWN = MAGIC[:-1]  # also of another version
+_KEY = "daemon.ring_log"
+COUNTERS = 8
+_COUNTERS_BYTES = 8 * COUNTERS
 _HEAD = struct.Struct("<8sQQQ")
 _COUNT = slice(24, 32)
 _ROW = struct.Struct("<qqddddddqqiiii")
@@ -49,33 +58,38 @@ class RingLog:
     Parameters
     ----------
     path
-        File to create, preferably on a file system in memory.
+        File to create, preferably on a file system in memory; None: memory of this process, without a file.
     capacity
         Number of rows in the file, at least 1.
+    group
+        Group that may read the file; None: the group of this process.
+
+    Attributes
+    ----------
+    counters
+        Counters of the writer, shape (`COUNTERS`,).
 
     Raises
     ------
+    TemporaryError
+        There is no space for the file.
     ConfigurationError
-        The file cannot be created.
+        The file cannot be created, or is not piezod's own.
     """
 
-    def __init__(self, path: Path, capacity: int) -> None:
+    def __init__(self, path: Path | None, capacity: int, group: str | None = None) -> None:
         self._capacity = capacity
         self._rows = 0
-        size = _HEAD.size + capacity * _ROW.size
+        rows_end = _HEAD.size + capacity * _ROW.size
+        size = rows_end + _COUNTERS_BYTES
+        head = _HEAD.pack(MAGIC, _ROW.size, capacity, 0)
         try:
-            path.unlink(missing_ok=True)
-            descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_EXCL, 0o640)
+            self._memory = mmap.mmap(-1, size) if path is None else _mapped_file(path, size, head, group)
         except OSError as error:
-            raise ConfigurationError(f"daemon.ring_log: {path} cannot be created: {error.strerror}") from error
-        try:
-            os.posix_fallocate(descriptor, 0, size)
-            flags = mmap.MAP_SHARED | mmap.MAP_POPULATE  # all pages are mapped now, not in a tick
-            self._memory = mmap.mmap(descriptor, size, flags)
-        finally:
-            os.close(descriptor)
+            raise _file_error(path, size, error) from error
         _HEAD.pack_into(self._memory, 0, MAGIC, _ROW.size, capacity, 0)
         self._count = _count_of(self._memory)
+        self.counters = memoryview(self._memory)[rows_end:size].cast("Q")
 
     def append(self, *row: float) -> None:
         """Write one row.
@@ -91,8 +105,47 @@ class RingLog:
 
     def close(self) -> None:
         """Unmap the memory; the file stays for its readers. A second call has no effect."""
+        self.counters.release()
         self._count.release()
         self._memory.close()
+
+
+def remove_ring_log(path: Path) -> None:
+    """Remove a ring log; no effect on any other file.
+
+    Parameters
+    ----------
+    path
+        Path of the ring log.
+    """
+    with contextlib.suppress(OSError, ConfigurationError):
+        if is_own_file(path, _KEY, _OWN):
+            path.unlink()
+
+
+def _mapped_file(path: Path, size: int, head: bytes, group: str | None) -> mmap.mmap:
+    """Create the file and map it; an own file at the path is replaced, and an incomplete one is removed."""
+    gid = group_id(group, "daemon.socket_group")
+    if is_own_file(path, _KEY, _OWN):
+        path.unlink()
+    descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC | os.O_NOFOLLOW, FILE_MODE)
+    try:
+        os.pwrite(descriptor, head, 0)  # first of all: the mark of an own file
+        set_access(descriptor, FILE_MODE, gid)
+        os.posix_fallocate(descriptor, 0, size)
+        return mmap.mmap(descriptor, size, mmap.MAP_SHARED | mmap.MAP_POPULATE)  # all pages now, not in a tick
+    except BaseException:
+        path.unlink(missing_ok=True)
+        raise
+    finally:
+        os.close(descriptor)
+
+
+def _file_error(path: Path | None, size: int, error: OSError) -> TemporaryError | ConfigurationError:
+    text = f"{_KEY}: {path} cannot be created: {error.strerror or error}"
+    if error.errno in NO_SPACE:
+        return TemporaryError(f"{text}; it needs {size / 1e6:.1f} MB: free them, or lower daemon.ring_seconds")
+    return ConfigurationError(f"{text}; name another path")
 
 
 class RingReader:
@@ -127,8 +180,14 @@ class RingReader:
             raise UnreachableError(f"{path}: not a ring log of this version; restart the daemon")
         self._count = _count_of(self._memory)
         self._table = np.frombuffer(self._memory, ROW_DTYPE, self._capacity, _HEAD.size)
+        self._counters = memoryview(self._memory)[_HEAD.size + self._capacity * _ROW.size :]
         self._next = first
         self.dropped = 0
+
+    @property
+    def counters(self) -> tuple[int, ...]:
+        """Counters of the writer; empty for a writer of an earlier version."""
+        return tuple(self._counters[:_COUNTERS_BYTES].cast("Q")) if len(self._counters) >= _COUNTERS_BYTES else ()
 
     @property
     def next(self) -> int:

@@ -245,7 +245,7 @@ def make_segment(spec: SegmentSpec, bench: BenchConfig, model: Model | None, lin
         raise ConfigurationError(f"{spec.name}: compensation '{spec.compensation}' needs a model, none was loaded")
     config = spec.reference or bench.reference
     counted = link.has("reference_counter")
-    reference = make_reference(config, bench.rate_Hz, folder, link.reading, counted=counted)
+    reference = make_reference(config, bench.rate_Hz, folder, link.reading, bench.reference_range, counted=counted)
     compensator = make_compensator(spec.compensation, model, bench.dt_s, bench.compensation_without)
     if not isinstance(compensator, ExtendedCompensator):
         return Segment(spec.name, reference, compensator, reset_cycle)

@@ -17,9 +17,9 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
-from piezod.config import model_path
+from piezod.config import BenchConfig, model_path
 from piezod.control import CAUSE_TEXT, Cause, ControlLoop, RingLog, Segment, check_ready, real_time
-from piezod.errors import PiezodError
+from piezod.errors import PiezodError, TemporaryError, system_error_text
 from piezod.model import Model
 from piezod.session.assembly import (
     check_effects,
@@ -31,6 +31,7 @@ from piezod.session.assembly import (
     opened_link,
 )
 from piezod.session.command_queue import CommandQueue
+from piezod.session.device_names import device_names
 from piezod.session.files import files_digest
 from piezod.session.lock import BenchLock
 from piezod.session.task import Outcome, Ready, SegmentSpec, Task
@@ -61,11 +62,13 @@ def run(task: Task, pipe: Connection, lock: BenchLock) -> None:
     try:
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always")
-            outcome = _execute(task, pipe)
+            outcome = _execute(task, pipe, lock)
         outcome.warnings = [str(warning.message) for warning in caught]
         _send(pipe, ("done", outcome))
     except PiezodError as error:
         _send(pipe, ("error", (type(error).__name__, str(error))))
+    except OSError as error:
+        _send(pipe, ("error", (TemporaryError.__name__, system_error_text(error))))
     finally:
         lock.close()
         gc.freeze()  # the end of the interpreter visits every object otherwise, which takes 0.2 s
@@ -87,11 +90,12 @@ def _send(pipe: Connection, message: tuple[str, Any]) -> bool:
     return True
 
 
-def _execute(task: Task, pipe: Connection) -> Outcome:
+def _execute(task: Task, pipe: Connection, lock: BenchLock) -> Outcome:
     """Connect the bench, build its loop, and drive the segments or serve commands."""
     bench = task.bench
     files = "" if task.serves is None else files_digest(bench, task.serves)
     model, specs = _model_and_segments(task)
+    lock.cover(device_names(bench.link))  # again: names may resolve to other addresses, and a reload may name another
     with opened_link(bench) as link, contextlib.ExitStack() as stack:
         clock = make_rate_keeper(bench, link)
         segments = [make_segment(spec, bench, model, link, task.folder) for spec in specs]
@@ -100,10 +104,12 @@ def _execute(task: Task, pipe: Connection) -> Outcome:
         if segments and task.serves is None:
             _warm_up(segments)
             check_ready(bench, link)
-        ring_log = RingLog(bench.ring_log_path, round(bench.daemon.ring_seconds * bench.rate_Hz))
+        ring_log = _ring_log(bench)
         stack.callback(ring_log.close)
         loop = make_loop(bench, link, clock, ring_log)
         loop.supervisor.heat_W = task.heat_W
+        for segment in segments[:1]:
+            loop.observe(segment, ring_log)
         commands = CommandQueue(bench, link, loop, pipe, segments[0] if segments else None)
         if task.serves is not None:  # before `ready`: an `arm` that arrives now would wait until it is too old
             _warm_up(segments)
@@ -115,6 +121,11 @@ def _execute(task: Task, pipe: Connection) -> Outcome:
         with real_time(bench.real_time):
             fault = _drive(loop, segments) if task.serves is None else _serve(loop, commands)
         return _outcome(link, loop, fault, clock.missed)
+
+
+def _ring_log(bench: BenchConfig) -> RingLog:
+    capacity = round(bench.daemon.ring_seconds * bench.rate_Hz)
+    return RingLog(bench.ring_log_path, capacity, bench.daemon.socket_group)
 
 
 def _model_and_segments(task: Task) -> tuple[Model | None, tuple[SegmentSpec, ...]]:

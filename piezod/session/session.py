@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 import piezod.errors
 from piezod.config import BenchConfig
 from piezod.errors import PiezodError
-from piezod.session.lock import BenchLock
+from piezod.session.lock import BenchLock, lock_bench
 from piezod.session.task import Outcome, SegmentSpec, Task
 
 if TYPE_CHECKING:
@@ -85,7 +85,7 @@ class Session:
             Another program holds the bench.
         """
         if self._lock is None:
-            self._lock = BenchLock(self._task.bench.lock_path)
+            self._lock = lock_bench(self._task.bench)
         context = multiprocessing.get_context("spawn")
         self._pipe, theirs = context.Pipe()
         arguments = (self._task, theirs, self._lock)
@@ -193,6 +193,11 @@ class Session:
             if self._process is not None and self._process.is_alive():
                 os.kill(self._process.pid, number)
 
+    @property
+    def counters(self) -> tuple[int, ...]:
+        """Counters of the control process in the ring log; empty before it is opened."""
+        return () if self._reader is None else self._reader.counters
+
     def close(self) -> None:
         """Ramp down if the bench is still driven, wait for the end, and release lock and ring log."""
         if self._process is not None:
@@ -201,7 +206,9 @@ class Session:
             if self._process.is_alive():
                 self._process.kill()
                 self._process.join()
-            self._task.bench.ring_log_path.unlink(missing_ok=True)
+            from piezod.recording.ring_log import remove_ring_log  # noqa: PLC0415  # slow import, needed at the end only
+
+            remove_ring_log(self._task.bench.ring_log_path)
         if self._pipe is not None:
             self._pipe.close()
         if self._lock is not None and self._owns_lock:

@@ -90,10 +90,8 @@ class Envelope(RuleBasedStateMachine):
         link = bench.link.model_copy(update={"heartbeat_within_s": 10.0})  # of the test's own time
         self.wire = FaultyWire(self.device, self.clock, timeout_ms=20)
         self.link = ModbusLink(link, self.wire)
-        handle, name = tempfile.mkstemp()
-        os.close(handle)
-        self.ring_path = Path(name)
-        self.ring = RingLog(self.ring_path, 100)
+        self.folder = tempfile.TemporaryDirectory()
+        self.ring = RingLog(Path(self.folder.name) / "ring", 100)
         self.loop = ControlLoop(
             self.link,
             limits,
@@ -250,7 +248,7 @@ class Envelope(RuleBasedStateMachine):
                 assert abs(self.amplifier.output_V) < 2.1
         finally:
             self.ring.close()
-            self.ring_path.unlink()
+            self.folder.cleanup()
 
 
 TestEnvelope = Envelope.TestCase

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from tests.faults import (
+    access_faults,
     disk_faults,
     input_faults,
     manual_clock_faults,
@@ -13,6 +14,7 @@ from tests.faults import (
     running_faults,
     session_faults,
     startup_faults,
+    stream_faults,
 )
 from tests.faults.bench_pool import InjectionUnavailableError, Observation
 from tests.faults.catalogue import Fault, load_faults
@@ -26,6 +28,8 @@ INJECTORS: dict[str, Callable] = {
     **session_faults.INJECTORS,
     **input_faults.INJECTORS,
     **disk_faults.INJECTORS,
+    **access_faults.INJECTORS,
+    **stream_faults.INJECTORS,
 }
 MOST_TRIES = 3  # largest number of injections of a fault during standstills of the machine
 EXCESS_DELAY = {"late_ms": 1.0, "behind_ms": STILL_MS}  # of a reply, of a wake-up [ms]; beyond, a failure is repeated

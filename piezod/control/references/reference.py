@@ -30,6 +30,20 @@ class Reference(Protocol):
     ramp_down_on_lapse: bool
     ahead: float
 
+    def begin(self) -> None:
+        """Prepare for arming: nothing that waits to be received counts as new."""
+        ...
+
+    def idle(self, now_ns: int) -> None:
+        """Take note of a tick that does not follow the reference; called instead of `read`.
+
+        Parameters
+        ----------
+        now_ns
+            Monotonic time at its begin [ns].
+        """
+        ...
+
     def start(self, tick: int) -> None:
         """Let the first sample belong to `tick`."""
         ...

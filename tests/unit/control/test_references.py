@@ -8,11 +8,14 @@ import numpy as np
 import pytest
 
 from piezod.config.reference import FileReference, RegisterReference, StreamReference, WaveformReference
+from piezod.config.reference_range import ReferenceRange
 from piezod.control.references import (
     DatagramStream,
     Freshness,
     RegisterValue,
     TableReference,
+    ValueResult,
+    counts_dict,
     file_table,
     make_reference,
     waveform_table,
@@ -23,6 +26,7 @@ from piezod.recording import Recording, write_csv
 from piezod.transport import Reading
 
 MS = 1_000_000
+ANY = ReferenceRange(-1e6, 1e6)
 
 
 def waveform(kind="triangle", **changes):
@@ -88,21 +92,23 @@ def test_a_column_of_a_recording_is_interpolated_scaled_and_shifted(tmp_path):
     recording = Recording(np.array([5.0, 5.01, 5.03]), {"reference_um": np.array([0.0, 10.0, 30.0])})
     write_csv(recording, tmp_path / "rec.csv")
     config = FileReference(kind="file", path="rec.csv", column="reference_um", scale=2.0, offset_N=7.0)
-    reference = file_table(config, 1000.0, tmp_path)
+    reference = file_table(config, 1000.0, tmp_path, ANY)
     np.testing.assert_allclose(values_of(reference, 31), 7.0 + 2.0 * np.arange(31), atol=1e-5)
 
 
 def test_a_missing_column_is_refused_with_the_names_of_the_others(tmp_path):
     write_csv(Recording(np.array([0.0, 1.0]), {"force_N": np.zeros(2)}), tmp_path / "rec.csv")
     with pytest.raises(ConfigurationError, match="has no column reference_N, has force_N"):
-        file_table(FileReference(kind="file", path="rec.csv"), 1000.0, tmp_path)
+        file_table(FileReference(kind="file", path="rec.csv"), 1000.0, tmp_path, ANY)
 
 
 def test_a_register_gets_stale_with_an_unchanged_counter_and_live_with_a_new_one():
     reading = Reading()
     reading.reference_N, reading.reference_counter = 12.0, 1
-    reference = RegisterValue(reading, RegisterReference(kind="register", stale_after_s=0.5), counted=True)
-    reference.start(0)
+    reference = RegisterValue(reading, RegisterReference(kind="register", stale_after_s=0.5), ANY, counted=True)
+    reference.read(0, 900 * MS)
+    assert reference.freshness is Freshness.STALE  # the register may hold this value for a year
+    reading.reference_counter = 7
     assert reference.read(0, 1000 * MS) == 12.0
     assert reference.freshness is Freshness.LIVE
     reference.read(1, 1499 * MS)
@@ -117,7 +123,7 @@ def test_a_register_gets_stale_with_an_unchanged_counter_and_live_with_a_new_one
 def test_a_register_with_nan_keeps_the_last_value():
     reading = Reading()
     reading.reference_N = 12.0
-    reference = RegisterValue(reading, RegisterReference(kind="register"), counted=False)
+    reference = RegisterValue(reading, RegisterReference(kind="register"), ANY, counted=False)
     reference.read(0, MS)
     reading.reference_N = float("nan")
     assert reference.read(1, 2 * MS) == 12.0
@@ -135,7 +141,7 @@ def stream(request, tmp_path):
     else:
         address = str(tmp_path / "stream")
         listen, family = address, socket.AF_UNIX
-    reference = DatagramStream(StreamReference(kind="stream", listen=listen, stale_after_s=0.1))
+    reference = DatagramStream(StreamReference(kind="stream", listen=listen, stale_after_s=0.1), ANY)
     sender = socket.socket(family, socket.SOCK_DGRAM)
     sender.connect(address)
     yield reference, sender
@@ -173,7 +179,8 @@ def test_old_repeated_malformed_and_infinite_datagrams_are_refused_and_counted(s
     ):
         sender.send(message)
     assert reference.read(0, MS) == 50.0
-    assert reference.rejected == 5
+    refused = {name: count for name, count in counts_dict(reference.counts).items() if count}
+    assert refused == {"accepted": 1, "malformed": 3, "out_of_order": 2}
 
 
 def test_an_address_in_use_is_busy():
@@ -181,7 +188,7 @@ def test_an_address_in_use_is_busy():
         other.bind(("127.0.0.1", 0))
         listen = f"udp://127.0.0.1:{other.getsockname()[1]}"
         with pytest.raises(BusyError, match="cannot be bound"):
-            DatagramStream(StreamReference(kind="stream", listen=listen))
+            DatagramStream(StreamReference(kind="stream", listen=listen), ANY)
 
 
 @pytest.mark.parametrize("listen", ["udp://127.0.0.1", "udp://:70000", "tcp://1.2.3.4:5", "relative/path", "udp://h:x"])
@@ -196,7 +203,7 @@ def test_make_reference_builds_what_the_configuration_names():
         "register": (RegisterReference(kind="register"), RegisterValue),
     }
     for config, expected in kinds.values():
-        assert isinstance(make_reference(config, 1000.0, Path(), Reading(), counted=True), expected)
+        assert isinstance(make_reference(config, 1000.0, Path(), Reading(), ANY, counted=True), expected)
 
 
 def test_a_table_planned_ahead_repeats_its_end_values_until_the_readings_arrive():
@@ -219,3 +226,35 @@ def test_a_loop_planned_ahead_runs_in_once_and_then_repeats_without_a_pause():
     reference.start(0)
     read = [(reference.read(tick, 0), reference.ahead) for tick in range(8)]
     assert read == [(1, 1), (1, 2), (2, 3), (3, 1), (1, 2), (2, 3), (3, 1), (1, 2)]
+
+
+@pytest.mark.parametrize(
+    ("value", "says"), [(1e300, r"1e\+300 N at 5.01 s, must be at most"), (np.nan, "must be finite")]
+)
+def test_a_file_with_an_absurd_value_between_two_ticks_is_refused(tmp_path, value, says):
+    time_s = np.array([5.0, 5.01, 5.02, 6.0])
+    write_csv(Recording(time_s, {"reference_N": np.array([1.0, value, 1.0, 1.0])}), tmp_path / "rec.csv")
+    with pytest.raises(ConfigurationError, match=says):
+        file_table(FileReference(kind="file", path="rec.csv"), 10.0, tmp_path, ANY)
+
+
+def test_a_register_value_beyond_the_range_is_refused_and_counted():
+    reading = Reading()
+    allowed = ReferenceRange(0.0, 300.0)
+    reference = RegisterValue(reading, RegisterReference(kind="register", stale_after_s=0.5), allowed, counted=True)
+    for counter, value in enumerate((10.0, 20.0, 301.0, -1.0)):
+        reading.reference_N, reading.reference_counter = value, counter
+        reference.idle(counter * MS)
+    assert reference.read(4, 4 * MS) == 20.0
+    assert (reference.counts[ValueResult.ACCEPTED], reference.counts[ValueResult.OUT_OF_RANGE]) == (1, 2)
+
+
+def test_a_register_value_that_was_there_before_the_first_reading_is_stale():
+    reading = Reading()
+    reference = RegisterValue(reading, RegisterReference(kind="register", stale_after_s=0.5), ANY, counted=True)
+    reference.idle(0)  # no exchange yet
+    reading.reference_N, reading.reference_counter = 200.0, 77
+    reference.idle(MS)
+    reference.begin()
+    reference.read(2, 2 * MS)
+    assert reference.freshness is Freshness.STALE

@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 
 from piezod.commissioning.shipped_files import shipped
 from piezod.config import load_bench
+from piezod.daemon import admission
 from piezod.daemon import control_socket as module
 from piezod.daemon.control_socket import ControlSocket
 from piezod.errors import BusyError, ConfigurationError
@@ -120,35 +121,44 @@ def test_an_incomplete_line_ends_the_connection_after_its_time_limit(tmp_path, m
     assert asyncio.run(ask()) == []
 
 
-def test_a_client_above_the_limit_is_refused(tmp_path, monkeypatch):
-    monkeypatch.setattr(module, "MAX_CLIENTS", 2)
+def test_idle_clients_keep_out_a_status_but_neither_a_stop_nor_a_disarm(tmp_path, monkeypatch):
+    monkeypatch.setattr(admission, "MAX_CLIENTS", 2)
     log = []
 
     async def ask():
         async with open_server(tmp_path / "s", log):
-            idle = [await asyncio.open_unix_connection(tmp_path / "s") for _ in range(2)]
+            idle = [await asyncio.open_unix_connection(tmp_path / "s") for _ in range(200)]
             await asyncio.sleep(0.1)
             refused = await lines_after(tmp_path / "s", b'{"command": "status"}\n')
+            stopped = await lines_after(tmp_path / "s", b'{"command": "stop"}\n{"command": "status"}\n')
+            disarmed = await lines_after(tmp_path / "s", b'{"command": "disarm"}\n{"command": "arm"}\n')
             for _, writer in idle:
                 writer.close()
             await asyncio.sleep(0.1)
-            return refused, await lines_after(tmp_path / "s", b'{"command": "status"}\n')
+            return refused, stopped, disarmed, await lines_after(tmp_path / "s", b'{"command": "status"}\n')
 
-    refused, served = asyncio.run(ask())
-    assert refused == []
-    assert len(served) == 1
-    assert "clients are connected already" in log[0]
+    refused, stopped, disarmed, served = ([json.loads(line) for line in lines] for lines in asyncio.run(ask()))
+    assert (refused[0]["ok"], refused[0]["code"]) == (False, 75)
+    assert [one.get("message") for one in stopped] == ["stop", "status"]
+    assert [one.get("message") for one in disarmed] == ["disarm", None]
+    assert served[0]["ok"]
+    assert sum("are connected already" in line for line in log) == 1
 
 
 def test_mode_and_group_are_as_configured_and_close_removes_the_socket(tmp_path):
     path = tmp_path / "s"
 
     async def stat_socket():
-        async with open_server(path, socket_mode="0600", socket_group="root" if os.getuid() == 0 else None):
+        async with open_server(path, socket_mode="0662", socket_group="root" if os.getuid() == 0 else None):
             return path.stat()
 
-    found = asyncio.run(stat_socket())
-    assert stat.S_IMODE(found.st_mode) == 0o600
+    before = os.umask(0o077)
+    try:
+        found = asyncio.run(stat_socket())
+    finally:
+        os.umask(before)
+    assert stat.S_IMODE(found.st_mode) == 0o662
+    assert found.st_gid == os.getegid()
     assert not path.exists()
 
 
@@ -175,7 +185,7 @@ def test_a_socket_with_a_listener_and_a_regular_file_are_not_replaced(tmp_path):
             asyncio.run(open_it())
     (tmp_path / "s").unlink()
     (tmp_path / "s").write_text("precious")
-    with pytest.raises(BusyError, match="no socket"):
+    with pytest.raises(ConfigurationError, match="is no socket"):
         asyncio.run(open_it())
     assert (tmp_path / "s").read_text() == "precious"
 
@@ -192,3 +202,17 @@ def test_an_unusable_path_or_group_is_a_configuration_error(tmp_path, changes, s
 
     with pytest.raises(ConfigurationError, match=says):
         asyncio.run(open_it())
+
+
+@pytest.mark.parametrize("turns", range(4))
+def test_the_end_of_the_server_during_a_connection_reports_nothing(tmp_path, caplog, turns):
+    async def end():
+        async with open_server(tmp_path / "s"):
+            with socket.socket(socket.AF_UNIX) as client:
+                client.setblocking(False)
+                client.connect(str(tmp_path / "s"))
+                for _ in range(turns):
+                    await asyncio.sleep(0)
+
+    asyncio.run(end())
+    assert [record.getMessage() for record in caplog.records] == []

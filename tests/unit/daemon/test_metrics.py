@@ -118,3 +118,27 @@ def test_a_transition_is_reported_once():
     for state, cause in ((State.DISARMED, Cause.NONE), (State.ARMING, Cause.ARMED), (State.ARMING, Cause.ARMED)):
         statistics.add(rows(5, state=state, cause=cause))
     assert reported == [(State.ARMING, Cause.ARMED)]
+
+
+def test_counts_of_a_live_reference_are_shown_by_result():
+    values = {"accepted": 12, "out_of_range": 3}
+    metrics = BenchMetrics("b", make_statistics(), values=lambda: values)
+    (family,) = [one for one in metrics.collect() if one.name == "piezod_reference_values"]
+    assert {one.labels["result"]: one.value for one in family.samples} == values
+
+
+def test_the_end_of_the_server_with_connected_clients_reports_nothing(caplog):
+    async def end():
+        log = []
+        server = MetricsServer(BenchMetrics("b", make_statistics()), log.append)
+        await server.open(0)
+        port = int(log[0].rpartition(":")[2].partition("/")[0])
+        clients = [await asyncio.open_connection("127.0.0.1", port) for _ in range(3)]
+        await asyncio.sleep(0)
+        await server.close()
+        for _, writer in clients:
+            writer.close()
+        await asyncio.sleep(0.01)
+
+    asyncio.run(end())
+    assert caplog.records == []

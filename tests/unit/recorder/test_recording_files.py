@@ -1,13 +1,22 @@
 """Files of the recorder: numbers, size limit, closing, and files that another program moved or replaced."""
 
+import contextlib
 import os
 import sqlite3
+import stat
 import threading
 
 import numpy as np
 import pytest
 
-from piezod.recorder.recording_files import RecordingFile, make_room, recording_files, size_bytes, tidy_files
+from piezod.recorder.recording_files import (
+    RecordingFile,
+    _new_file,
+    make_room,
+    recording_files,
+    size_bytes,
+    tidy_files,
+)
 from piezod.recording.formats.sqlite_blocks import Block
 from piezod.recording.formats.sqlite_tables import About
 from piezod.recording.ring_log import ROW_DTYPE
@@ -95,3 +104,25 @@ def test_closing_takes_no_more_than_the_margin(tmp_path):
     watch.join()
     assert max(seen) <= allowed
     assert size_bytes(file.path) > 2e6
+
+
+def test_a_file_of_another_program_with_such_a_name_is_neither_removed_nor_counted(tmp_path):
+    (tmp_path / "b-000001.sqlite").write_bytes(b"precious" * 1000)
+    with contextlib.closing(sqlite3.connect(tmp_path / "b-000002.sqlite")) as other:
+        other.execute("CREATE TABLE mine (x)")
+        other.commit()
+    (tmp_path / "b-000002.sqlite-wal").write_bytes(b"")
+    files = recording_files(tmp_path, "b")
+    tidy_files(files)
+    assert make_room(files, 0) == 0
+    assert [path.exists() for path in files] == [True, True]
+
+
+def test_a_file_has_its_mode_whatever_the_umask_is(tmp_path):
+    for umask in (0o000, 0o077):
+        before = os.umask(umask)
+        try:
+            path = _new_file(tmp_path, "b")
+        finally:
+            os.umask(before)
+        assert stat.S_IMODE(path.stat().st_mode) == 0o640

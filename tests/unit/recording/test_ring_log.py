@@ -1,5 +1,7 @@
 """The ring log: one writer, several readers, no incomplete row."""
 
+import errno
+import os
 import subprocess
 import sys
 import threading
@@ -7,8 +9,8 @@ import threading
 import numpy as np
 import pytest
 
-from piezod.errors import UnreachableError
-from piezod.recording.ring_log import ROW_DTYPE, RingLog, RingReader
+from piezod.errors import ConfigurationError, TemporaryError, UnreachableError
+from piezod.recording.ring_log import ROW_DTYPE, RingLog, RingReader, remove_ring_log
 
 
 def row(k):
@@ -119,3 +121,67 @@ def test_a_missing_ring_and_a_foreign_file_are_refused(tmp_path):
         RingReader(tmp_path / "none")
     with pytest.raises(UnreachableError, match="not a ring log"):
         RingReader(tmp_path / "other")
+
+
+@pytest.mark.parametrize("content", [b"", b"precious", b"PIEZ"])
+def test_a_file_that_is_no_ring_log_is_neither_replaced_nor_removed(tmp_path, content):
+    path = tmp_path / "ring"
+    path.write_bytes(content)
+    with pytest.raises(ConfigurationError, match="was not made by piezod"):
+        RingLog(path, 10)
+    remove_ring_log(path)
+    assert path.read_bytes() == content
+
+
+def test_a_link_to_a_ring_log_is_not_followed(tmp_path):
+    RingLog(tmp_path / "other", 10).close()
+    (tmp_path / "ring").symlink_to(tmp_path / "other")
+    with pytest.raises(ConfigurationError, match="not a regular file"):
+        RingLog(tmp_path / "ring", 10)
+    assert (tmp_path / "ring").is_symlink()
+
+
+def test_an_earlier_ring_log_is_replaced_and_removed(tmp_path):
+    for _ in range(2):
+        RingLog(tmp_path / "ring", 10).close()
+    remove_ring_log(tmp_path / "ring")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_full_file_system_is_temporary_and_leaves_no_file(tmp_path, monkeypatch):
+    def full(*_):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(os, "posix_fallocate", full)
+    with pytest.raises(TemporaryError, match=r"No space left.*lower daemon\.ring_seconds") as caught:
+        RingLog(tmp_path / "ring", 10_000)
+    assert caught.value.exit_code == 75
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("umask", [0o000, 0o077])
+def test_the_file_has_its_mode_whatever_the_umask_is(tmp_path, umask):
+    before = os.umask(umask)
+    try:
+        RingLog(tmp_path / "ring", 10).close()
+    finally:
+        os.umask(before)
+    assert (tmp_path / "ring").stat().st_mode & 0o777 == 0o640
+
+
+def test_counters_reach_the_reader_and_a_log_without_a_file_holds_rows(tmp_path):
+    log = RingLog(tmp_path / "ring", 10)
+    reader = RingReader(tmp_path / "ring")
+    log.counters[2] += 7
+    assert reader.counters == (0, 0, 7, 0, 0, 0, 0, 0)
+    log.close()
+    memory = RingLog(None, 10)
+    memory.append(*row(1))
+    memory.close()
+
+
+def test_a_ring_log_of_an_earlier_version_has_no_counters(tmp_path):
+    RingLog(tmp_path / "ring", 10).close()
+    with (tmp_path / "ring").open("r+b") as file:
+        file.truncate(32 + 10 * ROW_DTYPE.itemsize)
+    assert RingReader(tmp_path / "ring").counters == ()

@@ -2,11 +2,16 @@
 
 import multiprocessing
 import os
+import socket
 import time
 
 import pytest
 
+from piezod.commissioning.shipped_files import shipped
+from piezod.config import load_bench
+from piezod.config.link import SerialLineLink
 from piezod.errors import BusyError, ConfigurationError
+from piezod.session.device_names import device_names
 from piezod.session.lock import BenchLock
 
 
@@ -43,7 +48,7 @@ def test_a_lock_that_is_released_in_time_is_acquired(tmp_path):
     child = context.Process(target=hold, args=(lock, theirs))
     child.start()
     assert ours.recv() == "held"
-    os.close(lock._descriptor)  # the state after this process was killed
+    os.close(lock._held[tmp_path / "x.lock"])  # the state after this process was killed
     with pytest.raises(BusyError):
         BenchLock(tmp_path / "x.lock")
     begun = time.monotonic()
@@ -60,7 +65,7 @@ def test_the_end_of_the_last_holder_releases_the_lock(tmp_path):
     child = context.Process(target=hold, args=(lock, theirs))
     child.start()
     assert ours.recv() == "held"
-    os.close(lock._descriptor)
+    os.close(lock._held[tmp_path / "x.lock"])
     child.kill()
     child.join()
     BenchLock(tmp_path / "x.lock").close()
@@ -72,3 +77,65 @@ def test_a_path_that_is_not_a_regular_file_is_refused(tmp_path, make):
     {"link": lambda: path.symlink_to("/etc/passwd"), "folder": path.mkdir, "fifo": lambda: os.mkfifo(path)}[make]()
     with pytest.raises(ConfigurationError, match=r"x\.lock"):
         BenchLock(path)
+
+
+@pytest.mark.parametrize("content", ["precious\n", "12 apples", "1" * 30])
+def test_a_file_with_other_content_is_neither_overwritten_nor_removed(tmp_path, content):
+    path = tmp_path / "x.lock"
+    path.write_text(content)
+    with pytest.raises(ConfigurationError, match="is no lock file"):
+        BenchLock(path)
+    assert path.read_text() == content
+
+
+def tcp(host="127.0.0.1", port=502, unit_id=1):
+    return load_bench(shipped("bench.yaml")).link.model_copy(update={"host": host, "port": port, "unit_id": unit_id})
+
+
+@pytest.mark.parametrize("host", ["localhost", "127.0.0.2", "::1", "::ffff:127.0.0.1", "0.0.0.0"])
+def test_every_name_of_this_machine_is_the_same_device(host):
+    assert device_names(tcp(host)) == device_names(tcp())
+
+
+def test_port_unit_and_address_make_another_device():
+    others = (tcp(port=503), tcp(unit_id=2), tcp(unit_id=0), tcp("192.0.2.7"), tcp("192.0.2.8"))
+    assert len({device_names(tcp()), *map(device_names, others)}) == 6
+    assert device_names(tcp(unit_id=0)) == device_names(tcp(unit_id=255))
+
+
+def test_a_name_counts_by_its_addresses(monkeypatch):
+    found = {"a.example": ["192.0.2.7"], "b.example": ["192.0.2.8", "192.0.2.7"]}
+
+    def resolve(host, port, **_):
+        return [(socket.AF_INET, socket.SOCK_STREAM, 0, "", (one, port)) for one in found[host]]
+
+    monkeypatch.setattr(socket, "getaddrinfo", resolve)
+    assert set(device_names(tcp("a.example"))) < set(device_names(tcp("b.example")))
+
+
+def test_links_to_a_serial_port_are_the_same_device(tmp_path):
+    master, slave = os.openpty()
+    try:
+        (tmp_path / "by-id").symlink_to(os.ttyname(slave))
+        config = SerialLineLink(kind="serial_line", port=os.ttyname(slave))
+        by_id = config.model_copy(update={"port": str(tmp_path / "by-id")})
+        assert device_names(by_id) == device_names(config)
+    finally:
+        os.close(master)
+        os.close(slave)
+    assert device_names(config.model_copy(update={"port": "/dev/none"})) == ("serial /dev/none",)
+
+
+def test_a_second_bench_of_the_same_device_is_refused(tmp_path, monkeypatch):
+    monkeypatch.setattr("piezod.session.lock.DEVICE_LOCKS", tmp_path)
+    first = BenchLock(tmp_path / "a.lock")
+    first.cover(device_names(tcp()))
+    second = BenchLock(tmp_path / "b.lock")
+    with pytest.raises(BusyError, match=f"process {os.getpid()} drives or watches this device") as caught:
+        second.cover(device_names(tcp("localhost")))
+    assert caught.value.exit_code == 75
+    second.cover(device_names(tcp(port=503)))
+    first.close()
+    second.cover(device_names(tcp("localhost")))
+    second.close()
+    assert list(tmp_path.iterdir()) == []

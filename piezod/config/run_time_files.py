@@ -1,0 +1,217 @@
+"""Files and sockets that a bench file names: what may be replaced there, and who has access to them.
+
+Only what piezod made is ever replaced or removed. Mode and group are set explicitly, whatever the umask is.
+"""
+
+import contextlib
+import errno
+import grp
+import os
+import socket
+import stat
+from pathlib import Path
+
+from piezod.errors import BusyError, ConfigurationError
+
+FILE_MODE = 0o640
+"""Mode of every run-time file: the owner writes, the group reads."""
+NO_SPACE = (errno.ENOSPC, errno.EDQUOT, errno.ENOMEM, errno.EFBIG, errno.EMFILE, errno.ENFILE)
+"""Errors of a machine that is out of space or descriptors now, and may not be later."""
+
+
+def is_own_file(path: Path, key: str, magic: bytes, head_bytes: int = 0) -> bool:
+    """Whether piezod made the file at `path`; False if there is none.
+
+    Parameters
+    ----------
+    path
+        Path that the bench file names.
+    key
+        Key of the bench file, for the message.
+    magic
+        First bytes of every file that piezod makes for this key.
+    head_bytes
+        Length of the head in which `magic` stands; 0: at its begin.
+
+    Raises
+    ------
+    ConfigurationError
+        Something else is there.
+    """
+    try:
+        found = path.lstat()
+    except FileNotFoundError:
+        return False
+    except OSError as error:
+        raise ConfigurationError(f"{key}: {path} cannot be used: {error.strerror}") from error
+    reason = _strange(found) or _without_magic(path, magic, head_bytes)
+    if reason:
+        raise ConfigurationError(f"{key}: {path} {reason}; piezod replaces only its own files: name another path")
+    return True
+
+
+def _strange(found: os.stat_result) -> str:
+    """Reason why a file is not the caller's regular file; empty: it is."""
+    if not stat.S_ISREG(found.st_mode):
+        return "is not a regular file"
+    return "" if is_owner(found) else f"belongs to user {found.st_uid}"
+
+
+def is_owner(found: os.stat_result) -> bool:
+    """Whether this process may regard a file as its own: it owns it, or it is root.
+
+    Parameters
+    ----------
+    found
+        Status of the file.
+    """
+    return os.geteuid() in (0, found.st_uid)
+
+
+def _without_magic(path: Path, magic: bytes, head_bytes: int) -> str:
+    try:
+        with path.open("rb") as file:
+            found = file.read(head_bytes or len(magic))
+            return "" if magic in found else "exists, and was not made by piezod"
+    except OSError as error:
+        return f"cannot be read: {error.strerror}"
+
+
+def group_id(group: str | None, key: str) -> int:
+    """Number of a group; the group of this process for None.
+
+    Parameters
+    ----------
+    group
+        Name of the group.
+    key
+        Key of the bench file, for the message.
+
+    Raises
+    ------
+    ConfigurationError
+        The group does not exist.
+    """
+    if group is None:
+        return os.getegid()
+    try:
+        return grp.getgrnam(group).gr_gid
+    except KeyError:
+        raise ConfigurationError(f"{key} is '{group}', which does not exist; create it or name another") from None
+
+
+def set_access(target: int | Path, mode: int, gid: int) -> None:
+    """Set mode and group of a file or socket.
+
+    Parameters
+    ----------
+    target
+        Open file, or path of a socket.
+    mode
+        Permission bits.
+    gid
+        Number of the group.
+
+    Raises
+    ------
+    OSError
+        This process must not give the file to this group.
+    """
+    if os.stat(target).st_gid != gid:  # noqa: PTH116  # also for an open file; the sandbox of the service forbids chown
+        os.chown(target, -1, gid)
+    os.chmod(target, mode)  # noqa: PTH101
+
+
+class UnixSocket:
+    """A bound unix socket; its file is removed on close if it is still the same one.
+
+    Parameters
+    ----------
+    kind
+        `socket.SOCK_STREAM` or `socket.SOCK_DGRAM`.
+    path
+        Path of the socket.
+    key
+        Key of the bench file, for messages.
+    mode
+        Permission bits.
+    gid
+        Number of the group.
+
+    Attributes
+    ----------
+    socket
+        The bound socket, non-blocking.
+
+    Raises
+    ------
+    BusyError
+        Another process listens there.
+    ConfigurationError
+        Something else than an abandoned socket is there, or the path cannot be bound.
+    """
+
+    def __init__(self, kind: socket.SocketKind, path: Path, key: str, mode: int, gid: int) -> None:
+        self._path = path
+        self._identity: tuple[int, int] | None = None
+        self.socket = socket.socket(socket.AF_UNIX, kind | socket.SOCK_CLOEXEC)
+        try:
+            _remove_abandoned(path, key)
+            before = os.umask(0o777)  # nobody may connect before group and mode are set
+            try:
+                self.socket.bind(str(path))
+            finally:
+                os.umask(before)
+            self._identity = _identity(path)
+            set_access(path, mode, gid)
+            self.socket.setblocking(False)
+        except OSError as error:
+            self.close()
+            raise ConfigurationError(f"{key}: {path} cannot be bound: {error.strerror or error}") from error
+        except BaseException:
+            self.close()
+            raise
+
+    def close(self) -> None:
+        """Close the socket and remove its file; further calls do nothing."""
+        self.socket.close()
+        with contextlib.suppress(OSError):
+            if self._identity is not None and _identity(self._path) == self._identity:
+                self._path.unlink()
+        self._identity = None
+
+
+def _identity(path: Path) -> tuple[int, int]:
+    found = path.lstat()
+    return found.st_dev, found.st_ino
+
+
+def _remove_abandoned(path: Path, key: str) -> None:
+    """Remove an own socket without a listener; refuse everything else."""
+    try:
+        found = path.lstat()
+    except FileNotFoundError:
+        return
+    if not stat.S_ISSOCK(found.st_mode):
+        raise ConfigurationError(
+            f"{key}: {path} exists and is no socket; piezod replaces only its own sockets: name another path"
+        )
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as probe:
+        probe.setblocking(False)
+        try:
+            probe.connect(str(path))
+        except (ConnectionRefusedError, FileNotFoundError):
+            pass
+        except PermissionError as error:
+            raise ConfigurationError(f"{key}: {path} belongs to another user; name another path") from error
+        except OSError:  # of another type, or full: somebody listens
+            raise _in_use(path, key) from None
+        else:
+            raise _in_use(path, key)
+    if not is_owner(found):
+        raise ConfigurationError(f"{key}: {path} belongs to user {found.st_uid}; name another path")
+    path.unlink(missing_ok=True)
+
+
+def _in_use(path: Path, key: str) -> BusyError:
+    return BusyError(f"{key}: {path}: another daemon listens there; stop it, or name another path")

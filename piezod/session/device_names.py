@@ -1,0 +1,66 @@
+"""Names of the device that a link leads to: equal for two bench files that drive the same amplifier.
+
+A host counts by its addresses, and every address of this machine as the same one. A serial port counts by its device
+number, whatever path or link leads to it.
+"""
+
+import contextlib
+import os
+import socket
+import stat
+from ipaddress import ip_address
+from pathlib import Path
+
+from piezod.config.link import LinkConfig, ModbusTcpLink
+
+THIS_MACHINE = "this-machine"
+_ANY_UNIT = (0, 255)  # both address the device itself, not a unit behind it (Modbus Messaging on TCP/IP, 4.4.1.1)
+
+
+def device_names(link: LinkConfig) -> tuple[str, ...]:
+    """Names of the device, in a fixed order; several where the host has several addresses.
+
+    Parameters
+    ----------
+    link
+        Section `link` of the bench configuration.
+    """
+    if not isinstance(link, ModbusTcpLink):
+        return (f"serial {_serial_device(link.port)}",)
+    unit = _ANY_UNIT[0] if link.unit_id in _ANY_UNIT else link.unit_id
+    return tuple(f"tcp {address} {link.port} {unit}" for address in sorted(_addresses(link.host, link.port)))
+
+
+def _addresses(host: str, port: int) -> set[str]:
+    """Addresses of a host; its name where it cannot be resolved now."""
+    try:
+        found = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)
+    except OSError:
+        return {host.lower().rstrip(".")}
+    return {_machine(family, str(address[0])) for family, _, _, _, address in found}
+
+
+def _machine(family: int, address: str) -> str:
+    """An address in its shortest form; `THIS_MACHINE` for loopback and for the addresses of the own interfaces."""
+    parsed = ip_address(address.partition("%")[0])
+    parsed = getattr(parsed, "ipv4_mapped", None) or parsed
+    if parsed.is_loopback or parsed.is_unspecified or _is_own(family, address):
+        return THIS_MACHINE
+    return str(parsed)
+
+
+def _is_own(family: int, address: str) -> bool:
+    """Whether the kernel would send from the very address that it sends to; no packet is sent."""
+    with contextlib.suppress(OSError), socket.socket(family, socket.SOCK_DGRAM) as probe:
+        probe.connect((address, 9))
+        return bool(probe.getsockname()[0] == address)
+    return False
+
+
+def _serial_device(port: str) -> str:
+    """Device number of a serial port; the resolved path where it is not there now."""
+    with contextlib.suppress(OSError):
+        found = Path(port).stat()
+        if stat.S_ISCHR(found.st_mode):
+            return f"{os.major(found.st_rdev)}:{os.minor(found.st_rdev)}"
+    return os.path.realpath(port)

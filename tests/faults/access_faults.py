@@ -1,0 +1,318 @@
+"""Faults of access: crowds at the control socket, foreign files, a full file system, a umask, a shared device."""
+
+import contextlib
+import os
+import shutil
+import socket
+import stat
+import subprocess
+import sys
+import threading
+import time
+
+import yaml
+
+from tests.faults.bench_pool import InjectionUnavailableError, Observation, run_piezod
+from tests.faults.live_bench import DAEMON_ROOT, LiveBench, Service
+from tests.faults.running_faults import Watch
+
+
+def crowded(pool, fault, *, command, polite=0, idle=0, crowd_s=1.0):
+    """Send a command by `piezod` while clients ask for the status, or are merely connected.
+
+    Parameters
+    ----------
+    command
+        `stop` or `disarm`.
+    polite
+        Number of clients that ask for the status ten times a second and read each answer.
+    idle
+        Number of connections that send nothing and are opened again when they are closed.
+    crowd_s
+        Time from the first client to the command [s].
+    """
+    bench = pool.bench()
+    bench.arm()
+    bench._client.close()  # the client of the test must not hold a place
+    bench._client = None
+    watch, observed, ended = Watch(bench), Observation(), threading.Event()
+    path = str(bench.folder / "ring.sock")
+    crowd = [threading.Thread(target=_ask_politely, args=(path, ended)) for _ in range(polite)]
+    crowd += [threading.Thread(target=_stay_connected, args=(path, idle, ended))] if idle else []
+    for thread in crowd:
+        thread.start()
+    time.sleep(crowd_s)
+    watch.begun_ns = bench.device.ask("mark")["now_ns"]
+    try:
+        observed.exit_code, text, took_ms = run_piezod(command, bench.path)
+        watch.until(("DISARMED",), 0.0, fault.within_ms)
+    finally:
+        ended.set()
+        for thread in crowd:
+            thread.join()
+    watch.finish(observed)
+    observed.text += text
+    observed.figures["command_ms"] = took_ms
+    bench.restore()
+    observed.armings = bench.rearms
+    return observed
+
+
+def _ask_politely(path, ended):
+    while not ended.is_set():
+        with contextlib.suppress(OSError), socket.socket(socket.AF_UNIX) as client:
+            client.settimeout(2.0)
+            client.connect(path)
+            while not ended.wait(0.1):
+                client.sendall(b'{"command": "status"}\n')
+                if not client.recv(65536):
+                    break
+        time.sleep(0.02)
+
+
+def _stay_connected(path, count, ended):
+    clients = []
+    while not ended.is_set():
+        while len(clients) < count and not ended.is_set():
+            client = socket.socket(socket.AF_UNIX)
+            client.setblocking(False)
+            try:
+                client.connect(path)
+            except OSError:
+                client.close()
+                break
+            clients.append(client)
+        for client in clients[:]:
+            with contextlib.suppress(BlockingIOError):
+                try:
+                    closed = not client.recv(65536)
+                except ConnectionError:
+                    closed = True
+                if closed:
+                    client.close()
+                    clients.remove(client)
+        ended.wait(0.01)
+    for client in clients:
+        client.close()
+
+
+PRECIOUS = "time_s,voltage_V,force_N\n0.0,0.0,0.0\n0.01,1.0,2.0\n"
+
+
+def existing_files(pool, fault, *, places):
+    """Start with one path after the other that names a file of somebody else; every file must stay as it is.
+
+    Parameters
+    ----------
+    places
+        Names out of `_PLACES`.
+    """
+    bench = pool.bench()
+    bench.service.end()
+    bench.drop()
+    codes, texts, intact, begun_s = [], [], 0, time.monotonic()
+    bench.device.ask("mark")
+    for place in places:
+        folder = pool.new_folder()
+        content = yaml.safe_load(bench.path.read_text(encoding="utf-8"))
+        content["daemon"]["ring_log"] = str(folder / "ring")
+        file = folder / "precious"
+        _PLACES[place](content, file)
+        named = folder / f"precious{'.lock' if place == 'lock' else ''}"
+        named.write_text(PRECIOUS, encoding="utf-8")
+        (folder / "bench.yaml").write_text(yaml.safe_dump(content), encoding="utf-8")
+        with _running(folder / "bench.yaml") as process:
+            codes.append(process.wait())
+            texts.append(process.stderr.read())
+        intact += named.is_file() and named.read_text(encoding="utf-8") == PRECIOUS
+    observed = Observation("none", min(codes, key=lambda code: code == 78), "\n".join(texts))
+    observed.after_ms = 1e3 * (time.monotonic() - begun_s)
+    observed.figures = {
+        "intact": intact,
+        "lines": sum(line.startswith("piezod: ") for text in texts for line in text.splitlines()),
+        "commands": bench.device.ask("report")["commands"],
+    }
+    bench.restore()
+    return observed
+
+
+@contextlib.contextmanager
+def _running(path, longest_s=6.0):
+    """`piezod run`, ended by SIGTERM after `longest_s` if it accepts its configuration."""
+    process = subprocess.Popen(
+        [sys.executable, "-m", "piezod", "run", str(path)],
+        stderr=subprocess.PIPE, text=True, cwd=DAEMON_ROOT,
+    )  # fmt: skip
+    timer = threading.Timer(longest_s, process.terminate)
+    timer.start()
+    try:
+        yield process
+    finally:
+        timer.cancel()
+        process.stderr.close()
+
+
+def _name_ring_log(content, file):
+    content["daemon"]["ring_log"] = str(file)
+
+
+def _name_socket(content, file):
+    content["daemon"]["socket"] = str(file)
+
+
+def _name_stream(content, file):
+    content["reference"] = {"kind": "stream", "listen": str(file)}
+
+
+def _name_drift_file(content, file):
+    content["drift"] = {"file": str(file)}
+
+
+_PLACES = {
+    "ring_log": _name_ring_log,
+    "lock": _name_ring_log,
+    "socket": _name_socket,
+    "listen": _name_stream,
+    "drift": _name_drift_file,
+}
+
+
+def full_file_system(pool, fault, *, size):
+    """Start with the ring log on a tmpfs that is too small for it."""
+    if os.geteuid() != 0 or shutil.which("mount") is None:
+        raise InjectionUnavailableError("needs root and mount")
+    bench = pool.bench()
+    bench.service.end()
+    bench.drop()
+    folder = pool.new_folder()
+    made = subprocess.run(
+        ["mount", "-t", "tmpfs", "-o", f"size={size}", "tmpfs", str(folder)],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    if made.returncode != 0:
+        raise InjectionUnavailableError(f"no tmpfs here: {made.stderr.strip()[:80]}")
+    try:
+        content = yaml.safe_load(bench.path.read_text(encoding="utf-8"))
+        content["daemon"]["ring_log"] = str(folder / "ring")
+        path = pool.new_folder() / "bench.yaml"
+        path.write_text(yaml.safe_dump(content), encoding="utf-8")
+        bench.device.ask("mark")
+        code, text, after_ms = run_piezod("run", path, "--arm")
+        stop_code, stop_text, _ = run_piezod("stop", path, "--direct")
+        left = len(list(folder.iterdir()))
+    finally:
+        subprocess.run(["umount", str(folder)], capture_output=True, check=False)
+    observed = Observation("none", code, text + stop_text, after_ms)
+    observed.figures = {
+        "lines": sum(line.startswith("piezod: ") for line in text.splitlines()),
+        "stop_exit_code": stop_code,
+        "files_left": left,
+        "commands": bench.device.ask("report")["commands"],
+    }
+    bench.restore()
+    return observed
+
+
+def failed_start_with_clients(pool, fault, *, times):
+    """Start without a device, `times` times, while clients connect all the time."""
+    bench = pool.bench()
+    codes, texts, begun_s = [], [], time.monotonic()
+    for _ in range(times):
+        folder = pool.new_folder()
+        content = yaml.safe_load(bench.path.read_text(encoding="utf-8"))
+        with socket.socket() as free:
+            free.bind(("127.0.0.1", 0))
+            content["link"]["port"] = free.getsockname()[1]
+        content["daemon"] = {"ring_log": str(folder / "ring")}
+        path = folder / "bench.yaml"
+        path.write_text(yaml.safe_dump(content), encoding="utf-8")
+        ended = threading.Event()
+        crowd = threading.Thread(target=_connect_all_the_time, args=(str(folder / "ring.sock"), ended))
+        crowd.start()
+        try:
+            code, text, _ = run_piezod("run", path, "--arm")
+        finally:
+            ended.set()
+            crowd.join()
+        codes.append(code)
+        texts.append(text)
+    text = "\n".join(texts)
+    observed = Observation("none", max(codes), text, 1e3 * (time.monotonic() - begun_s) / times)
+    observed.figures["tracebacks"] = text.count("Traceback (most recent call last)")
+    return observed
+
+
+def _connect_all_the_time(path, ended):
+    clients = []
+    while not ended.wait(0.0005):
+        client = socket.socket(socket.AF_UNIX)
+        client.setblocking(False)
+        with contextlib.suppress(OSError):
+            client.connect(path)
+        clients.append(client)
+        if len(clients) > 12:
+            clients.pop(0).close()
+    for client in clients:
+        client.close()
+
+
+def masked(pool, fault, *, umask):
+    """Start with a umask, and read the modes of the run-time files."""
+    folder = pool.new_folder()
+    bench = LiveBench(folder, None, {"reference": {"kind": "stream", "listen": str(folder / "stream")}})
+    before = os.umask(umask)
+    try:
+        begun_s = time.monotonic()
+        bench.start()
+        observed = Observation(bench.status()["state"], after_ms=1e3 * (time.monotonic() - begun_s))
+    finally:
+        os.umask(before)
+    try:
+        for name, key in (("ring", "ring_log"), ("ring.lock", "lock"), ("ring.sock", "socket"), ("stream", "stream")):
+            found = (folder / name).stat()
+            observed.figures[key] = float(f"{stat.S_IMODE(found.st_mode):o}")
+    finally:
+        bench.close()
+    return observed
+
+
+def shared_device(pool, fault, *, host):
+    """Start a second bench file, with another name and another ring log, for the device of a driving bench."""
+    bench = pool.bench()
+    bench.arm()
+    watch = Watch(bench)
+    folder = pool.new_folder()
+    content = yaml.safe_load(bench.path.read_text(encoding="utf-8"))
+    content |= {"name": "another", "daemon": {"ring_log": str(folder / "ring")}}
+    content["link"]["host"] = host
+    path = folder / "bench.yaml"
+    path.write_text(yaml.safe_dump(content), encoding="utf-8")
+    begun_s = time.monotonic()
+    service = Service(path)
+    try:
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            service.process.wait(timeout=8.0)
+        observed = Observation(exit_code=service.process.poll(), text=service.log())
+        observed.after_ms = 1e3 * (time.monotonic() - begun_s)
+        observed.figures["names_the_holder"] = float(f"process {bench.service.process.pid} " in observed.text)
+    finally:
+        service.close()
+    text, after_ms = observed.text, observed.after_ms
+    watch.until(("RUNNING",), 0.1, fault.within_ms)
+    watch.finish(observed)
+    observed.text, observed.after_ms = text, after_ms
+    bench.restore()
+    observed.armings = bench.rearms
+    return observed
+
+
+INJECTORS = {
+    "crowded": crowded,
+    "existing_files": existing_files,
+    "full_file_system": full_file_system,
+    "failed_start_with_clients": failed_start_with_clients,
+    "masked": masked,
+    "shared_device": shared_device,
+}
