@@ -5,7 +5,15 @@ import traceback
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from tests.faults import disk_faults, input_faults, manual_clock_faults, process_faults, running_faults, startup_faults
+from tests.faults import (
+    device_faults,
+    disk_faults,
+    input_faults,
+    manual_clock_faults,
+    process_faults,
+    running_faults,
+    startup_faults,
+)
 from tests.faults.bench_pool import InjectionUnavailableError, Observation
 from tests.faults.catalogue import Fault, load_faults
 from tests.faults.probe import STILL_MS
@@ -13,6 +21,7 @@ from tests.faults.probe import STILL_MS
 INJECTORS: dict[str, Callable] = {
     **running_faults.INJECTORS,
     **manual_clock_faults.INJECTORS,
+    **device_faults.INJECTORS,
     **startup_faults.INJECTORS,
     **process_faults.INJECTORS,
     **input_faults.INJECTORS,
