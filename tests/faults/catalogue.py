@@ -11,7 +11,7 @@ from piezod.config.checked import Section, check
 from piezod.config.yaml_reader import read_document
 
 LIST = Path(__file__).with_name("faults.yaml")
-COUNTS = {"T": 26, "P": 24, "M": 10, "V": 22, "C": 11, "R": 15, "D": 8, "S": 12}
+COUNTS = {"T": 26, "P": 32, "M": 10, "V": 14, "C": 11, "R": 15, "D": 8, "S": 12}
 UNITS_MS = {"ms": 1.0, "s": 1000.0}
 
 StateName = Literal["DISARMED", "ARMING", "RUNNING", "HOLD", "RAMP_DOWN", "FAULT", "none"]

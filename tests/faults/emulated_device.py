@@ -104,7 +104,7 @@ class FaultyDevice(Device):
         self.commands = self.commands_to_other = 0
         self.shift = 0  # registers by which a changed map is shifted
         self.is_other = False
-        self.keeps_watchdog = True
+        self.keeps_watchdog = self.acts_on_watchdog = True
         self.command_ns = 0
         self.requested_V = 0.0
         super().__init__(bench, firmware, "real", time.monotonic_ns)
@@ -119,6 +119,10 @@ class FaultyDevice(Device):
         """Write registers; a set point is counted and, with `ignores_writes`, not applied."""
         address += self.shift
         if address == 110 and not self.keeps_watchdog:
+            return
+        if address == 110 and not self.acts_on_watchdog:
+            self._set_watchdog(0)
+            self._words[110] = values[0]
             return
         if address == 100:
             self.commands += 1
@@ -305,7 +309,12 @@ class FaultServer:
         return begun
 
     async def do_other_device(
-        self, words: dict[str, int] | None = None, shift: int = 0, resets: bool = False, keeps_watchdog: bool = True
+        self,
+        words: dict[str, int] | None = None,
+        shift: int = 0,
+        resets: bool = False,
+        keeps_watchdog: bool = True,
+        acts_on_watchdog: bool = True,
     ) -> dict[str, Any]:
         """Become another device or firmware: other words at some addresses, or a shifted map; nothing given: the first.
 
@@ -320,6 +329,7 @@ class FaultServer:
         for address, word in (words or {}).items():
             device._words[int(address)] = word
         device.shift, device.keeps_watchdog = shift, keeps_watchdog
+        device.acts_on_watchdog = acts_on_watchdog
         device.is_other = bool(words or shift)
         return self._now()
 
