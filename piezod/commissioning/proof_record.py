@@ -5,6 +5,7 @@ import os
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
+from math import isfinite
 from pathlib import Path
 from typing import Any, Literal
 
@@ -110,7 +111,7 @@ def make_record(
         "identity": _identity(link),
         "version": __version__,
         "date_utc": f"{now:%Y-%m-%dT%H:%M:%SZ}",
-        "steps": [asdict(step) for step in end.steps],
+        "steps": [_finite(asdict(step)) for step in end.steps],
         "left_at_rest": not end.left,
         "remark": end.left or ("interrupted" if end.interrupted else ""),
         "passed": passed,
@@ -144,6 +145,11 @@ def text_lines(record: dict[str, Any]) -> Iterator[str]:
         yield f"{step['result'].upper():8}{step['name']}:{value}{time}; {step['detail']}"
     if record["remark"]:
         yield f"FAIL    end: {record['remark']}"
+
+
+def _finite(step: dict[str, Any]) -> dict[str, Any]:
+    """Replace values that JSON does not know: nothing was measured, or the time was endless."""
+    return {key: None if isinstance(value, float) and not isfinite(value) else value for key, value in step.items()}
 
 
 def _identity(link: Link) -> dict[str, float]:

@@ -48,7 +48,7 @@ class DeviceGuard:
         self._link, self._supervisor, self._clock = link, supervisor, rate_keeper
         self._due_ns = self._confirmed_ns = 0
 
-    def judge(self, result: int) -> None:
+    def evaluate(self, result: int) -> None:
         """Trip where the result of an exchange or a read names another device or a changed setting."""
         if result > ExchangeResult.UNVERIFIED:
             self._supervisor.trip(CAUSES[ExchangeResult(result)])
@@ -88,6 +88,6 @@ class DeviceGuard:
             self._confirmed_ns, self._due_ns = now_ns, now_ns + interval_ns
             return
         self._due_ns = now_ns + RETRY_NS
-        self.judge(found)
+        self.evaluate(found)
         if now_ns - self._confirmed_ns > UNCONFIRMED_NS:
             self._supervisor.trip(Cause.SETTING_CHANGED)

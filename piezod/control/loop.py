@@ -253,7 +253,7 @@ class ControlLoop:
         if not good:
             self.counts.failed_exchanges += 1
         answered = result in ACKNOWLEDGED and not not_written
-        self._guard.judge(result)
+        self._guard.evaluate(result)
         supervisor.check_exchange(good, now_ns, answered=answered, ahead_ns=self._dt_ns // 2)
         if good and supervisor.driving:
             applied_V = self.limiter.applied_V

@@ -115,5 +115,5 @@ def test_a_failed_read_is_repeated_and_trips_when_none_succeeds_for_three_second
 def test_results_of_exchanges_below_wrong_device_are_left_to_the_supervisor(subject):
     for result in ExchangeResult:
         if result <= ExchangeResult.UNVERIFIED:
-            subject.guard.judge(result)
+            subject.guard.evaluate(result)
     assert subject.supervisor.fault is Cause.NONE
