@@ -12,8 +12,22 @@ from piezod.errors import UsageError
 
 
 @app.command(epilog="Example: piezod check config/bench.yaml")
-def check(config: ConfigArgument, as_json: JsonOption = False) -> None:
-    """Check configuration, model, link, device, clock and rights; writes no voltage."""
+def check(
+    config: ConfigArgument,
+    proof: Annotated[
+        bool, typer.Option("--proof", help="Drive the bench at low voltage through its trips, its watchdog and a stop.")
+    ] = False,
+    output: Annotated[
+        Path | None, typer.Option("-o", metavar="FILE", help="With --proof: record to write; default: NAME-proof-DATE.")
+    ] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Check configuration, model, link, device, clock and rights; writes no voltage unless --proof is given."""
+    if proof:
+        _prove(config, output, as_json)
+        return
+    if output is not None:
+        raise UsageError("-o is given without --proof, which alone writes a record")
     from piezod.commissioning.check import check_bench
 
     checks = check_bench(config)
@@ -25,6 +39,21 @@ def check(config: ConfigArgument, as_json: JsonOption = False) -> None:
                 f"{result.level:4}  {result.name}: {result.found}" + (f" -> {result.remedy}" if result.remedy else "")
             )
     raise typer.Exit(1 if any(result.level == "FAIL" for result in checks) else 0)
+
+
+def _prove(config: Path, output: Path | None, as_json: bool) -> None:
+    """Run the proof test, print its steps and end with 1 unless all have passed."""
+    from piezod.commissioning.proof import prove
+    from piezod.commissioning.proof_record import text_lines
+
+    record, path = prove(config, output)
+    if as_json:
+        print(json.dumps(record, indent=2))
+    else:
+        for line in text_lines(record):
+            print(line)
+        print(f"{path}: {'passed' if record['passed'] else 'NOT PASSED'}")
+    raise typer.Exit(0 if record["passed"] else 1)
 
 
 @app.command(epilog="Example: piezod init --profile labjack_t7 --host 192.168.1.207 --name press --yes")

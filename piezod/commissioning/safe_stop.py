@@ -55,12 +55,31 @@ def stop_directly(path: Path) -> str:
     lock = lock_bench(bench, wait_s=LOCK_WITHIN_S + ramp_s)
     try:
         with opened_link(bench) as link:
-            return _bring_to_rest(bench, link)
+            return bring_to_rest(bench, link)
     finally:
         lock.close()
 
 
-def _bring_to_rest(bench: BenchConfig, link: Link) -> str:
+def bring_to_rest(bench: BenchConfig, link: Link) -> str:
+    """Drive the output to the safe voltage and read it back; the caller holds the lock.
+
+    Parameters
+    ----------
+    bench, link
+        Bench configuration and its opened link.
+
+    Returns
+    -------
+    str
+        Voltage before and after, for a message.
+
+    Raises
+    ------
+    TemporaryError
+        The device does not answer.
+    CheckFailedError
+        The output is unknown, or did not come to rest.
+    """
     found_V = _output_V(bench, link)
     if link.reading.status & STATUS_WATCHDOG:  # the device ramps down itself; a command now would cause a jump
         found_V = _wait_for_rest(bench, link)

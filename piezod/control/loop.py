@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from math import inf, isfinite, isnan, nan
 
 from piezod.config import LimitsConfig, SignCheckConfig
+from piezod.control.device_guard import DeviceGuard
 from piezod.control.limits import Limiter
 from piezod.control.rate_keeper import RateKeeper
 from piezod.control.references import DatagramStream, RegisterValue
@@ -90,6 +91,7 @@ class ControlLoop:
         self.limiter, self.supervisor = Limiter(limits, dt_s), Supervisor(limits, dt_s)
         check = None if sign_check is None else SignCheck(sign_check, dt_s, limits.voltage_step_V)
         self._planner = SegmentPlanner(self.limiter, self.supervisor, check, approach_V_per_s * dt_s)
+        self._guard = DeviceGuard(link, self.supervisor, rate_keeper)
         self._writer = VoltageWriter(
             link,
             self.limiter,
@@ -245,6 +247,7 @@ class ControlLoop:
         done_ns = clock.now_ns()
         self._check(result, planned_V, done_ns)
         self._log(planned_V, result, begun_ns, done_ns)
+        self._guard.end_tick(result, begun_ns, done_ns)
 
     def _act_on(self, event: Cause) -> None:
         """Change the state by an event of the planner."""
@@ -289,6 +292,7 @@ class ControlLoop:
         if not good:
             self.counts.failed_exchanges += 1
         answered = result in ACKNOWLEDGED and not not_written
+        self._guard.evaluate(result)
         supervisor.check_exchange(good, now_ns, answered=answered, ahead_ns=self._dt_ns // 2)
         if good and supervisor.driving:
             applied_V = self.limiter.applied_V

@@ -3,6 +3,8 @@
 import time
 from typing import Protocol
 
+NO_DEADLINE_NS = 1 << 62  # time left where ticks have no deadlines
+
 
 class RateKeeper(Protocol):
     """Clock of the loop.
@@ -30,6 +32,10 @@ class RateKeeper(Protocol):
 
     def now_ns(self) -> int:
         """Monotonic time [ns]."""
+        ...
+
+    def time_left_ns(self) -> int:
+        """Time until the next deadline [ns]; negative after it."""
         ...
 
     def wait(self) -> None:
@@ -63,6 +69,10 @@ class RealRateKeeper:
     def now_ns(self) -> int:
         """Monotonic time [ns]; it includes the time in which the machine was suspended."""
         return time.clock_gettime_ns(time.CLOCK_BOOTTIME)
+
+    def time_left_ns(self) -> int:
+        """Time until the next deadline [ns]; negative after it."""
+        return self._deadline_ns + self._period_ns - time.monotonic_ns()
 
     def wait(self) -> None:
         """Sleep until the next deadline in the future; `tick` counts the skipped deadlines too."""
@@ -106,6 +116,10 @@ class VirtualRateKeeper:
     def now_ns(self) -> int:
         """Virtual time [ns]."""
         return self.tick * self._period_ns
+
+    def time_left_ns(self) -> int:
+        """`NO_DEADLINE_NS`: an exchange may take any time."""
+        return NO_DEADLINE_NS
 
     def wait(self) -> None:
         """Advance to the next tick at once."""

@@ -50,6 +50,9 @@ class Cause(IntEnum):
     DEVICE_TOO_HOT = 26
     MAINS_LOST = 27
     ARMING_TIMEOUT = 28
+    WRONG_DEVICE = 31
+    WRONG_LOAD_CELL = 32
+    SETTING_CHANGED = 33
 
 
 CAUSE_TEXT = {
@@ -85,6 +88,12 @@ CAUSE_TEXT = {
     Cause.MAINS_LOST: "the amplifier reports a loss of mains; check its supply",
     Cause.ARMING_TIMEOUT: "the first reference was not reached within limits.arming_timeout_s; check the reference and "
     "its sender",
+    Cause.WRONG_DEVICE: "another device, firmware or register map answers; nothing is written to it; check address, "
+    "cable and adapter",
+    Cause.WRONG_LOAD_CELL: "another device answers in place of the load cell; check its address, cable and adapter",
+    Cause.SETTING_CHANGED: "the watchdog of the device was changed or cannot be read any more; look for a second "
+    "master or a restart",
 }
 
-DEVICE_HAS_TAKEN_OVER = frozenset({Cause.DEVICE_WATCHDOG, Cause.DEVICE_RESTARTED})  # the device drives its output
+DEVICE_HAS_TAKEN_OVER = frozenset({Cause.DEVICE_WATCHDOG, Cause.DEVICE_RESTARTED, Cause.WRONG_DEVICE})
+"""Causes after which no voltage is written: the device drives its output by itself, or it is another device."""

@@ -109,7 +109,7 @@ class VoltageWriter:
         share = 1.0 if 10 * elapsed_ns >= 9 * self._dt_ns else elapsed_ns / self._dt_ns
         result = link.exchange(limiter.limit(planned_V, change_V, share))
         self._sent_ns = begun_ns
-        self.output_uncertain = result not in ACKNOWLEDGED
+        self.output_uncertain = not (result in ACKNOWLEDGED or link.output_confirmed)
         if self.output_uncertain:
             limiter.perhaps_sent(link.written_V)
         else:

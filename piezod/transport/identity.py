@@ -43,12 +43,12 @@ def check_register(expectation: Expectation, raw: bytes) -> None:
     """
     register = expectation.register
     found = RegisterCodec(register).unpack_from(raw, 0)
-    if _agree(found, register.expect):
+    if agrees(found, register.expect):
         return
     where = f"{expectation.device}: registers.{expectation.role} at address {register.address}"
     orders = ("AB", "BA") if register.words == 1 else ("ABCD", "CDAB", "BADC", "DCBA")
     for order in orders:
-        if _agree(RegisterCodec(register, order).unpack_from(raw, 0), register.expect):
+        if agrees(RegisterCodec(register, order).unpack_from(raw, 0), register.expect):
             raise IdentityError(
                 f"{where} is {found:g}, expected {register.expect:g}: the device sends it in order {order}, "
                 f"configured is {register.byte_order}; set order: {order}"
@@ -56,5 +56,6 @@ def check_register(expectation: Expectation, raw: bytes) -> None:
     raise IdentityError(f"{where} is {found:g}, expected {register.expect:g}: another device, firmware or register map")
 
 
-def _agree(found: float, expected: float) -> bool:
+def agrees(found: float, expected: float) -> bool:
+    """Whether two values are equal within the precision of a float32 register."""
     return abs(found - expected) <= _RELATIVE * abs(expected)

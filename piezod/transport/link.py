@@ -22,6 +22,10 @@ class ExchangeResult(IntEnum):
     OUT_OF_RANGE = 11  # a value lies outside low..high, or the voltage cannot be encoded (then nothing was sent)
     HEARTBEAT_STOOD = 12  # the heartbeat did not advance: an old reading, or the device restarted
     ECHO_MISMATCH = 13  # the reading belongs to an earlier command
+    UNVERIFIED = 14  # reconnected; the identity of the device is being compared, and nothing was written
+    WRONG_DEVICE = 15  # identity, map version or byte order differs from the configuration; nothing was written
+    WRONG_LOAD_CELL = 16  # the same for the load cell of a pair; the amplifier took the voltage
+    SETTING_CHANGED = 17  # a register that was written in set-up has another value; it was written again
 
 
 # The device confirmed the last request and applied its voltage; in the last three, the values read are invalid.
@@ -76,11 +80,23 @@ class Link(Protocol):
         Number of exchanges by `ExchangeResult`.
     time_limit_s
         Longest duration of the next exchange [s]; effective if shorter than the configured timeout.
+    output_confirmed
+        Whether the amplifier took the last voltage although the exchange failed; only a pair of devices can say so.
     """
 
     reading: Reading
     counts: list[int]
     time_limit_s: float
+
+    @property
+    def output_confirmed(self) -> bool:
+        """Whether the amplifier took the last voltage although the exchange failed."""
+        ...
+
+    @property
+    def supervised(self) -> int:
+        """Number of calls of `supervise` that compare every register once."""
+        ...
 
     @property
     def written_V(self) -> float:
@@ -129,6 +145,18 @@ class Link(Protocol):
 
     def poll(self) -> ExchangeResult:
         """Read the block without writing, with the same checks."""
+        ...
+
+    def supervise(self, time_limit_s: float) -> ExchangeResult:
+        """Read the next register that must not change: identity, map version, or a setting written in set-up.
+
+        Never raises; returns within `time_limit_s` [s] and the timeout of the link.
+
+        Returns
+        -------
+        ExchangeResult
+            OK, WRONG_DEVICE, WRONG_LOAD_CELL, SETTING_CHANGED, or the failure of the exchange.
+        """
         ...
 
     def has(self, role: str) -> bool:

@@ -9,12 +9,14 @@ from piezod.errors import BusyError, ConfigurationError, TemporaryError, Unreach
 from piezod.transport.frames import Request, read_request, read_write_request, write_request
 from piezod.transport.identity import Expectation, check_register
 from piezod.transport.link import ExchangeResult, Reading
+from piezod.transport.register_guard import IDENTITY_ROLES, RegisterGuard
 from piezod.transport.registers import RegisterCodec
 from piezod.transport.tick_values import Plausibility, ReadBlock, SetPoint
 from piezod.transport.wire import Wire
 
 SET_UP_TIMEOUT_S = 0.5  # shortest time limit of a set-up exchange
 SET_UP_RETRY_S = 0.01  # time between two attempts to reconnect
+IDENTIFY_TRIES = 3  # largest number of connections on which the identity is read
 TEMPORARY_EXCEPTIONS = {4: "device failure", 5: "acknowledge", 6: "busy", 10: "gateway path", 11: "gateway target"}
 PERMANENT_EXCEPTIONS = {1: "illegal function", 2: "illegal address", 3: "illegal value"}
 
@@ -41,6 +43,7 @@ class ModbusLink:
 
     __slots__ = (
         "_block",
+        "_guard",
         "_plausibility",
         "_read",
         "_registers",
@@ -55,10 +58,12 @@ class ModbusLink:
         "time_limit_s",
         "written_V",
     )
+    output_confirmed = False  # one device: the result of the exchange says it
 
     def __init__(self, config: ModbusTcpLink | ModbusRtuLink, wire: Wire) -> None:
         self._wire, self._unit, self._timeout_s = wire, config.unit_id, config.timeout_s
         self._registers: Registers = config.registers
+        self._guard = RegisterGuard(wire, config.unit_id, config.registers)
         writes, reads = config.registers.tick_writes(), config.registers.tick_reads()
         self._plausibility = Plausibility(frozenset(reads), config.heartbeat_within_s)
         self.reading: Reading = self._plausibility.reading
@@ -155,7 +160,7 @@ class ModbusLink:
         written_V = set_point.encode_into(write, voltage_V)
         if written_V != written_V:  # noqa: PLR0124 - nan
             return ExchangeResult.OUT_OF_RANGE
-        result = wire.ensure_open(deadline_s)
+        result = self._ensure_verified(deadline_s)
         if result is not _OK:
             return result
         self.written_V = written_V
@@ -167,7 +172,7 @@ class ModbusLink:
     def _poll(self, deadline_s: float) -> ExchangeResult:
         wire, set_point = self._wire, self._set_point
         generation = wire.generation
-        result = wire.ensure_open(deadline_s)
+        result = self._ensure_verified(deadline_s)
         if result is not _OK:
             return result
         if wire.generation != generation:
@@ -175,6 +180,22 @@ class ModbusLink:
         if set_point is not None and set_point.has_sequence and self._written_generation == wire.generation:
             return self._read_block(deadline_s, set_point.sequence)
         return self._read_block(deadline_s, -1)
+
+    def _ensure_verified(self, deadline_s: float) -> ExchangeResult:
+        """Reconnect if necessary; compare the identity on every new connection, before anything is written."""
+        result = self._wire.ensure_open(deadline_s)
+        if result is not _OK or self._guard.is_verified():
+            return result
+        return self._guard.verify(deadline_s)
+
+    @property
+    def supervised(self) -> int:
+        """Number of calls of `supervise` that compare every register once."""
+        return self._guard.count
+
+    def supervise(self, time_limit_s: float) -> ExchangeResult:
+        """Read the next register that must not change; a setting that changed is written again."""
+        return self._guard.check_next(monotonic() + min(self._timeout_s, time_limit_s))
 
     def _read_block(self, deadline_s: float, echo: int) -> ExchangeResult:
         """Read the block, if the register map has one."""
@@ -214,14 +235,20 @@ class ModbusLink:
         codec.pack_into(request.frame, request.values_at, value)
         if request.mirrors_values:
             request.mirror_values()
-        self._transact_or_raise(request, role, register)
+        self._transact_or_raise(request, role, register, to_verified=True)
+        self._guard.note_setting(role, register, request)
 
     def identify(self) -> None:
         """Compare identity, version and byte order, as far as configured; raises IdentityError."""
-        for role in ("order_check", "identity", "map_version"):
-            expected = getattr(self._registers, role)
-            if expected is not None:
-                check_register(Expectation(role, expected, self.description), self._read_bytes(role, expected))
+        for _ in range(IDENTIFY_TRIES):
+            generation = self._wire.generation
+            for role in IDENTITY_ROLES:
+                expected = getattr(self._registers, role)
+                if expected is not None:
+                    check_register(Expectation(role, expected, self.description), self._read_bytes(role, expected))
+            if generation == self._wire.generation:  # all values are of one connection
+                self._guard.mark_verified(generation)
+                return
 
     def _register(self, role: str) -> Register:
         register = getattr(self._registers, role, None)
@@ -235,12 +262,15 @@ class ModbusLink:
         self._transact_or_raise(request, role, register)
         return bytes(self._wire.payload[request.payload_at : request.payload_at + 2 * register.words])
 
-    def _transact_or_raise(self, request: Request, role: str, register: Register) -> None:
+    def _transact_or_raise(self, request: Request, role: str, register: Register, *, to_verified: bool = False) -> None:
+        """Exchange in set-up; with `to_verified`, compare the identity first where the connection is new."""
         wire = self._wire
         deadline_s = monotonic() + max(SET_UP_TIMEOUT_S, self._timeout_s)
         while (result := wire.ensure_open(deadline_s)) is not _OK and monotonic() < deadline_s:
             sleep(SET_UP_RETRY_S)
         if result is _OK:
+            if to_verified and not self._guard.is_verified():
+                self.identify()
             result = wire.transact(request, deadline_s)
         if result is not _OK:
             self._raise_error(result, f"{self.description}: registers.{role} at address {register.address}")

@@ -1,6 +1,6 @@
 """Two devices combined into one link: an amplifier for the voltage and a load cell for the force."""
 
-from piezod.transport.link import ExchangeResult, Link, Reading
+from piezod.transport.link import ACKNOWLEDGED, ExchangeResult, Link, Reading
 
 _OK = ExchangeResult.OK
 _FIELDS = {
@@ -19,6 +19,7 @@ _PREFER_LOAD_CELL = ("force", "reference", "reference_counter")
 class PairLink:
     """Exchanges with the amplifier first, then reads the load cell; both must succeed.
 
+    An amplifier that took its voltage stays under control when the load cell fails: `output_confirmed` is then True.
     Force and reference come from the load cell. Any other quantity of both devices comes from the amplifier.
 
     Parameters
@@ -29,7 +30,16 @@ class PairLink:
         Link of the load cell; measures the force.
     """
 
-    __slots__ = ("_amplifier", "_load_cell", "_of_amplifier", "_of_load_cell", "counts", "reading")
+    __slots__ = (
+        "_amplifier",
+        "_load_cell",
+        "_next",
+        "_of_amplifier",
+        "_of_load_cell",
+        "counts",
+        "output_confirmed",
+        "reading",
+    )
 
     def __init__(self, amplifier: Link, load_cell: Link) -> None:
         self._amplifier, self._load_cell = amplifier, load_cell
@@ -41,6 +51,8 @@ class PairLink:
         self._of_amplifier = tuple(_FIELDS[role] for role in of_amplifier if _FIELDS[role] not in self._of_load_cell)
         self.reading = Reading()
         self.counts = [0] * len(ExchangeResult)
+        self.output_confirmed = False
+        self._next = 0
 
     @property
     def time_limit_s(self) -> float:
@@ -93,12 +105,34 @@ class PairLink:
     def exchange(self, voltage_V: float) -> ExchangeResult:
         """Write the voltage [V] to the amplifier, then read the load cell; returns within the sum of both timeouts."""
         result = self._amplifier.exchange(voltage_V)
-        return self._combine(self._load_cell.poll() if result is _OK else result)
+        self.output_confirmed = result in ACKNOWLEDGED
+        return self._combine(self._poll_load_cell() if result is _OK else result)
 
     def poll(self) -> ExchangeResult:
         """Read both without writing."""
         result = self._amplifier.poll()
-        return self._combine(self._load_cell.poll() if result is _OK else result)
+        return self._combine(self._poll_load_cell() if result is _OK else result)
+
+    def _poll_load_cell(self) -> ExchangeResult:
+        result = self._load_cell.poll()
+        return ExchangeResult.WRONG_LOAD_CELL if result is ExchangeResult.WRONG_DEVICE else result
+
+    @property
+    def supervised(self) -> int:
+        """Number of calls of `supervise` that compare every register of both devices once."""
+        return self._amplifier.supervised + self._load_cell.supervised
+
+    def supervise(self, time_limit_s: float) -> ExchangeResult:
+        """Read the next register that must not change, first those of the amplifier."""
+        if self._next < self._amplifier.supervised:
+            result = self._amplifier.supervise(time_limit_s)
+        else:
+            result = self._load_cell.supervise(time_limit_s)
+            if result is ExchangeResult.WRONG_DEVICE:
+                result = ExchangeResult.WRONG_LOAD_CELL
+        if result is _OK:
+            self._next = (self._next + 1) % max(1, self.supervised)
+        return result
 
     def _combine(self, result: ExchangeResult) -> ExchangeResult:
         self.counts[result] += 1

@@ -14,6 +14,7 @@ from time import monotonic
 from piezod.config.checked import shortened
 from piezod.config.link import LineCommand, SerialLineLink
 from piezod.errors import CheckFailedError, ConfigurationError, IdentityError, UnreachableError
+from piezod.transport.line_guard import WATCHDOG, LineGuard
 from piezod.transport.line_reply import ROLES, ReplyFields, compile_reply, decimal
 from piezod.transport.line_template import LineTemplate, plain_line
 from piezod.transport.link import ExchangeResult, Reading
@@ -21,7 +22,6 @@ from piezod.transport.serial_port import RECEIVE_BYTES, SerialPort
 from piezod.transport.tick_values import Plausibility
 
 SET_UP_TIMEOUT_S = 0.5  # shortest time limit of a set-up exchange
-WATCHDOG = "watchdog_ms"
 
 _OK = ExchangeResult.OK
 
@@ -44,6 +44,7 @@ class SerialLineDevice:
         "_acknowledge",
         "_config",
         "_fields",
+        "_guard",
         "_identity",
         "_measure",
         "_pattern",
@@ -54,7 +55,6 @@ class SerialLineDevice:
         "_set_voltage",
         "_terminator",
         "_watchdog",
-        "_watchdog_ms",
         "_watchdog_reply",
         "counts",
         "hint",
@@ -63,6 +63,7 @@ class SerialLineDevice:
         "written_V",
     )
     last_exception = 0
+    output_confirmed = False  # one device: the result of the exchange says it
 
     def __init__(self, config: SerialLineLink) -> None:
         self._config, self._port = config, SerialPort(config)
@@ -76,7 +77,7 @@ class SerialLineDevice:
         self._plausibility = Plausibility(self._fields.roles - {"command_echo"}, config.heartbeat_within_s)
         self.reading: Reading = self._plausibility.reading
         self._set_up_generation = -1
-        self._watchdog_ms = nan
+        self._guard = LineGuard(self._exchange_line, self._identity, (self._watchdog, self._watchdog_reply))
         self.counts = [0] * len(ExchangeResult)
         self.written_V = nan
         self.time_limit_s = inf
@@ -133,7 +134,7 @@ class SerialLineDevice:
         """Read without setting the voltage, with the same checks."""
         generation = self._port.generation
         deadline_s = monotonic() + min(self._config.timeout_s, self.time_limit_s)
-        result = self._ensure_set_up(deadline_s)
+        result = self._ensure_verified(deadline_s)
         if self._port.generation != generation:
             self._plausibility.forget_heartbeat()
         if result is _OK:
@@ -148,7 +149,7 @@ class SerialLineDevice:
         line, written_V = template.fill(voltage_V)
         if not line:
             return ExchangeResult.OUT_OF_RANGE
-        result = self._ensure_set_up(deadline_s)
+        result = self._ensure_verified(deadline_s)
         if result is not _OK:
             return result
         self.written_V = written_V
@@ -176,6 +177,30 @@ class SerialLineDevice:
                 return result
         self._set_up_generation = self._port.generation
         return _OK
+
+    def _ensure_verified(self, deadline_s: float) -> ExchangeResult:
+        """Reopen the port if necessary; compare the identity after each opening, before a voltage is sent.
+
+        The lines of `setup` come first, because they select the form of the replies. The watchdog is set again.
+        UNVERIFIED: half of the time has passed; the exchange follows in the next call.
+        """
+        half_s = 0.5 * (monotonic() + deadline_s)
+        result = self._ensure_set_up(deadline_s)
+        if result is not _OK or self._guard.verified == self._port.generation:
+            return result
+        result = self._guard.verify(self._port.generation, deadline_s)
+        return ExchangeResult.UNVERIFIED if result is _OK and monotonic() > half_s else result
+
+    @property
+    def supervised(self) -> int:
+        """Number of calls of `supervise` that compare identity and watchdog once."""
+        return self._guard.count
+
+    def supervise(self, time_limit_s: float) -> ExchangeResult:
+        """Compare the identity, or set the watchdog again, in turn."""
+        if self._guard.verified != self._port.generation:
+            return ExchangeResult.UNVERIFIED
+        return self._guard.check_next(monotonic() + min(self._config.timeout_s, time_limit_s))
 
     def _exchange_line(
         self, line: bytes, pattern: re.Pattern[bytes] | None, deadline_s: float
@@ -223,7 +248,7 @@ class SerialLineDevice:
         """Read one field of the reply to `measure`, or the watchdog time acknowledged by the device."""
         self._require(role)
         if role == WATCHDOG:
-            return self._watchdog_ms
+            return self._guard.watchdog_ms
         if role == "voltage_setpoint":
             return self.written_V
         result = self.poll()
@@ -239,11 +264,12 @@ class SerialLineDevice:
         self._require(role)
         if role != WATCHDOG or self._watchdog is None:
             raise ConfigurationError(f"{self.description}: {role} cannot be written outside the tick")
+        self._require_identity()
         line, written = self._watchdog.fill(value)
         match = self._exchange_or_raise(line, self._watchdog_reply, "link.watchdog")
         acknowledged = match is not None and WATCHDOG in match.re.groupindex
         try:
-            self._watchdog_ms = decimal(match[WATCHDOG]) if match is not None and acknowledged else written
+            self._guard.watchdog_ms = decimal(match[WATCHDOG]) if match is not None and acknowledged else written
         except (TypeError, ValueError):
             found = bytes(match[0][:60]) if match is not None else b""
             raise CheckFailedError(
@@ -259,6 +285,13 @@ class SerialLineDevice:
             self._exchange_or_raise(line, pattern, "link.identity")
         except CheckFailedError as error:
             raise IdentityError(f"{error}: another device, or another firmware") from error
+
+    def _require_identity(self) -> None:
+        """Compare the identity where the port was opened again: nothing is written to another device."""
+        self._ensure_set_up(monotonic() + max(SET_UP_TIMEOUT_S, self._config.timeout_s))
+        if self._guard.verified != self._port.generation:
+            self.identify()
+            self._guard.verified = self._port.generation
 
     def _exchange_or_raise(self, line: bytes, pattern: re.Pattern[bytes] | None, where: str) -> re.Match[bytes] | None:
         """Exchange a line in set-up; raises UnreachableError, or CheckFailedError with the unexpected reply."""

@@ -31,6 +31,8 @@ class InProcessLink:
     last_exception = 0
     stale_bytes = 0
     hint = ""
+    output_confirmed = False
+    supervised = 0
 
     def __init__(self, device: Device, registers: dict[str, float] | None = None) -> None:
         self._device = device
@@ -67,6 +69,10 @@ class InProcessLink:
                 setattr(self.reading, name, getattr(answer, name))
         self.counts[result] += 1
         return result
+
+    def supervise(self, time_limit_s: float) -> ExchangeResult:
+        """No register is supervised."""
+        return ExchangeResult.OK
 
     def has(self, role: str) -> bool:
         """Whether `registers` holds this role."""

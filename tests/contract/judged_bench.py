@@ -34,6 +34,9 @@ class HandClock:
     def now_ns(self):
         return self.time_ns
 
+    def time_left_ns(self):
+        return self.deadline_ns + self.period_ns - self.time_ns
+
     def wait(self):
         self.deadline_ns += self.period_ns
         self.tick += 1

@@ -20,7 +20,7 @@ from typing import Any
 from pymodbus.pdu import ExceptionResponse, ModbusPDU
 
 from firmware_sim.config import Firmware, Tcp
-from firmware_sim.firmware.device import Device
+from firmware_sim.firmware.device import IDENTITY, MAP_VERSION, ORDER_CHECK, Device
 from firmware_sim.firmware.modbus import ModbusUnit
 from firmware_sim.physics.bench import Bench, Sample
 from firmware_sim.physics.scenario import load_scenario, with_effects
@@ -101,7 +101,10 @@ class FaultyDevice(Device):
     def __init__(self, bench: TimedBench, firmware: Firmware) -> None:
         self.reading_fault: Callable[[Sample], Sample] | None = None
         self.ignores_writes = False
-        self.commands = 0
+        self.commands = self.commands_to_other = 0
+        self.shift = 0  # registers by which a changed map is shifted
+        self.is_other = False
+        self.keeps_watchdog = self.acts_on_watchdog = True
         self.command_ns = 0
         self.requested_V = 0.0
         super().__init__(bench, firmware, "real", time.monotonic_ns)
@@ -114,8 +117,16 @@ class FaultyDevice(Device):
 
     def write(self, address: int, values: Any) -> None:
         """Write registers; a set point is counted and, with `ignores_writes`, not applied."""
+        address += self.shift
+        if address == 110 and not self.keeps_watchdog:
+            return
+        if address == 110 and not self.acts_on_watchdog:
+            self._set_watchdog(0)
+            self._words[110] = values[0]
+            return
         if address == 100:
             self.commands += 1
+            self.commands_to_other += self.is_other
             self.command_ns = time.monotonic_ns()
             self.requested_V = struct.unpack(">f", struct.pack(">2H", *values[:2]))[0]
             if self.ignores_writes:
@@ -123,6 +134,10 @@ class FaultyDevice(Device):
                 self.bench.feed_watchdog()
                 return
         super().write(address, values)
+
+    def read(self, address: int, count: int) -> list[int]:
+        """Read registers, from a shifted address where the map has changed."""
+        return super().read(address + self.shift, count)
 
 
 class FaultyUnit(ModbusUnit):
@@ -132,6 +147,7 @@ class FaultyUnit(ModbusUnit):
         super().__init__(device)
         self._judge = judge
         self.refusal: tuple[int, int, int] = (0, 0, 0)  # exception code, function (0: all), count (-1: no end)
+        self.refused_address = -1  # only requests for this address; -1: all
 
     def reply(self, frame: bytes, unit_id: int, transaction_id: int) -> ModbusPDU:
         """Return the answer, or the requested exception."""
@@ -139,7 +155,8 @@ class FaultyUnit(ModbusUnit):
             self.device.catch_up()
             self._judge.excused = True
         code, function, count = self.refusal
-        if count and function in (0, frame[0]):
+        addressed = self.refused_address in (-1, int.from_bytes(frame[1:3], "big"))
+        if count and addressed and function in (0, frame[0]):
             self.refusal = (code, function, count - 1)
             answer = ExceptionResponse(frame[0], code)
             answer.dev_id, answer.transaction_id = unit_id, transaction_id
@@ -184,6 +201,11 @@ _FALSE_READINGS: dict[str, Callable[[Sample, float, dict[str, Any]], Sample]] = 
     "heartbeat_back": lambda sample, value, _: replace(sample, heartbeat=(sample.heartbeat - int(value)) & 0xFFFF),
     "gain_creep": lambda sample, value, memory: replace(
         sample, force_N=sample.force_N * (1 + value * 1e-9 * (time.monotonic_ns() - memory["begun_ns"]))
+    ),
+    "heartbeat_stuck": lambda sample, _value, memory: replace(sample, heartbeat=memory["first"].heartbeat),
+    "heartbeat_reversed": lambda sample, _value, _memory: replace(sample, heartbeat=-sample.heartbeat & 0xFFFF),
+    "readback_stuck": lambda sample, _value, memory: replace(
+        sample, voltage_readback_V=memory["first"].voltage_readback_V
     ),
     "temperature": lambda sample, value, _: replace(sample, temperature_C=value),
     "readback": lambda sample, value, _: replace(sample, voltage_readback_V=value),
@@ -246,9 +268,10 @@ class FaultServer:
         self.device.reading_fault = false_readings(kind, float(value), count) if kind else None
         return self._now()
 
-    async def do_refuse(self, code: int, function: int = 0, count: int = -1) -> dict[str, Any]:
+    async def do_refuse(self, code: int, function: int = 0, count: int = -1, address: int = -1) -> dict[str, Any]:
         """Answer with exceptions; a count of 0 stops them."""
         self.unit.refusal = (code, function, count)
+        self.unit.refused_address = address
         return self._now()
 
     async def do_ignore_writes(self, ignored: bool) -> dict[str, Any]:
@@ -285,6 +308,39 @@ class FaultServer:
             await asyncio.sleep(every_s)
         return begun
 
+    async def do_other_device(
+        self,
+        words: dict[str, int] | None = None,
+        shift: int = 0,
+        resets: bool = False,
+        keeps_watchdog: bool = True,
+        acts_on_watchdog: bool = True,
+    ) -> dict[str, Any]:
+        """Become another device or firmware: other words at some addresses, or a shifted map; nothing given: the first.
+
+        With `resets`, the connections are reset, and the other device answers the next one.
+        """
+        if resets:
+            await self.proxy.act("reset")
+            for _ in range(IN_FLIGHT_TURNS):
+                await asyncio.sleep(0)
+        device = self.device
+        device._words[0:4] = [IDENTITY, MAP_VERSION, *struct.unpack(">2H", struct.pack(">f", ORDER_CHECK))]
+        for address, word in (words or {}).items():
+            device._words[int(address)] = word
+        device.shift, device.keeps_watchdog = shift, keeps_watchdog
+        device.acts_on_watchdog = acts_on_watchdog
+        device.is_other = bool(words or shift)
+        return self._now()
+
+    async def do_lose_settings(self) -> dict[str, Any]:
+        """Restart the firmware so fast that output and sample counter stay; only its settings are lost."""
+        await self.proxy.act("reset")
+        for _ in range(IN_FLIGHT_TURNS):
+            await asyncio.sleep(0)
+        Device.write(self.device, 110, [0])
+        return self._now()
+
     async def do_idle(self, closes_after_s: float) -> dict[str, Any]:
         """Close connections that are silent for this time [s]; 0: never."""
         self.proxy.idle_s = closes_after_s
@@ -296,7 +352,7 @@ class FaultServer:
         self.judge.mark()
         self.proxy.done.clear()
         self.proxy.late_s = self.behind_s = 0.0
-        self.device.commands = 0
+        self.device.commands = self.device.commands_to_other = 0
         return self._now()
 
     async def do_report(self) -> dict[str, Any]:
@@ -313,6 +369,7 @@ class FaultServer:
             "rest_ns": self.judge.rest_ns,
             "command_ns": self.device.command_ns,
             "commands": self.device.commands,
+            "commands_to_other": self.device.commands_to_other,
             "watchdog_ms": self.device.watchdog_ms,
             "passed": self.proxy.passed,
             "accepted": getattr(self.proxy, "accepted", 0),

@@ -334,6 +334,7 @@ class LiveBench:
         self.device.ask("refuse", code=0, count=0)
         self.device.ask("ignore_writes", ignored=False)
         self.device.ask("fault_bits", bits=0)
+        self.device.ask("other_device")
         self.device.ask("rules", rules=[])
         self.device.ask("wire", what="restore")
         self.start()

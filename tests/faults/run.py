@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 from tests.faults import (
     access_faults,
+    device_faults,
     disk_faults,
     input_faults,
     manual_clock_faults,
@@ -23,6 +24,7 @@ from tests.faults.probe import STILL_MS
 INJECTORS: dict[str, Callable] = {
     **running_faults.INJECTORS,
     **manual_clock_faults.INJECTORS,
+    **device_faults.INJECTORS,
     **startup_faults.INJECTORS,
     **process_faults.INJECTORS,
     **session_faults.INJECTORS,

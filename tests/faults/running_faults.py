@@ -156,6 +156,8 @@ class Watch:
             "resident_grown_kib": _resident_kib(self.pid) - self.resident,
             "reconnected": report["accepted"] - self.accepted,
             "commands": report["commands"],
+            "commands_to_other": report["commands_to_other"],
+            "watchdog_ms": report["watchdog_ms"],
             "highest_V": report["highest_V"] or 0.0,
             "deeds": report["deeds"],
             "late_ms": report["late_ms"],
@@ -276,6 +278,17 @@ def _write_as_second_client(bench, arguments):
             client.write_registers(100, list(struct.unpack(">2H", written)), device_id=1)
 
 
+def _write_register(bench, arguments):
+    """Write one register from a second client."""
+    host, _, port = bench.device.serves["direct"].rpartition(":")
+    with ModbusTcpClient(host, port=int(port), timeout=2) as client:
+        end_s = time.monotonic() + arguments.get("for_s", 0.0)
+        while True:
+            client.write_registers(arguments["address"], [arguments["value"]], device_id=1)
+            if time.monotonic() >= end_s:
+                break
+
+
 def _signals(bench, arguments):
     for _ in range(arguments.get("times", 1)):
         os.kill(bench.service.process.pid, getattr(signal, arguments["name"]))
@@ -359,6 +372,9 @@ STEPS = {
     "second_master": lambda bench, arguments: bench.device.ask("second_master", **arguments),
     "idle": lambda bench, after_s: bench.device.ask("idle", closes_after_s=after_s),
     "write_beside": _write_as_second_client,
+    "write_register": _write_register,
+    "other_device": lambda bench, arguments: bench.device.ask("other_device", **arguments),
+    "lose_settings": lambda bench, _: bench.device.ask("lose_settings"),
     "restart": lambda bench, _: bench.device.ask("restart"),
     "flap": _flap,
     "stop_and_go": _stop_and_go,

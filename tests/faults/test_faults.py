@@ -7,7 +7,7 @@ import time
 import pytest
 
 from piezod.errors import ConfigurationError
-from tests.faults import disk_faults, input_faults, manual_clock_faults, run
+from tests.faults import device_faults, disk_faults, input_faults, manual_clock_faults, run
 from tests.faults.bench_pool import open_bench_pool
 from tests.faults.catalogue import load_faults
 from tests.faults.live_bench import DeviceProcess
@@ -37,7 +37,11 @@ def listed(fault):
     """
     if fault.injector in disk_faults.INJECTORS:
         return pytest.param(fault, id=fault.id, marks=pytest.mark.slow)
-    in_process = fault.injector in manual_clock_faults.INJECTORS or fault.injector in input_faults.INJECTORS
+    in_process = fault.injector in (
+        *manual_clock_faults.INJECTORS,
+        *device_faults.INJECTORS,
+        *input_faults.INJECTORS,
+    )
     return pytest.param(fault, id=fault.id, marks=() if in_process else pytest.mark.real_time)
 
 

@@ -16,6 +16,9 @@ class FakeClock:
     def now_ns(self):
         return self.tick * self.period_ns
 
+    def time_left_ns(self):
+        return self.period_ns
+
     def wait(self):
         self.tick += 1
 
@@ -26,6 +29,8 @@ class FakeLink:
     description = "fake"
     last_exception = stale_bytes = 0
     hint = ""
+    output_confirmed = False
+    supervised = 0
 
     def __init__(self, plant=None):
         self.plant = plant or (lambda voltage_V: 2.0 * voltage_V)

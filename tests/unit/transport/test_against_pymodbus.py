@@ -23,6 +23,8 @@ PATHS = [(23, 23), (16, 3), (16, 4)]
 
 def device():
     values = [0] * 300
+    values[0] = 20570
+    values[2:4] = ModbusTcpClient.convert_to_registers(1234.5, ModbusTcpClient.DATATYPE.FLOAT32)
     values[200:202] = ModbusTcpClient.convert_to_registers(55.5, ModbusTcpClient.DATATYPE.FLOAT32)
     values[206] = 5
     return SimDevice(1, simdata=[SimData(0, values=values, datatype=DataType.REGISTERS)])

@@ -1,0 +1,294 @@
+"""The bench of a proof test: hold a low voltage with the ordinary control loop, and measure the reaction."""
+
+import tempfile
+from collections.abc import Callable
+from dataclasses import dataclass
+from math import inf, isfinite, nan
+from pathlib import Path
+from typing import Any, Self, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from piezod.config import BenchConfig
+from piezod.control import CAUSE_TEXT, Cause, ControlLoop, RingLog, RingReader, Segment, State, TableReference
+from piezod.control import check_ready as check_ready_to_arm
+from piezod.errors import CheckFailedError, UnreachableError
+from piezod.model import DirectDrive
+from piezod.session.assembly import make_loop, make_rate_keeper
+from piezod.transport import ExchangeResult, Link, Reading
+
+PROOF_SHARE = 0.05  # of the voltage range: the level of the test
+LEAST_STEPS = 2.5  # level in units of arming.sign_check.step_V, so that the sign check stays below the force trip
+HOLD_S = 0.5  # time at the level
+TRY_S = 1.0  # of the watchdog, beyond its time: a slow amplifier falls that long
+POLLS = 5
+
+
+@dataclass(frozen=True)
+class Run:
+    """One arming of the bench: its rows and its end.
+
+    Parameters
+    ----------
+    rows
+        Rows of the ring log, shape (N,).
+    fault
+        Latched fault; `Cause.NONE` after a stop or the end of the hold.
+    """
+
+    rows: NDArray[np.void]
+    fault: Cause
+
+    @property
+    def at_level(self) -> NDArray[np.void]:
+        """Rows of the second half of the hold, shape (M,); the output has settled there."""
+        good = np.flatnonzero((self.rows["state"] == State.RUNNING) & (self.rows["result"] == 0))
+        return np.take(self.rows, good[good.size // 2 :])
+
+    @property
+    def force_N(self) -> float:
+        """Mean force at the level [N]."""
+        return float(self.at_level["force_N"].mean()) if self.at_level.size else nan
+
+    @property
+    def highest_N(self) -> float:
+        """Highest force [N]."""
+        return float(self.rows["force_N"].max()) if self.rows.size else nan
+
+    @property
+    def readback_V(self) -> float:
+        """Mean voltage read back at the level [V]; nan without read-back."""
+        return float(self.at_level["readback_V"].mean()) if self.at_level.size else nan
+
+    @property
+    def readback_error_V(self) -> float:
+        """Largest difference of written and read voltage at the level [V]; nan without read-back."""
+        rows = self.at_level
+        return float(np.abs(rows["readback_V"] - rows["voltage_V"]).max()) if rows.size else nan
+
+    @property
+    def left_V(self) -> float:
+        """Voltage read back at the end [V]; the written voltage where the device has no read-back."""
+        last = self.rows[-1]
+        return float(last["readback_V"] if isfinite(last["readback_V"]) else last["voltage_V"])
+
+    def time_to_fault_ms(self, wrong: NDArray[np.bool_]) -> float:
+        """Time from the first wrong row while RUNNING, or in the approach, to the latched fault [ms]; inf: none."""
+        first, last = np.flatnonzero(wrong), np.flatnonzero(self.rows["state"] == State.RAMP_DOWN)
+        if not (first.size and last.size) or self.fault is Cause.NONE:
+            return inf
+        return max(0.0, float(self.rows["time_ns"][last[0]] - self.rows["time_ns"][first[0]]) / 1e6)
+
+    def time_of_ramp_ms(self) -> float:
+        """Time from the begin of the ramp down to its end [ms]; inf: it did not end."""
+        ramp = np.flatnonzero(self.rows["state"] == State.RAMP_DOWN)
+        if not ramp.size or self.rows["state"][-1] not in (State.DISARMED, State.FAULT):
+            return inf
+        return float(self.rows["time_ns"][-1] - self.rows["time_ns"][ramp[0]]) / 1e6
+
+    def outcome(self, limit_ms: float) -> str:
+        """Text of the end, with the limit of its time [ms]."""
+        text = "no fault" if self.fault is Cause.NONE else CAUSE_TEXT[self.fault].partition(";")[0]
+        return f"{text}; time limit {limit_ms:.1f} ms"
+
+
+class _ShiftedReading:
+    """A reading whose voltage read back is shifted while `active`."""
+
+    def __init__(self, reading: Reading, shift_V: float, active: Callable[[], bool]) -> None:
+        self._reading, self._shift_V, self._active = reading, shift_V, active
+
+    def __getattr__(self, name: str) -> Any:  # noqa: ANN401  # every other value is the device's own
+        return getattr(self._reading, name)
+
+    @property
+    def voltage_readback_V(self) -> float:
+        """Voltage read back [V], shifted."""
+        return self._reading.voltage_readback_V + (self._shift_V if self._active() else 0.0)
+
+
+class ShiftedReadback:
+    """A link whose voltage read-back is shifted while the level is held; it passes on everything else.
+
+    Parameters
+    ----------
+    link
+        Link of the bench.
+    shift_V
+        Shift of the reading [V].
+    active
+        Whether to shift now.
+    """
+
+    def __init__(self, link: Link, shift_V: float, active: Callable[[], bool]) -> None:
+        self._link = link
+        self.reading = _ShiftedReading(link.reading, shift_V, active)
+
+    def __getattr__(self, name: str) -> Any:  # noqa: ANN401  # everything else is the link's own
+        return getattr(self._link, name)
+
+    @property
+    def time_limit_s(self) -> float:
+        """Longest duration of the next exchange [s]."""
+        return self._link.time_limit_s
+
+    @time_limit_s.setter
+    def time_limit_s(self, value: float) -> None:
+        self._link.time_limit_s = value
+
+
+class ProofBench:
+    """Holds the level of the test as often as a step needs it.
+
+    Parameters
+    ----------
+    bench, link
+        Bench configuration and its opened link.
+
+    Attributes
+    ----------
+    level_V
+        Voltage of the test [V].
+    rest_N, level_N
+        Force at rest and at the level [N]; nan before the first step.
+    interrupted
+        Whether Ctrl-C or SIGTERM came.
+    """
+
+    def __init__(self, bench: BenchConfig, link: Link) -> None:
+        limits = bench.limits
+        self.bench, self.link = bench, link
+        self._clock = make_rate_keeper(bench, link)
+        low_V, span_V = limits.voltage_safe_V, limits.voltage_max_V - limits.voltage_safe_V
+        self.level_V = low_V + min(span_V, max(PROOF_SHARE * span_V, LEAST_STEPS * bench.arming.sign_check.step_V))
+        self.readback_limit_V = limits.readback_trip_V or bench.arming.readback_within_V
+        self.watchdog_limit_ms = limits.device_watchdog_ms + limits.readback_trip_ms + 2e3 * bench.dt_s
+        self.rest_N = self.level_N = nan
+        self.interrupted = False
+        self._loop: ControlLoop | None = None
+        self._folder = tempfile.TemporaryDirectory(prefix="piezod-proof-")
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._folder.cleanup()
+
+    def interrupt(self) -> None:
+        """Request a ramp down and the end of the test. Safe in a signal handler."""
+        self.interrupted = True
+        if self._loop is not None:
+            self._loop.request_stop()
+
+    def level_reached(self) -> bool:
+        """Whether the level is held now."""
+        return self._loop is not None and self._loop.supervisor.state is State.RUNNING
+
+    def read_force_N(self) -> float:
+        """Force now [N].
+
+        Raises
+        ------
+        UnreachableError
+            The device gives no good reading.
+        """
+        for _ in range(POLLS):
+            if (result := self.link.poll()) == ExchangeResult.OK:
+                return self.link.reading.force_N
+            self._clock.wait()
+        raise UnreachableError(f"proof: {self.link.description}: {result.name.lower()}: check cable and device")
+
+    def hold_level(
+        self, *, force_trip_N: float | None = None, link: ShiftedReadback | None = None, stops: bool = False
+    ) -> Run:
+        """Arm, hold the level for `HOLD_S` and ramp down.
+
+        Parameters
+        ----------
+        force_trip_N
+            Force trip in place of the configured one [N]; never above it.
+        link
+            Link in place of the link of the bench.
+        stops
+            Whether a stop is requested in the middle of the hold.
+
+        Raises
+        ------
+        CheckFailedError
+            A precondition of arming fails, or the test was interrupted.
+        """
+        bench = self.bench
+        if force_trip_N is not None:
+            lower_N = min(force_trip_N, bench.limits.force_trip_N)
+            bench = bench.model_copy(update={"limits": bench.limits.model_copy(update={"force_trip_N": lower_N})})
+        ring_log, loop = self._armed(bench, cast("Link", link) if link is not None else self.link)
+        held = 0
+        try:
+            while loop.supervisor.driving:
+                loop.run_tick()
+                held += self.level_reached()
+                if stops and held == round(0.5 * HOLD_S * bench.rate_Hz):
+                    loop.request_stop()
+                self._clock.wait()
+            return Run(RingReader(self._ring_path).read(), loop.supervisor.fault)
+        finally:
+            ring_log.close()
+
+    def withhold_commands(self) -> tuple[float, float, float]:
+        """Hold the level, then only read, until the device has brought its output to rest.
+
+        Returns
+        -------
+        tuple
+            Time until the output falls [ms], distance of the output from rest at the end [V], time until rest [ms].
+
+        Raises
+        ------
+        CheckFailedError
+            A precondition of arming fails, the level is not reached, or the test was interrupted.
+        """
+        ring_log, loop = self._armed(self.bench, self.link)
+        try:
+            held = 0
+            while loop.supervisor.driving and held < round(0.5 * HOLD_S * self.bench.rate_Hz):
+                loop.run_tick()
+                held += self.level_reached()
+                self._clock.wait()
+            if not self.level_reached():
+                raise CheckFailedError(f"proof: {CAUSE_TEXT[loop.supervisor.cause]}")
+            return self._watch_fall()
+        finally:
+            ring_log.close()
+
+    def _watch_fall(self) -> tuple[float, float, float]:
+        """Read until the output is at rest, or no longer than the watchdog and a slow fall need."""
+        limits, within_V = self.bench.limits, self.bench.arming.readback_within_V
+        begun_ns, falls_ms, rest_ms = self._clock.now_ns(), inf, inf
+        before_V = left_V = abs(self.link.reading.voltage_readback_V - limits.voltage_safe_V)
+        most_ns = round(1e6 * (limits.device_watchdog_ms + limits.comm_loss_ms) + 1e9 * TRY_S)
+        while (now_ns := self._clock.now_ns()) - begun_ns < most_ns and not self.interrupted and rest_ms == inf:
+            if self.link.poll() == ExchangeResult.OK:
+                left_V = abs(self.link.reading.voltage_readback_V - limits.voltage_safe_V)
+                if falls_ms == inf and left_V < 0.9 * before_V:
+                    falls_ms = (now_ns - begun_ns) / 1e6
+                if left_V <= min(within_V, 0.1 * before_V):
+                    rest_ms = (now_ns - begun_ns) / 1e6
+            self._clock.wait()
+        return falls_ms, left_V, rest_ms
+
+    @property
+    def _ring_path(self) -> Path:
+        return Path(self._folder.name) / "ring"
+
+    def _armed(self, bench: BenchConfig, link: Link) -> tuple[RingLog, ControlLoop]:
+        """Check every precondition, then arm a new loop that holds the level."""
+        if self.interrupted:
+            raise CheckFailedError("proof: interrupted")
+        check_ready_to_arm(self.bench, self.link)
+        self._ring_path.unlink(missing_ok=True)
+        ring_log = RingLog(self._ring_path, round(60 * bench.rate_Hz))
+        loop = self._loop = make_loop(bench, link, self._clock, ring_log)
+        values = np.full(max(2, round(HOLD_S * bench.rate_Hz)), self.level_V)
+        loop.arm(Segment("proof", TableReference(values), DirectDrive(), None, follows_force=False))
+        return ring_log, loop

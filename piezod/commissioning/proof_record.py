@@ -1,0 +1,158 @@
+"""The dated record of a proof test: bench, device, version, and each step with its measured value and limit."""
+
+import json
+import os
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass
+from datetime import UTC, datetime
+from math import isfinite
+from pathlib import Path
+from typing import Any, Literal
+
+from piezod import __version__
+from piezod.config import BenchConfig
+from piezod.errors import ConfigurationError, UsageError
+from piezod.transport import Link
+
+SCHEMA = "piezod.proof/1"
+
+Result = Literal["pass", "fail", "skipped"]
+
+
+@dataclass(frozen=True)
+class ProofStep:
+    """Result of one step.
+
+    Parameters
+    ----------
+    name
+        Subject of the step.
+    result
+        `pass`, `fail`, or `skipped`: this bench has no such function.
+    measured, limit
+        Measured value and its limit, in `unit`; None where nothing was measured.
+    unit
+        Unit of both.
+    time_ms
+        Duration that the step measured [ms]; None without one.
+    detail
+        What was done, or why it failed.
+    """
+
+    name: str
+    result: Result
+    measured: float | None = None
+    limit: float | None = None
+    unit: str = ""
+    time_ms: float | None = None
+    detail: str = ""
+
+
+@dataclass(frozen=True)
+class ProofEnd:
+    """The steps that were done, and the end of the test.
+
+    Parameters
+    ----------
+    steps
+        Results in their order.
+    left
+        Failure to bring the bench to rest; empty: it is at rest.
+    interrupted
+        Whether Ctrl-C or SIGTERM ended the test.
+    """
+
+    steps: list[ProofStep]
+    left: str
+    interrupted: bool
+
+
+def record_path(bench: BenchConfig, output: Path | None, now: datetime) -> Path:
+    """Path of the record: `output`, or NAME-proof-DATE.json in the present folder.
+
+    Raises
+    ------
+    UsageError
+        The file exists already; a record is never replaced.
+    """
+    path = output or Path(f"{bench.name}-proof-{now:%Y%m%dT%H%M%SZ}.json")
+    if path.exists():
+        raise UsageError(f"{path} already exists, and a record is never replaced; name another file with -o")
+    return path
+
+
+def utc_now() -> datetime:
+    """Present time of day, UTC."""
+    return datetime.now(UTC)
+
+
+def make_record(
+    bench: BenchConfig, link: Link, end: ProofEnd, now: datetime, planned: tuple[str, ...]
+) -> dict[str, Any]:
+    """Make the record; it has passed when every planned step was done, none failed, and the bench is at rest.
+
+    Parameters
+    ----------
+    bench, link
+        Bench configuration and its opened link.
+    end
+        Steps that were done, and the end.
+    now
+        Time of the begin, UTC.
+    planned
+        Names of the steps that belong to a complete test.
+    """
+    complete = tuple(step.name for step in end.steps) == planned and not end.interrupted
+    passed = complete and not end.left and all(step.result != "fail" for step in end.steps)
+    return {
+        "schema": SCHEMA,
+        "bench": bench.name,
+        "device": link.description,
+        "identity": _identity(link),
+        "version": __version__,
+        "date_utc": f"{now:%Y-%m-%dT%H:%M:%SZ}",
+        "steps": [_finite(asdict(step)) for step in end.steps],
+        "left_at_rest": not end.left,
+        "remark": end.left or ("interrupted" if end.interrupted else ""),
+        "passed": passed,
+    }
+
+
+def write_record(record: dict[str, Any], path: Path) -> None:
+    """Write the record, complete or not at all.
+
+    Raises
+    ------
+    ConfigurationError
+        The file cannot be written.
+    """
+    partial = path.with_name(f".{path.name}.{os.getpid()}")
+    try:
+        partial.write_text(json.dumps(record, indent=2) + "\n", encoding="utf-8")
+        partial.replace(path)
+    except OSError as error:
+        raise ConfigurationError(f"{path}: cannot be written: {error.strerror}; name another file with -o") from error
+
+
+def text_lines(record: dict[str, Any]) -> Iterator[str]:
+    """The record as lines for a terminal."""
+    yield f"{record['bench']}: {record['device']}, {record['date_utc']}, piezod {record['version']}"
+    for step in record["steps"]:
+        value = ""
+        if step["measured"] is not None:
+            value = f" {step['measured']:.4g} {step['unit']}, limit {step['limit']:.4g} {step['unit']}"
+        time = "" if step["time_ms"] is None else f", {step['time_ms']:.1f} ms"
+        yield f"{step['result'].upper():8}{step['name']}:{value}{time}; {step['detail']}"
+    if record["remark"]:
+        yield f"FAIL    end: {record['remark']}"
+
+
+def _finite(step: dict[str, Any]) -> dict[str, Any]:
+    """Replace values that JSON does not know: nothing was measured, or the time was endless."""
+    return {key: None if isinstance(value, float) and not isfinite(value) else value for key, value in step.items()}
+
+
+def _identity(link: Link) -> dict[str, float]:
+    """Registers of identity that the device has; they were compared with the configuration before."""
+    roles = ("identity", "map_version")
+    return {role: link.read_register(role) for role in roles if link.has(role)}

@@ -1,0 +1,93 @@
+"""Supervision of the device while voltages are written: it must stay the configured device with its settings.
+
+Identity, map version and the watchdog of the device were checked before arming. Another client, a restart or an
+exchanged device can change them afterwards. The guard reads them again in turn, in the free time at the end of a tick.
+"""
+
+from math import inf
+
+from piezod.control.rate_keeper import NO_DEADLINE_NS, RateKeeper
+from piezod.control.states import Cause
+from piezod.control.supervisor import Supervisor
+from piezod.transport import ExchangeResult, Link
+
+TURN_NS = 500_000_000
+"""Time in which every register is read once, where the ticks leave room [ns]."""
+OVERDUE_NS = 400_000_000
+"""Delay of a turn after which its reads no longer wait for room; a tick may then be missed [ns]."""
+RETRY_NS = 50_000_000
+"""Pause after a failed read [ns]."""
+UNCONFIRMED_NS = 3_000_000_000
+"""Longest time without a successful read, while the exchanges succeed [ns]."""
+MARGIN_NS = 100_000
+"""Free time that is needed besides 1.25 times the duration of the exchange [ns]."""
+
+CAUSES = {
+    ExchangeResult.WRONG_DEVICE: Cause.WRONG_DEVICE,
+    ExchangeResult.WRONG_LOAD_CELL: Cause.WRONG_LOAD_CELL,
+    ExchangeResult.SETTING_CHANGED: Cause.SETTING_CHANGED,
+}
+
+
+class DeviceGuard:
+    """Reads one register at a time, and trips when the device is another or has lost a setting.
+
+    Parameters
+    ----------
+    link
+        Opened link.
+    supervisor
+        Supervisor that trips.
+    rate_keeper
+        Clock of the loop.
+    """
+
+    __slots__ = ("_clock", "_confirmed_ns", "_due_ns", "_link", "_supervisor")
+
+    def __init__(self, link: Link, supervisor: Supervisor, rate_keeper: RateKeeper) -> None:
+        self._link, self._supervisor, self._clock = link, supervisor, rate_keeper
+        self._due_ns = self._confirmed_ns = 0
+
+    def evaluate(self, result: int) -> None:
+        """Trip where the result of an exchange or a read names another device or a changed setting."""
+        if result > ExchangeResult.UNVERIFIED:
+            self._supervisor.trip(CAUSES[ExchangeResult(result)])
+
+    def end_tick(self, result: int, begun_ns: int, done_ns: int) -> None:
+        """Read the next register when it is due and the rest of the tick is long enough.
+
+        Parameters
+        ----------
+        result
+            Result of the exchange of this tick. After a failure every register is due at once: the device may have
+            restarted.
+        begun_ns, done_ns
+            Begin and end of the exchange [ns].
+        """
+        if not self._supervisor.driving:
+            self._due_ns = self._confirmed_ns = done_ns
+            return
+        if result != ExchangeResult.OK:
+            self._due_ns = min(self._due_ns, done_ns)
+            return
+        if done_ns < self._due_ns:
+            return
+        count = self._link.supervised
+        if count == 0:
+            return
+        left_ns = self._clock.time_left_ns()
+        overdue = done_ns - self._due_ns > OVERDUE_NS // count
+        if left_ns < (done_ns - begun_ns) * 5 // 4 + MARGIN_NS and not overdue:
+            return
+        self._read(inf if overdue or left_ns >= NO_DEADLINE_NS else 1e-9 * left_ns, TURN_NS // count, done_ns)
+
+    def _read(self, time_limit_s: float, interval_ns: int, now_ns: int) -> None:
+        """Read one register and evaluate the result."""
+        found = self._link.supervise(time_limit_s)
+        if found == ExchangeResult.OK:
+            self._confirmed_ns, self._due_ns = now_ns, now_ns + interval_ns
+            return
+        self._due_ns = now_ns + RETRY_NS
+        self.evaluate(found)
+        if now_ns - self._confirmed_ns > UNCONFIRMED_NS:
+            self._supervisor.trip(Cause.SETTING_CHANGED)

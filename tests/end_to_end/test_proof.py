@@ -1,0 +1,113 @@
+"""`piezod check --proof` on an emulated bench in real time."""
+
+import json
+import os
+import signal
+import threading
+
+import pytest
+
+from piezod.commissioning.proof import STEPS, prove
+from piezod.config import load_bench
+from piezod.errors import BusyError, UsageError
+from piezod.session.lock import BenchLock
+from tests.faults.bench_pool import run_piezod
+from tests.faults.live_bench import LiveBench
+
+pytestmark = pytest.mark.real_time
+
+
+@pytest.fixture(scope="module")
+def bench(tmp_path_factory):
+    live = LiveBench(tmp_path_factory.mktemp("proof"))
+    yield live
+    live.close()
+
+
+@pytest.fixture(autouse=True)
+def restored(bench):
+    yield
+    assert abs(bench.device.ask("report")["output_V"]) <= 0.5, "the bench is not at rest"
+    bench.device.ask("reading_fault")
+    bench.device.ask("other_device")
+
+
+def steps_of(record):
+    return {step["name"]: step for step in record["steps"]}
+
+
+def test_every_step_passes_and_the_record_names_bench_device_version_and_date(bench, tmp_path):
+    path = tmp_path / "record.json"
+    code, text, _ = run_piezod("check", bench.path, "--proof", "-o", path)
+    record = json.loads(path.read_text(encoding="utf-8"))
+    assert code == 0, text
+    assert record["passed"] is record["left_at_rest"] is True
+    assert [step["name"] for step in record["steps"]] == list(STEPS)
+    assert {step["result"] for step in record["steps"]} == {"pass"}, text
+    assert record["identity"] == {"identity": 20570.0, "map_version": 1.0}
+    assert {"schema", "bench", "device", "version", "date_utc"} <= set(record)
+    assert all(step["measured"] is not None and step["limit"] is not None for step in record["steps"])
+    report = bench.device.ask("report")
+    assert report["highest_V"] <= 7.5
+    assert report["wrong"] == []
+
+
+def test_a_watchdog_that_is_set_and_does_not_act_fails_and_the_bench_is_left_at_rest(bench, tmp_path):
+    bench.device.ask("other_device", acts_on_watchdog=False)
+    record, _ = prove(bench.path, tmp_path / "record.json")
+    steps = steps_of(record)
+    assert steps.pop("watchdog")["result"] == "fail"
+    assert {step["result"] for step in steps.values()} == {"pass"}
+    assert record["left_at_rest"]
+    assert not record["passed"]
+
+
+def test_a_stuck_load_cell_fails_the_first_step_and_ends_the_test(bench, tmp_path):
+    bench.device.ask("reading_fault", kind="stuck")
+    record, _ = prove(bench.path, tmp_path / "record.json")
+    assert [step["result"] for step in record["steps"]] == ["fail"]
+    assert not record["passed"]
+    assert run_piezod("check", bench.path, "--proof", "-o", tmp_path / "second.json")[0] == 1
+
+
+def test_a_readback_that_stands_still_fails(bench, tmp_path):
+    bench.device.ask("reading_fault", kind="readback_stuck")
+    record, _ = prove(bench.path, tmp_path / "record.json")
+    assert steps_of(record)["level"]["result"] == "fail"
+
+
+def test_a_bench_that_another_program_drives_is_refused(bench, tmp_path):
+    lock = BenchLock(load_bench(bench.path).lock_path)
+    try:
+        with pytest.raises(BusyError):
+            prove(bench.path, tmp_path / "record.json")
+    finally:
+        lock.close()
+    assert not (tmp_path / "record.json").exists()
+
+
+def test_a_record_is_never_replaced(bench, tmp_path):
+    path = tmp_path / "record.json"
+    path.write_text("{}", encoding="utf-8")
+    with pytest.raises(UsageError, match="already exists"):
+        prove(bench.path, path)
+    assert path.read_text(encoding="utf-8") == "{}"
+
+
+@pytest.mark.parametrize("name", STEPS)
+def test_ctrl_c_leaves_the_bench_at_rest_and_writes_a_record_that_did_not_pass(bench, tmp_path, monkeypatch, name):
+    timer = threading.Timer(0.05, lambda: os.kill(os.getpid(), signal.SIGINT))
+    step = STEPS[name]
+
+    def interrupted(proof):
+        timer.start()
+        return step(proof)
+
+    monkeypatch.setitem(STEPS, name, interrupted)
+    record, path = prove(bench.path, tmp_path / "record.json")
+    timer.join()
+    assert record["steps"][-1]["name"] == name
+    assert not record["passed"]
+    assert record["left_at_rest"]
+    assert record["remark"] == "interrupted"
+    assert json.loads(path.read_text(encoding="utf-8")) == record

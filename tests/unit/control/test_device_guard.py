@@ -1,0 +1,119 @@
+"""The guard of the device: when it reads, and what it does with the result."""
+
+import pytest
+
+from piezod.control.device_guard import OVERDUE_NS, TURN_NS, UNCONFIRMED_NS, DeviceGuard
+from piezod.control.states import Cause, State
+from piezod.control.supervisor import Supervisor
+from piezod.transport import ExchangeResult
+from tests.unit.control.test_limits import limits
+
+MS = 1_000_000
+OK = ExchangeResult.OK
+
+
+class SupervisedLink:
+    supervised = 2
+
+    def __init__(self):
+        self.result, self.reads = OK, []
+
+    def supervise(self, time_limit_s):
+        self.reads.append(time_limit_s)
+        return self.result
+
+
+class Clock:
+    left_ns = 5 * MS
+
+    def time_left_ns(self):
+        return self.left_ns
+
+
+class Subject:
+    def __init__(self):
+        self.link, self.clock, self.supervisor = SupervisedLink(), Clock(), Supervisor(limits())
+        self.guard = DeviceGuard(self.link, self.supervisor, self.clock)
+        self.now_ns = 10**9
+        self.guard.end_tick(OK, self.now_ns, self.now_ns)
+        self.supervisor.arm(self.now_ns)
+
+    def ticks(self, seconds, result=OK, exchange_ns=MS // 2):
+        end_ns = self.now_ns + round(1e9 * seconds)
+        while self.now_ns < end_ns:
+            self.now_ns += MS
+            self.guard.end_tick(result, self.now_ns - exchange_ns, self.now_ns)
+
+
+@pytest.fixture
+def subject():
+    return Subject()
+
+
+def test_every_register_is_read_at_least_once_a_second(subject):
+    subject.ticks(10.0)
+    assert len(subject.link.reads) >= 10 * subject.link.supervised
+    assert len(subject.link.reads) <= 1.1 * 10e9 / (TURN_NS / subject.link.supervised)
+
+
+def test_nothing_is_read_at_rest(subject):
+    subject.supervisor.state = State.DISARMED
+    subject.ticks(3.0)
+    assert subject.link.reads == []
+
+
+def test_a_read_waits_for_room_in_the_tick_and_ends_within_it(subject):
+    subject.clock.left_ns = MS // 2
+    subject.ticks(0.1)
+    assert subject.link.reads == []
+    subject.clock.left_ns = 2 * MS
+    subject.ticks(0.01)
+    assert subject.link.reads == [pytest.approx(0.002)]
+
+
+def test_an_overdue_read_does_not_wait_any_more(subject):
+    subject.clock.left_ns = 0
+    subject.ticks(1.0)
+    assert subject.link.reads
+    assert OVERDUE_NS + TURN_NS <= 10**9
+
+
+def test_every_register_is_due_again_after_a_failed_exchange(subject):
+    subject.ticks(0.01)
+    reads = len(subject.link.reads)
+    subject.ticks(0.002)
+    assert len(subject.link.reads) == reads
+    subject.ticks(0.001, result=ExchangeResult.TIMEOUT)
+    subject.ticks(0.001)
+    assert len(subject.link.reads) == reads + 1
+
+
+@pytest.mark.parametrize(
+    ("result", "cause", "state"),
+    [
+        (ExchangeResult.SETTING_CHANGED, Cause.SETTING_CHANGED, State.RAMP_DOWN),
+        (ExchangeResult.WRONG_LOAD_CELL, Cause.WRONG_LOAD_CELL, State.RAMP_DOWN),
+        (ExchangeResult.WRONG_DEVICE, Cause.WRONG_DEVICE, State.FAULT),  # no ramp: nothing is written to it
+    ],
+)
+def test_a_change_is_a_latched_fault(subject, result, cause, state):
+    subject.link.result = result
+    subject.ticks(0.005)
+    assert subject.supervisor.fault is cause
+    assert subject.supervisor.state is state
+
+
+def test_a_failed_read_is_repeated_and_trips_when_none_succeeds_for_three_seconds(subject):
+    subject.link.result = ExchangeResult.DEVICE_EXCEPTION
+    subject.ticks(0.9e-9 * UNCONFIRMED_NS)
+    assert subject.supervisor.fault is Cause.NONE
+    assert len(subject.link.reads) > 3
+    subject.ticks(0.2e-9 * UNCONFIRMED_NS)
+    assert subject.supervisor.fault is Cause.SETTING_CHANGED
+
+
+def test_results_of_exchanges_below_wrong_device_are_left_to_the_supervisor(subject):
+    for result in ExchangeResult:
+        if result <= ExchangeResult.UNVERIFIED:
+            subject.guard.evaluate(result)
+    assert subject.supervisor.fault is Cause.NONE
