@@ -10,6 +10,7 @@ from piezod.commissioning.proof import STEPS
 from piezod.config import BenchConfig
 from piezod.config.limits import LimitsConfig
 from piezod.config.link import ModbusTcpLink, Registers
+from piezod.config.reference import StreamReference
 from piezod.config.sections import ArmingConfig
 
 ROOT = Path(__file__).parents[2]
@@ -21,7 +22,7 @@ HAZARDS = (
     "over-voltage", "over-force", "jump after a pause", "tension", "overheating", "wrong polarity", "wrong device",
     "stale or forged data", "lost watchdog", "operator's error", "two masters", "software hang", "power cut",
 )  # fmt: skip
-SECTIONS = {"arming": ArmingConfig, "link": ModbusTcpLink, "registers": Registers}
+SECTIONS = {"arming": ArmingConfig, "link": ModbusTcpLink, "reference": StreamReference, "registers": Registers}
 TRIPPING = {  # text of the latched cause
     "force_trip_N": "force above limits.force_trip_N",
     "force_min_N": "force below limits.force_min_N",
@@ -35,6 +36,7 @@ TRIPPING = {  # text of the latched cause
     "stale_after_ms": "no good exchange for limits.comm_loss_ms",
     "device_watchdog_ms": "the watchdog of the device was changed",
     "missed_ticks_in_a_row": "too many ticks missed in a row",
+    "arming_timeout_s": "the first reference was not reached within limits.arming_timeout_s",
 }
 
 
