@@ -36,7 +36,6 @@ TRIPPING = {  # text of the latched cause
     "stale_after_ms": "no good exchange for limits.comm_loss_ms",
     "device_watchdog_ms": "the watchdog of the device was changed",
     "missed_ticks_in_a_row": "too many ticks missed in a row",
-    "arming_timeout_s": "the first reference was not reached within limits.arming_timeout_s",
 }
 
 
