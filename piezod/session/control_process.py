@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from piezod.config import model_path
-from piezod.control import CAUSE_TEXT, Cause, ControlLoop, RingLog, Segment, check_ready, real_time
+from piezod.control import CAUSE_TEXT, Cause, ControlLoop, PhaseTimes, RingLog, Segment, check_ready, real_time
 from piezod.errors import PiezodError
 from piezod.model import Model
 from piezod.session.assembly import (
@@ -39,7 +39,7 @@ from piezod.transport import ExchangeResult, Link
 _PR_SET_PDEATHSIG = 1  # prctl(2): the signal that the kernel sends when the parent dies
 
 
-def run(task: Task, pipe: Connection, lock: BenchLock) -> None:
+def run(task: Task, pipe: Connection, lock: BenchLock, phases: PhaseTimes) -> None:
     """Execute a task and send its outcome, or its error, to the parent.
 
     When the parent dies, the bench is ramped down and the process ends.
@@ -52,6 +52,8 @@ def run(task: Task, pipe: Connection, lock: BenchLock) -> None:
         Connection to the parent. It carries `ready`, `answer`, and finally `done` or `error`.
     lock
         Lock of the bench; this process holds it until its end.
+    phases
+        Times of the phases of a tick, in memory that the parent reads.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGHUP, signal.SIG_IGN)
@@ -61,7 +63,7 @@ def run(task: Task, pipe: Connection, lock: BenchLock) -> None:
     try:
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always")
-            outcome = _execute(task, pipe)
+            outcome = _execute(task, pipe, phases)
         outcome.warnings = [str(warning.message) for warning in caught]
         _send(pipe, ("done", outcome))
     except PiezodError as error:
@@ -87,7 +89,7 @@ def _send(pipe: Connection, message: tuple[str, Any]) -> bool:
     return True
 
 
-def _execute(task: Task, pipe: Connection) -> Outcome:
+def _execute(task: Task, pipe: Connection, phases: PhaseTimes | None = None) -> Outcome:
     """Connect the bench, build its loop, and drive the segments or serve commands."""
     bench = task.bench
     files = "" if task.serves is None else files_digest(bench, task.serves)
@@ -102,7 +104,7 @@ def _execute(task: Task, pipe: Connection) -> Outcome:
             check_ready(bench, link)
         ring_log = RingLog(bench.ring_log_path, round(bench.daemon.ring_seconds * bench.rate_Hz))
         stack.callback(ring_log.close)
-        loop = make_loop(bench, link, clock, ring_log)
+        loop = make_loop(bench, link, clock, ring_log, phases)
         loop.supervisor.heat_W = task.heat_W
         commands = CommandQueue(bench, link, loop, pipe, segments[0] if segments else None)
         if task.serves is not None:  # before `ready`: an `arm` that arrives now would wait until it is too old
