@@ -49,6 +49,7 @@ class DaemonConfig(Section):
     socket_group: Annotated[str, Field(min_length=1)] | None = None
     socket_mode: Annotated[str, Field(pattern=r"^0?[0-7]{3}$")] = "0660"
     metrics_port: Annotated[int, Field(ge=0, le=65535)] | None = None
+    slow_phase_ms: Annotated[float, Field(gt=0)] | None = None
     railed_after_s: Annotated[float, Field(gt=0, le=3600)] = 1.0
 
 

@@ -2,6 +2,7 @@
 
 from piezod.control.arming import check_ready, check_safeguards
 from piezod.control.loop import ControlLoop, LoopCounts
+from piezod.control.phase_times import PhaseTimes
 from piezod.control.rate_keeper import RateKeeper, RealRateKeeper, VirtualRateKeeper
 from piezod.control.realtime import RealTimeWarning, real_time
 from piezod.control.references import Reference, TableReference, make_reference
@@ -15,6 +16,7 @@ __all__ = [
     "Cause",
     "ControlLoop",
     "LoopCounts",
+    "PhaseTimes",
     "RateKeeper",
     "RealRateKeeper",
     "RealTimeWarning",

@@ -4,6 +4,7 @@ The compensator's states are those of the stack. They advance with the voltage t
 rounding (`link.written_V`), and only when the device has acknowledged it. A bad sample raises no error in the loop.
 """
 
+import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from math import inf, isfinite, isnan, nan
@@ -11,6 +12,7 @@ from math import inf, isfinite, isnan, nan
 from piezod.config import LimitsConfig, SignCheckConfig
 from piezod.control.device_guard import DeviceGuard
 from piezod.control.limits import Limiter
+from piezod.control.phase_times import PhaseTimes
 from piezod.control.rate_keeper import RateKeeper
 from piezod.control.references import DatagramStream, RegisterValue
 from piezod.control.segment_planner import Segment, SegmentPlanner
@@ -56,6 +58,8 @@ class ControlLoop:
         Largest difference between safe voltage and readback at the end of a ramp down [V].
     watchdog_in_status
         Whether the device's status has the bit of its watchdog.
+    phases
+        Times of the phases of a tick; None: nobody reads them.
 
     Attributes
     ----------
@@ -81,7 +85,9 @@ class ControlLoop:
         sign_check: SignCheckConfig | None = None,
         readback_within_V: float = inf,
         watchdog_in_status: bool = True,
+        phases: PhaseTimes | None = None,
     ) -> None:
+        self._phases = phases or PhaseTimes()
         self._link, self._clock, self._ring = link, rate_keeper, ring_log
         self._dt_s, self._dt_ns = dt_s, round(dt_s * 1e9)
         self._readback_within_V = readback_within_V
@@ -241,13 +247,19 @@ class ControlLoop:
         self._begun_ns = begun_ns
         if self._stop_requested:
             supervisor.stop(fast=self._stop_fast)
+        drives, stamp = supervisor.driving, time.perf_counter_ns
+        started = self._planner.read_ns = stamp()
         planned_V = self._planner.plan_voltage(clock.tick, begun_ns, self._safe_V)
+        planned = stamp()
         self._act_on(self._planner.event)
         result = self._exchange(planned_V, begun_ns)
-        done_ns = clock.now_ns()
+        done_ns, done = clock.now_ns(), stamp()
         self._check(result, planned_V, done_ns)
+        checked = stamp()
         self._log(planned_V, result, begun_ns, done_ns)
         self._guard.end_tick(result, begun_ns, done_ns)
+        if drives:
+            self._phases.add_tick(started, self._planner.read_ns, planned, done, checked, stamp())
 
     def _act_on(self, event: Cause) -> None:
         """Change the state by an event of the planner."""

@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 from math import ceil, inf, isnan, nan
+from time import perf_counter_ns
 
 from piezod.control.limits import Limiter
 from piezod.control.references import Freshness, Reference, TableReference
@@ -68,6 +69,8 @@ class SegmentPlanner:
         Force that the planned voltage should produce [N]; nan where none is expected.
     preparation_ticks
         Planned length of sign check, reset cycle and approach, the approach from end to end of the range [ticks].
+    read_ns
+        Time at which the reference was read last (`time.perf_counter_ns`) [ns].
     event
         Event of the tick planned last: `Cause.NONE`, REFERENCE_REACHED (the first reference), REFERENCE_LIVE (again,
         after a hold), REFERENCE_ENDED or REFERENCE_STALE.
@@ -79,7 +82,7 @@ class SegmentPlanner:
         self._limiter, self._supervisor = limiter, supervisor
         self._sign_check = sign_check
         self._approach_V = approach_V
-        self.preparation_ticks = 0
+        self.preparation_ticks = self.read_ns = 0
         self._checking_sign = self._cycling = self._approaching = False
         self._at_rest: Reference | None = None
         self.segment: Segment | None = None
@@ -191,6 +194,7 @@ class SegmentPlanner:
         if state is State.ARMING:
             reference.start(tick)
         value = reference.read(tick, now_ns)
+        self.read_ns = perf_counter_ns()
         if reference.freshness is Freshness.LIVE:
             self.reference = value
             if state is State.HOLD:

@@ -10,9 +10,9 @@ output by itself (its watchdog tripped, it restarted) leads straight to FAULT: a
 from math import inf, nan
 
 from piezod.config import LimitsConfig
+from piezod.control.heat_interlock import HeatInterlock
 from piezod.control.interlocks import (
     ForceInterlock,
-    HeatInterlock,
     ReadbackInterlock,
     StuckInterlock,
     TrackingInterlock,

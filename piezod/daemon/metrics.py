@@ -12,8 +12,10 @@ from prometheus_client.exposition import CONTENT_TYPE_LATEST, generate_latest
 from prometheus_client.registry import Collector
 
 from piezod.control import State
+from piezod.control.phase_times import PHASES
 from piezod.daemon.connections import Connections
 from piezod.daemon.drift import DriftWatch
+from piezod.daemon.phase_watch import PhaseWatch
 from piezod.daemon.railed import RailedWatch
 from piezod.daemon.statistics import BOUNDS_S, DurationHistogram, TickStatistics
 from piezod.errors import BusyError
@@ -62,6 +64,8 @@ class BenchMetrics(Collector):
         Watch for a reference out of reach; None without one.
     values
         Function that returns the counts of a live reference by result; it returns None without one.
+    phases
+        Durations of the phases of a tick; None without them.
     """
 
     def __init__(
@@ -72,12 +76,13 @@ class BenchMetrics(Collector):
         drift: Callable[[], DriftWatch | None] = lambda: None,
         railed: RailedWatch | None = None,
         values: Callable[[], dict[str, int] | None] = lambda: None,
+        phases: PhaseWatch | None = None,
     ) -> None:
         self._labels = [name]
         self._statistics = statistics
         self._recorder = recorder
         self._drift = drift
-        self._railed = railed
+        self._railed, self._phases = railed, phases
         self._values = values
 
     def collect(self) -> Iterable[Metric]:
@@ -116,6 +121,15 @@ class BenchMetrics(Collector):
             for name, count in values.items():
                 counter.add_metric([*self._labels, name], count)
             yield counter
+        if self._phases is not None:
+            yield self._phase_histogram(self._phases)
+
+    def _phase_histogram(self, phases: PhaseWatch) -> Metric:
+        text = "Duration of a phase of a tick that writes a voltage"
+        histogram = HistogramMetricFamily("piezod_phase_seconds", text, labels=["bench", "phase"])
+        for name, durations in zip(PHASES, phases.histograms, strict=True):
+            histogram.add_metric([*self._labels, name], _buckets(durations), durations.sum_s)
+        return histogram
 
     def _drift_metrics(self) -> Iterable[Metric]:
         watch = self._drift()
@@ -156,14 +170,17 @@ class BenchMetrics(Collector):
         return counter
 
     def _histogram(self, name: str, text: str, durations: DurationHistogram) -> Metric:
-        below = np.cumsum(durations.counts)
-        buckets = [
-            ("+Inf" if bound == inf else repr(bound), float(n))
-            for bound, n in zip((*BOUNDS_S, inf), below, strict=True)
-        ]
         histogram = HistogramMetricFamily(name, text, labels=["bench"])
-        histogram.add_metric(self._labels, buckets, durations.sum_s)
+        histogram.add_metric(self._labels, _buckets(durations), durations.sum_s)
         return histogram
+
+
+def _buckets(durations: DurationHistogram) -> list[tuple[str, float]]:
+    """Cumulated counts by upper bound, as Prometheus expects them."""
+    below = np.cumsum(durations.counts)
+    return [
+        ("+Inf" if bound == inf else repr(bound), float(n)) for bound, n in zip((*BOUNDS_S, inf), below, strict=True)
+    ]
 
 
 class MetricsServer:

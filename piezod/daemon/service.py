@@ -20,6 +20,7 @@ from piezod.daemon.control_socket import ControlSocket, Peer
 from piezod.daemon.journal import log_line
 from piezod.daemon.metrics import BenchMetrics, MetricsServer
 from piezod.daemon.model_watch import ModelWatch
+from piezod.daemon.phase_watch import PhaseWatch
 from piezod.daemon.railed import RailedWatch
 from piezod.daemon.reload import check_armed_change, check_restart_keys, check_settled
 from piezod.daemon.statistics import TickStatistics
@@ -67,6 +68,8 @@ class Service:
         Comparison with the model.
     railed_watch
         Watch for a reference out of reach.
+    phase_watch
+        Durations of the phases of a tick.
     """
 
     def __init__(self, path: Path, bench: BenchConfig, lock: BenchLock, session: Session, *, arm: bool) -> None:
@@ -86,6 +89,7 @@ class Service:
         self._recorder = None if bench.recorder is None else RecorderWatch(bench, log_line)
         self.model_watch = ModelWatch(path)
         self.railed_watch = RailedWatch(log_line)
+        self.phase_watch = PhaseWatch(log_line)
 
     async def run(self) -> None:
         """Serve the socket and run one session after the other until a signal ends the daemon."""
@@ -105,6 +109,7 @@ class Service:
                     lambda: self.model_watch.drift,
                     self.railed_watch,
                     lambda: reference_values(self._bench, self._channel),
+                    self.phase_watch,
                 )
                 metrics = MetricsServer(shown, log_line)
                 stack.push_async_callback(metrics.close)
@@ -124,6 +129,7 @@ class Service:
             self._recorder,
             self.model_watch,
             self.railed_watch,
+            self.phase_watch,
             up_s,
         )
 
@@ -198,6 +204,7 @@ class Service:
             if self._recorder is not None:
                 self._recorder.follow(self._bench.ring_log_path)
             self.statistics.begin()
+            self.phase_watch.begin(session.phase_cells)
             self.model_watch.begin(self._bench)
             self._notifier.ready()
             self._notifier.status(f"DISARMED, {content.description}")
@@ -263,6 +270,7 @@ class Service:
         self.statistics.add(rows)
         self.model_watch.add(rows)
         self.railed_watch.add(rows, self._bench)
+        self.phase_watch.add_new(self._bench.daemon.slow_phase_ms)
         return bool(rows.size)
 
     def _log_transition(self, state: State, cause: Cause, row: np.void) -> None:

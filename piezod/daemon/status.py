@@ -11,6 +11,7 @@ from piezod.control.references import counts_dict
 if TYPE_CHECKING:
     from piezod.daemon.command_channel import CommandChannel
     from piezod.daemon.model_watch import ModelWatch
+    from piezod.daemon.phase_watch import PhaseWatch
     from piezod.daemon.railed import RailedWatch
     from piezod.daemon.statistics import TickStatistics
     from piezod.recorder.watch import RecorderWatch
@@ -32,6 +33,7 @@ def status_dict(
     recorder: "RecorderWatch | None",
     model_watch: "ModelWatch",
     railed_watch: "RailedWatch",
+    phase_watch: "PhaseWatch",
     up_s: float,
 ) -> dict[str, object]:
     """Make the status; runs in the daemon.
@@ -50,6 +52,8 @@ def status_dict(
         Comparison with the model.
     railed_watch
         Watch for a reference out of reach.
+    phase_watch
+        Durations of the phases of a tick.
     up_s
         Time since the start of the daemon [s].
     """
@@ -68,6 +72,7 @@ def status_dict(
         "recorder": None if recorder is None else recorder.as_dict(),
         "drift": None if drift is None else drift.as_dict(),
         "rail": railed_watch.as_dict(),
+        "phases": phase_watch.as_dict(),
         "preview": None if preview is None else preview.as_dict(),
         "corrected_force_N": None if drift is None else drift.corrected(),
         **statistics.as_dict(),

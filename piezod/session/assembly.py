@@ -12,6 +12,7 @@ import numpy as np
 from piezod.config import BenchConfig, load_bench, model_path
 from piezod.control import (
     ControlLoop,
+    PhaseTimes,
     RateKeeper,
     RealRateKeeper,
     RingLog,
@@ -261,7 +262,9 @@ def _reset_cycle(bench: BenchConfig) -> TableReference:
     return TableReference(low + (high - low) * triangle_ramp(np.arange(ticks + 1) / ticks))
 
 
-def make_loop(bench: BenchConfig, link: Link, clock: RateKeeper, ring_log: RingLog) -> ControlLoop:
+def make_loop(
+    bench: BenchConfig, link: Link, clock: RateKeeper, ring_log: RingLog, phases: PhaseTimes | None = None
+) -> ControlLoop:
     """Make the control loop of a bench, disarmed.
 
     Parameters
@@ -274,6 +277,8 @@ def make_loop(bench: BenchConfig, link: Link, clock: RateKeeper, ring_log: RingL
         Clock of the ticks.
     ring_log
         Ring log that every tick is written to.
+    phases
+        Times of the phases of a tick; None: nobody reads them.
     """
     arming = bench.arming
     return ControlLoop(
@@ -286,4 +291,5 @@ def make_loop(bench: BenchConfig, link: Link, clock: RateKeeper, ring_log: RingL
         sign_check=None if "sign_check" in arming.without else arming.sign_check,
         readback_within_V=arming.readback_within_V,
         watchdog_in_status=link.has("status"),
+        phases=phases,
     )

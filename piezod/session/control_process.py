@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from piezod.config import BenchConfig, model_path
-from piezod.control import CAUSE_TEXT, Cause, ControlLoop, RingLog, Segment, check_ready, real_time
+from piezod.control import CAUSE_TEXT, Cause, ControlLoop, PhaseTimes, RingLog, Segment, check_ready, real_time
 from piezod.errors import PiezodError, TemporaryError, system_error_text
 from piezod.model import Model
 from piezod.session.assembly import (
@@ -40,7 +40,7 @@ from piezod.transport import ExchangeResult, Link
 _PR_SET_PDEATHSIG = 1  # prctl(2): the signal that the kernel sends when the parent dies
 
 
-def run(task: Task, pipe: Connection, lock: BenchLock) -> None:
+def run(task: Task, pipe: Connection, lock: BenchLock, phases: PhaseTimes) -> None:
     """Execute a task and send its outcome, or its error, to the parent.
 
     When the parent dies, the bench is ramped down and the process ends.
@@ -53,6 +53,8 @@ def run(task: Task, pipe: Connection, lock: BenchLock) -> None:
         Connection to the parent. It carries `ready`, `answer`, and finally `done` or `error`.
     lock
         Lock of the bench; this process holds it until its end.
+    phases
+        Times of the phases of a tick, in memory that the parent reads.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGHUP, signal.SIG_IGN)
@@ -62,7 +64,7 @@ def run(task: Task, pipe: Connection, lock: BenchLock) -> None:
     try:
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always")
-            outcome = _execute(task, pipe, lock)
+            outcome = _execute(task, pipe, lock, phases)
         outcome.warnings = [str(warning.message) for warning in caught]
         _send(pipe, ("done", outcome))
     except PiezodError as error:
@@ -90,7 +92,7 @@ def _send(pipe: Connection, message: tuple[str, Any]) -> bool:
     return True
 
 
-def _execute(task: Task, pipe: Connection, lock: BenchLock) -> Outcome:
+def _execute(task: Task, pipe: Connection, lock: BenchLock, phases: PhaseTimes | None = None) -> Outcome:
     """Connect the bench, build its loop, and drive the segments or serve commands."""
     bench = task.bench
     files = "" if task.serves is None else files_digest(bench, task.serves)
@@ -106,7 +108,7 @@ def _execute(task: Task, pipe: Connection, lock: BenchLock) -> Outcome:
             check_ready(bench, link)
         ring_log = _ring_log(bench)
         stack.callback(ring_log.close)
-        loop = make_loop(bench, link, clock, ring_log)
+        loop = make_loop(bench, link, clock, ring_log, phases)
         loop.supervisor.heat_W = task.heat_W
         for segment in segments[:1]:
             loop.observe(segment, ring_log)

@@ -29,6 +29,8 @@ if TYPE_CHECKING:
 
 POLL_INTERVAL_S = 0.1
 """Time between two reads of the ring log [s]."""
+PHASE_CELLS = 24_577
+"""Number of int64 values of `piezod.control.phase_times`, which a test compares; its import is slow."""
 END_WITHIN_S = 30.0
 """Longest time of a ramp down and the end of the control process [s]."""
 
@@ -48,6 +50,13 @@ class Session:
         Lock of the bench that the caller holds. None: the session takes it at the start and releases it at the end.
     heat_W
         `Outcome.heat_W` of the session before on the same bench [W]: the stack is still warm.
+
+    Attributes
+    ----------
+    phase_cells
+        Shared memory of `piezod.control.PhaseTimes`.
+    outcome
+        Outcome of the session, after its end.
     """
 
     def __init__(
@@ -66,6 +75,7 @@ class Session:
         self._pipe: Connection | None = None
         self._process: Any = None
         self._reader: RingReader | None = None
+        self.phase_cells = multiprocessing.get_context("spawn").RawArray("q", PHASE_CELLS)
         self._commands = 0
         self._stop_requested = False
         self.outcome = Outcome()
@@ -88,7 +98,7 @@ class Session:
             self._lock = lock_bench(self._task.bench)
         context = multiprocessing.get_context("spawn")
         self._pipe, theirs = context.Pipe()
-        arguments = (self._task, theirs, self._lock)
+        arguments = (self._task, theirs, self._lock, self.phase_cells)
         self._process = context.Process(target=_enter_control_process, args=arguments, daemon=False)
         self._process.start()
         theirs.close()
@@ -230,8 +240,9 @@ def rebuild_error(name: str, text: str) -> PiezodError:
     return error
 
 
-def _enter_control_process(task: Task, pipe: "Connection", lock: BenchLock) -> None:
+def _enter_control_process(task: Task, pipe: "Connection", lock: BenchLock, phase_cells: Any) -> None:  # noqa: ANN401
     """Run in the new process: import the control process there, and not in its parent."""
-    from piezod.session.control_process import run  # noqa: PLC0415  # slow import that the parent does not need
+    from piezod.control import PhaseTimes  # noqa: PLC0415  # slow import that the parent does not need
+    from piezod.session.control_process import run  # noqa: PLC0415  # as above
 
-    run(task, pipe, lock)
+    run(task, pipe, lock, PhaseTimes(phase_cells))

@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from piezod.control.heat_interlock import HeatInterlock
 from piezod.control.interlocks import (
     ForceInterlock,
-    HeatInterlock,
     ReadbackInterlock,
     StuckInterlock,
     TrackingInterlock,
