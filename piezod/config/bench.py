@@ -8,7 +8,7 @@ from pydantic import Field, model_validator
 from piezod.config.checked import Section, check, require, shortened
 from piezod.config.limits import LimitsConfig
 from piezod.config.link import LinkConfig, ModbusRtuLink, ModbusTcpLink, SerialLineLink
-from piezod.config.reference import ReferenceConfig, RegisterReference
+from piezod.config.reference import ReferenceConfig, RegisterReference, StreamReference
 from piezod.config.reference_range import ReferenceRange, reference_range
 from piezod.config.sections import ArmingConfig, DaemonConfig, DriftConfig, RealTimeConfig, RecorderConfig
 from piezod.config.yaml_reader import Document, read_document
@@ -164,6 +164,19 @@ class BenchConfig(Section):
             least_s = 4 * self.recorder.sync_every_s
             limit = f"at least four times recorder.sync_every_s, {least_s:g}: a slow disk would lose ticks"
             require(self.daemon.ring_seconds >= least_s, "daemon.ring_seconds", self.daemon.ring_seconds, limit)
+        return self
+
+    @model_validator(mode="after")
+    def _every_run_time_file_has_a_path_of_its_own(self) -> Self:
+        paths = {"daemon.ring_log": self.ring_log_path, "its lock": self.lock_path, "daemon.socket": self.socket_path}
+        if isinstance(self.reference, StreamReference) and self.reference.udp_address is None:
+            paths["reference.listen"] = Path(self.reference.listen)
+        if self.drift is not None and self.drift.file is not None:
+            paths["drift.file"] = Path(self.drift.file.replace("{name}", self.name))
+        found: dict[Path, str] = {}
+        for name, path in paths.items():
+            if (other := found.setdefault(path, name)) != name:
+                raise ValueError(f"{name} is {path}, the same as {other}; name another path")
         return self
 
     @model_validator(mode="after")

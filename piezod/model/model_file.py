@@ -70,8 +70,9 @@ def save_model(model: Model, path: Path) -> None:
     Raises
     ------
     ConfigurationError
-        The file cannot be written.
+        The file cannot be written, or the path names a file that is no model.
     """
+    _refuse_other_file(path)
     temporary = path.with_name(f".{path.name}.{os.getpid()}")
     try:
         temporary.write_text(dump_model(model), encoding="utf-8")
@@ -79,6 +80,17 @@ def save_model(model: Model, path: Path) -> None:
     except OSError as error:
         temporary.unlink(missing_ok=True)
         raise ConfigurationError(f"{path}: cannot be written: {error.strerror}") from error
+
+
+def _refuse_other_file(path: Path) -> None:
+    """Refuse to replace a file that is no model, such as a recording that `-o` names by mistake."""
+    try:
+        with path.open("rb") as file:
+            head = file.read(4096)
+    except OSError:
+        return  # nothing is there, or the write reports the error
+    if head and b"piezod.model/" not in head:
+        raise ConfigurationError(f"{path}: exists and is no model file; name another file")
 
 
 def file_sha256(path: Path) -> str:

@@ -137,7 +137,7 @@ def existing_files(pool, fault, *, places):
 
 
 @contextlib.contextmanager
-def _running(path, longest_s=6.0):
+def _running(path, longest_s=12.0):
     """`piezod run`, ended by SIGTERM after `longest_s` if it accepts its configuration."""
     process = subprocess.Popen(
         [sys.executable, "-m", "piezod", "run", str(path)],

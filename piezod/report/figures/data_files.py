@@ -42,13 +42,20 @@ def write_figure_data(page: Path, figures: Mapping[str, Model]) -> Path | None:
     folder = page.with_suffix(".data")
     texts = [(plot, text) for plot in figures.values() if isinstance(plot, Plot) and (text := figure_csv(plot))]
     for old in folder.glob("[0-9][0-9]-*.csv"):
-        old.unlink()
+        if _is_own(old):
+            old.unlink()
     if not texts:
         return None
     folder.mkdir(parents=True, exist_ok=True)
     for number, (plot, text) in enumerate(texts, 1):
         (folder / f"{number:02d}-{_slug(plot)}.csv").write_text(text, encoding="utf-8")
     return folder
+
+
+def _is_own(path: Path) -> bool:
+    """Whether `figure_csv` made a file; a file of somebody else stays."""
+    with path.open("rb") as file:
+        return file.read(6) == b"curve,"
 
 
 def figure_csv(plot: Plot) -> str:

@@ -5,6 +5,8 @@ import socket
 
 import pytest
 
+from piezod.commissioning.shipped_files import shipped
+from piezod.config import load_bench
 from piezod.config.run_time_files import UnixSocket, is_own_file
 from piezod.errors import BusyError, ConfigurationError
 
@@ -80,3 +82,18 @@ def test_a_socket_has_its_mode_whatever_the_umask_is(tmp_path, umask):
         os.umask(before)
     assert (tmp_path / "s").stat().st_mode & 0o777 == 0o662
     made.close()
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "says"),
+    [
+        ("socket: null ", "socket: /dev/shm/piezod-{name}.ring ", "daemon.socket is /dev/shm/piezod-emulator.ring"),
+        ("file: null ", "file: /dev/shm/piezod-{name}.ring.lock ", "drift.file is .*, the same as its lock"),
+    ],
+)
+def test_two_run_time_files_with_one_path_are_refused(tmp_path, old, new, says):
+    text = shipped("bench.yaml").read_text(encoding="utf-8")
+    assert text.count(old) == 1
+    (tmp_path / "bench.yaml").write_text(text.replace(old, new), encoding="utf-8")
+    with pytest.raises(ConfigurationError, match=says):
+        load_bench(tmp_path / "bench.yaml")

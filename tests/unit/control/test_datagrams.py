@@ -80,6 +80,15 @@ def test_a_sender_that_begins_again_at_one_is_heard_after_arming_and_not_before(
     assert gate.check(plain(1), 10 * MS) is ACCEPTED
 
 
+def test_arming_lets_the_sender_of_a_socket_begin_again(stream):
+    reference, sender = stream
+    sender.send(plain(500_000, 100.0))
+    reference.idle(0)
+    reference.begin()
+    sender.send(plain(1, 120.0))
+    assert reference.read(0, MS) == 120.0
+
+
 def test_a_wild_number_is_refused_and_does_not_block_the_next_one():
     gate = DatagramGate(RANGE)
     assert gate.check(plain(2**64 - 1), 0) is JUMPED

@@ -62,3 +62,39 @@ def test_the_safe_voltage_is_planned_while_no_segment_is_driven(state):
     planner, _ = planner_in(state)
     assert planner.plan_voltage(1, 0, SAFE_V) == SAFE_V
     assert planner.event is Cause.NONE
+
+
+class Counting(TableReference):
+    """A reference that lists its calls."""
+
+    def __init__(self):
+        super().__init__(np.full(5, 20.0))
+        self.calls = []
+
+    def begin(self):
+        self.calls.append("begin")
+
+    def idle(self, now_ns):
+        self.calls.append("idle")
+
+    def read(self, tick, now_ns):
+        self.calls.append("read")
+        return super().read(tick, now_ns)
+
+
+def test_every_tick_receives_the_values_of_the_reference_also_at_rest_and_before_the_first_arming():
+    supervisor, limiter = Supervisor(limits()), Limiter(limits(), DT_S)
+    planner, reference = SegmentPlanner(limiter, supervisor, None, APPROACH_V), Counting()
+    planner.observe(reference)
+    planner.plan_voltage(0, 0, SAFE_V)
+    cycle = TableReference([0.0])
+    planner.begin(Segment("work", reference, Halving(), cycle), 1)
+    supervisor.arm(0)
+    for tick in range(1, 4):
+        planner.plan_voltage(tick, 0, SAFE_V)
+    for state in (State.RUNNING, State.RAMP_DOWN, State.FAULT, State.DISARMED):
+        supervisor.state = state
+        planner.plan_voltage(4, 0, SAFE_V)
+    supervisor.state, supervisor.readings_stale = State.RUNNING, True
+    planner.plan_voltage(5, 0, SAFE_V)
+    assert reference.calls == ["idle", "begin", "idle", "read", "read", "read", "idle", "idle", "idle", "idle"]

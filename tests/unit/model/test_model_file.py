@@ -116,3 +116,15 @@ def test_a_failed_write_is_an_error_and_leaves_no_file(model_file, tmp_path):
     model = load_model(model_file())
     with pytest.raises(ConfigurationError, match="cannot be written"):
         save_model(model, tmp_path / "none" / "model.yaml")
+
+
+def test_a_file_that_is_no_model_is_not_replaced_by_one(tmp_path):
+    path = tmp_path / "recording.csv"
+    path.write_text("time_s,voltage_V\n0,0\n", encoding="utf-8")
+    (tmp_path / "given.yaml").write_text(TEXT, encoding="utf-8")
+    model = load_model(tmp_path / "given.yaml")
+    with pytest.raises(ConfigurationError, match="exists and is no model file"):
+        save_model(model, path)
+    assert path.read_text(encoding="utf-8").startswith("time_s")
+    save_model(model, tmp_path / "model.yaml")
+    save_model(model, tmp_path / "model.yaml")

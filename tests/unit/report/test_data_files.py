@@ -6,7 +6,7 @@ import numpy as np
 from bokeh.models import ColumnDataSource
 from bokeh.plotting import figure
 
-from piezod.report.figures.data_files import figure_csv
+from piezod.report.figures.data_files import figure_csv, write_figure_data
 from piezod.report.figures.layout import finish_figure
 from piezod.report.page import write_page
 
@@ -62,3 +62,12 @@ def test_a_page_has_one_file_for_each_figure_and_leaves_other_files_alone(tmp_pa
 def test_a_page_without_figures_has_no_folder(tmp_path):
     write_page(tmp_path / "words.html", "words", ["<p>words</p>"])
     assert [one.name for one in tmp_path.iterdir()] == ["words.html"]
+
+
+def test_a_file_of_somebody_else_in_the_folder_stays(tmp_path):
+    (tmp_path / "page.data").mkdir()
+    other, own = tmp_path / "page.data" / "01-mine.csv", tmp_path / "page.data" / "02-earlier.csv"
+    other.write_text("time_s,force_N\n", encoding="utf-8")
+    own.write_text("curve,x,y\n", encoding="utf-8")
+    write_figure_data(tmp_path / "page.html", {})
+    assert (other.exists(), own.exists()) == (True, False)

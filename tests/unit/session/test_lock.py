@@ -10,9 +10,12 @@ import pytest
 from piezod.commissioning.shipped_files import shipped
 from piezod.config import load_bench
 from piezod.config.link import SerialLineLink
+from piezod.config.sections import DaemonConfig
 from piezod.errors import BusyError, ConfigurationError
+from piezod.session import control_process
 from piezod.session.device_names import device_names
-from piezod.session.lock import BenchLock
+from piezod.session.lock import BenchLock, lock_bench
+from piezod.session.task import Task
 
 
 def hold(lock, pipe):
@@ -124,6 +127,25 @@ def test_links_to_a_serial_port_are_the_same_device(tmp_path):
         os.close(master)
         os.close(slave)
     assert device_names(config.model_copy(update={"port": "/dev/none"})) == ("serial /dev/none",)
+
+
+def test_two_bench_files_of_one_device_exclude_each_other_and_a_started_process_checks_again(tmp_path, monkeypatch):
+    monkeypatch.setattr("piezod.session.lock.DEVICE_LOCKS", tmp_path)
+    first, second = (
+        load_bench(shipped("bench.yaml")).model_copy(
+            update={"daemon": DaemonConfig(ring_log=str(tmp_path / name)), "link": tcp(host)}
+        )
+        for name, host in (("a", "127.0.0.1"), ("b", "localhost"))
+    )
+    lock = lock_bench(first)
+    with pytest.raises(BusyError, match="this device"):
+        lock_bench(second)
+    of_file = BenchLock(second.lock_path)  # as after a reload that names another device
+    with pytest.raises(BusyError, match="this device"):
+        control_process._execute(Task(second, None, tmp_path, ()), None, of_file)
+    of_file.close()
+    lock.close()
+    lock_bench(second).close()
 
 
 def test_a_second_bench_of_the_same_device_is_refused(tmp_path, monkeypatch):
