@@ -74,7 +74,8 @@ class Registers(Section):
     """The register map of a device: one key per role.
 
     Each tick writes `voltage_setpoint` and `command_sequence`. It reads `force` to `reference_counter` as one block.
-    The other registers are read or written once, before arming.
+    The watchdog is written before arming. It is read again while driving, as are identity, map version and order check.
+    These three are also read at every connection.
     """
 
     voltage_setpoint: Register | None = None

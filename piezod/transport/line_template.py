@@ -1,11 +1,13 @@
 """Lines to a device with an ASCII line protocol: with one number, or constant."""
 
+import re
 from math import isfinite, nan
 from string import Formatter
 
 from piezod.config.checked import shortened
 from piezod.config.link import LineCommand
 from piezod.errors import ConfigurationError
+from piezod.transport.line_reply import compile_reply
 
 
 class LineTemplate:
@@ -74,3 +76,51 @@ def plain_line(command: LineCommand, terminator: str, where: str) -> bytes:
         return (command.send + terminator).encode("ascii")
     except UnicodeEncodeError as error:
         raise ConfigurationError(f"{where}.send is {shortened(command.send)}, must be ASCII") from error
+
+
+def template_of(
+    command: LineCommand | None, field: str, terminator: str, where: str
+) -> tuple[LineTemplate | None, re.Pattern[bytes] | None]:
+    """Template and reply pattern of a line with a number; None where it is not configured.
+
+    Parameters
+    ----------
+    command
+        Line and reply of the configuration.
+    field
+        Name of the number in the line, and of its group in the reply.
+    terminator, where
+        End of the line, and key in the configuration for messages.
+
+    Raises
+    ------
+    ConfigurationError
+        The template or the pattern is invalid.
+    """
+    if command is None:
+        return None, None
+    return LineTemplate(command.send, field, terminator, f"{where}.send"), compile_reply(command, where, {field: 0})
+
+
+def query_of(
+    command: LineCommand | None, terminator: str, where: str, groups: dict[str, str] | None = None
+) -> tuple[bytes, re.Pattern[bytes] | None]:
+    """A constant line and its reply pattern; an empty line where it is not configured.
+
+    Parameters
+    ----------
+    command
+        Line and reply of the configuration.
+    terminator, where
+        End of the line, and key in the configuration for messages.
+    groups
+        Permitted names of groups in the reply; None: no groups.
+
+    Raises
+    ------
+    ConfigurationError
+        The line is not ASCII, or the pattern is invalid.
+    """
+    if command is None:
+        return b"", None
+    return plain_line(command, terminator, where), compile_reply(command, where, groups)

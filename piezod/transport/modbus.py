@@ -173,10 +173,10 @@ class ModbusLink:
         wire, set_point = self._wire, self._set_point
         generation = wire.generation
         result = self._ensure_verified(deadline_s)
-        if result is not _OK:
-            return result
         if wire.generation != generation:
             self._plausibility.forget_heartbeat()
+        if result is not _OK:
+            return result
         if set_point is not None and set_point.has_sequence and self._written_generation == wire.generation:
             return self._read_block(deadline_s, set_point.sequence)
         return self._read_block(deadline_s, -1)

@@ -12,11 +12,11 @@ from math import inf, nan
 from time import monotonic
 
 from piezod.config.checked import shortened
-from piezod.config.link import LineCommand, SerialLineLink
+from piezod.config.link import SerialLineLink
 from piezod.errors import CheckFailedError, ConfigurationError, IdentityError, UnreachableError
 from piezod.transport.line_guard import WATCHDOG, LineGuard
-from piezod.transport.line_reply import ROLES, ReplyFields, compile_reply, decimal
-from piezod.transport.line_template import LineTemplate, plain_line
+from piezod.transport.line_reply import ROLES, ReplyFields, decimal
+from piezod.transport.line_template import query_of, template_of
 from piezod.transport.link import ExchangeResult, Reading
 from piezod.transport.serial_port import RECEIVE_BYTES, SerialPort
 from piezod.transport.tick_values import Plausibility
@@ -67,12 +67,13 @@ class SerialLineDevice:
 
     def __init__(self, config: SerialLineLink) -> None:
         self._config, self._port = config, SerialPort(config)
-        self._terminator = config.terminator.encode("ascii")
-        self._set_voltage, self._acknowledge = self._template(config.set_voltage, "voltage_V", "set_voltage")
-        self._watchdog, self._watchdog_reply = self._template(config.watchdog, WATCHDOG, "watchdog")
-        self._measure, self._pattern = self._query(config.measure, "measure", ROLES)
-        self._identity = self._query(config.identity, "identity")
-        self._set_up = [self._query(command, "setup") for command in config.setup]
+        end = config.terminator
+        self._terminator = end.encode("ascii")
+        self._set_voltage, self._acknowledge = template_of(config.set_voltage, "voltage_V", end, "link.set_voltage")
+        self._watchdog, self._watchdog_reply = template_of(config.watchdog, WATCHDOG, end, "link.watchdog")
+        self._measure, self._pattern = query_of(config.measure, end, "link.measure", ROLES)
+        self._identity = query_of(config.identity, end, "link.identity")
+        self._set_up = [query_of(command, end, "link.setup") for command in config.setup]
         self._fields = ReplyFields(self._pattern)
         self._plausibility = Plausibility(self._fields.roles - {"command_echo"}, config.heartbeat_within_s)
         self.reading: Reading = self._plausibility.reading
@@ -82,22 +83,6 @@ class SerialLineDevice:
         self.written_V = nan
         self.time_limit_s = inf
         self.hint = ""
-
-    def _template(
-        self, command: LineCommand | None, field: str, key: str
-    ) -> tuple[LineTemplate | None, re.Pattern[bytes] | None]:
-        if command is None:
-            return None, None
-        template = LineTemplate(command.send, field, self._config.terminator, f"link.{key}.send")
-        return template, compile_reply(command, f"link.{key}", {field: 0})
-
-    def _query(
-        self, command: LineCommand | None, key: str, groups: dict[str, str] | None = None
-    ) -> tuple[bytes, re.Pattern[bytes] | None]:
-        if command is None:
-            return b"", None
-        where = f"link.{key}"
-        return plain_line(command, self._config.terminator, where), compile_reply(command, where, groups)
 
     @property
     def description(self) -> str:

@@ -7,7 +7,7 @@ import pytest
 from piezod.errors import IdentityError
 from piezod.transport import ExchangeResult, make_link
 from piezod.transport.pair import PairLink
-from tests.unit.transport.conftest import WIRES, connected, tcp_config
+from tests.unit.transport.conftest import TIMEOUT_S, WIRES, connected, tcp_config
 from tests.unit.transport.scripted import CLOSE, ScriptedTcp, registers, until_good
 
 OK, WRONG, CHANGED = ExchangeResult.OK, ExchangeResult.WRONG_DEVICE, ExchangeResult.SETTING_CHANGED
@@ -79,6 +79,35 @@ def test_neighbouring_registers_of_identity_are_one_read():
         sent = len(server.bench.requests)
         assert link.exchange(1.0) is OK
         assert len(server.bench.requests) - sent == 2
+
+
+def slow_identity(server, pause_s):
+    """Answers every request, reads of the identity after a pause [s]."""
+    server.answer = lambda frame, _number: [pause_s, server.good(frame)] if frame[7] == 3 else [server.good(frame)]
+
+
+def test_a_slow_comparison_continues_in_the_next_tick_on_the_same_connection(tcp):
+    link, server = tcp
+    server.once(lambda _frame: [CLOSE])
+    link.exchange(2.0)
+    connections, sent = server.connections, len(server.bench.requests)
+    slow_identity(server, 0.6 * TIMEOUT_S)
+    results = until_good(lambda: link.exchange(3.0))
+    assert results.count(ExchangeResult.UNVERIFIED) == 2  # identity and byte order are two reads
+    assert set(results) <= {OK, ExchangeResult.UNVERIFIED, ExchangeResult.DISCONNECTED}
+    assert server.connections == connections + 1
+    assert len(server.bench.requests) - sent == 3
+
+
+def test_a_poll_accepts_a_restarted_counter_also_when_the_comparison_takes_two_ticks(tcp):
+    link, server = tcp
+    server.bench.heartbeat = 500
+    assert link.exchange(1.0) is OK
+    server.once(lambda _frame: [CLOSE])
+    link.poll()
+    server.bench.heartbeat = 3
+    slow_identity(server, 0.6 * TIMEOUT_S)
+    assert ExchangeResult.UNVERIFIED in until_good(link.poll)
 
 
 def test_supervision_before_a_new_connection_is_verified_reads_nothing():

@@ -1,0 +1,75 @@
+"""The record of a proof test."""
+
+import json
+from datetime import UTC, datetime
+from math import inf, nan
+from pathlib import Path
+
+import pytest
+
+from piezod.commissioning.proof_record import ProofEnd, ProofStep, make_record, record_path, text_lines, write_record
+from piezod.config import load_bench
+from piezod.errors import ConfigurationError, UsageError
+from tests.benches.in_process_link import InProcessLink
+
+BENCH = load_bench(Path(__file__).parents[3] / "config" / "bench.yaml")
+NOW = datetime(2026, 11, 25, 4, 5, 6, tzinfo=UTC)
+PLANNED = ("level", "force")
+PASSED = [ProofStep("level", "pass", 9.5, 1.0, "N"), ProofStep("force", "pass", 5.0, 4.0, "N", 3.0)]
+
+
+def record(steps=PASSED, left="", interrupted=False):
+    link = InProcessLink(None, {"identity": 20570.0})
+    return make_record(BENCH, link, ProofEnd(list(steps), left, interrupted), NOW, PLANNED)
+
+
+def test_a_complete_test_without_a_failure_has_passed():
+    made = record()
+    assert made["passed"] is True
+    assert made["date_utc"] == "2026-11-25T04:05:06Z"
+    assert made["identity"] == {"identity": 20570.0}
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"steps": PASSED[:1]},
+        {"steps": PASSED[::-1]},
+        {"steps": [PASSED[0], ProofStep("force", "fail")]},
+        {"left": "still at 7 V"},
+        {"interrupted": True},
+        {"steps": []},
+    ],
+)
+def test_a_test_that_is_incomplete_failed_interrupted_or_not_at_rest_has_not_passed(changes):
+    assert record(**changes)["passed"] is False
+
+
+def test_a_function_that_the_bench_lacks_is_skipped_and_fails_nothing():
+    assert record([PASSED[0], ProofStep("force", "skipped", detail="none")])["passed"] is True
+
+
+def test_values_that_were_not_measured_are_null(tmp_path):
+    path = tmp_path / "record.json"
+    write_record(record([ProofStep("level", "fail", nan, 1.0, "N", inf)]), path)
+    step = json.loads(path.read_text(encoding="utf-8"), parse_constant=pytest.fail)["steps"][0]
+    assert step["measured"] is step["time_ms"] is None
+    assert [entry.name for entry in tmp_path.iterdir()] == ["record.json"]
+
+
+def test_the_name_holds_bench_and_date_and_an_existing_record_is_refused(tmp_path):
+    assert record_path(BENCH, None, NOW).name == "emulator-proof-20261125T040506Z.json"
+    with pytest.raises(UsageError, match="never replaced"):
+        record_path(BENCH, tmp_path, NOW)
+
+
+def test_a_folder_that_does_not_exist_is_one_line_before_and_after_the_test(tmp_path):
+    with pytest.raises(ConfigurationError, match="no folder that this user can write"):
+        record_path(BENCH, tmp_path / "none" / "record.json", NOW)
+    with pytest.raises(ConfigurationError, match="cannot be written"):
+        write_record(record(), tmp_path / "none" / "record.json")
+
+
+def test_the_text_has_a_line_for_each_step_and_for_a_bad_end():
+    lines = list(text_lines(record(left="still at 7 V")))
+    assert [line.split()[0] for line in lines[1:]] == ["PASS", "PASS", "FAIL"]
