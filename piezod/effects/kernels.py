@@ -53,7 +53,7 @@ def first_order_coefficients(time_constant_s: float, dt_s: float, hold: float = 
 
 @numba.njit(cache=True, nogil=True)
 def first_order_run(x: Array, time_constant_s: float, dt_s: float, hold: float = 0.0) -> Array:
-    """`first_order_step` over the record `x`, shape (N,), from rest at its first sample."""
+    """`first_order_step` over `x`, shape (N,), from rest; time constant and period dt_s [s], both above 0."""
     keep, ramp = first_order_coefficients(time_constant_s, dt_s, hold)
     out = np.empty(x.size)
     y = x[0]
@@ -82,7 +82,7 @@ def time_constant_at(voltage_V: float, time_constant_s: float, swell: float) -> 
 
 @numba.njit(cache=True, nogil=True)
 def voltage_dependent_lag_run(x: Array, time_constant_s: float, swell: float, dt_s: float, hold: float = 0.0) -> Array:
-    """`first_order_run` with the time constant of `time_constant_at` at the start of each sample."""
+    """`first_order_run` for a voltage x [V]; `time_constant_at` gives the time constant at the start of each sample."""
     out = np.empty(x.size)
     y = x[0]
     out[0] = y
@@ -95,7 +95,7 @@ def voltage_dependent_lag_run(x: Array, time_constant_s: float, swell: float, dt
 
 @numba.njit(cache=True, nogil=True, fastmath={"reassoc"})
 def weighted_sum(weights: Array, states: Array) -> float:
-    """Sum of the products weights * states; the order of the sum is free, for vector instructions."""
+    """Sum of weights * states, both of shape (n,); the order of the sum is free, for vector instructions."""
     total = 0.0
     for j in range(states.size):
         total += weights[j] * states[j]
@@ -104,7 +104,7 @@ def weighted_sum(weights: Array, states: Array) -> float:
 
 @numba.njit(cache=True, nogil=True, inline="always")
 def chain_step(states: Array, keep: Array, ramp: Array, weights: Array, before: float, now: float) -> float:
-    """`first_order_step` of several parallel states, in place; returns their weighted sum."""
+    """`first_order_step` of parallel states, in place; returns their weighted sum; all arrays are of shape (n,)."""
     for j in range(states.size):
         states[j] = first_order_step(states[j], before, now, keep[j], ramp[j])
     return weighted_sum(weights, states)
@@ -112,7 +112,7 @@ def chain_step(states: Array, keep: Array, ramp: Array, weights: Array, before: 
 
 @numba.njit(cache=True, nogil=True)
 def chain_run(x: Array, time_constants_s: Array, weights: Array, dt_s: float, hold: float = 0.0) -> Array:
-    """`chain_step` over the record `x`, shape (N,), from rest; `x` counts from its first sample."""
+    """`chain_step` over `x`, shape (N,), less its first value; time constants [s] and weights of shape (n,)."""
     count = time_constants_s.size
     keep, ramp, states = np.empty(count), np.empty(count), np.zeros(count)
     for j in range(count):
@@ -126,7 +126,7 @@ def chain_run(x: Array, time_constants_s: Array, weights: Array, dt_s: float, ho
 
 @numba.njit(cache=True, nogil=True)
 def second_order_run(x: Array, matrix: Array, before: Array, now: Array) -> Array:
-    """Second-order state space over the record `x`, from rest: s <- M s + before x(k-1) + now x(k), output s[0]."""
+    """State space from rest, `matrix` of shape (2, 2): s <- M s + before x(k-1) + now x(k); output s[0], shape (N,)."""
     out = np.empty(x.size)
     s0, s1 = x[0], 0.0
     out[0] = s0
@@ -139,7 +139,7 @@ def second_order_run(x: Array, matrix: Array, before: Array, now: Array) -> Arra
 
 
 def second_order(x: Array, frequency_Hz: float, damping_ratio: float, dt_s: float, hold: float = 0.0) -> Array:
-    """System of `second_order_matrices` over the record `x`, shape (N,), from rest."""
+    """System of `second_order_matrices` over the record `x`, shape (N,), from rest; returns shape (N,)."""
     return second_order_run(np.ascontiguousarray(x), *second_order_matrices(frequency_Hz, damping_ratio, dt_s, hold))
 
 
@@ -164,7 +164,7 @@ def second_order_matrices(
 
 
 def exponential(matrix: Array) -> Array:
-    """Exponential of a small matrix: Taylor series of the matrix halved n times, then squared n times."""
+    """Exponential of a small square matrix: Taylor series of the matrix halved n times, then squared n times."""
     halvings = max(0, math.ceil(math.log2(np.abs(matrix).sum(axis=1).max() + 1e-300)) + 3)
     small = matrix / 2.0**halvings
     result = term = np.eye(matrix.shape[0])
