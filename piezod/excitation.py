@@ -67,7 +67,7 @@ def triangle_ramp(phase: Array) -> Array:
 
 
 def steps(phase: Array, levels: int, seed: int) -> Array:
-    """Constant sections of equally spaced values from -1 to 1 in a random order, the same in every period, shape (N,).
+    """Constant sections, equally spaced from -1 to 1, in a random order that every period repeats, shape (N,).
 
     Parameters
     ----------
@@ -141,7 +141,7 @@ def whole_periods(frequency_Hz: float, rate_Hz: float) -> tuple[float, int]:
 
 
 def constant_triangles(peak_V: float, frequency_Hz: float, periods: int, rate_Hz: float) -> Array:
-    """Triangles 0 -> `peak_V` -> 0, one value per tick with both ends, shape (N,) [V]; the first excitation of the thesis.
+    """Triangles 0 -> `peak_V` -> 0, one value per tick, shape (N,) [V]; the first excitation of the thesis.
 
     Parameters
     ----------
@@ -155,8 +155,7 @@ def constant_triangles(peak_V: float, frequency_Hz: float, periods: int, rate_Hz
 
 
 def varying_triangles(peak_V: float, frequency_Hz: float, periods: int, rate_Hz: float) -> Array:
-    """Triangles from 0 with peaks that rise to `peak_V` and fall again, shape (N,) [V]; the second excitation of the
-    thesis.
+    """Triangles from 0, peaks rising to `peak_V` and falling again, shape (N,) [V]; the second excitation of the thesis.
 
     Parameters
     ----------
@@ -246,8 +245,7 @@ EXCITATIONS = (*TRIANGLES, IDENTIFICATION)
 
 
 def excitation(name: str, peak_V: float, frequency_Hz: float, periods: int, rate_Hz: float) -> Array:
-    """The voltage excitation `name` between 0 and `peak_V`, one value per tick, shape (N,) [V]; KeyError for an unknown
-    name.
+    """The voltage excitation `name`, 0 to `peak_V`, one value per tick, shape (N,) [V]; KeyError for an unknown name.
 
     Parameters
     ----------
