@@ -155,7 +155,7 @@ def constant_triangles(peak_V: float, frequency_Hz: float, periods: int, rate_Hz
 
 
 def varying_triangles(peak_V: float, frequency_Hz: float, periods: int, rate_Hz: float) -> Array:
-    """Triangles from 0, peaks rising to `peak_V` and falling again, shape (N,) [V]; the second excitation of the thesis.
+    """Triangles from 0, peaks rise to `peak_V` and fall again, shape (N,) [V]; the second excitation of the thesis.
 
     Parameters
     ----------

@@ -90,7 +90,13 @@ class IsolatedProcesses:
 
 
 def diagnose_isolated(case: Case) -> Verdict:
-    """Diagnose a case in a separate process."""
+    """Diagnose a case in a separate process.
+
+    Parameters
+    ----------
+    case
+        Case with its recordings.
+    """
     return IsolatedProcesses().diagnose(case)
 
 

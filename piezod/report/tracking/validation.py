@@ -161,7 +161,13 @@ def evaluate_validation(
 
 
 def validation_text(verdict: ValidationVerdict) -> str:
-    """Format range, table and verdict as text, with three columns for each compensation."""
+    """Format range, table and verdict as text, with three columns for each compensation.
+
+    Parameters
+    ----------
+    verdict
+        Result of the validation.
+    """
     parts = ("max hyst. [%]", "rms [N] (%)", "max [N] (%)")
     rows = [["reference", *parts * len(verdict.compensations)], *_rows(verdict)]
     widths = column_widths(rows)
