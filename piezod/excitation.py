@@ -62,7 +62,13 @@ def staircase(phase: Array, levels: int) -> Array:
 
 
 def triangle_ramp(phase: Array) -> Array:
-    """Triangle from 0 to 1 and back in one period at a phase [periods]; both arrays are of shape (N,)."""
+    """Triangle from 0 to 1 and back in one period, shape (N,).
+
+    Parameters
+    ----------
+    phase
+        Phase [periods], shape (N,).
+    """
     return 0.5 * (triangle(phase) + 1.0)
 
 
@@ -263,7 +269,13 @@ def excitation(name: str, peak_V: float, frequency_Hz: float, periods: int, rate
 
 
 def default_periods(name: str) -> int:
-    """Default number of periods of an excitation: 5 if its name is in `TRIANGLES`, 1 for the identification record."""
+    """Default number of periods: 5 for triangles, 1 for the identification record.
+
+    Parameters
+    ----------
+    name
+        One of `EXCITATIONS`.
+    """
     return 5 if name in TRIANGLES else 1
 
 

@@ -38,7 +38,7 @@ def bend(force: Array, amount: float, shape: str) -> Array:
     Parameters
     ----------
     force
-        Relative force, 0 to 1.
+        Relative force, 0 to 1, shape (n,).
     amount
         Strength of the bend, -`MOST_AMOUNT` to `MOST_AMOUNT`, not 0.
     shape

@@ -48,7 +48,7 @@ def read_at(signal: Array, positions: Array, *, held: bool) -> Array:
     Parameters
     ----------
     signal
-        Values on the grid; constant before the first point.
+        Values on the grid, shape (m,); constant before the first point.
     positions
         Positions to read [grid steps], shape (n,).
     held
