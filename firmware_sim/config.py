@@ -141,6 +141,11 @@ def configured_scenario(config: EmulatorConfig) -> Scenario:
     ----------
     config
         Configuration of the emulator.
+
+    Raises
+    ------
+    ConfigurationError
+        The scenario does not exist, or a value is invalid.
     """
     effects = config.effects.model_dump(exclude_none=True)
     return load_scenario(config.scenario, {**config.physics, **({"effects": effects} if effects else {})})

@@ -43,6 +43,11 @@ def describe_missing(recording: Recording, name: str) -> list[str]:
         Recording with this channel.
     name
         Name of the channel.
+
+    Raises
+    ------
+    RecordingError
+        The recording has no channel of this name.
     """
     mask = recording.missing(name)
     if not mask.any():

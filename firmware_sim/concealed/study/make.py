@@ -97,6 +97,11 @@ def make_case(directory: Path, name: str, spec: CaseSpec, seed: np.random.SeedSe
         Kind of the case and names of its effects.
     seed
         Seed of the case.
+
+    Raises
+    ------
+    RuntimeError
+        No attempt gave a plausible case.
     """
     case = draw_case(spec, seed)
     folder = directory / name

@@ -65,6 +65,11 @@ def force_over_reference(
         Entry in the legend, by the same names.
     vertical_legend
         Whether the legend is one column.
+
+    Raises
+    ------
+    RecordingError
+        A recording lacks one of the two channels.
     """
     plot = figure(title="Force over reference", x_axis_label="reference [N]", y_axis_label="force [N]", height=320)
     for name, recording in recordings.items():

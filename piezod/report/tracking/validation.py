@@ -150,6 +150,11 @@ def evaluate_validation(
         See `ValidationVerdict`.
     recordings
         Completed runs by (reference, compensation).
+
+    Raises
+    ------
+    RecordingError
+        A run lacks the channel `reference_N` or `force_N`.
     """
     figures = {}
     for key, recording in recordings.items():
