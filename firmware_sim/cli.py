@@ -17,7 +17,13 @@ EXIT_CONFIGURATION = 78
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Serve the bench that the command line names; return the exit code."""
+    """Serve the bench that the command line names; return the exit code.
+
+    Parameters
+    ----------
+    arguments
+        Command line without the program's name; None: that of the process.
+    """
     options = _parser().parse_args(arguments)
     logging.getLogger("pymodbus").setLevel(logging.CRITICAL)  # errors of a client are not errors of the bench
     try:

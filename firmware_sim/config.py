@@ -121,6 +121,11 @@ class EmulatorConfig(Section):
 def load_config(path: Path) -> EmulatorConfig:
     """Read the configuration of the emulator.
 
+    Parameters
+    ----------
+    path
+        YAML file.
+
     Raises
     ------
     ConfigurationError
@@ -130,6 +135,17 @@ def load_config(path: Path) -> EmulatorConfig:
 
 
 def configured_scenario(config: EmulatorConfig) -> Scenario:
-    """Return the scenario of a configuration, with its overrides and effects."""
+    """Return the scenario of a configuration, with its overrides and effects.
+
+    Parameters
+    ----------
+    config
+        Configuration of the emulator.
+
+    Raises
+    ------
+    ConfigurationError
+        The scenario does not exist, or a value is invalid.
+    """
     effects = config.effects.model_dump(exclude_none=True)
     return load_scenario(config.scenario, {**config.physics, **({"effects": effects} if effects else {})})

@@ -27,7 +27,20 @@ PRIORITY = 70  # real-time priority, below the usual 80 of a controller
 
 
 def build_device(config: EmulatorConfig, effects: tuple[str, ...] = ()) -> Device:
-    """Build the bench and its firmware; the physics is compiled, so that no request waits for it."""
+    """Build the bench and its firmware; the physics is compiled, so that no request waits for it.
+
+    Parameters
+    ----------
+    config
+        Configuration of the emulator.
+    effects
+        Names of further effects.
+
+    Raises
+    ------
+    ConfigurationError
+        The scenario or the name of an effect is unknown, or a value is invalid.
+    """
     bench = Bench(with_effects(configured_scenario(config), effects), seed=config.seed)
     bench.warm_up()
     return Device(bench, config.firmware, config.time, time.monotonic_ns)

@@ -40,6 +40,11 @@ class Document:
 def read_document(path: Path) -> Document:
     """Read a YAML mapping.
 
+    Parameters
+    ----------
+    path
+        YAML file of at most `LARGEST_BYTES` bytes.
+
     Raises
     ------
     ConfigurationError
@@ -71,6 +76,13 @@ def read_document(path: Path) -> Document:
 
 def checked(model: type[Model], document: Document) -> Model:
     """Validate a document against a model.
+
+    Parameters
+    ----------
+    model
+        Class of the result.
+    document
+        YAML mapping with the line of every key.
 
     Raises
     ------

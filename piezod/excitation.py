@@ -27,29 +27,59 @@ MULTISINE_REPEATS = 2
 
 
 def triangle(phase: Array) -> Array:
-    """Triangle from -1 to 1 and back in one period."""
+    """Triangle from -1 to 1 and back in one period, shape (N,).
+
+    Parameters
+    ----------
+    phase
+        Phase [periods], shape (N,).
+    """
     result: Array = 1.0 - 4.0 * np.abs(phase % 1.0 - 0.5)
     return result
 
 
 def sine(phase: Array) -> Array:
-    """Negative cosine: from -1 to 1 and back in one period."""
+    """Negative cosine: from -1 to 1 and back in one period, shape (N,).
+
+    Parameters
+    ----------
+    phase
+        Phase [periods], shape (N,).
+    """
     return -np.cos(2.0 * np.pi * phase)
 
 
 def staircase(phase: Array, levels: int) -> Array:
-    """Staircase of `levels` equal levels, up and down in one period."""
+    """Staircase of equal levels from -1 to 1, up and down in one period, shape (N,).
+
+    Parameters
+    ----------
+    phase, levels
+        Phase [periods], shape (N,); number of levels, at least 2.
+    """
     level = np.floor(triangle_ramp(phase) * levels).clip(0, levels - 1)
     return -1.0 + 2.0 * level / (levels - 1)
 
 
 def triangle_ramp(phase: Array) -> Array:
-    """Triangle from 0 to 1 and back in one period."""
+    """Triangle from 0 to 1 and back in one period, shape (N,).
+
+    Parameters
+    ----------
+    phase
+        Phase [periods], shape (N,).
+    """
     return 0.5 * (triangle(phase) + 1.0)
 
 
 def steps(phase: Array, levels: int, seed: int) -> Array:
-    """`levels` constant sections per period, equally spaced in -1..1, in a random order from `seed`."""
+    """Constant sections, equally spaced from -1 to 1, in a random order that every period repeats, shape (N,).
+
+    Parameters
+    ----------
+    phase, levels, seed
+        Phase [periods], shape (N,); sections per period, at least 2; seed of the order.
+    """
     order = np.random.default_rng(seed).permutation(levels)
     values = -1.0 + 2.0 * order / (levels - 1)
     result: Array = values[(np.floor(phase % 1.0 * levels)).astype(int).clip(0, levels - 1)]
@@ -57,7 +87,13 @@ def steps(phase: Array, levels: int, seed: int) -> Array:
 
 
 def multisine(phase: Array, seed: int) -> Array:
-    """Sum of harmonics h, amplitude 1/h, random phases from `seed`, scaled to -1..1; starts at its minimum."""
+    """Sum of harmonics h, amplitude 1/h, with random phases, scaled to -1..1, shape (N,); starts at its minimum.
+
+    Parameters
+    ----------
+    phase, seed
+        Phase [periods], shape (N,); seed of the phases.
+    """
     shifts = np.random.default_rng(seed).uniform(0, 2 * np.pi, len(MULTISINE_HARMONICS))
 
     def raw(at: Array) -> Array:
@@ -74,7 +110,15 @@ def multisine(phase: Array, seed: int) -> Array:
 
 
 def shape(kind: str, phase: Array, *, levels: int = 8, seed: int = 1) -> Array:
-    """The shape `kind` at `phase`, values from -1 to 1; KeyError for an unknown kind."""
+    """The shape `kind`, values from -1 to 1, shape (N,); KeyError for an unknown kind.
+
+    Parameters
+    ----------
+    kind
+        "triangle", "sine", "staircase", "steps" or "multisine".
+    phase, levels, seed
+        Phase [periods], shape (N,); for "staircase" and "steps" at least 2; for "steps" and "multisine".
+    """
     shapes = {
         "triangle": lambda: triangle(phase),
         "sine": lambda: sine(phase),
@@ -103,13 +147,27 @@ def whole_periods(frequency_Hz: float, rate_Hz: float) -> tuple[float, int]:
 
 
 def constant_triangles(peak_V: float, frequency_Hz: float, periods: int, rate_Hz: float) -> Array:
-    """Triangles 0 -> `peak_V` -> 0 [V], one value per tick; the first excitation of the thesis."""
+    """Triangles 0 -> `peak_V` -> 0, one value per tick, shape (N,) [V]; the first excitation of the thesis.
+
+    Parameters
+    ----------
+    peak_V, frequency_Hz
+        Highest voltage [V]; frequency of the triangles [Hz], above 0.
+    periods, rate_Hz
+        Number of triangles, at least 1; tick rate [Hz], above 0.
+    """
     phase = _phase(frequency_Hz, periods, rate_Hz)
     return peak_V * triangle_ramp(phase)
 
 
 def varying_triangles(peak_V: float, frequency_Hz: float, periods: int, rate_Hz: float) -> Array:
-    """Triangles from 0 with peaks that rise to `peak_V` and fall again [V]; the second excitation of the thesis."""
+    """Triangles from 0, peaks rise to `peak_V` and fall again, shape (N,) [V]; the second excitation of the thesis.
+
+    Parameters
+    ----------
+    peak_V, frequency_Hz, periods, rate_Hz
+        As in `constant_triangles`.
+    """
     phase = _phase(frequency_Hz, periods, rate_Hz)
     rising = (periods + 1) // 2
     number = np.floor(phase).clip(0, periods - 1)
@@ -193,7 +251,15 @@ EXCITATIONS = (*TRIANGLES, IDENTIFICATION)
 
 
 def excitation(name: str, peak_V: float, frequency_Hz: float, periods: int, rate_Hz: float) -> Array:
-    """The voltage excitation `name` between 0 and `peak_V` [V], one value per tick; KeyError for an unknown name."""
+    """The voltage excitation `name`, 0 to `peak_V`, one value per tick, shape (N,) [V]; KeyError for an unknown name.
+
+    Parameters
+    ----------
+    name
+        One of `EXCITATIONS`.
+    peak_V, frequency_Hz, periods, rate_Hz
+        As in `constant_triangles`.
+    """
     makers = {
         "constant-triangles": constant_triangles,
         "varying-triangles": varying_triangles,
@@ -203,11 +269,23 @@ def excitation(name: str, peak_V: float, frequency_Hz: float, periods: int, rate
 
 
 def default_periods(name: str) -> int:
-    """Default number of periods: 5 for triangles, 1 for the identification record."""
+    """Default number of periods: 5 for triangles, 1 for the identification record.
+
+    Parameters
+    ----------
+    name
+        One of `EXCITATIONS`.
+    """
     return 5 if name in TRIANGLES else 1
 
 
 def duration_s(name: str, frequency_Hz: float, periods: int) -> float:
-    """Duration of the excitation `name` [s]."""
+    """Duration of the excitation `name` [s].
+
+    Parameters
+    ----------
+    name, frequency_Hz, periods
+        As in `excitation`.
+    """
     triangles = float(_identification_corners()[0][-1]) if name == IDENTIFICATION else 1.0
     return periods * triangles / frequency_Hz

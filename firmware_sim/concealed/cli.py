@@ -18,7 +18,13 @@ EXIT_CONFIGURATION = 78
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the verb of the command line; return the exit code."""
+    """Run the verb of the command line; return the exit code.
+
+    Parameters
+    ----------
+    arguments
+        Command line without the program's name; None: that of the process.
+    """
     options = _parser().parse_args(arguments)
     try:
         _make(options) if options.verb == "make" else _score(options)

@@ -24,7 +24,13 @@ from firmware_sim.physics.layout import (
 
 @njit(cache=True)
 def acquire(state: Record, parameters: Record) -> None:
-    """Delay the signal of the load cell by one physics step, and sample it when a sample is due."""
+    """Delay the signal of the load cell by one physics step, and sample it when a sample is due.
+
+    Parameters
+    ----------
+    state, parameters
+        State record, which changes, and parameter record of a bench.
+    """
     _delay_signal(state, parameters)
     state.sample_phase += parameters.samples_per_step
     while state.sample_phase >= 1.0 - 1e-9:
@@ -50,7 +56,15 @@ def _delay_signal(state: Record, parameters: Record) -> None:
 
 @njit(cache=True)
 def sample(state: Record, parameters: Record, late: float) -> None:
-    """Take one device sample at `late` physics steps before the present, 0 to 1."""
+    """Take one device sample at `late` physics steps before the present, 0 to 1.
+
+    Parameters
+    ----------
+    state, parameters
+        State record, which changes, and parameter record of a bench.
+    late
+        Time from the sample to the present [physics steps], 0 to 1.
+    """
     state.samples += 1
     time_s = (state.steps - late) * parameters.step_s
     force_N = state.arrived_N - late * (state.arrived_N - state.previous_arrived_N)

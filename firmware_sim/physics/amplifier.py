@@ -13,7 +13,13 @@ from firmware_sim.physics.layout import OUTPUT_OFF_FAULTS, Record
 
 @njit(cache=True)
 def run_watchdog(state: Record, parameters: Record) -> None:
-    """Count the steps without a command; after the timeout, ramp the command to its safe value."""
+    """Count the steps without a command; after the timeout, ramp the command to its safe value.
+
+    Parameters
+    ----------
+    state, parameters
+        State record, which changes, and parameter record of a bench.
+    """
     state.steps_since_command += 1
     if state.watchdog_steps > 0 and state.steps_since_command > state.watchdog_steps:
         state.tripped = 1
@@ -26,7 +32,13 @@ def run_watchdog(state: Record, parameters: Record) -> None:
 
 @njit(cache=True)
 def drive(state: Record, parameters: Record) -> None:
-    """Move the output voltage [V] by one physics step towards the command."""
+    """Move the output voltage [V] by one physics step towards the command.
+
+    Parameters
+    ----------
+    state, parameters
+        State record, which changes, and parameter record of a bench.
+    """
     input_V = state.command_V if (state.fault_bits & OUTPUT_OFF_FAULTS) == 0 else 0.0
     if parameters.converter_step_V > 0.0:
         input_V = parameters.converter_step_V * math.floor(input_V / parameters.converter_step_V + 0.5)

@@ -18,7 +18,15 @@ def remove_outdated_kernels() -> None:
 
 
 def remove_older_than_sources(sources: Path, cache: Path) -> None:
-    """Remove the index of every cached kernel that is older than the newest source."""
+    """Remove the index of every cached kernel that is older than the newest source.
+
+    Parameters
+    ----------
+    sources
+        Folder of the Python sources.
+    cache
+        Folder of the cached kernels.
+    """
     newest_s = max(source.stat().st_mtime for source in sources.glob("*.py"))
     for index in cache.glob("*.nbi"):
         try:

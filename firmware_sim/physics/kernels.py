@@ -13,14 +13,28 @@ from firmware_sim.physics.stack import deform
 
 @njit(cache=True)
 def take_first_sample(states: Records, parameter_sets: Records) -> None:
-    """Take the sample at power-on; the heartbeat counts from it."""
+    """Take the sample at power-on; the heartbeat counts from it.
+
+    Parameters
+    ----------
+    states, parameter_sets
+        State and parameter records, shape (1,); the state changes.
+    """
     sample(states[0], parameter_sets[0], 0.0)
     states[0].samples = 0
 
 
 @njit(cache=True)
 def advance(states: Records, parameter_sets: Records, steps: int) -> None:
-    """Advance a bench (records of shape (1,)) by a number of physics steps."""
+    """Advance a bench (records of shape (1,)) by a number of physics steps.
+
+    Parameters
+    ----------
+    states, parameter_sets
+        State and parameter records, shape (1,); the state changes.
+    steps
+        Number of physics steps, at least 0.
+    """
     state = states[0]
     parameters = parameter_sets[0]
     for _ in range(steps):
@@ -53,6 +67,21 @@ def run(
 
     Command k acts from physics step `ticks[k]` on. Reading k is taken at step `ends[k]`. The two can run at different
     rates, for a skewed clock. With `interpolate` the command runs straight from one value to the next.
+
+    Parameters
+    ----------
+    states, parameter_sets
+        State and parameter records, shape (1,); the state changes.
+    voltage_V
+        Commands, shape (M,) [V].
+    ticks
+        First physics step of each command, ascending, shape (M,).
+    ends
+        Physics step of each reading, ascending, shape (N,).
+    force_N
+        Buffer for the readings, shape (N,) [N].
+    interpolate
+        Whether the command runs straight.
     """
     state = states[0]
     parameters = parameter_sets[0]

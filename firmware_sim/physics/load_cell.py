@@ -16,7 +16,13 @@ from firmware_sim.physics.layout import Record
 
 @njit(cache=True)
 def sense(state: Record, parameters: Record) -> None:
-    """Advance the analogue signal of the load cell [N] by one physics step."""
+    """Advance the analogue signal of the load cell [N] by one physics step.
+
+    Parameters
+    ----------
+    state, parameters
+        State record, which changes, and parameter record of a bench.
+    """
     signal_N = state.true_force_N
     if parameters.leakage_s > 0.0:
         half = 0.5 * parameters.step_s / parameters.leakage_s

@@ -17,7 +17,13 @@ from firmware_sim.physics.layout import Record
 
 @njit(cache=True)
 def load(state: Record, parameters: Record) -> None:
-    """Advance the true force [N] on the load cell by one physics step."""
+    """Advance the true force [N] on the load cell by one physics step.
+
+    Parameters
+    ----------
+    state, parameters
+        State record, which changes, and parameter record of a bench.
+    """
     state.previous_contact_N = state.contact_N
     state.contact_N = _contact(parameters, _force_law(parameters, state.stroke / parameters.full_V))
     before_N = state.drive_N

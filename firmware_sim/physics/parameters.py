@@ -15,7 +15,15 @@ NEVER_S = 1e18
 
 
 def parameter_record(scenario: Scenario, generator: np.random.Generator) -> Records:
-    """Return the parameters of a scenario, shape (1,); the phases of periodic effects are drawn."""
+    """Return the parameters of a scenario, shape (1,); the phases of periodic effects are drawn.
+
+    Parameters
+    ----------
+    scenario
+        Physics of the bench.
+    generator
+        Source of the random draws.
+    """
     parameters = np.zeros(1, PARAMETERS)
     record = parameters[0]
     record["step_s"] = scenario.step_s
@@ -32,7 +40,15 @@ def parameter_record(scenario: Scenario, generator: np.random.Generator) -> Reco
 
 
 def initial_state(parameters: Records, generator: np.random.Generator) -> Records:
-    """Return the state of a virgin bench at rest, shape (1,)."""
+    """Return the state of a virgin bench at rest, shape (1,).
+
+    Parameters
+    ----------
+    parameters
+        Parameter records, shape (1,).
+    generator
+        Source of the seed of the noise.
+    """
     state = np.zeros(1, STATE)
     state[0]["random"] = generator.integers(0, 2**64, dtype=np.uint64)
     state[0]["temperature_C"] = parameters[0]["mean_degC"]

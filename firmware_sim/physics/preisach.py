@@ -24,7 +24,15 @@ from firmware_sim.physics.layout import REVERSALS, Record
 
 @njit(cache=True)
 def everett(parameters: Record, low_V: float, high_V: float) -> float:
-    """Return E(low, high) [V]: the change of the output when the input runs between two reversals."""
+    """Return E(low, high) [V]: the change of the output when the input runs between two reversals.
+
+    Parameters
+    ----------
+    parameters
+        Parameter record of a bench.
+    low_V, high_V
+        Reversals of the input [V], low at most high.
+    """
     ratio = (high_V - low_V) / parameters.width_scale_V
     by_width = ratio * math.atan(ratio) - 0.5 * math.log1p(ratio * ratio)
     total: float = parameters.width_weight * parameters.width_scale_V**2 * by_width
@@ -37,7 +45,15 @@ def everett(parameters: Record, low_V: float, high_V: float) -> float:
 
 @njit(cache=True)
 def virgin(parameters: Record, field_V: float) -> float:
-    """Return the output [V] on the first rise or fall from the demagnetised state."""
+    """Return the output [V] on the first rise or fall from the demagnetised state.
+
+    Parameters
+    ----------
+    parameters
+        Parameter record of a bench.
+    field_V
+        Input of the plane [V].
+    """
     size_V = abs(field_V)
     half = 0.5 * everett(parameters, -size_V, size_V)
     return math.copysign(half, field_V)
@@ -45,7 +61,15 @@ def virgin(parameters: Record, field_V: float) -> float:
 
 @njit(cache=True)
 def move_field(state: Record, parameters: Record, field_V: float) -> None:
-    """Move the input of the plane to `field_V`; the output goes to `state.irreversible`."""
+    """Move the input of the plane to `field_V`; the output goes to `state.irreversible`.
+
+    Parameters
+    ----------
+    state, parameters
+        State record, which changes, and parameter record of a bench.
+    field_V
+        New input of the plane [V].
+    """
     if field_V == state.field_V:
         return
     direction = 1.0 if field_V > state.field_V else -1.0

@@ -89,6 +89,13 @@ def scenario_names() -> list[str]:
 def load_scenario(name: str, overrides: Mapping[str, Value] | None = None) -> Scenario:
     """Read a scenario by name, or from a YAML file, with some of its values replaced.
 
+    Parameters
+    ----------
+    name
+        Name of a scenario, or path of a file that ends in .yaml or .yml.
+    overrides
+        Values to replace, by key; None: none.
+
     Raises
     ------
     ConfigurationError
@@ -106,7 +113,20 @@ def load_scenario(name: str, overrides: Mapping[str, Value] | None = None) -> Sc
 
 
 def with_effects(scenario: Scenario, names: tuple[str, ...]) -> Scenario:
-    """Return the scenario with these effects on; an effect that was off gets its default strength."""
+    """Return the scenario with these effects on; an effect that was off gets its default strength.
+
+    Parameters
+    ----------
+    scenario
+        Physics of the bench.
+    names
+        Names of effects.
+
+    Raises
+    ------
+    ConfigurationError
+        A name is no effect of a scenario.
+    """
     chosen = scenario.effects.model_dump(exclude_none=True)
     for name in names:
         if name not in Effects.model_fields:

@@ -19,7 +19,13 @@ from firmware_sim.physics.preisach import move_field
 
 @njit(cache=True)
 def deform(state: Record, parameters: Record) -> None:
-    """Advance the free stroke [V] by one physics step under the amplifier's output."""
+    """Advance the free stroke [V] by one physics step under the amplifier's output.
+
+    Parameters
+    ----------
+    state, parameters
+        State record, which changes, and parameter record of a bench.
+    """
     _advance_coercive_offset(state, parameters)
     move_field(state, parameters, state.output_V - state.coercive_V)
     state.previous_hysteresis = state.hysteresis

@@ -90,7 +90,15 @@ class IsolatedProcesses:
 
 
 def diagnose_isolated(case: Case) -> Verdict:
-    """Diagnose a case in a separate process."""
+    """Diagnose a case in a separate process.
+
+    An error of the diagnosis, or a process that dies, gives a failed verdict and no exception.
+
+    Parameters
+    ----------
+    case
+        Case with its recordings.
+    """
     return IsolatedProcesses().diagnose(case)
 
 

@@ -87,7 +87,15 @@ def failed_verdict(name: str, reason: str, elapsed_s: float = 0.0) -> Verdict:
 
 
 def read_verdict(name: str, folder: Path) -> Verdict | None:
-    """Verdict in a folder; None: the folder holds no complete verdict."""
+    """Verdict in a folder; None: the folder holds no complete verdict.
+
+    Parameters
+    ----------
+    name
+        Name of the case.
+    folder
+        Folder of the verdict on this case.
+    """
     try:
         files = {path.name: path.read_bytes() for path in sorted(folder.iterdir()) if path.is_file()}
         failed = json.loads(files[RUN])["failed"]

@@ -15,7 +15,10 @@ from piezod.effects.kernels import first_order_run
 
 
 def forward(signal: Array, context: Context, values: Values) -> Array:
-    """Signal of the charge amplifier, at rest at the first sample, shape (N,) [N]."""
+    """Signal of the charge amplifier, at rest at the first sample, shape (N,) [N].
+
+    `signal` is the signal of the load cell [N]. Parameters as in `piezod.effects.effect.Forward`.
+    """
     lost = first_order_run(signal, values["time_constant_s"], context.dt_s, context.hold.number)
     out: Array = signal - (lost - signal[0])
     return out

@@ -14,7 +14,10 @@ from piezod.effects.effect import Array, Checks, Context, Effect, Location, Para
 
 
 def forward(signal: Array, context: Context, values: Values) -> Array:
-    """Reading on its own clock, shape (N,) [N]."""
+    """Reading on its own clock, shape (N,) [N].
+
+    `signal` is the reading [N]. Parameters as in `piezod.effects.effect.Forward`.
+    """
     return np.interp(context.time_s * (1.0 + 1e-6 * values["skew_ppm"]), context.time_s, signal)
 
 

@@ -18,7 +18,17 @@ from piezod.effects.effect import Array, Checks, Context, Effect, Location, Para
 
 @numba.njit(cache=True, nogil=True)
 def contact_step(force: float, gap: float, softness: float) -> float:
-    """Force behind the gap [N]. A softness of 0 gives an abrupt kink."""
+    """Force behind the gap [N]. A softness of 0 gives an abrupt kink.
+
+    Parameters
+    ----------
+    force
+        Force in front of the gap [N].
+    gap
+        Force that closes the gap [N], above 0.
+    softness
+        Half width of the rounded kink [N], at least 0; limited to `gap`.
+    """
     beyond = force - gap
     soft = min(softness, gap)
     if abs(beyond) < soft:
@@ -35,7 +45,10 @@ def _run(force: Array, gap: float, softness: float) -> Array:
 
 
 def forward(signal: Array, context: Context, values: Values) -> Array:  # noqa: ARG001  # a `Forward`
-    """Force behind the gap, shape (N,) [N]."""
+    """Force behind the gap, shape (N,) [N].
+
+    `signal` is the force [N]. Parameters as in `piezod.effects.effect.Forward`.
+    """
     return _run(signal, values["gap_N"], values.get("softness_N", 0.0))
 
 

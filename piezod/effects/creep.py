@@ -60,7 +60,10 @@ def spectrum(from_s: float, to_s: float, slope: float = 0.0, seen_s: float = mat
 
 
 def forward(signal: Array, context: Context, values: Values) -> Array:
-    """Stroke with the creep since the first sample, shape (N,) [V]."""
+    """Stroke with the creep since the first sample, shape (N,) [V].
+
+    `signal` is the stroke [V]. Parameters as in `piezod.effects.effect.Forward`.
+    """
     seen_s = context.seen_s or context.duration_s
     tau_s, weights = spectrum(values["from_s"], values["to_s"], values.get("slope", 0.0), seen_s)
     driver = signal

@@ -141,12 +141,27 @@ class Context:
 
 
 Forward = Callable[[Array, Context, Values], Array]
+"""Function of an effect from (signal, context, values) to its output, shape (N,), at rest at the first sample.
+
+signal: input of the effect, shape (N,) [V or N, see `Location`]. context: the `Context` of the same N samples. values:
+value by parameter name, in the unit and range of its `Parameter`; an optional parameter may be missing.
+"""
+
 Widening = Callable[[Context, Values], tuple[Array, Array]]
+"""Function from context and values, as in `Forward`, to factor [1] and offset [V] of the play thresholds."""
+
 Columns = Callable[[Context, Values], Array]
+"""Function from context and values, as in `Forward`, to derivatives of the output, shape (N, weights)."""
 
 
 def never(values: Values) -> bool:  # noqa: ARG001  # see `Checks.anticipates`
-    """No values: the effect is causal."""
+    """No values: the effect is causal.
+
+    Parameters
+    ----------
+    values
+        Values of the parameters, not used.
+    """
     return False
 
 
@@ -249,5 +264,13 @@ class Effect:
 
 
 def unchanged(signal: Array, context: Context, values: Values) -> Array:  # noqa: ARG001  # a `Forward`
-    """Output of an effect that changes no signal."""
+    """Output of an effect that changes no signal.
+
+    Parameters
+    ----------
+    signal
+        Input signal, shape (N,).
+    context, values
+        Not used.
+    """
     return signal

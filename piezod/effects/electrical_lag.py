@@ -16,7 +16,10 @@ from piezod.effects.kernels import first_order_run, voltage_dependent_lag_run
 
 
 def forward(signal: Array, context: Context, values: Values) -> Array:
-    """Voltage at the stack, shape (N,) [V]."""
+    """Voltage at the stack, shape (N,) [V].
+
+    `signal` is the voltage [V]. Parameters as in `piezod.effects.effect.Forward`.
+    """
     swell = values.get("swell", 0.0)
     if swell == 0.0:
         return first_order_run(signal, values["time_constant_s"], context.dt_s, context.hold.number)

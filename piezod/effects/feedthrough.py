@@ -70,7 +70,10 @@ def coefficients(rise_s: float, dt_s: float, hold: float) -> tuple[float, float]
 
 
 def forward(signal: Array, context: Context, values: Values) -> Array:
-    """Signal with the coupled drive, shape (N,) [N]."""
+    """Signal with the coupled drive, shape (N,) [N].
+
+    `signal` is the signal of the load cell [N]. Parameters as in `piezod.effects.effect.Forward`.
+    """
     keep, jump = coefficients(values.get("rise_s", 0.0), context.dt_s, context.hold.number)
     out: Array = signal + values["coefficient_N_s_per_V"] * _run(context.applied_V, keep, jump)
     return out

@@ -21,7 +21,10 @@ NO_PATH = np.empty(0)
 
 
 def forward(signal: Array, context: Context, values: Values) -> Array:  # noqa: ARG001  # a `Forward`
-    """Force behind the guide, shape (N,) [N]."""
+    """Force behind the guide, shape (N,) [N].
+
+    `signal` is the force [N]. Parameters as in `piezod.effects.effect.Forward`.
+    """
     state = bouc_wen(NO_PATH, signal, values["presliding_N"], values.get("exponent", 1.0), values.get("closing", 1.0))
     result: Array = signal - values["force_N"] * state
     return result

@@ -25,7 +25,17 @@ SMALLEST_BEND = 1e-3  # a smaller bend counts as 0
 
 @numba.njit(cache=True, nogil=True)
 def changed_share(part: float, bend: float, s_shape: float) -> float:
-    """Share g of the change at a part p of the record, 0 to 1; 0 before the record and 1 after it."""
+    """Share g of the change at a part p of the record, 0 to 1; 0 before the record and 1 after it.
+
+    Parameters
+    ----------
+    part
+        Time since the first sample as a part of the duration of the record [1].
+    bend
+        Curvature of the exponential course [1]; 0: straight.
+    s_shape
+        Amplitude of the sine in the course [1]; 0: none.
+    """
     part = min(max(part, 0.0), 1.0)
     part -= s_shape * math.sin(2.0 * math.pi * part) / (2.0 * math.pi)
     if abs(bend) < SMALLEST_BEND:
@@ -42,7 +52,10 @@ def _run(x: Array, time_s: Array, duration_s: float, change: float, bend: float,
 
 
 def forward(signal: Array, context: Context, values: Values) -> Array:
-    """Stroke with the present sensitivity, shape (N,) [V]."""
+    """Stroke with the present sensitivity, shape (N,) [V].
+
+    `signal` is the stroke [V]. Parameters as in `piezod.effects.effect.Forward`.
+    """
     shape = (values.get("bend", 0.0), values.get("s_shape", 0.0))
     out: Array = _run(signal, context.time_s, context.duration_s, values["relative_change"], *shape)
     return out

@@ -1,8 +1,8 @@
 """Compiled functions that several effects share: linear systems, and the Bouc-Wen hysteresis.
 
-The linear systems are exact for an input that runs straight between samples, and for a held input. `hold` is always
-the number of a `Hold`. A compiled function calls functions of its own file only: numba compares its cache with no other
-file.
+The linear systems are exact for an input that runs straight between samples, and for a held input. Parameters of all:
+`x` is the input, shape (N,), as is the output; `dt_s` is the sample period [s], above 0; `hold` is the number of a
+`Hold`. A compiled function calls functions of its own file only: numba compares its cache with no other file.
 """
 
 import math
@@ -23,9 +23,8 @@ RISEN = 1.0 - math.exp(-1.0)  # state after a movement by `travel` from 0
 def first_order_step(y: float, before: float, now: float, keep: float, ramp: float) -> float:
     """State of tau y' = x - y one sample later, when x runs straight from `before` to `now`.
 
-    y <- a y + (1 - a - b) before + b now (derived here).
-    a = exp(-T / tau) is `keep`. b = 1 - tau (1 - a) / T is `ramp`.
-    In the form below a state at rest does not change by rounding.
+    y <- a y + (1 - a - b) before + b now (derived here). `y`, `before` and `now` have one unit.
+    a = exp(-T / tau) is `keep`. b = 1 - tau (1 - a) / T is `ramp`. In the form below rounding moves no state at rest.
     """
     return y + (1.0 - keep) * (before - y) + ramp * (now - before)
 
@@ -53,7 +52,7 @@ def first_order_coefficients(time_constant_s: float, dt_s: float, hold: float = 
 
 @numba.njit(cache=True, nogil=True)
 def first_order_run(x: Array, time_constant_s: float, dt_s: float, hold: float = 0.0) -> Array:
-    """`first_order_step` over the record `x`, shape (N,), from rest at its first sample."""
+    """`first_order_step` over `x`, shape (N,), from rest; time constant and period dt_s [s], both above 0."""
     keep, ramp = first_order_coefficients(time_constant_s, dt_s, hold)
     out = np.empty(x.size)
     y = x[0]
@@ -82,7 +81,7 @@ def time_constant_at(voltage_V: float, time_constant_s: float, swell: float) -> 
 
 @numba.njit(cache=True, nogil=True)
 def voltage_dependent_lag_run(x: Array, time_constant_s: float, swell: float, dt_s: float, hold: float = 0.0) -> Array:
-    """`first_order_run` with the time constant of `time_constant_at` at the start of each sample."""
+    """`first_order_run` for a voltage x [V]; `time_constant_at` gives the time constant at the start of each sample."""
     out = np.empty(x.size)
     y = x[0]
     out[0] = y
@@ -94,8 +93,8 @@ def voltage_dependent_lag_run(x: Array, time_constant_s: float, swell: float, dt
 
 
 @numba.njit(cache=True, nogil=True, fastmath={"reassoc"})
-def weighted_sum(weights: Array, states: Array) -> float:
-    """Sum of the products weights * states; the order of the sum is free, for vector instructions."""
+def _weighted_sum(weights: Array, states: Array) -> float:
+    """Sum of weights * states, both of shape (n,); the order of the sum is free, for vector instructions."""
     total = 0.0
     for j in range(states.size):
         total += weights[j] * states[j]
@@ -103,16 +102,16 @@ def weighted_sum(weights: Array, states: Array) -> float:
 
 
 @numba.njit(cache=True, nogil=True, inline="always")
-def chain_step(states: Array, keep: Array, ramp: Array, weights: Array, before: float, now: float) -> float:
-    """`first_order_step` of several parallel states, in place; returns their weighted sum."""
+def _chain_step(states: Array, keep: Array, ramp: Array, weights: Array, before: float, now: float) -> float:
+    """`first_order_step` of parallel states, in place; returns their weighted sum; all arrays are of shape (n,)."""
     for j in range(states.size):
         states[j] = first_order_step(states[j], before, now, keep[j], ramp[j])
-    return weighted_sum(weights, states)
+    return _weighted_sum(weights, states)
 
 
 @numba.njit(cache=True, nogil=True)
 def chain_run(x: Array, time_constants_s: Array, weights: Array, dt_s: float, hold: float = 0.0) -> Array:
-    """`chain_step` over the record `x`, shape (N,), from rest; `x` counts from its first sample."""
+    """`_chain_step` over `x`, shape (N,), less its first value; time constants [s] and weights of shape (n,)."""
     count = time_constants_s.size
     keep, ramp, states = np.empty(count), np.empty(count), np.zeros(count)
     for j in range(count):
@@ -120,13 +119,13 @@ def chain_run(x: Array, time_constants_s: Array, weights: Array, dt_s: float, ho
     out = np.empty(x.size)
     out[0] = 0.0
     for k in range(1, x.size):
-        out[k] = chain_step(states, keep, ramp, weights, x[k - 1] - x[0], x[k] - x[0])
+        out[k] = _chain_step(states, keep, ramp, weights, x[k - 1] - x[0], x[k] - x[0])
     return out
 
 
 @numba.njit(cache=True, nogil=True)
-def second_order_run(x: Array, matrix: Array, before: Array, now: Array) -> Array:
-    """Second-order state space over the record `x`, from rest: s <- M s + before x(k-1) + now x(k), output s[0]."""
+def _second_order_run(x: Array, matrix: Array, before: Array, now: Array) -> Array:
+    """State space from rest, `matrix` of shape (2, 2): s <- M s + before x(k-1) + now x(k); output s[0], shape (N,)."""
     out = np.empty(x.size)
     s0, s1 = x[0], 0.0
     out[0] = s0
@@ -139,15 +138,16 @@ def second_order_run(x: Array, matrix: Array, before: Array, now: Array) -> Arra
 
 
 def second_order(x: Array, frequency_Hz: float, damping_ratio: float, dt_s: float, hold: float = 0.0) -> Array:
-    """System of `second_order_matrices` over the record `x`, shape (N,), from rest."""
-    return second_order_run(np.ascontiguousarray(x), *second_order_matrices(frequency_Hz, damping_ratio, dt_s, hold))
+    """System of `second_order_matrices` over the record `x`, shape (N,), from rest; returns shape (N,)."""
+    return _second_order_run(np.ascontiguousarray(x), *second_order_matrices(frequency_Hz, damping_ratio, dt_s, hold))
 
 
 def second_order_matrices(
     frequency_Hz: float, damping_ratio: float, dt_s: float, hold: float = 0.0
 ) -> tuple[Array, Array, Array]:
-    """M, `before` and `now` of `second_order_run` for y'' + 2 zeta w y' + w^2 y = w^2 x, w = 2 pi frequency_Hz.
+    """M, shape (2, 2), `before` and `now`, shape (2,), of `_second_order_run`.
 
+    The system is y'' + 2 zeta w y' + w^2 y = w^2 x, w = 2 pi frequency_Hz; the frequency [Hz] is above 0.
     They are blocks of the matrix exponential of the state space with the input and its slope as further states.
     Source: C. F. Van Loan (1978), Computing Integrals Involving the Matrix Exponential, IEEE Transactions on Automatic
     Control 23(3), 395-404.
@@ -157,14 +157,14 @@ def second_order_matrices(
     system[0, 1] = w
     system[1, :3] = -w, -2.0 * damping_ratio * w, w
     system[2, 3] = 1.0
-    step = exponential(system * dt_s)
+    step = _exponential(system * dt_s)
     step_response = step[:2, 2].copy()
-    now = step[:2, 3] / dt_s if hold <= 0.0 else exponential(system * (dt_s * min(hold, 1.0)))[:2, 2].copy()
+    now = step[:2, 3] / dt_s if hold <= 0.0 else _exponential(system * (dt_s * min(hold, 1.0)))[:2, 2].copy()
     return step[:2, :2].copy(), step_response - now, now
 
 
-def exponential(matrix: Array) -> Array:
-    """Exponential of a small matrix: Taylor series of the matrix halved n times, then squared n times."""
+def _exponential(matrix: Array) -> Array:
+    """Exponential of a small square matrix: Taylor series of the matrix halved n times, then squared n times."""
     halvings = max(0, math.ceil(math.log2(np.abs(matrix).sum(axis=1).max() + 1e-300)) + 3)
     small = matrix / 2.0**halvings
     result = term = np.eye(matrix.shape[0])

@@ -17,7 +17,10 @@ NEVER_s = 1e7  # instant beyond every record: the load stays
 
 
 def forward(signal: Array, context: Context, values: Values) -> Array:
-    """Force with the step of the load, shape (N,) [N]."""
+    """Force with the step of the load, shape (N,) [N].
+
+    `signal` is the force [N]. Parameters as in `piezod.effects.effect.Forward`.
+    """
     rise = max(values.get("rise_s", 0.0), context.dt_s)  # a shorter edge would have no derivative by its instant
     on = values["on_s"]
     off = max(values["off_s"], on)

@@ -22,7 +22,10 @@ HARMONICS = (2, 3, 4, 5, 6, 7)
 
 
 def forward(signal: Array, context: Context, values: Values) -> Array:
-    """Signal with the hum, shape (N,) [N]."""
+    """Signal with the hum, shape (N,) [N].
+
+    `signal` is the signal of the load cell [N]. Parameters as in `piezod.effects.effect.Forward`.
+    """
     angle = TURN * values["frequency_Hz"] * context.time_s + values.get("phase_rad", 0.0)
     hum = np.sin(angle)
     for h in HARMONICS:

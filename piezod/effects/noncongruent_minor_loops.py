@@ -102,7 +102,10 @@ def _hats() -> Array:
 
 
 def forward(signal: Array, context: Context, values: Values) -> Array:
-    """Stroke with the noncongruent term, shape (N,) [V]."""
+    """Stroke with the noncongruent term, shape (N,) [V].
+
+    `signal` is the stroke [V]. Parameters as in `piezod.effects.effect.Forward`.
+    """
     weights = np.array([values.get(name, 0.0) for name in NAMES])
     share, span_V = values.get("share", 1.0), context.voltage_span_V
     unit = _unit_columns(context)
@@ -118,7 +121,10 @@ def forward(signal: Array, context: Context, values: Values) -> Array:
 
 
 def columns(context: Context, values: Values) -> Array:
-    """Derivatives of the output by the weights, shape (N, weights) [V]."""
+    """Derivatives of the output by the weights, shape (N, weights) [V].
+
+    Parameters as in `piezod.effects.effect.Columns`.
+    """
     unit = _unit_columns(context)
     memory = -0.5 * context.voltage_span_V * _memory(context, values)
     return values.get("share", 1.0) * np.column_stack((unit, memory))

@@ -24,7 +24,17 @@ LEAST_SLOPE = 0.05  # the law is straight where the polynomial would be flatter
 
 @numba.njit(cache=True, nogil=True)
 def law_step(part: float, square: float, cube: float, low: float, high: float) -> float:
-    """Force behind the law for the force `part`, both in spans; `low` to `high` is the interval of `rising`."""
+    """Force behind the law for the force `part`, both in spans; `low` to `high` is the interval of `rising`.
+
+    Parameters
+    ----------
+    part
+        Force, as a part of the span.
+    square, cube
+        Coefficients of part^2 and part^3 [1].
+    low, high
+        Interval of `rising`; outside it the law is straight.
+    """
     inside = min(max(part, low), high)
     return inside + inside * inside * (square + cube * inside) + LEAST_SLOPE * (part - inside)
 
@@ -38,14 +48,27 @@ def _run(force: Array, span: float, square: float, cube: float, low: float, high
 
 
 def forward(signal: Array, context: Context, values: Values) -> Array:
-    """Force behind the changed law, shape (N,) [N]."""
+    """Force behind the changed law, shape (N,) [N].
+
+    `signal` is the force [N]. Parameters as in `piezod.effects.effect.Forward`.
+    """
     cube = values.get("cubic", 0.0)
     square = values["curvature"] - cube
     return _run(signal, context.force_span_N, square, cube, *rising(square, cube))
 
 
 def rising(square: float, cube: float) -> tuple[float, float]:
-    """Interval around zero in which 1 + 2 square x + 3 cube x^2 is above `LEAST_SLOPE`."""
+    """Interval around zero in which 1 + 2 square x + 3 cube x^2 is above `LEAST_SLOPE`.
+
+    Parameters
+    ----------
+    square, cube
+        Coefficients of x^2 and x^3 in the law x + square x^2 + cube x^3 [1].
+
+    Returns
+    -------
+    Lower end, below 0, and upper end, above 0; infinite where the slope stays above `LEAST_SLOPE`.
+    """
     a, b, c = 3.0 * cube, 2.0 * square, 1.0 - LEAST_SLOPE
     roots: list[float] = []
     if b * b >= 4.0 * a * c and (a != 0.0 or b != 0.0):

@@ -20,7 +20,17 @@ from piezod.effects.effect import Array, Checks, Context, Effect, Location, Para
 
 @numba.njit(cache=True, nogil=True)
 def nearest_multiple(force: float, step: float, offset: float) -> float:
-    """Nearest value offset + n step, halves upwards [N]."""
+    """Nearest value offset + n step, halves upwards [N].
+
+    Parameters
+    ----------
+    force
+        Value to round [N].
+    step
+        Distance of neighbouring values [N], above 0.
+    offset
+        One of the values [N].
+    """
     return offset + step * math.floor((force - offset) / step + 0.5)
 
 
@@ -33,7 +43,10 @@ def _run(force: Array, step: float, offset: float) -> Array:
 
 
 def forward(signal: Array, context: Context, values: Values) -> Array:  # noqa: ARG001  # a `Forward`
-    """Quantised reading, shape (N,) [N]."""
+    """Quantised reading, shape (N,) [N].
+
+    `signal` is the reading [N]. Parameters as in `piezod.effects.effect.Forward`.
+    """
     return _run(signal, values["step_N"], values.get("offset_N", 0.0))
 
 

@@ -67,7 +67,10 @@ def _rates(u: Array, dt_s: float, distance_V: float) -> Array:
 
 
 def widening(context: Context, values: Values) -> tuple[Array, Array]:
-    """Factor [1] and offset [V] of all thresholds above 0, each of shape (N,)."""
+    """Factor [1] and offset [V] of all thresholds above 0, each of shape (N,).
+
+    Parameters as in `piezod.effects.effect.Widening`.
+    """
     u = context.applied_V
     growth, kind = values["growth"], round(values.get("kind", LOGARITHM))
     decay = np.log1p(_rates(u, context.dt_s, values.get("rate_way_V", USUAL_DISTANCE_V)) / values["reference_V_per_s"])

@@ -15,7 +15,10 @@ from piezod.effects.kernels import second_order
 
 
 def forward(signal: Array, context: Context, values: Values) -> Array:
-    """Force behind the mode, shape (N,) [N]."""
+    """Force behind the mode, shape (N,) [N].
+
+    `signal` is the force [N]. Parameters as in `piezod.effects.effect.Forward`.
+    """
     return second_order(signal, values["frequency_Hz"], values["damping_ratio"], context.dt_s, context.hold.number)
 
 

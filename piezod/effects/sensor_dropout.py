@@ -17,7 +17,10 @@ LATEST_s = 1e7  # later than every record
 
 
 def forward(signal: Array, context: Context, values: Values) -> Array:
-    """Reading with the frozen stretch, shape (N,) [N]."""
+    """Reading with the frozen stretch, shape (N,) [N].
+
+    `signal` is the reading [N]. Parameters as in `piezod.effects.effect.Forward`.
+    """
     from_s, to_s = values["from_s"], values["to_s"]
     first, end = np.searchsorted(context.time_s, (from_s, to_s))
     out = signal.copy()

@@ -22,7 +22,10 @@ BUTTERWORTH = math.sqrt(0.5)
 
 
 def forward(signal: Array, context: Context, values: Values) -> Array:
-    """Filtered signal, shape (N,) [N]."""
+    """Filtered signal, shape (N,) [N].
+
+    `signal` is the signal of the load cell [N]. Parameters as in `piezod.effects.effect.Forward`.
+    """
     cutoff = values["cutoff_Hz"]
     if round(values.get("order", 1.0)) == 1:
         return first_order_run(signal, 1.0 / (2.0 * math.pi * cutoff), context.dt_s, context.hold.number)
@@ -30,7 +33,13 @@ def forward(signal: Array, context: Context, values: Values) -> Array:
 
 
 def mode(values: Values) -> tuple[float, float]:
-    """Natural frequency [Hz] and damping ratio [1] of a filter of order 2."""
+    """Natural frequency [Hz] and damping ratio [1] of a filter of order 2.
+
+    Parameters
+    ----------
+    values
+        "cutoff_Hz" and, if present, "damping_ratio" of the effect.
+    """
     damping_ratio = values.get("damping_ratio", BUTTERWORTH)
     part = 1.0 - 2.0 * damping_ratio**2
     return values["cutoff_Hz"] / math.sqrt(part + math.hypot(part, 1.0)), damping_ratio

@@ -55,7 +55,10 @@ def _run(x: Array, most: float, hold: float) -> Array:
 
 
 def forward(signal: Array, context: Context, values: Values) -> Array:
-    """Voltage at the stack, shape (N,) [V]."""
+    """Voltage at the stack, shape (N,) [V].
+
+    `signal` is the voltage [V]. Parameters as in `piezod.effects.effect.Forward`.
+    """
     return _run(signal, values["limit_V_per_s"] * context.dt_s, context.hold.number)
 
 

@@ -15,7 +15,10 @@ from piezod.effects.kernels import first_order_run
 
 
 def forward(signal: Array, context: Context, values: Values) -> Array:
-    """Force with the thermal drift, shape (N,) [N]."""
+    """Force with the thermal drift, shape (N,) [N].
+
+    `signal` is the force [N]. Parameters as in `piezod.effects.effect.Forward`.
+    """
     temperature = context.temperature_C
     assert temperature is not None  # see `needs`
     lag_s = values.get("lag_s", 0.0)

@@ -18,7 +18,17 @@ from piezod.effects.effect import Array, Checks, Context, Effect, Location, Para
 
 @numba.njit(cache=True, nogil=True)
 def earlier(x: Array, k: int, samples: float) -> float:
-    """Value of `x` at k - `samples`, straight between samples; before the record its first value."""
+    """Value of `x` at k - `samples`, straight between samples; before the record its first value.
+
+    Parameters
+    ----------
+    x
+        Record, shape (N,).
+    k
+        Index of a sample, 0 to N - 1.
+    samples
+        Delay [samples], at least 0.
+    """
     position = max(k - samples, 0.0)
     whole = int(position)
     if whole >= x.size - 1:
@@ -36,7 +46,10 @@ def _run(x: Array, samples: float) -> Array:
 
 
 def forward(signal: Array, context: Context, values: Values) -> Array:
-    """Delayed reading, shape (N,) [N]."""
+    """Delayed reading, shape (N,) [N].
+
+    `signal` is the reading [N]. Parameters as in `piezod.effects.effect.Forward`.
+    """
     return _run(signal, values["delay_s"] / context.dt_s)
 
 

@@ -20,7 +20,10 @@ PHASES = (0.0, 1.57, 3.14, 4.71)
 
 
 def forward(signal: Array, context: Context, values: Values) -> Array:
-    """Force with the vibration, shape (N,) [N]."""
+    """Force with the vibration, shape (N,) [N].
+
+    `signal` is the force [N]. Parameters as in `piezod.effects.effect.Forward`.
+    """
     t = context.time_s
     amplitude = values["amplitude_N"]
     line = amplitude * np.sin(TURN * values["frequency_Hz"] * t + values.get("phase_rad", 0.0))

@@ -17,7 +17,17 @@ from piezod.effects.effect import Array, Checks, Context, Effect, Location, Para
 
 @numba.njit(cache=True, nogil=True)
 def clamp_step(u: float, limit: float, knee: float) -> float:
-    """Output voltage for the command `u` [V]. A knee of 0 V gives an abrupt limit."""
+    """Output voltage for the command `u` [V]. A knee of 0 V gives an abrupt limit.
+
+    Parameters
+    ----------
+    u
+        Command [V].
+    limit
+        Highest output voltage [V].
+    knee
+        Half width of the rounded transition around the limit [V], at least 0.
+    """
     if abs(u - limit) < knee:
         return u - (u - limit + knee) ** 2 / (4.0 * knee)
     return min(u, limit)
@@ -32,7 +42,10 @@ def _run(u: Array, limit: float, knee: float) -> Array:
 
 
 def forward(signal: Array, context: Context, values: Values) -> Array:  # noqa: ARG001  # a `Forward`
-    """Voltage at the output of the amplifier, shape (N,) [V]."""
+    """Voltage at the output of the amplifier, shape (N,) [V].
+
+    `signal` is the voltage [V]. Parameters as in `piezod.effects.effect.Forward`.
+    """
     return _run(signal, values["limit_V"], values.get("knee_V", 0.0))
 
 

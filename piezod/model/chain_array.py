@@ -80,6 +80,11 @@ def chain_array(model: Model, acting: ActingEffects, dt_s: float) -> Array:
         Effects that act, with their parameter values.
     dt_s
         Tick period [s].
+
+    Raises
+    ------
+    ModelError
+        The creep follows the voltage and the model has no inverse.
     """
     keeps, ramps, weights = _creep_elements(acting, dt_s, model.seen_s or math.inf)
     constants = _constants(model, acting, dt_s)

@@ -95,7 +95,17 @@ def _creep(chain: Array) -> tuple[float, float]:
 
 @numba.njit(cache=True)
 def plan_chain_step(packed: Array, chain: Array, force: float) -> float:
-    """Voltage [V] that gives the force `force` [N] at the end of the tick; changes no state."""
+    """Voltage [V] that gives the force `force` [N] at the end of the tick; changes no state.
+
+    Parameters
+    ----------
+    packed
+        Packed array of an `ImplicitInverse`.
+    chain
+        Array of `chain_array`.
+    force
+        Force to reach [N].
+    """
     plays, zones = int(packed[0]), int(packed[1])
     force -= chain[STATE.thermal_N]
     if chain[CONSTANT.gap_N] > 0.0:
@@ -155,7 +165,15 @@ def _invert_clamp(voltage_V: float, limit_V: float, knee_V: float) -> float:
 
 @numba.njit(cache=True)
 def commit_chain_step(packed: Array, chain: Array, voltage_V: float) -> None:
-    """Advance every state by a tick in which `voltage_V` [V] was written."""
+    """Advance every state by a tick in which `voltage_V` [V] was written.
+
+    Parameters
+    ----------
+    packed, chain
+        As in `plan_chain_step`; their states change.
+    voltage_V
+        Voltage that was written [V].
+    """
     plays = int(packed[0])
     given_V = clamp_step(voltage_V, chain[CONSTANT.clamp_limit_V], chain[CONSTANT.clamp_knee_V])
     before_V, applied_V = chain[STATE.slewed_V], chain[STATE.applied_V]
@@ -184,7 +202,13 @@ def commit_chain_step(packed: Array, chain: Array, voltage_V: float) -> None:
 
 @numba.njit(cache=True)
 def start_chain(packed: Array, chain: Array) -> None:
-    """Set the states to rest at the present states of the plays."""
+    """Set the states to rest at the present states of the plays.
+
+    Parameters
+    ----------
+    packed, chain
+        As in `plan_chain_step`; the states of `chain` change.
+    """
     plays = int(packed[0])
     voltage_V = packed[HEADER + 2 * plays]  # the play with threshold 0 equals its input
     chain[STATE.slewed_V] = chain[STATE.applied_V] = chain[STATE.start_V] = voltage_V

@@ -46,7 +46,13 @@ def load_model(path: Path) -> Model:
 
 
 def dump_model(model: Model) -> str:
-    """Text of the model file of `model`."""
+    """Text of the model file of `model`.
+
+    Parameters
+    ----------
+    model
+        Identified or diagnosed model.
+    """
     content = model.model_dump(by_alias=True, exclude_none=True)
     if not model.effects:
         del content["effects"]
@@ -94,7 +100,17 @@ def _refuse_other_file(path: Path) -> None:
 
 
 def file_sha256(path: Path) -> str:
-    """SHA-256 of a file, as `Provenance` stores it."""
+    """SHA-256 of a file, as `Provenance` stores it.
+
+    Parameters
+    ----------
+    path
+        The file.
+
+    Returns
+    -------
+    64 hexadecimal digits.
+    """
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
 

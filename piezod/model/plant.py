@@ -144,7 +144,15 @@ def _widening(
 
 
 def behind(effect: Effect, context: Context) -> Context:
-    """Context of the signal behind an effect; an effect that smooths makes it run straight between samples."""
+    """Context of the signal behind an effect; an effect that smooths makes it run straight between samples.
+
+    Parameters
+    ----------
+    effect
+        Effect that the signal has passed.
+    context
+        Context in front of the effect.
+    """
     return replace(context, hold=STRAIGHT) if effect.smooths else context
 
 

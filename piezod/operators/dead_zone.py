@@ -20,14 +20,34 @@ Array = NDArray[np.float64]
 
 @numba.njit(cache=True)
 def dead_zone(r: float, x: float) -> float:
-    """Output of one dead zone of threshold `r` at the input `x` (3.6)."""
+    """Output of one dead zone of threshold `r` at the input `x` (3.6).
+
+    Parameters
+    ----------
+    r
+        Threshold [unit of x], any sign; 0: the linear part.
+    x
+        Input.
+    """
     beyond = x - r
     return beyond if r == 0.0 or (r > 0.0) == (beyond > 0.0) else 0.0
 
 
 @numba.njit(cache=True)
 def dead_zone_step(packed: Array, base: int, count: int, x: float) -> float:
-    """Weighted sum of the dead zones at the input `x` (3.7)."""
+    """Weighted sum of the dead zones at the input `x` (3.7).
+
+    Parameters
+    ----------
+    packed
+        Array with thresholds at `base` and weights at `base + count`.
+    base
+        Index of the first threshold.
+    count
+        Number of dead zones, at least 1.
+    x
+        Input [unit of a threshold].
+    """
     y = 0.0
     for j in range(count):
         y += packed[base + count + j] * dead_zone(packed[base + j], x)
@@ -36,14 +56,34 @@ def dead_zone_step(packed: Array, base: int, count: int, x: float) -> float:
 
 @numba.njit(cache=True)
 def dead_zone_run(packed: Array, base: int, count: int, x: Array, y: Array) -> None:
-    """Write `dead_zone_step` over the record `x`, shape (N,), into `y`, shape (N,)."""
+    """Write `dead_zone_step` over the record `x`, shape (N,), into `y`, shape (N,).
+
+    Parameters
+    ----------
+    packed, base, count
+        As in `dead_zone_step`.
+    x
+        Input record, shape (N,) [unit of a threshold].
+    y
+        Buffer for the weighted sums, shape (N,).
+    """
     for k in range(x.size):
         y[k] = dead_zone_step(packed, base, count, x[k])
 
 
 @numba.njit(cache=True)
 def dead_zone_columns(thresholds: Array, x: Array, columns: Array) -> None:
-    """Write each dead zone over the record `x`, shape (N,), into `columns`, shape (N, count): columns of (3.15)."""
+    """Write each dead zone over the record `x`, shape (N,), into `columns`, shape (N, count): columns of (3.15).
+
+    Parameters
+    ----------
+    thresholds
+        Shape (count,).
+    x
+        Input record, shape (N,) [unit of a threshold].
+    columns
+        Buffer for the outputs, shape (N, count) [unit of x].
+    """
     for k in range(x.size):
         for j in range(thresholds.size):
             columns[k, j] = dead_zone(thresholds[j], x[k])
@@ -86,6 +126,11 @@ def shifted(thresholds: Array, weights: Array, shift: float) -> tuple[Array, Arr
 def split(thresholds: Array, weights: Array) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
     """Both sides as superpositions with thresholds that increase from 0.
 
+    Parameters
+    ----------
+    thresholds, weights
+        Dead zones, shape (m + 1,); thresholds increase, exactly one is 0.
+
     Returns
     -------
     upper, lower
@@ -98,7 +143,17 @@ def split(thresholds: Array, weights: Array) -> tuple[tuple[Array, Array], tuple
 
 
 def inverse_dead_zone(thresholds: Array, weights: Array) -> tuple[Array, Array]:
-    """Thresholds and weights of the inverse (3.31 to 3.33, 3.35, 3.36); applied twice it returns its input."""
+    """Thresholds and weights of the inverse (3.31 to 3.33, 3.35, 3.36); applied twice it returns its input.
+
+    Parameters
+    ----------
+    thresholds, weights
+        Dead zones that pass `check_dead_zone`, shape (m + 1,).
+
+    Returns
+    -------
+    Both of shape (m + 1,): thresholds [unit of the output], weights [inverse of the unit of `weights`].
+    """
     upper, lower = split(thresholds, weights)
     upper_thresholds, upper_weights = inverse_table(*upper)
     lower_thresholds, lower_weights = inverse_table(*lower)

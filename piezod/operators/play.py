@@ -23,13 +23,27 @@ MOST_NEWTON = 60  # steps: at most one for each linear piece, and some bisection
 
 @numba.njit(cache=True)
 def next_state(z: float, r: float, u: float) -> float:
-    """State of a play of threshold `r` and state `z` after its input has moved to `u`: (3.1), for r at least 0."""
+    """State of a play of threshold `r` and state `z` after its input has moved to `u`: (3.1), for r at least 0.
+
+    Parameters
+    ----------
+    z, r, u
+        State, threshold of at least 0 and new input, all in one unit.
+    """
     return min(max(z, u - r), u + r)
 
 
 @numba.njit(cache=True)
 def play_step(packed: Array, base: int, count: int, u: float) -> float:
-    """Move every play to the input `u` and return the weighted sum of the states."""
+    """Move every play to the input `u` and return the weighted sum of the states.
+
+    Parameters
+    ----------
+    packed, base, count
+        Array with thresholds, weights and states from index `base` on, `count` of each; the states change.
+    u
+        New input [unit of a threshold].
+    """
     v = 0.0
     weights, states = base + WEIGHT * count, base + STATE * count
     for i in range(count):
@@ -41,7 +55,7 @@ def play_step(packed: Array, base: int, count: int, u: float) -> float:
 
 @numba.njit(cache=True)
 def play_value(packed: Array, base: int, count: int) -> float:
-    """Weighted sum of the present states; moves no state."""
+    """Weighted sum of the present states; arguments as in `play_step`; moves no state."""
     v = 0.0
     weights, states = base + WEIGHT * count, base + STATE * count
     for i in range(count):
@@ -55,6 +69,13 @@ def play_solve(packed: Array, base: int, count: int, v: float) -> float:
 
     The sum is a strictly increasing, piecewise linear function of u. From consistent states the plays start to move in
     the order of i: play i at z_i + r_i upwards, at z_i - r_i downwards. One scan over the plays therefore finds u.
+
+    Parameters
+    ----------
+    packed, base, count
+        As in `play_step`; threshold 0 is 0 and every partial sum of the weights is above 0.
+    v
+        Weighted sum to reach [unit of u times a weight].
     """
     weights, states = base + WEIGHT * count, base + STATE * count
     missing = v - play_value(packed, base, count)
@@ -79,6 +100,13 @@ def play_wider_step(packed: Array, base: int, count: int, u: float, factor: floa
 
     Source: Al Janaideh and Krejci (2013), Inverse Rate-Dependent Prandtl-Ishlinskii Model for Feedforward Compensation
     of Hysteresis in a Piezomicropositioning Actuator, IEEE/ASME Transactions on Mechatronics 18(5), 1498-1507.
+
+    Parameters
+    ----------
+    packed, base, count, u
+        As in `play_step`.
+    factor, more
+        Factor [1], above 0, and offset [unit of u], at least 0.
     """
     v = 0.0
     weights, states = base + WEIGHT * count, base + STATE * count
@@ -98,6 +126,11 @@ def play_wider_solve(packed: Array, base: int, count: int, v: float, factor: flo
     After a change of the thresholds the plays need not start to move in the order of i. Newton steps on the increasing,
     piecewise linear sum replace the scan, inside a bracket that shrinks. They end on the linear piece that holds the
     solution, so the result is exact.
+
+    Parameters
+    ----------
+    packed, base, count, v, factor, more
+        As in `play_solve` and `play_wider_step`.
     """
     weights, states = base + WEIGHT * count, base + STATE * count
     u: float = packed[states]
@@ -136,7 +169,15 @@ def play_wider_solve(packed: Array, base: int, count: int, v: float, factor: flo
 
 @numba.njit(cache=True)
 def play_states_run(packed: Array, base: int, count: int, u: Array, states: Array) -> None:
-    """Write the states over the record `u`, shape (N,), into `states`, shape (N, count): the columns of (3.14)."""
+    """Write the states over the record `u`, shape (N,), into `states`, shape (N, count): the columns of (3.14).
+
+    Parameters
+    ----------
+    packed, base, count
+        As in `play_step`.
+    u, states
+        Input record, shape (N,) [unit of a threshold]; buffer for the states, shape (N, count).
+    """
     for k in range(u.size):
         play_step(packed, base, count, u[k])
         for i in range(count):
@@ -145,10 +186,18 @@ def play_states_run(packed: Array, base: int, count: int, u: Array, states: Arra
 
 @numba.njit(cache=True)
 def play_run(packed: Array, base: int, count: int, u: Array, factor: Array, offset: Array, v: Array) -> None:
-    """Write `play_wider_step` over the record `u`, shape (N,), into `v`, shape (N,).
+    """Write `play_wider_step` over the record `u` into `v`.
 
-    `factor` and `offset` have shape (N,), or are empty for 1 and 0. Theory: piezod/operators/README.md, "Thresholds
-    that change with time".
+    Theory: piezod/operators/README.md, "Thresholds that change with time".
+
+    Parameters
+    ----------
+    packed, base, count
+        As in `play_step`.
+    u, v
+        Input record [unit of a threshold] and buffer for the weighted sums, shape (N,).
+    factor, offset
+        Factor [1] and offset [unit of u] of the thresholds, shape (N,); empty: 1 and 0.
     """
     for k in range(u.size):
         wider = factor[k] if factor.size else 1.0
@@ -224,6 +273,11 @@ def check_superposition(what: str, thresholds: Array, weights: Array, eps: float
 
 def check_states(thresholds: Array, states: Array) -> None:
     """Refuse states that no input can produce: |z_i - z_{i-1}| <= r_i - r_{i-1} must hold (derived here).
+
+    Parameters
+    ----------
+    thresholds, states
+        Thresholds, increasing from 0, and states of the plays, shape (n + 1,), both in one unit.
 
     Raises
     ------

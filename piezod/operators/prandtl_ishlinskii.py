@@ -31,7 +31,15 @@ HEADER = 3  # numbers in front of the thresholds of the plays
 
 @numba.njit(cache=True)
 def forward_step(packed: Array, u: float) -> float:
-    """Advance by one sample: y = S[H[u]] + offset."""
+    """Advance by one sample: y = S[H[u]] + offset.
+
+    Parameters
+    ----------
+    packed
+        Packed array of a `PrandtlIshlinskii`; its states change.
+    u
+        New input [unit of a play threshold].
+    """
     plays, zones = int(packed[0]), int(packed[1])
     v = play_step(packed, HEADER, plays, u)
     y: float = dead_zone_step(packed, HEADER + 3 * plays, zones, v) + packed[2]
@@ -40,14 +48,32 @@ def forward_step(packed: Array, u: float) -> float:
 
 @numba.njit(cache=True)
 def forward_run(packed: Array, u: Array, y: Array) -> None:
-    """Write `forward_step` over the record `u`, shape (N,), into `y`, shape (N,)."""
+    """Write `forward_step` over the record `u`, shape (N,), into `y`, shape (N,).
+
+    Parameters
+    ----------
+    packed
+        As in `forward_step`.
+    u
+        Input record, shape (N,).
+    y
+        Buffer for the outputs, shape (N,).
+    """
     for k in range(u.size):
         y[k] = forward_step(packed, u[k])
 
 
 @numba.njit(cache=True)
 def plan_step(packed: Array, y: float) -> float:
-    """Input at which the output would be `y`; moves no state."""
+    """Input at which the output would be `y`; moves no state.
+
+    Parameters
+    ----------
+    packed
+        Packed array of an `ImplicitInverse`.
+    y
+        Output to reach [unit of the operator's output].
+    """
     plays, zones = int(packed[0]), int(packed[1])
     v = dead_zone_step(packed, HEADER + 3 * plays, zones, y - packed[2])
     return play_solve(packed, HEADER, plays, v)
@@ -55,13 +81,33 @@ def plan_step(packed: Array, y: float) -> float:
 
 @numba.njit(cache=True)
 def commit_step(packed: Array, u: float) -> None:
-    """Move the states of the plays with the input that was applied."""
+    """Move the states of the plays with the input that was applied.
+
+    Parameters
+    ----------
+    packed
+        Packed array of a `PrandtlIshlinskii` or an `ImplicitInverse`; its states change.
+    u
+        Applied input [unit of a play threshold].
+    """
     play_step(packed, HEADER, int(packed[0]), u)
 
 
 @numba.njit(cache=True)
 def plan_commit_run(packed: Array, y: Array, low: float, high: float, u: Array) -> None:
-    """Plan, clamp to [low, high] and commit over the record `y`, shape (N,); the inputs go into `u`, shape (N,)."""
+    """Plan, clamp to [low, high] and commit over the record `y`, shape (N,); the inputs go into `u`, shape (N,).
+
+    Parameters
+    ----------
+    packed
+        Packed array of an `ImplicitInverse`; its states change.
+    y
+        Outputs to reach, shape (N,).
+    low, high
+        Limits of the input; low is at most high.
+    u
+        Buffer for the inputs, shape (N,).
+    """
     for k in range(y.size):
         u[k] = min(max(plan_step(packed, y[k]), low), high)
         commit_step(packed, u[k])

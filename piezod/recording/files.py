@@ -81,6 +81,13 @@ def read_recording(path: Path) -> Recording:
 def write_recording(recording: Recording, path: Path) -> None:
     """Write a recording in the format of the file's suffix; an error leaves an existing file unchanged.
 
+    Parameters
+    ----------
+    recording
+        Recording to write.
+    path
+        Target file; its suffix selects the format.
+
     Raises
     ------
     RecordingError
@@ -94,6 +101,13 @@ def write_recording(recording: Recording, path: Path) -> None:
 
 def convert(source: Path, target: Path) -> Recording:
     """Rewrite a recording in the format of another suffix, and return it.
+
+    Parameters
+    ----------
+    source
+        Recording file to read; it is not changed.
+    target
+        File to write; another file than `source`.
 
     Raises
     ------
@@ -144,6 +158,11 @@ def open_stream(path: Path, columns: Sequence[str] | None = None, chunk: int = 6
 def column_names(path: Path) -> tuple[str, ...]:
     """Names of a file's columns, `time_s` among them; the numbers are not read.
 
+    Parameters
+    ----------
+    path
+        Recording file.
+
     Raises
     ------
     RecordingError
@@ -176,7 +195,14 @@ def check_output_path(target: Path, recordings: Sequence[Path] = ()) -> None:
 
 
 def check_recording_target(target: Path, recordings: Sequence[Path] = ()) -> None:
-    """Check, before the work begins, that a recording can be written to a file; parameters as `check_output_path`.
+    """Check, before the work begins, that a recording can be written to a file.
+
+    Parameters
+    ----------
+    target
+        File to write.
+    recordings
+        Files that the command reads and must not overwrite.
 
     Raises
     ------

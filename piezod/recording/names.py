@@ -39,7 +39,13 @@ def channel_name(name: str, unit: str = "") -> str:
 
 
 def unit_of(name: str) -> str:
-    """Unit at the end of a channel name: `slew_V_per_s` -> `V_per_s`; empty for a name without unit."""
+    """Unit at the end of a channel name: `slew_V_per_s` -> `V_per_s`; empty for a name without unit.
+
+    Parameters
+    ----------
+    name
+        Channel name.
+    """
     found = _UNIT.search(name)
     return found["unit"] if found else ""
 

@@ -13,7 +13,13 @@ MOST_PLACES = 5
 
 
 def describe_timing(recording: Recording) -> list[str]:
-    """Lines about unequal sample periods and gaps in time, for a recording of at least two samples."""
+    """Lines about unequal sample periods and gaps in time, for a recording of at least two samples.
+
+    Parameters
+    ----------
+    recording
+        Recording of at least two samples.
+    """
     time_s = recording.time_s
     lines = []
     if not recording.uniform:
@@ -29,7 +35,20 @@ def describe_timing(recording: Recording) -> list[str]:
 
 
 def describe_missing(recording: Recording, name: str) -> list[str]:
-    """Line about the missing samples of a channel: number, share, time of the first; no line for a complete channel."""
+    """Line about the missing samples of a channel: number, share, time of the first; no line for a complete channel.
+
+    Parameters
+    ----------
+    recording
+        Recording with this channel.
+    name
+        Name of the channel.
+
+    Raises
+    ------
+    RecordingError
+        The recording has no channel of this name.
+    """
     mask = recording.missing(name)
     if not mask.any():
         return []

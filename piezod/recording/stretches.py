@@ -45,13 +45,25 @@ def long_runs(values: Array, at_least: int) -> tuple[NDArray[np.intp], NDArray[n
 
 
 def median_period(time_s: Array) -> float:
-    """Median sample period of at least two samples [s]; for a long recording, of about a million of its periods."""
+    """Median sample period of at least two samples [s]; for a long recording, of about a million of its periods.
+
+    Parameters
+    ----------
+    time_s
+        Times [s], shape (N,), strictly increasing, N at least 2.
+    """
     every = max(1, time_s.size // BLOCK)
     return float(np.median(time_s[1::every] - time_s[:-1:every]))
 
 
 def extreme_periods(time_s: Array) -> tuple[float, float]:
-    """Shortest and longest sample period of at least two samples [s]."""
+    """Shortest and longest sample period of at least two samples [s].
+
+    Parameters
+    ----------
+    time_s
+        Times [s], shape (N,), strictly increasing, N at least 2.
+    """
     shortest_s, longest_s = np.inf, 0.0
     for at in range(0, time_s.size - 1, BLOCK):
         periods = np.diff(time_s[at : at + BLOCK + 1])
@@ -60,7 +72,13 @@ def extreme_periods(time_s: Array) -> tuple[float, float]:
 
 
 def gaps(time_s: Array) -> list[Stretch]:
-    """(sample before, sample after) each pause of more than `GAP_PERIODS` median sample periods."""
+    """(sample before, sample after) each pause of more than `GAP_PERIODS` median sample periods.
+
+    Parameters
+    ----------
+    time_s
+        Times [s], shape (N,), strictly increasing.
+    """
     if time_s.size < 2:
         return []
     longest_s = GAP_PERIODS * median_period(time_s)
@@ -101,5 +119,11 @@ def interpolated(time_s: Array, values: Array, at_s: Array, longest_s: float) ->
 
 
 def pairs(starts: NDArray[np.intp], stops: NDArray[np.intp]) -> list[Stretch]:
-    """List of (start, stop) from their arrays, each shape (n,)."""
+    """List of (start, stop) from their arrays, each shape (n,).
+
+    Parameters
+    ----------
+    starts, stops
+        Sample numbers, each of shape (n,).
+    """
     return list(zip(starts.tolist(), stops.tolist(), strict=True))

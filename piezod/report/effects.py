@@ -11,6 +11,11 @@ from piezod.report.text_table import text_table
 def effect_named(name: str) -> Effect:
     """Return an entry of the catalogue.
 
+    Parameters
+    ----------
+    name
+        Name of the effect, exactly as in the catalogue.
+
     Raises
     ------
     UsageError
@@ -35,7 +40,13 @@ def effects_table() -> str:
 
 
 def effect_page(effect: Effect) -> str:
-    """Format the documentation of an effect, its parameters with unit and range, and its handling."""
+    """Format the documentation of an effect, its parameters with unit and range, and its handling.
+
+    Parameters
+    ----------
+    effect
+        Entry of the catalogue.
+    """
     rows = [("parameter", "unit", "range", "")]
     rows += [(one.name, one.unit, _range(one), "nuisance" if one.search.nuisance else "") for one in effect.parameters]
     table = "\n".join(text_table(rows, left_aligned=4))
@@ -50,7 +61,13 @@ def effect_page(effect: Effect) -> str:
 
 
 def effect_as_dict(effect: Effect) -> dict[str, Any]:
-    """Return an effect for JSON."""
+    """Return an effect for JSON.
+
+    Parameters
+    ----------
+    effect
+        Entry of the catalogue.
+    """
     return {
         "name": effect.name,
         "title": effect.title,

@@ -27,7 +27,13 @@ START_WINDOW = 2000  # samples at the start that estimate the initial state of a
 
 
 def identification_as_dict(identification: Identification) -> dict[str, Any]:
-    """Return the result for JSON."""
+    """Return the result for JSON.
+
+    Parameters
+    ----------
+    identification
+        Model, orders and errors of an identification.
+    """
     fit = identification.model.provenance.fit
     chosen = identification.chosen
     assert chosen.fit is not None
@@ -49,7 +55,13 @@ def identification_as_dict(identification: Identification) -> dict[str, Any]:
 
 
 def print_identification(identification: Identification) -> None:
-    """Print orders, errors, operators and notes."""
+    """Print orders, errors, operators and notes.
+
+    Parameters
+    ----------
+    identification
+        Model, orders and errors of an identification.
+    """
     model, chosen = identification.model, identification.chosen
     unit = model.output.unit
     print(f"held-out rms error [{unit}] for n plays (rows) and m dead zones (columns):")

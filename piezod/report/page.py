@@ -20,7 +20,13 @@ Part = str | Sequence[Model]  # HTML, or figures side by side
 
 
 def axis_label(channel: str) -> str:
-    """Label of an axis from the name of a column: `displacement_um` becomes displacement [µm]."""
+    """Label of an axis from the name of a column: `displacement_um` becomes displacement [µm].
+
+    Parameters
+    ----------
+    channel
+        Name of the column, with its unit last.
+    """
     name, _, unit = channel.rpartition("_")
     return f"{name.replace('_', ' ')} [{unit_words(unit)}]" if name else channel
 
@@ -45,12 +51,26 @@ def table_html(header: Sequence[str], rows: Sequence[Sequence[str]], groups: Seq
 
 
 def head_html(title: str, verdict: str) -> str:
-    """Heading of a page, and the verdict below it."""
+    """Heading of a page, and the verdict below it.
+
+    Parameters
+    ----------
+    title
+        Title as plain text.
+    verdict
+        Verdict in a sentence, as plain text.
+    """
     return f"<header><h1>{html.escape(title)}</h1><p class='lead'>{html.escape(verdict)}</p></header>"
 
 
 def placeholder(name: str) -> str:
-    """Comment that `write_html` replaces by the figure of that name."""
+    """Comment that `write_html` replaces by the figure of that name.
+
+    Parameters
+    ----------
+    name
+        Name of the figure.
+    """
     return f"<!--{name}-->"
 
 
@@ -123,6 +143,13 @@ def write_html(path: Path, title: str, body: str, figures: Mapping[str, Model]) 
 
 def write_text(path: Path, text: str) -> None:
     """Write a text file atomically, and make its folder.
+
+    Parameters
+    ----------
+    path
+        File to write or to replace.
+    text
+        New content.
 
     Raises
     ------

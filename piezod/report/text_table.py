@@ -4,7 +4,13 @@ from collections.abc import Sequence
 
 
 def column_widths(rows: Sequence[Sequence[str]]) -> list[int]:
-    """Number of characters of the widest cell of each column."""
+    """Number of characters of the widest cell of each column.
+
+    Parameters
+    ----------
+    rows
+        Cells of each row, equally many in every row; at least one row.
+    """
     return [max(map(len, column)) for column in zip(*rows, strict=True)]
 
 

@@ -19,7 +19,17 @@ STEEP = 20.0  # gap over (limit tau) above which the slew rate equals the limit
 
 
 def clamp(voltage_V: Array, limit_V: float, knee_V: float) -> Array:
-    """Clamped voltage: smooth minimum of command and limit, with a knee of about `knee_V`, shape (n,) [V]."""
+    """Clamped voltage: smooth minimum of command and limit, with a knee of about `knee_V`, shape (n,) [V].
+
+    Parameters
+    ----------
+    voltage_V
+        Command, shape (n,) [V].
+    limit_V
+        Highest output voltage [V], above 0.
+    knee_V
+        Width of the knee [V], above 0.
+    """
     below = (limit_V - voltage_V) / knee_V
     clamped = limit_V - knee_V * np.logaddexp(0.0, below)
     # The shift keeps 0 V at 0 V.
@@ -29,7 +39,17 @@ def clamp(voltage_V: Array, limit_V: float, knee_V: float) -> Array:
 
 @njit(cache=True)
 def rate_limited(voltage_V: Array, limit_V_per_s: float, dt_s: float) -> Array:
-    """Commands with a limited rate of change, shape (n,) [V]."""
+    """Commands with a limited rate of change, shape (n,) [V].
+
+    Parameters
+    ----------
+    voltage_V
+        Command, shape (n,) [V], n at least 1.
+    limit_V_per_s
+        Highest rate of change [V/s], above 0.
+    dt_s
+        Sample period [s], above 0.
+    """
     out = np.empty(voltage_V.size)
     most, now = limit_V_per_s * dt_s, voltage_V[0]
     for k in range(voltage_V.size):

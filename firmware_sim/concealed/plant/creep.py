@@ -47,7 +47,15 @@ def curve(law: str, shape: float, from_s: float, to_s: float) -> Curve:
 
 
 def slope_per_decade(response: Curve, from_s: float, to_s: float) -> float:
-    """Slope of a step response against log10(t), fitted between two times (1 per decade)."""
+    """Slope of a step response against log10(t), fitted between two times (1 per decade).
+
+    Parameters
+    ----------
+    response
+        Step response as a function of the time [s].
+    from_s, to_s
+        First and last time of the fit [s], both above 0.
+    """
     times_s = np.geomspace(from_s, to_s, 200)
     return float(np.polyfit(np.log10(times_s), response(times_s), 1)[0])
 
@@ -56,6 +64,15 @@ def creep_response(stroke: Array, response: Curve, dt_s: float) -> Array:
     """Creep that the past rises of a stroke add to it, shape (n,), in the unit of the stroke.
 
     A rise counts at the middle of its step of the grid.
+
+    Parameters
+    ----------
+    stroke
+        Stroke on an equidistant grid, shape (n,); 0 before the first point.
+    response
+        Creep after a step of 1, as a function of the time since the step [s].
+    dt_s
+        Spacing of the grid [s], above 0.
     """
     rises = np.diff(stroke, prepend=0.0)
     after_s: Array = np.asarray((np.arange(stroke.size) + 0.5) * dt_s, dtype=np.float64)

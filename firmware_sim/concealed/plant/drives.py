@@ -80,7 +80,19 @@ class Drive:
 
 
 def identification_voltage(rng: np.random.Generator, reach_V: float, rate_Hz: float, duration_s: float) -> Array:
-    """Slow commands: virgin rise, triangles of varying peak, minor loops, reversals and holds, shape (n,) [V]."""
+    """Slow commands: virgin rise, triangles of varying peak, minor loops, reversals and holds, shape (n,) [V].
+
+    Parameters
+    ----------
+    rng
+        Source of the random draws.
+    reach_V
+        Highest voltage [V], above 0.
+    rate_Hz
+        Sample rate [Hz].
+    duration_s
+        Duration of the record [s].
+    """
     slowest, quickest = reach_V / rng.uniform(6.0, 10.0), reach_V / rng.uniform(1.5, 3.0)
     levels = [0.0, 0.0, *_virgin_rise(rng), 0.0, 1.0, 0.0]
     times = _times(rng, levels, reach_V, slowest, quickest)
@@ -96,7 +108,15 @@ def identification_voltage(rng: np.random.Generator, reach_V: float, rate_Hz: fl
 def mixed_work(
     rng: np.random.Generator, reach_V: float, rate_Hz: float, duration_s: float, most_V_per_s: float
 ) -> Array:
-    """Mixed work from rest over most of the range, with rates up to `most_V_per_s`, shape (n,) [V]."""
+    """Mixed work from rest over most of the range, with rates up to `most_V_per_s`, shape (n,) [V].
+
+    Parameters
+    ----------
+    rng, reach_V, rate_Hz, duration_s
+        As in `identification_voltage`.
+    most_V_per_s
+        Highest rate of change [V/s], above 0.
+    """
     kinds = tuple(PIECES)
     share = rng.dirichlet(np.full(len(kinds), 2.0)) + 0.04
     share /= share.sum()
@@ -115,7 +135,15 @@ def mixed_work(
 
 
 def temperature(rng: np.random.Generator, duration_s: float, rate_Hz: float) -> Array:
-    """Temperature of the bench: a slow random walk, in half of the records with one pulse, shape (n,) [degC]."""
+    """Temperature of the bench: a slow random walk, in half of the records with one pulse, shape (n,) [degC].
+
+    Parameters
+    ----------
+    rng
+        Source of the random draws.
+    duration_s, rate_Hz
+        Duration of the record [s] and sample rate [Hz].
+    """
     time_s = np.arange(round(duration_s * rate_Hz)) / rate_Hz
     knots = np.linspace(0.0, duration_s, int(rng.integers(5, 10)))
     walk = np.cumsum(rng.normal(0.0, 1.0, knots.size))

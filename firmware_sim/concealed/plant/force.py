@@ -11,7 +11,17 @@ from firmware_sim.concealed.plant.sampling import tone, wander
 
 
 def true_force(context: RecordContext, law: ForceLaw, stroke: Signal) -> Signal:
-    """Force on the load cell, on the fine grid [N]."""
+    """Force on the load cell, on the fine grid [N].
+
+    Parameters
+    ----------
+    context
+        Drive and active effects of the record.
+    law
+        Force law of the plant.
+    stroke
+        Free stroke, on the fine grid [V].
+    """
     force_N = law(stroke.values / context.reach_V)
     force_N = _subtract_friction(context, _bend_and_contact(context, force_N))
     force_N = context.with_foreign("force", force_N)
@@ -21,7 +31,17 @@ def true_force(context: RecordContext, law: ForceLaw, stroke: Signal) -> Signal:
 
 
 def edge(time_s: Array, at_s: float, rise_s: float) -> Array:
-    """Rise from 0 to 1 within `rise_s`, half a cosine wave, shape (n,) (1)."""
+    """Rise from 0 to 1 within `rise_s`, half a cosine wave, shape (n,) (1).
+
+    Parameters
+    ----------
+    time_s
+        Times, shape (n,) [s].
+    at_s
+        Begin of the rise [s].
+    rise_s
+        Duration of the rise [s], above 0.
+    """
     rise: Array = 0.5 - 0.5 * np.cos(np.pi * np.clip((time_s - at_s) / rise_s, 0.0, 1.0))
     return rise
 

@@ -38,7 +38,7 @@ def bend(force: Array, amount: float, shape: str) -> Array:
     Parameters
     ----------
     force
-        Relative force, 0 to 1.
+        Relative force, 0 to 1, shape (n,).
     amount
         Strength of the bend, -`MOST_AMOUNT` to `MOST_AMOUNT`, not 0.
     shape
@@ -53,14 +53,32 @@ def bend(force: Array, amount: float, shape: str) -> Array:
 
 
 def curvature(amount: float, shape: str) -> float:
-    """Curvature c of the law g (x + c x^2) fitted to a bend over x = 0 to 1 by least squares (1)."""
+    """Curvature c of the law g (x + c x^2) fitted to a bend over x = 0 to 1 by least squares (1).
+
+    Parameters
+    ----------
+    amount, shape
+        As in `bend`.
+    """
     x = np.linspace(0.0, 1.0, 501)
     slope, square = np.linalg.lstsq(np.column_stack((x, x * x)), bend(x, amount, shape), rcond=None)[0]
     return float(square / slope)
 
 
 def amount_for_curvature(target: float, shape: str) -> float:
-    """Amount of a bend with a given curvature, by bisection."""
+    """Amount of a bend with a given curvature, by bisection.
+
+    Parameters
+    ----------
+    target
+        Curvature [1]; its sign is the sign of the amount.
+    shape
+        As in `bend`.
+
+    Returns
+    -------
+    Amount, at most `MOST_AMOUNT` in size [1].
+    """
     low, high = (0.0, MOST_AMOUNT) if target > 0.0 else (-MOST_AMOUNT, 0.0)
     for _ in range(50):
         middle = 0.5 * (low + high)
@@ -72,7 +90,17 @@ def amount_for_curvature(target: float, shape: str) -> float:
 
 
 def contact(force_N: Array, gap_N: float, softness_N: float) -> Array:
-    """Force that arrives behind a gap, shape (n,) [N]; a hyperbola rounds the corner at `gap_N`."""
+    """Force that arrives behind a gap, shape (n,) [N]; a hyperbola rounds the corner at `gap_N`.
+
+    Parameters
+    ----------
+    force_N
+        Force in front of the gap, shape (n,) [N].
+    gap_N
+        Force that closes the gap [N].
+    softness_N
+        Width of the rounded corner [N], at least 0.
+    """
 
     def arrives(f: Array) -> Array:
         excess = f - gap_N

@@ -38,7 +38,13 @@ def friction_force(force_N: Array, coulomb_N: float, presliding_N: float, break_
 
 
 def stiffness(break_away: float) -> float:
-    """Initial slope s of the relative friction over the travel / presliding travel (1)."""
+    """Initial slope s of the relative friction over the travel / presliding travel (1).
+
+    Parameters
+    ----------
+    break_away
+        Relative friction at which plastic travel begins [1].
+    """
     travel = np.linspace(0.0, 4.0, CURVE_POINTS)
     return float(np.interp(REACHED, _run(travel, 1.0, break_away), travel))
 

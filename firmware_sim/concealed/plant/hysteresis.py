@@ -76,7 +76,17 @@ class Hysteresis:
 
 
 def draw_hysteresis(rng: np.random.Generator, kind: Kind, reach_V: float) -> Hysteresis:
-    """Draw an operator of a kind whose major loop opens by 8 to 15 % of the range."""
+    """Draw an operator of a kind whose major loop opens by 8 to 15 % of the range.
+
+    Parameters
+    ----------
+    rng
+        Source of the random draws.
+    kind
+        Kind of the operator.
+    reach_V
+        Highest voltage of the plant [V], above 0.
+    """
     if kind == "preisach":
         operator: Everett | Stops = everett_by_width(rng, reach_V)
     elif kind == "plays":
@@ -87,7 +97,15 @@ def draw_hysteresis(rng: np.random.Generator, kind: Kind, reach_V: float) -> Hys
 
 
 def draw_noncongruent(rng: np.random.Generator, reach_V: float) -> Hysteresis:
-    """Draw an operator that no sum of play operators can follow."""
+    """Draw an operator that no sum of play operators can follow.
+
+    Parameters
+    ----------
+    rng
+        Source of the random draws.
+    reach_V
+        Highest voltage of the plant [V], above 0.
+    """
     if rng.random() < 0.7:
         return calibrated("preisach", everett_by_bias(rng, reach_V), reach_V, MOST_OPENING)
     stops = Stops(
@@ -97,7 +115,19 @@ def draw_noncongruent(rng: np.random.Generator, reach_V: float) -> Hysteresis:
 
 
 def calibrated(kind: Kind, operator: Everett | Stops, reach_V: float, opening: float) -> Hysteresis:
-    """Scale an operator and choose its share so that the major loop opens by `opening` of the range."""
+    """Scale an operator and choose its share so that the major loop opens by `opening` of the range.
+
+    Parameters
+    ----------
+    kind
+        Kind of the operator.
+    operator
+        Operator to scale.
+    reach_V
+        Highest voltage of the plant [V], above 0.
+    opening
+        Greatest distance of the branches, relative to the range [1].
+    """
     cycle = major_cycles(reach_V)
     found = Hysteresis(kind, operator, 1.0, 1.0, reach_V)
     found = replace(found, scale=reach_V / found.lagging(cycle)[LOOP_POINTS - 1])
@@ -108,13 +138,25 @@ def calibrated(kind: Kind, operator: Everett | Stops, reach_V: float, opening: f
 
 
 def major_cycles(reach_V: float) -> Array:
-    """Two full triangles from rest, shape (4 LOOP_POINTS,) [V]."""
+    """Two full triangles from rest, shape (4 LOOP_POINTS,) [V].
+
+    Parameters
+    ----------
+    reach_V
+        Peak of the triangles [V].
+    """
     up = np.linspace(0.0, reach_V, LOOP_POINTS)
     return np.concatenate((up, up[::-1], up, up[::-1]))
 
 
 def loop_opening(stroke_V: Array) -> float:
-    """Greatest distance of the branches of the second of `major_cycles`, relative to the range (1)."""
+    """Greatest distance of the branches of the second of `major_cycles`, relative to the range (1).
+
+    Parameters
+    ----------
+    stroke_V
+        Output over `major_cycles`, shape (4 LOOP_POINTS,) [V].
+    """
     up, down = stroke_V[2 * LOOP_POINTS : 3 * LOOP_POINTS], stroke_V[3 * LOOP_POINTS :][::-1]
     return float(np.max(np.abs(down - up)) / np.ptp(stroke_V))
 

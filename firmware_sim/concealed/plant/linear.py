@@ -36,26 +36,56 @@ class System:
 
 
 def first_order(time_constant_s: float) -> System:
-    """Low-pass `tau dy/dt = u - y`."""
+    """Low-pass `tau dy/dt = u - y`.
+
+    Parameters
+    ----------
+    time_constant_s
+        tau [s], above 0.
+    """
     rate = np.array([1.0 / time_constant_s])
     return System(-rate[:, None], rate, np.ones(1))
 
 
 def second_order(frequency_Hz: float, damping_ratio: float) -> System:
-    """Low-pass `y'' + 2 d w y' + w^2 y = w^2 u`, gain 1 at rest."""
+    """Low-pass `y'' + 2 d w y' + w^2 y = w^2 u`, gain 1 at rest.
+
+    Parameters
+    ----------
+    frequency_Hz
+        Natural frequency w / (2 pi) [Hz], above 0.
+    damping_ratio
+        d [1].
+    """
     w = 2.0 * math.pi * frequency_Hz
     A = np.array([[0.0, 1.0], [-w * w, -2.0 * damping_ratio * w]])
     return System(A, np.array([0.0, w * w]), np.array([1.0, 0.0]))
 
 
 def high_pass(time_constant_s: float) -> System:
-    """First-order high-pass: the input less its first-order low-pass."""
+    """First-order high-pass: the input less its first-order low-pass.
+
+    Parameters
+    ----------
+    time_constant_s
+        Time constant of the low-pass [s], above 0.
+    """
     low = first_order(time_constant_s)
     return System(low.A, low.B, -low.C, 1.0)
 
 
 def cascade(first: System, second: System) -> System:
-    """Two low-passes in series."""
+    """Two low-passes in series.
+
+    Parameters
+    ----------
+    first, second
+        Low-passes without direct feedthrough, of n and m states.
+
+    Returns
+    -------
+    System of n + m states.
+    """
     n, m = first.B.size, second.B.size
     A = np.zeros((n + m, n + m))
     A[:n, :n], A[n:, n:] = first.A, second.A
@@ -64,7 +94,17 @@ def cascade(first: System, second: System) -> System:
 
 
 def exponential(matrix: Array) -> Array:
-    """Exponential of a small square matrix by scaling, Taylor series and squaring."""
+    """Exponential of a small square matrix by scaling, Taylor series and squaring.
+
+    Parameters
+    ----------
+    matrix
+        Square matrix, shape (n, n).
+
+    Returns
+    -------
+    Shape (n, n).
+    """
     norm = float(np.abs(matrix).sum(axis=1).max())
     halvings = max(0, math.ceil(math.log2(2.0 * norm))) if norm > 0.0 else 0
     small = matrix / 2.0**halvings

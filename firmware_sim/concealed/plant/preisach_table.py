@@ -48,7 +48,15 @@ class Everett:
 
 
 def everett_by_width(rng: np.random.Generator, reach_V: float) -> Everett:
-    """Draw a density of the width alone: a sum of two to four Gaussians."""
+    """Draw a density of the width alone: a sum of two to four Gaussians.
+
+    Parameters
+    ----------
+    rng
+        Source of the random draws.
+    reach_V
+        Highest voltage of the plant [V], above 0.
+    """
     d = np.linspace(0.0, 2.0 * reach_V, WIDTH_POINTS)
     density = np.zeros(d.size)
     for _ in range(rng.integers(2, 5)):
@@ -61,7 +69,15 @@ def everett_by_width(rng: np.random.Generator, reach_V: float) -> Everett:
 
 
 def everett_by_bias(rng: np.random.Generator, reach_V: float) -> Everett:
-    """Draw a density that also depends on the bias (a + b) / 2: a ridge across the plane."""
+    """Draw a density that also depends on the bias (a + b) / 2: a ridge across the plane.
+
+    Parameters
+    ----------
+    rng
+        Source of the random draws.
+    reach_V
+        Highest voltage of the plant [V], above 0.
+    """
     axis = np.linspace(-reach_V, reach_V, GRID_POINTS)
     b, a = np.meshgrid(axis, axis, indexing="ij")
     width, bias = a - b, 0.5 * (a + b)

@@ -10,12 +10,32 @@ NEAR = 1e-6  # [grid steps]; a position this close to a point is on the point
 
 
 def tone(time_s: Array, frequency_Hz: float, phase: Array) -> Array:
-    """Sine with a phase [rad] for every time, shape (n,) (1)."""
+    """Sine with a phase [rad] for every time, shape (n,) (1).
+
+    Parameters
+    ----------
+    time_s
+        Times, shape (n,) [s].
+    frequency_Hz
+        Frequency [Hz].
+    phase
+        Phase, shape (n,) [rad].
+    """
     return np.sin(2.0 * np.pi * frequency_Hz * time_s + phase)
 
 
 def wander(rng: np.random.Generator, time_s: Array, correlation_s: float) -> Array:
-    """Smooth stationary random signal of standard deviation 1, shape (n,) (1)."""
+    """Smooth stationary random signal of standard deviation 1, shape (n,) (1).
+
+    Parameters
+    ----------
+    rng
+        Source of the random draws.
+    time_s
+        Ascending times from 0, shape (n,) [s].
+    correlation_s
+        Correlation time [s], above 0.
+    """
     every_s = 0.25 * correlation_s
     knots = rng.normal(0.0, 1.0, int(time_s[-1] / every_s) + 8)
     smooth = np.convolve(knots, np.array([0.5, 1.0, 0.5]) / 1.5**0.5, mode="same")
@@ -28,7 +48,7 @@ def read_at(signal: Array, positions: Array, *, held: bool) -> Array:
     Parameters
     ----------
     signal
-        Values on the grid; constant before the first point.
+        Values on the grid, shape (m,); constant before the first point.
     positions
         Positions to read [grid steps], shape (n,).
     held
@@ -52,7 +72,23 @@ def read_at(signal: Array, positions: Array, *, held: bool) -> Array:
 
 
 def noise(rng: np.random.Generator, samples: int, rms: float, kind: str, rate_Hz: float, corner_Hz: float) -> Array:
-    """Noise of a given rms, shape (n,); of `coloured` noise, half the power lies below the corner."""
+    """Noise of a given rms, shape (n,); of `coloured` noise, half the power lies below the corner.
+
+    Parameters
+    ----------
+    rng
+        Source of the random draws.
+    samples
+        Number of samples n.
+    rms
+        Standard deviation, in the unit of the result.
+    kind
+        "coloured"; any other kind is white.
+    rate_Hz
+        Sample rate [Hz].
+    corner_Hz
+        Corner of coloured noise [Hz]; white noise does not use it.
+    """
     white = rng.normal(0.0, 1.0, samples)
     if kind != "coloured":
         return rms * white
@@ -64,12 +100,30 @@ def noise(rng: np.random.Generator, samples: int, rms: float, kind: str, rate_Hz
 
 
 def quantised(values: Array, step: float) -> Array:
-    """Values rounded to the steps of a converter, shape (n,)."""
+    """Values rounded to the steps of a converter, shape (n,).
+
+    Parameters
+    ----------
+    values
+        Readings, shape (n,).
+    step
+        Step of the converter [unit of a reading], above 0.
+    """
     return step * np.rint(values / step)
 
 
 def frozen(values: Array, time_s: Array, spans_s: Sequence[tuple[float, float]]) -> Array:
-    """Readings that keep their last value during given spans (start, end) [s], shape (n,)."""
+    """Readings that keep their last value during given spans (start, end) [s], shape (n,).
+
+    Parameters
+    ----------
+    values
+        Readings, shape (n,).
+    time_s
+        Ascending times, shape (n,) [s].
+    spans_s
+        Spans (start, end) [s].
+    """
     result = values.copy()
     for start_s, end_s in spans_s:
         first, end = np.searchsorted(time_s, [start_s - 1e-9, end_s - 1e-9])

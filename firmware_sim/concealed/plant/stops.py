@@ -59,7 +59,17 @@ class Stops:
 
 
 def master_curve(exponent: float) -> tuple[Array, Array]:
-    """Master curve: relative deflections z/r, and the relative travel that reaches each of them."""
+    """Master curve: relative deflections z/r, and the relative travel that reaches each of them.
+
+    Parameters
+    ----------
+    exponent
+        Exponent of the smooth stop [1], above 0.
+
+    Returns
+    -------
+    Deflections and travels [1], both of shape (MASTER_POINTS,).
+    """
     part = np.linspace(0.0, 1.0, MASTER_POINTS)
     size = LARGEST_SIZE * (1.0 - (1.0 - part) ** 3)
     slope = 1.0 / (1.0 - size**exponent)

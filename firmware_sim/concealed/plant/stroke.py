@@ -13,7 +13,13 @@ SLEW_TAU = 0.02  # time constant below the slew limit [samples]
 
 
 def output_voltage(context: RecordContext) -> Signal:
-    """Voltage at the stack, on the fine grid [V]."""
+    """Voltage at the stack, on the fine grid [V].
+
+    Parameters
+    ----------
+    context
+        Drive and active effects of the record.
+    """
     drive, held = context.drive, context.drive.held
     voltage_V = drive.fine_voltage_V()
     if on := context.on("voltage_clamp"):
@@ -30,7 +36,19 @@ def output_voltage(context: RecordContext) -> Signal:
 
 
 def hysteretic_stroke(context: RecordContext, core: Hysteresis, noncongruent: Hysteresis, voltage: Signal) -> Signal:
-    """Stroke behind the hysteresis, on the fine grid, expressed in volts [V]."""
+    """Stroke behind the hysteresis, on the fine grid, expressed in volts [V].
+
+    Parameters
+    ----------
+    context
+        Drive and active effects of the record.
+    core
+        Operator of the plant.
+    noncongruent
+        Operator of the effect `noncongruent_minor_loops`.
+    voltage
+        Voltage at the stack, on the fine grid [V].
+    """
     voltage_V, widening, other = voltage.values, None, None
     if on := context.on("rate_dependent_hysteresis"):
         rate = _rate_V_per_s(context, voltage_V) / on.parameters["reference_V_per_s"]
@@ -42,7 +60,15 @@ def hysteretic_stroke(context: RecordContext, core: Hysteresis, noncongruent: Hy
 
 
 def free_stroke(context: RecordContext, stroke: Signal) -> Signal:
-    """Stroke with creep and drift of the gain, on the fine grid [V]."""
+    """Stroke with creep and drift of the gain, on the fine grid [V].
+
+    Parameters
+    ----------
+    context
+        Drive and active effects of the record.
+    stroke
+        Stroke behind the hysteresis, on the fine grid [V].
+    """
     values = stroke.values
     if on := context.on("creep"):
         response = curve(on.text("law"), on.number("shape"), on.parameters["from_s"], on.parameters["to_s"])

@@ -154,7 +154,15 @@ class HeldOut:
 
 
 def gap_closed(case: TrueCase, forces: HeldOut) -> float | None:
-    """Share of the held-out gap that the extended model closes (1); None: not counted."""
+    """Share of the held-out gap that the extended model closes (1); None: not counted.
+
+    Parameters
+    ----------
+    case
+        True case.
+    forces
+        True and simulated forces of the held-out record [N].
+    """
     if not case.effects or case.foreign or case.names <= UNREPEATABLE:
         return None
     if forces.base_N is None or forces.extended_N is None:
@@ -166,7 +174,13 @@ def gap_closed(case: TrueCase, forces: HeldOut) -> float | None:
 
 
 def same_place(true: Place, found: Place) -> bool:
-    """Whether a reported place matches a true one."""
+    """Whether a reported place matches a true one.
+
+    Parameters
+    ----------
+    true, found
+        Place of the truth and place of the findings.
+    """
     if true.axis != found.axis or (found.recording and true.recording and found.recording != true.recording):
         return False
     if true.axis == "time_s":

@@ -84,7 +84,13 @@ class ConfidenceBin:
 
 
 def figures(scores: Sequence[CaseScore]) -> list[Figure]:
-    """All figures of a study, in the order of the table."""
+    """All figures of a study, in the order of the table.
+
+    Parameters
+    ----------
+    scores
+        Score of every case of the study.
+    """
     kinds = ("null", "single", "pair", "triple", "foreign")
     of_kind = {kind: [j for j in scores if j.case.kind == kind] for kind in kinds}
     strong = [j for j in of_kind["single"] if j.case.effects[0].strength >= STRONG]
@@ -115,7 +121,13 @@ def figures(scores: Sequence[CaseScore]) -> list[Figure]:
 
 
 def calibration_bins(scores: Iterable[CaseScore]) -> list[ConfidenceBin]:
-    """Names in equal bins of confidence, empty bins left out."""
+    """Names in equal bins of confidence, empty bins left out.
+
+    Parameters
+    ----------
+    scores
+        Score of every case of the study.
+    """
     names = [name for j in scores for name in j.names_right]
     bins = []
     for k in range(BINS):
@@ -127,7 +139,15 @@ def calibration_bins(scores: Iterable[CaseScore]) -> list[ConfidenceBin]:
 
 
 def wilson(hits: int, count: int) -> tuple[float, float]:
-    """Wilson's interval of a share at 95 % (1)."""
+    """Wilson's interval of a share at 95 % (1).
+
+    Parameters
+    ----------
+    hits
+        Number of hits, 0 to `count`.
+    count
+        Number of trials, at least 1.
+    """
     middle = (hits + 0.5 * Z * Z) / (count + Z * Z)
     half = Z / (count + Z * Z) * math.sqrt(hits * (count - hits) / count + 0.25 * Z * Z)
     return max(middle - half, 0.0), min(middle + half, 1.0)

@@ -41,14 +41,26 @@ class Confusion:
 
 
 def confusions(scores: Sequence[CaseScore]) -> list[Confusion]:
-    """One line for each effect that is in the study or was named."""
+    """One line for each effect that is in the study or was named.
+
+    Parameters
+    ----------
+    scores
+        Score of every case of the study.
+    """
     foreign = sorted({j.case.foreign for j in scores if j.case.foreign})
     lines = [_confusion(name, scores) for name in (*ENTRIES, *foreign)]
     return [line for line in lines if line.true or line.false]
 
 
 def failures(scores: Sequence[CaseScore]) -> list[str]:
-    """One line for each case with a failure."""
+    """One line for each case with a failure.
+
+    Parameters
+    ----------
+    scores
+        Score of every case of the study.
+    """
     lines = []
     for j in scores:
         reasons = _failures_of_case(j)
@@ -58,7 +70,13 @@ def failures(scores: Sequence[CaseScore]) -> list[str]:
 
 
 def as_json(scores: Sequence[CaseScore]) -> dict[str, object]:
-    """Content of `as_text`, and the numbers of every case."""
+    """Content of `as_text`, and the numbers of every case.
+
+    Parameters
+    ----------
+    scores
+        Score of every case of the study.
+    """
     return {
         "schema": "firmware_sim.concealed.score/1",
         "figures": [asdict(figure) | {"reached": figure.reached} for figure in figures(scores)],
@@ -70,7 +88,13 @@ def as_json(scores: Sequence[CaseScore]) -> dict[str, object]:
 
 
 def as_text(scores: Sequence[CaseScore]) -> str:
-    """Result for a terminal."""
+    """Result for a terminal.
+
+    Parameters
+    ----------
+    scores
+        Score of every case of the study.
+    """
     parts = [
         _table(
             ["figure", "value", "95 %", "of", "at least", "aim", "reached"], [_figure_row(f) for f in figures(scores)]

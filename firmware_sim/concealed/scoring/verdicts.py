@@ -70,13 +70,26 @@ class Verdict:
 
 
 def sealed_at(directory: Path) -> datetime:
-    """Time at which a study was sealed."""
+    """Time at which a study was sealed.
+
+    Parameters
+    ----------
+    directory
+        Folder of the study.
+    """
     seal = json.loads((directory / SEAL).read_text(encoding="utf-8"))
     return datetime.fromisoformat(seal["made"])
 
 
 def read_verdict(folder: Path, sealed: datetime) -> Verdict | None:
     """Read the findings in the folder of a case; None: there are none.
+
+    Parameters
+    ----------
+    folder
+        Folder of the verdict on one case.
+    sealed
+        Time at which the study was sealed, with a time zone.
 
     Raises
     ------
@@ -99,6 +112,13 @@ def read_verdict(folder: Path, sealed: datetime) -> Verdict | None:
 def parse_findings(fields: Mapping[str, Any], elapsed_s: float | None = None) -> Verdict:
     """Build a verdict from the content of `findings.json`.
 
+    Parameters
+    ----------
+    fields
+        Content of `findings.json`.
+    elapsed_s
+        Duration of the diagnosis [s]; None: not measured.
+
     Raises
     ------
     ValueError, KeyError, TypeError
@@ -114,6 +134,13 @@ def parse_findings(fields: Mapping[str, Any], elapsed_s: float | None = None) ->
 
 def read_simulation(path: Path, samples: int) -> Array | None:
     """Read simulated forces of the held-out record, shape (samples,) [N]; None: there is no file.
+
+    Parameters
+    ----------
+    path
+        CSV file with the column `force_N`.
+    samples
+        Number of samples of the held-out record.
 
     Raises
     ------

@@ -118,7 +118,15 @@ class Case:
 
 
 def effects_in(effects: Mapping[str, Effect], record: str) -> dict[str, Effect]:
-    """Active effects of the record with a given file name."""
+    """Active effects of the record with a given file name.
+
+    Parameters
+    ----------
+    effects
+        Active effects of the case, by name.
+    record
+        File name of the record.
+    """
     if record.startswith("identification"):
         return {name: on for name, on in effects.items() if on.scope == ALREADY_THERE}
     if record in {"recording.csv", "recording_1.csv"}:

@@ -211,7 +211,13 @@ UNREPEATABLE = TONES | ONCE | {"quantisation"}
 
 
 def frozen_spans(effect: Effect) -> list[tuple[float, float]]:
-    """Spans (start, end) of the first recording in which the reading is frozen [s]."""
+    """Spans (start, end) of the first recording in which the reading is frozen [s].
+
+    Parameters
+    ----------
+    effect
+        Effect `sensor_dropout`.
+    """
     starts, shares = effect.details["starts_s"], effect.details["shares"]
     assert isinstance(starts, list)
     assert isinstance(shares, list)
@@ -220,7 +226,15 @@ def frozen_spans(effect: Effect) -> list[tuple[float, float]]:
 
 
 def places(effect: Effect, context: Context) -> list[dict[str, object]]:
-    """Places of an effect in the form of findings.json; empty when it acts everywhere."""
+    """Places of an effect in the form of findings.json; empty when it acts everywhere.
+
+    Parameters
+    ----------
+    effect
+        Effect with its parameters.
+    context
+        Range, duration and rates of the first recording.
+    """
     p = effect.parameters
     if effect.name == "sensor_dropout":
         return [_place("time_s", *span) for span in frozen_spans(effect)]

@@ -60,6 +60,13 @@ class CaseSpec:
 def draw_case(spec: CaseSpec, seed: np.random.SeedSequence) -> Case:
     """Draw a case; an implausible draw is discarded and repeated.
 
+    Parameters
+    ----------
+    spec
+        Kind of the case and names of its effects.
+    seed
+        Seed of the case.
+
     Raises
     ------
     RuntimeError

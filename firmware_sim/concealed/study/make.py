@@ -85,7 +85,24 @@ def _made(
 
 
 def make_case(directory: Path, name: str, spec: CaseSpec, seed: np.random.SeedSequence) -> dict[str, object]:
-    """Draw and write one case; return its truth."""
+    """Draw and write one case; return its truth.
+
+    Parameters
+    ----------
+    directory
+        Folder of the study.
+    name
+        Name of the case and of its folder.
+    spec
+        Kind of the case and names of its effects.
+    seed
+        Seed of the case.
+
+    Raises
+    ------
+    RuntimeError
+        No attempt gave a plausible case.
+    """
     case = draw_case(spec, seed)
     folder = directory / name
     folder.mkdir(exist_ok=True)

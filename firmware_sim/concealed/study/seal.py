@@ -22,30 +22,62 @@ SCHEMA = "firmware_sim.concealed.seal/1"
 
 
 def pack(data: bytes) -> bytes:
-    """Sealed form of bytes."""
+    """Sealed form of bytes.
+
+    Parameters
+    ----------
+    data
+        Original bytes.
+    """
     return base64.b64encode(zlib.compress(data, 6))
 
 
 def unpack(data: bytes) -> bytes:
-    """Original bytes of a sealed form."""
+    """Original bytes of a sealed form.
+
+    Parameters
+    ----------
+    data
+        Result of `pack`.
+    """
     return zlib.decompress(base64.b64decode(data))
 
 
 def pack_arrays(arrays: dict[str, Array]) -> bytes:
-    """Sealed form of named arrays, in single precision."""
+    """Sealed form of named arrays, in single precision.
+
+    Parameters
+    ----------
+    arrays
+        Arrays of any shape, by name.
+    """
     file = io.BytesIO()
     np.savez(file, allow_pickle=False, **{name: values.astype(np.float32) for name, values in arrays.items()})
     return pack(file.getvalue())
 
 
 def unpack_arrays(data: bytes) -> dict[str, Array]:
-    """Named arrays of a sealed form."""
+    """Named arrays of a sealed form.
+
+    Parameters
+    ----------
+    data
+        Result of `pack_arrays`.
+    """
     with np.load(io.BytesIO(unpack(data)), allow_pickle=False) as file:
         return {name: file[name].astype(np.float64) for name in file.files}
 
 
 def sealed_arrays(directory: Path, case: str) -> Path:
-    """Path of the sealed arrays of a case."""
+    """Path of the sealed arrays of a case.
+
+    Parameters
+    ----------
+    directory
+        Folder of the study.
+    case
+        Name of the case.
+    """
     return directory / "sealed" / f"{case}.sealed"
 
 
@@ -69,6 +101,11 @@ def write_seal(directory: Path, files: list[Path], **fields: object) -> None:
 
 def open_truth(directory: Path) -> dict[str, object]:
     """Truth of a study, after a check of its seal.
+
+    Parameters
+    ----------
+    directory
+        Folder of the study.
 
     Raises
     ------

@@ -73,6 +73,13 @@ def neighbours(force_N: Array, rate_Hz: float) -> Array:
     - low-passes from some samples to minutes: lag, filter, creep, leakage;
     - powers of the force: force law;
     - powers of time, and force times time: drifts.
+
+    Parameters
+    ----------
+    force_N
+        Force, shape (n,) [N].
+    rate_Hz
+        Sample rate [Hz].
     """
     part = np.linspace(-1.0, 1.0, force_N.size)
     slope = np.gradient(force_N)
@@ -118,7 +125,15 @@ def find_scale(strength: Callable[[float], float], target: float, low: float, hi
 
 @njit(cache=True)
 def play_columns(widths: Array, u: Array) -> Array:
-    """Outputs of play operators over an input from rest, shape (n, k) [V]."""
+    """Outputs of play operators over an input from rest, shape (n, k) [V].
+
+    Parameters
+    ----------
+    widths
+        Thresholds, shape (k,) [V], at least 0.
+    u
+        Input, shape (n,) [V].
+    """
     z, out = np.zeros(widths.size), np.empty((u.size, widths.size))
     for k in range(u.size):
         for i in range(widths.size):

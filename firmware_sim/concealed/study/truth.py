@@ -73,6 +73,11 @@ class TrueCase:
 def read_truth(directory: Path) -> list[TrueCase]:
     """Read every case of a study, after a check of its seal.
 
+    Parameters
+    ----------
+    directory
+        Folder of the study.
+
     Raises
     ------
     SealError

@@ -60,7 +60,13 @@ def library_errors(path: Path, action: str) -> Iterator[None]:
 
 @contextmanager
 def replaced_file(path: Path) -> Iterator[Path]:
-    """Temporary file in the folder of `path`: replaces `path` after success, is deleted after an error."""
+    """Temporary file in the folder of `path`: replaces `path` after success, is deleted after an error.
+
+    Parameters
+    ----------
+    path
+        File to replace; its folder exists.
+    """
     temporary = path.with_name(f".{os.getpid()}.{path.name}")
     try:
         with library_errors(path, "written"):

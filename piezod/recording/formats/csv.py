@@ -36,6 +36,11 @@ WRITTEN_ROWS = 2**14
 def read_csv(path: Path) -> Recording:
     """Read a CSV recording, whatever its suffix.
 
+    Parameters
+    ----------
+    path
+        CSV file.
+
     Raises
     ------
     RecordingError
@@ -48,6 +53,11 @@ def read_csv(path: Path) -> Recording:
 @contextmanager
 def open_csv(path: Path) -> Iterator[RecordingStream]:
     """Open a CSV file: metadata and header are read at once, rows with the chunks.
+
+    Parameters
+    ----------
+    path
+        CSV file.
 
     Raises
     ------
@@ -76,6 +86,13 @@ def write_csv(recording: Recording, path: Path) -> None:
     """Write a recording: time to 1 ns, values to nine significant digits, missing samples as `nan`.
 
     An error leaves an existing file unchanged.
+
+    Parameters
+    ----------
+    recording
+        Recording to write.
+    path
+        Target file.
 
     Raises
     ------

@@ -66,6 +66,15 @@ def arrow_parser(columns: int) -> Parser | None:
     """Parser by pyarrow for rows of `columns` cells; None if pyarrow is not installed.
 
     The parser raises ValueError for a block that it leaves to numpy.
+
+    Parameters
+    ----------
+    columns
+        Cells per row, at least 1; the parser refuses rows of a single cell.
+
+    Returns
+    -------
+    Parser from the bytes of N rows to numbers, shape (N, columns), or None.
     """
     try:
         arrow, arrow_csv = importlib.import_module("pyarrow"), importlib.import_module("pyarrow.csv")

@@ -28,6 +28,11 @@ UNIT_ATTRIBUTES = ("unit", "units", "Unit", "Units")
 def open_hdf5(path: Path) -> Iterator[RecordingStream]:
     """Open an HDF5 file: its datasets are listed at once, numbers are read with the chunks.
 
+    Parameters
+    ----------
+    path
+        HDF5 file.
+
     Raises
     ------
     RecordingError
@@ -43,6 +48,15 @@ def open_hdf5(path: Path) -> Iterator[RecordingStream]:
 
 def stream_of(path: Path, datasets: dict[str, Any], metadata: dict[str, str]) -> RecordingStream:
     """Stream whose columns are these datasets, each a vector or a matrix of one row or column.
+
+    Parameters
+    ----------
+    path
+        File of the datasets, for messages.
+    datasets
+        Datasets of an open file, by name, each of N numbers.
+    metadata
+        Keys and values of the file's own description.
 
     Raises
     ------
@@ -62,6 +76,13 @@ def stream_of(path: Path, datasets: dict[str, Any], metadata: dict[str, str]) ->
 
 def write_hdf5(recording: Recording, path: Path) -> None:
     """Write a recording without loss; an error leaves an existing file unchanged.
+
+    Parameters
+    ----------
+    recording
+        Recording to write.
+    path
+        Target file.
 
     Raises
     ------
@@ -84,6 +105,13 @@ def numeric_datasets(h5py: Any, file: Any) -> tuple[dict[str, Any], list[str]]: 
     """Datasets of numbers in the root group and one level below, and the paths of what is left out.
 
     The key is the dataset's name, or its path if another dataset has the same name.
+
+    Parameters
+    ----------
+    h5py
+        The module h5py.
+    file
+        Open file of h5py.
     """
     found: dict[str, Any] = {}
     left_out: list[str] = []
@@ -99,7 +127,13 @@ def numeric_datasets(h5py: Any, file: Any) -> tuple[dict[str, Any], list[str]]: 
 
 
 def attribute_text(value: Any) -> str:  # noqa: ANN401  an attribute is of any type
-    """Attribute as text; empty for an attribute of another type."""
+    """Attribute as text; empty for an attribute of another type.
+
+    Parameters
+    ----------
+    value
+        Value of an attribute of any type.
+    """
     if isinstance(value, bytes):
         return value.decode("utf-8", "replace")
     return value if isinstance(value, str) else ""

@@ -26,6 +26,11 @@ OBJECT = struct.Struct("<H6xQ")
 def check_heaps(path: Path) -> None:
     """Check every global heap of a file.
 
+    Parameters
+    ----------
+    path
+        HDF5 file.
+
     Raises
     ------
     RecordingError

@@ -37,6 +37,11 @@ LONGEST_NAME = 31
 def open_mat(path: Path) -> AbstractContextManager[RecordingStream]:
     """Open a MAT file. A file of version 5 is one chunk, a file of 7.3 is read in chunks.
 
+    Parameters
+    ----------
+    path
+        MAT file of version 5 or 7.3.
+
     Raises
     ------
     RecordingError
@@ -49,6 +54,13 @@ def open_mat(path: Path) -> AbstractContextManager[RecordingStream]:
 
 def write_mat(recording: Recording, path: Path) -> None:
     """Write a recording as version 5 without loss; an error leaves an existing file unchanged.
+
+    Parameters
+    ----------
+    recording
+        Recording to write.
+    path
+        Target file.
 
     Raises
     ------

@@ -93,6 +93,11 @@ class Variable:
 def read_variables(file: BinaryIO) -> Iterator[Variable]:
     """Description of every variable of a file; the values are not read.
 
+    Parameters
+    ----------
+    file
+        Open file of version 5; its position changes.
+
     Raises
     ------
     ValueError
@@ -121,6 +126,13 @@ def read_variables(file: BinaryIO) -> Iterator[Variable]:
 def read_numbers(file: BinaryIO, variable: Variable) -> Array:
     """Values of a vector, shape (N,).
 
+    Parameters
+    ----------
+    file
+        Open file of version 5; its position changes.
+    variable
+        Numeric vector of this file, from `read_variables`.
+
     Raises
     ------
     ValueError
@@ -134,7 +146,15 @@ def read_numbers(file: BinaryIO, variable: Variable) -> Array:
 
 
 def read_text(file: BinaryIO, variable: Variable) -> str:
-    """Text of a character variable."""
+    """Text of a character variable.
+
+    Parameters
+    ----------
+    file
+        Open file of version 5; its position changes.
+    variable
+        Character variable of this file, from `read_variables`.
+    """
     kind, data = _read_data(file, variable)
     encoding = TEXT.get(kind, "latin-1")
     suffix = ("-le" if variable.order == "<" else "-be") if encoding in {"utf-16", "utf-32"} else ""

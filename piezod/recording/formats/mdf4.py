@@ -35,6 +35,11 @@ NUMBERS = {0, 1, 2, 3, 4, 5}
 def open_mdf4(path: Path) -> Iterator[RecordingStream]:
     """Open an MDF 4 file: its structure is checked and read at once, numbers are read with the only chunk.
 
+    Parameters
+    ----------
+    path
+        MDF 4 file.
+
     Raises
     ------
     RecordingError
@@ -50,6 +55,13 @@ def open_mdf4(path: Path) -> Iterator[RecordingStream]:
 
 def write_mdf4(recording: Recording, path: Path) -> None:
     """Write a recording without loss; an error leaves an existing file unchanged.
+
+    Parameters
+    ----------
+    recording
+        Recording to write, with at least one channel.
+    path
+        Target file.
 
     Raises
     ------

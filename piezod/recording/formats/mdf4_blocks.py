@@ -47,6 +47,11 @@ COMMENT = 5
 def check_blocks(path: Path) -> None:
     """Check every block of the structure.
 
+    Parameters
+    ----------
+    path
+        MDF 4 file.
+
     Raises
     ------
     RecordingError

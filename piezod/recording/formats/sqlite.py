@@ -37,6 +37,13 @@ SMALLEST_BLOCK = 16
 def write_sqlite(recording: Recording, path: Path) -> None:
     """Write a recording without loss; an error leaves an existing file unchanged.
 
+    Parameters
+    ----------
+    recording
+        Recording to write.
+    path
+        Target file.
+
     Raises
     ------
     RecordingError
@@ -59,6 +66,11 @@ def write_sqlite(recording: Recording, path: Path) -> None:
 @contextmanager
 def open_sqlite(path: Path) -> Iterator[RecordingStream]:
     """Open a recording, complete or still being written; it holds the blocks that are committed now.
+
+    Parameters
+    ----------
+    path
+        SQLite recording.
 
     Raises
     ------
@@ -89,6 +101,11 @@ def open_sqlite(path: Path) -> Iterator[RecordingStream]:
 def read_end(path: Path) -> tuple[About, int]:
     """Content of the table `about`, and the number of the row that would follow the last one (0: no rows).
 
+    Parameters
+    ----------
+    path
+        SQLite recording, complete or still being written.
+
     Raises
     ------
     RecordingError, sqlite3.Error, OSError
@@ -102,7 +119,13 @@ def read_end(path: Path) -> tuple[About, int]:
 
 
 def newest_block(connection: sqlite3.Connection) -> int | None:
-    """Number of the block committed last; 0: the file has no block; None: the page with this number is damaged."""
+    """Number of the block committed last; 0: the file has no block; None: the page with this number is damaged.
+
+    Parameters
+    ----------
+    connection
+        Open recording, from `connect`.
+    """
     try:
         return connection.execute("SELECT max(id) FROM block").fetchone()[0] or 0
     except sqlite3.DatabaseError:

@@ -47,7 +47,17 @@ class Block:
 
 
 def pack(block: Block) -> tuple[int, bytes]:
-    """(checksum, data) of a block."""
+    """(checksum, data) of a block.
+
+    Parameters
+    ----------
+    block
+        Rows with their number and times.
+
+    Returns
+    -------
+    CRC-32 of the data; head and compressed rows.
+    """
     planes = np.ascontiguousarray(block.rows).view(np.uint8).reshape(block.rows.size, -1).T
     head = _HEAD.pack(block.rows.size, block.first, block.wall_ns, block.clock_ns)
     data = head + zlib.compress(planes.tobytes(), 1)
@@ -81,12 +91,23 @@ def unpack(checksum: object, data: object, layout: np.dtype[np.void]) -> Block |
 
 
 def layout_text(layout: np.dtype[np.void]) -> str:
-    """Fields of a row as JSON: [[name, format], ...]."""
+    """Fields of a row as JSON: [[name, format], ...].
+
+    Parameters
+    ----------
+    layout
+        Structured type of a row.
+    """
     return json.dumps([[name, layout[name].str] for name in layout.names or ()])
 
 
 def layout_of(text: str) -> np.dtype[np.void]:
     """Fields of a row from the JSON of `layout_text`.
+
+    Parameters
+    ----------
+    text
+        JSON of 1 to `MOST_FIELDS` fields, each [name, format].
 
     Raises
     ------

@@ -59,7 +59,15 @@ class About:
 
 
 def create_tables(connection: sqlite3.Connection, about: About) -> None:
-    """Create both tables in an empty file and fill `about`, inside the caller's transaction."""
+    """Create both tables in an empty file and fill `about`, inside the caller's transaction.
+
+    Parameters
+    ----------
+    connection
+        Connection to an empty file, in a transaction.
+    about
+        Description of the recording.
+    """
     for statement in TABLES.values():
         connection.execute(statement)
     values = {
@@ -75,12 +83,29 @@ def create_tables(connection: sqlite3.Connection, about: About) -> None:
 
 
 def append_block(connection: sqlite3.Connection, block: Block) -> None:
-    """Add a block, inside the caller's transaction."""
+    """Add a block, inside the caller's transaction.
+
+    Parameters
+    ----------
+    connection
+        Connection to a file with both tables, in a transaction.
+    block
+        Rows that follow those of the last block.
+    """
     connection.execute("INSERT INTO block (crc, data) VALUES (?, ?)", pack(block))
 
 
 def connect(path: Path) -> sqlite3.Connection:
     """Open a file for reading, with protections against a manipulated file.
+
+    Parameters
+    ----------
+    path
+        SQLite file.
+
+    Returns
+    -------
+    Connection that cannot write.
 
     Raises
     ------
@@ -116,6 +141,13 @@ def _connect_read_only(uri: str) -> sqlite3.Connection:
 
 def read_about(connection: sqlite3.Connection, path: Path) -> About:
     """Content of the table `about`.
+
+    Parameters
+    ----------
+    connection
+        Open file, from `connect`.
+    path
+        Path of the file, for messages.
 
     Raises
     ------

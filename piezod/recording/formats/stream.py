@@ -70,6 +70,11 @@ class RecordingStream:
 def read_all(stream: RecordingStream) -> Recording:
     """Recording of everything that a file holds.
 
+    Parameters
+    ----------
+    stream
+        Open recording file; it is read to its end.
+
     Raises
     ------
     RecordingError
@@ -86,6 +91,13 @@ def read_all(stream: RecordingStream) -> Recording:
 def check_claimed_size(path: Path, values: int) -> None:
     """Refuse a file that claims to hold more numbers than its size or `MOST_VALUES` allows.
 
+    Parameters
+    ----------
+    path
+        The file; its size sets the limit.
+    values
+        Numbers that the file claims to hold.
+
     Raises
     ------
     RecordingError
@@ -98,6 +110,13 @@ def check_claimed_size(path: Path, values: int) -> None:
 
 def common_length(path: Path, lengths: dict[str, int]) -> int:
     """Length of all columns; 0 for no columns.
+
+    Parameters
+    ----------
+    path
+        The file, for messages.
+    lengths
+        Length by column name [samples].
 
     Raises
     ------
@@ -112,11 +131,25 @@ def common_length(path: Path, lengths: dict[str, int]) -> int:
 
 
 def chunk_ranges(samples: int, chunk: int) -> Iterator[tuple[int, int]]:
-    """(start, stop) of each chunk; the last one may be shorter."""
+    """(start, stop) of each chunk; the last one may be shorter.
+
+    Parameters
+    ----------
+    samples
+        Length of the columns, at least 0.
+    chunk
+        Samples per chunk, at least 1.
+    """
     for start in range(0, samples, chunk):
         yield start, min(start + chunk, samples)
 
 
 def skipped_parts(parts: Sequence[str]) -> dict[str, str]:
-    """Metadata entry `skipped` with the names of the parts of a file that hold no numbers; empty without such parts."""
+    """Metadata entry `skipped` with the names of the parts of a file that hold no numbers; empty without such parts.
+
+    Parameters
+    ----------
+    parts
+        Names of these parts.
+    """
     return {"skipped": ", ".join(parts)[:MOST_SKIPPED_TEXT]} if parts else {}

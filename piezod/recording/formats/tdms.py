@@ -34,6 +34,11 @@ SHORTEST_CHUNK = 2**20
 def open_tdms(path: Path) -> Iterator[RecordingStream]:
     """Open a TDMS file: its properties are read at once, numbers are read with the chunks.
 
+    Parameters
+    ----------
+    path
+        TDMS file.
+
     Raises
     ------
     RecordingError
@@ -51,6 +56,13 @@ def open_tdms(path: Path) -> Iterator[RecordingStream]:
 
 def write_tdms(recording: Recording, path: Path) -> None:
     """Write a recording without loss; an error leaves an existing file unchanged.
+
+    Parameters
+    ----------
+    recording
+        Recording to write.
+    path
+        Target file.
 
     Raises
     ------

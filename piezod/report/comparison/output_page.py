@@ -21,7 +21,13 @@ HEADER = ("", "fit, NRMSE [%]", "rms error", "max error", "gain", "offset", "fit
 
 
 def comparison_as_dict(comparison: Comparison) -> dict[str, Any]:
-    """Return the comparison for JSON."""
+    """Return the comparison for JSON.
+
+    Parameters
+    ----------
+    comparison
+        Measured and simulated outputs with their agreement.
+    """
     return {
         "schema": "piezod.comparison/1",
         "measured": comparison.measured.source,
@@ -32,7 +38,13 @@ def comparison_as_dict(comparison: Comparison) -> dict[str, Any]:
 
 
 def comparison_text(comparison: Comparison) -> str:
-    """Format the comparison as text: one line for each output, then the best fit in a sentence."""
+    """Format the comparison as text: one line for each output, then the best fit in a sentence.
+
+    Parameters
+    ----------
+    comparison
+        Measured and simulated outputs with their agreement.
+    """
     return "\n".join([*text_table([HEADER, *_rows(comparison)]), _verdict(comparison)])
 
 

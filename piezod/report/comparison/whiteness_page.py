@@ -56,7 +56,15 @@ def whiteness_as_dict(test: WhitenessTest, recording: Recording, model: str, uni
 
 
 def whiteness_text(test: WhitenessTest, unit: str) -> str:
-    """Format samples, residual, both correlations and the verdict as text."""
+    """Format samples, residual, both correlations and the verdict as text.
+
+    Parameters
+    ----------
+    test
+        Result of the whiteness test.
+    unit
+        Unit of the residual.
+    """
     middle = (test.cross.size - 1) // 2
     auto_lag = int(np.argmax(np.abs(test.auto[1:]))) + 1
     cross_index = int(np.argmax(np.abs(test.cross)))

@@ -11,7 +11,15 @@ from piezod.report.diagnosis.residual.spectra import PowerMap
 
 
 def csv_text(header: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
-    """Format a table as CSV; floats with nine significant digits."""
+    """Format a table as CSV; floats with nine significant digits.
+
+    Parameters
+    ----------
+    header
+        Column names.
+    rows
+        Cells of each row, as many as column names.
+    """
     out = io.StringIO()
     writer = csv.writer(out, lineterminator="\n")
     writer.writerow(header)
@@ -20,7 +28,17 @@ def csv_text(header: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
 
 
 def effects_csv(findings: Findings) -> str:
-    """One row for each parameter of each effect."""
+    """One row for each parameter of each effect.
+
+    Parameters
+    ----------
+    findings
+        Result of the diagnosis.
+
+    Returns
+    -------
+    Text of the CSV file.
+    """
     header = ["effect", "scope", "confidence", "parameter", "value", "low", "high", "unit", "before", "after"]
     rows = [
         [one.name, one.scope, one.confidence, name, v.value, v.low, v.high, v.unit, one.before, one.after]
@@ -31,7 +49,17 @@ def effects_csv(findings: Findings) -> str:
 
 
 def places_csv(findings: Findings) -> str:
-    """One row for each place in which the given model is wrong."""
+    """One row for each place in which the given model is wrong.
+
+    Parameters
+    ----------
+    findings
+        Result of the diagnosis.
+
+    Returns
+    -------
+    Text of the CSV file.
+    """
     rows = [[place.axis, place.low, place.high, place.share, place.p] for place in findings.where]
     return csv_text(["axis", "low", "high", "share", "p"], rows)
 

@@ -14,7 +14,13 @@ MOST_PLACES_LINE, MOST_PLACES_TABLE = 3, 6
 
 
 def verdict_html(findings: Findings) -> str:
-    """Verdict in a word, headline, and fall of the error."""
+    """Verdict in a word, headline, and fall of the error.
+
+    Parameters
+    ----------
+    findings
+        Result of the diagnosis.
+    """
     return (
         f"<header><span class='chip {findings.verdict}'>{findings.verdict.replace('_', ' ')}</span>"
         f"<h1>{_escaped(words.headline(findings))}</h1><p class='lead'>{_escaped(words.lead(findings))}</p></header>"
@@ -22,7 +28,13 @@ def verdict_html(findings: Findings) -> str:
 
 
 def chain_html(findings: Findings) -> str:
-    """Signal chain, with each effect at its location."""
+    """Signal chain, with each effect at its location.
+
+    Parameters
+    ----------
+    findings
+        Result of the diagnosis.
+    """
     boxes = []
     for location, name in words.LOCATIONS.items():
         found = [one for one in findings.effects if EFFECTS[one.name].location == location]
@@ -32,7 +44,13 @@ def chain_html(findings: Findings) -> str:
 
 
 def effects_html(findings: Findings, wording: Wording) -> str:
-    """Table of the effects, then the places in which the model is wrong, and what remains."""
+    """Table of the effects, then the places in which the model is wrong, and what remains.
+
+    Parameters
+    ----------
+    findings, wording
+        Result of the diagnosis; units and names of the recordings.
+    """
     remains = f"<p><b>What remains:</b> {_escaped(words.remaining_error(findings)[-1])}</p>"
     if not findings.effects:
         not_tested = "".join(f"<p>{_escaped(sentence)}</p>" for sentence in words.not_tested(findings))
@@ -70,7 +88,15 @@ def _places_table(findings: Findings, wording: Wording) -> str:
 
 
 def card_html(finding: Finding, findings: Findings, wording: Wording) -> str:
-    """Card of an effect: equation, parameters, change of the error, and rivals."""
+    """Card of an effect: equation, parameters, change of the error, and rivals.
+
+    Parameters
+    ----------
+    finding
+        Finding of this effect.
+    findings, wording
+        Result of the diagnosis; units and names of the recordings.
+    """
     effect = EFFECTS[finding.name]
     fields = (("Forward", "equation"), ("Signature", "signature"), ("Location", "location"), ("Valid", "valid for"))
     items = "".join(
@@ -143,7 +169,15 @@ def remains_html(findings: Findings, places: Sequence[Place], wording: Wording) 
 
 
 def recordings_html(findings: Findings, series: Sequence[Series]) -> str:
-    """Table of the files that were used, with their hashes."""
+    """Table of the files that were used, with their hashes.
+
+    Parameters
+    ----------
+    findings
+        Result of the diagnosis.
+    series
+        Series of all recordings; those of the findings are the last, in the same order.
+    """
     of_files = series[len(series) - len(findings.recordings) :]
     rows = [
         [

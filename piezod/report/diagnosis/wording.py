@@ -34,7 +34,13 @@ HIGH, MEDIUM = 0.9, 0.7  # lowest confidence of each level
 
 
 def headline(findings: Findings) -> str:
-    """Verdict as a title."""
+    """Verdict as a title.
+
+    Parameters
+    ----------
+    findings
+        Result of the diagnosis.
+    """
     titles = listed([hedged(finding) for finding in findings.effects])
     matches = "these recordings do not show what causes the rest" if findings.above_noise else "no effect is missing"
     return {
@@ -47,7 +53,13 @@ def headline(findings: Findings) -> str:
 
 
 def lead(findings: Findings) -> str:
-    """Fall of the error, compared with the noise."""
+    """Fall of the error, compared with the noise.
+
+    Parameters
+    ----------
+    findings
+        Result of the diagnosis.
+    """
     unit = unit_words(findings.unit)
     floor = f"noise floor {rounded(findings.floor)} {unit} ({FLOORS.get(findings.floor_from, findings.floor_from)})"
     before = f"Error on held-out data: {rounded(findings.before)} {unit}"
@@ -60,31 +72,69 @@ def lead(findings: Findings) -> str:
 
 
 def confidence_level(confidence: float) -> str:
-    """Name of the level of a confidence [0, 1]."""
+    """Name of the level of a confidence [0, 1].
+
+    Parameters
+    ----------
+    confidence
+        Confidence of a finding, 0 to 1.
+
+    Returns
+    -------
+    "high", "medium" or "low".
+    """
     if confidence >= HIGH:
         return "high"
     return "medium" if confidence >= MEDIUM else "low"
 
 
 def hedged(finding: Finding) -> str:
-    """Title of an effect, after "possibly" if its confidence is low."""
+    """Title of an effect, after "possibly" if its confidence is low.
+
+    Parameters
+    ----------
+    finding
+        Finding of the effect.
+    """
     return finding.title if finding.confidence >= MEDIUM else f"possibly {finding.title}"
 
 
 def location(finding: Finding) -> str:
-    """Location of an effect in the signal chain."""
+    """Location of an effect in the signal chain.
+
+    Parameters
+    ----------
+    finding
+        Finding of the effect.
+    """
     return LOCATIONS[EFFECTS[finding.name].location]
 
 
 def places_of(finding: Finding, wording: Wording, most: int = 2) -> str:
-    """First places of an effect, and the number of further places; empty if the effect acts everywhere."""
+    """First places of an effect, and the number of further places; empty if the effect acts everywhere.
+
+    Parameters
+    ----------
+    finding, wording
+        Finding of the effect; units and names of the recordings.
+    most
+        Most places that are listed, at least 1.
+    """
     places = [place_words(place, wording) for place in finding.where[:most]]
     more = len(finding.where) - most
     return "; ".join([*places, f"{more} more"] if more > 0 else places)
 
 
 def largest_places(places: Sequence[Place], most: int) -> list[Place]:
-    """Largest place on each axis, in descending order of their share of the error."""
+    """Largest place on each axis, in descending order of their share of the error.
+
+    Parameters
+    ----------
+    places
+        Places of the diagnosis.
+    most
+        Most places in the result.
+    """
     of_axis: dict[str, Place] = {}
     for place in sorted(places, key=lambda place: -place.share):
         of_axis.setdefault(place.axis, place)
@@ -92,29 +142,53 @@ def largest_places(places: Sequence[Place], most: int) -> list[Place]:
 
 
 def place_with_share(place: Place, wording: Wording) -> str:
-    """Place with its share of the error, in parentheses."""
+    """Place with its share of the error, in parentheses.
+
+    Parameters
+    ----------
+    place, wording
+        Place of the diagnosis; units and names of the recordings.
+    """
     return f"{place_words(place, wording)} ({percent(place.share)})"
 
 
 def error_change(finding: Finding, unit: str) -> str:
-    """Held-out error without an effect and with it."""
+    """Held-out error without an effect and with it.
+
+    Parameters
+    ----------
+    finding, unit
+        Finding of the effect; unit of the output.
+    """
     if observed_directly(finding):
         return "observed directly, not fitted"
     return f"{rounded(finding.before)} → {rounded(finding.after)} {unit_words(unit)}"
 
 
 def near_rivals(finding: Finding) -> list[str]:
-    """Titles of effects that these recordings hardly distinguish from a finding."""
+    """Titles of effects that these recordings hardly distinguish from a finding.
+
+    Parameters
+    ----------
+    finding
+        Finding with its rivals.
+    """
     return [EFFECTS[rival.name].title for rival in finding.rivals if rival.separation < NEAR]
 
 
 def observed_directly(finding: Finding) -> bool:
-    """Whether an effect was observed in the readings and not fitted."""
+    """Whether an effect was observed in the readings and not fitted.
+
+    Parameters
+    ----------
+    finding
+        Finding of the effect.
+    """
     return finding.before == finding.after
 
 
 def place_heading(findings: Findings) -> str:
-    """Heading of the places."""
+    """Heading of the places in the findings."""
     if findings.verdict == "matches":
         return "Small errors of the given model, attributed to no effect"
     return "Where the given model is wrong"
@@ -147,13 +221,29 @@ def remains(findings: Findings, places: Sequence[Place], wording: Wording) -> li
 
 
 def not_tested(findings: Findings) -> list[str]:
-    """Effects that may be present, but that these recordings cannot show."""
+    """Effects that may be present, but that these recordings cannot show.
+
+    Parameters
+    ----------
+    findings
+        Result of the diagnosis.
+
+    Returns
+    -------
+    One sentence, or none.
+    """
     titles = listed([EFFECTS[name].title for name in findings.not_testable])
     return [f"Not tested: {titles}. The recordings lack the rates, holds or levels that show them."] if titles else []
 
 
 def docstring_field(effect: Effect, field: str) -> str:
-    """One of the six fields of an effect's docstring, on one line."""
+    """One of the six fields of an effect's docstring, on one line.
+
+    Parameters
+    ----------
+    effect, field
+        Entry of the catalogue; "Forward", "Inverse", "Signature", "Location", "Valid" or "Source".
+    """
     found: list[str] = []
     for line in effect.docstring.splitlines():
         if line.startswith(f"{field} "):
@@ -166,7 +256,17 @@ def docstring_field(effect: Effect, field: str) -> str:
 
 
 def remaining_error(findings: Findings) -> list[str]:
-    """Remaining error compared with the noise, and the share of it that some model can explain."""
+    """Remaining error compared with the noise, and the share of it that some model can explain.
+
+    Parameters
+    ----------
+    findings
+        Result of the diagnosis.
+
+    Returns
+    -------
+    Two sentences: the error, then what it consists of.
+    """
     unit, share = unit_words(findings.unit), percent(findings.explainable)
     error = (
         f"The remaining error on held-out data is {rounded(findings.left)} {unit} rms; "

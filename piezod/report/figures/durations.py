@@ -69,7 +69,13 @@ class RecentDurations:
 
 
 def bars(counts: NDArray[np.int64]) -> dict[str, NDArray[Any]]:
-    """Columns that draw a histogram: the edges of the bars, their heights `top`, and the counts."""
+    """Columns that draw a histogram: the edges of the bars, their heights `top`, and the counts.
+
+    Parameters
+    ----------
+    counts
+        Number of durations in each class of `EDGES_us`, shape (classes,).
+    """
     return {"left": EDGES_us[:-1], "right": EDGES_us[1:], "top": np.maximum(counts, BAR_START), "count": counts}
 
 

@@ -12,7 +12,13 @@ SHOWN_SAMPLES = 1500  # points of a decimated curve; tables use all samples
 
 
 def decimated(values: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return every n-th sample, with n such that about `SHOWN_SAMPLES` remain."""
+    """Return every n-th sample, with n such that about `SHOWN_SAMPLES` remain.
+
+    Parameters
+    ----------
+    values
+        Record, shape (N,).
+    """
     return values[:: max(1, values.size // SHOWN_SAMPLES)]
 
 

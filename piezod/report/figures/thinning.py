@@ -42,7 +42,15 @@ def envelope(values: Array, points: int) -> Array:
 
 
 def envelope_times(time_s: Array, points: int) -> Array:
-    """Times of the points of `envelope`: the start and the middle of each segment, shape (M,) [s]."""
+    """Times of the points of `envelope`: the start and the middle of each segment, shape (M,) [s].
+
+    Parameters
+    ----------
+    time_s
+        Times of the curve, shape (N,) [s].
+    points
+        As in `envelope`.
+    """
     if time_s.size <= points:
         return time_s
     table = _segments(time_s, points)
@@ -51,7 +59,15 @@ def envelope_times(time_s: Array, points: int) -> Array:
 
 
 def extremes(values: Array, points: int) -> NDArray[np.int64]:
-    """Indices of the smallest and the largest value of each segment, ascending, shape (M,)."""
+    """Indices of the smallest and the largest value of each segment, ascending, shape (M,).
+
+    Parameters
+    ----------
+    values
+        Curve, shape (N,). Values that are not finite count as 0.
+    points
+        As in `envelope`.
+    """
     if values.size <= points:
         return np.arange(values.size)
     table = _segments(np.where(np.isfinite(values), values, 0.0), points)

@@ -107,7 +107,15 @@ def _with_margin(low: float, high: float) -> Range1d:
 
 
 def fit_range(axis_range: Range1d, *curves: NDArray[np.float64]) -> None:
-    """Set an axis range in place so that it contains all finite values with a margin; no change without values."""
+    """Set an axis range in place so that it contains all finite values with a margin; no change without values.
+
+    Parameters
+    ----------
+    axis_range
+        Range of the axis; it changes.
+    *curves
+        Values of each curve, shape (N,) [unit of the axis], at least one curve.
+    """
     values = np.concatenate(curves)
     values = values[np.isfinite(values)]
     if values.size:

@@ -44,6 +44,11 @@ SendCommand = Callable[[str], dict[str, Any]]
 def read_token(path: Path) -> str:
     """Read the token from a file that only its owner can access.
 
+    Parameters
+    ----------
+    path
+        File of the token.
+
     Raises
     ------
     ConfigurationError

@@ -54,7 +54,13 @@ td:nth-child(2) { font-weight: 600; white-space: nowrap; } td:last-child { width
 
 
 def state_and_remedy(feed: Feed) -> tuple[str, str, str]:
-    """State, reason and remedy as text. The remedy is empty if nothing needs to be done."""
+    """State, reason and remedy as text. The remedy is empty if nothing needs to be done.
+
+    Parameters
+    ----------
+    feed
+        Curves, events and status of the bench as of the last update.
+    """
     if feed.last is None or feed.stale:
         return NO_TICKS, *_why_no_ticks(feed)
     state = State(feed.last["state"])
@@ -80,7 +86,13 @@ def _why_no_ticks(feed: Feed) -> tuple[str, str]:
 
 
 def banner_html(feed: Feed) -> str:
-    """HTML of the banner and the current values, with escaped text."""
+    """HTML of the banner and the current values, with escaped text.
+
+    Parameters
+    ----------
+    feed
+        Curves, events and status of the bench as of the last update.
+    """
     state, reason, remedy = state_and_remedy(feed)
     text = f"<b>{state.replace('_', ' ')}</b><p>{html.escape(reason)}</p>"
     if remedy:
@@ -122,7 +134,13 @@ def _short(count: int) -> str:
 
 
 def events_html(events: Iterable[Event]) -> str:
-    """HTML table of the last events, the newest first, with escaped text."""
+    """HTML table of the last events, the newest first, with escaped text.
+
+    Parameters
+    ----------
+    events
+        Events, the oldest first.
+    """
     newest = list(events)[: -_LAST_EVENTS - 1 : -1]
     rows = "".join(
         f"<tr><td>{time.strftime('%H:%M:%S', time.localtime(event.wall_s))}.{int(event.wall_s % 1 * 1000):03d}</td>"

@@ -220,7 +220,13 @@ def live_line(names: list[str]) -> Iterator[Callable[[Rows], None]]:
 
 
 def print_demo(verdict: DemoVerdict) -> None:
-    """Print table, timing, warnings and verdict."""
+    """Print table, timing, warnings and verdict.
+
+    Parameters
+    ----------
+    verdict
+        Result of the demo.
+    """
     print("\n".join(text_table([HEADER, *_rows(verdict)], left_aligned=2)))
     print(_timing_sentence(verdict))
     for warning in verdict.outcome.warnings:
@@ -229,7 +235,7 @@ def print_demo(verdict: DemoVerdict) -> None:
 
 
 def print_hidden(hidden: HiddenVerdict) -> None:
-    """Print diagnosis, errors of each compensation, noise and verdict of the bench with hidden effects."""
+    """Print diagnosis, errors of each compensation, noise and verdict of `hidden`, the bench with hidden effects."""
     print("a bench with hidden creep, lag and delay (emulated in virtual time, as fast as this machine allows):")
     print(f"  diagnosis: {hidden.diagnosis}")
     print(f"  {'compensation':<20} {'rms error [N]':>13} {'[%]':>6} {'max error [N]':>14} {'[%]':>6}")

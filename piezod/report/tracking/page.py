@@ -53,7 +53,24 @@ def force_over_reference(
     *,
     vertical_legend: bool = False,
 ) -> figure:
-    """Force over reference, one curve for each compensation."""
+    """Force over reference, one curve for each compensation.
+
+    Parameters
+    ----------
+    recordings
+        Recordings with `reference_N` and `force_N` [N], by name of the compensation.
+    colours
+        Colour of each curve, by the same names.
+    labels
+        Entry in the legend, by the same names.
+    vertical_legend
+        Whether the legend is one column.
+
+    Raises
+    ------
+    RecordingError
+        A recording lacks one of the two channels.
+    """
     plot = figure(title="Force over reference", x_axis_label="reference [N]", y_axis_label="force [N]", height=320)
     for name, recording in recordings.items():
         plot.line(

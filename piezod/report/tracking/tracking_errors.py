@@ -51,6 +51,11 @@ def tracking_figures(recording: Recording, *, loop: bool) -> TrackingFigures:
         Reference and measured force [N].
     loop
         Whether the reference rises and falls alike, so that a hysteresis loop is defined.
+
+    Raises
+    ------
+    RecordingError
+        The recording lacks one of the two channels.
     """
     reference, force = recording.channel("reference_N"), recording.channel("force_N")
     error = force - reference

@@ -150,6 +150,11 @@ def evaluate_validation(
         See `ValidationVerdict`.
     recordings
         Completed runs by (reference, compensation).
+
+    Raises
+    ------
+    RecordingError
+        A run lacks the channel `reference_N` or `force_N`.
     """
     figures = {}
     for key, recording in recordings.items():
@@ -161,7 +166,13 @@ def evaluate_validation(
 
 
 def validation_text(verdict: ValidationVerdict) -> str:
-    """Format range, table and verdict as text, with three columns for each compensation."""
+    """Format range, table and verdict as text, with three columns for each compensation.
+
+    Parameters
+    ----------
+    verdict
+        Result of the validation.
+    """
     parts = ("max hyst. [%]", "rms [N] (%)", "max [N] (%)")
     rows = [["reference", *parts * len(verdict.compensations)], *_rows(verdict)]
     widths = column_widths(rows)

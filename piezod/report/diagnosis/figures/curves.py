@@ -73,7 +73,15 @@ def error_bars(findings: Findings, extended: str) -> figure:
 
 
 def held_out_errors(findings: Findings, extended: str) -> list[tuple[str, float, str]]:
-    """Name, error [output unit] and colour of each bar."""
+    """Name, error [output unit] and colour of each bar.
+
+    Parameters
+    ----------
+    findings
+        Result of the diagnosis.
+    extended
+        Name of the bar of the extended model.
+    """
     fitted = [finding for finding in findings.effects if not observed_directly(finding)]
     bars = [
         ("given model", findings.before, GIVEN),

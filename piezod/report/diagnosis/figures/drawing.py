@@ -58,13 +58,27 @@ def new_figure(title: str, x: str, y: str, height: int, *, zoom_x: bool = False,
 
 
 def finish(plot: figure) -> figure:
-    """Apply the shared layout to a figure with all its curves, and return it."""
+    """Apply the shared layout to a figure with all its curves, and return it.
+
+    Parameters
+    ----------
+    plot
+        Figure; it changes.
+    """
     plot.min_border_right = 12
     return apply_layout(plot)
 
 
 def column_source(columns: Mapping[str, Array], exact: Sequence[str] = ()) -> ColumnDataSource:
-    """Columns in single precision, except those named in `exact`."""
+    """Columns in single precision, except those named in `exact`.
+
+    Parameters
+    ----------
+    columns
+        Columns by name, all of shape (N,).
+    exact
+        Names of the columns that stay in double precision.
+    """
     return ColumnDataSource({k: v if k in exact else v.astype(np.float32) for k, v in columns.items()})
 
 
@@ -80,30 +94,90 @@ def draw_curve(
     alpha: float = 1.0,
     dash: str = "solid",
 ) -> None:
-    """Draw column `y` over column `x`, with an entry in the legend."""
+    """Draw column `y` over column `x`, with an entry in the legend.
+
+    Parameters
+    ----------
+    plot
+        Figure to draw in.
+    source
+        Columns of the curve.
+    y
+        Name of the column of the ordinate.
+    label
+        Entry in the legend.
+    colour
+        Colour as in CSS.
+    x
+        Name of the column of the abscissa.
+    width
+        Width of the line [pixels].
+    alpha
+        Opacity, 0 to 1.
+    dash
+        Dash pattern of Bokeh: "solid", "dashed" and the like.
+    """
     plot.line(x, y, source=source, color=colour, line_width=width, line_alpha=alpha, line_dash=dash, legend_label=label)
 
 
 def draw_band(plot: figure, source: ColumnDataSource, x: str, name: str, colour: str) -> None:
-    """Fill the area between the columns `NAME_low` and `NAME_high`."""
+    """Fill the area between the columns `NAME_low` and `NAME_high`.
+
+    Parameters
+    ----------
+    plot
+        Figure to draw in.
+    source
+        Columns of the band.
+    x
+        Name of the column of the abscissa.
+    name
+        Name of both limits, without `_low` and `_high`.
+    colour
+        Colour as in CSS.
+    """
     lower, upper = f"{name}_low", f"{name}_high"
     plot.add_layout(Band(base=x, lower=lower, upper=upper, source=source, fill_color=colour, fill_alpha=0.15))
 
 
 def places_on(places: Sequence[Place], axis: str) -> list[Place]:
-    """Places on an axis of `Place`, at most `MOST_PLACES`; none for an empty axis."""
+    """Places on an axis of `Place`, at most `MOST_PLACES`; none for an empty axis.
+
+    Parameters
+    ----------
+    places
+        Places of the diagnosis.
+    axis
+        Axis: `time_s`, `voltage_V` and the like.
+    """
     return [place for place in places if axis and place.axis == axis][:MOST_PLACES]
 
 
 def clipped(places: Sequence[Place], x: Array) -> list[Place]:
-    """Places clipped to the range of the curves, so that a wide place does not compress them."""
+    """Places clipped to the range of the curves, so that a wide place does not compress them.
+
+    Parameters
+    ----------
+    places
+        Places on the axis of the curves.
+    x
+        Abscissa of the curves, shape (N,), N at least 1 [unit of the axis].
+    """
     low, high = float(x.min()), float(x.max())
     visible = [place for place in places if place.low <= high and place.high >= low]
     return [replace(place, low=max(place.low, low), high=min(place.high, high)) for place in visible]
 
 
 def shade(plot: figure, places: Sequence[Place]) -> None:
-    """Hatch places in which the given model is significantly wrong; a place without width is a line."""
+    """Hatch places in which the given model is significantly wrong; a place without width is a line.
+
+    Parameters
+    ----------
+    plot
+        Figure to draw in.
+    places
+        Places on the abscissa of the figure.
+    """
     for place in places:
         if place.low == place.high:
             plot.add_layout(Span(location=place.low, dimension="height", line_color=RED, line_alpha=0.6))
@@ -124,7 +198,15 @@ def shade(plot: figure, places: Sequence[Place]) -> None:
 
 
 def mark_rejected(plot: figure, recording: Residuals) -> None:
-    """Mark spans of time whose readings were rejected."""
+    """Mark spans of time whose readings were rejected.
+
+    Parameters
+    ----------
+    plot
+        Figure over time to draw in.
+    recording
+        Recording with the mask of its readings.
+    """
     accepted = np.concatenate(([True], recording.series.counts, [True])).astype(np.int8)
     edges = np.flatnonzero(np.diff(accepted))
     time_s = recording.time_s

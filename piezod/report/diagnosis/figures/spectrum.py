@@ -71,7 +71,13 @@ def spectrum_figure(
 
 
 def power_scale(maps: Iterable[PowerMap]) -> LinearColorMapper:
-    """Colour scale for all maps, from the noise floor to the highest power."""
+    """Colour scale for all maps, from the noise floor to the highest power.
+
+    Parameters
+    ----------
+    maps
+        Power maps, at least one.
+    """
     highest = max(float(np.quantile(one.level_dB, 0.999)) for one in maps)
     high = float(np.clip(10.0 * np.ceil(highest / 10.0), SMALLEST_RANGE_DB, LARGEST_RANGE_DB))
     return LinearColorMapper(palette=interp_palette(POWER_COLOURS, 128), low=0.0, high=high)

@@ -62,12 +62,26 @@ def drivers(command: str, output: str) -> list[Driver]:
 
 
 def time_driver(name: str, label: str) -> Driver:
-    """Time of a single recording as a driver."""
+    """Time of a single recording as a driver.
+
+    Parameters
+    ----------
+    name
+        Name of the CSV file and column of the driver.
+    label
+        Label of the axis, with unit.
+    """
     return Driver(name, "time_s", label, lambda one: one.time_s, directions=False)
 
 
 def since_reversal(u: Array) -> tuple[NDArray[np.int64], Array]:
-    """Number of samples since the last reversal, and the command at that reversal, each shape (N,)."""
+    """Number of samples since the last reversal, and the command at that reversal, each shape (N,).
+
+    Parameters
+    ----------
+    u
+        Command, shape (N,).
+    """
     direction, _ = coordinates.reversals(u)
     reversal = np.zeros(u.size, np.int64)
     for first, end, sign in _moves(direction):

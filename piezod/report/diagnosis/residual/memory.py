@@ -33,7 +33,13 @@ class Memory:
 
 
 def memory(recordings: Sequence[Residuals]) -> Memory:
-    """Correlate residuals with the command's past, over all recordings together."""
+    """Correlate residuals with the command's past, over all recordings together.
+
+    Parameters
+    ----------
+    recordings
+        Recordings with their residuals, at least one.
+    """
     dt_s = min(one.series.dt_s for one in recordings)
     longest_s = max(one.series.duration_s for one in recordings)
     times_s = coordinates.times(dt_s, longest_s, TIME_CONSTANTS, SHORTEST_SAMPLES, LONGEST_SHARE)

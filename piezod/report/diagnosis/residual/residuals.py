@@ -54,6 +54,13 @@ def recordings_of_places(places: Sequence[Place], recordings: Sequence[Residuals
     """Assign each place in time to the recording with the largest squared error there, relative to its noise.
 
     A place has no name of a recording, and each recording has its own time.
+
+    Parameters
+    ----------
+    places
+        Places on any axis; only those on `time_s` count.
+    recordings
+        Recordings with their residuals, at least one.
     """
 
     def squared_error(recording: Residuals, place: Place) -> float:
