@@ -67,8 +67,7 @@ class SerialLineDevice:
 
     def __init__(self, config: SerialLineLink) -> None:
         self._config, self._port = config, SerialPort(config)
-        end = config.terminator
-        self._terminator = end.encode("ascii")
+        self._terminator = (end := config.terminator).encode("ascii")
         self._set_voltage, self._acknowledge = template_of(config.set_voltage, "voltage_V", end, "link.set_voltage")
         self._watchdog, self._watchdog_reply = template_of(config.watchdog, WATCHDOG, end, "link.watchdog")
         self._measure, self._pattern = query_of(config.measure, end, "link.measure", ROLES)
