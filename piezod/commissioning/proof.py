@@ -25,7 +25,7 @@ from piezod.config import BenchConfig
 from piezod.control import CAUSE_TEXT, Cause, real_time
 from piezod.errors import PiezodError
 from piezod.session.assembly import load_bench_without_model, opened_link
-from piezod.session.lock import BenchLock
+from piezod.session.lock import lock_bench
 from piezod.transport import Link
 
 TICKS_TO_REACT = 2  # from the last sample of a debounce to the command that it changes
@@ -59,7 +59,7 @@ def prove(path: Path, output: Path | None = None) -> tuple[dict[str, Any], Path]
     bench = load_bench_without_model(path)
     now = utc_now()
     target = record_path(bench, output, now)
-    lock = BenchLock(bench.lock_path)
+    lock = lock_bench(bench)
     try:
         with opened_link(bench) as link, warnings.catch_warnings(action="ignore"), real_time(bench.real_time):
             end = _run_steps(bench, link)

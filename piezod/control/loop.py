@@ -257,9 +257,9 @@ class ControlLoop:
         self._check(result, planned_V, done_ns)
         checked = stamp()
         self._log(planned_V, result, begun_ns, done_ns)
-        self._guard.end_tick(result, begun_ns, done_ns)
         if drives:
             self._phases.add_tick(started, self._planner.read_ns, planned, done, checked, stamp())
+        self._guard.end_tick(result, begun_ns, done_ns)
 
     def _act_on(self, event: Cause) -> None:
         """Change the state by an event of the planner."""

@@ -62,9 +62,10 @@ def run(task: Task, pipe: Connection, lock: BenchLock, phases: PhaseTimes) -> No
         lock.close()
         return
     try:
+        lock.cover(device_names(task.bench.link))  # again: a name may resolve to another address, a reload name another
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always")
-            outcome = _execute(task, pipe, lock, phases)
+            outcome = _execute(task, pipe, phases)
         outcome.warnings = [str(warning.message) for warning in caught]
         _send(pipe, ("done", outcome))
     except PiezodError as error:
@@ -92,12 +93,11 @@ def _send(pipe: Connection, message: tuple[str, Any]) -> bool:
     return True
 
 
-def _execute(task: Task, pipe: Connection, lock: BenchLock, phases: PhaseTimes | None = None) -> Outcome:
+def _execute(task: Task, pipe: Connection, phases: PhaseTimes | None = None) -> Outcome:
     """Connect the bench, build its loop, and drive the segments or serve commands."""
     bench = task.bench
     files = "" if task.serves is None else files_digest(bench, task.serves)
     model, specs = _model_and_segments(task)
-    lock.cover(device_names(bench.link))  # again: names may resolve to other addresses, and a reload may name another
     with opened_link(bench) as link, contextlib.ExitStack() as stack:
         clock = make_rate_keeper(bench, link)
         segments = [make_segment(spec, bench, model, link, task.folder) for spec in specs]

@@ -24,6 +24,7 @@ def steps(monkeypatch):
             found.append(message[0])
 
     loop = SimpleNamespace(
+        observe=lambda *_: None,
         supervisor=SimpleNamespace(heat_W=0.0),
         request_stop=lambda *, fast=False: found.append("fast stop" if fast else "stop"),
     )
@@ -86,14 +87,14 @@ def test_a_parent_that_died_before_its_signal_was_requested_is_noticed(monkeypat
         assert control_process._end_with_parent() is lives
 
 
-def test_only_a_second_stop_is_hasty_and_closing_never_is(monkeypatch):
+def test_only_a_second_stop_is_hasty_and_closing_never_is(tmp_path, monkeypatch):
     bench = load_bench(shipped("bench.yaml"))
     session = Session(bench, None, shipped("bench.yaml").parent, [], lock=SimpleNamespace())
     sent = []
     monkeypatch.setattr(session, "_signal", sent.append)
     session.stop()
     session._process = SimpleNamespace(join=lambda timeout: None, is_alive=lambda: False)
-    monkeypatch.setattr(type(bench), "ring_log_path", SimpleNamespace(unlink=lambda missing_ok: None))
+    monkeypatch.setattr(type(bench), "ring_log_path", tmp_path / "ring")
     session.close()
     session.stop()
     assert sent == [signal.SIGTERM, signal.SIGTERM, signal.SIGUSR2]

@@ -4,6 +4,7 @@ import multiprocessing
 import os
 import socket
 import time
+from unittest.mock import MagicMock
 
 import pytest
 
@@ -129,6 +130,15 @@ def test_links_to_a_serial_port_are_the_same_device(tmp_path):
     assert device_names(config.model_copy(update={"port": "/dev/none"})) == ("serial /dev/none",)
 
 
+def error_of_control_process(task, lock, monkeypatch):
+    """Message of a control process that ends at its start; it runs in this process."""
+    for name in ("ctypes", "signal", "gc"):
+        monkeypatch.setattr(control_process, name, MagicMock(), raising=False)
+    pipe = MagicMock()
+    control_process.run(task, pipe, lock, None)
+    return pipe.send.call_args[0][0]
+
+
 def test_two_bench_files_of_one_device_exclude_each_other_and_a_started_process_checks_again(tmp_path, monkeypatch):
     monkeypatch.setattr("piezod.session.lock.DEVICE_LOCKS", tmp_path)
     first, second = (
@@ -141,9 +151,9 @@ def test_two_bench_files_of_one_device_exclude_each_other_and_a_started_process_
     with pytest.raises(BusyError, match="this device"):
         lock_bench(second)
     of_file = BenchLock(second.lock_path)  # as after a reload that names another device
-    with pytest.raises(BusyError, match="this device"):
-        control_process._execute(Task(second, None, tmp_path, ()), None, of_file)
-    of_file.close()
+    kind, (error, text) = error_of_control_process(Task(second, None, tmp_path, ()), of_file, monkeypatch)
+    assert (kind, error) == ("error", "BusyError")
+    assert "this device" in text
     lock.close()
     lock_bench(second).close()
 
