@@ -79,8 +79,14 @@ class Observation:
         return bad
 
 
+USUAL = ("tcp", "[]")  # bench of most faults
+
+
 class BenchPool:
-    """The shared benches, one for each wire and set of changes, and their folders."""
+    """The shared benches, one for each wire and set of changes, and their folders.
+
+    A bench uses a third of a core while nothing is asked of it. So the usual bench stays, and one other at most.
+    """
 
     def __init__(self, folder):
         self.folder = folder
@@ -91,6 +97,8 @@ class BenchPool:
         """The shared bench of this wire and these changes of its file, restored and disarmed."""
         key = (wire, repr(sorted(changes.items())))
         if key not in self._benches:
+            for other in [other for other in self._benches if USUAL not in (key, other)]:
+                self._benches.pop(other).close()
             device_settings = {"wire": wire} if wire == "rtu" else {}
             self._benches[key] = LiveBench(self.new_folder(), device_settings, changes)
         bench = self._benches[key]

@@ -269,6 +269,7 @@ class Dialogue:
             self.link._set_point.sequence = SEQUENCE - 1
         self.link._plausibility._heartbeat, self.link._plausibility._heartbeat_known = HEARTBEAT, True
         self.link._written_generation = -1
+        self.link._guard.mark_verified(self.wire.generation)
 
     def _block(self) -> bytes:
         """A valid register block."""
@@ -317,10 +318,10 @@ class LineDialogue:
         config = SerialLineLink.model_validate(LINE | where)
         self.link = SerialLineDevice(config)
         self.link._port = ScriptedPort(config, self.script)
-        self.link._set_up_generation = self.link._port.generation
 
     def hold(self, how: int, parts: list[bytes]) -> None:
         """Run the dialogue and compare the accepted replies with the line format."""
+        self.link._set_up_generation = self.link._guard.verified = self.link._port.generation
         self.script.load(list(parts), PIECES[how >> 6], ends=bool(how & ENDS))
         self.link._plausibility._heartbeat, self.link._plausibility._heartbeat_known = HEARTBEAT, True
         if how & SET_UP_READ:
