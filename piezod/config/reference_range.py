@@ -49,7 +49,7 @@ def reference_range(reference: ReferenceConfig, limits: LimitsConfig) -> Referen
     Raises
     ------
     ValueError
-        A bound is beyond the force limit, or a value of a waveform is beyond a bound.
+        A bound, or a value of a waveform, is beyond its limit.
     """
     low_N, high_N = reference.low_N, reference.high_N
     if high_N is not None:
@@ -64,29 +64,11 @@ def reference_range(reference: ReferenceConfig, limits: LimitsConfig) -> Referen
         "limits.force_min_N" if low_N is None else "reference.low_N",
         "limits.force_trip_N" if high_N is None else "reference.high_N",
     )
-    if isinstance(
-        reference, WaveformReference
-    ):  # the force limits count at its start: a tighter limit is taken at once
-        named = ReferenceRange(-inf if low_N is None else low_N, inf if high_N is None else high_N)
-        if refusal := waveform_refusal(reference, named):
-            raise ValueError(refusal)
+    if isinstance(reference, WaveformReference):
+        for sign, value_N in (
+            ("+", reference.offset_N + reference.amplitude_N),
+            ("-", reference.offset_N - reference.amplitude_N),
+        ):
+            if refusal := found.refusal(value_N):
+                raise ValueError(f"reference.offset_N {sign} amplitude_N is {value_N:g}, must be {refusal}")
     return found
-
-
-def waveform_refusal(reference: WaveformReference, allowed: ReferenceRange) -> str:
-    """Text of the extreme value of a waveform that is beyond the range; empty: none is.
-
-    Parameters
-    ----------
-    reference
-        Section `reference` of the bench configuration.
-    allowed
-        Permitted forces.
-    """
-    for sign, value_N in (
-        ("+", reference.offset_N + reference.amplitude_N),
-        ("-", reference.offset_N - reference.amplitude_N),
-    ):
-        if refusal := allowed.refusal(value_N):
-            return f"reference.offset_N {sign} amplitude_N is {value_N:g}, must be {refusal}"
-    return ""

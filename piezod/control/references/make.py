@@ -3,12 +3,11 @@
 from pathlib import Path
 
 from piezod.config.reference import FileReference, ReferenceConfig, RegisterReference, WaveformReference
-from piezod.config.reference_range import ReferenceRange, waveform_refusal
+from piezod.config.reference_range import ReferenceRange
 from piezod.control.references.reference import Reference
 from piezod.control.references.register import RegisterValue
 from piezod.control.references.stream import DatagramStream
 from piezod.control.references.table import file_table, waveform_table
-from piezod.errors import ConfigurationError
 from piezod.transport import Reading
 
 
@@ -35,14 +34,12 @@ def make_reference(
     Raises
     ------
     ConfigurationError
-        A file cannot be read, or a waveform does not fit the tick rate. A value is beyond the range. The path or key of
-        a stream cannot be used.
+        A file cannot be read or holds a value beyond the range. A waveform does not fit the tick rate. The path or the
+        key of a stream cannot be used.
     BusyError
         The address of the stream is in use.
     """
     if isinstance(config, WaveformReference):
-        if refusal := waveform_refusal(config, allowed):
-            raise ConfigurationError(f"{refusal}; nothing is driven")
         return waveform_table(config, rate_Hz)
     if isinstance(config, FileReference):
         return file_table(config, rate_Hz, folder, allowed)

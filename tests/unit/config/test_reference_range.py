@@ -6,9 +6,7 @@ import pytest
 
 from piezod.commissioning.shipped_files import shipped
 from piezod.config import load_bench
-from piezod.control.references import make_reference
 from piezod.errors import ConfigurationError
-from piezod.transport import Reading
 
 TEXT = shipped("bench.yaml").read_text(encoding="utf-8")
 
@@ -44,6 +42,8 @@ def test_the_keys_bound_the_reference(tmp_path):
     [
         ({"high_N": 259.9}, "reference.offset_N + amplitude_N is 260, must be at most reference.high_N, 259.9"),
         ({"low_N": 40.1}, "reference.offset_N - amplitude_N is 40, must be at least reference.low_N, 40.1"),
+        ({"amplitude_N": 211.0}, "is 361, must be at most limits.force_trip_N, 360"),
+        ({"offset_N": "1.0e+300"}, "must be at most limits.force_trip_N, 360"),
         ({"high_N": 361.0}, "reference.high_N is 361, must be at most limits.force_trip_N, 360"),
         ({"low_N": -21.0}, "reference.low_N is -21, must be at least limits.force_min_N, -20"),
         ({"low_N": 300.0, "high_N": 200.0}, "low_N is 300, must be below high_N, 200"),
@@ -53,17 +53,3 @@ def test_the_keys_bound_the_reference(tmp_path):
 def test_a_value_beyond_its_bound_is_refused(tmp_path, keys, says):
     with pytest.raises(ConfigurationError, match=re.escape(says)):
         bench(tmp_path, **keys)
-
-
-@pytest.mark.parametrize(
-    ("keys", "says"),
-    [
-        ({"amplitude_N": 211.0}, "is 361, must be at most limits.force_trip_N, 360"),
-        ({"offset_N": "1.0e+300"}, "must be at most limits.force_trip_N, 360"),
-        ({"offset_N": -10.0}, "must be at least limits.force_min_N, -20"),
-    ],
-)
-def test_a_waveform_beyond_the_force_limits_is_read_but_not_started(tmp_path, keys, says):
-    config = bench(tmp_path, **keys)  # so that a tighter limit is taken while the bench is armed
-    with pytest.raises(ConfigurationError, match=re.escape(says)):
-        make_reference(config.reference, config.rate_Hz, tmp_path, Reading(), config.reference_range, counted=False)
