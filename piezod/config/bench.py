@@ -103,11 +103,14 @@ class BenchConfig(Section):
     @property
     def reference_range(self) -> ReferenceRange:
         """Range of forces that the reference may ask for."""
-        return reference_range(self.reference, self.limits)
+        link = self.load_cell_link or self.link
+        force = None if isinstance(link, SerialLineLink) else link.registers.force
+        readable_N = (None, None) if force is None else (force.low, force.high)
+        return reference_range(self.reference, self.limits, readable_N)
 
     @model_validator(mode="after")
     def _reference_is_within_its_range(self) -> Self:
-        reference_range(self.reference, self.limits)
+        assert self.reference_range is not None  # raises ValueError for a waveform beyond its bounds
         return self
 
     @model_validator(mode="after")

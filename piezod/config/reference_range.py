@@ -3,9 +3,10 @@
 from dataclasses import dataclass
 from math import inf
 
-from piezod.config.checked import require
 from piezod.config.limits import LimitsConfig
 from piezod.config.reference import ReferenceConfig, WaveformReference
+
+Bounds = tuple[float | None, float | None]
 
 
 @dataclass(frozen=True)
@@ -38,37 +39,39 @@ class ReferenceRange:
         return "" if value_N >= self.low_N else f"at least {self.low_key}, {self.low_N:g}"
 
 
-def reference_range(reference: ReferenceConfig, limits: LimitsConfig) -> ReferenceRange:
-    """Make the range of a reference; a missing bound is the force limit of the bench.
+def reference_range(reference: ReferenceConfig, limits: LimitsConfig, readable_N: Bounds) -> ReferenceRange:
+    """Make the range of a reference.
+
+    Values of a file, a register or a stream also lie within the force limits. A waveform without keys is bounded by the
+    load cell only, so that a reload can tighten the force limits below it.
 
     Parameters
     ----------
     reference, limits
         Sections of the bench configuration.
+    readable_N
+        Smallest and largest reading of the load cell [N]; None: unknown.
 
     Raises
     ------
     ValueError
-        A bound, or a value of a waveform, is beyond its limit.
+        A value of a waveform is beyond its bound.
     """
-    low_N, high_N = reference.low_N, reference.high_N
-    if high_N is not None:
-        most = f"at most limits.force_trip_N, {limits.force_trip_N:g}"
-        require(high_N <= limits.force_trip_N, "reference.high_N", high_N, most)
-    if low_N is not None:
-        least = f"at least limits.force_min_N, {limits.force_min_N:g}"
-        require(low_N >= limits.force_min_N, "reference.low_N", low_N, least)
-    found = ReferenceRange(
-        limits.force_min_N if low_N is None else low_N,
-        limits.force_trip_N if high_N is None else high_N,
-        "limits.force_min_N" if low_N is None else "reference.low_N",
-        "limits.force_trip_N" if high_N is None else "reference.high_N",
-    )
+    low, high = (reference.low_N, "reference.low_N"), (reference.high_N, "reference.high_N")
     if isinstance(reference, WaveformReference):
-        for sign, value_N in (
-            ("+", reference.offset_N + reference.amplitude_N),
-            ("-", reference.offset_N - reference.amplitude_N),
-        ):
+        lows, highs = (low, (readable_N[0], "registers.force.low")), (high, (readable_N[1], "registers.force.high"))
+    else:
+        lows, highs = (
+            (low, (limits.force_min_N, "limits.force_min_N")),
+            (high, (limits.force_trip_N, "limits.force_trip_N")),
+        )
+    low_N, low_key = max(((bound, key) for bound, key in lows if bound is not None), default=(-inf, ""))
+    high_N, high_key = min(((bound, key) for bound, key in highs if bound is not None), default=(inf, ""))
+    found = ReferenceRange(low_N, high_N, low_key, high_key)
+    if isinstance(reference, WaveformReference):
+        for sign in (1, -1):
+            value_N = reference.offset_N + sign * reference.amplitude_N
             if refusal := found.refusal(value_N):
-                raise ValueError(f"reference.offset_N {sign} amplitude_N is {value_N:g}, must be {refusal}")
+                name = f"reference.offset_N {'+' if sign > 0 else '-'} amplitude_N"
+                raise ValueError(f"{name} is {value_N:g}, must be {refusal}")
     return found

@@ -257,13 +257,13 @@ class LiveBench:
 
     # the daemon ----------------------------------------------------------------------------------------------------
 
-    def start(self):
-        """Start the daemon unless it runs; returns the time until READY [s]."""
+    def start(self, within_s=WITHIN_S):
+        """Start the daemon unless it runs; returns the time until READY [s], of at most `within_s` [s]."""
         if self.service is not None and self.service.alive:
             return None
         self.drop()
         self.service = Service(self.path, environment=self.environment)
-        ready_s = self.service.wait_notification("READY=1")
+        ready_s = self.service.wait_notification("READY=1", within_s)
         if ready_s is None or self.service.wait_for("reading only") is None:
             raise AssertionError(f"the daemon did not start: {self.service.log()}")
         self._ring = RingReader(self.folder / "ring")

@@ -178,7 +178,7 @@ def armed_on_a_cold_cache(pool, fault, *, effect):
     try:
         with busy_machine():
             bench.environment = {"NUMBA_CACHE_DIR": str(folder)}
-            ready_s = bench.start()
+            ready_s = bench.start(within_s=120.0)  # the steps are compiled
             begun_s = time.monotonic()
             try:
                 bench.send_command("arm")
