@@ -128,7 +128,7 @@ def test_a_reversed_sensor_is_noticed_by_the_first_small_step(serves, tmp_path):
         ("expect: 1\n", "expect: 2\n", "is 1, expected 2"),
         ("readback_within_V: 2", "readback_within_V: 1.0e-09", "the amplifier reads back"),
         ("agree_within_N: null", "agree_within_N: 1.0e-09", "two force readings are"),
-        ("force_min_N: -20.0", "force_min_N: 30.0", "N at rest, must be within limits.force_min_N, 30"),
+        ("force_min_N: -20.0", "force_min_N: 50.0", "N at rest, must be within limits.force_min_N, 50"),
     ],
 )
 def test_arming_is_refused_when_a_precondition_does_not_hold(serves, tmp_path, old, new, says):

@@ -32,10 +32,10 @@ def probe():
 def listed(fault):
     """A fault as a parameter.
 
-    Faults of the disk repeat the tests and the study of the recorder: they are slow. Benches without a process of their
-    own do not depend on the real clock.
+    Faults of the disk repeat the tests and the study of the recorder, and a cold cache compiles for a minute: they are
+    slow. Benches without a process of their own do not depend on the real clock.
     """
-    if fault.injector in disk_faults.INJECTORS:
+    if fault.injector in {*disk_faults.INJECTORS, "armed_on_a_cold_cache"}:
         return pytest.param(fault, id=fault.id, marks=pytest.mark.slow)
     in_process = fault.injector in (
         *manual_clock_faults.INJECTORS,
