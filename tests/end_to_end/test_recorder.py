@@ -229,7 +229,7 @@ def test_a_folder_that_is_no_folder_stops_neither_start_nor_control_and_is_one_l
     ],
 )
 def test_what_a_recorder_cannot_be_is_refused_in_one_line(tmp_path, section, says):
-    bench = recording_bench(tmp_path, {"tcp": "127.0.0.1:1"}, tmp_path, **section)
+    bench = recording_bench(tmp_path, {"tcp": "127.0.0.1:2"}, tmp_path, **section)
     done = piezod("check", bench)
     assert done.returncode == 1, done.stderr
     assert says in done.stdout

@@ -209,7 +209,7 @@ def test_a_device_that_does_not_answer_is_waited_for_and_found(tmp_path):
 
 
 def test_a_stop_while_nobody_answers_ends_at_once(tmp_path):
-    path = bench_file(tmp_path, {"tcp": "127.0.0.1:1"}, rate_Hz=200, limits=PATIENT)
+    path = bench_file(tmp_path, {"tcp": "127.0.0.1:3"}, rate_Hz=200, limits=PATIENT)
     with daemon(path) as service:
         service.ready()
         assert service.end() == 0

@@ -210,4 +210,4 @@ def test_a_file_that_cannot_be_used_is_named(bench, change, says):
     readable.chmod(0o644)
     stands_for = {"KEY": bench.client.key, "OPEN": readable}
     changes = {name: stands_for.get(value, value) for name, value in change.items()}
-    refused(piezod("run", bench.file({"tcp": "127.0.0.1:1"}, **changes), "--arm"), 78, says)
+    refused(piezod("run", bench.file({"tcp": "127.0.0.1:4"}, **changes), "--arm"), 78, says)
