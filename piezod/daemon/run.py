@@ -71,7 +71,7 @@ def run_foreground(path: Path, *, arm: bool) -> RunResult:
         The bench could not be started; nothing was written to the device.
     """
     bench = load_bench(path)
-    lock = lock_bench(bench, wait_s=1.0)  # a program that ends may still hold it
+    lock = lock_bench(bench)
     session = Session(bench, None, path.parent, [], serves=path, lock=lock)
     try:
         session.launch()

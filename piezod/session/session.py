@@ -95,7 +95,7 @@ class Session:
             Another program holds the bench.
         """
         if self._lock is None:
-            self._lock = lock_bench(self._task.bench, wait_s=1.0)  # a program that ends may still hold it
+            self._lock = lock_bench(self._task.bench)
         context = multiprocessing.get_context("spawn")
         self._pipe, theirs = context.Pipe()
         arguments = (self._task, theirs, self._lock, self.phase_cells)
