@@ -32,6 +32,14 @@ def pytest_collection_modifyitems(items):
     items.sort(key=_place)
 
 
+def pytest_collection_finish(session):
+    """Refuse to run where the workers would not see the groups: pytest 9.2 hides them from pytest-xdist 3.8."""
+    if getattr(session.config.option, "loadgroup", False):
+        for item in session.items:
+            if "@" not in item.nodeid:
+                raise pytest.UsageError(f"{item.nodeid}: its group is lost; install pytest below 9.2")
+
+
 def _place(item):
     group = item.get_closest_marker("xdist_group").args[0]
     return next(place for place, start in enumerate(ORDER) if group.startswith(start))

@@ -36,7 +36,6 @@ def steps_of(record):
     return {step["name"]: step for step in record["steps"]}
 
 
-@pytest.mark.slow
 def test_every_step_passes_and_the_record_names_bench_device_version_and_date(bench, tmp_path):
     path = tmp_path / "record.json"
     code, text, _ = run_piezod("check", bench.path, "--proof", "-o", path)
