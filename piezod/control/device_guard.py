@@ -76,6 +76,7 @@ class DeviceGuard:
             return
         count = self._link.supervised
         if count == 0:
+            self._due_ns = done_ns + TURN_NS
             return
         left_ns = self._clock.time_left_ns()
         overdue = done_ns - self._due_ns > OVERDUE_NS // count

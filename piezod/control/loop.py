@@ -14,7 +14,7 @@ from piezod.control.device_guard import DeviceGuard
 from piezod.control.limits import Limiter
 from piezod.control.phase_times import PhaseTimes
 from piezod.control.rate_keeper import RateKeeper
-from piezod.control.references import DatagramStream, RegisterValue
+from piezod.control.references import LiveReference
 from piezod.control.segment_planner import Segment, SegmentPlanner
 from piezod.control.sign_check import SignCheck
 from piezod.control.states import Cause, State
@@ -153,7 +153,7 @@ class ControlLoop:
     def observe(self, segment: Segment, ring_log: RingLog) -> None:
         """Receive the values of `segment`'s reference from now on, also at rest, and count them in the ring log."""
         self._planner.observe(segment.reference)
-        if isinstance(segment.reference, (DatagramStream, RegisterValue)):
+        if isinstance(segment.reference, LiveReference):
             segment.reference.counts = ring_log.counters
 
     def arm(self, segment: Segment) -> None:

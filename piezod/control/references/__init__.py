@@ -1,6 +1,7 @@
 """References: the force to follow, from a table, a register of the device, or a stream of datagrams."""
 
 from piezod.control.references.counts import ValueResult, counts_dict
+from piezod.control.references.live import LiveReference
 from piezod.control.references.make import make_reference
 from piezod.control.references.reference import Freshness, Reference
 from piezod.control.references.register import RegisterValue
@@ -10,6 +11,7 @@ from piezod.control.references.table import TableReference, file_table, waveform
 __all__ = [
     "DatagramStream",
     "Freshness",
+    "LiveReference",
     "Reference",
     "RegisterValue",
     "TableReference",

@@ -4,12 +4,12 @@ from math import isfinite
 
 from piezod.config.reference import RegisterReference
 from piezod.config.reference_range import ReferenceRange
-from piezod.control.references.counts import ValueResult, new_counts
-from piezod.control.references.reference import Freshness
+from piezod.control.references.counts import ValueResult
+from piezod.control.references.live import LiveReference
 from piezod.transport import Reading
 
 
-class RegisterValue:
+class RegisterValue(LiveReference):
     """The register `reference`, which every exchange reads together with the force.
 
     Its age counts from the last change of `reference_counter` that was seen, also at rest. The value that the register
@@ -25,33 +25,17 @@ class RegisterValue:
         Range of the reference; a value beyond it is refused and counted.
     counted
         Whether the device has `reference_counter`. An unchanged counter makes the reference stale.
-
-    Attributes
-    ----------
-    counts
-        Number of values by `ValueResult`.
     """
 
     def __init__(self, reading: Reading, config: RegisterReference, allowed: ReferenceRange, *, counted: bool) -> None:
+        super().__init__(config.stale_after_s, config.when_stale)
         self._reading = reading
         self._low_N, self._high_N = allowed.low_N, allowed.high_N
-        self._stale_ns = round(config.stale_after_s * 1e9)
         self._counted = counted
         self._counter: int | None = None
-        self._received_ns: int | None = None
-        self.ahead = 0.0
-        self.counts = new_counts()
-        self.ramp_down_on_lapse = config.when_stale == "ramp_down"
-        self.freshness = Freshness.STALE
-
-    def begin(self) -> None:
-        """No effect: the age of the value goes on counting."""
-
-    def start(self, tick: int) -> None:
-        """No effect: a value counts from the change of its counter."""
 
     def idle(self, now_ns: int) -> None:
-        """Note a new value in a tick that does not follow it."""
+        """Take the value of the last reading where it is new."""
         reading = self._reading
         if self._counted:
             before, self._counter = self._counter, reading.reference_counter
@@ -61,24 +45,9 @@ class RegisterValue:
                 if not isfinite(reading.reference_N):  # nothing was read yet
                     self._counter = None
                 return
-        self._accept(reading.reference_N, now_ns)
+        self._count(self._result(reading.reference_N), reading.reference_N, now_ns)
 
-    def _accept(self, value_N: float, now_ns: int) -> None:
+    def _result(self, value_N: float) -> ValueResult:
         if not isfinite(value_N):
-            self.counts[ValueResult.MALFORMED] += 1
-        elif not self._low_N <= value_N <= self._high_N:
-            self.counts[ValueResult.OUT_OF_RANGE] += 1
-        else:
-            self.counts[ValueResult.ACCEPTED] += 1
-            self.ahead, self._received_ns = value_N, now_ns
-
-    def read(self, tick: int, now_ns: int) -> float:  # noqa: ARG002  # the same call for every reference
-        """Value of the last good reading [N]."""
-        self.idle(now_ns)
-        received = self._received_ns
-        live = received is not None and now_ns - received < self._stale_ns
-        self.freshness = Freshness.LIVE if live else Freshness.STALE
-        return self.ahead
-
-    def close(self) -> None:
-        """No effect: the link is not this object's."""
+            return ValueResult.MALFORMED
+        return ValueResult.ACCEPTED if self._low_N <= value_N <= self._high_N else ValueResult.OUT_OF_RANGE

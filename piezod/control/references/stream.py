@@ -7,9 +7,8 @@ from pathlib import Path
 from piezod.config.reference import StreamReference
 from piezod.config.reference_range import ReferenceRange
 from piezod.config.run_time_files import UnixSocket, group_id
-from piezod.control.references.counts import ValueResult, new_counts
 from piezod.control.references.datagram import LARGEST, DatagramGate, read_key
-from piezod.control.references.reference import Freshness
+from piezod.control.references.live import LiveReference
 from piezod.errors import BusyError
 
 _MOST_PER_TICK = 32
@@ -17,7 +16,7 @@ _MOST_DISCARDED = 10_000  # queues of the kernel are shorter
 _RECEIVE_BYTES = 65_536  # a short queue of the kernel: a value that waits in it is late
 
 
-class DatagramStream:
+class DatagramStream(LiveReference):
     """Newest value of a stream of datagrams.
 
     The socket is emptied in every tick, also at rest, so the age of a value counts from its arrival. What waits in the
@@ -31,11 +30,6 @@ class DatagramStream:
         Range of the reference; a value beyond it is refused and counted. It is not clamped: a wrong value would then
         drive to the limit.
 
-    Attributes
-    ----------
-    counts
-        Number of values by `ValueResult`.
-
     Raises
     ------
     BusyError
@@ -45,17 +39,12 @@ class DatagramStream:
     """
 
     def __init__(self, config: StreamReference, allowed: ReferenceRange) -> None:
+        super().__init__(config.stale_after_s, config.when_stale)
         key = None if config.key_file is None else read_key(config.key_file)
         self._gate = DatagramGate(allowed, key, config.stamp_within_s)
-        self._stale_ns = round(config.stale_after_s * 1e9)
         self._buffer = bytearray(LARGEST + 1)
         self._view = memoryview(self._buffer)
-        self._received_ns: int | None = None
         self._unix: UnixSocket | None = None
-        self.ahead = 0.0
-        self.counts = new_counts()
-        self.ramp_down_on_lapse = config.when_stale == "ramp_down"
-        self.freshness = Freshness.STALE
         self._socket = self._bind(config)
 
     def _bind(self, config: StreamReference) -> socket.socket:
@@ -82,31 +71,14 @@ class DatagramStream:
                 self._socket.recv_into(self._buffer)
         self._gate.begin()
 
-    def start(self, tick: int) -> None:
-        """No effect: a value counts from its arrival."""
-
     def idle(self, now_ns: int) -> None:
-        """Receive the values of a tick that does not follow them."""
-        self._receive(now_ns)
-
-    def read(self, tick: int, now_ns: int) -> float:  # noqa: ARG002  # the same call for every reference
-        """Newest value [N]."""
-        self._receive(now_ns)
-        received = self._received_ns
-        live = received is not None and now_ns - received < self._stale_ns
-        self.freshness = Freshness.LIVE if live else Freshness.STALE
-        return self.ahead
-
-    def _receive(self, now_ns: int) -> None:
+        """Take the datagrams that have arrived."""
         for _ in range(_MOST_PER_TICK):
             try:
                 size = self._socket.recv_into(self._buffer)
             except (BlockingIOError, InterruptedError):
                 break
-            result = self._gate.check(self._view[:size], now_ns)
-            self.counts[result] += 1
-            if result is ValueResult.ACCEPTED:
-                self.ahead, self._received_ns = self._gate.value_N, now_ns
+            self._count(self._gate.check(self._view[:size], now_ns), self._gate.value_N, now_ns)
 
     def close(self) -> None:
         """Close the socket and remove a unix socket's path."""
