@@ -236,6 +236,15 @@ def load_bench(path: Path) -> BenchConfig:
 def bench_of(document: Document) -> BenchConfig:
     """Validate a bench file that is already read.
 
+    Parameters
+    ----------
+    document
+        Path, content and line numbers of the file.
+
+    Returns
+    -------
+    Every setting within its limits; frozen.
+
     Raises
     ------
     ConfigurationError

@@ -55,7 +55,17 @@ def play_step(packed: Array, base: int, count: int, u: float) -> float:
 
 @numba.njit(cache=True)
 def play_value(packed: Array, base: int, count: int) -> float:
-    """Weighted sum of the present states; arguments as in `play_step`; moves no state."""
+    """Weighted sum of the present states; moves no state.
+
+    Parameters
+    ----------
+    packed, base, count
+        As for `play_step`.
+
+    Returns
+    -------
+    sum_k w_k z_k, in the unit of the input.
+    """
     v = 0.0
     weights, states = base + WEIGHT * count, base + STATE * count
     for i in range(count):

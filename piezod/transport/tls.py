@@ -158,6 +158,16 @@ def tls_error(config: ModbusTcpLink, error: OSError) -> PiezodError | None:
 
 
 def explain(error: OSError) -> str:
-    """Readable text for an error of OpenSSL or of the system."""
+    """Readable text for an error of OpenSSL or of the system.
+
+    Parameters
+    ----------
+    error
+        As raised by `ssl` or `socket`.
+
+    Returns
+    -------
+    One line without a full stop, in lower case.
+    """
     reason = getattr(error, "reason", None) or error.strerror or str(error)
     return str(reason).lower().replace("_", " ")
