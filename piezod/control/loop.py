@@ -325,6 +325,8 @@ class ControlLoop:
         """End the ramp down when the safe voltage is written and read back; trip when the readback stays away."""
         if not good or abs(self.limiter.applied_V - self._safe_V) > 1e-6:
             self._settling_ns = -1
+            if good:
+                self._follow_output(readback_V)
             return
         if self._settling_ns < 0:
             self._settling_ns = now_ns
@@ -333,6 +335,11 @@ class ControlLoop:
         elif now_ns - self._settling_ns > self._comm_loss_ns:
             self.supervisor.trip(Cause.READBACK)
             self.supervisor.end_ramp_down()
+
+    def _follow_output(self, readback_V: float) -> None:
+        """Continue the ramp of a tripped amplifier at rest: switched on again, it would jump to the last voltage."""
+        if self.supervisor.amplifier_tripped and isfinite(readback_V) and self._is_safe(readback_V):
+            self.limiter.applied_V = self._safe_V
 
     def _is_safe(self, readback_V: float) -> bool:
         return isnan(readback_V) or abs(readback_V - self._safe_V) <= self._readback_within_V

@@ -93,9 +93,14 @@ class Supervisor:
     @property
     def fast_ramp(self) -> bool:
         """Whether the ramp down is as fast as the slew limit allows."""
-        if self._fast_stop or self._fault in _AMPLIFIER_FAULTS:
+        if self._fast_stop or self.amplifier_tripped:
             return True
         return self._fault is Cause.COMM_LOSS and self._limits.comm_loss_action == "zero"
+
+    @property
+    def amplifier_tripped(self) -> bool:
+        """Whether the latched fault is one that the amplifier reported: its output may be off."""
+        return self._fault in _AMPLIFIER_FAULTS
 
     @property
     def force_suspect(self) -> bool:

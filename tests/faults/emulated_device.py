@@ -20,6 +20,7 @@ from typing import Any
 from pymodbus.pdu import ExceptionResponse, ModbusPDU
 
 from firmware_sim.config import Firmware, Tcp
+from firmware_sim.errors import RefusedError
 from firmware_sim.firmware.device import IDENTITY, MAP_VERSION, ORDER_CHECK, Device
 from firmware_sim.firmware.modbus import ModbusUnit
 from firmware_sim.physics.bench import Bench, Sample
@@ -304,7 +305,8 @@ class FaultServer:
             self.device.catch_up()
             self.judge.excused = True
             words = struct.unpack(">2H", struct.pack(">f", self.device.requested_V + above_V))
-            Device.write(self.device, 100, [*words, self.device.command_echo])
+            with contextlib.suppress(RefusedError):  # outside the range of the device
+                Device.write(self.device, 100, [*words, self.device.command_echo])
             await asyncio.sleep(every_s)
         return begun
 

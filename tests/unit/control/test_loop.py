@@ -1,5 +1,7 @@
 """The loop on a fake link: which voltages are written, and when."""
 
+import math
+
 import numpy as np
 import pytest
 
@@ -7,6 +9,7 @@ from piezod.control import Cause, Segment, State, TableReference
 from piezod.control.references import Freshness
 from piezod.model import DirectDrive
 from piezod.operators import ImplicitInverse, PrandtlIshlinskii
+from piezod.transport.status import STATUS_AMPLIFIER_FAULT
 from tests.unit.control.fake_bench import FakeLink
 from tests.unit.control.loops import Halving, armed_loop, make_loop, rows_of, run
 
@@ -308,3 +311,38 @@ def test_the_timeout_of_arming_does_not_end_a_run(ring_log):
     loop.arm(Segment("work", TableReference(np.full(5000, 60.0)), Halving()))
     run(loop, 3000)
     assert loop.supervisor.state is State.RUNNING
+
+
+class TrippingLink(FakeLink):
+    """Link to an amplifier that switches its output off, with `readback_V` then, and reports the fault."""
+
+    tripped = False
+    readback_V = 0.0
+
+    def exchange(self, voltage_V):
+        result = super().exchange(voltage_V)
+        if self.tripped:
+            self.reading.status = STATUS_AMPLIFIER_FAULT
+            self.reading.voltage_readback_V = self.readback_V
+        return result
+
+
+def voltages_after_a_trip(ring_log, readback_V):
+    link = TrippingLink()
+    loop = armed_loop(link, ring_log, slew_V_per_s=1000.0, ramp_down_V_per_s=1000.0)
+    run(loop, 200)
+    assert loop.supervisor.state is State.RUNNING
+    assert link.voltages[-1] == 30.0
+    link.tripped, link.readback_V = True, readback_V
+    before = len(link.voltages)
+    run(loop, 4)
+    return link.voltages[before:]
+
+
+def test_a_tripped_amplifier_at_rest_is_commanded_to_rest_so_that_it_does_not_jump_when_switched_on(ring_log):
+    assert voltages_after_a_trip(ring_log, 0.0) == [30.0, 0.0]
+
+
+@pytest.mark.parametrize("readback_V", [2.5, math.nan])
+def test_a_tripped_amplifier_that_is_not_known_to_be_at_rest_is_ramped_down(ring_log, readback_V):
+    assert voltages_after_a_trip(ring_log, readback_V) == [30.0, 29.0, 28.0, 27.0]
