@@ -9,6 +9,7 @@ REST_V = 0.5  # largest output that counts as rest
 ARMED_WITHIN_V = 2.0  # arming.readback_within_V: largest output at which an arm may be accepted
 RANGE_V = 140.0
 RAMP_DOWN_V_PER_S = 200.0  # slower than the ramps of a stop and of the device, so that haste is seen
+STEADY_FROM_V = 10.0
 STEADY_SHARE = 0.8  # of the time that a ramp takes at its rate; the reference may have fallen before it began
 MACHINE_S = 1.5  # for a command on its way through the processes of a machine with other work
 REST_WITHIN_S = RANGE_V / RAMP_DOWN_V_PER_S + 1e-3 * (TIMING["comm_loss_ms"] + TIMING["device_watchdog_ms"]) + MACHINE_S
@@ -55,7 +56,7 @@ class Judge:
         self.rest_due = None
         self.trip_N = 360.0
         self.excused = set()
-        self._armed_s, self._steady = 0.0, None
+        self._armed_s, self._steady, self._disturbed = 0.0, None, False
         self._above_since_s = None
         self.new_service(len(self.bench.service.log_lines))
         self._last_ns = time.monotonic_ns()
@@ -71,14 +72,14 @@ class Judge:
         if self.rest_due is not None:
             self.disturb()
             return
-        if steadily:
-            report = self.bench.device.ask("report")
+        report = self.bench.device.ask("report")
+        if steadily and not self._disturbed and report["output_V"] > STEADY_FROM_V:
             self._steady = (report["now_ns"], report["output_V"], reason)
         self.rest_due = (time.monotonic_ns(), reason)
 
     def disturb(self):
-        """Something may make a ramp faster from now on: a device fault, another signal, a stop."""
-        self._steady = None
+        """Something may make each ramp of this sequence faster: a device fault, another signal, a stop."""
+        self._steady, self._disturbed = None, True
 
     def sent_arm(self):
         """An arm was sent, which has not been refused."""

@@ -22,6 +22,7 @@ from tests.stateful.judge import RAMP_DOWN_V_PER_S, Judge, ViolationError
 
 GONE = "gone"
 OFF_AT_LEAST_S = 0.02  # four ticks: nobody switches an amplifier on again faster than the service can read its state
+GUARD_PERIOD_S = 0.6  # the watchdog is read at least once in it
 RELEASE_WITHIN_S = 10.0  # until a service whose parent was killed has given the device back
 BROKEN_FILES = ("", "rate_Hz: [", "schema: piezod.bench/1\nname: x\n", "\x00\xff", "limits: 3\n")
 JUNK = (b"", b"x", bytes(24), b"\xff" * 24, bytes(40), b"\xff" * 65000)
@@ -294,7 +295,7 @@ class ServiceMachine(RuleBasedStateMachine):
             for _ in range(count):
                 self.sender.send(250.0)
 
-    # the device: after its faults the rate of a ramp is no longer judged ----------------------------------------------------
+    # the device: after its faults the rate of a ramp is no longer judged ---------------------------------------------
 
     @rule(
         kind=st.sampled_from(["force", "offset", "reversed", "gain", "stuck", "frozen", "heartbeat_stuck", "readback"]),
@@ -331,6 +332,7 @@ class ServiceMachine(RuleBasedStateMachine):
         self._did("foreign watchdog write", watchdog_ms)
         self.judge.disturb()
         do(self.bench, {"write_register": {"address": 110, "value": watchdog_ms}})
+        time.sleep(GUARD_PERIOD_S)  # a kill before the next reading of the watchdog leaves the foreign one in force
 
     @rule(above_V=st.sampled_from([2.0, 4.5]), times=st.sampled_from([1, 20]))
     def second_master(self, above_V, times):
@@ -417,7 +419,8 @@ class ServiceMachine(RuleBasedStateMachine):
             except PiezodError:  # its places are taken
                 self.state = None
         self.judge.judge(self.state)
-        self.steps.append(f"-> {self.state}")
+        if self.steps and self.steps[-1] != f"-> {self.state}":
+            self.steps.append(f"-> {self.state}")
 
     def teardown(self):
         if not hasattr(self, "judge"):
