@@ -2,7 +2,7 @@
 
 import time
 
-from tests.faults.live_bench import TICK_MS, TIMING
+from tests.faults.live_bench import SLEW_V_PER_S, TICK_MS, TIMING
 from tests.faults.probe import STILL_MS
 
 REST_V = 0.5  # largest output that counts as rest
@@ -85,9 +85,11 @@ class Judge:
         """An arm was sent, which has not been refused."""
         self.may_drive, self._armed_s = True, time.monotonic()
 
-    def accepted_arm(self, output_V):
-        """An arm was accepted, when the output was `output_V`."""
-        if abs(output_V) > ARMED_WITHIN_V and "foreign" not in self.excused:
+    def accepted_arm(self, report):
+        """An arm was accepted, some time after this report of the device."""
+        output_V = report["output_V"]
+        since_s = 1e-9 * (time.monotonic_ns() - report["now_ns"])
+        if abs(output_V) > ARMED_WITHIN_V + SLEW_V_PER_S * since_s and "foreign" not in self.excused:
             raise ViolationError(f"an arm was accepted at {output_V:.2f} V")
         self.rest_due = None
         self.sent_arm()

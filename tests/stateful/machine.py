@@ -138,11 +138,11 @@ class ServiceMachine(RuleBasedStateMachine):
         time.sleep(for_s)
 
     def _arm(self):
-        before, output_V = self.judge.may_drive, self.bench.device.ask("report")["output_V"]
+        before, report = self.judge.may_drive, self.bench.device.ask("report")
         self.judge.sent_arm()
         accepted = self._send("arm")
         if accepted:
-            self.judge.accepted_arm(output_V)
+            self.judge.accepted_arm(report)
         elif accepted is False:
             self.judge.may_drive = before
 
