@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from piezod.cli.root import JsonOption, app
+from piezod.cli.root import ColumnsOption, DecimalOption, JsonOption, RateOption, app
 from piezod.errors import UsageError
 
 
@@ -34,15 +34,20 @@ def diagnose(
     condition: Annotated[
         str | None, typer.Option("--where", metavar="COLUMN=VALUE", help="Use only the samples with this value.")
     ] = None,
+    columns: ColumnsOption = None,
+    rate_hz: RateOption = None,
+    decimal: DecimalOption = None,
     as_json: JsonOption = False,
 ) -> None:
     """Find the effects that a model lacks: place, effect, confidence, and the extended model."""
     from piezod.diagnose.command import diagnose_files
+    from piezod.recording import TextOptions
     from piezod.report.diagnosis.page import write_diagnosis_page
     from piezod.report.diagnosis.terminal import print_findings
     from piezod.report.progress import steps
 
     recordings = list(recordings or ())
+    text = TextOptions.of(columns, rate_hz, decimal)
     if from_bench is not None:
         from piezod.daemon.drift import find_drift_recording
 
@@ -54,7 +59,7 @@ def diagnose(
         raise UsageError("REC... or --model is missing: give both, or --from-bench CONFIG")
     with steps() as show:
         diagnosis = diagnose_files(
-            recordings, model, output, input_column, output_column, show, hold_out or (), condition
+            recordings, model, output, input_column, output_column, show, hold_out or (), condition, text
         )
         show("drawing the report", None)
         write_diagnosis_page(output / "report.html", diagnosis)

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from piezod import __version__
-from piezod.cli.root import ConfigArgument, JsonOption, app
+from piezod.cli.root import ColumnsOption, ConfigArgument, DecimalOption, JsonOption, RateOption, app
 from piezod.errors import UsageError
 
 ModelOption = Annotated[Path, typer.Option("--model", metavar="MODEL", help="Model file.")]
@@ -40,6 +40,9 @@ def identify(
         float, typer.Option(help="First share of each recording, for the fit; the rest is held out.")
     ] = 0.7,
     name: Annotated[str, typer.Option(help="Name of the model.")] = "stack",
+    columns: ColumnsOption = None,
+    rate_hz: RateOption = None,
+    decimal: DecimalOption = None,
     as_json: JsonOption = False,
 ) -> None:
     """Identify a model from recordings."""
@@ -47,13 +50,14 @@ def identify(
     from piezod.identify.identification import identify as identify_model
     from piezod.identify.intake import load_recordings
     from piezod.model import save_model
-    from piezod.recording import check_output_path
+    from piezod.recording import TextOptions, check_output_path
     from piezod.report.identification import identification_as_dict, print_identification, write_identification_page
     from piezod.report.progress import steps
 
     if variant not in ("A", "B"):
         raise UsageError(f"--variant is '{variant}', must be A or B")
     check_output_path(model, recordings)
+    text = TextOptions.of(columns, rate_hz, decimal)
     options = Options(
         input=input_column,
         output=output_column,
@@ -64,7 +68,7 @@ def identify(
         name=name,
     )
     with steps() as show:
-        loaded = load_recordings(recordings, input_column, output_column, show)
+        loaded = load_recordings(recordings, input_column, output_column, show, text)
         read = [each.recording for each in loaded]
         identification = identify_model(
             read,
@@ -92,21 +96,25 @@ def simulate(
     condition: Annotated[
         str | None, typer.Option("--where", metavar="COLUMN=VALUE", help="Compare only the samples with this value.")
     ] = None,
+    columns: ColumnsOption = None,
+    rate_hz: RateOption = None,
+    decimal: DecimalOption = None,
     as_json: JsonOption = False,
 ) -> None:
     """Simulate a model over the input of a recording, in free run; compare with its output, if it has one."""
     from piezod.identify.intake import load_for_simulation
     from piezod.identify.simulation import simulate_recording, where
     from piezod.model import load_model
-    from piezod.recording import check_recording_target, write_recording
+    from piezod.recording import TextOptions, check_recording_target, write_recording
     from piezod.report.progress import steps
 
     check_recording_target(output, [recording])
+    text = TextOptions.of(columns, rate_hz, decimal)
     plant = load_model(model)
     column, equals, _ = (condition or "").partition("=")
     with steps() as show:
         loaded = load_for_simulation(
-            recording, plant.input.channel, plant.output.channel, [column] if equals else [], show
+            recording, plant.input.channel, plant.output.channel, [column] if equals else [], show, text
         )
     chosen = where(loaded.recording, condition) if condition else None
     simulation = simulate_recording(plant, loaded.recording, start_window, chosen, loaded.sha256)

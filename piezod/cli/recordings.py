@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from piezod.cli.root import ConfigArgument, JsonOption, app
+from piezod.cli.root import ColumnsOption, ConfigArgument, DecimalOption, JsonOption, RateOption, app
 
 
 @app.command(epilog="Example: piezod record config/bench.yaml --excitation varying-triangles -o varying.csv")
@@ -59,20 +59,27 @@ def record(
 
 @app.command(epilog="Example: piezod convert varying.csv -o varying.mat")
 def convert(
-    recording: Annotated[Path, typer.Argument(metavar="IN", help="csv, sqlite, h5, mat, tdms, parquet, mf4.")],
+    recording: Annotated[Path, typer.Argument(metavar="IN", help="Any text, sqlite, h5, mat, tdms, parquet, mf4.")],
     output: Annotated[Path, typer.Option("-o", metavar="OUT", help="Likewise; the suffix determines the format.")],
+    columns: ColumnsOption = None,
+    rate_hz: RateOption = None,
+    decimal: DecimalOption = None,
     as_json: JsonOption = False,
 ) -> None:
     """Rewrite a recording in another format."""
+    from piezod.recording import TextOptions
     from piezod.recording import convert as convert_file
 
-    converted = convert_file(recording, output)
-    columns = ["time_s", *converted.channels]
+    converted = convert_file(recording, output, TextOptions.of(columns, rate_hz, decimal))
+    names = ["time_s", *converted.channels]
+    understood = converted.metadata.get("understood", "")
     if as_json:
         content = {"schema": "piezod.convert/1", "file": str(output), "samples": converted.time_s.size}
-        print(json.dumps(content | {"columns": columns}, indent=2))
+        print(json.dumps(content | {"columns": names, "understood": understood}, indent=2))
     else:
-        print(f"{output}: {converted.time_s.size} samples of {', '.join(columns)}")
+        print(f"{output}: {converted.time_s.size} samples of {', '.join(names)}")
+        if understood:
+            print(f"read as: {understood}")
 
 
 @app.command(epilog="Example: piezod report /var/lib/piezod/recordings/press-000007.sqlite -o run.html")

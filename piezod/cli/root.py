@@ -30,6 +30,17 @@ DaemonArgument = Annotated[
 SocketOption = Annotated[
     Path | None, typer.Option("--socket", metavar="PATH", help="Socket of the daemon, instead of CONFIG.")
 ]
+ColumnsOption = Annotated[
+    str | None,
+    typer.Option("--columns", metavar="NAME,...", help="Columns of a text file, such as time_ms,voltage_V,force_N."),
+]
+RateOption = Annotated[
+    float | None,
+    typer.Option("--rate-Hz", metavar="HZ", min=1e-9, help="Rate of a text file without a column of time."),
+]
+DecimalOption = Annotated[
+    str | None, typer.Option("--decimal", metavar="MARK", help="Decimal mark of a text file, a point or a comma.")
+]
 WaitOption = Annotated[bool, typer.Option(help="Wait for the result.")]
 
 

@@ -13,6 +13,7 @@ from piezod.diagnose.prepare import Source, past_sources, read_source
 from piezod.errors import ConfigurationError, UsageError
 from piezod.identify.simulation import simulate_recording
 from piezod.model import Model, load_model, save_model
+from piezod.recording import TextOptions
 
 START_WINDOW_S = 1.0  # of a recording that does not start at rest, where its start is found
 OnStep = Callable[[str, float | None], None]
@@ -27,6 +28,7 @@ def diagnose_files(
     on_step: OnStep,
     hold_out: Sequence[Path] = (),
     condition: str | None = None,
+    text: TextOptions | None = None,
 ) -> Diagnosis:
     """Diagnose recordings and write `findings.json` and `model.yaml` into a folder.
 
@@ -46,6 +48,8 @@ def diagnose_files(
         Recordings that both models are compared on and nothing is fitted to.
     condition
         COLUMN=VALUE at which the readings of `recordings` count; the memory runs through all samples.
+    text
+        What the user says about text files; None: everything is found from the files.
 
     Raises
     ------
@@ -58,9 +62,11 @@ def diagnose_files(
     files = [*recordings, *hold_out]
     if len({path.resolve() for path in files}) < len(files):
         raise UsageError(f"REC is {', '.join(map(str, files))}: one stands twice, must be different files")
-    apart = [read_source(path, "recording") for path in hold_out]
-    asked = [read_source(path, "recording", condition) for path in recordings]
+    columns = (model.input.channel, model.output.channel)
+    apart = [read_source(path, "recording", columns, text=text) for path in hold_out]
+    asked = [read_source(path, "recording", columns, condition, text) for path in recordings]
     past, notes = past_sources(model, model_path.parent, asked)
+    notes = [*(note for one in (*asked, *apart) for note in one.notes), *notes]
     diagnosis = diagnose(model, asked, past, notes, on_step)
     if apart:
         on_step("simulating what was held out", 0.98)
@@ -68,8 +74,8 @@ def diagnose_files(
         diagnosis = replace(diagnosis, findings=replace(diagnosis.findings, held_out=told))
     try:
         output.mkdir(parents=True, exist_ok=True)
-        text = json.dumps(diagnosis.findings.as_dict(), indent=2) + "\n"
-        (output / "findings.json").write_text(text, encoding="utf-8")
+        content = json.dumps(diagnosis.findings.as_dict(), indent=2) + "\n"
+        (output / "findings.json").write_text(content, encoding="utf-8")
     except OSError as error:
         raise ConfigurationError(f"{output}: cannot be written: {error.strerror}") from error
     save_model(diagnosis.model, output / "model.yaml")

@@ -17,7 +17,8 @@ from piezod.excitation import varying_triangles
 from piezod.identify.simulation import where
 from piezod.identify.start import estimate_path, remembered, start_at_zero, starts_at_rest
 from piezod.model import Model, file_sha256
-from piezod.recording import Hold, Recording, read_recording
+from piezod.recording import Hold, Recording, TextOptions, read_recording
+from piezod.recording.conversion import in_units_of
 
 Array = NDArray[np.float64]
 
@@ -44,12 +45,15 @@ class Source:
         Whether the model was identified on it.
     condition
         COLUMN=VALUE at which its readings count; None: everywhere.
+    notes
+        What was understood of its file, and each channel that was converted.
     """
 
     recording: Recording
     sha256: str
     role: Role
     condition: str | None = None
+    notes: tuple[str, ...] = ()
 
     @property
     def name(self) -> str:
@@ -57,15 +61,33 @@ class Source:
         return Path(self.recording.source).name or self.recording.source
 
 
-def read_source(path: Path, role: Role, condition: str | None = None) -> Source:
+def read_source(
+    path: Path, role: Role, columns: Sequence[str], condition: str | None = None, text: TextOptions | None = None
+) -> Source:
     """Read a recording whole.
+
+    Parameters
+    ----------
+    path
+        File of any format.
+    role
+        What it is used for.
+    columns
+        Channels that are wanted; one that the file holds in another multiple of its unit is converted.
+    condition
+        COLUMN=VALUE at which its readings count; None: everywhere.
+    text
+        What the user says about a text file; None: everything is found from the file.
 
     Raises
     ------
     RecordingError
         It cannot be read.
     """
-    return Source(read_recording(path), file_sha256(path), role, condition)
+    recording, notes = in_units_of(read_recording(path, text), columns)
+    if "understood" in recording.metadata:
+        notes.insert(0, f"read as: {recording.metadata['understood']}")
+    return Source(recording, file_sha256(path), role, condition, tuple(f"{path}: {note}" for note in notes))
 
 
 def past_sources(model: Model, folder: Path, given: Sequence[Source]) -> tuple[list[Source], list[str]]:
@@ -95,7 +117,7 @@ def past_sources(model: Model, folder: Path, given: Sequence[Source]) -> tuple[l
         if path is None:
             notes.append(f"{source.path}, which the model was identified on, is not there or not the same any more")
         else:
-            found.append(read_source(path, "identification"))
+            found.append(read_source(path, "identification", (model.input.channel, model.output.channel)))
     return found, notes
 
 

@@ -16,9 +16,9 @@ from piezod.errors import RecordingError, UsageError
 from piezod.identify.suitability import FEWEST_SAMPLES
 from piezod.model import file_sha256
 from piezod.model.parameters import RecordingSource
-from piezod.recording import TIME, Recording, column_names, open_stream
+from piezod.recording import TIME, Recording, TextOptions, column_names, open_stream
+from piezod.recording.conversion import factor_to, stored_column
 from piezod.recording.formats.access import library_errors
-from piezod.recording.names import unit_of
 from piezod.recording.quality import describe_missing, describe_stuck, describe_timing
 from piezod.recording.stretches import gaps
 from piezod.recording.stuck import find_stuck
@@ -37,10 +37,6 @@ TEMPERATURES = ("temperature_C", "temperature_degC")
 
 LARGEST = 1e30
 """What is beyond is infinite, or stands for a missing sample: 9.97e36, 3.4e38."""
-
-PREFIXES = {"n": 1e-9, "u": 1e-6, "m": 1e-3, "k": 1e3, "M": 1e6}
-SCALED = ("V", "N")
-"""Units for which a column in thousands or thousandths is taken and converted."""
 
 UNSEEN = 0.01
 """Share of its swing that the input may move unseen while samples are missing."""
@@ -78,7 +74,11 @@ class LoadedRecording:
 
 
 def load_recordings(
-    paths: Sequence[Path], input_column: str, output_column: str, on_step: OnStep = lambda *_: None
+    paths: Sequence[Path],
+    input_column: str,
+    output_column: str,
+    on_step: OnStep = lambda *_: None,
+    text: TextOptions | None = None,
 ) -> list[LoadedRecording]:
     """Read recordings for identification.
 
@@ -93,6 +93,8 @@ def load_recordings(
         Column names, such as `voltage_V`; a file may hold the column in another multiple of its unit, `voltage_kV`.
     on_step
         Called repeatedly with the current step in words, and None because the share done is unknown.
+    text
+        What the user says about text files; None: everything is found from the files.
 
     Raises
     ------
@@ -103,17 +105,22 @@ def load_recordings(
     """
     if input_column == output_column:
         raise UsageError(f"--input and --output are both {input_column}, must be different columns")
-    return [_load(path, input_column, output_column, on_step) for path in paths]
+    return [_load(path, input_column, output_column, on_step, text) for path in paths]
 
 
 def load_for_simulation(
-    path: Path, input_column: str, output_column: str, also: Sequence[str] = (), on_step: OnStep = lambda *_: None
+    path: Path,
+    input_column: str,
+    output_column: str,
+    also: Sequence[str] = (),
+    on_step: OnStep = lambda *_: None,
+    text: TextOptions | None = None,
 ) -> LoadedRecording:
     """Read a recording for simulation: every row stays, and the output column may be absent.
 
     Parameters
     ----------
-    path, input_column, output_column, on_step
+    path, input_column, output_column, on_step, text
         As for `load_recordings`.
     also
         Names of further columns.
@@ -123,11 +130,11 @@ def load_for_simulation(
     RecordingError
         The file cannot be read, or its input has a hole too long to interpolate.
     """
-    names = column_names(path)
+    names = column_names(path, text)
     wanted = [input_column, *also]
-    if any(_multiple(output_column, name) for name in names):
+    if any(factor_to(output_column, name) for name in names):
         wanted.append(output_column)
-    recording, sha256, notes = _read(path, names, wanted, on_step)
+    recording, sha256, notes = _read(path, names, wanted, on_step, text)
     bridged, breaks, bridge_notes = _bridge(recording, input_column)
     u = bridged.channel(input_column)
     if not np.isfinite(u).all():
@@ -142,9 +149,11 @@ def load_for_simulation(
     return _loaded(bridged, sha256, notes)
 
 
-def _load(path: Path, input_column: str, output_column: str, on_step: OnStep) -> LoadedRecording:
-    names = column_names(path)
-    recording, sha256, notes = _read(path, names, [input_column, output_column], on_step)
+def _load(
+    path: Path, input_column: str, output_column: str, on_step: OnStep, text: TextOptions | None
+) -> LoadedRecording:
+    names = column_names(path, text)
+    recording, sha256, notes = _read(path, names, [input_column, output_column], on_step, text)
     recording, breaks, bridge_notes = _bridge(recording, input_column)
     recording, cut = _longest(recording, input_column, breaks)
     notes += bridge_notes + cut
@@ -157,16 +166,18 @@ def _loaded(recording: Recording, sha256: str, notes: list[str]) -> LoadedRecord
     return LoadedRecording(recording, sha256, [f"{recording.source}: {note}" for note in notes])
 
 
-def _read(path: Path, names: Sequence[str], wanted: Sequence[str], on_step: OnStep) -> tuple[Recording, str, list[str]]:
+def _read(
+    path: Path, names: Sequence[str], wanted: Sequence[str], on_step: OnStep, text: TextOptions | None
+) -> tuple[Recording, str, list[str]]:
     """The wanted columns and the temperature, in their units; hash and notes."""
-    stored = {column: _stored(path, names, column) for column in wanted}
+    stored = {column: stored_column(path, names, column) for column in wanted}
     for name in [name for name in TEMPERATURES if name in names][:1]:
         stored[TEMPERATURES[0]] = (name, 1.0)
     with ThreadPoolExecutor(1) as pool, library_errors(path, "read"):
         sha256 = pool.submit(file_sha256, path)  # beside the reading: the file comes from the disk once
         columns = {name: _Column() for name in (TIME, *(name for name, _ in stored.values()))}
         metadata: dict[str, str] = {}
-        for piece in open_stream(path, list(columns), CHUNK):
+        for piece in open_stream(path, list(columns), CHUNK, text):
             columns[TIME].add(piece.time_s)
             for name, values in piece.channels.items():
                 columns[name].add(values)
@@ -175,7 +186,8 @@ def _read(path: Path, names: Sequence[str], wanted: Sequence[str], on_step: OnSt
         if not columns[TIME].size:
             raise RecordingError(f"{path}: has no samples")
         channels = {column: _scaled(columns[name].values(), factor) for column, (name, factor) in stored.items()}
-        notes = [f"{column}: is {name} times {factor:g}" for column, (name, factor) in stored.items() if factor != 1.0]
+        notes = [f"read as: {metadata['understood']}"] if "understood" in metadata else []
+        notes += [f"{column}: is {name} times {factor:g}" for column, (name, factor) in stored.items() if factor != 1.0]
         notes += [f"damaged: {metadata['damaged']}"] if "damaged" in metadata else []
         return Recording(columns[TIME].values(), channels, {}, str(path)), sha256.result(), notes
 
@@ -207,26 +219,6 @@ def _scaled(values: Array, factor: float) -> Array:
         values = values * factor
     values[(values > LARGEST) | (values < -LARGEST)] = np.nan
     return values
-
-
-def _stored(path: Path, names: Sequence[str], column: str) -> tuple[str, float]:
-    """Name of a column in the file, and the factor to its unit."""
-    for name in (column, *names):
-        if name in names and name != TIME and (factor := _multiple(column, name)):
-            return name, factor
-    present = ", ".join(name for name in names if name != TIME)
-    raise RecordingError(f"{path}: has no column {column}, has {present[:200]}")
-
-
-def _multiple(column: str, name: str) -> float:
-    """Factor from a column of the file to the one that is wanted; 0 where they are not the same quantity."""
-    if name == column:
-        return 1.0
-    unit = unit_of(column)
-    quantity = column.removesuffix(unit)
-    prefix = name.removeprefix(quantity).removesuffix(unit)
-    same = unit in SCALED and name == f"{quantity}{prefix}{unit}"
-    return PREFIXES.get(prefix, 0.0) if same else 0.0
 
 
 def _bridge(recording: Recording, column: str) -> tuple[Recording, list[tuple[int, int]], list[str]]:

@@ -10,6 +10,7 @@ from piezod.recording.files import (
     write_recording,
 )
 from piezod.recording.formats.csv import read_csv, write_csv
+from piezod.recording.formats.text_layout import TextOptions
 from piezod.recording.hold import HELD_ONE_SAMPLE, Hold
 from piezod.recording.recording import TIME, Recording
 
@@ -18,6 +19,7 @@ __all__ = [
     "TIME",
     "Hold",
     "Recording",
+    "TextOptions",
     "check_output_path",
     "check_recording_target",
     "column_names",

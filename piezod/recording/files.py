@@ -10,7 +10,7 @@ import numpy as np
 
 from piezod.errors import ConfigurationError, RecordingError, UsageError
 from piezod.recording.formats.access import import_library, library_errors
-from piezod.recording.formats.csv import open_csv, write_csv
+from piezod.recording.formats.csv import is_own_csv, open_csv, write_csv
 from piezod.recording.formats.hdf5 import open_hdf5, write_hdf5
 from piezod.recording.formats.mat import open_mat, write_mat
 from piezod.recording.formats.mdf4 import open_mdf4, write_mdf4
@@ -18,6 +18,8 @@ from piezod.recording.formats.parquet import open_parquet, write_parquet
 from piezod.recording.formats.sqlite import open_sqlite, write_sqlite
 from piezod.recording.formats.stream import RecordingStream, chunk_ranges, read_all
 from piezod.recording.formats.tdms import open_tdms, write_tdms
+from piezod.recording.formats.text import open_text
+from piezod.recording.formats.text_layout import TextOptions
 from piezod.recording.names import TIME
 from piezod.recording.recording import Recording, check_time
 
@@ -47,6 +49,9 @@ class Format:
 
 _HDF5 = Format("HDF5", (b"\x89HDF\r\n\x1a\n",), open_hdf5, write_hdf5, ("h5py", "hdf5"))
 
+READ_ONLY = (".txt", ".tsv", ".dat", ".asc", ".lvm")
+"""Suffixes of text that other programs write."""
+
 FORMATS = {
     ".csv": Format("CSV", (), open_csv, write_csv),
     ".h5": _HDF5,
@@ -57,24 +62,27 @@ FORMATS = {
     ".mf4": Format("MDF4", (b"MDF     4.", b"UnFinMF "), open_mdf4, write_mdf4, ("asammdf", "mdf")),
     ".sqlite": Format("SQLite", (b"SQLite format 3\0",), open_sqlite, write_sqlite),
 }
+"""The formats that are written too."""
 
 
-def read_recording(path: Path) -> Recording:
+def read_recording(path: Path, options: TextOptions | None = None) -> Recording:
     """Read a recording of any format completely.
 
     Parameters
     ----------
     path
-        File with suffix `.csv .h5 .hdf5 .mat .tdms .parquet .mf4 .sqlite`. A unit that the file stores beside the name
+        File with a suffix of `FORMATS` or `READ_ONLY`. A unit that the file stores beside the name
         of a channel is appended to the name. Parts that hold no numbers are left out, and `metadata["skipped"]` names
         them. Nothing in a file is ever executed.
+    options
+        What the user says about a text file; None: everything is found from the file.
 
     Raises
     ------
     RecordingError
         The file cannot be read; the message names the file, the fault and its place.
     """
-    with _open(path) as stream:
+    with _open(path, options) as stream:
         return read_all(stream)
 
 
@@ -99,7 +107,7 @@ def write_recording(recording: Recording, path: Path) -> None:
         file_format.write(recording, path)
 
 
-def convert(source: Path, target: Path) -> Recording:
+def convert(source: Path, target: Path, options: TextOptions | None = None) -> Recording:
     """Rewrite a recording in the format of another suffix, and return it.
 
     Parameters
@@ -108,6 +116,8 @@ def convert(source: Path, target: Path) -> Recording:
         Recording file to read; it is not changed.
     target
         File to write; another file than `source`.
+    options
+        As for `read_recording`.
 
     Raises
     ------
@@ -115,12 +125,14 @@ def convert(source: Path, target: Path) -> Recording:
         See `check_recording_target`, `read_recording` and `write_recording`.
     """
     check_recording_target(target, [source])
-    recording = read_recording(source)
+    recording = read_recording(source, options)
     write_recording(recording, target)
     return recording
 
 
-def open_stream(path: Path, columns: Sequence[str] | None = None, chunk: int = 65536) -> Iterator[Recording]:
+def open_stream(
+    path: Path, columns: Sequence[str] | None = None, chunk: int = 65536, options: TextOptions | None = None
+) -> Iterator[Recording]:
     """Read a recording in chunks. The file may be larger than memory, except `.mat` of version 5 and `.mf4`.
 
     Parameters
@@ -131,6 +143,8 @@ def open_stream(path: Path, columns: Sequence[str] | None = None, chunk: int = 6
         Names of the channels to read; None: all.
     chunk
         Largest number of samples in a chunk, at least 1.
+    options
+        As for `read_recording`.
 
     Yields
     ------
@@ -144,7 +158,7 @@ def open_stream(path: Path, columns: Sequence[str] | None = None, chunk: int = 6
     """
     if chunk < 1:
         raise RecordingError(f"{path}: chunk is {chunk} samples, must be at least 1")
-    with _open(path) as stream:
+    with _open(path, options) as stream:
         names = _wanted(stream, columns)
         done, end_s = 0, -np.inf
         for table in stream.chunks(names, chunk):
@@ -155,20 +169,22 @@ def open_stream(path: Path, columns: Sequence[str] | None = None, chunk: int = 6
                 yield Recording(piece.pop(TIME), piece, stream.metadata, str(path))
 
 
-def column_names(path: Path) -> tuple[str, ...]:
+def column_names(path: Path, options: TextOptions | None = None) -> tuple[str, ...]:
     """Names of a file's columns, `time_s` among them; the numbers are not read.
 
     Parameters
     ----------
     path
         Recording file.
+    options
+        As for `read_recording`.
 
     Raises
     ------
     RecordingError
         See `read_recording`.
     """
-    with _open(path) as stream:
+    with _open(path, options) as stream:
         return stream.names
 
 
@@ -233,18 +249,32 @@ def _wanted(stream: RecordingStream, columns: Sequence[str] | None) -> tuple[str
 
 
 @contextmanager
-def _open(path: Path) -> Iterator[RecordingStream]:
-    file_format = _format_of(path)
+def _open(path: Path, options: TextOptions | None = None) -> Iterator[RecordingStream]:
+    file_format = _format_of(path, to_read=True)
     with library_errors(path, "read"):
         _check_magic(path, file_format)
-        with file_format.open(path) as stream:
+        with _opened(path, file_format, options) as stream:
             yield stream
 
 
-def _format_of(path: Path) -> Format:
-    if path.suffix.lower() not in FORMATS:
-        raise RecordingError(f"{path}: suffix is {path.suffix!r}, must be one of {' '.join(FORMATS)}")
-    return FORMATS[path.suffix.lower()]
+def _opened(path: Path, file_format: Format, options: TextOptions | None) -> AbstractContextManager[RecordingStream]:
+    """Open a file; text that is no recording as `write_csv` writes it is read by its layout."""
+    given = options is not None and options != TextOptions()
+    if file_format.name == "CSV" and (given or not is_own_csv(path)):
+        return open_text(path, options or TextOptions())
+    if given:
+        raise UsageError(f"{path}: --columns, --rate-Hz and --decimal are for text files, this is {file_format.name}")
+    return file_format.open(path)
+
+
+def _format_of(path: Path, *, to_read: bool = False) -> Format:
+    suffix = path.suffix.lower()
+    if to_read and suffix in READ_ONLY:
+        return FORMATS[".csv"]
+    if suffix not in FORMATS:
+        known = (*FORMATS, *READ_ONLY) if to_read else FORMATS
+        raise RecordingError(f"{path}: suffix is {path.suffix!r}, must be one of {' '.join(known)}")
+    return FORMATS[suffix]
 
 
 def _check_magic(path: Path, file_format: Format) -> None:

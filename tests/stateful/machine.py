@@ -21,6 +21,7 @@ from tests.faults.stream_faults import Sender
 from tests.stateful.judge import RAMP_DOWN_V_PER_S, Judge, ViolationError
 
 GONE = "gone"
+DRIVEN = ("ARMING", "RUNNING", "HOLD", "RAMP_DOWN")
 OFF_AT_LEAST_S = 0.02  # four ticks: nobody switches an amplifier on again faster than the service can read its state
 GUARD_PERIOD_S = 0.6  # the watchdog is read at least once in it
 RELEASE_WITHIN_S = 10.0  # until a service whose parent was killed has given the device back
@@ -322,12 +323,17 @@ class ServiceMachine(RuleBasedStateMachine):
 
     @rule(what=st.sampled_from(["restart", "lose_settings"]))
     def restart(self, what):
+        if self.service.control_killed or not self._alive():
+            return  # only the device's watchdog is left, and it would be lost too
         self._did(what)
         self.judge.disturb()
         self.bench.device.ask(what)
+        time.sleep(GUARD_PERIOD_S)
 
     @rule(watchdog_ms=st.sampled_from([0, 5000]))
     def foreign_watchdog(self, watchdog_ms):
+        if self.service.control_killed or not self._alive():
+            return
         self._did("foreign watchdog write", watchdog_ms)
         self.judge.disturb()
         do(self.bench, {"write_register": {"address": 110, "value": watchdog_ms}})
@@ -335,6 +341,8 @@ class ServiceMachine(RuleBasedStateMachine):
 
     @rule(above_V=st.sampled_from([2.0, 4.5]), times=st.sampled_from([1, 20]))
     def second_master(self, above_V, times):
+        if self.state not in DRIVEN or self.service.control_killed:
+            return  # an output that only another client drives is not the service's
         self._did("second master", above_V, times)
         self.judge.disturb()
         self.judge.excused.add("foreign")

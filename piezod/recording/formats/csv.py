@@ -82,6 +82,23 @@ def open_csv(path: Path) -> Iterator[RecordingStream]:
         yield RecordingStream(path, names, chunks, None, metadata)
 
 
+def is_own_csv(path: Path) -> bool:
+    """Whether a text file is a recording as `write_csv` writes it: its header begins with `time_s` and a comma.
+
+    Parameters
+    ----------
+    path
+        Text file.
+    """
+    with path.open("rb") as file:
+        for _ in range(MOST_HEAD_LINES):
+            line = file.readline(BLOCK)
+            if not line or (line.strip() and not line.lstrip(b"\xef\xbb\xbf").startswith(b"#")):
+                cells = line.removeprefix(b"\xef\xbb\xbf").decode("latin-1").split(",")
+                return len(cells) > 1 and channel_name(cells[0]) == TIME and all(cell.strip() for cell in cells)
+    return False
+
+
 def write_csv(recording: Recording, path: Path) -> None:
     """Write a recording: time to 1 ns, values to nine significant digits, missing samples as `nan`.
 

@@ -98,6 +98,22 @@ def arrow_parser(columns: int) -> Parser | None:
     return by_arrow
 
 
+def parse_plain(block: bytes) -> Array:
+    """Numbers of a block of complete lines of plain numbers with commas between, shape (rows, columns).
+
+    Parameters
+    ----------
+    block
+        ASCII text that ends in a newline.
+
+    Raises
+    ------
+    ValueError
+        A cell is empty or holds no number, or the rows have different lengths.
+    """
+    return _by_numpy(block)
+
+
 def _by_numpy(block: bytes) -> Array:
     with warnings.catch_warnings(action="ignore", category=UserWarning):  # numpy warns of a block of comments only
         text = io.StringIO(block.decode("latin-1"))

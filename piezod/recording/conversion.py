@@ -1,0 +1,89 @@
+"""Channels in the unit that a command wants, whatever multiple of it a file holds."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from piezod.errors import RecordingError
+from piezod.recording.names import TIME, unit_of
+from piezod.recording.quantities import UNITS
+from piezod.recording.recording import Recording
+
+PREFIXES = {"n": 1e-9, "u": 1e-6, "m": 1e-3, "": 1.0, "k": 1e3, "M": 1e6}
+SCALED = ("V", "N")
+"""Units of channels of any name of which a file may hold a multiple."""
+
+
+def factor_to(wanted: str, name: str) -> float:
+    """Factor from a channel of a file to the one that is wanted; 0 where they are not the same quantity.
+
+    Parameters
+    ----------
+    wanted
+        Name of the channel that is wanted, such as `force_N`.
+    name
+        Name of the channel in the file, such as `force_kN` or `force_lbf`.
+    """
+    if name == wanted:
+        return 1.0
+    unit, stored = unit_of(wanted), unit_of(name)
+    quantity = wanted.removesuffix(f"_{unit}")
+    if not unit or not stored or name.removesuffix(f"_{stored}") != quantity:
+        return 0.0
+    known = UNITS.get(quantity, {})
+    if unit in known and stored in known:
+        return known[stored] / known[unit]
+    return PREFIXES.get(stored.removesuffix(unit), 0.0) if unit in SCALED and stored.endswith(unit) else 0.0
+
+
+def stored_column(path: Path, names: Sequence[str], wanted: str) -> tuple[str, float]:
+    """Name of a wanted channel in a file, and the factor to its unit.
+
+    Parameters
+    ----------
+    path
+        The file, for messages.
+    names
+        Names of its columns.
+    wanted
+        Name of the channel that is wanted.
+
+    Raises
+    ------
+    RecordingError
+        The file has no such channel; the message names those that it has.
+    """
+    for name in (wanted, *names):
+        if name in names and name != TIME and (factor := factor_to(wanted, name)):
+            return name, factor
+    present = ", ".join(name for name in names if name != TIME)
+    raise RecordingError(
+        f"{path}: has no column {wanted}, has {present[:200]}; name one with --input or --output, or all with --columns"
+    )
+
+
+def in_units_of(recording: Recording, wanted: Sequence[str]) -> tuple[Recording, list[str]]:
+    """A recording whose channels have the wanted names and units, as far as it has them in another multiple.
+
+    Parameters
+    ----------
+    recording
+        The recording; it is not changed.
+    wanted
+        Names of channels.
+
+    Returns
+    -------
+    recording, notes
+        The recording, and a line for each channel that was converted.
+    """
+    channels, notes = dict(recording.channels), []
+    for name in wanted:
+        held = next((one for one in channels if one != name and factor_to(name, one)), None)
+        if name in channels or held is None:
+            continue
+        factor = factor_to(name, held)
+        channels[name] = np.asarray(channels.pop(held)) * factor
+        notes.append(f"{name}: is {held} times {factor:g}")
+    return Recording(recording.time_s, channels, recording.metadata, recording.source), notes
