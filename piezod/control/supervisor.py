@@ -24,7 +24,6 @@ from piezod.transport.status import STATUS_FAULTS, STATUS_MAINS_LOST, STATUS_OVE
 __all__ = ["CAUSE_TEXT", "Cause", "State", "Supervisor"]
 
 _FOLLOWING = (State.ARMING, State.RUNNING, State.HOLD)
-_AMPLIFIER_FAULTS = (Cause.DEVICE_FAULT, Cause.DEVICE_TOO_HOT, Cause.MAINS_LOST)
 
 
 class Supervisor:
@@ -39,6 +38,8 @@ class Supervisor:
 
     Attributes
     ----------
+    amplifier_tripped
+        True when the amplifier has reported a fault since the last arming: its output may be off.
     readings_stale
         True when the last good reading is older than `stale_after_ms`. The loop then keeps the voltage.
     state
@@ -53,7 +54,7 @@ class Supervisor:
         self._fault = Cause.NONE
         self._fast_stop = False
         self._watchdog_clear = False
-        self.readings_stale = False
+        self.readings_stale = self.amplifier_tripped = False
         self.state = State.DISARMED
         self.cause = Cause.NONE
         self._force = ForceInterlock(limits)
@@ -98,11 +99,6 @@ class Supervisor:
         return self._fault is Cause.COMM_LOSS and self._limits.comm_loss_action == "zero"
 
     @property
-    def amplifier_tripped(self) -> bool:
-        """Whether the latched fault is one that the amplifier reported: its output may be off."""
-        return self._fault in _AMPLIFIER_FAULTS
-
-    @property
     def force_suspect(self) -> bool:
         """Whether the last force was outside a limit and the next one decides."""
         return self._force.suspect
@@ -139,7 +135,7 @@ class Supervisor:
             self._last_good_ns = self._armed_ns = now_ns
             self._planned_ns = planned_ns
             self._bad_in_a_row = 0
-            self._fast_stop = self.readings_stale = False
+            self._fast_stop = self.readings_stale = self.amplifier_tripped = False
             self._watchdog_clear = False  # a watchdog that tripped earlier is cleared by the first command
             for interlock in (self._force, self._stuck, self._readback, self._tracking):
                 interlock.clear()
@@ -283,6 +279,7 @@ class Supervisor:
             Temperature read [degC]; nan without a sensor.
         """
         cause = self._force.check(force_N, now_ns)
+        self.amplifier_tripped = self.amplifier_tripped or bool(status & STATUS_FAULTS)
         self._watchdog_clear = self._watchdog_clear or not status & STATUS_WATCHDOG
         if cause is not Cause.NONE:
             self.trip(cause)

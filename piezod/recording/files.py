@@ -251,6 +251,8 @@ def _wanted(stream: RecordingStream, columns: Sequence[str] | None) -> tuple[str
 @contextmanager
 def _open(path: Path, options: TextOptions | None = None) -> Iterator[RecordingStream]:
     file_format = _format_of(path, to_read=True)
+    if options not in (None, TextOptions()) and file_format.name != "CSV":
+        raise UsageError(f"{path}: --columns, --rate-Hz and --decimal are for text files, this is {file_format.name}")
     with library_errors(path, "read"):
         _check_magic(path, file_format)
         with _opened(path, file_format, options) as stream:
@@ -259,11 +261,8 @@ def _open(path: Path, options: TextOptions | None = None) -> Iterator[RecordingS
 
 def _opened(path: Path, file_format: Format, options: TextOptions | None) -> AbstractContextManager[RecordingStream]:
     """Open a file; text that is no recording as `write_csv` writes it is read by its layout."""
-    given = options is not None and options != TextOptions()
-    if file_format.name == "CSV" and (given or not is_own_csv(path)):
+    if file_format.name == "CSV" and (options not in (None, TextOptions()) or not is_own_csv(path)):
         return open_text(path, options or TextOptions())
-    if given:
-        raise UsageError(f"{path}: --columns, --rate-Hz and --decimal are for text files, this is {file_format.name}")
     return file_format.open(path)
 
 

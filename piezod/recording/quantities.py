@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from piezod.recording.names import TIME, channel_name, unit_of
 
 WORDS = {
-    "time": "time zeit temps t x_value timestamp zeitstempel elapsed horodatage uhrzeit datum date datetime zeitpunkt",
+    "time": "time zeit temps t x_value x_axis timestamp zeitstempel elapsed horodatage uhrzeit datum date datetime zeitpunkt",
     "voltage": "voltage spannung tension u v volt volts voltage_out ausgangsspannung",
     "force": "force kraft effort f load last charge loadcell load_cell kraftmesser",
     "displacement": "displacement weg deplacement s position_sensor travel hub course extension",
@@ -53,7 +53,7 @@ The pound-force is 0.45359237 kg times 9.80665 m/s2 (NIST Special Publication 81
 """
 
 SPELT = {"Volt": "V", "Volts": "V", "volt": "V", "volts": "V", "Newton": "N", "newton": "N"}
-SPELT |= dict.fromkeys(("sec", "Sec", "sek", "Sek", "seconds", "Seconds", "S"), "s")
+SPELT |= dict.fromkeys(("sec", "Sec", "sek", "Sek", "second", "seconds", "Second", "Seconds", "S"), "s")
 """Other spellings of units."""
 
 COUNTS = ("sequence", "index", "sample", "samples", "no", "nr", "#")

@@ -95,7 +95,7 @@ def is_own_csv(path: Path) -> bool:
             line = file.readline(BLOCK)
             if not line or (line.strip() and not line.lstrip(b"\xef\xbb\xbf").startswith(b"#")):
                 cells = line.removeprefix(b"\xef\xbb\xbf").decode("latin-1").split(",")
-                return len(cells) > 1 and channel_name(cells[0]) == TIME and all(cell.strip() for cell in cells)
+                return len(cells) > 1 and cells[0].strip() == TIME and all(cell.strip() for cell in cells)
     return False
 
 

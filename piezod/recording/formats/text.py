@@ -69,7 +69,7 @@ class _Rows:
     def tables(self) -> Iterator[list[Array]]:
         """Time [s] and the other columns, block after block."""
         values = 0
-        with self._path.open(encoding=self._layout.encoding, errors="replace", newline="") as file:
+        with self._path.open(encoding=self._layout.encoding, errors="replace") as file:
             for _ in range(self._layout.head_lines):
                 file.readline()
             rest = ""

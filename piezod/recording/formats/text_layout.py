@@ -178,7 +178,8 @@ def find_layout(path: Path, options: TextOptions) -> Layout:
     if not raw.strip():
         raise RecordingError(f"{path}: is empty, must hold a header row and samples")
     encoding = encoding_of(raw)
-    lines = raw.decode(encoding, errors="replace").split("\n")
+    text = raw.decode(encoding, errors="replace")
+    lines = text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
     if len(raw) == SAMPLE:
         lines.pop()  # perhaps cut
     separator, decimal, first, width = _table(path, lines, options.decimal)
@@ -387,7 +388,7 @@ def _check_names(path: Path, columns: Sequence[Column]) -> None:
 def _interval(lines: Sequence[str], decimal: str) -> float | None:
     """Sample interval that the preamble states [s]: behind its name, or in the line below it."""
     for line, below in zip(lines, [*lines[1:], ""], strict=True):
-        names, values = line.strip().lower().split(","), below.strip().split(",")
+        names, values = line.strip(" ,").lower().split(","), below.strip(" ,").split(",")
         if "increment" in names and len(values) == len(names):
             line = f"increment {values[names.index('increment')]}"  # noqa: PLW2901
         found = _INTERVAL.match(line)

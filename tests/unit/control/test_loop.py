@@ -327,12 +327,14 @@ class TrippingLink(FakeLink):
         return result
 
 
-def voltages_after_a_trip(ring_log, readback_V):
+def voltages_after_a_trip(ring_log, readback_V, earlier=None):
     link = TrippingLink()
     loop = armed_loop(link, ring_log, slew_V_per_s=1000.0, ramp_down_V_per_s=1000.0)
     run(loop, 200)
     assert loop.supervisor.state is State.RUNNING
     assert link.voltages[-1] == 30.0
+    if earlier is not None:
+        loop.supervisor.trip(earlier)
     link.tripped, link.readback_V = True, readback_V
     before = len(link.voltages)
     run(loop, 4)
@@ -341,6 +343,10 @@ def voltages_after_a_trip(ring_log, readback_V):
 
 def test_a_tripped_amplifier_at_rest_is_commanded_to_rest_so_that_it_does_not_jump_when_switched_on(ring_log):
     assert voltages_after_a_trip(ring_log, 0.0) == [30.0, 0.0]
+
+
+def test_an_amplifier_that_trips_after_another_fault_is_commanded_to_rest_too(ring_log):
+    assert voltages_after_a_trip(ring_log, 0.0, Cause.TRACKING) == [29.0, 0.0]
 
 
 @pytest.mark.parametrize("readback_V", [2.5, math.nan])
