@@ -10,10 +10,10 @@ from dataclasses import dataclass
 from piezod.recording.names import TIME, channel_name, unit_of
 
 WORDS = {
-    "time": "time zeit temps t x_value x_axis timestamp zeitstempel elapsed horodatage uhrzeit datum date datetime zeitpunkt",
+    "time": "time zeit temps t x_value x_axis timestamp zeitstempel elapsed horodatage uhrzeit datum date datetime",
     "voltage": "voltage spannung tension u v volt volts voltage_out ausgangsspannung",
-    "force": "force kraft effort f load last charge loadcell load_cell kraftmesser",
-    "displacement": "displacement weg deplacement s position_sensor travel hub course extension",
+    "force": "force kraft effort f load last loadcell load_cell kraftmesser",
+    "displacement": "displacement weg deplacement travel hub extension",
     "temperature": "temperature temperatur temp",
     "current": "current strom courant i",
     "reference": "reference sollwert soll setpoint consigne",
