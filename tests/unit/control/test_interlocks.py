@@ -1,6 +1,6 @@
 """Each interlock: which readings trip it, and which must not."""
 
-from math import inf, nan, pi
+from math import inf, nan, nextafter, pi
 
 import numpy as np
 import pytest
@@ -42,6 +42,13 @@ def test_the_first_sample_outside_a_limit_is_suspect_and_the_second_trips():
 def test_absolute_limits_trip_for_any_earlier_samples(force_N, cause):
     slowly = np.linspace(0.0, force_N, 500)
     assert check_all(ForceInterlock(limits()), slowly)[-1] is cause
+
+
+@pytest.mark.parametrize(("force_N", "beyond"), [(360.0, Cause.OVER_FORCE), (-20.0, Cause.UNDER_FORCE)])
+def test_a_force_at_its_limit_is_permitted_and_the_next_number_beyond_it_is_not(force_N, beyond):
+    at_limit = limits(force_trip_N=360.0, force_min_N=-20.0, force_debounce_samples=1)
+    assert ForceInterlock(at_limit).check(force_N, 0) is Cause.NONE
+    assert ForceInterlock(at_limit).check(nextafter(force_N, 2.0 * force_N), 0) is beyond
 
 
 def test_an_offset_jump_trips_although_the_force_is_constant_afterwards():

@@ -6,7 +6,7 @@ import os
 import pytest
 
 from piezod.config import RealTimeConfig
-from piezod.control import real_time
+from piezod.control import real_time, realtime
 from piezod.control.realtime import RealTimeWarning
 
 PR_GET_TIMERSLACK = 30
@@ -32,3 +32,18 @@ def test_a_refused_fifo_warns_and_sets_the_timer_slack(monkeypatch):
     config = RealTimeConfig(fifo_priority=80, lock_memory=False, hold_cpu_latency=False)
     with pytest.warns(RealTimeWarning, match=r"real_time\.fifo_priority"), real_time(config):
         assert slack_ns() == 1
+
+
+def test_the_request_for_a_latency_of_zero_is_written_before_the_loop_runs(tmp_path, monkeypatch):
+    asked = tmp_path / "cpu_dma_latency"
+    asked.write_bytes(b"")
+    monkeypatch.setattr(realtime, "_DMA_LATENCY", asked)
+    with real_time(RealTimeConfig(fifo_priority=0, lock_memory=False, hold_cpu_latency=True)):
+        assert asked.read_bytes() == bytes(4)
+
+
+def test_the_cores_of_the_process_are_restored(monkeypatch):
+    before = os.sched_getaffinity(0)
+    with real_time(RealTimeConfig(fifo_priority=0, lock_memory=False, hold_cpu_latency=False, cpu=min(before))):
+        assert os.sched_getaffinity(0) == {min(before)}
+    assert os.sched_getaffinity(0) == before

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from piezod.errors import ModelError
 from piezod.operators import ImplicitInverse, PrandtlIshlinskii
-from piezod.operators.dead_zone import inverse_dead_zone
+from piezod.operators.dead_zone import inverse_dead_zone, shifted
 from piezod.operators.play import inverse_table
 
 from .analytic_inverse import AnalyticInverse
@@ -232,3 +232,12 @@ def test_states_reached_by_driving_are_always_accepted(operator, u):
     twin = PrandtlIshlinskii(*operator.plays, *operator.dead_zones, offset=operator.offset, eps=1e-3)
     twin.set_states(operator.states)
     np.testing.assert_array_equal(twin.states, operator.states)
+
+
+def test_dead_zones_that_are_not_shifted_keep_their_table():
+    thresholds, weights = np.array([-3.0, -1.0, 0.0, 2.0, 5.0]), np.array([0.2, -0.1, 1.5, 0.4, -0.3])
+    moved, same, constant = shifted(thresholds, weights, 0.0)
+    order, expected = np.argsort(moved), thresholds
+    np.testing.assert_array_equal(moved[order], expected)
+    np.testing.assert_array_equal(same[order], weights)
+    assert constant == 0.0

@@ -10,7 +10,7 @@ import time
 import pytest
 
 from piezod.errors import BusyError, ConfigurationError, UnreachableError
-from piezod.transport import ExchangeResult, make_link, modbus_tcp
+from piezod.transport import ExchangeResult, make_link, modbus, modbus_tcp
 from tests.unit.transport.conftest import opened, tcp_config
 from tests.unit.transport.garbled import raw
 from tests.unit.transport.scripted import CLOSE, ScriptedTcp, descriptors, until_good
@@ -61,6 +61,36 @@ def test_reconnection_is_attempted_at_most_every_50_ms(tcp, monkeypatch):
         assert link.exchange(1.0) is ExchangeResult.DISCONNECTED
         time.sleep(0.001)
     assert 2 <= len(attempts) <= 7
+
+
+def test_a_request_whose_deadline_has_come_is_not_sent(tcp, monkeypatch):
+    """The process was suspended: the device may have taken over since."""
+    link, server = tcp
+    before = server.number
+    monkeypatch.setattr(modbus_tcp, "monotonic", lambda: 5.0)
+    assert link._wire.transact(link._read, 5.0) is not ExchangeResult.OK
+    time.sleep(0.05)
+    assert server.number == before
+
+
+def test_setting_up_waits_between_two_attempts_to_connect(tcp, monkeypatch):
+    link, _ = tcp
+    now_s, pauses = [100.0], []
+    monkeypatch.setattr(modbus, "monotonic", lambda: now_s[0])
+    monkeypatch.setattr(modbus, "sleep", pauses.append)
+
+    class Refusing:
+        framing, exception_code, hint, answered, description = "tcp", 0, "", True, "nobody"
+
+        def ensure_open(self, _deadline_s):
+            now_s[0] += 0.1
+            return ExchangeResult.DISCONNECTED
+
+    monkeypatch.setattr(link, "_wire", Refusing())
+    with pytest.raises(UnreachableError):
+        link.read_register("watchdog_ms")
+    assert len(pauses) > 1
+    assert set(pauses) == {modbus.SET_UP_RETRY_S}
 
 
 def test_descriptors_stay_the_same_over_200_reconnects(tcp, monkeypatch):

@@ -187,6 +187,17 @@ def test_a_pair_names_the_device_that_is_another(pair):
     assert WRONG in [link.supervise(1.0) for _ in range(2 * link.supervised)]
 
 
+def test_a_pair_reads_the_registers_of_its_amplifier_before_those_of_its_load_cell(pair):
+    link, amplifier, cell = pair
+    asked = []
+    for name, device in (("amplifier", amplifier), ("cell", cell)):
+        device.answer = lambda frame, _number, name=name, device=device: asked.append(name) or [device.good(frame)]
+    of_amplifier = link._amplifier.supervised
+    assert of_amplifier > 1
+    assert [link.supervise(1.0) for _ in range(link.supervised)] == [OK] * link.supervised
+    assert asked == ["amplifier"] * of_amplifier + ["cell"] * (link.supervised - of_amplifier)
+
+
 @pytest.mark.parametrize("wire", WIRES)
 def test_supervision_never_raises_and_ends_at_its_time_limit(wire):
     with connected(wire) as (link, server):
