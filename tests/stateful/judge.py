@@ -47,7 +47,7 @@ class Judge:
 
     def __init__(self, bench, probe):
         self.bench, self.probe = bench, probe
-        self.not_judged = 0
+        self.not_judged, self._wrong = 0, []
         self.begin()
 
     def begin(self):
@@ -60,8 +60,15 @@ class Judge:
         self._above_since_s = None
         self.new_service(len(self.bench.service.log_lines))
         self._last_ns = time.monotonic_ns()
-        self.bench.device.ask("report")
+        self.report()
         self.bench.device.ask("mark")
+        self._wrong = []
+
+    def report(self):
+        """A report of the device; the violations of the envelope that it names are judged with the next step."""
+        report = self.bench.device.ask("report")
+        self._wrong += report["wrong"]
+        return report
 
     def new_service(self, log_start=0):
         """The log of the service is judged from this line on."""
@@ -72,7 +79,7 @@ class Judge:
         if self.rest_due is not None:
             self.disturb()
             return
-        report = self.bench.device.ask("report")
+        report = self.report()
         if steadily and not self._disturbed and report["output_V"] > STEADY_FROM_V:
             self._steady = (report["now_ns"], report["output_V"], reason)
         self.rest_due = (time.monotonic_ns(), reason)
@@ -107,13 +114,14 @@ class Judge:
 
     def judge(self, state):
         """Judge the time since the last call; `state` is the state that the service reports, None if unknown."""
-        report = self.bench.device.ask("report")
+        report = self.report()
         self.bench.device.ask("mark")
+        wrong, self._wrong = self._wrong, []
         still = self._stood_still() or report["behind_ms"] > TICK_MS
         self._last_ns = report["now_ns"]
-        if report["wrong"] and "foreign" not in self.excused:
+        if wrong and "foreign" not in self.excused:
             if not still:
-                raise ViolationError(f"output outside its envelope: {report['wrong'][0]}")
+                raise ViolationError(f"output outside its envelope: {'; '.join(wrong)}")
             self.not_judged += 1
         at_rest = report["rest_ns"] is not None
         if not self.may_drive and report["highest_V"] > REST_V and "foreign" not in self.excused:

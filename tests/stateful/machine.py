@@ -46,6 +46,7 @@ class LiveService:
         self.bench.restore()
         self.judge = Judge(self.bench, self.probe)
         self.done, self.sequences, self.control_killed = Counter(), 0, False
+        self.before = []  # steps of the sequence before
 
     def anew(self):
         """Restore bench and file; a service that was killed is started again when the device is free.
@@ -139,7 +140,7 @@ class ServiceMachine(RuleBasedStateMachine):
         time.sleep(for_s)
 
     def _arm(self):
-        before, report = self.judge.may_drive, self.bench.device.ask("report")
+        before, report = self.judge.may_drive, self.judge.report()
         self.judge.sent_arm()
         accepted = self._send("arm")
         if accepted:
@@ -362,7 +363,7 @@ class ServiceMachine(RuleBasedStateMachine):
         ),
         way=st.sampled_from(["request", "reply"]),
         count=st.sampled_from([1, 10]),
-        by=st.sampled_from([0.002, 0.02, 0.1]),  # below the device's watchdog: see "What software cannot protect"
+        by=st.sampled_from([0.002, 0.02]),  # a later command is applied late: see "What software cannot protect"
     )
     def wire(self, fault, way, count, by):
         self._did(f"wire {fault}", way, count, by)
@@ -436,10 +437,13 @@ class ServiceMachine(RuleBasedStateMachine):
         error = sys.exc_info()[1]  # of the step that ends the sequence
         if isinstance(error, Exception):
             self.failed(f"{type(error).__name__}: {error}")
+        self.service.before = list(self.steps)
         self.sender.stop()
         self._leave()
         self._heal()
         try:
+            if error is None:
+                self.end("stop")
             self._await_rest(error)
             self.service.anew()
         except AssertionError as lost:

@@ -50,7 +50,7 @@ def run_chunk(service, sequences, steps, number):
             self.service = service
 
         def failed(self, message):
-            failures.append((message, list(self.steps)))
+            failures.append((message, ["(the sequence before)", *service.before, "(this sequence)", *self.steps]))
 
     seed(number)(Machine)
     options = settings(
