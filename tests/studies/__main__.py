@@ -7,7 +7,17 @@ import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
-from tests.studies import compensation, effects_compensated, flexure, overlay, recorder, scenarios, soak, table
+from tests.studies import (
+    compensation,
+    effects_compensated,
+    flexure,
+    messy_files,
+    overlay,
+    recorder,
+    scenarios,
+    soak,
+    table,
+)
 from tests.studies.overlaid_effects import NOT_OVERLAID, OVERLAYS
 from tests.studies.peers import command as peers
 from tests.studies.strengths import SWITCHED
@@ -26,6 +36,7 @@ def main() -> None:
     _effects_compensated(studies.add_parser("effects_compensated", help="each effect before and after compensation"))
     peers.add_options(studies.add_parser("peers", help="other methods on the cases of a concealed study"))
     recorder.add_options(studies.add_parser("recorder", help="the recorder under kills, power cuts and disk failures"))
+    messy_files.add_options(studies.add_parser("messy_files", help="text of spreadsheets and instruments"))
     soak.add_options(studies.add_parser("soak", help="a long run of the daemon on a busy machine, beside cyclictest"))
     options = parser.parse_args()
     options.run(options, parser)
