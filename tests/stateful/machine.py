@@ -222,7 +222,7 @@ class ServiceMachine(RuleBasedStateMachine):
         for _ in range(times):
             self.bench.service.process.send_signal(number)
         code = self.bench.service.process.wait(timeout=30.0)
-        if code < 0:
+        if code < 0 and times == 1:  # a further signal may meet the interpreter's own end
             raise ViolationError(f"the service ended by signal {-code} after {number.name}")
 
     @rule()
