@@ -168,12 +168,15 @@ class ServiceMachine(RuleBasedStateMachine):
 
     def _send_once(self, command):
         begun_s = time.monotonic()
-        with contextlib.suppress(PiezodError):  # one that is refused in vain is seen at the output
+        try:
             client = Client(self.bench.folder / "ring.sock")
             try:
                 client.ask(command)
             finally:
                 client.close()
+        except PiezodError as error:
+            if self._alive() and self.state in DRIVEN and not self.service.control_killed:
+                raise ViolationError(f"{command} of another client in state {self.state} fails: {error}") from error
         self.judge.answered(command, time.monotonic() - begun_s)
 
     @rule()
