@@ -338,8 +338,8 @@ class ServiceMachine(RuleBasedStateMachine):
 
     @rule(watchdog_ms=st.sampled_from([0, 5000]))
     def foreign_watchdog(self, watchdog_ms):
-        if self.state not in DRIVEN or self.service.control_killed:
-            return  # only a service that drives reads the watchdog again
+        if self.state not in DRIVEN or self.service.control_killed or "writes" in self.judge.excused:
+            return  # only a service that drives reads the watchdog again, and only a device that obeys takes it
         self._did("foreign watchdog write", watchdog_ms)
         self.judge.disturb()
         do(self.bench, {"write_register": {"address": 110, "value": watchdog_ms}})
@@ -388,8 +388,9 @@ class ServiceMachine(RuleBasedStateMachine):
             self.bench.device.ask("fault_bits", bits=0)
             self.tripped = False
         self.bench.device.ask("rules", rules=[])
-        if "writes" in self.judge.excused:  # its output jumps to the set point that it ignored
+        if "writes" in self.judge.excused:  # its output jumps to the set point that it ignored, or stays where it is
             self.judge.excused.add("foreign")
+            self.judge.rest_due = None  # a service in FAULT writes nothing: `piezod stop --direct` brings it down
         self.judge.excused -= {"reading", "writes"}
 
     # clients ----------------------------------------------------------------------------------------------------
