@@ -90,14 +90,16 @@ class ServiceMachine(RuleBasedStateMachine):
 
     service: LiveService
 
-    @initialize(value_N=st.sampled_from([None, 60.0, 120.0, 200.0]))
-    def begin(self, value_N):
+    @initialize(value_N=st.sampled_from([None, 60.0, 120.0, 200.0]), idle_clients=st.sampled_from([0, 0, 80]))
+    def begin(self, value_N, idle_clients):
         self.bench, self.judge = self.service.bench, self.service.judge
         self.service.sequences += 1
         self.sender, self.clients = Sender(self.service.stream, session=self.service.sequences), []
         self.trip_in_file_N = self.judge.trip_N
         self.judge.begin()
         self.state, self.tripped, self.steps = "DISARMED", False, []
+        if idle_clients:
+            self.strangers(idle_clients, b"")
         if value_N is not None:
             self.arm_and_follow(value_N, 0.3)
 
