@@ -131,7 +131,7 @@ class _Rows:
         try:
             if k == layout.time and layout.date_form is not None:
                 return clock_s(cell, layout.date_form, layout.first_day)
-            return number(cell, layout.decimal)
+            return number(cell, layout.decimal, grouped=layout.grouped)
         except ValueError:
             what, name = ("a time" if k == layout.time else "a number"), layout.columns[k].written
             raise RecordingError(

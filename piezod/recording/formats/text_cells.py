@@ -29,8 +29,8 @@ _NUMBER = {
     ",": re.compile(r"[+-]?(?:\d+,?\d*|,\d+)(?:[eEdD][+-]?\d+)?"),
 }
 _GROUPED = {
-    ".": re.compile(r"[+-]?\d{1,3}(?:[,'\u2019\u00a0\u202f ]\d{3})+(?:\.\d+)?"),
-    ",": re.compile(r"[+-]?\d{1,3}(?:[.'\u2019\u00a0\u202f ]\d{3})+(?:,\d+)?"),
+    ".": re.compile(r"[+-]?[1-9]\d{0,2}(?:[,'\u2019\u00a0\u202f ]\d{3})+(?:\.\d+)?"),
+    ",": re.compile(r"[+-]?[1-9]\d{0,2}(?:[.'\u2019\u00a0\u202f ]\d{3})+(?:,\d+)?"),
 }
 _UNDECIDED = re.compile(r"[+-]?[1-9]\d{0,2},\d{3}")
 _CLOCK = re.compile(
@@ -40,7 +40,7 @@ _DATES = ("%Y-%m-%d", "%Y/%m/%d", "%d.%m.%Y", "%d.%m.%y", "%d/%m/%Y", "%m/%d/%Y"
 DAY_S = 86400.0
 
 
-def number(cell: str, decimal: str) -> float:
+def number(cell: str, decimal: str, *, grouped: bool) -> float:
     """Number in a cell; nan for a missing sample.
 
     Parameters
@@ -49,6 +49,8 @@ def number(cell: str, decimal: str) -> float:
         Text of the cell, without quotes.
     decimal
         Decimal mark, a point or a comma.
+    grouped
+        Whether marks may group thousands: in a file without them, `12.345` beside decimal commas is no number.
 
     Raises
     ------
@@ -60,7 +62,7 @@ def number(cell: str, decimal: str) -> float:
         return nan
     if _NUMBER[decimal].fullmatch(text):
         return float(text.replace(decimal, ".").replace("d", "e").replace("D", "e"))
-    if _GROUPED[decimal].fullmatch(text):
+    if grouped and _GROUPED[decimal].fullmatch(text):
         return float(
             re.sub(r"[^\d.+-]", "", text) if decimal == "." else re.sub(r"[^\d,+-]", "", text).replace(",", ".")
         )
@@ -71,6 +73,11 @@ def is_number(cell: str, decimal: str) -> bool:
     """Whether a cell holds a number or a word for a missing sample."""
     text = cell.strip()
     return bool(text.lower() in MISSING or _NUMBER[decimal].fullmatch(text) or _GROUPED[decimal].fullmatch(text))
+
+
+def is_grouped(cell: str, decimal: str) -> bool:
+    """Whether marks group the thousands of a number, as in `1'234.5`."""
+    return bool(_GROUPED[decimal].fullmatch(cell.strip())) and not _NUMBER[decimal].fullmatch(cell.strip())
 
 
 def is_undecided(cell: str) -> bool:

@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from piezod.errors import RecordingError, UsageError
-from piezod.recording.formats.text_cells import date_forms, day_of, is_clock, is_number, is_undecided
+from piezod.recording.formats.text_cells import date_forms, day_of, is_clock, is_grouped, is_number, is_undecided
 from piezod.recording.names import TIME
 from piezod.recording.quantities import UNITS, Column, column_of, is_unit
 
@@ -86,6 +86,8 @@ class Layout:
         Name of the encoding for `bytes.decode`.
     separator, decimal
         Characters between two cells, and before the decimals.
+    grouped
+        Whether marks group thousands.
     head_lines
         Lines before the first row.
     columns
@@ -107,6 +109,7 @@ class Layout:
     encoding: str
     separator: str
     decimal: str
+    grouped: bool
     head_lines: int
     columns: tuple[Column, ...]
     time: int = -1
@@ -183,6 +186,8 @@ def find_layout(path: Path, options: TextOptions) -> Layout:
     if len(raw) == SAMPLE:
         lines.pop()  # perhaps cut
     separator, decimal, first, width = _table(path, lines, options.decimal)
+    if separator == ";" and not options.decimal and not any("," in line for line in lines[first:]):
+        decimal = "."  # a point is a decimal mark where no comma is
     rows = [cells for line in lines[first:] if len(cells := split_cells(line, separator)) == width]
     _check_decimal(path, rows, separator, decimal, options)
     header, units, above = _head(lines[:first], separator, width)
@@ -200,12 +205,14 @@ def find_layout(path: Path, options: TextOptions) -> Layout:
                 "give --rate-Hz, or name the columns with --columns time_s,..."
             )
     columns = tuple(_with_unit(one, notes) for one in columns)
+    grouped = any(is_grouped(cell, decimal) for cells in rows for cell in cells)
     first_day = day_of(rows[0][time], date_form) if date_form else 0
     _check_names(path, columns)
     return Layout(
         encoding,
         separator,
         decimal,
+        grouped,
         first,
         columns,
         time,

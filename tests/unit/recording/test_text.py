@@ -96,3 +96,22 @@ def test_an_option_for_text_is_refused_for_another_format(tmp_path):
 def test_an_option_that_says_nothing_is_refused(columns, decimal):
     with pytest.raises(UsageError, match="must be"):
         TextOptions.of(columns, None, decimal)
+
+
+@pytest.mark.parametrize("leading", ["0.001", "1.001"])
+def test_points_between_semicolons_are_decimal_marks(tmp_path, leading):
+    """Three decimals look like thousands in groups; the German form of 1.234 as an integer has no comma beside it."""
+    path = tmp_path / "rec.csv"
+    path.write_text(f"t [s];U [V];F [N]\n{leading};1.234;5.678\n2.002;1.235;5.679\n3.003;1.236;5.680\n")
+    read = read_recording(path)
+    np.testing.assert_array_equal(read.channels["voltage_V"], [1.234, 1.235, 1.236])
+    np.testing.assert_array_equal(read.channels["force_N"], [5.678, 5.679, 5.680])
+
+
+def test_a_number_that_could_be_grouped_is_refused_in_a_file_without_groups(tmp_path):
+    """The layout is found from the begin of the file, where all numbers are whole or have a comma."""
+    path = tmp_path / "rec.csv"
+    rows = "".join(f"{k},5;{k % 7};{k % 5}\n" for k in range(40_000))
+    path.write_text(f"t [s];U [V];F [N]\n{rows}40000,5;12.345;3\n")
+    with pytest.raises(RecordingError, match=r"line 40002.*12\.345.*--decimal"):
+        read_recording(path)
