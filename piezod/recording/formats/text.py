@@ -135,7 +135,7 @@ class _Rows:
         except ValueError:
             what, name = ("a time" if k == layout.time else "a number"), layout.columns[k].written
             raise RecordingError(
-                f"{self._path}: line {line}: '{name}' is {cell[:40]!r}, must be {what} or empty"
+                f"{self._path}: line {line}: '{name}' is {cell[:40]!r}, must be {what} or empty, or give --decimal"
             ) from None
 
     def _columns(self, table: Array) -> list[Array]:
