@@ -313,6 +313,23 @@ def test_the_timeout_of_arming_does_not_end_a_run(ring_log):
     assert loop.supervisor.state is State.RUNNING
 
 
+def test_a_force_that_was_read_once_is_not_judged_again_while_no_reading_comes(ring_log):
+    """The first force beyond the limit is suspect; two lost exchanges after it repeat it and confirm nothing."""
+    link = FakeLink()
+    loop = armed_loop(link, ring_log, force_debounce_samples=2, force_trip_N=360.0, stale_after_ms=50.0)
+    run(loop, 200)
+    assert loop.supervisor.state is State.RUNNING
+    link.plant = lambda _voltage_V: 900.0
+    run(loop, 1)
+    assert loop.supervisor.force_suspect
+    link.plant = lambda voltage_V: 2.0 * voltage_V
+    last = link.exchanges
+    link.fails = lambda number: number <= last + 2
+    run(loop, 4)
+    assert loop.supervisor.state is State.RUNNING
+    assert loop.supervisor.spikes == 1
+
+
 class TrippingLink(FakeLink):
     """Link to an amplifier that switches its output off, with `readback_V` then, and reports the fault."""
 
