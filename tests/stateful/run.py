@@ -9,7 +9,8 @@ from hypothesis.errors import Flaky
 from hypothesis.stateful import run_state_machine_as_test
 
 from tests.faults.bench_pool import raised_priority
-from tests.stateful.machine import LiveService, ServiceMachine
+from tests.stateful.machine import ServiceMachine
+from tests.stateful.service import LiveService
 
 CHUNK = 50  # sequences of one seed
 
