@@ -11,7 +11,7 @@ from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant
 from piezod.daemon.client import Client
 from piezod.errors import PiezodError, UnreachableError
 from tests.faults.stream_faults import Sender
-from tests.stateful.judge import ViolationError
+from tests.stateful.judge import TRIPPED_WITHIN_S, ViolationError
 from tests.stateful.service import LiveService
 
 GONE = "gone"
@@ -42,6 +42,7 @@ class Sequence(RuleBasedStateMachine):
             self._arm_and_follow(value_N, 0.3)
         if trip_N is not None:
             self._reload(trip_N)
+            self._watch(2.0 * TRIPPED_WITHIN_S)
 
     def _alive(self):
         return self.bench.service is not None and self.bench.service.alive
@@ -144,6 +145,13 @@ class Sequence(RuleBasedStateMachine):
         for client in self.clients:
             client.close()
         self.clients = []
+
+    def _watch(self, for_s):
+        """Judge for a while in which nothing is done."""
+        end_s = time.monotonic() + for_s
+        while time.monotonic() < end_s:
+            self.nothing_wrong_at_the_amplifier()
+            time.sleep(0.02)
 
     # judgement --------------------------------------------------------------------------------------------------
 
