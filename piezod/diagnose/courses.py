@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from piezod.diagnose.chain import Chain, Point, Term
 from piezod.diagnose.fit import MOST_STEPS, Fitted, fit
-from piezod.identify.start import CLEARLY, start_at_zero, starts_at_rest
+from piezod.estimation.initial_state import CLEARLY, start_at_zero, starts_at_rest
 from piezod.recording.hold import HELD_BEFORE, STRAIGHT, Hold
 
 Array = NDArray[np.float64]

@@ -6,7 +6,7 @@ from numpy.typing import NDArray
 from piezod.diagnose.chain import Chain
 from piezod.diagnose.fit import Fitted
 from piezod.errors import ModelError
-from piezod.identify.start import starts_at_rest
+from piezod.estimation.initial_state import starts_at_rest
 from piezod.model import Model
 from piezod.model.parameters import EffectValues, FitFigures, Hysteresis, Start, Superposition
 from piezod.operators import EPS

@@ -13,9 +13,9 @@ from piezod.diagnose.direct import frozen_stretches, noise_of
 from piezod.diagnose.lattice import lattice_step_N
 from piezod.diagnose.series import Role, Series
 from piezod.errors import RecordingError
+from piezod.estimation.initial_state import estimate_path, remembered, start_at_zero, starts_at_rest
 from piezod.excitation import varying_triangles
 from piezod.identify.simulation import where
-from piezod.identify.start import estimate_path, remembered, start_at_zero, starts_at_rest
 from piezod.model import Model, file_sha256
 from piezod.recording import Hold, Recording, TextOptions, read_recording
 from piezod.recording.conversion import in_units_of

@@ -11,7 +11,7 @@ from piezod.diagnose.chain import Chain
 from piezod.diagnose.fit import DONE, FIRST_DAMPING, MOST_DAMPING, Fitted, Normal
 from piezod.diagnose.layout import Layout
 from piezod.errors import RecordingError
-from piezod.identify.qp import Constraints, solve_step
+from piezod.estimation.quadratic_program import Constraints, solve_step
 from piezod.operators import EPS
 
 Array = NDArray[np.float64]

@@ -6,18 +6,17 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from piezod.identify.columns import (
+from piezod.estimation.columns import (
     Samples,
     Structure,
     accumulate_gram,
-    chunks_of,
     clocks_of,
     weights_of,
-    zone_segments,
     zone_slopes_of,
     zone_weights_of,
 )
-from piezod.identify.qp import Constraints, Variant, solve, solve_step
+from piezod.estimation.normal_equations import pieces_of, sums_of
+from piezod.estimation.quadratic_program import Constraints, Variant, solve, solve_step
 from piezod.model.parameters import Hysteresis, Statistics, Superposition
 from piezod.operators import EPS
 from piezod.operators.dead_zone import inverse_dead_zone, shifted
@@ -166,25 +165,5 @@ def _normal_equations(
     structure: Structure, zones: Array, parameters: Array, recordings: Sequence[Samples]
 ) -> tuple[Array, Array, float]:
     """J'J, J'e and e'e of the error in the output, one pass over the samples."""
-    plays, size = structure.plays, parameters.size
-    hessian, gradient, loss = np.zeros((size, size)), np.zeros(size), 0.0
-    zone_slopes = parameters[-zones.size :]
-    for segments, y, drifts in chunks_of(structure, recordings):
-        v = segments @ parameters[:plays] + parameters[plays]
-        columns = zone_segments(zones, v)
-        error = y - structure.origin - columns @ zone_slopes - drifts @ parameters[plays + 1 : -zones.size]
-        slope = _slope_at(zones, zone_slopes, v)[:, None]
-        jacobian = np.hstack((slope * segments, slope, drifts, columns))
-        hessian += jacobian.T @ jacobian
-        gradient += jacobian.T @ error
-        loss += float(error @ error)
-    return hessian, gradient, loss
-
-
-def _slope_at(zones: Array, slopes: Array, v: Array) -> Array:
-    """Slope of the force law at v: that of the outermost threshold passed."""
-    centre = int(np.flatnonzero(zones == 0.0)[0])
-    passed = np.searchsorted(zones, v, side="right") - 1
-    inner = np.where(v >= 0.0, passed, np.minimum(passed + 1, centre))
-    result: Array = slopes[np.clip(inner, 0, zones.size - 1)]
-    return result
+    sums = sums_of(pieces_of(structure, recordings), structure, zones, parameters)
+    return sums.hessian.sum(axis=0), sums.gradient.sum(axis=0), float(sums.loss.sum())

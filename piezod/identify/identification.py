@@ -11,15 +11,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piezod.errors import RecordingError, UsageError
-from piezod.identify.columns import Samples, Structure
+from piezod.estimation.columns import Samples, Structure
+from piezod.estimation.initial_state import settled_from, start_at_zero, starts_at_rest
+from piezod.estimation.quadratic_program import Variant
+from piezod.estimation.thresholds import dead_zone_thresholds, play_reach, play_thresholds, widest
 from piezod.identify.fit import fit_hysteresis
 from piezod.identify.intake import OnStep
 from piezod.identify.order import PLAYS, ZONES, Candidate, best_of, choose, judge_orders, prune, residual
-from piezod.identify.qp import Variant
 from piezod.identify.scores import largest, max_hysteresis_percent, nrmse_percent, rms
-from piezod.identify.start import settled_from, start_at_zero, starts_at_rest
 from piezod.identify.suitability import FEWEST_SAMPLES, check_suitable
-from piezod.identify.thresholds import dead_zone_thresholds, play_reach, play_thresholds, widest
 from piezod.model import Model, file_sha256
 from piezod.model.parameters import Channel, FitFigures, Provenance, RecordingSource, Start
 from piezod.operators import EPS

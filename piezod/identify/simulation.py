@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piezod.errors import UsageError
+from piezod.estimation.initial_state import start_found
 from piezod.identify.scores import largest, nrmse_percent, rms
-from piezod.identify.start import start_found
 from piezod.model import Model, run_chain
 from piezod.recording import Recording
 

@@ -6,10 +6,10 @@ from time import perf_counter
 
 import numpy as np
 
+from piezod.estimation.columns import Samples, Structure
+from piezod.estimation.thresholds import dead_zone_thresholds, play_thresholds
 from piezod.excitation import varying_triangles
-from piezod.identify.columns import Samples, Structure
 from piezod.identify.fit import fit_hysteresis
-from piezod.identify.thresholds import dead_zone_thresholds, play_thresholds
 from piezod.operators import PrandtlIshlinskii
 from tests.benchmarks.table import Row
 

@@ -11,10 +11,10 @@ import numpy as np
 from scipy.optimize import nnls
 
 from piezod.errors import RecordingError
+from piezod.estimation.columns import Samples, Structure, accumulate_gram, slopes_of
+from piezod.estimation.quadratic_program import Constraints, solve
+from piezod.estimation.thresholds import dead_zone_thresholds, play_thresholds
 from piezod.excitation import varying_triangles
-from piezod.identify.columns import Samples, Structure, accumulate_gram, slopes_of
-from piezod.identify.qp import Constraints, solve
-from piezod.identify.thresholds import dead_zone_thresholds, play_thresholds
 from piezod.operators import EPS, PrandtlIshlinskii
 from piezod.operators.dead_zone import inverse_dead_zone
 from tests.benchmarks.rounds import ROUNDS, alternate
@@ -78,7 +78,7 @@ def solvers() -> dict[str, Solver]:
 
 
 def scaled(gram: Array, constraints: Constraints) -> tuple[Array, Array, Array, Array]:
-    """Scale, Hessian, all rows with the equality first, and their sides, as `piezod.identify.qp` scales them."""
+    """Scale, Hessian, all rows with the equality first, and their sides, as the quadratic program scales them."""
     scale = 1.0 / np.sqrt(np.diag(gram))
     hessian = gram * np.outer(scale, scale)
     rows = np.vstack((constraints.equality, constraints.rows)) * scale

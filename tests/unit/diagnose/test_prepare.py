@@ -9,7 +9,7 @@ import pytest
 from piezod.diagnose.basis import PlayDensity
 from piezod.diagnose.prepare import Source, chain_of, even, started, without_frozen, without_unknown
 from piezod.errors import RecordingError
-from piezod.identify.start import remembered
+from piezod.estimation.initial_state import remembered
 from piezod.model import load_model
 from piezod.recording import Recording
 from tests.unit.diagnose.residuals import mixed_work, series, time

@@ -8,14 +8,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from piezod.errors import RecordingError
+from piezod.estimation.columns import Samples, Structure, zone_segments, zone_slopes_of, zone_weights_of
+from piezod.estimation.quadratic_program import Constraints
+from piezod.estimation.thresholds import Reach, dead_zone_thresholds, play_reach, play_thresholds
 from piezod.excitation import constant_triangles, varying_triangles
-from piezod.identify.columns import Samples, Structure, zone_segments, zone_slopes_of, zone_weights_of
 from piezod.identify.fit import fit_hysteresis
 from piezod.identify.identification import Options, identify
-from piezod.identify.qp import Constraints
 from piezod.identify.simulation import simulate
 from piezod.identify.tables import dead_zone_rows, play_rows
-from piezod.identify.thresholds import Reach, dead_zone_thresholds, play_reach, play_thresholds
 from piezod.model import Plant, load_model
 from piezod.operators import PrandtlIshlinskii
 from piezod.operators.dead_zone import inverse_dead_zone

@@ -4,7 +4,7 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from piezod.identify.columns import Structure
+from piezod.estimation.columns import Structure
 from piezod.identify.order import _without_the_least
 from piezod.model.parameters import Hysteresis, Superposition
 

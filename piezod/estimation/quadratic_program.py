@@ -16,7 +16,7 @@ import proxsuite
 from numpy.typing import NDArray
 
 from piezod.errors import RecordingError
-from piezod.identify.columns import Structure
+from piezod.estimation.columns import Structure
 
 Array = NDArray[np.float64]
 Variant = Literal["A", "B"]

@@ -1,0 +1,179 @@
+"""Normal equations of the error in the output, added up piece by piece, a sum for each group of held-out blocks.
+
+    e = y - F(v),   v = sum_i s_i (z_i - z_{i+1}) + c,   F = origin + sum_j s'_j (S_j(v) - S_{j+1}(v))
+
+The parameters are p = [play slopes, c, a drift for each recording with a clock, dead-zone slopes]. A recording is cut
+into blocks that are dealt to the groups in turn, so that every group sees the whole record. Whatever is asked later
+about a part of the data, such as the error of a fit that has not seen a group, is answered by these sums without the
+samples.
+"""
+
+import itertools
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from piezod.estimation.columns import CHUNK, PlaySegments, Samples, Structure, clocks_of, zone_segments
+
+Array = NDArray[np.float64]
+
+GROUPS = 8
+"""Groups of blocks; each is held out once."""
+
+BLOCKS = 64
+"""Blocks of a recording, eight in each group: long beside the memory of the noise, short beside the record."""
+
+STILL = 0.005
+"""Share of the input's swing that it may move within samples that are averaged."""
+
+
+@dataclass(frozen=True)
+class Piece:
+    """Successive samples, or means over them, of one group.
+
+    Parameters
+    ----------
+    segments
+        z_i - z_{i+1}, shape (R, plays) [input unit].
+    y
+        Output, shape (R,) [output unit].
+    drifts
+        Clock of the recording in its own column, shape (R, clocks) [1].
+    group
+        Which group it belongs to.
+    samples
+        How many samples a row stands for.
+    """
+
+    segments: Array
+    y: Array
+    drifts: Array
+    group: int
+    samples: int = 1
+
+
+@dataclass(frozen=True)
+class Sums:
+    """Squared error as a function of the parameters near one place, for each group.
+
+        loss(p + d) = loss - 2 gradient' d + d' hessian d
+
+    Parameters
+    ----------
+    hessian
+        J'J, shape (groups, q, q).
+    gradient
+        J'e, shape (groups, q).
+    loss
+        e'e, shape (groups,) [output unit^2].
+    samples
+        Samples in each group, shape (groups,).
+    """
+
+    hessian: Array
+    gradient: Array
+    loss: Array
+    samples: NDArray[np.int64]
+
+    @property
+    def rms(self) -> float:
+        """Root mean square error [output unit]."""
+        return float(np.sqrt(self.loss.sum() / self.samples.sum()))
+
+    def expected_loss(self, step: Array) -> float:
+        """Squared error after a step, shape (q,), as far as the error is linear in the parameters."""
+        hessian, gradient = self.hessian.sum(axis=0), self.gradient.sum(axis=0)
+        return float(self.loss.sum() - 2.0 * step @ gradient + step @ hessian @ step)
+
+
+def group_of(samples: int) -> NDArray[np.int64]:
+    """Group of each sample of a recording, shape (samples,)."""
+    return (np.arange(samples) * BLOCKS // samples) % GROUPS
+
+
+def pieces_of(structure: Structure, recordings: Sequence[Samples], every: int = 1) -> Iterator[Piece]:
+    """Play segments and output of the samples that count.
+
+    Parameters
+    ----------
+    structure
+        Which plays.
+    recordings
+        Input, output and start of each.
+    every
+        Samples for one row: their mean where the input hardly moves meanwhile, else the first of them.
+    """
+    clocks, number = clocks_of(recordings), 0
+    for samples in recordings:
+        plays = PlaySegments(structure.play_thresholds)
+        plays.run(np.array(samples.path))
+        moved = float(np.mean(np.abs(np.diff(samples.u[: BLOCKS * CHUNK])))) * every
+        averaged = every > 1 and moved <= STILL * float(np.ptp(samples.u))
+        edges = np.arange(BLOCKS + 1) * samples.u.size // BLOCKS
+        for block, (first, end) in enumerate(itertools.pairwise(edges)):
+            for start in range(int(first), int(end), CHUNK):
+                part = slice(start, min(start + CHUNK, int(end)))
+                segments, counts = plays.run(samples.u[part]), samples.counts[part]
+                if not counts.any():
+                    continue
+                drifts = np.zeros((segments.shape[0], clocks))
+                if samples.clock is not None:
+                    drifts[:, number] = samples.clock[part]
+                rows = np.hstack((segments, drifts, samples.y[part, None]))
+                rows = _rows(rows if counts.all() else rows[counts], every, averaged)
+                yield Piece(
+                    rows[:, : structure.plays], rows[:, -1], rows[:, structure.plays : -1], block % GROUPS, every
+                )
+        number += samples.clock is not None
+
+
+def _rows(rows: Array, every: int, averaged: bool) -> Array:
+    """Means over so many rows each, or the first of them."""
+    whole = rows.shape[0] - rows.shape[0] % every
+    if every == 1 or not averaged or not whole:
+        return rows[::every]
+    result: Array = rows[:whole].reshape(-1, every, rows.shape[1]).mean(axis=1)
+    return result
+
+
+def sums_of(pieces: Iterable[Piece], structure: Structure, zones: Array, parameters: Array) -> Sums:
+    """Normal equations at the parameters.
+
+    Parameters
+    ----------
+    pieces
+        Such as `pieces_of` gives.
+    structure
+        Their plays, and the output where the dead zones start.
+    zones
+        Thresholds of the direct dead zones, shape (m + 1,) [input unit].
+    parameters
+        p, shape (q,).
+    """
+    size, plays, law = parameters.size, structure.plays, parameters.size - zones.size
+    hessian, gradient = np.zeros((GROUPS, size, size)), np.zeros((GROUPS, size))
+    loss, samples = np.zeros(GROUPS), np.zeros(GROUPS, dtype=np.int64)
+    for piece in pieces:
+        v = piece.segments @ parameters[:plays] + parameters[plays]
+        jacobian = np.empty((v.size, size))
+        jacobian[:, plays + 1 : law] = piece.drifts
+        jacobian[:, law:] = zone_segments(zones, v)
+        error = piece.y - structure.origin - jacobian[:, plays + 1 :] @ parameters[plays + 1 :]
+        jacobian[:, plays] = slope_at(zones, parameters[law:], v)
+        np.multiply(piece.segments, jacobian[:, plays, None], out=jacobian[:, :plays])
+        hessian[piece.group] += piece.samples * (jacobian.T @ jacobian)
+        gradient[piece.group] += piece.samples * (jacobian.T @ error)
+        loss[piece.group] += piece.samples * float(error @ error)
+        samples[piece.group] += piece.samples * v.size
+    return Sums(hessian, gradient, loss, samples)
+
+
+def slope_at(zones: Array, slopes: Array, v: Array) -> Array:
+    """Slope of the force law at v, shape (N,): that of the outermost threshold passed."""
+    centre = int(np.flatnonzero(zones == 0.0)[0])
+    passed = np.searchsorted(zones, v, side="right") - 1
+    inner = np.where(v >= 0.0, passed, np.minimum(passed + 1, centre))
+    result: Array = slopes[np.clip(inner, 0, zones.size - 1)]
+    return result

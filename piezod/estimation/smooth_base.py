@@ -1,0 +1,232 @@
+"""The smooth base: a fine grid of plays before a fine force law, both as smooth as the data ask.
+
+    minimise e'e + a |D2 play slopes|^2 + b |D2 force slopes|^2   subject to   slopes >= eps,   H(u_max) = u_max
+
+D2 are second differences from threshold to threshold. The weights a and b are those under which blocks that were held
+out are predicted best. Slopes that no sample tells continue those beside them; none is free. Each Gauss-Newton step is
+a quadratic program, solved by ProxQP.
+
+Source of the penalty: Eilers and Marx (1996), Flexible smoothing with B-splines and penalties, Statistical Science
+11(2), 89-121.
+"""
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from piezod.estimation.columns import Samples, Structure, clocks_of
+from piezod.estimation.normal_equations import GROUPS, Piece, Sums, pieces_of, sums_of
+from piezod.estimation.quadratic_program import Constraints, solve_step
+
+Array = NDArray[np.float64]
+
+WEIGHTS = 10.0 ** np.arange(-9.0, 2.0)
+"""Weights of the penalties that are tried, times the trace of the data's own part."""
+
+FIRST_WEIGHTS = (1e-4, 1e-2)
+"""Of plays and force law, before the data choose: the middle of what they chose on concealed plants."""
+
+CONTINUES = 1e-9
+"""Weight of first differences: below all that data tell, above rounding; it continues slopes that no sample tells."""
+
+MOST_STEPS = 15
+ENOUGH = 1e-6
+"""Share of the squared error that a further step must promise: a thousandth of what a sample's noise hides."""
+
+MOST_ROWS = 100_000
+"""Rows that the steps look at; a longer recording is averaged to so many, and the last step sees every sample."""
+
+
+@dataclass(frozen=True)
+class Base:
+    """A fit with its normal equations.
+
+    Parameters
+    ----------
+    structure
+        Plays, and where the force law starts.
+    zones
+        Thresholds of the force law, shape (m + 1,), from 0 [input unit].
+    parameters
+        Play slopes, a constant, drifts, slopes of the force law, shape (q,).
+    sums
+        At the parameters, over every sample.
+    penalty
+        Shape (q, q) [output unit^2]; the fit minimises loss + p' penalty p.
+    constraints
+        Bounds of the parameters.
+    eps
+        Smallest slope, see `fit_smooth_base`.
+    """
+
+    structure: Structure
+    zones: Array
+    parameters: Array
+    sums: Sums
+    penalty: Array
+    constraints: Constraints
+    eps: float
+
+    def without(self, group: int) -> Array:
+        """Parameters of the fit that has not seen a group of blocks, shape (q,); within the bounds."""
+        rest = np.arange(GROUPS) != group
+        hessian = self.sums.hessian[rest].sum(axis=0) + self.penalty
+        gradient = self.sums.gradient[rest].sum(axis=0) - self.penalty @ self.parameters
+        return solve_step(hessian, gradient, self.constraints, self.parameters)
+
+
+def fit_smooth_base(structure: Structure, zones: Array, recordings: Sequence[Samples], eps: float) -> Base:
+    """Fit recordings by the smooth base.
+
+    Parameters
+    ----------
+    structure
+        Thresholds of the plays, fine.
+    zones
+        Thresholds of the force law, fine, from 0 [input unit].
+    recordings
+        Input, output and start of each.
+    eps
+        Smallest slope, as a fraction of the mean one of the plays, and of the steepest one of the force law.
+
+    Raises
+    ------
+    RecordingError
+        The quadratic program was not solved.
+    """
+    start = straight_line(structure, zones, recordings)
+    return _fitted(structure, zones, recordings, eps, start, None)
+
+
+def refit(
+    structure: Structure, zones: Array, recordings: Sequence[Samples], eps: float, start: Array, penalty: Array
+) -> Base:
+    """Fit from a start, shape (q,), under a penalty, shape (q, q); the rest as for `fit_smooth_base`."""
+    return _fitted(structure, zones, recordings, eps, start, penalty)
+
+
+def _fitted(
+    structure: Structure,
+    zones: Array,
+    recordings: Sequence[Samples],
+    eps: float,
+    start: Array,
+    penalty: Array | None,
+) -> Base:
+    count = sum(int(np.count_nonzero(one.counts)) for one in recordings)
+    every = max(1, -(-count // MOST_ROWS))
+    pieces = list(pieces_of(structure, recordings, every))
+    solver = _Solver(structure, zones, clocks_of(recordings), eps)
+    if penalty is None:
+        base = solver.fit(pieces, start, solver.penalty(start, pieces, FIRST_WEIGHTS))
+        start, penalty = base.parameters, solver.chosen_penalty(base)
+    base = solver.fit(pieces, start, penalty)
+    if every > 1:
+        base = solver.over_all(lambda: pieces_of(structure, recordings), base)
+    return base
+
+
+def straight_line(structure: Structure, zones: Array, recordings: Sequence[Samples]) -> Array:
+    """Parameters of a straight line without hysteresis from the lowest to the highest output, shape (q,)."""
+    low_V, high_V = zones_start(recordings), max(float(one.u.max()) for one in recordings)
+    known = [one.y[one.counts] for one in recordings]
+    low, high = min(float(y.min()) for y in known), max(float(y.max()) for y in known)
+    gain = (high - low) / (high_V - low_V)
+    drifts = np.zeros(clocks_of(recordings))
+    return np.concatenate((np.ones(structure.plays), [-low_V], drifts, np.full(zones.size, gain)))
+
+
+def zones_start(recordings: Sequence[Samples]) -> float:
+    """Smallest input, where the force law's thresholds begin [input unit]."""
+    return min(float(one.u.min()) for one in recordings)
+
+
+class _Solver:
+    """Gauss-Newton steps for one structure."""
+
+    def __init__(self, structure: Structure, zones: Array, clocks: int, eps: float) -> None:
+        self._structure, self._zones, self._eps = structure, zones, eps
+        self._constraints = Constraints.of(structure, clocks, variant="B", eps=eps)
+        self._count = structure.plays + 1 + clocks + zones.size
+        self._tables = slice(0, structure.plays), slice(self._count - zones.size, self._count)
+
+    def fit(self, pieces: Sequence[Piece], start: Array, penalty: Array) -> Base:
+        """Steps until none promises anything; one that makes the error larger is shortened."""
+        best, best_cost, sums = start, np.inf, None
+        step, length, parameters = np.zeros(start.size), 1.0, start
+        for _ in range(MOST_STEPS):
+            tried = sums_of(pieces, self._structure, self._zones, parameters)
+            cost = float(tried.loss.sum() + parameters @ penalty @ parameters)
+            if cost < best_cost:
+                best, best_cost, sums, length = parameters, cost, tried, 1.0
+                step = self._step(sums, penalty, best)
+                if self._promise(sums, penalty, best, step) <= ENOUGH * best_cost:
+                    break
+            else:
+                length *= 0.25
+            parameters = best + length * step
+        assert sums is not None
+        return self._base(best, sums, penalty)
+
+    def over_all(self, pieces: Callable[[], Iterable[Piece]], base: Base) -> Base:
+        """One more step with the sums over every sample, and the sums after it."""
+        sums = sums_of(pieces(), self._structure, self._zones, base.parameters)
+        better = base.parameters + self._step(sums, base.penalty, base.parameters)
+        return self._base(better, sums_of(pieces(), self._structure, self._zones, better), base.penalty)
+
+    def _base(self, parameters: Array, sums: Sums, penalty: Array) -> Base:
+        return Base(self._structure, self._zones, parameters, sums, penalty, self._bounds(parameters), self._eps)
+
+    def _bounds(self, parameters: Array) -> Constraints:
+        steepest = float(parameters[self._tables[1]].max())
+        return self._constraints.for_direct(self._zones.size, self._eps * steepest)
+
+    def _step(self, sums: Sums, penalty: Array, at: Array) -> Array:
+        hessian, gradient = sums.hessian.sum(axis=0) + penalty, sums.gradient.sum(axis=0) - penalty @ at
+        return solve_step(hessian, gradient, self._bounds(at), at) - at
+
+    def _promise(self, sums: Sums, penalty: Array, at: Array, step: Array) -> float:
+        before = float(sums.loss.sum() + at @ penalty @ at)
+        return before - sums.expected_loss(step) - float((at + step) @ penalty @ (at + step))
+
+    def penalty(self, at: Array, pieces: Sequence[Piece], weights: tuple[float, float]) -> Array:
+        """Penalty of the given weights, relative to the data's own part at a place."""
+        sums = sums_of(pieces, self._structure, self._zones, at)
+        return self._weighted(sums, weights)
+
+    def _weighted(self, sums: Sums, weights: tuple[float, float]) -> Array:
+        hessian, result = sums.hessian.sum(axis=0), np.zeros((self._count, self._count))
+        for part, weight in zip(self._tables, weights, strict=True):
+            power = float(np.trace(hessian[part, part]))
+            identity = np.eye(part.stop - part.start)
+            for order, share in ((2, weight), (1, CONTINUES)):
+                if identity.shape[0] > order:
+                    differences = np.diff(identity, order, axis=0)
+                    result[part, part] += power * share * differences.T @ differences
+        return result
+
+    def chosen_penalty(self, base: Base) -> Array:
+        """Penalty under which each group of blocks is predicted best by a fit of the others."""
+        weights = [FIRST_WEIGHTS[0], FIRST_WEIGHTS[1]]
+        for table in (0, 1, 0, 1):
+            losses = []
+            for weight in WEIGHTS:
+                weights[table] = float(weight)
+                losses.append(self.held_out_loss(base, self._weighted(base.sums, (weights[0], weights[1]))))
+            weights[table] = float(WEIGHTS[int(np.argmin(losses))])
+        return self._weighted(base.sums, (weights[0], weights[1]))
+
+    def held_out_loss(self, base: Base, penalty: Array) -> float:
+        """Squared error over all groups, each predicted by the fit of the others; without the bounds."""
+        sums, at = base.sums, base.parameters
+        equality = self._constraints.equality
+        assert equality is not None
+        free = np.linalg.svd(equality[None, :])[2][1:].T
+        hessian = sums.hessian.sum(axis=0) - sums.hessian + penalty
+        gradient = sums.gradient.sum(axis=0) - sums.gradient - penalty @ at
+        reduced = free.T @ hessian @ free
+        steps = np.linalg.solve(reduced, (gradient @ free)[:, :, None])[:, :, 0] @ free.T
+        quadratic = np.einsum("gi,gij,gj->g", steps, sums.hessian, steps)
+        return float(np.sum(sums.loss - 2.0 * np.einsum("gi,gi->g", steps, sums.gradient) + quadratic))
