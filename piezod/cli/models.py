@@ -28,16 +28,22 @@ def identify(
     input_column: Annotated[str, typer.Option("--input", metavar="COLUMN")] = "voltage_V",
     output_column: Annotated[str, typer.Option("--output", metavar="COLUMN")] = "force_N",
     plays: Annotated[
-        int | None, typer.Option(min=1, max=100, help="Number of plays; default: chosen by the held-out error.")
+        int | None, typer.Option(min=1, max=100, help="Number of plays; default: the fewest that fit to the noise.")
     ] = None,
     dead_zones: Annotated[
         int | None, typer.Option(min=0, max=30, help="Number of dead zones; default: likewise.")
     ] = None,
+    orders: Annotated[
+        bool, typer.Option("--orders", help="Fit every pair of numbers and show their errors on held-out data.")
+    ] = False,
     variant: Annotated[
         str, typer.Option(metavar="A|B", help="A: no negative weight; B: no negative partial sum.")
     ] = "B",
     fit_share: Annotated[
-        float, typer.Option(help="First share of each recording, for the fit; the rest is held out.")
+        float,
+        typer.Option(
+            help="With given numbers or --orders: share of each recording that is fitted; the rest is held out."
+        ),
     ] = 0.7,
     name: Annotated[str, typer.Option(help="Name of the model.")] = "stack",
     columns: ColumnsOption = None,
@@ -63,6 +69,7 @@ def identify(
         output=output_column,
         plays=plays,
         zones=dead_zones,
+        orders=orders,
         variant="A" if variant == "A" else "B",
         fit_share=fit_share,
         name=name,
@@ -85,6 +92,7 @@ def identify(
         print(json.dumps(identification_as_dict(identification), indent=2))
     else:
         print_identification(identification)
+    raise typer.Exit(0 if identification.useful else 1)
 
 
 @app.command(epilog="Example: piezod simulate varying.csv --model model.yaml -o simulated.csv")

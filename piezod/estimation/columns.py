@@ -1,7 +1,8 @@
 """From samples to Gram matrices: the columns of the identification problem, accumulated chunk by chunk.
 
 A superposition is written in slopes instead of weights: s_i = w_0 + ... + w_i is the slope of the loading curve between
-the thresholds i and i+1, and its column is the part of the input that lies between them:
+the thresholds i and i+1.
+Its column is the part of the input that lies between them:
 
     H(u) = sum_i s_i (z_i - z_{i+1}),   S'(y) = sum_j s'_j (S_j(y) - S_{j+1}(y)),   the last columns: z_n, S_m
 
@@ -132,10 +133,10 @@ class Samples:
     u, y
         Input and output, shape (N,).
     counts
-        Where the output is believed and used, shape (N,); the plays see every sample all the same.
+        Which outputs are used, shape (N,); the plays see every sample all the same.
     clock
-        Time that runs linearly and is 0 where the fitted part ends, shape (N,), where a drift of the output is fitted
-        and taken out; None: it is not. On a record from rest a drift cannot be told from the first rise of wide plays.
+        Linear time, 0 where the fitted part ends, shape (N,): a drift of the output is fitted and taken out. None: it
+        is not. On a record from rest a drift and the first rise of wide plays look alike.
     path
         Inputs that led to the start from the de-energised state, before the first sample [input unit].
     """

@@ -22,9 +22,12 @@ AT_REST = 0.02  # share of the input's swing around zero that counts as a drive 
 REVERSALS_TRIED = 41
 PEAKS_TRIED = (0.15, 0.3, 0.45, 0.6, 0.75, 0.9, 1.0)  # of the largest input, old peaks before a start at zero
 REFINEMENTS = 5  # of the old peak, each halves the distance between two that are tried
-CLEARLY = 0.8  # share of the squared error below which a used stack is believed rather than a virgin one
+CLEARLY = 0.8  # share of the squared error below which a used stack is taken rather than a virgin one
 
-FAR_BETTER = 0.25  # share of a given start's squared error below which another is believed for a model that stays
+SHAKEN = (1.0, 0.8, 0.6, 0.4, 0.2)  # of the way to both ends, a course that leaves the stack without a memory
+TURNS_TRIED = 7  # last reversals between the ends of the range, before a start amid it
+
+FAR_BETTER = 0.25  # share of a given start's squared error below which another is taken for a model that stays
 
 
 def starts_at_rest(u: Array) -> bool:
@@ -100,6 +103,8 @@ def start_at_zero(u: Array, unit: str, loss: Callable[[Path], float], reach: flo
     sign = 1.0 if u.max() >= -u.min() else -1.0
     losses = {share: tried((sign * share * extreme, 0.0)) for share in PEAKS_TRIED}
     virgin = tried(())
+    if min(losses.values()) >= virgin:
+        return Start((), "de-energised")
     distance = 0.15
     for _ in range(REFINEMENTS):
         best, distance = min(losses, key=losses.__getitem__), 0.5 * distance
@@ -111,6 +116,41 @@ def start_at_zero(u: Array, unit: str, loss: Callable[[Path], float], reach: flo
         return Start((), "de-energised")
     peak = sign * best * extreme
     return Start((peak, 0.0), f"driven to about {peak:.3g} {unit} and back before")
+
+
+def start_amid(u: Array, unit: str, loss: Callable[[Path], float]) -> Start:
+    """What led to a start amid the range: whichever course a fit likes best.
+
+    Parameters
+    ----------
+    u
+        Input, shape (N,).
+    unit
+        Of the input.
+    loss
+        As for `start_at_zero`.
+    """
+    low, high, begin = float(u.min()), float(u.max()), float(u[0])
+    shrinking = [begin + share * (end - begin) for share in SHAKEN for end in (high, low)]
+    courses: dict[Path, str] = {
+        (begin,): f"driven from rest to {begin:.3g} {unit}",
+        (high, begin): f"driven down to {begin:.3g} {unit}",
+        (low, begin): f"driven up to {begin:.3g} {unit}",
+        (low, high, begin): f"driven up, and down to {begin:.3g} {unit}",
+        (high, low, begin): f"driven down, and up to {begin:.3g} {unit}",
+        (*shrinking, begin): f"shaken about {begin:.3g} {unit} less and less",
+    }
+    for turn in np.linspace(low, high, TURNS_TRIED + 2)[1:-1].tolist():
+        for end in (low, high):
+            courses[end, turn, begin] = f"driven to about {turn:.3g} {unit} and back to {begin:.3g} {unit}"
+    losses = {}
+    for path in courses:
+        try:
+            losses[path] = loss(path)
+        except (RecordingError, ModelError):
+            losses[path] = float("inf")
+    best = min(losses, key=losses.__getitem__)
+    return Start(best, f"{courses[best]} before")
 
 
 def start_found(operator: PrandtlIshlinskii, u: Array, y: Array, window: int, unit: str, reach: float) -> Start | None:

@@ -3,9 +3,8 @@
     e = y - F(v),   v = sum_i s_i (z_i - z_{i+1}) + c,   F = origin + sum_j s'_j (S_j(v) - S_{j+1}(v))
 
 The parameters are p = [play slopes, c, a drift for each recording with a clock, dead-zone slopes]. A recording is cut
-into blocks that are dealt to the groups in turn, so that every group sees the whole record. Whatever is asked later
-about a part of the data, such as the error of a fit that has not seen a group, is answered by these sums without the
-samples.
+into blocks that are dealt to the groups in turn, so that every group sees the whole record. The error of a
+fit that has not seen a group follows from these sums without the samples.
 """
 
 import itertools

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piezod.estimation.columns import Samples
+from piezod.estimation.quadratic_program import Constraints, solve_step
 from piezod.estimation.smooth_base import Base, refit
 
 Array = NDArray[np.float64]
@@ -35,10 +36,10 @@ def reduced(base: Base, recordings: Sequence[Samples]) -> Base:
     plays, between = base.structure.plays, base.parameters.size - base.structure.plays - base.zones.size
     slopes, covariance = _solved(base, together)
     while True:
-        apart = np.diff(slopes) ** 2 / np.maximum(_variances(covariance), np.finfo(float).tiny)
-        apart[plays - 1 : plays + between] = np.inf  # the constant and drifts, between the plays and the force law
-        place = int(np.argmin(apart))
-        if not np.isfinite(apart[place]):
+        costs = np.diff(slopes) ** 2 / np.maximum(_variances(covariance), np.finfo(float).tiny)
+        costs[plays - 1 : plays + between] = np.inf  # the constant and drifts, between the plays and the force law
+        place = int(np.argmin(costs))
+        if not np.isfinite(costs[place]):
             break
         fewer = np.delete(together, place + 1, axis=1)
         fewer[:, place] += together[:, place + 1]
@@ -46,7 +47,6 @@ def reduced(base: Base, recordings: Sequence[Samples]) -> Base:
         if base.sums.expected_loss(fewer @ slopes - base.parameters) > allowed:
             break
         together, plays = fewer, plays - (place < plays)
-    slopes, _ = _solved(base, together)
     first = np.argmax(together != 0.0, axis=0)  # a group keeps the threshold where it begins
     kept_zones = first[plays + between :] - base.structure.plays - between
     structure = replace(
@@ -54,17 +54,29 @@ def reduced(base: Base, recordings: Sequence[Samples]) -> Base:
         play_thresholds=base.structure.play_thresholds[first[:plays]],
         zone_thresholds=base.structure.zone_thresholds[kept_zones],
     )
+    curvature, slope = _quadratic(base, together)
+    steepest = float(base.parameters[-base.zones.size :].max())
+    bounds = Constraints.of(structure, between - 1, variant="B", eps=base.eps)
+    means: Array = (together.T @ base.parameters) / together.sum(axis=0)  # of what was made equal
+    start = solve_step(
+        curvature, slope - curvature @ means, bounds.for_direct(kept_zones.size, base.eps * steepest), means
+    )
     penalty = together.T @ base.penalty @ together
-    return refit(structure, base.zones[kept_zones], recordings, base.eps, slopes, penalty)
+    return refit(structure, base.zones[kept_zones], recordings, base.eps, start, penalty)
+
+
+def _quadratic(base: Base, together: Array) -> tuple[Array, Array]:
+    """C, shape (k, k), and b, shape (k,), in the cost x' C x - 2 b' x of the groups' slopes."""
+    hessian, gradient = base.sums.hessian.sum(axis=0), base.sums.gradient.sum(axis=0)
+    curvature = together.T @ (hessian + base.penalty) @ together
+    return curvature, together.T @ (gradient + hessian @ base.parameters)
 
 
 def _solved(base: Base, together: Array) -> tuple[Array, Array]:
     """Slopes of the groups that fit best, shape (k,), and their covariance times the noise's power, shape (k, k)."""
     equality = base.constraints.equality
     assert equality is not None
-    hessian, gradient = base.sums.hessian.sum(axis=0), base.sums.gradient.sum(axis=0)
-    curvature = together.T @ (hessian + base.penalty) @ together
-    slope = together.T @ (gradient + hessian @ base.parameters)
+    curvature, slope = _quadratic(base, together)
     row = equality @ together
     free = np.linalg.svd(row[None, :])[2][1:].T
     fixed = row / (row @ row)

@@ -100,6 +100,13 @@ def fit_smooth_base(structure: Structure, zones: Array, recordings: Sequence[Sam
     return _fitted(structure, zones, recordings, eps, start, None)
 
 
+def fit_roughly(structure: Structure, zones: Array, recordings: Sequence[Samples], eps: float, every: int) -> Base:
+    """The same with one row for `every` samples, under a penalty that the data do not choose: to compare starts."""
+    pieces = list(pieces_of(structure, recordings, every))
+    solver, start = _Solver(structure, zones, clocks_of(recordings), eps), straight_line(structure, zones, recordings)
+    return solver.fit(pieces, start, solver.penalty(start, pieces, FIRST_WEIGHTS))
+
+
 def refit(
     structure: Structure, zones: Array, recordings: Sequence[Samples], eps: float, start: Array, penalty: Array
 ) -> Base:

@@ -15,8 +15,9 @@ from piezod.estimation.columns import (
     zone_slopes_of,
     zone_weights_of,
 )
-from piezod.estimation.normal_equations import pieces_of, sums_of
+from piezod.estimation.normal_equations import Sums, pieces_of, sums_of
 from piezod.estimation.quadratic_program import Constraints, Variant, solve, solve_step
+from piezod.estimation.smooth_base import Base
 from piezod.model.parameters import Hysteresis, Statistics, Superposition
 from piezod.operators import EPS
 from piezod.operators.dead_zone import inverse_dead_zone, shifted
@@ -88,23 +89,38 @@ def fit_hysteresis(
         parameters = _refine(structure, zones, parameters, recordings, direct)
         if parameters[free:].min() >= eps * parameters[free:].max():
             break
-    parameters[free:] = np.maximum(parameters[free:], (1.0 + 1e-9) * eps * parameters[free:].max())
-    statistics = _statistics(structure, zones, parameters, recordings)
-    return Fit(structure, _as_hysteresis(structure, zones, parameters, eps), gram, _condition(gram), statistics)
+    sums = sums_of(pieces_of(structure, recordings), structure, zones, parameters)
+    return _fit(structure, zones, parameters, sums, gram, eps)
 
 
-def _statistics(structure: Structure, zones: Array, parameters: Array, recordings: Sequence[Samples]) -> Statistics:
+def fit_of_base(base: Base) -> Fit:
+    """A fit by the smooth base, as what a model is made of."""
+    return _fit(base.structure, base.zones, base.parameters, base.sums, base.sums.hessian.sum(axis=0), base.eps)
+
+
+def _fit(structure: Structure, zones: Array, parameters: Array, sums: Sums, gram: Array, eps: float) -> Fit:
+    bounded, law = parameters.copy(), slice(parameters.size - zones.size, None)
+    bounded[law] = np.maximum(bounded[law], (1.0 + 1e-9) * eps * bounded[law].max())
+    return Fit(
+        structure,
+        _as_hysteresis(structure, zones, bounded, eps),
+        gram,
+        _condition(gram),
+        _statistics(structure, zones, bounded, sums),
+    )
+
+
+def _statistics(structure: Structure, zones: Array, parameters: Array, sums: Sums) -> Statistics:
     """Normal equations at the solution; drifts of the recordings are eliminated from them."""
-    normal, _, loss = _normal_equations(structure, zones, parameters, recordings)
-    first, count = structure.plays + 1, clocks_of(recordings)
+    normal = sums.hessian.sum(axis=0)
+    first, count = structure.plays + 1, parameters.size - structure.plays - 1 - zones.size
     kept = np.delete(np.arange(parameters.size), np.arange(first, first + count))
     drifts = normal[first : first + count, first : first + count]
     across = normal[kept][:, first : first + count]
     normal = normal[np.ix_(kept, kept)] - across @ np.linalg.pinv(drifts) @ across.T
-    samples = int(sum(np.count_nonzero(one.counts) for one in recordings))
     return Statistics(
-        samples=samples,
-        rms=float(np.sqrt(loss / samples)),
+        samples=int(sums.samples.sum()),
+        rms=sums.rms,
         play_slopes=tuple(parameters[: structure.plays].tolist()),
         constant=float(parameters[structure.plays]),
         zone_thresholds=tuple(zones.tolist()),

@@ -1,8 +1,7 @@
 """From recordings to a model: prepare, judge the orders, fit, and say how good it is."""
 
-import contextlib
 import itertools
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -10,25 +9,34 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from piezod.errors import RecordingError, UsageError
+from piezod.errors import UsageError
 from piezod.estimation.columns import Samples, Structure
-from piezod.estimation.initial_state import settled_from, start_at_zero, starts_at_rest
+from piezod.estimation.normal_equations import GROUPS, group_of
 from piezod.estimation.quadratic_program import Variant
-from piezod.estimation.thresholds import dead_zone_thresholds, play_reach, play_thresholds, widest
-from piezod.identify.fit import fit_hysteresis
+from piezod.estimation.reduction import reduced
+from piezod.estimation.smooth_base import Base, fit_smooth_base
+from piezod.identify.figures import Run, fit_figures
+from piezod.identify.fit import Fit, fit_of_base
 from piezod.identify.intake import OnStep
 from piezod.identify.order import PLAYS, ZONES, Candidate, best_of, choose, judge_orders, prune, residual
-from piezod.identify.scores import largest, max_hysteresis_percent, nrmse_percent, rms
-from piezod.identify.suitability import FEWEST_SAMPLES, check_suitable
+from piezod.identify.scores import rms
+from piezod.identify.stretches import Stretch, Structures, leading_share, whole
+from piezod.identify.suitability import check_suitable
 from piezod.model import Model, file_sha256
 from piezod.model.parameters import Channel, FitFigures, Provenance, RecordingSource, Start
-from piezod.operators import EPS
+from piezod.operators import EPS, PrandtlIshlinskii
 from piezod.recording import Recording
 
 Array = NDArray[np.float64]
 
-START_SAMPLES = 100_000  # looked at to find how a drive that begins at zero was used before
-START_ORDERS = (11, 3)
+FINE_PLAYS, FINE_ZONES = 40, 20
+"""Tables of the smooth base: twice as fine changes the error on other work by less than 1 % of the noise."""
+
+LEAST_EXPLAINED = 0.5
+"""Share of the output's variance below which a model leaves more than it explains."""
+
+WORSE_START = 1.5
+"""Times the error of the rest that the first samples may show before they are left out."""
 
 
 @dataclass(frozen=True)
@@ -40,7 +48,10 @@ class Options:
     input, output
         Columns of the recordings.
     plays, zones
-        n and m; None: judged by the held-out error.
+        n and m; None: the fewest that fit as well as the smooth base, or with `orders` the pair with the least
+        held-out error.
+    orders
+        Whether every pair of orders is judged, as in the thesis; so it is too where only one of n and m is given.
     variant
         "A": no play weight negative; "B": no partial sum below eps.
     eps
@@ -48,7 +59,7 @@ class Options:
     prune
         Whether operators that hardly matter are dropped.
     fit_share
-        Leading share of each recording that is fitted; the rest is held out.
+        With given or judged orders: leading share of each recording that is fitted; the rest is held out.
     name
         Of the model.
     """
@@ -57,6 +68,7 @@ class Options:
     output: str = "force_N"
     plays: int | None = None
     zones: int | None = None
+    orders: bool = False
     variant: Variant = "B"
     eps: float = EPS
     prune: bool = True
@@ -87,6 +99,34 @@ class Identification:
     taken: Candidate
     chosen: Candidate
     notes: list[str]
+
+    @property
+    def explained(self) -> float:
+        """Share of the output's variance that the model predicts where it is held out; below 0 where it harms."""
+        fit = self.model.provenance.fit
+        return 1.0 - (1.0 - 0.01 * (fit.nrmse_percent_held_out or 0.0)) ** 2
+
+    @property
+    def useful(self) -> bool:
+        """Whether the model explains more than it leaves."""
+        return self.explained > LEAST_EXPLAINED
+
+    @property
+    def verdict(self) -> str:
+        """In a sentence, how good the model is."""
+        unit = self.model.output.unit
+        error = self.chosen.rms_held_out
+        share = 100.0 * error / (self.model.output.high - self.model.output.low)
+        words = (
+            f"error on held-out data {error:.3g} {unit} rms, {share:.2g} % of range; the model explains "
+            f"{100.0 * self.explained:.4g} % of the output's variance"
+        )
+        if self.useful:
+            return words
+        return (
+            f"not usable: {words}, must explain more than {100.0 * LEAST_EXPLAINED:.0f} %; check that both columns "
+            "belong together, or record triangles over the whole range (piezod record --excitation varying-triangles)"
+        )
 
 
 def identify(
@@ -123,14 +163,19 @@ def identify(
     if not 0.1 <= options.fit_share <= 0.95:
         raise UsageError(f"the fitted share is {options.fit_share:g}, must be within 0.1 and 0.95")
     on_step("fitting", 0.0)
-    stretches = [_stretch(recording, u, y, options) for recording, (u, y) in zip(recordings, pairs, strict=True)]
+    if options.plays is None and options.zones is None and not options.orders:
+        return _smooth(recordings, pairs, options, by, sources, said)
+    stretches = [
+        leading_share(recording, u, y, options.input, options.fit_share, options.eps)
+        for recording, (u, y) in zip(recordings, pairs, strict=True)
+    ]
     fitted, held_out = [one.fitted for one in stretches], [one.held_out for one in stretches]
     orders = [
         (n, m)
         for n in ((options.plays,) if options.plays is not None else PLAYS)
         for m in ((options.zones,) if options.zones is not None else ZONES)
     ]
-    structures = _Structures(stretches)
+    structures = Structures(stretches)
     judged = itertools.count()
 
     def structure_of(plays: int, zones: int) -> Structure:
@@ -141,115 +186,97 @@ def identify(
     taken = chosen = choose(candidates)
     if options.prune:
         chosen = prune(taken, best_of(candidates), fitted, held_out, variant=options.variant, eps=options.eps)
-    model = _model(recordings, pairs, options, chosen, fitted, held_out, by, sources, said)
+    assert chosen.fit is not None
+    operator = chosen.fit.hysteresis.operator()
+    figures = fit_figures(*([_run(operator, samples) for samples in part] for part in (fitted, held_out)))
+    model = _model(recordings, pairs, options, chosen.fit, stretches[0], figures, by, sources, said)
     said += [note for one in stretches for note in one.notes]
     return Identification(model, candidates, taken, chosen, said + _undetermined(chosen))
 
 
-@dataclass(frozen=True)
-class _Stretch:
-    """One recording: what is fitted, what is held out, and how it starts."""
-
-    fitted: Samples
-    held_out: Samples
-    at_rest: bool
-    notes: tuple[str, ...]
-
-
-def _stretch(recording: Recording, u: Array, y: Array, options: Options) -> _Stretch:
-    """Which samples are fitted and which are held out, and what the memory starts with."""
-    counts = np.isfinite(y)
-    clock: Array | None = None
-    path: tuple[float, ...]
-    boundary = int(options.fit_share * u.size)
-    at_rest = starts_at_rest(u)
-    notes = []
-    if at_rest:
-        counted = counts.copy()
-        counted[boundary:] = False
-        start = start_at_zero(u, _unit(options.input), _loss_of_start(u, y, counted))
-        path = start.path
-        if path:
-            notes.append(f"{recording.source}: the stack was {start.words}; that is what its memory starts with")
-    else:
-        first = settled_from(u)
-        counts[:first] = False
-        path = (float(u[0]),)
-        clock = (recording.time_s - recording.time_s[boundary]) / (recording.time_s[boundary] - recording.time_s[0])
-        notes.append(
-            f"{recording.source}: does not start at rest; its first "
-            f"{recording.time_s[first] - recording.time_s[0]:.3g} s are not used, "
-            "and plays wider than half its swing stay unknown"
-        )
-    inside, outside = counts.copy(), counts.copy()
-    inside[boundary:], outside[:boundary] = False, False
-    if inside.sum() < FEWEST_SAMPLES or outside.sum() < FEWEST_SAMPLES:
-        raise RecordingError(
-            f"{recording.source}: {inside.sum()} samples to fit and {outside.sum()} to hold out are too few; "
-            "record at least three periods"
-        )
-    fitted = Samples(u, np.nan_to_num(y), inside, clock, path)
-    return _Stretch(fitted, replace(fitted, counts=outside), at_rest, tuple(notes))
+def _smooth(
+    recordings: Sequence[Recording],
+    pairs: Sequence[tuple[Array, Array]],
+    options: Options,
+    by: str,
+    sources: Sequence[RecordingSource],
+    said: list[str],
+) -> Identification:
+    """The fewest operators that fit as well as the smooth base; every sample counts."""
+    stretches = [
+        whole(recording, u, y, options.input, options.eps) for recording, (u, y) in zip(recordings, pairs, strict=True)
+    ]
+    base = _base(stretches, options.eps)
+    unsettled = [_without_unsettled(recording, one, base) for recording, one in zip(recordings, stretches, strict=True)]
+    if any(new is not old for new, old in zip(unsettled, stretches, strict=True)):
+        stretches = unsettled
+        base = _base(stretches, options.eps)
+    fitted = [one.fitted for one in stretches]
+    fewest = reduced(base, fitted)
+    fit = fit_of_base(fewest)
+    figures = fit_figures([_run(fit.hysteresis.operator(), one) for one in fitted], _held_out(fewest, fitted))
+    plays, zones = fit.structure.plays - 1, fit.structure.zones
+    chosen = Candidate(
+        plays, zones, fit, figures.rms_fit or 0.0, figures.rms_held_out or 0.0, np.array([figures.rms_held_out or 0.0])
+    )
+    said += [note for one in stretches for note in one.notes]
+    model = _model(recordings, pairs, options, fit, stretches[0], figures, by, sources, said)
+    return Identification(model, [], chosen, chosen, said + _undetermined(chosen))
 
 
-def _loss_of_start(u: Array, y: Array, counts: NDArray[np.bool_]) -> Callable[[tuple[float, ...]], float]:
-    """Mean square error in the output of a middling structure, as a function of the start path."""
-    part = slice(None, None, max(1, u.size // START_SAMPLES))  # a start shows over the whole first rise
-    u, y, counts = u[part], np.nan_to_num(y[part]), counts[part]
-    if not np.ptp(u) > 0.0 or counts.sum() < FEWEST_SAMPLES:
-        return lambda path: 0.0 if not path else np.inf
-
-    def loss(path: tuple[float, ...]) -> float:
-        samples = Samples(u, y, counts, None, path)
-        structure = _Structures([_Stretch(samples, samples, at_rest=True, notes=())]).of(*START_ORDERS)
-        error = residual(fit_hysteresis(structure, [samples]).hysteresis.operator(), samples)
-        return float(np.mean(error[counts] ** 2))
-
-    return loss
+def _base(stretches: Sequence[Stretch], eps: float) -> Base:
+    tables = Structures(stretches).smooth(FINE_PLAYS, FINE_ZONES)
+    return fit_smooth_base(*tables, [one.fitted for one in stretches], eps)
 
 
-class _Structures:
-    """Thresholds for any orders, from the range that all recordings cover."""
+def _without_unsettled(recording: Recording, stretch: Stretch, base: Base) -> Stretch:
+    """The same without its first samples, where these fit worse than the rest: no start that was tried is theirs."""
+    first, samples = stretch.unsettled, stretch.fitted
+    counts = samples.counts.copy()
+    counts[:first] = False
+    if not samples.counts[:first].any() or counts.sum() < 0.5 * samples.counts.sum():
+        return stretch
+    error = residual(fit_of_base(base).hysteresis.operator(), samples)
+    if rms(error[:first][samples.counts[:first]]) < WORSE_START * rms(error[counts]):
+        return stretch
+    note = (
+        f"{recording.source}: its first {recording.time_s[first] - recording.time_s[0]:.3g} s depend on what came "
+        "before and are not used"
+    )
+    kept = replace(samples, counts=counts)
+    return Stretch(kept, kept, stretch.at_rest, 0, (*stretch.notes, note))
 
-    def __init__(self, stretches: Sequence[_Stretch]) -> None:
-        parts = [stretch.fitted for stretch in stretches]
-        known = [
-            samples.y[one.fitted.counts | one.held_out.counts] for samples, one in zip(parts, stretches, strict=True)
-        ]
-        reaches = [
-            play_reach(samples.u, samples.path, at_rest=one.at_rest)
-            for samples, one in zip(parts, stretches, strict=True)
-        ]
-        self._reach = widest(reaches)
-        self._u_max = max(float(np.abs(samples.u).max()) for samples in parts)
-        self._low = min(float(y.min()) for y in known)
-        self._high = max(float(y.max()) for y in known)
-        self._origin = float(known[0][0]) if stretches[0].at_rest else self._low
-        self._swing = max(float(np.ptp(samples.u)) for samples in parts)
 
-    def of(self, plays: int, zones: int) -> Structure:
-        """Thresholds for n plays and m dead zones."""
-        return Structure(
-            play_thresholds(plays, self._reach.end, beyond=self._reach.beyond),
-            dead_zone_thresholds(zones, self._low - self._origin, self._high - self._origin),
-            self._origin,
-            self._u_max,
-            self._swing / (self._high - self._low),
-        )
+def _held_out(base: Base, recordings: Sequence[Samples]) -> list[Run]:
+    """Every group of blocks as the fit of the others simulates it."""
+    runs = [Run(one.u, one.y, np.zeros(one.u.size)) for one in recordings]
+    for group in range(GROUPS):
+        operator = fit_of_base(replace(base, parameters=base.without(group))).hysteresis.operator()
+        for run, samples in zip(runs, recordings, strict=True):
+            mine = group_of(samples.u.size) == group
+            run.error[mine] = residual(operator, samples)[mine]
+    return [
+        Run(run.u[one.counts], run.y[one.counts], run.error[one.counts])
+        for run, one in zip(runs, recordings, strict=True)
+    ]
+
+
+def _run(operator: PrandtlIshlinskii, samples: Samples) -> Run:
+    counts = samples.counts
+    return Run(samples.u[counts], samples.y[counts], residual(operator, samples)[counts])
 
 
 def _model(
     recordings: Sequence[Recording],
     pairs: Sequence[tuple[Array, Array]],
     options: Options,
-    chosen: Candidate,
-    fitted: Sequence[Samples],
-    held_out: Sequence[Samples],
+    fit: Fit,
+    first: Stretch,
+    figures: FitFigures,
     by: str,
     sources: Sequence[RecordingSource],
     notes: Sequence[str],
 ) -> Model:
-    assert chosen.fit is not None
     sources = tuple(sources) or tuple(
         RecordingSource(path=r.source, sha256=file_sha256(Path(r.source)), samples=int(r.time_s.size))
         for r in recordings
@@ -259,16 +286,16 @@ def _model(
         name=options.name,
         input=_channel(options.input, [u for u, _ in pairs]),
         output=_channel(options.output, [y for _, y in pairs]),
-        hysteresis=chosen.fit.hysteresis,
-        start=_start(fitted[0].path, at_rest=starts_at_rest(fitted[0].u)),
+        hysteresis=fit.hysteresis,
+        start=_start(first.fitted.path, at_rest=first.at_rest),
         provenance=Provenance(
             created=datetime.now(UTC).isoformat(timespec="seconds"),
             by=by,
             recordings=sources,
-            fit=_figures(chosen, fitted, held_out),
+            fit=figures,
             notes="; ".join(notes),
         ),
-        statistics=chosen.fit.statistics,
+        statistics=fit.statistics,
     )
 
 
@@ -287,34 +314,6 @@ def _channel(name: str, values: Sequence[Array]) -> Channel:
 
 def _unit(column: str) -> str:
     return column.rpartition("_")[2] or column
-
-
-def _figures(chosen: Candidate, fitted: Sequence[Samples], held_out: Sequence[Samples]) -> FitFigures:
-    """Figures on fit and held-out data, side by side."""
-    assert chosen.fit is not None
-    operator = chosen.fit.hysteresis.operator()
-    figures: dict[str, float | None] = {}
-    for name, stretches in (("fit", fitted), ("held_out", held_out)):
-        errors = [residual(operator, samples)[samples.counts] for samples in stretches]
-        outputs = [samples.y[samples.counts] for samples in stretches]
-        inputs = [samples.u[samples.counts] for samples in stretches]
-        modelled = [y - error for y, error in zip(outputs, errors, strict=True)]
-        measured, error = np.concatenate(outputs), np.concatenate(errors)
-        figures[f"rms_{name}"] = rms(error)
-        figures[f"max_{name}"] = largest(error)
-        figures[f"nrmse_percent_{name}"] = nrmse_percent(measured, measured - error)
-        figures[f"max_hysteresis_percent_{name}"] = _widest_loop(inputs, outputs)
-        figures[f"remaining_hysteresis_percent_{name}"] = _widest_loop(modelled, outputs)
-    return FitFigures(**{key: value if value is None else float(f"{value:.6g}") for key, value in figures.items()})
-
-
-def _widest_loop(drives: Sequence[Array], responses: Sequence[Array]) -> float | None:
-    """Max hysteresis of the recordings, None where none of them closes a loop."""
-    openings = []
-    for drive, response in zip(drives, responses, strict=True):
-        with contextlib.suppress(ValueError):
-            openings.append(max_hysteresis_percent(drive, response))
-    return max(openings, default=None)
 
 
 def _undetermined(chosen: Candidate) -> list[str]:

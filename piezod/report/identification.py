@@ -46,6 +46,8 @@ def identification_as_dict(identification: Identification) -> dict[str, Any]:
         "fit": {key.removesuffix("_fit"): value for key, value in fit if key.endswith("_fit")},
         "held_out": {key.removesuffix("_held_out"): value for key, value in fit if key.endswith("_held_out")},
         "condition": chosen.fit.condition,
+        "verdict": identification.verdict,
+        "explained": identification.explained,
         "notes": identification.notes,
         "candidates": [
             {"plays": c.plays, "dead_zones": c.zones, "rms_fit": c.rms_fit, "rms_held_out": c.rms_held_out}
@@ -64,9 +66,10 @@ def print_identification(identification: Identification) -> None:
     """
     model, chosen = identification.model, identification.chosen
     unit = model.output.unit
-    print(f"held-out rms error [{unit}] for n plays (rows) and m dead zones (columns):")
-    for line in _order_rows(identification.candidates, identification.taken):
-        print("  " + "".join(cell.rjust(11) for cell in line))
+    if identification.candidates:
+        print(f"held-out rms error [{unit}] for n plays (rows) and m dead zones (columns):")
+        for line in _order_rows(identification.candidates, identification.taken):
+            print("  " + "".join(cell.rjust(11) for cell in line))
     assert chosen.fit is not None
     print(f"{_orders(identification)}; condition number {chosen.fit.condition:.0f}")
     print(f"{'':24}{'fit':>12}{'held out':>12}")
@@ -77,6 +80,7 @@ def print_identification(identification: Identification) -> None:
         print(f"{title}: {len(rows)}, of which {len(significant)} are significant: {', '.join(significant)}")
     for note in identification.notes:
         print(f"note: {note}")
+    print(identification.verdict)
 
 
 def write_identification_page(path: Path, identification: Identification, recordings: Sequence[Recording]) -> None:
@@ -97,11 +101,9 @@ def write_identification_page(path: Path, identification: Identification, record
         The file cannot be written.
     """
     model, chosen = identification.model, identification.chosen
-    span, unit = model.output.high - model.output.low, unit_words(model.output.unit)
-    verdict = (
-        f"Error on held-out data: {chosen.rms_held_out:.3g} {unit} rms, {100 * chosen.rms_held_out / span:.2f} % of "
-        f"range. The model has {chosen.plays} plays and {chosen.zones} dead zones."
-    )
+    unit = unit_words(model.output.unit)
+    words = identification.verdict
+    verdict = f"{words[0].upper()}{words[1:]}. The model has {chosen.plays} plays and {chosen.zones} dead zones."
     parts: list[Part] = [
         head_html(f"Identification: {_quantity(model.input.channel)} to {_quantity(model.output.channel)}", verdict),
         table_html(["", "fit", "held out"], _figure_rows(identification)),
@@ -111,9 +113,10 @@ def write_identification_page(path: Path, identification: Identification, record
         parts.append(f"<h2>Notes</h2><ul>{notes}</ul>")
     for recording in recordings:
         parts.extend(_curves(identification, recording))
-    orders = _order_rows(identification.candidates, identification.taken)
-    parts.append(f"<h2>Held-out rms error [{unit}] for n plays and m dead zones; *: selected</h2>")
-    parts.append(table_html(orders[0], orders[1:]))
+    if identification.candidates:
+        orders = _order_rows(identification.candidates, identification.taken)
+        parts.append(f"<h2>Held-out rms error [{unit}] for n plays and m dead zones; *: selected</h2>")
+        parts.append(table_html(orders[0], orders[1:]))
     command = unit_words(model.input.unit)
     for title, operators, units in (
         ("Plays", play_rows(model.hysteresis), (command, "1", command, "1")),
@@ -176,6 +179,8 @@ def _figure_rows(identification: Identification) -> list[tuple[str, ...]]:
 
 def _orders(identification: Identification) -> str:
     taken, chosen = identification.taken, identification.chosen
+    if not identification.candidates:
+        return f"n = {chosen.plays} plays, m = {chosen.zones} dead zones, the fewest that fit as well as fine tables"
     text = f"selected (*): n = {taken.plays}, m = {taken.zones}"
     if (chosen.plays, chosen.zones) != (taken.plays, taken.zones):
         text += f"; without insignificant operators: n = {chosen.plays}, m = {chosen.zones}"

@@ -33,7 +33,8 @@ def test_a_condition_chooses_samples():
 
 @pytest.mark.skipif(not FLEXURE.exists(), reason="the recordings in ../shared are not here")
 def test_what_does_not_transfer_to_the_tracking_record_is_above_all_gain_and_offset():
-    model = identify([read_csv(FLEXURE / "identification.csv")], Options(output="displacement_um"), "a test").model
+    options = Options(output="displacement_um", orders=True)
+    model = identify([read_csv(FLEXURE / "identification.csv")], options, "a test").model
     tracking = read_csv(FLEXURE / "tracking.csv")
     off = simulate_recording(model, tracking, 1.0, where(tracking, "feedforward_on=0")).agreement
     print(off.words("um"))

@@ -141,8 +141,10 @@ def test_what_tells_no_model_is_refused_in_one_line_and_leaves_the_model_file_as
 @pytest.mark.parametrize(("text", "says"), WARNED.values(), ids=WARNED.keys())
 def test_what_may_be_real_is_identified_and_warned_about_in_one_line(tmp_path, identify, text, says):
     code, out, err = identify(text, "--plays", "6", "--dead-zones", "0", "--json")
-    assert (code, err) == (0, "")
-    (note,) = [note for note in json.loads(out)["notes"] if says in note]
+    result = json.loads(out)
+    assert (code, err) == (0 if result["explained"] > 0.5 else 1, "")
+    assert ("not usable" in result["verdict"]) == bool(code)
+    (note,) = [note for note in result["notes"] if says in note]
     assert note.startswith(f"{tmp_path}/rec.csv: ")
     assert "\n" not in note
     assert (tmp_path / "model.yaml").exists()
