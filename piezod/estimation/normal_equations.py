@@ -110,7 +110,7 @@ def pieces_of(structure: Structure, recordings: Sequence[Samples], every: int = 
         plays.run(np.array(samples.path))
         moved = float(np.mean(np.abs(np.diff(samples.u[: BLOCKS * CHUNK])))) * every
         averaged = every > 1 and moved <= STILL * float(np.ptp(samples.u))
-        edges = np.arange(BLOCKS + 1) * samples.u.size // BLOCKS
+        edges = -(-np.arange(BLOCKS + 1) * samples.u.size // BLOCKS)  # the first sample of each block
         for block, (first, end) in enumerate(itertools.pairwise(edges)):
             for start in range(int(first), int(end), CHUNK):
                 part = slice(start, min(start + CHUNK, int(end)))

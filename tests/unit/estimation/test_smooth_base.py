@@ -94,6 +94,16 @@ def test_the_sums_are_the_derivatives_of_the_squared_error():
         np.testing.assert_allclose(ahead - behind, -4.0 * sums.gradient @ step, rtol=1e-4, atol=1e-6)
 
 
+@pytest.mark.parametrize("size", [150, 6400, 6433])
+def test_pieces_belong_to_the_groups_of_their_samples(size):
+    number = np.arange(float(size))
+    structure, _ = fine_tables(number, number)
+    found = np.empty(size)
+    for piece in pieces_of(structure, [samples_of(number, number)]):
+        found[piece.y.astype(int)] = piece.group
+    np.testing.assert_array_equal(found, group_of(size))
+
+
 def test_every_group_of_blocks_sees_the_whole_record_and_rows_that_are_means_fit_the_same_line():
     groups = group_of(6400)
     assert [np.ptp(np.flatnonzero(groups == k)) > 0.8 * 6400 for k in range(GROUPS)] == [True] * GROUPS
