@@ -37,7 +37,7 @@ def identify(
         bool, typer.Option("--orders", help="Fit every pair of numbers and show their errors on held-out data.")
     ] = False,
     variant: Annotated[
-        str, typer.Option(metavar="A|B", help="A: no negative weight; B: no negative partial sum.")
+        str, typer.Option(metavar="A|B", help="A: no negative weight, with --orders; B: no negative partial sum.")
     ] = "B",
     fit_share: Annotated[
         float,

@@ -33,7 +33,7 @@ CONTINUES = 1e-9
 
 MOST_STEPS = 15
 ENOUGH = 1e-6
-"""Share of the squared error that a further step must promise: a thousandth of what a sample's noise hides."""
+"""Share of the squared error that a further step must promise: half a millionth of the rms error, which nobody sees."""
 
 MOST_ROWS = 100_000
 """Rows that the steps look at; a longer recording is averaged to so many, and the last step sees every sample."""
@@ -137,17 +137,12 @@ def _fitted(
 
 def straight_line(structure: Structure, zones: Array, recordings: Sequence[Samples]) -> Array:
     """Parameters of a straight line without hysteresis from the lowest to the highest output, shape (q,)."""
-    low_V, high_V = zones_start(recordings), max(float(one.u.max()) for one in recordings)
+    low_V, high_V = min(float(one.u.min()) for one in recordings), max(float(one.u.max()) for one in recordings)
     known = [one.y[one.counts] for one in recordings]
     low, high = min(float(y.min()) for y in known), max(float(y.max()) for y in known)
     gain = (high - low) / (high_V - low_V)
     drifts = np.zeros(clocks_of(recordings))
     return np.concatenate((np.ones(structure.plays), [-low_V], drifts, np.full(zones.size, gain)))
-
-
-def zones_start(recordings: Sequence[Samples]) -> float:
-    """Smallest input, where the force law's thresholds begin [input unit]."""
-    return min(float(one.u.min()) for one in recordings)
 
 
 class _Solver:

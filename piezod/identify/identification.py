@@ -30,7 +30,8 @@ from piezod.recording import Recording
 Array = NDArray[np.float64]
 
 FINE_PLAYS, FINE_ZONES = 40, 20
-"""Tables of the smooth base: twice as fine changes the error on other work by less than 1 % of the noise."""
+"""Tables of the smooth base. Twice as fine, the error on other work of three concealed plants with coloured noise falls
+from 1.04, 1.08 and 1.11 of the noise to 1.03, 1.07 and 1.10; a tick takes twice as long."""
 
 LEAST_EXPLAINED = 0.5
 """Share of the output's variance below which a model leaves more than it explains."""
@@ -51,7 +52,8 @@ class Options:
         n and m; None: the fewest that fit as well as the smooth base, or with `orders` the pair with the least
         held-out error.
     orders
-        Whether every pair of orders is judged, as in the thesis; so it is too where only one of n and m is given.
+        Whether every pair of orders is judged, as in the thesis. So it is too where only one of n and m is given, or
+        variant A.
     variant
         "A": no play weight negative; "B": no partial sum below eps.
     eps
@@ -162,8 +164,9 @@ def identify(
     said = [*notes, *(w for one in recordings for w in check_suitable(one, options.input, options.output))]
     if not 0.1 <= options.fit_share <= 0.95:
         raise UsageError(f"the fitted share is {options.fit_share:g}, must be within 0.1 and 0.95")
-    on_step("fitting", 0.0)
-    if options.plays is None and options.zones is None and not options.orders:
+    by_orders = options.orders or options.plays is not None or options.zones is not None or options.variant == "A"
+    on_step("fitting", 0.0 if by_orders else None)
+    if not by_orders:
         return _smooth(recordings, pairs, options, by, sources, said)
     stretches = [
         leading_share(recording, u, y, options.input, options.fit_share, options.eps)
@@ -248,7 +251,7 @@ def _without_unsettled(recording: Recording, stretch: Stretch, base: Base) -> St
 
 
 def _held_out(base: Base, recordings: Sequence[Samples]) -> list[Run]:
-    """Every group of blocks as the fit of the others simulates it."""
+    """Every group of blocks as the fit of the others simulates it; start and penalty have seen all groups."""
     runs = [Run(one.u, one.y, np.zeros(one.u.size)) for one in recordings]
     for group in range(GROUPS):
         operator = fit_of_base(replace(base, parameters=base.without(group))).hysteresis.operator()

@@ -142,9 +142,7 @@ class Judge:
         if "writes" in self.excused:  # the device does not obey
             self.rest_due = (report["now_ns"], reason)
             return
-        if not at_rest and "foreign" in self.excused and abs(report["output_V"]) <= ARMED_WITHIN_V:
-            self.rest_due = None  # what another client writes after the ramp is at rest as the service measures it
-        elif at_rest:
+        if at_rest:
             self.rest_due = None
             self._judge_rate(report["rest_ns"])
         elif 1e-9 * (report["now_ns"] - sent_ns) > REST_WITHIN_S and not self._stood_still():

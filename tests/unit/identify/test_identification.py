@@ -195,6 +195,14 @@ def test_every_start_is_identified_to_the_noise_and_every_sample_is_held_out_onc
     assert found.chosen.rms_fit <= found.chosen.rms_held_out
 
 
+def test_the_constraints_of_the_thesis_are_kept_where_they_are_asked_for():
+    u = varying_triangles(U_MAX, 0.1, 15, 50.0)
+    operator, _ = known_operator(6, 0, False, seed=9)  # some of its weights are negative
+    y = operator.run(u) + np.random.default_rng(1).normal(0.0, 0.1, u.size)
+    model = identify([recording_of(u, y)], Options(variant="A", eps=1e-3), "a test").model
+    assert min(model.hysteresis.plays.weights) >= -1e-9
+
+
 def test_missing_forces_are_left_out_and_do_not_change_the_model():
     operator, _ = known_operator(6, 2, False, seed=9)
     u = varying_triangles(U_MAX, 0.1, 41, 50.0)
@@ -284,6 +292,16 @@ def test_what_a_stack_was_driven_to_before_is_found_in_its_first_rise(old_peak):
     if old_peak is not None:
         assert found.model.start.peak == pytest.approx(old_peak, abs=5.0)
     assert found.chosen.rms_fit < 0.005 * np.ptp(y)
+
+
+@pytest.mark.skipif(not FLEXURE.exists(), reason="the recordings in ../shared are not here")
+def test_a_real_stack_is_identified_to_less_than_half_a_percent_of_range_on_data_held_out():
+    recording = read_csv(FLEXURE / "identification.csv")
+    model = identify([recording], Options(output="displacement_um", orders=True), "a test").model
+    rms_held_out = model.provenance.fit.rms_held_out
+    print("held-out rms", rms_held_out, "um of", model.output.high - model.output.low)
+    assert rms_held_out <= 0.0045 * (model.output.high - model.output.low)
+    assert model.provenance.recordings[0].samples == recording.time_s.size
 
 
 @pytest.mark.skipif(not FLEXURE.exists(), reason="the recordings in ../shared are not here")
