@@ -3,13 +3,14 @@
 systemd runs it after a daemon has failed (`ExecStopPost`). An operator runs it when a voltage is left at the output.
 """
 
+import contextlib
 import time
-from math import isfinite
+from math import isfinite, nan
 from pathlib import Path
 
 from piezod.config import BenchConfig
 from piezod.control import CAUSE_TEXT, Cause, RingLog
-from piezod.errors import CheckFailedError, UnreachableError
+from piezod.errors import CheckFailedError, PiezodError, UnreachableError
 from piezod.session.assembly import load_bench_without_model, make_loop, make_rate_keeper, opened_link
 from piezod.session.lock import lock_bench
 from piezod.transport import ExchangeResult, Link
@@ -63,6 +64,8 @@ def stop_directly(path: Path) -> str:
 def bring_to_rest(bench: BenchConfig, link: Link) -> str:
     """Drive the output to the safe voltage and read it back; the caller holds the lock.
 
+    Nothing is written where the readback and the command in the device both say that the output is at rest.
+
     Parameters
     ----------
     bench, link
@@ -82,15 +85,32 @@ def bring_to_rest(bench: BenchConfig, link: Link) -> str:
     """
     found_V = _output_V(bench, link)
     if link.reading.status & STATUS_WATCHDOG:  # the device ramps down itself; a command now would cause a jump
-        found_V = _wait_for_rest(bench, link)
-    if abs(found_V - bench.limits.voltage_safe_V) <= bench.arming.readback_within_V:
+        found_V = commanded_V = _wait_for_rest(bench, link)
+    else:
+        commanded_V = _commanded_V(link)
+    if _at_rest(bench, found_V) and _at_rest(bench, commanded_V):
         return f"{link.description}: {found_V:.2f} V, at rest"
+    if _at_rest(bench, found_V):  # the readback may stand still: the ramp begins where the command stands
+        found_V = commanded_V if isfinite(commanded_V) else found_V
     fault = _ramp(bench, link, found_V)
     left_V = _output_V(bench, link)
     remark = "" if fault is Cause.NONE else f"; {CAUSE_TEXT[fault]}"
-    if abs(left_V - bench.limits.voltage_safe_V) > bench.arming.readback_within_V:
+    if not _at_rest(bench, left_V):
         raise CheckFailedError(f"stop: {link.description} is still at {left_V:.2f} V{remark}; switch the amplifier off")
     return f"{link.description}: ramped down from {found_V:.2f} V, {left_V:.2f} V now{remark}"
+
+
+def _at_rest(bench: BenchConfig, voltage_V: float) -> bool:
+    return abs(voltage_V - bench.limits.voltage_safe_V) <= bench.arming.readback_within_V
+
+
+def _commanded_V(link: Link) -> float:
+    """The last command in the register of the device [V]; nan where it cannot be read."""
+    for _ in range(POLLS):
+        with contextlib.suppress(PiezodError):
+            return link.read_register("voltage_setpoint")
+        time.sleep(POLL_INTERVAL_S)
+    return nan
 
 
 def _ramp(bench: BenchConfig, link: Link, from_V: float) -> Cause:
@@ -104,7 +124,7 @@ def _ramp(bench: BenchConfig, link: Link, from_V: float) -> Cause:
 def _wait_for_rest(bench: BenchConfig, link: Link) -> float:
     """Wait until the output is at rest or falls no more; return it [V]."""
     output_V = _output_V(bench, link)
-    while abs(output_V - bench.limits.voltage_safe_V) > bench.arming.readback_within_V:
+    while not _at_rest(bench, output_V):
         time.sleep(WATCHDOG_POLL_INTERVAL_S)
         before_V, output_V = output_V, _output_V(bench, link)
         if abs(output_V - before_V) < 0.1 * bench.arming.readback_within_V:

@@ -3,11 +3,15 @@
 import json
 import os
 import signal
+import struct
 import threading
+import time
 
 import pytest
+from pymodbus.client import ModbusTcpClient
 
 from piezod.commissioning.proof import STEPS, prove
+from piezod.commissioning.safe_stop import stop_directly
 from piezod.config import load_bench
 from piezod.errors import BusyError, UsageError
 from piezod.session.lock import BenchLock
@@ -74,6 +78,19 @@ def test_a_readback_that_stands_still_fails(bench, tmp_path):
     bench.device.ask("reading_fault", kind="readback_stuck")
     record, _ = prove(bench.path, tmp_path / "record.json")
     assert steps_of(record)["level"]["result"] == "fail"
+
+
+def test_a_voltage_behind_a_readback_that_stands_still_is_brought_down(bench):
+    bench.device.ask("other_device", acts_on_watchdog=False)
+    bench.device.ask("reading_fault", kind="readback_stuck")
+    host, _, port = bench.device.serves["direct"].rpartition(":")
+    with ModbusTcpClient(host, port=int(port)) as client:
+        client.read_input_registers(202, count=2)  # from now on the readback says 0 V
+        client.write_registers(100, [*struct.unpack(">2H", struct.pack(">f", 6.0)), 1])
+    time.sleep(0.1)
+    assert bench.device.ask("report")["output_V"] == 6.0
+    assert "ramped down from 6.00 V" in stop_directly(bench.path)
+    assert bench.device.ask("report")["output_V"] == 0.0
 
 
 def test_a_bench_that_another_program_drives_is_refused(bench, tmp_path):
