@@ -17,6 +17,7 @@ from piezod.errors import BusyError, UsageError
 from piezod.session.lock import BenchLock
 from tests.faults.bench_pool import run_piezod
 from tests.faults.live_bench import LiveBench
+from tests.faults.probe import Probe, repeated_after_standstills
 
 pytestmark = pytest.mark.real_time
 
@@ -26,6 +27,13 @@ def bench(tmp_path_factory):
     live = LiveBench(tmp_path_factory.mktemp("proof"))
     yield live
     live.close()
+
+
+@pytest.fixture(scope="module")
+def probe():
+    sleeper = Probe()
+    yield sleeper
+    sleeper.close()
 
 
 @pytest.fixture(autouse=True)
@@ -40,14 +48,17 @@ def steps_of(record):
     return {step["name"]: step for step in record["steps"]}
 
 
-def test_every_step_passes_and_the_record_names_bench_device_version_and_date(bench, tmp_path):
-    path = tmp_path / "record.json"
-    code, text, _ = run_piezod("check", bench.path, "--proof", "-o", path)
-    record = json.loads(path.read_text(encoding="utf-8"))
-    assert code == 0, text
+def test_every_step_passes_and_the_record_names_bench_device_version_and_date(bench, tmp_path, probe):
+    def attempt(number):
+        path = tmp_path / f"record_{number}.json"
+        code, text, _ = run_piezod("check", bench.path, "--proof", "-o", path)
+        assert code == 0, text
+        return json.loads(path.read_text(encoding="utf-8"))
+
+    record = repeated_after_standstills(probe, attempt)
     assert record["passed"] is record["left_at_rest"] is True
     assert [step["name"] for step in record["steps"]] == list(STEPS)
-    assert {step["result"] for step in record["steps"]} == {"pass"}, text
+    assert {step["result"] for step in record["steps"]} == {"pass"}
     assert record["identity"] == {"identity": 20570.0, "map_version": 1.0}
     assert {"schema", "bench", "device", "version", "date_utc"} <= set(record)
     assert all(step["measured"] is not None and step["limit"] is not None for step in record["steps"])
@@ -56,12 +67,17 @@ def test_every_step_passes_and_the_record_names_bench_device_version_and_date(be
     assert report["wrong"] == []
 
 
-def test_a_watchdog_that_is_set_and_does_not_act_fails_and_the_bench_is_left_at_rest(bench, tmp_path):
+def test_a_watchdog_that_is_set_and_does_not_act_fails_and_the_bench_is_left_at_rest(bench, tmp_path, probe):
     bench.device.ask("other_device", acts_on_watchdog=False)
-    record, _ = prove(bench.path, tmp_path / "record.json")
-    steps = steps_of(record)
-    assert steps.pop("watchdog")["result"] == "fail"
-    assert {step["result"] for step in steps.values()} == {"pass"}
+
+    def attempt(number):
+        record, _ = prove(bench.path, tmp_path / f"record_{number}.json")
+        steps = steps_of(record)
+        assert steps.pop("watchdog")["result"] == "fail"
+        assert {step["result"] for step in steps.values()} == {"pass"}
+        return record
+
+    record = repeated_after_standstills(probe, attempt)
     assert record["left_at_rest"]
     assert not record["passed"]
 
@@ -112,18 +128,22 @@ def test_a_record_is_never_replaced(bench, tmp_path):
 
 
 @pytest.mark.parametrize("name", STEPS)
-def test_ctrl_c_leaves_the_bench_at_rest_and_writes_a_record_that_did_not_pass(bench, tmp_path, monkeypatch, name):
-    timer = threading.Timer(0.05, lambda: os.kill(os.getpid(), signal.SIGINT))
+def test_ctrl_c_leaves_the_bench_at_rest_and_writes_a_record_that_did_not_pass(
+    bench, tmp_path, monkeypatch, name, probe
+):
     step = STEPS[name]
 
     def interrupted(proof):
-        timer.start()
+        threading.Timer(0.05, lambda: os.kill(os.getpid(), signal.SIGINT)).start()
         return step(proof)
 
+    def attempt(number):
+        record, path = prove(bench.path, tmp_path / f"record_{number}.json")
+        assert record["steps"][-1]["name"] == name
+        return record, path
+
     monkeypatch.setitem(STEPS, name, interrupted)
-    record, path = prove(bench.path, tmp_path / "record.json")
-    timer.join()
-    assert record["steps"][-1]["name"] == name
+    record, path = repeated_after_standstills(probe, attempt)
     assert not record["passed"]
     assert record["left_at_rest"]
     assert record["remark"] == "interrupted"

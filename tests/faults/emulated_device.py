@@ -97,6 +97,8 @@ class FaultyDevice(Device):
         Number of set points received.
     command_ns, requested_V
         Time [ns, monotonic] and voltage [V] of the last set point.
+    foreign_ns
+        Time of the last set point of `second_master`, which is in no other count [ns, monotonic].
     """
 
     def __init__(self, bench: TimedBench, firmware: Firmware) -> None:
@@ -106,7 +108,7 @@ class FaultyDevice(Device):
         self.shift = 0  # registers by which a changed map is shifted
         self.is_other = False
         self.keeps_watchdog = self.acts_on_watchdog = True
-        self.command_ns = 0
+        self.command_ns = self.foreign_ns = 0
         self.requested_V = 0.0
         super().__init__(bench, firmware, "real", time.monotonic_ns)
         bench.time_of = lambda step: self._start_ns + round((self._done_steps + step) / self._steps_per_ns)
@@ -307,6 +309,7 @@ class FaultServer:
             words = struct.unpack(">2H", struct.pack(">f", self.device.requested_V + above_V))
             with contextlib.suppress(RefusedError):  # outside the range of the device
                 Device.write(self.device, 100, [*words, self.device.command_echo])
+                self.device.foreign_ns = time.monotonic_ns()
             await asyncio.sleep(every_s)
         return begun
 
@@ -370,6 +373,8 @@ class FaultServer:
             "taken_over_ns": self.judge.taken_over_ns,
             "rest_ns": self.judge.rest_ns,
             "command_ns": self.device.command_ns,
+            "requested_V": self.device.requested_V,
+            "foreign_ns": self.device.foreign_ns,
             "commands": self.device.commands,
             "commands_to_other": self.device.commands_to_other,
             "watchdog_ms": self.device.watchdog_ms,

@@ -130,19 +130,22 @@ class Judge:
         if at_rest and shown and state in ("DISARMED", "FAULT", "gone"):
             self.may_drive = False
             self.excused.discard("foreign")
-        self._judge_rest(report, at_rest)
+        self._judge_rest(report, at_rest, state)
         self._judge_trip(report, state)
         if "Traceback (most recent call last)" in self.bench.service.log(self._log_start):
             raise ViolationError("a traceback in the log: " + self.bench.service.log(self._log_start)[-1500:])
 
-    def _judge_rest(self, report, at_rest):
+    def _judge_rest(self, report, at_rest, state):
         if self.rest_due is None:
             return
         sent_ns, reason = self.rest_due
         if "writes" in self.excused:  # the device does not obey
             self.rest_due = (report["now_ns"], reason)
             return
-        if at_rest:
+        safe_before = report["foreign_ns"] > report["command_ns"] and abs(report["requested_V"]) <= REST_V
+        if safe_before and state in ("DISARMED", "gone"):
+            self.rest_due = None  # the service had written the safe voltage; what stands is another client's
+        elif at_rest:
             self.rest_due = None
             self._judge_rate(report["rest_ns"])
         elif 1e-9 * (report["now_ns"] - sent_ns) > REST_WITHIN_S and not self._stood_still():

@@ -12,6 +12,7 @@ from tests.studies import (
     effects_compensated,
     flexure,
     messy_files,
+    nulls,
     overlay,
     recorder,
     scenarios,
@@ -37,6 +38,7 @@ def main() -> None:
     peers.add_options(studies.add_parser("peers", help="other methods on the cases of a concealed study"))
     recorder.add_options(studies.add_parser("recorder", help="the recorder under kills, power cuts and disk failures"))
     messy_files.add_options(studies.add_parser("messy_files", help="text of spreadsheets and instruments"))
+    nulls.add_options(studies.add_parser("nulls", help="identified models on benches with nothing wrong in them"))
     soak.add_options(studies.add_parser("soak", help="a long run of the daemon on a busy machine, beside cyclictest"))
     options = parser.parse_args()
     options.run(options, parser)

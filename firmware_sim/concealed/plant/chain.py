@@ -51,7 +51,9 @@ class Plant:
     hysteresis: Hysteresis
     noncongruent: Hysteresis
     law: ForceLaw
-    _cache: dict[Hashable, tuple[Signal, Signal]] = field(default_factory=dict, init=False, compare=False, repr=False)
+    _cache: dict[Hashable, tuple[Drive, Signal, Signal]] = field(
+        default_factory=dict, init=False, compare=False, repr=False
+    )
 
     def reading_N(self, drive: Drive, effects: Effects, seed: int) -> Array:
         """Noise-free readings of a record that starts at rest, shape (n,) [N].
@@ -75,8 +77,8 @@ class Plant:
         key = (id(context.drive), context.seed, *upstream)
         if key not in self._cache:
             voltage = output_voltage(context)
-            found = voltage, hysteretic_stroke(context, self.hysteresis, self.noncongruent, voltage)
+            stroke = hysteretic_stroke(context, self.hysteresis, self.noncongruent, voltage)
             while len(self._cache) >= CACHE_SIZE:
                 self._cache.pop(next(iter(self._cache)))
-            self._cache[key] = found
-        return self._cache[key]
+            self._cache[key] = context.drive, voltage, stroke  # the drive lives on, so that its id stays its own
+        return self._cache[key][1:]

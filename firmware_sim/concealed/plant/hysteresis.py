@@ -4,7 +4,8 @@ Kinds:
 
 - `preisach`: a smooth random density of relay widths, by Everett tables;
 - `bouc_wen`: smooth stops;
-- `plays`: 60 to 100 hard stops at random widths.
+- `plays`: 60 to 100 hard stops at random widths;
+- `interpolated`: straight lines between a few measured points of one branch.
 
 A sum of play operators follows each of them to well below the noise. The hysteresis alone therefore counts as no
 effect. The effect `noncongruent_minor_loops` replaces a share of the irreversible part by an operator that no sum of
@@ -18,10 +19,10 @@ from typing import Literal
 import numpy as np
 
 from firmware_sim.concealed.plant.arrays import Array
-from firmware_sim.concealed.plant.preisach_table import Everett, everett_by_bias, everett_by_width
+from firmware_sim.concealed.plant.preisach_table import Everett, everett_by_bias, everett_by_width, everett_interpolated
 from firmware_sim.concealed.plant.stops import Stops
 
-Kind = Literal["preisach", "bouc_wen", "plays"]
+Kind = Literal["preisach", "bouc_wen", "plays", "interpolated"]
 LOOP_POINTS = 2000
 LEAST_OPENING, MOST_OPENING = 0.08, 0.15  # opening of the major loop [range]
 
@@ -89,6 +90,8 @@ def draw_hysteresis(rng: np.random.Generator, kind: Kind, reach_V: float) -> Hys
     """
     if kind == "preisach":
         operator: Everett | Stops = everett_by_width(rng, reach_V)
+    elif kind == "interpolated":
+        operator = everett_interpolated(rng, reach_V)
     elif kind == "plays":
         operator = _hard_stops(rng, reach_V)
     else:

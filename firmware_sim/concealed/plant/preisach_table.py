@@ -68,6 +68,26 @@ def everett_by_width(rng: np.random.Generator, reach_V: float) -> Everett:
     return Everett(reach_V, scale * table, np.zeros((1, 1)), scale * virgin)
 
 
+def everett_interpolated(rng: np.random.Generator, reach_V: float) -> Everett:
+    """Draw a measured branch: 8 to 14 unevenly spaced points of a loop, straight lines between them.
+
+    Parameters
+    ----------
+    rng
+        Source of the random draws.
+    reach_V
+        Highest voltage of the plant [V], above 0.
+    """
+    d = np.linspace(0.0, 2.0 * reach_V, WIDTH_POINTS)
+    inner = np.sort(rng.uniform(0.02, 1.9, int(rng.integers(8, 15)))) * reach_V
+    knots = np.concatenate(([0.0], inner, [2.0 * reach_V]))
+    branch = (knots / reach_V) ** rng.uniform(1.2, 1.6) * np.exp(rng.normal(0.0, 0.01, knots.size))
+    table = np.interp(d, knots, np.maximum.accumulate(branch))
+    virgin = 0.5 * table
+    scale = reach_V / virgin[-1]
+    return Everett(reach_V, scale * table, np.zeros((1, 1)), scale * virgin)
+
+
 def everett_by_bias(rng: np.random.Generator, reach_V: float) -> Everett:
     """Draw a density that also depends on the bias (a + b) / 2: a ridge across the plane.
 
