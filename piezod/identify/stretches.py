@@ -21,6 +21,9 @@ Array = NDArray[np.float64]
 START_SAMPLES, START_ROWS = 25_000, 3000
 """Samples that are simulated and rows that are fitted to find how a recording starts: it shows over the first rise."""
 
+LEAST_SWING, WIDE = 0.25, 4
+"""Half a swing below this share of the largest input has its own table, and a WIDEth as many wider plays."""
+
 START_ORDERS = (11, 3)
 """Plays and dead zones of the fit that compares starts."""
 
@@ -46,6 +49,11 @@ class Stretch:
     at_rest: bool
     unsettled: int = 0
     notes: tuple[str, ...] = ()
+
+    @property
+    def rises_first(self) -> bool:
+        """Whether it shows a part of the first rise from the de-energised state, which moves the widest plays too."""
+        return self.at_rest or len(self.fitted.path) == 1
 
 
 def whole(recording: Recording, u: Array, y: Array, column: str, eps: float) -> Stretch:
@@ -77,10 +85,12 @@ def whole(recording: Recording, u: Array, y: Array, column: str, eps: float) -> 
     start = (start_at_zero if at_rest else start_amid)(u, unit_of(column), loss)
     if start.path:
         notes.append(f"{recording.source}: the stack was {start.words}; that is what its memory starts with")
-    if not at_rest:
-        notes.append(f"{recording.source}: does not start at rest; plays wider than half its swing stay unknown")
     samples = Samples(u, np.nan_to_num(y), counts, None, start.path)
-    return Stretch(samples, samples, at_rest, 0 if at_rest else settled_from(u), tuple(notes))
+    found = Stretch(samples, samples, at_rest, 0 if at_rest else settled_from(u), tuple(notes))
+    if found.rises_first:
+        return found
+    unknown = f"{recording.source}: does not start at rest; plays wider than half its swing stay unknown"
+    return replace(found, notes=(*notes, unknown))
 
 
 def leading_share(recording: Recording, u: Array, y: Array, column: str, share: float, eps: float) -> Stretch:
@@ -157,7 +167,7 @@ class Structures:
         self._high = max(float(y.max()) for y in known)
         self._origin = float(known[0][0]) if stretches[0].at_rest else self._low
         self._swing = max(float(np.ptp(samples.u)) for samples in parts)
-        self._rested = any(one.at_rest for one in stretches)  # a first rise tells plays up to its peak
+        self._rise = any(one.rises_first for one in stretches)  # which tells plays up to its peak
         self._u_low = min(float(samples.u.min()) for samples in parts)
         self._u_high = max(float(samples.u.max()) for samples in parts)
 
@@ -173,8 +183,12 @@ class Structures:
 
     def smooth(self, plays: int, zones: int) -> tuple[Structure, Array]:
         """Tables of the smooth base: n plays, and m dead zones over all inputs from the lowest on, shape (m + 1,)."""
+        half, end = 0.5 * self._swing, INSIDE * (self._u_max if self._rise else 0.5 * self._swing)
+        thresholds = play_thresholds(plays, end)
+        if half < LEAST_SWING * end:  # amid the range: as fine a table for what moves again and again
+            thresholds = np.append(play_thresholds(plays, half), np.linspace(half, end, max(2, plays // WIDE)))
         structure = Structure(
-            play_thresholds(plays, INSIDE * (self._u_max if self._rested else 0.5 * self._swing)),
+            thresholds,
             dead_zone_thresholds(zones, 0.0, self._high - self._low),
             self._low,
             self._u_max,

@@ -10,7 +10,7 @@ from firmware_sim.concealed.plant.chain import Plant
 from firmware_sim.concealed.plant.drives import Drive, identification_voltage, mixed_work, temperature
 from firmware_sim.concealed.plant.force_law import ForceLaw
 from firmware_sim.concealed.plant.foreign import FOREIGN
-from firmware_sim.concealed.plant.hysteresis import Kind, draw_hysteresis, draw_noncongruent
+from firmware_sim.concealed.plant.hysteresis import Hysteresis, Kind, draw_hysteresis, draw_noncongruent
 from firmware_sim.concealed.plant.record_context import Effect
 from firmware_sim.concealed.plant.sampling import frozen, quantised
 from firmware_sim.concealed.study.case import Case, Noise, Record, effects_in
@@ -182,11 +182,8 @@ class _Attempt:
 
     def _misfit_N(self) -> float:
         """Residual of superposed plays on the hysteresis of the first recording, without effects [N]."""
-        voltage_V = self._work.drive.voltage_V
-        stroke = self._plant.hysteresis.run(voltage_V)
-        return (
-            VisibleDifference(voltage_V, voltage_V, self._rate_Hz).after_refit_N(stroke) / self._reach_V * self._full_N
-        )
+        drive = self._work.drive
+        return self._full_N * superposition_misfit(self._plant.hysteresis, drive.voltage_V, drive.rate_Hz)
 
     def _reading(self, record: Record, effects: Mapping[str, Effect]) -> Array:
         """Reading without noise, with quantisation and frozen spans, shape (n,) [N]."""
@@ -270,6 +267,22 @@ class _Attempt:
             if shows_N < SHOWN_TOGETHER * strength * self._noise.rms_N:
                 return False
         return True
+
+
+def superposition_misfit(hysteresis: Hysteresis, voltage_V: Array, rate_Hz: float) -> float:
+    """Residual of superposed plays on a hysteresis over voltages from rest [range].
+
+    Parameters
+    ----------
+    hysteresis
+        Operator.
+    voltage_V
+        Voltages, shape (n,) [V].
+    rate_Hz
+        Their rate [1/s].
+    """
+    visible = VisibleDifference(voltage_V, voltage_V, rate_Hz)
+    return visible.after_refit_N(hysteresis.run(voltage_V)) / hysteresis.reach_V
 
 
 def _measure(visible: VisibleDifference, name: str, scope: str) -> Callable[[Array], float]:

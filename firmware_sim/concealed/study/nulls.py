@@ -18,12 +18,11 @@ from firmware_sim.concealed.plant.chain import Plant
 from firmware_sim.concealed.plant.drives import Drive, mixed_work
 from firmware_sim.concealed.plant.force_law import ForceLaw
 from firmware_sim.concealed.plant.hysteresis import Kind, draw_hysteresis, draw_noncongruent
-from firmware_sim.concealed.study.drawing import MOST_NOISE, READ_LATE
+from firmware_sim.concealed.study.drawing import LEAST_NOISE, MISFIT, MOST_NOISE, READ_LATE, superposition_misfit
 
 FAMILIES: tuple[Kind, ...] = get_args(Kind)
 RATE_HZ, DURATION_S = 500.0, 60.0
 MOST_RANGES_PER_S = 20.0
-LEAST_NOISE = 0.0005  # [range]; quieter, what plays cannot follow of the smooth families shows
 VOLTAGE_NOISE = 1e-4  # of a recorded voltage [range], as a converter of 14 bit has
 FINER = 4  # simulated samples per sample with an uneven clock
 NEWTON_PER_POUND = 4.4482216152605
@@ -122,12 +121,13 @@ def draw_null(family: Kind, number: int, seed: np.random.SeedSequence) -> NullBe
     full_N = float(np.exp(rng.uniform(np.log(50.0), np.log(2000.0))))
     law = ForceLaw(full_N, rng.uniform(-0.2, 0.25), rng.uniform(-0.06, 0.12))
     plant = Plant(draw_hysteresis(rng, family, reach_V), draw_noncongruent(rng, reach_V), law)
-    noise_N = full_N * float(np.exp(rng.uniform(np.log(LEAST_NOISE), np.log(MOST_NOISE))))
     rate_Hz = manner.rate_Hz * (FINER if manner.uneven else 1)
     late = rng.uniform(*READ_LATE) if manner.held else 0.0
-    write = partial(_written, rng, plant, manner, late, noise_N)
     before, slow = RECORDS[record](rng, rate_Hz, manner.duration_s)
     work = mixed_work(rng, reach_V, rate_Hz, manner.duration_s, MOST_RANGES_PER_S * reach_V)
+    least = min(max(LEAST_NOISE, superposition_misfit(plant.hysteresis, work, rate_Hz) / MISFIT), MOST_NOISE)
+    noise_N = full_N * float(np.exp(rng.uniform(np.log(least), np.log(MOST_NOISE))))
+    write = partial(_written, rng, plant, manner, late, noise_N)
     identification, _ = write(before, reach_V * slow)
     held_out, true = write(np.zeros(0), work)
     floor = abs(manner.newton) * float(np.hypot(noise_N, full_N * manner.voltage_noise))
@@ -140,17 +140,17 @@ def _written(
     """Text of a record and its force without noise; `before` (relative) is driven, and not written."""
     reach_V = plant.hysteresis.reach_V
     rate_Hz = manner.rate_Hz * (FINER if manner.uneven else 1)
-    driven_V = np.round(np.concatenate((reach_V * before, voltage)), 4)
+    driven_V: Array = np.asarray(np.round(np.concatenate((reach_V * before, voltage)), 4), dtype=np.float64)
     drive = Drive(driven_V, rate_Hz, manner.held, late, np.zeros(driven_V.size))
     true_N = plant.reading_N(drive, {}, 0)[before.size :]
     at = np.arange(0, true_N.size, FINER if manner.uneven else 1)
     if manner.uneven:
         at = (at + rng.integers(-1, 2, at.size)).clip(0, true_N.size - 1)
-    time_s, voltage_V, true_N = at / rate_Hz, driven_V[before.size :][at], true_N[at]
+    true_N = true_N[at]
     corner_Hz = float(np.exp(rng.uniform(np.log(0.5), np.log(20.0))))
     force_N = true_N + sampling.noise(rng, at.size, noise_N, manner.noise, manner.rate_Hz, corner_Hz)
-    voltage_V = voltage_V + manner.voltage_noise * reach_V * rng.normal(0.0, 1.0, at.size)
-    columns = (manner.second * time_s, manner.volt * voltage_V, manner.newton * force_N)
+    voltage_V = driven_V[before.size :][at] + manner.voltage_noise * reach_V * rng.normal(0.0, 1.0, at.size)
+    columns = (manner.second * at / rate_Hz, manner.volt * voltage_V, manner.newton * force_N)
     rows = ["{:.6f},{:.5f},{:.6g}".format(*row) for row in zip(*columns, strict=True)]
     return "\n".join((",".join(manner.names), *rows, "")), manner.newton * true_N
 
