@@ -22,6 +22,9 @@ Array = NDArray[np.float64]
 Variant = Literal["A", "B"]
 
 MOST_ITERATIONS = 60  # it converges within some tens, or rounding keeps it from the tolerance
+PROXIMAL = 1e-10
+"""Regularisation of ProxQP's outer steps, on the scaled program: a slope whose curvature is far below it takes hundreds
+of steps (10,000 inner ones at ProxQP's own 1e-6), and rounding leaves 1e-14."""
 TOLERANCES = (1e-12, 1e-10, 1e-9)  # absolute, on the scaled program; the first that rounding lets it reach
 
 
@@ -123,6 +126,7 @@ def _proxqp(hessian: Array, gradient: Array, equality: Array, value: Array, rows
     solver = proxsuite.proxqp.dense.QP(hessian.shape[0], equality.shape[0], rows.shape[0])
     solver.settings.eps_rel = 0.0
     solver.settings.max_iter = MOST_ITERATIONS
+    solver.settings.default_rho = PROXIMAL
     solver.init(hessian, gradient, equality, value, rows, low)
     for tolerance in TOLERANCES:
         solver.settings.eps_abs = tolerance

@@ -21,7 +21,7 @@ from piezod.identify.intake import OnStep
 from piezod.identify.order import PLAYS, ZONES, Candidate, best_of, choose, judge_orders, prune, residual
 from piezod.identify.scores import rms
 from piezod.identify.stretches import Stretch, Structures, leading_share, whole
-from piezod.identify.suitability import check_suitable
+from piezod.identify.suitability import check_suitable, falls
 from piezod.model import Model, file_sha256
 from piezod.model.parameters import Channel, FitFigures, Provenance, RecordingSource, Start
 from piezod.operators import EPS, PrandtlIshlinskii
@@ -160,8 +160,15 @@ def identify(
     RecordingError
         A recording determines no model; the message says what to record instead.
     """
+    said = list(notes)
+    if all(falls(recording, options.input, options.output) for recording in recordings):
+        said.append(
+            f"{recordings[0].source}: {options.output} falls where {options.input} rises: "
+            f"the model is of its negative, -{options.output}; to drive the bench, turn the sign of the load cell (registers.force.scale) and record again"
+        )
+        options = replace(options, output=f"-{options.output}")
     pairs = [(r.channel(options.input), r.channel(options.output)) for r in recordings]
-    said = [*notes, *(w for one in recordings for w in check_suitable(one, options.input, options.output))]
+    said += [w for one in recordings for w in check_suitable(one, options.input, options.output)]
     if not 0.1 <= options.fit_share <= 0.95:
         raise UsageError(f"the fitted share is {options.fit_share:g}, must be within 0.1 and 0.95")
     by_orders = options.orders or options.plays is not None or options.zones is not None or options.variant == "A"

@@ -80,6 +80,15 @@ class _Pair:
         return np.concatenate([self.u[part] for part in parts]), np.concatenate([self.y[part] for part in parts])
 
 
+def falls(recording: Recording, input_column: str, output_column: str) -> bool:
+    """Whether the output falls where the input rises; parameters as for `check_suitable`."""
+    u, y = recording.channel(input_column), recording.channel(output_column)
+    there = np.isfinite(y)
+    if not there.any() or np.ptp(u) == 0.0 or np.ptp(y[there]) == 0.0:
+        return False
+    return bool(np.corrcoef(u[there], y[there])[0, 1] < OPPOSITE)
+
+
 def check_suitable(recording: Recording, input_column: str, output_column: str) -> list[str]:
     """Refuse a recording that cannot tell anything.
 

@@ -21,12 +21,14 @@ def factor_to(wanted: str, name: str) -> float:
     Parameters
     ----------
     wanted
-        Name of the channel that is wanted, such as `force_N`.
+        Name of the channel that is wanted, such as `force_N`, or `-force_N` for its negative.
     name
         Name of the channel in the file, such as `force_kN` or `force_lbf`.
     """
     if name == wanted:
         return 1.0
+    if wanted.startswith("-"):
+        return -factor_to(wanted[1:], name)
     unit, stored = unit_of(wanted), unit_of(name)
     quantity = wanted.removesuffix(f"_{unit}")
     if not unit or not stored or name.removesuffix(f"_{stored}") != quantity:

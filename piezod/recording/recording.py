@@ -75,7 +75,7 @@ class Recording:
         return max(longest_s - self.dt_s, self.dt_s - shortest_s) < UNIFORM_WITHIN * self.dt_s
 
     def channel(self, name: str) -> Array:
-        """Values of one channel, shape (N,), in the unit of its name.
+        """Values of one channel, shape (N,), in the unit of its name; `-force_N` is the negative of `force_N`.
 
         Raises
         ------
@@ -83,6 +83,8 @@ class Recording:
             The recording has no channel of this name; the message lists its channels.
         """
         if name not in self.channels:
+            if name.removeprefix("-") in self.channels:
+                return -self.channels[name.removeprefix("-")]
             raise RecordingError(f"{self.source}: has no column {name}, has {', '.join(self.channels)}")
         return self.channels[name]
 

@@ -121,6 +121,11 @@ def check_units(model: Model, path: Path) -> None:
                 f"{path}: {place}.unit is {channel.unit!r} (column {channel.channel}), must be '{unit}' to drive a "
                 f"bench; identify on a column in {unit}"
             )
+        if channel.channel.startswith("-"):
+            raise ModelError(
+                f"{path}: {place}.channel is {channel.channel}, its readings fall where the voltage rises; turn the "
+                "sign of the load cell (registers.force.scale), record and identify again"
+            )
 
 
 def check_effects(bench: BenchConfig, model: Model, path: Path) -> None:

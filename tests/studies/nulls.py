@@ -137,13 +137,14 @@ def judged(null: NullBench, place: Path) -> Row:
         found = identify([one.recording for one in loaded], Options(), "", sources=[one.source for one in loaded])
         row.cpu_s = time.process_time() - begun_s
         row.plays, row.zones = found.chosen.plays, found.chosen.zones
-        other = load_for_simulation(place / "held_out.csv", "voltage_V", "force_N")
-        measured = other.recording.channel("force_N").copy()
+        output = found.model.output.channel
+        other = load_for_simulation(place / "held_out.csv", "voltage_V", output)
+        measured = other.recording.channel(output).copy()
         simulated = simulate_recording(found.model, other.recording, 1.0, sha256=other.sha256).recording
     except PiezodError as error:
         row.said = str(error)
         return row
-    error = simulated.channel("force_N") - measured
+    error = simulated.channel(output) - measured
     unit = measured.size and float(np.polyfit(null.true, measured, 1)[0])  # of the file's unit, or of newtons
     row.ratio = float(np.sqrt(np.mean(error**2))) / (null.floor * abs(unit))
     return row

@@ -83,7 +83,6 @@ REFUSED = {
     "twice the same": (rows(U, U), "force_N is voltage_V once more; record what the sensor measures"),
     "one ramp up": (rows(ramp(U * 5), force(ramp(U * 5), 0.2)), "voltage_V only rises, turns back by 0 % of its swing"),
     "one ramp down": (rows(ramp(U * 5)[::-1], 700 - force(ramp(U * 5))[::-1]), "voltage_V only"),
-    "sign": (rows(U, -Y), "force_N falls where voltage_V rises (correlation -0.99); check the sensor's sign"),
     "clipped for most of the time": (rows(U, np.minimum(Y, 40.0)), "force_N: clipped at its largest value 40, in 9"),
     "input in snatches": (
         rows(np.where(np.arange(U.size) % 80 < 40, U, np.nan), Y),
@@ -102,6 +101,7 @@ WARNED = {
     "a noisy ceiling": (rows(U, np.minimum(Y, 150.0) + 0.1 * NOISE), "force_N stays within 1 % of its range below 150"),
     "much noise": (rows(U, force(U, 60.0)), "force_N answers by"),
     "hardly follows": (rows(U, force(np.roll(U, 130)) * 0.1 + force(np.roll(U, 251))), "hardly follows voltage_V"),
+    "sign": (rows(U, -Y), "force_N falls where voltage_V rises: the model is of its negative, -force_N"),
     "a leak": (rows(U, leaking(force(U), 4.0) + 0.2 * NOISE), "does the load cell's amplifier leak"),
     "kV in its own column": (
         rows(U / 1000, Y, names="time_s,voltage_kV,force_N"),
