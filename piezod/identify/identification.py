@@ -163,8 +163,9 @@ def identify(
     said = list(notes)
     if all(falls(recording, options.input, options.output) for recording in recordings):
         said.append(
-            f"{recordings[0].source}: {options.output} falls where {options.input} rises: "
-            f"the model is of its negative, -{options.output}; to drive the bench, turn the sign of the load cell (registers.force.scale) and record again"
+            f"{recordings[0].source}: {options.output} falls where {options.input} rises: the model is of the negative "
+            f"-{options.output}; to drive the bench, turn the sign of the load cell (registers.force.scale) and record "
+            "again"
         )
         options = replace(options, output=f"-{options.output}")
     pairs = [(r.channel(options.input), r.channel(options.output)) for r in recordings]

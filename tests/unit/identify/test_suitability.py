@@ -101,7 +101,7 @@ WARNED = {
     "a noisy ceiling": (rows(U, np.minimum(Y, 150.0) + 0.1 * NOISE), "force_N stays within 1 % of its range below 150"),
     "much noise": (rows(U, force(U, 60.0)), "force_N answers by"),
     "hardly follows": (rows(U, force(np.roll(U, 130)) * 0.1 + force(np.roll(U, 251))), "hardly follows voltage_V"),
-    "sign": (rows(U, -Y), "force_N falls where voltage_V rises: the model is of its negative, -force_N"),
+    "sign": (rows(U, -Y), "force_N falls where voltage_V rises: the model is of the negative -force_N"),
     "a leak": (rows(U, leaking(force(U), 4.0) + 0.2 * NOISE), "does the load cell's amplifier leak"),
     "kV in its own column": (
         rows(U / 1000, Y, names="time_s,voltage_kV,force_N"),
