@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piezod.estimation.columns import Samples, Structure, clocks_of
-from piezod.estimation.normal_equations import GROUPS, Piece, Sums, pieces_of, sums_of
+from piezod.estimation.normal_equations import GROUPS, Piece, Sums, merged, pieces_of, sums_of
 from piezod.estimation.quadratic_program import Constraints, solve_step
 
 Array = NDArray[np.float64]
@@ -102,7 +102,7 @@ def fit_smooth_base(structure: Structure, zones: Array, recordings: Sequence[Sam
 
 def fit_roughly(structure: Structure, zones: Array, recordings: Sequence[Samples], eps: float, every: int) -> Base:
     """The same with one row for `every` samples, under a penalty that the data do not choose: to compare starts."""
-    pieces = list(pieces_of(structure, recordings, every))
+    pieces = merged(pieces_of(structure, recordings, every))
     solver, start = _Solver(structure, zones, clocks_of(recordings), eps), straight_line(structure, zones, recordings)
     return solver.fit(pieces, start, solver.penalty(start, pieces, FIRST_WEIGHTS))
 
@@ -124,7 +124,7 @@ def _fitted(
 ) -> Base:
     count = sum(int(np.count_nonzero(one.counts)) for one in recordings)
     every = max(1, -(-count // MOST_ROWS))
-    pieces = list(pieces_of(structure, recordings, every))
+    pieces = merged(pieces_of(structure, recordings, every))
     solver = _Solver(structure, zones, clocks_of(recordings), eps)
     if penalty is None:
         base = solver.fit(pieces, start, solver.penalty(start, pieces, FIRST_WEIGHTS))

@@ -1,6 +1,7 @@
 """One fit of one structure: the quadratic program first, then the error in the output itself is minimised."""
 
-from collections.abc import Sequence
+import functools
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,7 +16,7 @@ from piezod.estimation.columns import (
     zone_slopes_of,
     zone_weights_of,
 )
-from piezod.estimation.normal_equations import Sums, pieces_of, sums_of
+from piezod.estimation.normal_equations import Piece, Sums, merged, pieces_of, sums_of
 from piezod.estimation.quadratic_program import Constraints, Variant, solve, solve_step
 from piezod.estimation.smooth_base import Base
 from piezod.model.parameters import Hysteresis, Statistics, Superposition
@@ -26,6 +27,7 @@ Array = NDArray[np.float64]
 
 MOST_STEPS = 12
 MOST_RESCALED = 3
+MOST_KEPT = 100_000  # samples whose play segments are kept from step to step
 SMALLEST_GAIN = 1e-8  # share of the squared error that a further step must promise
 
 
@@ -82,15 +84,24 @@ def fit_hysteresis(
     inverse_weights = zone_weights_of(structure.zone_thresholds, slopes[free:])
     zones, zone_weights = inverse_dead_zone(structure.zone_thresholds, inverse_weights)
     parameters = np.concatenate((slopes[:free], zone_slopes_of(zones, zone_weights)))
+    pieces = _pieces(structure, recordings)
     for _ in range(MOST_RESCALED):  # the smallest slope is a part of the steepest, which the fit may raise
         steepest = float(parameters[free:].max())
         direct = constraints.for_direct(zones.size, eps * steepest)
         parameters[free:] = np.maximum(parameters[free:], eps * steepest)
-        parameters = _refine(structure, zones, parameters, recordings, direct)
+        parameters = _refine(structure, zones, parameters, pieces, direct)
         if parameters[free:].min() >= eps * parameters[free:].max():
             break
-    sums = sums_of(pieces_of(structure, recordings), structure, zones, parameters)
+    sums = sums_of(pieces(), structure, zones, parameters)
     return _fit(structure, zones, parameters, sums, gram, eps)
+
+
+def _pieces(structure: Structure, recordings: Sequence[Samples]) -> Callable[[], Iterable[Piece]]:
+    """Pieces for each step: kept where they are few, else made again."""
+    if sum(one.u.size for one in recordings) > MOST_KEPT:
+        return functools.partial(pieces_of, structure, recordings)
+    kept = merged(pieces_of(structure, recordings))
+    return lambda: kept
 
 
 def fit_of_base(base: Base) -> Fit:
@@ -153,7 +164,11 @@ def _condition(gram: Array) -> float:
 
 
 def _refine(
-    structure: Structure, zones: Array, start: Array, recordings: Sequence[Samples], constraints: Constraints
+    structure: Structure,
+    zones: Array,
+    start: Array,
+    pieces: Callable[[], Iterable[Piece]],
+    constraints: Constraints,
 ) -> Array:
     """Gauss-Newton on the output error; each step is a quadratic program, halved until the error falls.
 
@@ -164,7 +179,8 @@ def _refine(
     best_loss = np.inf
     parameters = start
     for _ in range(MOST_STEPS):
-        hessian, gradient, loss = _normal_equations(structure, zones, parameters, recordings)
+        sums = sums_of(pieces(), structure, zones, parameters)
+        hessian, gradient, loss = sums.hessian.sum(axis=0), sums.gradient.sum(axis=0), float(sums.loss.sum())
         if loss < best_loss:
             best, best_loss, damping = parameters, loss, 1.0
             step = solve_step(hessian, gradient, constraints, parameters) - parameters
@@ -175,11 +191,3 @@ def _refine(
             damping *= 0.25
         parameters = best + damping * step
     return best
-
-
-def _normal_equations(
-    structure: Structure, zones: Array, parameters: Array, recordings: Sequence[Samples]
-) -> tuple[Array, Array, float]:
-    """J'J, J'e and e'e of the error in the output, one pass over the samples."""
-    sums = sums_of(pieces_of(structure, recordings), structure, zones, parameters)
-    return sums.hessian.sum(axis=0), sums.gradient.sum(axis=0), float(sums.loss.sum())

@@ -18,7 +18,7 @@ from piezod.recording.names import unit_of
 
 Array = NDArray[np.float64]
 
-START_SAMPLES, START_ROWS = 25_000, 3000
+START_SAMPLES, START_ROWS = 8000, 3000
 """Samples that are simulated and rows that are fitted to find how a recording starts: it shows over the first rise."""
 
 LEAST_SWING, WIDE = 0.25, 4

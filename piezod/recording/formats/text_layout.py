@@ -6,6 +6,7 @@ refused with the option that does.
 """
 
 import csv
+import functools
 import re
 from collections import Counter
 from collections.abc import Sequence
@@ -176,6 +177,12 @@ def find_layout(path: Path, options: TextOptions) -> Layout:
     RecordingError
         It holds no table of numbers, or a question that only the user can answer; the message names the option.
     """
+    state = path.stat()
+    return _layout_of(path, state.st_mtime_ns, state.st_size, options)
+
+
+@functools.lru_cache(maxsize=8)  # the names of the columns are wanted before the columns
+def _layout_of(path: Path, _changed_ns: int, _size: int, options: TextOptions) -> Layout:
     with path.open("rb") as file:
         raw = file.read(SAMPLE)
     if not raw.strip():
@@ -185,7 +192,7 @@ def find_layout(path: Path, options: TextOptions) -> Layout:
     lines = text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
     if len(raw) == SAMPLE:
         lines.pop()  # perhaps cut
-    separator, decimal, first, width = _table(path, lines, options.decimal)
+    separator, decimal, first, width = _table(path, lines[: 2 * MOST_PREAMBLE_LINES], options.decimal)
     if separator == ";" and not options.decimal and not any("," in line for line in lines[first:]):
         decimal = "."  # a point is a decimal mark where no comma is
     rows = [cells for line in lines[first:] if len(cells := split_cells(line, separator)) == width]
