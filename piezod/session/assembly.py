@@ -33,6 +33,7 @@ from piezod.model import (
     make_compensator,
     refuse_uncompensated,
 )
+from piezod.model.reach import MOST_BEYOND, beyond_measured, output_reach
 from piezod.session.task import SegmentSpec
 from piezod.transport import (
     Link,
@@ -95,10 +96,17 @@ def load_drivable_model(path: Path) -> Model:
     ConfigurationError
         The file cannot be read.
     ModelError
-        The model has other units, or no inverse.
+        The model has other units or no inverse, or its forces leave the measured range.
     """
     model = load_model(path)
     check_units(model, path)
+    if (beyond := beyond_measured(model)) > MOST_BEYOND:
+        least, largest = output_reach(model)
+        raise ModelError(
+            f"{path}: forces go from {least:.4g} to {largest:.4g} {model.output.unit} within the range of the input, "
+            f"{100.0 * beyond:.0f} % beyond those measured ({model.output.low:.4g} to {model.output.high:.4g}), "
+            f"may be {100.0 * MOST_BEYOND:.0f} %; record over the whole range and identify again"
+        )
     return model
 
 
