@@ -62,10 +62,6 @@ REFUSED = {
     "force of noise": (rows(U, 3.0 + NOISE), "force_N swings by 3.4"),
     "force that is nowhere": (rows(U, np.nan * Y), "force_N holds no number at all"),
     "voltage that is nowhere": (rows(np.nan * U, Y), "voltage_V holds no number at all"),
-    "kV": (rows(U / 1000, Y), "voltage_V reaches 0.14 V, a piezo amplifier drives 5 to 1500 V: is it kV? Then name"),
-    "mV": (rows(U * 1000, Y), "voltage_V reaches 1.4e+05 V, a piezo amplifier drives 5 to 1500 V: is it mV? Then name"),
-    "mN": (rows(U, Y * 1e5), "is it mN? Then name the column force_mN"),
-    "kN": (rows(U, Y / 1e4), "a piezo stack gives 0.5 to 50000 N: is it kN? Then name the column force_kN"),
     "time that stands": (
         rows(U, Y, but(TIME_S, 700, TIME_S[699])),
         "sample 700 is at 13.98 s after 13.98 s; write time",
@@ -92,6 +88,10 @@ REFUSED = {
 }
 
 WARNED = {
+    "kV": (rows(U / 1000, Y), "voltage_V reaches 0.14 V, a piezo amplifier drives 5 to 1500 V: is it kV? Then name"),
+    "mV": (rows(U * 1000, Y), "voltage_V reaches 1.4e+05 V, a piezo amplifier drives 5 to 1500 V: is it mV? Then name"),
+    "mN": (rows(U, Y * 1e5), "is it mN? Then name the column force_mN"),
+    "kN": (rows(U, Y / 1e4), "a piezo stack gives 0.5 to 50000 N: is it kN? Then name the column force_kN"),
     "half a kV": (rows(U / 140 * 3.0, Y), "voltage_V reaches 3 V, a piezo amplifier drives 5 to 1500 V: is it kV?"),
     "kN, perhaps": (rows(U, Y / 1000), "force_N reaches 0.3"),
     "mN, perhaps": (rows(U, Y * 1000), "50000 N: is it mN? Then name the column force_mN"),
