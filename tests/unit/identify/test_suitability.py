@@ -57,9 +57,7 @@ REFUSED = {
     "no samples": ("time_s,voltage_V,force_N\n", "has no samples"),
     "too short": (rows(U[:99], Y[:99]), "has 99 samples, needs at least 100; record triangles"),
     "constant input": (rows(0 * U + 5.0, Y), "voltage_V is constant at 5; record triangles"),
-    "input of noise": (rows(60.0 + 0.01 * NOISE, Y), "voltage_V swings by 0.03"),
     "constant force": (rows(U, 0 * Y + 3.0), "force_N is constant at 3; record triangles"),
-    "force of noise": (rows(U, 3.0 + NOISE), "force_N swings by 3.4"),
     "force that is nowhere": (rows(U, np.nan * Y), "force_N holds no number at all"),
     "voltage that is nowhere": (rows(np.nan * U, Y), "voltage_V holds no number at all"),
     "time that stands": (
@@ -92,6 +90,8 @@ WARNED = {
     "mV": (rows(U * 1000, Y), "voltage_V reaches 1.4e+05 V, a piezo amplifier drives 5 to 1500 V: is it mV? Then name"),
     "mN": (rows(U, Y * 1e5), "is it mN? Then name the column force_mN"),
     "kN": (rows(U, Y / 1e4), "a piezo stack gives 0.5 to 50000 N: is it kN? Then name the column force_kN"),
+    "input of noise": (rows(60.0 + 0.01 * NOISE, Y), "voltage_V swings by 0.03"),
+    "force of noise": (rows(U, 3.0 + NOISE), "force_N swings by 3.4"),
     "half a kV": (rows(U / 140 * 3.0, Y), "voltage_V reaches 3 V, a piezo amplifier drives 5 to 1500 V: is it kV?"),
     "kN, perhaps": (rows(U, Y / 1000), "force_N reaches 0.3"),
     "mN, perhaps": (rows(U, Y * 1000), "50000 N: is it mN? Then name the column force_mN"),
