@@ -15,6 +15,7 @@ from piezod.recording.formats.hdf5 import open_hdf5, write_hdf5
 from piezod.recording.formats.mat import open_mat, write_mat
 from piezod.recording.formats.mdf4 import open_mdf4, write_mdf4
 from piezod.recording.formats.parquet import open_parquet, write_parquet
+from piezod.recording.formats.spreadsheet import open_spreadsheet, write_spreadsheet
 from piezod.recording.formats.sqlite import open_sqlite, write_sqlite
 from piezod.recording.formats.stream import RecordingStream, chunk_ranges, read_all
 from piezod.recording.formats.tdms import open_tdms, write_tdms
@@ -52,6 +53,17 @@ _HDF5 = Format("HDF5", (b"\x89HDF\r\n\x1a\n",), open_hdf5, write_hdf5, ("h5py", 
 READ_ONLY = (".txt", ".tsv", ".dat", ".asc", ".lvm")
 """Suffixes of text that other programs write."""
 
+_SPREADSHEET = Format(
+    "a workbook",
+    (b"PK\x03\x04", b"\xd0\xcf\x11\xe0"),
+    open_spreadsheet,
+    write_spreadsheet,
+    ("python_calamine", "xlsx"),
+)
+
+SPREADSHEETS = {".xlsx": _SPREADSHEET, ".xls": _SPREADSHEET, ".ods": _SPREADSHEET}
+"""Workbooks, which are only read."""
+
 FORMATS = {
     ".csv": Format("CSV", (), open_csv, write_csv),
     ".h5": _HDF5,
@@ -71,7 +83,7 @@ def read_recording(path: Path, options: TextOptions | None = None) -> Recording:
     Parameters
     ----------
     path
-        File with a suffix of `FORMATS` or `READ_ONLY`. A unit that the file stores beside the name
+        File with a suffix of `FORMATS`, `READ_ONLY` or `SPREADSHEETS`. A unit that the file stores beside the name
         of a channel is appended to the name. Parts that hold no numbers are left out, and `metadata["skipped"]` names
         them. Nothing in a file is ever executed.
     options
@@ -251,7 +263,7 @@ def _wanted(stream: RecordingStream, columns: Sequence[str] | None) -> tuple[str
 @contextmanager
 def _open(path: Path, options: TextOptions | None = None) -> Iterator[RecordingStream]:
     file_format = _format_of(path, to_read=True)
-    if options not in (None, TextOptions()) and file_format.name != "CSV":
+    if options not in (None, TextOptions()) and file_format.name not in ("CSV", _SPREADSHEET.name):
         raise UsageError(f"{path}: --columns, --rate-Hz and --decimal are for text files, this is {file_format.name}")
     with library_errors(path, "read"):
         _check_magic(path, file_format)
@@ -263,6 +275,8 @@ def _opened(path: Path, file_format: Format, options: TextOptions | None) -> Abs
     """Open a file; text that is no recording as `write_csv` writes it is read by its layout."""
     if file_format.name == "CSV" and (options not in (None, TextOptions()) or not is_own_csv(path)):
         return open_text(path, options or TextOptions())
+    if file_format is _SPREADSHEET:
+        return open_spreadsheet(path, options or TextOptions())
     return file_format.open(path)
 
 
@@ -270,8 +284,10 @@ def _format_of(path: Path, *, to_read: bool = False) -> Format:
     suffix = path.suffix.lower()
     if to_read and suffix in READ_ONLY:
         return FORMATS[".csv"]
+    if suffix in SPREADSHEETS:
+        return SPREADSHEETS[suffix]
     if suffix not in FORMATS:
-        known = (*FORMATS, *READ_ONLY) if to_read else FORMATS
+        known = (*FORMATS, *READ_ONLY, *SPREADSHEETS) if to_read else FORMATS
         raise RecordingError(f"{path}: suffix is {path.suffix!r}, must be one of {' '.join(known)}")
     return FORMATS[suffix]
 
@@ -282,7 +298,7 @@ def _check_magic(path: Path, file_format: Format) -> None:
         head = file.read(32)
     if file_format.magic and head.startswith(file_format.magic):
         return
-    others = [other.name for other in FORMATS.values() if other.magic and head.startswith(other.magic)]
+    others = [other.name for other in (*FORMATS.values(), _SPREADSHEET) if other.magic and head.startswith(other.magic)]
     if others:
         raise RecordingError(f"{path}: holds {others[0]}, its suffix says {file_format.name}; rename it")
     if file_format.magic:
