@@ -10,6 +10,7 @@ from piezod.errors import RecordingError
 from piezod.operators.play import play_states_run
 from piezod.recording import Recording
 from piezod.recording.names import unit_of
+from piezod.recording.quantities import UNITS
 
 Array = NDArray[np.float64]
 
@@ -217,8 +218,9 @@ def _loose(pair: _Pair) -> Iterator[str]:
 
 
 def _wrong_way(pair: _Pair) -> Iterator[str]:
-    """A loop of force over voltage that runs clockwise: the effect before its cause."""
-    if (unit_of(pair.input), unit_of(pair.output)) != ("V", "N"):
+    """A loop of force or displacement over voltage that runs clockwise: the effect before its cause."""
+    units = {unit_of(pair.input), unit_of(pair.output)}
+    if "V" not in units or not units & ({"N"} | set(UNITS["displacement"])):
         return
     opening = _opening(pair.u, pair.y)
     if opening >= -LEADS:

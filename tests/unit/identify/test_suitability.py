@@ -125,6 +125,20 @@ def identify(tmp_path, monkeypatch, capsys):
     return run
 
 
+@pytest.mark.parametrize(
+    ("names", "columns"),
+    [
+        ("time_s,displacement_um,voltage_V", ("voltage_V", "displacement_um")),  # the names are swapped
+        ("time_s,voltage_V,displacement_um", ("displacement_um", "voltage_V")),  # the options are
+        ("time_s,voltage_V,force_N", ("force_N", "voltage_V")),
+    ],
+)
+def test_swapped_columns_are_refused_in_both_directions(identify, names, columns):
+    code, _, err = identify(rows(U, Y / 20, names=names), "--input", columns[0], "--output", columns[1])
+    assert code == 78
+    assert f"{columns[1]} leads {columns[0]}, their loop runs clockwise" in err
+
+
 @pytest.mark.parametrize(("text", "says"), REFUSED.values(), ids=REFUSED.keys())
 def test_what_tells_no_model_is_refused_in_one_line_and_leaves_the_model_file_as_it_was(tmp_path, identify, text, says):
     code, out, err = identify(text)

@@ -145,7 +145,7 @@ def test_a_suffix_of_another_format_is_refused_with_the_format_of_the_content(tm
         read_recording(wrong)
 
 
-@pytest.mark.parametrize("name", ["rec.xlsx", "rec", "rec.npy", "rec.pkl"])
+@pytest.mark.parametrize("name", ["rec.docx", "rec", "rec.npy", "rec.pkl"])
 def test_an_unknown_suffix_is_refused_before_anything_is_read(tmp_path, name):
     with pytest.raises(RecordingError, match=r"must be one of \.csv"):
         convert(tmp_path / "absent.csv", tmp_path / name)
