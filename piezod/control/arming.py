@@ -102,7 +102,7 @@ def _check_at_rest(arming: ArmingConfig, readback_V: float, safe_V: float) -> No
     if not isfinite(readback_V) or abs(readback_V - safe_V) > arming.readback_within_V:
         raise CheckFailedError(
             f"arming: the amplifier reads back {readback_V:.3g} V, must be within "
-            f"{arming.readback_within_V:g} V of {safe_V:g} V; ramp it down first (piezod stop CONFIG --direct)"
+            f"{arming.readback_within_V:g} V of {safe_V:g} V; ramp it down first (piezod stop CONFIG)"
         )
 
 

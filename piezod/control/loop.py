@@ -22,6 +22,7 @@ from piezod.control.supervisor import Supervisor
 from piezod.control.voltage_writer import VoltageWriter
 from piezod.recording.ring_log import RingLog
 from piezod.transport import ACKNOWLEDGED, ExchangeResult, Link
+from piezod.transport.status import STATUS_WATCHDOG
 
 MOST_FAILED_TICKS = 3  # ticks that may raise an exception before the loop ends
 AS_PLANNED_V = 1e-3  # rounding of a float32 on the wire
@@ -172,9 +173,20 @@ class ControlLoop:
 
     def bring_down(self, from_V: float) -> Cause:
         """Ramp down an output that stands at `from_V` [V]; the result is the fault, or `Cause.NONE`."""
-        self._start_from(from_V)
-        self.supervisor.bring_down(self._clock.now_ns())
+        self._begin_ramp_down(from_V)
         return self._drive_to_rest()
+
+    def bring_down_left_output(self) -> None:
+        """Ramp down an output that stands while nothing is driven, such as one that ignored the last ramp.
+
+        No effect while voltages are written, at rest, without a readback, or while the watchdog of the device acts.
+        """
+        if self.supervisor.driving or self._link.poll() is not ExchangeResult.OK:
+            return
+        reading = self._link.reading
+        left = isfinite(reading.voltage_readback_V) and not self.at_rest
+        if left and not reading.status & STATUS_WATCHDOG:
+            self._begin_ramp_down(reading.voltage_readback_V)
 
     def watch(self, ticks: int | None = None) -> None:
         """Read without writing, for a number of ticks or until a stop is requested."""
@@ -210,6 +222,10 @@ class ControlLoop:
             self.failure = self.failure or f"{type(error).__name__}: {error}"
             self.supervisor.trip(Cause.CONTROLLER)
             self.request_stop()
+
+    def _begin_ramp_down(self, from_V: float) -> None:
+        self._start_from(from_V)
+        self.supervisor.bring_down(self._clock.now_ns())
 
     def _start_from(self, output_V: float) -> None:
         self._clock.start()

@@ -161,9 +161,13 @@ class Supervisor:
             self._go(State.RAMP_DOWN, cause)
 
     def bring_down(self, now_ns: int) -> None:
-        """DISARMED -> RAMP_DOWN at the monotonic time `now_ns` [ns]: for an output that no process drives."""
-        if self.state is State.DISARMED:
+        """DISARMED or FAULT -> RAMP_DOWN at the monotonic time `now_ns` [ns], for an output that nobody drives.
+
+        A latched fault stays latched.
+        """
+        if self.state in (State.DISARMED, State.FAULT):
             self._last_good_ns = now_ns
+            self._bad_in_a_row = 0
             self._go(State.RAMP_DOWN, Cause.STOPPED)
 
     def hold(self, cause: Cause) -> None:

@@ -90,6 +90,8 @@ class CommandQueue:
                 return self._arm(asked_ns)
             case "disarm" | "stop":
                 supervisor.stop(fast=name == "stop")
+                if name == "stop":
+                    self._loop.bring_down_left_output()
                 return "ramping down" if supervisor.driving else f"{supervisor.state.name}: nothing is driven"
             case "reset":
                 return self._reset()
@@ -121,8 +123,8 @@ class CommandQueue:
         if not self._loop.at_rest:
             raise CheckFailedError(
                 f"reset: the amplifier reads back {self._link.reading.voltage_readback_V:.3g} V, must be within "
-                f"{self._bench.arming.readback_within_V:g} V of {self._bench.limits.voltage_safe_V:g} V; wait for the "
-                "device, or end the daemon and ramp it down (piezod stop CONFIG --direct)"
+                f"{self._bench.arming.readback_within_V:g} V of {self._bench.limits.voltage_safe_V:g} V; ramp it down "
+                "(piezod stop CONFIG)"
             )
         supervisor.reset(at_rest=True)
         return "fault reset; disarmed"

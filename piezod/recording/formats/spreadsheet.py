@@ -1,7 +1,7 @@
 """Recordings in a workbook of Excel or LibreOffice (.xlsx, .xls, .ods): read only.
 
-The first sheet that holds a table of numbers is read as the text that the spreadsheet itself would export, so that
-names, units, dates and missing columns are understood in the same way. Library: python-calamine.
+The first sheet that holds a table of numbers is read as the text that the spreadsheet itself would export. So names,
+units, dates and missing columns are understood in the same way. Library: python-calamine.
 """
 
 import datetime as dt

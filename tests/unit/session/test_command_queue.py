@@ -12,6 +12,8 @@ from piezod.errors import CheckFailedError
 from piezod.model import DirectDrive
 from piezod.session import command_queue
 from piezod.session.command_queue import CommandQueue
+from piezod.transport import ExchangeResult
+from piezod.transport.status import STATUS_WATCHDOG
 from tests.unit.control.fake_bench import FakeClock, FakeLink
 from tests.unit.control.test_limits import limits
 
@@ -182,3 +184,48 @@ def test_without_a_notification_the_pipe_is_not_polled():
             raise AssertionError(name)
 
     CommandQueue(None, None, Untouchable(), Untouchable(), None).serve_pending()
+
+
+def tripped_at(loop, command, output_V):
+    """The loop in FAULT, while the output stands at a voltage, as behind a device that ignored the ramp."""
+    command("arm")
+    loop.supervisor.trip(Cause.READBACK)
+    for _ in range(3000):
+        loop.run_tick()
+        loop._clock.wait()
+    loop._link.written_V = loop._link.reading.voltage_readback_V = output_V
+    loop._link.voltages.clear()
+    assert (loop.supervisor.state, loop.at_rest) == (State.FAULT, False)
+
+
+def test_a_stop_ramps_down_what_a_fault_has_left_and_the_fault_stays(bench):
+    loop, command = bench
+    loop._readback_within_V = 2.0
+    tripped_at(loop, command, 60.0)
+    assert command("stop") == ("answer", (7, "ok", "ramping down"))
+    for _ in range(3000):
+        loop.run_tick()
+        loop._clock.wait()
+    steps_V = np.diff([60.0, *loop._link.voltages])
+    assert loop._link.voltages[-1] == pytest.approx(0.0, abs=1e-9)
+    assert steps_V.min() >= -1.001 * limits().slew_V_per_s * 0.001
+    assert steps_V.max() <= 0.0
+    assert (loop.supervisor.state, loop.supervisor.fault) == (State.FAULT, Cause.READBACK)
+    assert command("reset")[1][1] == "ok"
+
+
+@pytest.mark.parametrize("prevented", ["watchdog", "no answer", "no readback", "at rest"])
+def test_a_stop_writes_nothing_where_a_command_could_do_harm_or_nothing_is_left(bench, monkeypatch, prevented):
+    loop, command = bench
+    loop._readback_within_V = 2.0
+    tripped_at(loop, command, 60.0)
+    reading = loop._link.reading
+    if prevented == "watchdog":
+        reading.status |= STATUS_WATCHDOG
+    elif prevented == "no answer":
+        monkeypatch.setattr(loop._link, "poll", lambda: ExchangeResult.TIMEOUT)
+    else:
+        reading.voltage_readback_V = float("nan") if prevented == "no readback" else 1.0
+    assert command("stop") == ("answer", (7, "ok", "FAULT: nothing is driven"))
+    loop.run_tick()
+    assert loop._link.voltages == []
