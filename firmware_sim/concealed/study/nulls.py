@@ -117,16 +117,18 @@ def draw_null(family: Kind, number: int, seed: np.random.SeedSequence) -> NullBe
     record = tuple(RECORDS)[number % len(RECORDS)]
     bench = tuple(BENCHES)[(number + number // len(BENCHES)) % len(BENCHES)]
     manner = BENCHES[bench]
-    reach_V = round(rng.uniform(60.0, 200.0), 1)
-    full_N = float(np.exp(rng.uniform(np.log(50.0), np.log(2000.0))))
-    law = ForceLaw(full_N, rng.uniform(-0.2, 0.25), rng.uniform(-0.06, 0.12))
-    plant = Plant(draw_hysteresis(rng, family, reach_V), draw_noncongruent(rng, reach_V), law)
-    rate_Hz = manner.rate_Hz * (FINER if manner.uneven else 1)
+    before, slow = RECORDS[record](rng, manner.rate_Hz, manner.duration_s)
+    while True:
+        reach_V = round(rng.uniform(60.0, 200.0), 1)
+        full_N = float(np.exp(rng.uniform(np.log(50.0), np.log(2000.0))))
+        law = ForceLaw(full_N, rng.uniform(-0.2, 0.25), rng.uniform(-0.06, 0.12))
+        plant = Plant(draw_hysteresis(rng, family, reach_V), draw_noncongruent(rng, reach_V), law)
+        work = mixed_work(rng, reach_V, manner.rate_Hz, manner.duration_s, MOST_RANGES_PER_S * reach_V)
+        least = superposition_misfit(plant.hysteresis, work, manner.rate_Hz) / MISFIT
+        if least <= MOST_NOISE:  # else no sum of plays follows it, which counts as an effect
+            break
+    noise_N = full_N * float(np.exp(rng.uniform(np.log(max(LEAST_NOISE, least)), np.log(MOST_NOISE))))
     late = rng.uniform(*READ_LATE) if manner.held else 0.0
-    before, slow = RECORDS[record](rng, rate_Hz, manner.duration_s)
-    work = mixed_work(rng, reach_V, rate_Hz, manner.duration_s, MOST_RANGES_PER_S * reach_V)
-    least = min(max(LEAST_NOISE, superposition_misfit(plant.hysteresis, work, rate_Hz) / MISFIT), MOST_NOISE)
-    noise_N = full_N * float(np.exp(rng.uniform(np.log(least), np.log(MOST_NOISE))))
     write = partial(_written, rng, plant, manner, late, noise_N)
     identification, _ = write(before, reach_V * slow)
     held_out, true = write(np.zeros(0), work)
@@ -139,17 +141,18 @@ def _written(
 ) -> tuple[str, Array]:
     """Text of a record and its force without noise; `before` (relative) is driven, and not written."""
     reach_V = plant.hysteresis.reach_V
-    rate_Hz = manner.rate_Hz * (FINER if manner.uneven else 1)
-    driven_V: Array = np.asarray(np.round(np.concatenate((reach_V * before, voltage)), 4), dtype=np.float64)
+    commands = reach_V * before, np.asarray(np.round(voltage, 4), dtype=np.float64)
+    driven_V, at, rate_Hz = np.concatenate(commands), np.arange(voltage.size), manner.rate_Hz
+    if manner.uneven:  # straight from one sample to the next, whenever they are
+        rate_Hz, finer = FINER * rate_Hz, np.arange(FINER * driven_V.size)
+        at = FINER * np.arange(driven_V.size) + rng.integers(0, FINER, driven_V.size)
+        driven_V, at = np.interp(finer, at, driven_V), at[before.size :]
     drive = Drive(driven_V, rate_Hz, manner.held, late, np.zeros(driven_V.size))
-    true_N = plant.reading_N(drive, {}, 0)[before.size :]
-    at = np.arange(0, true_N.size, FINER if manner.uneven else 1)
-    if manner.uneven:
-        at = (at + rng.integers(-1, 2, at.size)).clip(0, true_N.size - 1)
-    true_N = true_N[at]
+    true_N = plant.reading_N(drive, {}, 0)
+    true_N = true_N[at] if manner.uneven else true_N[before.size :]
     corner_Hz = float(np.exp(rng.uniform(np.log(0.5), np.log(20.0))))
     force_N = true_N + sampling.noise(rng, at.size, noise_N, manner.noise, manner.rate_Hz, corner_Hz)
-    voltage_V = driven_V[before.size :][at] + manner.voltage_noise * reach_V * rng.normal(0.0, 1.0, at.size)
+    voltage_V = commands[1] + manner.voltage_noise * reach_V * rng.normal(0.0, 1.0, at.size)
     columns = (manner.second * at / rate_Hz, manner.volt * voltage_V, manner.newton * force_N)
     rows = ["{:.6f},{:.5f},{:.6g}".format(*row) for row in zip(*columns, strict=True)]
     return "\n".join((",".join(manner.names), *rows, "")), manner.newton * true_N
