@@ -21,7 +21,7 @@ WORSE = 0.001
 where the recording hardly was, it costs more: 0.5 % in the median of twelve concealed plants, where 0.01 costs 2 %."""
 
 
-def reduced(base: Base, recordings: Sequence[Samples]) -> Base:
+def reduced(base: Base, recordings: Sequence[Samples], loss: float) -> Base:
     """The same fit with the fewest operators.
 
     Parameters
@@ -30,8 +30,10 @@ def reduced(base: Base, recordings: Sequence[Samples]) -> Base:
         With fine tables.
     recordings
         What it was fitted to.
+    loss
+        Squared error of the fit over every sample [output unit^2].
     """
-    allowed = (1.0 + WORSE) ** 2 * float(base.sums.loss.sum())
+    allowed = ((1.0 + WORSE) ** 2 - 1.0) * loss
     together = np.eye(base.parameters.size)
     plays, between = base.structure.plays, base.parameters.size - base.structure.plays - base.zones.size
     slopes, covariance = _solved(base, together)
@@ -44,7 +46,7 @@ def reduced(base: Base, recordings: Sequence[Samples]) -> Base:
         fewer = np.delete(together, place + 1, axis=1)
         fewer[:, place] += together[:, place + 1]
         slopes, covariance = _solved(base, fewer)
-        if base.sums.expected_loss(fewer @ slopes - base.parameters) > allowed:
+        if base.sums.expected_loss(fewer @ slopes - base.parameters) - float(base.sums.loss.sum()) > allowed:
             break
         together, plays = fewer, plays - (place < plays)
     first = np.argmax(together != 0.0, axis=0)  # a group keeps the threshold where it begins

@@ -78,7 +78,7 @@ class Base:
 
 
 def fit_smooth_base(structure: Structure, zones: Array, recordings: Sequence[Samples], eps: float) -> Base:
-    """Fit recordings by the smooth base.
+    """Fit recordings by the smooth base; of long ones, the sums are those of means (`MOST_ROWS`).
 
     Parameters
     ----------
@@ -97,7 +97,7 @@ def fit_smooth_base(structure: Structure, zones: Array, recordings: Sequence[Sam
         The quadratic program was not solved.
     """
     start = straight_line(structure, zones, recordings)
-    return _fitted(structure, zones, recordings, eps, start, None)
+    return _fitted(structure, zones, recordings, eps, start, None)[0]
 
 
 def fit_roughly(structure: Structure, zones: Array, recordings: Sequence[Samples], eps: float, every: int) -> Base:
@@ -110,8 +110,9 @@ def fit_roughly(structure: Structure, zones: Array, recordings: Sequence[Samples
 def refit(
     structure: Structure, zones: Array, recordings: Sequence[Samples], eps: float, start: Array, penalty: Array
 ) -> Base:
-    """Fit from a start, shape (q,), under a penalty, shape (q, q); the rest as for `fit_smooth_base`."""
-    return _fitted(structure, zones, recordings, eps, start, penalty)
+    """Fit from a start, shape (q,), under a penalty, shape (q, q), to every sample; else as `fit_smooth_base`."""
+    base, solver, every = _fitted(structure, zones, recordings, eps, start, penalty)
+    return base if every == 1 else solver.over_all(lambda: pieces_of(structure, recordings), base)
 
 
 def _fitted(
@@ -121,7 +122,8 @@ def _fitted(
     eps: float,
     start: Array,
     penalty: Array | None,
-) -> Base:
+) -> "tuple[Base, _Solver, int]":
+    """The fit, its solver, and the samples of a row."""
     count = sum(int(np.count_nonzero(one.counts)) for one in recordings)
     every = max(1, -(-count // MOST_ROWS))
     pieces = merged(pieces_of(structure, recordings, every))
@@ -129,10 +131,7 @@ def _fitted(
     if penalty is None:
         base = solver.fit(pieces, start, solver.penalty(start, pieces, FIRST_WEIGHTS))
         start, penalty = base.parameters, solver.chosen_penalty(base)
-    base = solver.fit(pieces, start, penalty)
-    if every > 1:
-        base = solver.over_all(lambda: pieces_of(structure, recordings), base)
-    return base
+    return solver.fit(pieces, start, penalty), solver, every
 
 
 def straight_line(structure: Structure, zones: Array, recordings: Sequence[Samples]) -> Array:

@@ -33,8 +33,8 @@ FINE_PLAYS, FINE_ZONES = 40, 20
 """Tables of the smooth base. Twice as fine, the error on other work of three concealed plants with coloured noise falls
 from 1.04, 1.08 and 1.11 of the noise to 1.03, 1.07 and 1.10; a tick takes twice as long."""
 
-LEFT = 1.01
-"""Ratio of errors on the other groups above which the single step away from a group left its fit: it is fitted anew."""
+LEFT = 1.02
+"""Ratio of squared errors on the other groups above which a single step has left their fit: they are fitted anew."""
 
 LEAST_EXPLAINED = 0.5
 """Share of the output's variance below which a model leaves more than it explains."""
@@ -226,7 +226,8 @@ def _smooth(
         stretches = unsettled
         base = _base(stretches, options.eps)
     fitted = [one.fitted for one in stretches]
-    fewest = reduced(base, fitted)
+    loss = sum(float(np.sum(_run(fit_of_base(base).hysteresis.operator(), one).error ** 2)) for one in fitted)
+    fewest = reduced(base, fitted, loss)
     fit = fit_of_base(fewest)
     figures = fit_figures([_run(fit.hysteresis.operator(), one) for one in fitted], _held_out(fewest, fitted))
     plays, zones = fit.structure.plays - 1, fit.structure.zones
@@ -263,27 +264,21 @@ def _without_unsettled(recording: Recording, stretch: Stretch, base: Base) -> St
 
 def _held_out(base: Base, recordings: Sequence[Samples]) -> list[Run]:
     """Every group of blocks as the fit of the others simulates it; start and penalty have seen all groups."""
-    runs = [Run(one.u, one.y, np.zeros(one.u.size)) for one in recordings]
-    everywhere = _errors(base, base.parameters, recordings)
+    groups = [group_of(one.u.size).astype(np.int8) for one in recordings]
+    powers = sum(map(_powers, _errors(base, base.parameters, recordings), recordings, groups))
+    held_out = [np.zeros(one.u.size) for one in recordings]
     for group in range(GROUPS):
-        mine = [group_of(one.u.size) == group for one in recordings]
+        rest = np.arange(GROUPS) != group
         errors = _errors(base, base.without(group), recordings)
-        if not _rms_outside(mine, errors, recordings) <= LEFT * _rms_outside(mine, everywhere, recordings):
-            rest = [replace(one, counts=one.counts & ~own) for one, own in zip(recordings, mine, strict=True)]
-            others = refit(base.structure, base.zones, rest, base.eps, base.parameters, base.penalty)
-            errors = _errors(base, others.parameters, recordings)
-        for run, own, error in zip(runs, mine, errors, strict=True):
-            run.error[own] = error[own]
-    return [
-        Run(run.u[one.counts], run.y[one.counts], run.error[one.counts])
-        for run, one in zip(runs, recordings, strict=True)
-    ]
-
-
-def _rms_outside(mine: Sequence[NDArray[np.bool_]], errors: Sequence[Array], recordings: Sequence[Samples]) -> float:
-    """Of the samples that count and are not in a group [output unit]."""
-    parts = [error[one.counts & ~own] for own, error, one in zip(mine, errors, recordings, strict=True)]
-    return rms(np.concatenate(parts))
+        if not np.sum(sum(map(_powers, errors, recordings, groups)), where=rest) <= LEFT * np.sum(powers, where=rest):
+            others = [
+                replace(one, counts=one.counts & (its != group)) for one, its in zip(recordings, groups, strict=True)
+            ]
+            again = refit(base.structure, base.zones, others, base.eps, base.parameters, base.penalty)
+            errors = _errors(base, again.parameters, recordings)
+        for kept, error, its in zip(held_out, errors, groups, strict=True):
+            np.copyto(kept, error, where=its == group)
+    return [_counted(one, error) for one, error in zip(recordings, held_out, strict=True)]
 
 
 def _errors(base: Base, parameters: Array, recordings: Sequence[Samples]) -> list[Array]:
@@ -292,9 +287,20 @@ def _errors(base: Base, parameters: Array, recordings: Sequence[Samples]) -> lis
     return [residual(operator, samples) for samples in recordings]
 
 
+def _powers(error: Array, samples: Samples, groups: NDArray[np.int8]) -> Array:
+    """Squared error of the samples that count, by group, shape (GROUPS,)."""
+    result: Array = np.bincount(groups, np.where(samples.counts, error, 0.0) ** 2, GROUPS).astype(np.float64)
+    return result
+
+
+def _counted(samples: Samples, error: Array) -> Run:
+    if samples.counts.all():
+        return Run(samples.u, samples.y, error)
+    return Run(samples.u[samples.counts], samples.y[samples.counts], error[samples.counts])
+
+
 def _run(operator: PrandtlIshlinskii, samples: Samples) -> Run:
-    counts = samples.counts
-    return Run(samples.u[counts], samples.y[counts], residual(operator, samples)[counts])
+    return _counted(samples, residual(operator, samples))
 
 
 def _model(
