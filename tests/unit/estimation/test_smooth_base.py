@@ -142,7 +142,7 @@ def test_what_is_held_out_is_predicted_as_well_as_the_rest_is_fitted(fitted):
 
 def test_fewer_operators_cost_a_thousandth_of_the_error_and_predict_as_well(fitted):
     plant, samples, noise, base = fitted
-    fewer = reduced(base, [samples])
+    fewer = reduced(base, [samples], float(base.sums.loss.sum()))
     assert fewer.structure.plays + fewer.zones.size < base.structure.plays + base.zones.size
     assert fewer.structure.play_thresholds[0] == fewer.zones[0] == 0.0
     assert fewer.sums.rms <= 1.0015 * base.sums.rms
