@@ -41,8 +41,7 @@ def fit_figures(fitted: Sequence[Run], held_out: Sequence[Run]) -> FitFigures:
         tuple[int, ...], float | None
     ] = {}  # of what was measured: the same where every sample is held out once
     for name, runs in (("fit", fitted), ("held_out", held_out)):
-        measured = np.concatenate([run.y for run in runs])
-        error = np.concatenate([run.error for run in runs])
+        measured, error = _joined([run.y for run in runs]), _joined([run.error for run in runs])
         inputs, outputs = [run.u for run in runs], [run.y for run in runs]
         figures[f"rms_{name}"] = rms(error)
         figures[f"max_{name}"] = largest(error)
@@ -54,6 +53,10 @@ def fit_figures(fitted: Sequence[Run], held_out: Sequence[Run]) -> FitFigures:
         modelled = [run.y - run.error for run in runs]
         figures[f"remaining_hysteresis_percent_{name}"] = _widest_loop(modelled, outputs)
     return FitFigures(**{key: value if value is None else float(f"{value:.6g}") for key, value in figures.items()})
+
+
+def _joined(parts: Sequence[Array]) -> Array:
+    return parts[0] if len(parts) == 1 else np.concatenate(parts)
 
 
 def _widest_loop(drives: Sequence[Array], responses: Sequence[Array]) -> float | None:
