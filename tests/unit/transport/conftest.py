@@ -8,7 +8,7 @@ from piezod.config.link import ModbusRtuLink, ModbusTcpLink, SerialLineLink
 from piezod.transport import make_link
 from tests.unit.transport.scripted import LINE, ScriptedLine, ScriptedPty, ScriptedTcp, registers
 
-TIMEOUT_S = 0.05
+TIMEOUT_S = 0.2  # a machine that is busy answers within this time
 BAUDRATE = 921600
 
 
