@@ -21,8 +21,8 @@ Array = NDArray[np.float64]
 START_SAMPLES, START_ROWS = 8000, 3000
 """Samples that are simulated and rows that are fitted to find how a recording starts: it shows over the first rise."""
 
-LEAST_SWING, WIDE = 0.25, 4
-"""Half a swing below this share of the largest input has its own table, and a WIDEth as many wider plays."""
+LEAST_SWING, PLAYS_FOR_A_WIDE_ONE = 0.25, 4
+"""Half a swing below this share of the largest input has a table of its own, and for four of its plays a wider one."""
 
 START_ORDERS = (11, 3)
 """Plays and dead zones of the fit that compares starts."""
@@ -186,7 +186,9 @@ class Structures:
         half, end = 0.5 * self._swing, INSIDE * (self._u_max if self._rise else 0.5 * self._swing)
         thresholds = play_thresholds(plays, end)
         if half < LEAST_SWING * end:  # amid the range: as fine a table for what moves again and again
-            thresholds = np.append(play_thresholds(plays, half), np.linspace(half, end, max(2, plays // WIDE)))
+            thresholds = np.append(
+                play_thresholds(plays, half), np.linspace(half, end, max(2, plays // PLAYS_FOR_A_WIDE_ONE))
+            )
         structure = Structure(
             thresholds,
             dead_zone_thresholds(zones, 0.0, self._high - self._low),
