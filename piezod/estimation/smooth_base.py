@@ -115,6 +115,14 @@ def refit(
     return base if every == 1 else solver.over_all(lambda: pieces_of(structure, recordings), base)
 
 
+def base_at(
+    structure: Structure, zones: Array, recordings: Sequence[Samples], eps: float, parameters: Array, penalty: Array
+) -> Base:
+    """The smooth base with given parameters, shape (q,), and its sums over every sample; else as `refit`."""
+    solver = _Solver(structure, zones, clocks_of(recordings), eps)
+    return solver.base(parameters, sums_of(pieces_of(structure, recordings), structure, zones, parameters), penalty)
+
+
 def _fitted(
     structure: Structure,
     zones: Array,
@@ -169,15 +177,16 @@ class _Solver:
                 length *= 0.25
             parameters = best + length * step
         assert sums is not None
-        return self._base(best, sums, penalty)
+        return self.base(best, sums, penalty)
 
     def over_all(self, pieces: Callable[[], Iterable[Piece]], base: Base) -> Base:
         """One more step with the sums over every sample, and the sums after it."""
         sums = sums_of(pieces(), self._structure, self._zones, base.parameters)
         better = base.parameters + self._step(sums, base.penalty, base.parameters)
-        return self._base(better, sums_of(pieces(), self._structure, self._zones, better), base.penalty)
+        return self.base(better, sums_of(pieces(), self._structure, self._zones, better), base.penalty)
 
-    def _base(self, parameters: Array, sums: Sums, penalty: Array) -> Base:
+    def base(self, parameters: Array, sums: Sums, penalty: Array) -> Base:
+        """The base with these sums at its parameters."""
         return Base(self._structure, self._zones, parameters, sums, penalty, self._bounds(parameters), self._eps)
 
     def _bounds(self, parameters: Array) -> Constraints:
