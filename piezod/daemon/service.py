@@ -40,6 +40,7 @@ CONNECTED_WITHIN_S = 120.0
 """Time for the start of a control process [s]: with an empty cache it compiles its steps before it is ready."""
 READY_WITHIN_S = 30.0
 """Time for the first tick [s]. Afterwards a control process without ticks counts as hung, and systemd restarts it."""
+ENDING = (signal.SIGTERM, signal.SIGINT)
 COMMANDS = ("status", "arm", "disarm", "stop", "reset", "reload")
 """Commands of the socket."""
 
@@ -94,6 +95,7 @@ class Service:
     async def run(self) -> None:
         """Serve the socket and run one session after the other until a signal ends the daemon."""
         async with contextlib.AsyncExitStack() as stack:
+            stack.callback(_ignore_signals)
             stack.callback(self._notifier.close)
             self._add_signal_handlers()
             if self._recorder is not None:
@@ -135,7 +137,7 @@ class Service:
 
     def _add_signal_handlers(self) -> None:
         loop = asyncio.get_running_loop()
-        for number in (signal.SIGTERM, signal.SIGINT):
+        for number in ENDING:
             loop.add_signal_handler(number, self._stop)
         loop.add_signal_handler(signal.SIGHUP, lambda: loop.create_task(self._reload_on_signal()))
 
@@ -341,3 +343,11 @@ class Service:
             raise
         await self._launched.wait()
         return "configuration taken; starting again, disarmed"
+
+
+def _ignore_signals() -> None:
+    """Ignore signals from now on: the bench is at rest, and an event loop that closes cannot take them any more."""
+    loop = asyncio.get_running_loop()
+    for number in (*ENDING, signal.SIGHUP):
+        loop.remove_signal_handler(number)
+        signal.signal(number, signal.SIG_IGN)
