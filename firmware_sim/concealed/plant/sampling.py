@@ -83,12 +83,14 @@ def noise(rng: np.random.Generator, samples: int, rms: float, kind: str, rate_Hz
     rms
         Standard deviation, in the unit of the result.
     kind
-        "coloured"; any other kind is white.
+        "coloured", "white", or "quantised", which is white here.
     rate_Hz
         Sample rate [Hz].
     corner_Hz
         Corner of coloured noise [Hz]; white noise does not use it.
     """
+    if kind not in ("white", "coloured", "quantised"):
+        raise ValueError(f"noise is {kind!r}, must be white, coloured or quantised")
     white = rng.normal(0.0, 1.0, samples)
     if kind != "coloured":
         return rms * white
