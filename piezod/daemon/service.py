@@ -139,7 +139,12 @@ class Service:
         loop = asyncio.get_running_loop()
         for number in ENDING:
             loop.add_signal_handler(number, self._stop)
-        loop.add_signal_handler(signal.SIGHUP, lambda: loop.create_task(self._reload_on_signal()))
+        loop.add_signal_handler(signal.SIGHUP, self._begin_reload)
+
+    def _begin_reload(self) -> None:
+        """Reload, unless the daemon is ending."""
+        if not self._stops_requested:
+            asyncio.get_running_loop().create_task(self._reload_on_signal())
 
     def _stop(self) -> None:
         """Ramp down and end; each further call ramps down at the slew limit."""

@@ -1,5 +1,6 @@
 """The daemon as a service: commanded, refused, reloaded, killed and found again."""
 
+import contextlib
 import json
 import os
 import signal
@@ -53,6 +54,20 @@ def test_a_bench_is_armed_and_disarmed_over_the_socket_and_the_service_stays(ben
         assert register(serves, READBACK) == pytest.approx(0.0, abs=0.1)
         assert service.end() == 0
     assert "socket: arm by uid " in "".join(service.said)
+
+
+def test_signals_that_arrive_until_the_very_end_leave_no_traceback_and_the_service_ends_well(bench):
+    with daemon(bench) as service:
+        service.connected()
+        service.signal(signal.SIGTERM)
+        end_s = time.monotonic() + 20.0
+        while service.process.poll() is None and time.monotonic() < end_s:
+            with contextlib.suppress(ProcessLookupError):
+                service.process.send_signal(signal.SIGHUP)
+                service.process.send_signal(signal.SIGTERM)
+            time.sleep(0.02)
+        assert service.process.poll() == 0
+    assert "Traceback" not in "".join(service.said)
 
 
 def test_the_status_tells_state_values_and_counts(bench):
