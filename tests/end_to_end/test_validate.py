@@ -104,7 +104,8 @@ def test_models_that_cannot_be_compared_are_refused_in_one_line(models, code, sa
     model = load_model(coarse)
     elsewhere = tmp_path / "elsewhere.yaml"
     hysteresis = model.hysteresis.model_copy(update={"offset": 1000.0})
-    save_model(model.model_copy(update={"hysteresis": hysteresis}), elsewhere)
+    output = model.output.model_copy(update={"low": model.output.low + 1000.0, "high": model.output.high + 1000.0})
+    save_model(model.model_copy(update={"hysteresis": hysteresis, "output": output}), elsewhere)
     files = {"coarse": coarse, "missing": tmp_path / "missing.yaml", "elsewhere": elsewhere}
     arguments = [text for name in models for text in ("--model", files[name])]
     done = piezod("validate", ROOT / "config" / "bench.yaml", *arguments)
