@@ -1,7 +1,7 @@
 """The fewest operators that fit as well: neighbouring slopes are made equal as long as the noise hides it.
 
 Two neighbouring slopes that are equal are one operator less. What that costs is read off the normal equations (Wald's
-statistic), so nothing is fitted again. A recording may hardly tell two slopes apart that matter elsewhere; so the
+statistic), so nothing is fitted again. Two slopes that a recording hardly distinguishes may matter elsewhere; so the
 change on drawn work over the whole range counts too.
 """
 
