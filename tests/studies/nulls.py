@@ -145,6 +145,6 @@ def judged(null: NullBench, place: Path) -> Row:
         row.said = str(error)
         return row
     error = simulated.channel(output) - measured
-    unit = measured.size and float(np.polyfit(null.true, measured, 1)[0])  # of the file's unit, or of newtons
-    row.ratio = float(np.sqrt(np.mean(error**2))) / (null.floor * abs(unit))
+    unit = abs(float(np.polyfit(null.true, measured, 1)[0]))  # a pound of the file is read in newtons
+    row.ratio = float(np.sqrt(np.mean(error**2))) / (null.floor * unit)
     return row
