@@ -33,8 +33,9 @@ INJECTORS: dict[str, Callable] = {
     **access_faults.INJECTORS,
     **stream_faults.INJECTORS,
 }
-IN_PROCESS = {*manual_clock_faults.INJECTORS, *device_faults.INJECTORS, *input_faults.INJECTORS}
-"""Injectors without processes of their own, whose results do not depend on the real clock."""
+INPUTS_OF_A_BENCH = {"another_model", "metrics", "control_socket", "hostile_clients", "secrets"}
+IN_PROCESS = {*manual_clock_faults.INJECTORS, *device_faults.INJECTORS, *input_faults.INJECTORS} - INPUTS_OF_A_BENCH
+"""Injectors that use no running bench, whose results do not depend on the real clock."""
 
 MOST_TRIES = 5  # largest number of injections of a fault that is not survived in real time
 FAILURES = 2  # failures on a fit machine that are believed; delays of a few milliseconds leave no other trace

@@ -1,5 +1,6 @@
 """Every listed fault is injected and has its expected result."""
 
+import inspect
 import os
 import signal
 import time
@@ -55,6 +56,11 @@ def test_fault_has_its_expected_result(fault, pool, probe):
 def test_nearly_every_fault_is_judged():
     """A service that fails without faults too would otherwise pass as a slow machine."""
     assert len(NOT_JUDGED) <= 0.1 * len(FAULTS), f"not judged: {' '.join(NOT_JUDGED)}"
+
+
+@pytest.mark.parametrize("name", sorted(run.INJECTORS))
+def test_a_fault_that_asks_for_a_running_bench_is_judged_in_real_time(name):
+    assert not (name in run.IN_PROCESS and "pool.bench(" in inspect.getsource(run.INJECTORS[name]))
 
 
 def test_at_least_a_hundred_faults_are_injected_without_other_tests():
