@@ -20,8 +20,6 @@ ADVICE = "record triangles from 0 over the whole range (piezod record --excitati
 PLAUSIBLE = {"V": (5.0, 1500.0, "a piezo amplifier drives"), "N": (0.5, 50_000.0, "a piezo stack gives")}
 """Range of the largest value by unit: the outermost of amplifiers and stacks that are sold."""
 
-"""Outside the plausible range by more than this factor is impossible."""
-
 RATES_HZ = (0.1, 1e6)
 LOOSE, OPPOSITE = 0.3, -0.5
 """Correlations below which the output hardly follows the input, or runs against it."""

@@ -40,6 +40,7 @@ IN_PROCESS = {*manual_clock_faults.INJECTORS, *device_faults.INJECTORS, *input_f
 MOST_TRIES = 5  # largest number of injections of a fault that is not survived in real time
 FAILURES = 2  # failures on a fit machine that are believed; delays of a few milliseconds leave no other trace
 CONTROL_S = 1.0
+NOT_JUDGED = "not judged"  # how such a reason to skip a fault begins
 EXCESS_DELAY = {"late_ms": 1.0, "behind_ms": STILL_MS}  # of a reply, of a wake-up [ms]; beyond, a failure is repeated
 
 COLUMNS = "{id:<4} {fault:<52.52} {expected:<17.17} {observed:<10.10} {after:>9} {bound:>8}  {verdict}"
@@ -128,7 +129,7 @@ def run(fault: Fault, pool, probe) -> Result:
         failures += not result.unfit
         if failures == FAILURES:
             return result
-    result.skipped = f"not judged, {result.unfit or 'a failure in one of the tries'}: {'; '.join(result.problems)}"
+    result.skipped = f"{NOT_JUDGED}, {result.unfit or 'a failure in one of the tries'}: {'; '.join(result.problems)}"
     result.problems = []
     return result
 

@@ -35,8 +35,8 @@ class Judge:
     may_drive
         Whether an arm that was not refused allows an output above rest.
     excused
-        What injected faults excuse: `reading` (the service sees another force), `writes` (the device ignores it),
-        `foreign` (the output jumped to a set point of another client, or to one that it had ignored).
+        What injected faults excuse. `reading`: the service sees another force. `writes`: the device ignores it.
+        `foreign`: the output jumped to a set point of another client, or to one that it had ignored.
     rest_due
         Time [ns, monotonic] and reason of the command, signal or kill that must bring the output to rest, or None.
     trip_N

@@ -63,9 +63,7 @@ def everett_by_width(rng: np.random.Generator, reach_V: float) -> Everett:
         centre, spread = rng.uniform(0.0, 0.9) * reach_V, rng.uniform(0.15, 0.5) * reach_V
         density += rng.uniform(0.3, 1.0) * np.exp(-0.5 * ((d - centre) / spread) ** 2)
     table = _integral(_integral(density, d), d)
-    virgin = 0.5 * table
-    scale = reach_V / virgin[-1]
-    return Everett(reach_V, scale * table, np.zeros((1, 1)), scale * virgin)
+    return _of_width(reach_V, table)
 
 
 def everett_interpolated(rng: np.random.Generator, reach_V: float) -> Everett:
@@ -83,9 +81,7 @@ def everett_interpolated(rng: np.random.Generator, reach_V: float) -> Everett:
     knots = np.concatenate(([0.0], inner, [2.0 * reach_V]))
     branch = (knots / reach_V) ** rng.uniform(1.2, 1.6) * np.exp(rng.normal(0.0, 0.01, knots.size))
     table = np.interp(d, knots, np.maximum.accumulate(branch))
-    virgin = 0.5 * table
-    scale = reach_V / virgin[-1]
-    return Everett(reach_V, scale * table, np.zeros((1, 1)), scale * virgin)
+    return _of_width(reach_V, table)
 
 
 def everett_by_bias(rng: np.random.Generator, reach_V: float) -> Everett:
@@ -115,6 +111,13 @@ def everett_by_bias(rng: np.random.Generator, reach_V: float) -> Everett:
     virgin -= virgin[0]
     scale = reach_V / virgin[-1]
     return Everett(reach_V, np.zeros(1), scale * table, scale * virgin)
+
+
+def _of_width(reach_V: float, table: Array) -> Everett:
+    """E over y - x from a table over 0 to 2 `reach_V`, scaled to end its virgin curve at `reach_V`."""
+    virgin = 0.5 * table
+    scale = reach_V / virgin[-1]
+    return Everett(reach_V, scale * table, np.zeros((1, 1)), scale * virgin)
 
 
 def _integral(values: Array, points: Array) -> Array:
