@@ -131,7 +131,7 @@ class RegisterGuard:
         -------
         ExchangeResult
             OK: as expected. WRONG_DEVICE: nothing more is written on this connection before `verify` succeeds.
-            SETTING_CHANGED. Otherwise the failure; the next call reads the same register.
+            SETTING_CHANGED. Otherwise the failure. Unless it is OK, the next call reads the same register.
         """
         if not self.is_verified():
             return ExchangeResult.UNVERIFIED
@@ -142,12 +142,13 @@ class RegisterGuard:
         result = self._wire.transact(entry.request, deadline_s)
         if result is not _OK:
             return result
-        self._next += 1
         result = entry.compare(self._wire)
-        if result is ExchangeResult.WRONG_DEVICE:
+        if result is _OK:
+            self._next += 1
+        elif isinstance(entry, _Setting):
+            self._wire.transact(entry.again, deadline_s)  # whether it was written, the next call reads
+        else:
             self._verified = self._reading_generation = -1
-        elif result is not _OK and isinstance(entry, _Setting):
-            self._wire.transact(entry.again, deadline_s)
         return result
 
 

@@ -5,10 +5,12 @@ import time
 from hypothesis import strategies as st
 from hypothesis.stateful import rule
 
+from tests.faults.live_bench import TIMING
 from tests.faults.running_faults import do
 from tests.stateful.sequence import DRIVEN, Sequence
 
 GUARD_PERIOD_S = 0.6  # the watchdog is read at least once in it
+WATCHDOG_BACK_WITHIN_S = 3.0  # where faults of the wire must end first
 
 
 class DeviceRules(Sequence):
@@ -48,7 +50,7 @@ class DeviceRules(Sequence):
         self.judge.disturb()
         self.bench.device.ask("reading_fault")  # a firmware that starts anew has no false readings left
         self.bench.device.ask(what)
-        time.sleep(GUARD_PERIOD_S)
+        self._until_the_watchdog_is_back()
 
     @rule(watchdog_ms=st.sampled_from([0, 5000]))
     def foreign_watchdog(self, watchdog_ms):
@@ -57,7 +59,18 @@ class DeviceRules(Sequence):
         self._did("foreign watchdog write", watchdog_ms)
         self.judge.disturb()
         do(self.bench, {"write_register": {"address": 110, "value": watchdog_ms}})
-        time.sleep(GUARD_PERIOD_S)  # a kill before the next reading of the watchdog leaves the foreign one in force
+        self._until_the_watchdog_is_back()
+
+    def _watchdog_is_kept(self):
+        return self.judge.report()["watchdog_ms"] == TIMING["device_watchdog_ms"]
+
+    def _until_the_watchdog_is_back(self):
+        """A kill before the service could write the watchdog again leaves the changed one in force."""
+        end_s = time.monotonic() + WATCHDOG_BACK_WITHIN_S
+        time.sleep(GUARD_PERIOD_S)
+        while self.state in DRIVEN and not self._watchdog_is_kept() and time.monotonic() < end_s:
+            self.nothing_wrong_at_the_amplifier()
+            time.sleep(0.05)
 
     @rule(above_V=st.sampled_from([2.0, 4.5]), times=st.sampled_from([1, 20]))
     def second_master(self, above_V, times):

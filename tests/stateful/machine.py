@@ -11,6 +11,7 @@ from hypothesis.stateful import rule
 from tests.faults.stream_faults import Sender
 from tests.stateful.device_rules import DeviceRules
 from tests.stateful.judge import ViolationError
+from tests.stateful.sequence import DRIVEN
 
 BROKEN_FILES = ("", "rate_Hz: [", "schema: piezod.bench/1\nname: x\n", "\x00\xff", "limits: 3\n")
 JUNK = (b"", b"x", bytes(24), b"\xff" * 24, bytes(40), b"\xff" * 65000)
@@ -96,8 +97,8 @@ class ServiceMachine(DeviceRules):
 
     @rule(what=st.sampled_from(["kill", "pause"]), for_s=st.sampled_from([0.05, 0.3]))
     def control_process(self, what, for_s):
-        if not self._alive():
-            return
+        if not self._alive() or (self.state in DRIVEN and not self._watchdog_is_kept()):
+            return  # the device's watchdog alone ends what a dead process leaves on
         self._did(f"control process {what}", for_s)
         self.judge.disturb()
         with contextlib.suppress(StopIteration, ProcessLookupError):

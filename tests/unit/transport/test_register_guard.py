@@ -64,6 +64,20 @@ def test_a_changed_setting_is_reported_and_written_again(tcp):
     assert CHANGED not in [link.supervise(1.0) for _ in range(link.supervised)]
 
 
+def test_a_changed_setting_that_the_device_refuses_to_take_back_is_tried_again_at_once(tcp):
+    link, server = tcp
+    link.write_register("watchdog_ms", 150.0)
+    server.bench.put(110, ">H", 5000)
+    busy = lambda frame: [frame[:5] + bytes([3, frame[6], frame[7] | 0x80, 6])]  # noqa: E731
+    server.answer = lambda frame, _number: [server.good(frame)] if frame[7] == 3 else busy(frame)
+    found = [link.supervise(1.0) for _ in range(link.supervised)]
+    assert found[-1] is CHANGED
+    assert server.bench.get(110, ">H") == 5000
+    server.answer = lambda frame, _number: [server.good(frame)]
+    assert link.supervise(1.0) is CHANGED
+    assert server.bench.get(110, ">H") == 150
+
+
 def test_an_identity_that_changes_on_the_same_connection_stops_every_write(tcp):
     link, server = tcp
     server.bench.put(0, ">H", 7)
