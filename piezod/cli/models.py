@@ -25,8 +25,12 @@ def identify(
     ],
     model: Annotated[Path, typer.Option("-o", metavar="MODEL", help="Model file to write.")],
     report: Annotated[Path | None, typer.Option(metavar="DIR", help="Folder for identification.html.")] = None,
-    input_column: Annotated[str, typer.Option("--input", metavar="COLUMN")] = "voltage_V",
-    output_column: Annotated[str, typer.Option("--output", metavar="COLUMN")] = "force_N",
+    input_column: Annotated[
+        str | None, typer.Option("--input", metavar="COLUMN", help="Default: voltage_V, or what the names tell.")
+    ] = None,
+    output_column: Annotated[
+        str | None, typer.Option("--output", metavar="COLUMN", help="Default: force_N, or what the names tell.")
+    ] = None,
     plays: Annotated[
         int | None, typer.Option(min=1, max=100, help="Number of plays; default: the fewest that fit to the noise.")
     ] = None,
@@ -56,7 +60,7 @@ def identify(
     from piezod.identify.identification import identify as identify_model
     from piezod.identify.intake import load_recordings
     from piezod.model import save_model
-    from piezod.recording import TextOptions, check_output_path
+    from piezod.recording import TextOptions, check_output_path, choose_columns, column_names
     from piezod.report.identification import identification_as_dict, print_identification, write_identification_page
     from piezod.report.progress import steps
 
@@ -64,9 +68,12 @@ def identify(
         raise UsageError(f"--variant is '{variant}', must be A or B")
     check_output_path(model, recordings)
     text = TextOptions.of(columns, rate_hz, decimal)
+    input_name, output_name, chosen = choose_columns(
+        recordings[0], column_names(recordings[0], text), {"input": input_column, "output": output_column}
+    )
     options = Options(
-        input=input_column,
-        output=output_column,
+        input=input_name,
+        output=output_name,
         plays=plays,
         zones=dead_zones,
         orders=orders,
@@ -75,14 +82,14 @@ def identify(
         name=name,
     )
     with steps() as show:
-        loaded = load_recordings(recordings, input_column, output_column, show, text)
+        loaded = load_recordings(recordings, input_name, output_name, show, text)
         read = [each.recording for each in loaded]
         identification = identify_model(
             read,
             options,
             f"piezod {__version__}",
             sources=[each.source for each in loaded],
-            notes=[note for each in loaded for note in each.notes],
+            notes=chosen + [note for each in loaded for note in each.notes],
             on_step=show,
         )
     if report is not None:

@@ -87,6 +87,8 @@ def read_source(
     recording, notes = in_units_of(read_recording(path, text), columns)
     if "understood" in recording.metadata:
         notes.insert(0, f"read as: {recording.metadata['understood']}")
+    if "time" in recording.metadata:
+        notes.append(recording.metadata["time"])
     return Source(recording, file_sha256(path), role, condition, tuple(f"{path}: {note}" for note in notes))
 
 

@@ -188,6 +188,7 @@ def _read(
         channels = {column: _scaled(columns[name].values(), factor) for column, (name, factor) in stored.items()}
         notes = [f"read as: {metadata['understood']}"] if "understood" in metadata else []
         notes += [f"{column}: is {name} times {factor:g}" for column, (name, factor) in stored.items() if factor != 1.0]
+        notes += [metadata["time"]] if "time" in metadata else []
         notes += [f"damaged: {metadata['damaged']}"] if "damaged" in metadata else []
         return Recording(columns[TIME].values(), channels, {}, str(path)), sha256.result(), notes
 

@@ -1,5 +1,6 @@
 """Recordings: a time axis and named channels with units, and the files that hold them."""
 
+from piezod.recording.conversion import choose_columns
 from piezod.recording.files import (
     check_output_path,
     check_recording_target,
@@ -22,6 +23,7 @@ __all__ = [
     "TextOptions",
     "check_output_path",
     "check_recording_target",
+    "choose_columns",
     "column_names",
     "convert",
     "open_stream",

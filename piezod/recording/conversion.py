@@ -1,14 +1,46 @@
 """Channels in the unit that a command wants, whatever multiple of it a file holds."""
 
-from collections.abc import Sequence
+import re
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
 
 from piezod.errors import RecordingError
 from piezod.recording.names import TIME, unit_of
-from piezod.recording.quantities import UNITS
+from piezod.recording.quantities import UNITS, column_of
 from piezod.recording.recording import Recording
+
+DEFAULTS = {"input": "voltage_V", "output": "force_N"}
+"""Channels that a model is identified on unless others are named."""
+
+ROLE_WORDS = {
+    "input": frozenset(
+        ["input", "in", "u", "v", "voltage", "spannung", "tension", "command", "cmd", "drive", "excitation", "stimulus"]
+    ),
+    "output": frozenset(
+        [
+            "output",
+            "out",
+            "y",
+            "force",
+            "kraft",
+            "response",
+            "position",
+            "pos",
+            "displacement",
+            "weg",
+            "travel",
+            "stroke",
+            "strain",
+            "measured",
+        ]
+    ),
+}
+"""Words in the names of columns that tell input and output."""
+
+NO_SIGNALS = ("time", "temperature", "current", "reference")
+"""Quantities that are neither input nor output unless they are named."""
 
 PREFIXES = {"n": 1e-9, "u": 1e-6, "m": 1e-3, "": 1.0, "k": 1e3, "M": 1e6}
 SCALED = ("V", "N")
@@ -62,6 +94,55 @@ def stored_column(path: Path, names: Sequence[str], wanted: str) -> tuple[str, f
     present = ", ".join(name for name in names if name != TIME)
     raise RecordingError(
         f"{path}: has no column {wanted}, has {present[:200]}; name one with --input or --output, or all with --columns"
+    )
+
+
+def choose_columns(path: Path, names: Sequence[str], given: Mapping[str, str | None]) -> tuple[str, str, list[str]]:
+    """Names of the input and the output that a model is identified on, where the user has not named both.
+
+    The voltage and the force, in any unit, come first. Else the names decide, or what is left beside the other one.
+
+    Parameters
+    ----------
+    path
+        The file, for messages.
+    names
+        Names of its columns.
+    given
+        `input` and `output` as the user named them; None: not named.
+
+    Returns
+    -------
+    input, output, notes
+        The names, and a line for each that was chosen by other than its default.
+
+    Raises
+    ------
+    RecordingError
+        The names do not tell which columns are meant; the message names the options.
+    """
+    free = [name for name in names if column_of(name).quantity not in NO_SIGNALS and name not in given.values()]
+    chosen = {role: name for role, name in given.items() if name is not None}
+    for role, default in DEFAULTS.items():
+        if role not in chosen and any(factor_to(default, name) for name in free):
+            chosen[role] = default
+            free = [name for name in free if not factor_to(default, name)]
+    defaults = dict(chosen)
+    for role, words in ROLE_WORDS.items():
+        named = [name for name in free if words & set(re.split(r"[\W_]+", name.lower()))]
+        if role not in chosen and len(named) == 1:
+            chosen[role] = named[0]
+            free.remove(named[0])
+    for role in DEFAULTS:
+        if role not in chosen and len(chosen) == 1 and len(free) == 1:
+            chosen[role] = free.pop()
+    for role, default in DEFAULTS.items():
+        if role not in chosen:
+            stored_column(path, names, default)
+    return (
+        chosen["input"],
+        chosen["output"],
+        [f"the {role} is {name}, else give --{role}" for role, name in chosen.items() if role not in defaults],
     )
 
 

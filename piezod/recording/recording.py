@@ -155,6 +155,7 @@ def check_time(source: str, time_s: Array, first: int = 0, before_s: float = -np
         k = 0 if at_first else int(np.argmax(backwards)) + 1
         now_s, then_s = float(time_s[k]), float(time_s[k - 1] if k else before_s)
         remedy = "write time with more digits" if now_s == then_s else "cut the file there"
+        remedy += ", or give --rate-Hz, where the samples are evenly spaced"
         raise RecordingError(
             f"{source}: time_s must strictly increase, sample {first + k} is at {now_s:.12g} s after {then_s:.12g} s; "
             f"{remedy}"

@@ -94,6 +94,8 @@ def is_own_csv(path: Path) -> bool:
         for _ in range(MOST_HEAD_LINES):
             line = file.readline(BLOCK)
             if not line or (line.strip() and not line.lstrip(b"\xef\xbb\xbf").startswith(b"#")):
+                if b'"' in file.readline(BLOCK):
+                    return False
                 cells = line.removeprefix(b"\xef\xbb\xbf").decode("latin-1").split(",")
                 return len(cells) > 1 and cells[0].strip() == TIME and all(cell.strip() for cell in cells)
     return False

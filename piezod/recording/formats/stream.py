@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from piezod.errors import RecordingError
 from piezod.recording.names import TIME
 from piezod.recording.recording import Recording
+from piezod.recording.time_stamps import TimeStamps
 
 Array = NDArray[np.float64]
 Table = dict[str, Array]
@@ -80,12 +81,29 @@ def read_all(stream: RecordingStream) -> Recording:
     RecordingError
         The file holds no samples, or its time does not strictly increase.
     """
-    parts = list(stream.chunks(stream.names, WHOLE_CHUNK))
+    parts = list(increasing(stream, stream.chunks(stream.names, WHOLE_CHUNK)))
     if not parts:
         raise RecordingError(f"{stream.path}: has a header but no samples")
     # Column by column, and each part is freed at once: the samples are never in memory twice.
     columns = {name: np.concatenate([part.pop(name) for part in parts]) for name in stream.names}
     return Recording(columns.pop(TIME), columns, stream.metadata, str(stream.path))
+
+
+def increasing(stream: RecordingStream, tables: Iterator[Table]) -> Iterator[Table]:
+    """The tables of a stream without repeated times; `metadata["time"]` then says what was changed.
+
+    Parameters
+    ----------
+    stream
+        The open file.
+    tables
+        Its tables, with the time among the columns.
+    """
+    stamps = TimeStamps()
+    for table in stamps.cleaned(tables, TIME):
+        if stamps.notes:
+            stream.metadata["time"] = "; ".join(stamps.notes)
+        yield table
 
 
 def check_claimed_size(path: Path, values: int) -> None:

@@ -8,7 +8,7 @@ line what was understood.
 import re
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from math import inf
+from math import inf, nan
 from pathlib import Path
 
 import numpy as np
@@ -129,6 +129,8 @@ class _Rows:
     def _value(self, k: int, cell: str, line: int) -> float:
         layout = self._layout
         try:
+            if k == layout.time and layout.interval_s is not None:
+                return nan
             if k == layout.time and layout.date_form is not None:
                 return clock_s(cell, layout.date_form, layout.first_day)
             return number(cell, layout.decimal, grouped=layout.grouped)
@@ -140,8 +142,7 @@ class _Rows:
 
     def _columns(self, table: Array) -> list[Array]:
         layout, rows = self._layout, table.shape[0]
-        if layout.time < 0:
-            assert layout.interval_s is not None
+        if layout.interval_s is not None:
             time_s = layout.interval_s * np.arange(self._samples, self._samples + rows)
         else:
             time_s = self._time_s(table[:, layout.time])

@@ -100,7 +100,7 @@ class Layout:
     first_day
         Ordinal of the first day, where the times have dates.
     interval_s
-        Sample interval [s] of a file without a column of time.
+        Sample interval [s], where the column of time is missing or not used; None: time is read from its column.
     metadata
         Keys and values of the preamble.
     notes
@@ -123,7 +123,7 @@ class Layout:
     def understood(self) -> str:
         """One line that says what was understood."""
         words = [SEPARATORS[self.separator], f"decimal {'comma' if self.decimal == ',' else 'point'}", self.encoding]
-        if self.time < 0:
+        if self.interval_s is not None:
             words.append(f"time from a sample interval of {self.interval_s:.9g} s")
         else:
             column = self.columns[self.time]
@@ -202,15 +202,18 @@ def _layout_of(path: Path, _changed_ns: int, _size: int, options: TextOptions) -
     columns = _columns(path, options, header, units, rows, width)
     time, date_form = _time(path, columns, rows, decimal)
     interval_s = None
-    if time >= 0:
+    interval_s = None
+    if options.rate_Hz:
+        interval_s, date_form = 1.0 / options.rate_Hz, None
+        if time >= 0:
+            notes.append(f"'{columns[time].written}' is not used, --rate-Hz is given")
+    elif time >= 0:
         columns = _with_time_unit(path, columns, time, rows, date_form, notes)
-    else:
-        interval_s = 1.0 / options.rate_Hz if options.rate_Hz else _interval(lines[:first], decimal)
-        if interval_s is None:
-            raise RecordingError(
-                f"{path}: has no column of time, has {', '.join(one.written for one in columns)[:120]}; "
-                "give --rate-Hz, or name the columns with --columns time_s,..."
-            )
+    elif (interval_s := _interval(lines[:first], decimal)) is None:
+        raise RecordingError(
+            f"{path}: has no column of time, has {', '.join(one.written for one in columns)[:120]}; "
+            "give --rate-Hz, or name the columns with --columns time_s,..."
+        )
     columns = tuple(_with_unit(one, notes) for one in columns)
     grouped = any(is_grouped(cell, decimal) for cells in rows for cell in cells)
     first_day = day_of(rows[0][time], date_form) if date_form else 0
@@ -237,7 +240,7 @@ def _table(path: Path, lines: Sequence[str], decimal: str) -> tuple[str, str, in
     for separator in SEPARATORS:
         marks = (",", ".") if separator == ";" else (".", ",")  # the first is taken where both read all rows
         for mark in (decimal,) if decimal else marks:
-            if separator == mark:
+            if separator == mark and not any('"' in line for line in lines):
                 continue
             rows, first, width = _rows(lines, separator, mark)
             if (rows, width) > best[:2]:

@@ -1,0 +1,103 @@
+"""Time stamps that a logger rounded or wrote twice."""
+
+from collections.abc import Iterator
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from piezod.recording.stretches import Array
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+FEWEST = 16
+"""Samples of a block in which repeated stamps can be understood; in fewer they are an error."""
+
+ROUNDED_SHARE = 0.1
+"""Share of repeated stamps from which time was rounded. Below it, a row was written twice."""
+
+EVENLY_WITHIN = 2.0
+"""Largest distance of a rounded stamp from evenly spaced times [resolutions]: rounding, and a late block."""
+
+
+class TimeStamps:
+    """Makes the time of consecutive blocks of samples strictly increasing where stamps are repeated.
+
+    Rounded stamps are spread over the resolution of the clock, evenly where the samples are even. Where a stamp
+    is repeated here and there, its first row stays. Stamps that fall are left as they are.
+    """
+
+    def __init__(self) -> None:
+        self._stamp_s = self._end_s = -np.inf
+        self._rounded_to_s = 0.0
+        self._left_out = 0
+
+    @property
+    def notes(self) -> list[str]:
+        """What was changed, a line each."""
+        notes = []
+        if self._rounded_to_s:
+            notes.append(f"time is rounded to {self._rounded_to_s:.3g} s, the samples are spread between the stamps")
+        if self._left_out:
+            notes.append(f"{self._left_out} samples with the time of the sample before are left out")
+        return notes
+
+    def cleaned(self, tables: Iterator[dict[str, Array]], time: str) -> Iterator[dict[str, Array]]:
+        """The tables with strictly increasing time.
+
+        Parameters
+        ----------
+        tables
+            Blocks of columns, shape (N,) each.
+        time
+            Name of the column of time [s].
+        """
+        for table in tables:
+            stamps_s = table[time]
+            repeated = np.diff(stamps_s, prepend=self._stamp_s) == 0.0
+            if stamps_s.size < FEWEST or not repeated.any() or not np.isfinite(stamps_s).all():
+                self._continue(stamps_s, stamps_s)
+                yield table
+            elif (np.diff(stamps_s) < 0.0).any():
+                yield table
+            elif self._rounded_to_s or np.count_nonzero(repeated) >= ROUNDED_SHARE * stamps_s.size:
+                times_s = self._spread(stamps_s)
+                self._continue(stamps_s, times_s)
+                yield {**table, time: times_s}
+            else:
+                self._left_out += int(np.count_nonzero(repeated))
+                kept = {name: values[~repeated] for name, values in table.items()}
+                self._continue(kept[time], kept[time])
+                yield kept
+
+    def _continue(self, stamps_s: Array, times_s: Array) -> None:
+        if stamps_s.size:
+            self._stamp_s, self._end_s = float(stamps_s[-1]), float(times_s[-1])
+
+    def _spread(self, stamps_s: Array) -> Array:
+        """Times between the stamps, evenly over the block where that agrees with them."""
+        steps_s = np.diff(stamps_s)
+        if not (steps_s > 0.0).any():
+            return stamps_s
+        resolution_s = float(steps_s[steps_s > 0.0].min())
+        self._rounded_to_s = max(self._rounded_to_s, resolution_s)
+        within = _within_runs(stamps_s, resolution_s)
+        if within[0] <= self._end_s:  # the run goes on from the block before
+            run = int(np.searchsorted(stamps_s, stamps_s[0], side="right"))
+            within[:run] = self._end_s + (stamps_s[0] + resolution_s - self._end_s) * np.arange(1, run + 1) / (run + 1)
+        count = np.arange(stamps_s.size)
+        slope, offset = np.polynomial.Polynomial.fit(count, within, 1).convert().coef[::-1]
+        even = offset + slope * count
+        if even[0] <= self._end_s:
+            even = self._end_s + (even[-1] - self._end_s) * (count + 1) / stamps_s.size
+        agrees = np.abs(even - within).max() <= EVENLY_WITHIN * resolution_s
+        return even if agrees else within
+
+
+def _within_runs(stamps_s: Array, resolution_s: float) -> Array:
+    """Each run of equal stamps spread over the resolution."""
+    starts = np.flatnonzero(np.diff(stamps_s, prepend=-np.inf) != 0.0)
+    lengths = np.diff(starts, append=stamps_s.size)
+    position: NDArray[np.int64] = np.arange(stamps_s.size) - np.repeat(starts, lengths)
+    spread: Array = stamps_s + resolution_s * position / np.repeat(lengths, lengths)
+    return spread

@@ -1,0 +1,55 @@
+"""Rounded and repeated time stamps."""
+
+import numpy as np
+import pytest
+
+from piezod.errors import RecordingError
+from piezod.recording import open_stream, read_recording
+
+
+def write(path, time_s, values=None, header="time_s,voltage_V,force_N"):
+    values = np.arange(time_s.size) if values is None else values
+    rows = [f"{t:.9g},{v:.9g},{2 * v:.9g}" for t, v in zip(time_s, values, strict=True)]
+    path.write_text(header + "\n" + "\n".join(rows) + "\n", encoding="utf-8")
+    return path
+
+
+@pytest.mark.parametrize("header", ["time_s,voltage_V,force_N", "Time [s],Voltage [V],Force [N]"])
+@pytest.mark.parametrize("rounding", [np.round, lambda t, n: np.floor(t * 10**n) / 10**n])
+@pytest.mark.parametrize("chunk", [50, 977, 65536])
+def test_rounded_stamps_of_even_samples_are_spread_within_two_resolutions(tmp_path, header, rounding, chunk):
+    true_s = 3.0 + np.arange(4000) / 3000.0
+    path = write(tmp_path / "rec.csv", rounding(true_s, 2), header=header)
+    pieces = list(open_stream(path, chunk=chunk))
+    found_s = np.concatenate([piece.time_s for piece in pieces])
+    assert found_s.size == true_s.size
+    assert (np.diff(found_s) > 0.0).all()
+    assert np.abs(found_s - true_s).max() < 0.02
+    assert "rounded to 0.01 s" in pieces[-1].metadata["time"]
+
+
+def test_evenly_spaced_samples_stay_evenly_spaced(tmp_path):
+    true_s = np.arange(5000) / 2000.0
+    recording = read_recording(write(tmp_path / "rec.csv", np.round(true_s, 2)))
+    assert recording.uniform
+    assert recording.dt_s == pytest.approx(1 / 2000.0, rel=1e-3)
+
+
+def test_rounded_stamps_with_a_pause_keep_the_pause(tmp_path):
+    true_s = np.concatenate([np.arange(1000) / 1000.0, 5.0 + np.arange(1000) / 1000.0])
+    recording = read_recording(write(tmp_path / "rec.csv", np.round(true_s, 2)))
+    assert np.abs(recording.time_s - true_s).max() < 0.02
+    assert (np.diff(recording.time_s) > 0.0).all()
+
+
+def test_a_row_that_was_written_twice_is_left_out_and_told(tmp_path):
+    time_s = np.insert(np.arange(1000) / 1000.0, 501, 0.5)
+    recording = read_recording(write(tmp_path / "rec.csv", time_s))
+    assert recording.time_s.size == 1000
+    assert "1 samples with the time of the sample before are left out" in recording.metadata["time"]
+
+
+@pytest.mark.parametrize("time_s", [np.tile(np.arange(500) / 1000.0, 2), np.zeros(200), np.array([0.0, 1.0, 1.0])])
+def test_time_that_falls_or_stands_is_refused_with_the_option(tmp_path, time_s):
+    with pytest.raises(RecordingError, match="--rate-Hz"):
+        read_recording(write(tmp_path / "rec.csv", time_s))
