@@ -39,7 +39,7 @@ class TimeStamps:
         if self._rounded_to_s:
             notes.append(f"time is rounded to {self._rounded_to_s:.3g} s, the samples are spread between the stamps")
         if self._left_out:
-            notes.append(f"{self._left_out} samples with the time of the sample before are left out")
+            notes.append(f"samples with the time of the sample before, left out: {self._left_out}")
         return notes
 
     def cleaned(self, tables: Iterator[dict[str, Array]], time: str) -> Iterator[dict[str, Array]]:

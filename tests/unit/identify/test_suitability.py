@@ -60,10 +60,6 @@ REFUSED = {
     "constant force": (rows(U, 0 * Y + 3.0), "force_N is constant at 3; record triangles"),
     "force that is nowhere": (rows(U, np.nan * Y), "force_N holds no number at all"),
     "voltage that is nowhere": (rows(np.nan * U, Y), "voltage_V holds no number at all"),
-    "time that stands": (
-        rows(U, Y, but(TIME_S, 700, TIME_S[699])),
-        "sample 700 is at 13.98 s after 13.98 s; write time",
-    ),
     "time that steps back": (rows(U, Y, but(TIME_S, 700, 3.0)), "must strictly increase, sample 700 is at 3 s after"),
     "time that is nowhere": (
         rows(U, Y, but(TIME_S, 700, np.nan)),
@@ -82,10 +78,14 @@ REFUSED = {
         rows(np.where(np.arange(U.size) % 80 < 40, U, np.nan), Y),
         "there for 40 samples at a stretch",
     ),
-    "no force": (rows(U, Y, names="time_s,voltage_V,strain_um"), "has no column force_N, has voltage_V, strain_um"),
+    "no force": (
+        rows(U, Y, names="time_s,voltage_V,temperature_C"),
+        "has no column force_N, has voltage_V, temperature",
+    ),
 }
 
 WARNED = {
+    "time that stands": (rows(U, Y, but(TIME_S, 700, TIME_S[699])), "time of the sample before, left out: 1"),
     "kV": (rows(U / 1000, Y), "voltage_V reaches 0.14 V, a piezo amplifier drives 5 to 1500 V: is it kV? Then name"),
     "mV": (rows(U * 1000, Y), "voltage_V reaches 1.4e+05 V, a piezo amplifier drives 5 to 1500 V: is it mV? Then name"),
     "mN": (rows(U, Y * 1e5), "is it mN? Then name the column force_mN"),

@@ -46,7 +46,7 @@ def test_a_row_that_was_written_twice_is_left_out_and_told(tmp_path):
     time_s = np.insert(np.arange(1000) / 1000.0, 501, 0.5)
     recording = read_recording(write(tmp_path / "rec.csv", time_s))
     assert recording.time_s.size == 1000
-    assert "1 samples with the time of the sample before are left out" in recording.metadata["time"]
+    assert "samples with the time of the sample before, left out: 1" in recording.metadata["time"]
 
 
 @pytest.mark.parametrize("time_s", [np.tile(np.arange(500) / 1000.0, 2), np.zeros(200), np.array([0.0, 1.0, 1.0])])
