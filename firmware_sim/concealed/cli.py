@@ -11,6 +11,7 @@ from firmware_sim.concealed.plant.foreign import FOREIGN
 from firmware_sim.concealed.scoring.report import as_json, as_text
 from firmware_sim.concealed.scoring.study_score import score_study
 from firmware_sim.concealed.study.catalogue import ENTRIES
+from firmware_sim.concealed.study.families import FAMILIES
 from firmware_sim.concealed.study.make import make
 from firmware_sim.concealed.study.plan import KINDS
 
@@ -42,6 +43,7 @@ def _make(options: argparse.Namespace) -> None:
         kind=options.kind,
         effect=options.effect,
         strength=options.strength,
+        families=tuple(FAMILIES) if options.family == "each" else (options.family,),
         jobs=options.jobs,
         progress=_show if sys.stderr.isatty() else None,
     )
@@ -72,6 +74,12 @@ def _parser() -> argparse.ArgumentParser:
         type=float,
         metavar="X",
         help="strength of the effects [noise rms] (default: 0.8, 4 and 20 in turn)",
+    )
+    maker.add_argument(
+        "--family",
+        choices=(*FAMILIES, "each"),
+        default="",
+        help="plants of one family, or of each in turn (default: laws drawn for each case)",
     )
     maker.add_argument("--jobs", type=int, default=1, help="number of processes")
     scorer = verbs.add_parser("score", help="open the sealed truth and score the findings")

@@ -30,6 +30,12 @@ def blind_make(
     strength: Annotated[
         float | None, typer.Option(metavar="X", help="Strength relative to the noise; default: 0.8, 4 and 20 in turn.")
     ] = None,
+    family: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME", help="Laws of the plants: preisach, bouc_wen, plays, interpolated, or each in turn."
+        ),
+    ] = None,
     jobs: Annotated[int | None, typer.Option(min=1, help="Number of processes; default: one per core.")] = None,
 ) -> None:
     """Draw cases from a simulated plant that shares no code with this program, and seal the truth."""
@@ -37,7 +43,14 @@ def blind_make(
     from piezod.blind.study import make_study
     from piezod.report.progress import steps
 
-    options = {"seed": seed, "kind": kind, "effect": effect, "strength": strength, "jobs": jobs or core_count()}
+    options = {
+        "seed": seed,
+        "kind": kind,
+        "effect": effect,
+        "strength": strength,
+        "family": family,
+        "jobs": jobs or core_count(),
+    }
     with steps() as show:
         make_study(directory, cases, options, lambda drawn: show("drawing", drawn / cases))
     print(f"{directory}: {cases} cases, truth sealed")

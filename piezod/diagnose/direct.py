@@ -1,4 +1,4 @@
-"""Tests of their own for what leaves a mark in the readings: frozen stretches, a lattice, lines."""
+"""Tests of their own for what leaves a mark in the readings: noise, lines, the skew of the clocks."""
 
 import itertools
 from dataclasses import dataclass
@@ -11,12 +11,6 @@ from piezod.diagnose.series import Series
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-FROZEN_SAMPLES = 8  # equal readings in a row that noise does not make, while the model moves
-REPEATED = 0.05  # share of readings equal to the one before, below which noise never repeats one for long
-REPEATED_AT_REST = 0.5  # the same where the command rests: more of them may be how this bench reads
-FROZEN_MOVES = 6.0  # by how many noises the model moves meanwhile
-LEAP, FAR = 1.5, 2.5  # steps of a coarse lattice
-LATE = 0.25  # of a stretch on a coarse lattice, at its end
 LINE_OVER_MEDIAN = 30.0  # power of a line over the median of its surroundings; exponential noise reaches 18 in 1e6 bins
 PEAK_PARTS_S, SAME_PEAK = (4.0, 0.5, 0.25), 0.1  # of a recording, averaged; of a frequency
 SURROUNDINGS, ABOUT = 101, 20  # bins; on either side of a tone
@@ -44,58 +38,6 @@ def noise_of(u: Array, y: Array, good: NDArray[np.bool_]) -> float:
     quiet = usable & (drive <= np.percentile(drive[usable], 50))
     spread = 1.4826 * float(np.median(np.abs(bends[quiet]))) / float(np.sqrt(6.0))
     return max(spread, 2e-5 * float(np.ptp(y[good])), 1e-12)
-
-
-def frozen_stretches(series: Series, model_N: Array) -> list[tuple[int, int]]:
-    """Stretches (first, end) in which the reading stands still to the last bit though the model moves, or noise does.
-
-    On a coarse lattice not those at the lowest or highest reading: there the force itself may have met a limit. Nor
-    those that a slow reading makes on it: what was frozen leaps to where the force is by then, what is slow goes on
-    by a step of the lattice. Nor those through which the model rests until shortly before their end: the force went on
-    then, and its reading was late.
-    """
-    same = np.concatenate(([False], np.diff(series.reading_N) == 0.0, [False]))
-    edges = np.flatnonzero(np.diff(same.astype(np.int8)))
-    stretches = [(int(a), int(b) + 1) for a, b in zip(edges[::2], edges[1::2], strict=True)]
-    shortest = max(FROZEN_SAMPLES, 4 * _usual_run(stretches))
-    proved = _never_repeats(series, same[1:-1], [end - first for first, end in stretches if end - first < shortest])
-    moves_N = -1.0 if proved else FROZEN_MOVES * max(series.noise_N, series.lattice_N)
-    readings = series.reading_N[series.counts]
-    limits = float(readings.min()), float(readings.max())
-    coarse = series.lattice_N > series.noise_N
-    found = [
-        (first, end)
-        for first, end in stretches
-        if end - first >= shortest
-        and np.ptp(model_N[first : end - int(LATE * (end - first)) if coarse else end]) > moves_N
-        and not (coarse and series.reading_N[first] in limits)
-    ]
-    return _leaping(series, model_N, found) if coarse else found
-
-
-def _leaping(series: Series, model_N: Array, stretches: list[tuple[int, int]]) -> list[tuple[int, int]]:
-    """Those that end in a leap, and where some do the others too, unless one of them is surely a slow reading."""
-    y, step_N = series.reading_N, series.lattice_N
-    ended = [(first, end) for first, end in stretches if end < y.size]
-    leaps = [(first, end) for first, end in ended if abs(y[end] - y[first]) > LEAP * step_N]
-    slow = [one for one in ended if one not in leaps and abs(model_N[one[1]] - model_N[one[0]]) > FAR * step_N]
-    return stretches if leaps and not slow else leaps
-
-
-def _never_repeats(series: Series, same: Mask, short: list[int]) -> bool:
-    """Whether a reading hardly ever comes twice in a row, not where the command rests either: noise sees to that.
-
-    `same`: which readings equal the one before; `short`: lengths of the runs of them that are no stretch.
-    """
-    resting = np.diff(series.command_V) == 0.0
-    at_rest = float(same[resting].mean()) if resting.any() else 0.0
-    return sum(short) - len(short) < REPEATED * same.size and at_rest < REPEATED_AT_REST
-
-
-def _usual_run(stretches: list[tuple[int, int]]) -> int:
-    """Length that runs of equal readings have on a coarse lattice anyway."""
-    lengths = np.array([end - first for first, end in stretches if end - first > 1])
-    return int(np.percentile(lengths, 90)) if lengths.size > 50 else 1
 
 
 def lines(series: Series, residual_N: Array, most: int = 6) -> list[Line]:

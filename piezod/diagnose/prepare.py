@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 
 from piezod.diagnose.basis import ForceLaw, PlayDensity
 from piezod.diagnose.chain import Chain, Point, empty_point
-from piezod.diagnose.direct import frozen_stretches, noise_of
+from piezod.diagnose.direct import noise_of
+from piezod.diagnose.frozen import frozen_stretches, still_stretches
 from piezod.diagnose.lattice import lattice_step_N
 from piezod.diagnose.series import Role, Series
 from piezod.errors import RecordingError
@@ -310,7 +311,7 @@ def without_frozen(series: Series, model: Model) -> tuple[Series, list[tuple[int
     operator = model.hysteresis.operator()
     operator.run(np.array(series.path_V))
     expected = operator.run(series.command_V)
-    stretches = frozen_stretches(series, expected)
+    stretches = frozen_stretches(series, expected) or still_stretches(series, expected)
     counts = series.counts.copy()
     for first, end in stretches:
         counts[first + 1 : end] = False

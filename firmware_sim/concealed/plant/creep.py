@@ -4,7 +4,9 @@ The laws of J are closed forms, derived for this plant:
 
 - `logarithmic`: log10(1 + t/a) - log10(1 + t/b);
 - `fractional`: (1 + t/a)^p - 1, levelling off at b;
-- `stretched`: 1 - exp(-(t/c)^q).
+- `stretched`: 1 - exp(-(t/c)^q);
+- `kelvin`: three elements 1 - exp(-t/c), a decade or more between them;
+- `diffusion`: the square root of t, which levels off at b as heat or moisture does in a plate.
 
 J is scaled to a slope of 1 per decade, fitted between `from_s` and `to_s`. The convolution uses fast Fourier
 transforms; there is no chain of relaxation elements.
@@ -18,6 +20,7 @@ import numpy as np
 from firmware_sim.concealed.plant.arrays import Array
 
 LAWS = ("logarithmic", "fractional", "stretched")
+OTHER_LAWS = ("kelvin", "diffusion")
 BEYOND = 2.0  # a = from_s / BEYOND, b = to_s * BEYOND: the slope holds up to the ends of the span
 CLIMB_DECADES = 1.34  # a stretched exponential rises from 10 to 90 % within CLIMB_DECADES / q decades
 
@@ -30,7 +33,7 @@ def curve(law: str, shape: float, from_s: float, to_s: float) -> Curve:
     Parameters
     ----------
     law
-        One of `LAWS`.
+        One of `LAWS` or `OTHER_LAWS`.
     shape
         Sets the exponent of the fractional law and the middle of the stretched one, 0 to 1; the logarithmic law has
         none.
@@ -89,6 +92,11 @@ def _raw(law: str, shape: float, a: float, b: float) -> Curve:
     if law == "fractional":
         power = 0.03 + 0.07 * shape
         return lambda t: (1.0 + t / (a * (1.0 + t / b))) ** power - 1.0
+    if law == "kelvin":
+        times_s = np.geomspace(2.0 * a, 0.5 * b, 3)
+        return lambda t: -np.expm1(-t[..., None] / times_s).sum(axis=-1)
+    if law == "diffusion":
+        return lambda t: np.sqrt(np.tanh(t / b))
     decades = math.log10(b / a) + 0.6
     middle_s = a * (b / a) ** (0.55 + 0.15 * shape)
     return lambda t: -np.expm1(-((t / middle_s) ** (CLIMB_DECADES / decades)))

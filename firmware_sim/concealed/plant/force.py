@@ -4,7 +4,7 @@ import numpy as np
 
 from firmware_sim.concealed.plant.arrays import Array
 from firmware_sim.concealed.plant.force_law import ForceLaw, amount_for_curvature, bend, contact
-from firmware_sim.concealed.plant.friction import friction_force
+from firmware_sim.concealed.plant.friction import dahl_friction, friction_force, lugre_friction, maxwell_slip
 from firmware_sim.concealed.plant.linear import cascade, first_order, respond, second_order
 from firmware_sim.concealed.plant.record_context import RecordContext, Signal
 from firmware_sim.concealed.plant.sampling import tone, wander
@@ -57,12 +57,21 @@ def _bend_and_contact(context: RecordContext, force_N: Array) -> Array:
 
 
 def _subtract_friction(context: RecordContext, force_N: Array) -> Array:
-    """Force less the friction [N]."""
+    """Force less the friction, or with it where the load cell stands in front of the guide [N]."""
     on = context.on("friction")
     if on is None:
         return force_N
-    given = on.parameters
-    return force_N - friction_force(force_N, given["force_N"], given["presliding_N"], on.number("break_away"))
+    given, law = (on.parameters["force_N"], on.parameters["presliding_N"]), on.details.get("law", "elasto_plastic")
+    if law == "dahl":
+        friction_N = dahl_friction(force_N, *given)
+    elif law == "maxwell":
+        friction_N = maxwell_slip(force_N, *given, int(on.number("seed")))
+    elif law == "lugre":
+        fine_s = context.drive.fine_s
+        friction_N = lugre_friction(force_N, *given, on.number("static"), on.number("slow_N_per_s"), fine_s)
+    else:
+        friction_N = friction_force(force_N, *given, on.number("break_away"))
+    return force_N + friction_N if on.details.get("in_front") else force_N - friction_N
 
 
 def _add_thermal_drift(context: RecordContext, force_N: Array) -> Array:

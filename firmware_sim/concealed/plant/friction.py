@@ -13,7 +13,10 @@ import numpy as np
 from numba import njit
 
 from firmware_sim.concealed.plant.arrays import Array
+from firmware_sim.concealed.plant.stops import Stops
 
+LAWS = ("elasto_plastic", "dahl", "maxwell", "lugre")
+ELEMENTS = 15  # of Maxwell slip
 LONGEST_PART = 0.02  # [presliding travel]; a longer step is split
 REACHED = 1.0 - np.exp(-1.0)
 CURVE_POINTS = 4000
@@ -34,6 +37,67 @@ def friction_force(force_N: Array, coulomb_N: float, presliding_N: float, break_
         Share of the limit up to which the friction is elastic, 0 to 1.
     """
     result: Array = coulomb_N * _run(force_N / presliding_N, stiffness(break_away), break_away)
+    return result
+
+
+def dahl_friction(force_N: Array, coulomb_N: float, presliding_N: float) -> Array:
+    """Friction after Dahl, dz/dx = 1 - z sgn(dx), shape (n,) [N].
+
+    Source: Dahl (1968), A Solid Friction Model, DTIC ADA041920.
+
+    Parameters
+    ----------
+    force_N, coulomb_N, presliding_N
+        As for `friction_force`.
+    """
+    result: Array = coulomb_N * _slide(force_N / presliding_N, np.ones(1))
+    return result
+
+
+def lugre_friction(
+    force_N: Array, coulomb_N: float, presliding_N: float, static: float, slow_N_per_s: float, dt_s: float
+) -> Array:
+    """Friction whose limit falls from `static` to 1 with the speed (Stribeck), shape (n,) [N].
+
+    Source: Canudas de Wit, Olsson, Astrom, Lischinsky (1995), A new model for control of systems with friction,
+    doi:10.1109/9.376053, without damping.
+
+    Parameters
+    ----------
+    force_N, coulomb_N, presliding_N
+        As for `friction_force`.
+    static
+        Limit at rest over the limit in motion [1], at least 1.
+    slow_N_per_s
+        Speed, in force, at which the limit has fallen to 1/e of the way [N/s].
+    dt_s
+        Spacing of the grid [s].
+    """
+    speed = np.abs(np.diff(force_N, prepend=force_N[0])) / dt_s
+    limit = 1.0 + (static - 1.0) * np.exp(-((speed / slow_N_per_s) ** 2))
+    result: Array = coulomb_N * _slide(force_N / presliding_N, limit)
+    return result
+
+
+def maxwell_slip(force_N: Array, coulomb_N: float, presliding_N: float, seed: int) -> Array:
+    """Friction of elements that stick to their limit and then slip, shape (n,) [N].
+
+    Source: Lampaert, Al-Bender, Swevers (2003), A generalized Maxwell-slip friction model, doi:10.1109/PHYCON.2003.
+
+    Parameters
+    ----------
+    force_N, coulomb_N, presliding_N
+        As for `friction_force`.
+    seed
+        Seed of the elements' limits.
+    """
+    rng = np.random.Generator(np.random.PCG64(seed))
+    widths = np.sort(rng.uniform(0.05, 2.5, ELEMENTS))
+    weights = rng.uniform(0.5, 1.5, ELEMENTS) * np.exp(-widths)
+    weights /= weights @ widths
+    travel = np.linspace(0.0, 4.0, CURVE_POINTS)
+    reached = float(np.interp(REACHED, np.minimum(travel[:, None], widths) @ weights, travel))
+    result: Array = coulomb_N * Stops(widths, weights, 0.0).run(force_N / presliding_N * reached)
     return result
 
 
@@ -62,6 +126,21 @@ def _run(x: Array, slope: float, break_away: float) -> Array:
             for _ in range(parts):
                 half = z + 0.5 * part * slope * _yielding(z, part, break_away)
                 z += part * slope * _yielding(half, part, break_away)
+        out[k] = z
+    return out
+
+
+@njit(cache=True)
+def _slide(x: Array, limit: Array) -> Array:
+    """State of Dahl's equation over a travel; `limit` of shape (1,) is the same everywhere."""
+    out = np.empty(x.size)
+    z, last = 0.0, x[0]
+    for k in range(x.size):
+        travel = x[k] - last
+        last = x[k]
+        if travel != 0.0:
+            end = (limit[k] if limit.size > 1 else limit[0]) * (1.0 if travel > 0.0 else -1.0)
+            z = end + (z - end) * np.exp(-abs(travel) / abs(end))
         out[k] = z
     return out
 

@@ -41,6 +41,11 @@ class Everett:
     by_bias: Array
     virgin: Array
 
+    def widened(self, factor: float) -> "Everett":
+        """The same with relays that are wider by a factor, scaled to the same end."""
+        d = np.linspace(0.0, 2.0 * self.reach_V, WIDTH_POINTS)
+        return _of_width(self.reach_V, np.interp(d / factor, d, self.by_width))
+
     def run(self, voltage_V: Array) -> Array:
         """Output over an input from the demagnetised state, shape (n,) [V]."""
         result: Array = _run(self.reach_V, self.by_width, self.by_bias, self.virgin, voltage_V)

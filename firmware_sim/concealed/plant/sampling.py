@@ -6,6 +6,8 @@ import numpy as np
 
 from firmware_sim.concealed.plant.arrays import Array
 
+DROPOUTS = ("exact", "noisy", "rail")
+RAIL = 1.25  # full scale of the converter [full force]
 NEAR = 1e-6  # [grid steps]; a position this close to a point is on the point
 
 
@@ -130,6 +132,23 @@ def frozen(values: Array, time_s: Array, spans_s: Sequence[tuple[float, float]])
     for start_s, end_s in spans_s:
         first, end = np.searchsorted(time_s, [start_s - 1e-9, end_s - 1e-9])
         result[first:end] = values[max(first - 1, 0)]
+    return result
+
+
+def at_rail(values: Array, time_s: Array, spans_s: Sequence[tuple[float, float]], rail: float) -> Array:
+    """Readings that stand at a rail during given spans (start, end) [s], shape (n,).
+
+    Parameters
+    ----------
+    values, time_s, spans_s
+        As for `frozen`.
+    rail
+        Reading at the rail.
+    """
+    result = values.copy()
+    for start_s, end_s in spans_s:
+        first, end = np.searchsorted(time_s, [start_s - 1e-9, end_s - 1e-9])
+        result[first:end] = rail
     return result
 
 

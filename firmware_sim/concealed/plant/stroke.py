@@ -6,8 +6,11 @@ from firmware_sim.concealed.plant.amplifier import clamp, slew, swelling_lag
 from firmware_sim.concealed.plant.arrays import Array
 from firmware_sim.concealed.plant.creep import creep_response, curve
 from firmware_sim.concealed.plant.hysteresis import Hysteresis
-from firmware_sim.concealed.plant.record_context import RecordContext, Signal
+from firmware_sim.concealed.plant.linear import first_order, respond
+from firmware_sim.concealed.plant.record_context import Effect, RecordContext, Signal
 
+RATE_LAWS = ("logarithmic", "linear", "filtered", "mixture")
+WIDER = 1.6  # widths of the second operator of a mixture over those of the first
 DRIFT_SHAPES = ("bent", "logarithmic", "sigmoid")
 SLEW_TAU = 0.02  # time constant below the slew limit [samples]
 
@@ -51,8 +54,12 @@ def hysteretic_stroke(context: RecordContext, core: Hysteresis, noncongruent: Hy
     """
     voltage_V, widening, other = voltage.values, None, None
     if on := context.on("rate_dependent_hysteresis"):
-        rate = _rate_V_per_s(context, voltage_V) / on.parameters["reference_V_per_s"]
-        widening = 1.0 + on.parameters["growth"] * np.arcsinh(rate)
+        grown = on.parameters["growth"] * _rate_measure(context, on, voltage_V)
+        if on.details.get("law") == "mixture":
+            other = core.lagging(voltage_V)
+            other = other + grown * (core.widened(WIDER).lagging(voltage_V) - other)
+        else:
+            widening = 1.0 + grown
     if on := context.on("noncongruent_minor_loops"):
         share = on.parameters["share"]
         other = (1.0 - share) * core.lagging(voltage_V, widening) + share * noncongruent.lagging(voltage_V)
@@ -103,6 +110,17 @@ def drift_progress(shape: str, bend: float, part: Array) -> Array:
     steep = 0.5 + 3.0 * bend
     sigmoid: Array = 0.5 + 0.5 * np.tanh(steep * (part - 0.5)) / np.tanh(0.5 * steep)
     return sigmoid
+
+
+def _rate_measure(context: RecordContext, on: Effect, voltage_V: Array) -> Array:
+    """Function of the rate that the widths grow with, shape (n,) [1]."""
+    rate, law = _rate_V_per_s(context, voltage_V), on.details.get("law", "logarithmic")
+    if law == "linear":
+        return rate / on.number("fastest_V_per_s")
+    if law == "filtered":
+        rate = respond(first_order(on.number("memory_s")), rate, context.drive.fine_s, held=False)
+    result: Array = np.arcsinh(rate / on.parameters["reference_V_per_s"])
+    return result
 
 
 def _rate_V_per_s(context: RecordContext, voltage_V: Array) -> Array:

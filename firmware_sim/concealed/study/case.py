@@ -95,15 +95,18 @@ class Case:
         """Readings with noise, shape (n,) [N]."""
         active = self.active(record)
         rng = np.random.Generator(np.random.PCG64(record.seed + 1))
-        count, noise = record.drive.voltage_V.size, self.noise
+        count, noise, dropout = record.drive.voltage_V.size, self.noise, active.get("sensor_dropout")
+        manner = "" if dropout is None else dropout.details.get("manner", "exact")
         reading = self.plant.reading_N(record.drive, active, record.seed)
+        if dropout is not None and manner == "noisy":  # the electronics behind the sensor go on
+            reading = sampling.frozen(reading, record.drive.time_s, frozen_spans(dropout))
         reading = reading + sampling.noise(rng, count, noise.rms_N, noise.kind, record.drive.rate_Hz, noise.corner_Hz)
         if on := active.get("quantisation"):
             reading = sampling.quantised(reading, on.parameters["step_N"])
         elif noise.step_N > 0.0:
             reading = sampling.quantised(reading, noise.step_N)
-        if on := active.get("sensor_dropout"):
-            reading = sampling.frozen(reading, record.drive.time_s, frozen_spans(on))
+        if dropout is not None and manner != "noisy":
+            reading = dropped_out(reading, record.drive.time_s, dropout, self.plant.law.full_N)
         return reading
 
     def repeatable_N(self, record: Record) -> Array:
@@ -115,6 +118,24 @@ class Case:
         """Readings of the temperature channel, shape (n,) [degC]."""
         rng = np.random.Generator(np.random.PCG64(record.seed + 2))
         return record.drive.temperature_C + TEMPERATURE_NOISE_K * rng.normal(0.0, 1.0, record.drive.voltage_V.size)
+
+
+def dropped_out(reading_N: Array, time_s: Array, dropout: Effect, full_N: float) -> Array:
+    """Readings that stand still, or at the rail, while the sensor drops out, shape (n,) [N].
+
+    Parameters
+    ----------
+    reading_N, time_s
+        Readings and their times, shape (n,) [N, s].
+    dropout
+        Effect `sensor_dropout`.
+    full_N
+        Force range of the plant [N].
+    """
+    spans_s = frozen_spans(dropout)
+    if dropout.details.get("manner") == "rail":
+        return sampling.at_rail(reading_N, time_s, spans_s, sampling.RAIL * full_N)
+    return sampling.frozen(reading_N, time_s, spans_s)
 
 
 def effects_in(effects: Mapping[str, Effect], record: str) -> dict[str, Effect]:

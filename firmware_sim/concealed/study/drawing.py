@@ -12,10 +12,11 @@ from firmware_sim.concealed.plant.force_law import ForceLaw
 from firmware_sim.concealed.plant.foreign import FOREIGN
 from firmware_sim.concealed.plant.hysteresis import Hysteresis, Kind, draw_hysteresis, draw_noncongruent
 from firmware_sim.concealed.plant.record_context import Effect
-from firmware_sim.concealed.plant.sampling import frozen, quantised
-from firmware_sim.concealed.study.case import Case, Noise, Record, effects_in
-from firmware_sim.concealed.study.catalogue import ENTRIES, frozen_spans, places
+from firmware_sim.concealed.plant.sampling import quantised
+from firmware_sim.concealed.study.case import Case, Noise, Record, dropped_out, effects_in
+from firmware_sim.concealed.study.catalogue import ENTRIES, places
 from firmware_sim.concealed.study.entry import COME_SINCE, RAMP_SAMPLES, Context, Entry
+from firmware_sim.concealed.study.families import FAMILIES
 from firmware_sim.concealed.study.strength import VisibleDifference, find_scale
 
 STRENGTHS = (0.8, 4.0, 20.0)  # [noise rms]
@@ -49,12 +50,15 @@ class CaseSpec:
         Strength of each effect [noise rms]; replaced by another one where it is not plausible.
     noise
         `white`, `coloured` or `quantised`.
+    family
+        One of `FAMILIES`; empty: laws drawn for each case.
     """
 
     kind: str
     names: tuple[str, ...]
     strengths: tuple[float, ...]
     noise: str
+    family: str = ""
 
 
 def draw_case(spec: CaseSpec, seed: np.random.SeedSequence) -> Case:
@@ -84,6 +88,7 @@ class _Attempt:
 
     def __init__(self, spec: CaseSpec, rng: np.random.Generator, *, strict: bool) -> None:
         self._spec, self._rng, self._strict = spec, rng, strict
+        self._family = FAMILIES.get(spec.family)
         self._rate_Hz = float(rng.choice(RATES_HZ, p=RATE_SHARES))
         self._reach_V = round(rng.uniform(60.0, 200.0), 1)
         self._full_N = float(np.exp(rng.uniform(np.log(50.0), np.log(2000.0))))
@@ -124,6 +129,7 @@ class _Attempt:
         shows = "thermal_drift" in effects or bool(self._rng.random() < 0.2)
         truth: dict[str, object] = {
             "kind": self._spec.kind,
+            "family": self._spec.family,
             "effects": list(truths),
             "noise": asdict(self._noise),
             "hysteresis": {
@@ -169,7 +175,8 @@ class _Attempt:
         shares = (0.45, 0.35, 0.2)
         if "rate_dependent_hysteresis" in self._spec.names:
             kinds, shares = ("plays", "plays", "bouc_wen"), (0.4, 0.3, 0.3)
-        core = draw_hysteresis(rng, kinds[int(rng.choice(3, p=shares))], self._reach_V)
+        kind = kinds[int(rng.choice(3, p=shares))]
+        core = draw_hysteresis(rng, self._family.hysteresis if self._family else kind, self._reach_V)
         law = ForceLaw(self._full_N, rng.uniform(-0.2, 0.25), rng.uniform(-0.06, 0.12))
         return Plant(core, draw_noncongruent(rng, self._reach_V), law)
 
@@ -191,7 +198,7 @@ class _Attempt:
         if on := effects.get("quantisation"):
             reading = quantised(reading, on.parameters["step_N"])
         if on := effects.get("sensor_dropout"):
-            reading = frozen(reading, record.drive.time_s, frozen_spans(on))
+            reading = dropped_out(reading, record.drive.time_s, on, self._full_N)
         return reading
 
     def _effect(
@@ -223,6 +230,8 @@ class _Attempt:
             entry = ENTRIES[name]
             low, high = entry.bounds(context)
             drawn = entry.draw(self._rng, context)
+            if self._family:
+                drawn = drawn[0], drawn[1] | self._family.details(name, self._rng, context)
         measure = _measure(visible, name, scope)
 
         def shows_N(scale: float) -> float:
@@ -238,9 +247,10 @@ class _Attempt:
         raw_N = visible.after_gain_and_offset_N(reading)
         if name in FOREIGN and visible.after_neighbours_N(reading) < FOREIGNNESS * raw_N:
             return None
+        not_compared = self._family.not_compared.get(name, ()) if self._family else ()
         truth: dict[str, object] = {
             "name": name,
-            "parameters": effect.parameters,
+            "parameters": {key: value for key, value in effect.parameters.items() if key not in not_compared},
             "details": effect.details,
             "scope": scope,
             "strength": strength,

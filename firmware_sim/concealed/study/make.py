@@ -28,6 +28,7 @@ def make(
     kind: str = "all",
     effect: str | None = None,
     strength: float | None = None,
+    families: Sequence[str] = ("",),
     jobs: int = 1,
     progress: Callable[[int, int], None] | None = None,
 ) -> None:
@@ -41,7 +42,7 @@ def make(
         Number of cases.
     seed
         Seed of the study; None draws one from the operating system.
-    kind, effect, strength
+    kind, effect, strength, families
         See `plan.case_specs`.
     jobs
         Number of processes.
@@ -57,7 +58,7 @@ def make(
         raise StudyError(f"{directory}: has a study already; take another directory")
     entropy = np.random.SeedSequence(seed)
     plan, *children = entropy.spawn(cases + 1)
-    planned = case_specs(np.random.Generator(np.random.PCG64(plan)), cases, kind, effect, strength)
+    planned = case_specs(np.random.Generator(np.random.PCG64(plan)), cases, kind, effect, strength, families)
     (directory / "sealed").mkdir(parents=True, exist_ok=True)
     names = [f"case_{k:04d}" for k in range(1, cases + 1)]
     truths = {}

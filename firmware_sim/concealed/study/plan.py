@@ -1,5 +1,6 @@
 """Plan of a study: the number of nulls, singles, pairs, triples and foreign cases, and their effects."""
 
+from collections.abc import Sequence
 from typing import Generic, TypeVar
 
 import numpy as np
@@ -16,7 +17,12 @@ WITH_COMPANION = 0.2  # share of the foreign cases with a catalogue effect besid
 
 
 def case_specs(
-    rng: np.random.Generator, cases: int, kind: str, effect: str | None, strength: float | None
+    rng: np.random.Generator,
+    cases: int,
+    kind: str,
+    effect: str | None,
+    strength: float | None,
+    families: Sequence[str] = ("",),
 ) -> list[CaseSpec]:
     """Specifications of the cases of a study, in random order.
 
@@ -32,16 +38,18 @@ def case_specs(
         Effect of every case except nulls; None: every effect in turn.
     strength
         Strength of the effects [noise rms]; None: every one of `STRENGTHS` in turn.
+    families
+        Families of the plants, in turn; empty text: laws drawn for each case.
     """
     kinds = _kinds(cases) if kind == "all" else [kind] * cases
     catalogue, foreign = _Turns(rng, tuple(ENTRIES)), _Turns(rng, tuple(FOREIGN))
     strengths, noises = {name: _Turns(rng, STRENGTHS) for name in (*ENTRIES, *FOREIGN)}, tuple(NOISE_SHARES)
     result = []
-    for each in kinds:
+    for number, each in enumerate(kinds):
         names = _names(rng, each, catalogue, foreign, effect)
         chosen = tuple(strengths[name].next() if strength is None else strength for name in names)
         noise = str(rng.choice(noises, p=list(NOISE_SHARES.values())))
-        result.append(CaseSpec(each, names, chosen, noise))
+        result.append(CaseSpec(each, names, chosen, noise, families[number % len(families)]))
     return [result[k] for k in rng.permutation(cases)]
 
 

@@ -1,0 +1,73 @@
+"""Families of plants, which differ in what they are: the law of the hysteresis, and of each effect that has several.
+
+A rule of a diagnosis is chosen on some families and judged on another one. The laws stand in `plant/`.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from firmware_sim.concealed.plant.hysteresis import Kind
+from firmware_sim.concealed.study.entry import Context
+
+RATE_MEMORY_S = (0.001, 0.01)
+STRIBECK = (1.05, 1.3)  # static over sliding friction
+
+
+@dataclass(frozen=True)
+class Family:
+    """Laws of a family.
+
+    Parameters
+    ----------
+    hysteresis
+        Kind of the operator.
+    creep, rate, friction
+        Laws of these effects: of `creep.LAWS`, `stroke.RATE_LAWS` and `friction.LAWS`.
+    in_front
+        Whether the load cell stands in front of the guide, where it feels the friction with the other sign.
+    dropout
+        What a reading does that drops out: of `sampling.DROPOUTS`.
+    not_compared
+        Parameters by effect that mean another thing under these laws.
+    """
+
+    hysteresis: Kind
+    creep: str
+    rate: str
+    friction: str
+    in_front: bool
+    dropout: str
+    not_compared: Mapping[str, tuple[str, ...]] = field(
+        default_factory=lambda: {"rate_dependent_hysteresis": ("growth", "reference_V_per_s")}
+    )
+
+    def details(self, name: str, rng: np.random.Generator, bench: Context) -> dict[str, object]:
+        """Details of an effect under these laws; empty where the family has none of its own."""
+        laws: dict[str, dict[str, object]] = {
+            "creep": {"law": self.creep},
+            "rate_dependent_hysteresis": {
+                "law": self.rate,
+                "memory_s": float(np.exp(rng.uniform(*np.log(RATE_MEMORY_S)))),
+                "fastest_V_per_s": bench.lasting_V_per_s,
+            },
+            "friction": {
+                "law": self.friction,
+                "in_front": self.in_front,
+                "static": rng.uniform(*STRIBECK),
+                "slow_N_per_s": float(np.exp(rng.uniform(np.log(0.02), np.log(0.3)))) * bench.full_N,
+                "seed": int(rng.integers(2**31)),
+            },
+            "sensor_dropout": {"manner": self.dropout},
+        }
+        return laws.get(name, {})
+
+
+FAMILIES = {
+    "preisach": Family("preisach", "logarithmic", "mixture", "dahl", in_front=False, dropout="noisy"),
+    "bouc_wen": Family("bouc_wen", "kelvin", "filtered", "lugre", in_front=True, dropout="rail"),
+    "plays": Family("plays", "fractional", "linear", "maxwell", in_front=False, dropout="noisy"),
+    "interpolated": Family("interpolated", "diffusion", "mixture", "dahl", in_front=True, dropout="exact"),
+}
+"""The families, by the law of their hysteresis."""

@@ -1,0 +1,50 @@
+"""Readings that stand still with the noise of the electronics."""
+
+import numpy as np
+import pytest
+
+from piezod.diagnose.frozen import still_stretches
+from tests.unit.diagnose.residuals import lagged, mixed_work, model_of, noise, series, time
+
+SAMPLES = 20_000
+TIME_s = time(SAMPLES)
+U = mixed_work(TIME_s)
+MODEL_N = model_of(U)
+MOVING = int(np.argmax(np.diff(U) == 0.0)) - 1950
+
+
+def still(true_N, noise_N=0.3, seed=3, colour=0.0):
+    reading_N = true_N + noise_N * noise(true_N.size, colour, np.random.default_rng(seed))
+    return still_stretches(series(TIME_s, U, reading_N, noise_N), MODEL_N)
+
+
+@pytest.mark.parametrize("colour", [0.0, 0.7])
+@pytest.mark.parametrize("samples", [60, 300, 1500])
+def test_a_level_with_noise_from_which_the_reading_leaps_back_is_found(samples, colour):
+    frozen_N = MODEL_N.copy()
+    frozen_N[MOVING : MOVING + samples] = MODEL_N[MOVING]
+    (first, end), *more = still(frozen_N, colour=colour)
+    assert not more
+    assert abs(first - MOVING) < 25
+    assert abs(end - MOVING - samples) < 25
+
+
+LOW, HIGH = np.percentile(MODEL_N, [30, 75])
+
+
+@pytest.mark.parametrize(
+    "true_N",
+    [
+        MODEL_N,
+        lagged(MODEL_N, 0.05),
+        np.maximum(MODEL_N, LOW),
+        np.minimum(MODEL_N, HIGH),
+        np.concatenate((np.full(40, MODEL_N[0]), MODEL_N[:-40])),
+        np.concatenate((np.full(400, MODEL_N[0]), MODEL_N[:-400])),
+        0.2 * MODEL_N,
+        MODEL_N + 20.0 * (TIME_s > TIME_s[SAMPLES // 2]),
+    ],
+    ids=["as the model", "lag", "gap", "clamp", "delay", "long delay", "weak", "load step"],
+)
+def test_nothing_else_that_stands_still_is_a_frozen_reading(true_N):
+    assert not any(still(true_N, seed=seed) for seed in range(5))
