@@ -1,7 +1,8 @@
 """The guide of the load resists every movement, and deforms before it slides (presliding).
 
 Forward    F - force z, with z the state of `bouc_wen` moved by F. Exponent 1 and closing 1 is Dahl's solid friction.
-           Closing 0.5 and a large exponent is a spring that yields at its limit and then slides.
+           Closing 0.5 and a large exponent is a spring that yields at its limit and then slides. A load cell behind
+           the guide lacks the friction. One in front of it feels the friction in addition: force_N is below 0.
 Inverse    Refused.
 Signature  Loops whose width stops at twice the friction force and does not depend on the rate. Look-alikes: the plays,
            which absorb it, and output_nonlinearity, which has one branch.
@@ -36,7 +37,7 @@ EFFECT = Effect(
     location=Location.MECHANICS,
     form="other",
     parameters=(
-        Parameter("force_N", "N", 0.0, 1e3, Search((1.0,))),
+        Parameter("force_N", "N", -1e3, 1e3, Search((1.0,))),
         Parameter("presliding_N", "N", 1e-2, 1e4, Search((3.0, 20.0, 100.0), logarithmic=True)),
         Parameter("exponent", "1", 0.5, 8.0, Search((1.5,), logarithmic=True, nuisance=True)),
         Parameter("closing", "1", 0.3, 1.0, Search((0.7,), logarithmic=True, nuisance=True)),
