@@ -46,7 +46,7 @@ class Idea:
 def catalogue_ideas(
     chain: Chain, channels: Sequence[str], known: Mapping[str, tuple[float, ...]]
 ) -> Iterator[tuple[Effect, dict[str, float], tuple[tuple[str, float], ...]]]:
-    """Every effect at each of its starts, nuisances at their first one; choices at their first value too.
+    """Every effect at each of its starts, nuisances at their first one, choices too where that stands for all.
 
     Starts in volts, volts a second and newtons are parts of what the recordings reach; `known` has further ones.
     """
@@ -55,10 +55,13 @@ def catalogue_ideas(
         if effect.name in DIRECT or (effect.needs is not None and effect.needs not in channels):
             continue
         searched = [one for one in effect.parameters if not one.search.choices]
-        choices = tuple((one.name, one.search.choices[0]) for one in effect.parameters if one.search.choices)
+        chosen = [one for one in effect.parameters if one.search.choices]
         starts = [_starts(effect.name, one, scales) for one in searched]
-        for values in product(*starts):
-            yield effect, dict(zip((one.name for one in searched), values, strict=True)), choices
+        options = [one.search.choices if one.search.all_screened else one.search.choices[:1] for one in chosen]
+        for choices in product(*options):
+            named = tuple(zip((one.name for one in chosen), choices, strict=True))
+            for values in product(*starts):
+                yield effect, dict(zip((one.name for one in searched), values, strict=True)), named
 
 
 def _scales(chain: Chain) -> dict[str, tuple[float, ...]]:

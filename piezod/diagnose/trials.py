@@ -178,10 +178,14 @@ def _from_past(chain: Chain, terms: tuple[Term, ...], one: tuple[Idea, Point]) -
 def _refined(chain: Chain, found: Fitted, first: Fitted, ideas: Sequence[Idea]) -> Fitted:
     """The best fit of one effect: from its second start too, in both scopes, with every choice."""
     best = fit(chain, first.terms, first.point)
-    others = [idea for idea in ideas[1:] if idea.values != ideas[0].values and idea.gain > 0.3 * ideas[0].gain]
+    others = [idea for idea in ideas[1:] if _other_start(idea, ideas[0]) and idea.gain > 0.3 * ideas[0].gain]
     for idea in others[:2]:
         best = min(best, _extended(chain, found, idea), key=lambda one: one.loss)
     return _varied(chain, best, len(best.terms) - 1)
+
+
+def _other_start(one: Idea, other: Idea) -> bool:
+    return (one.values, one.term.choices) != (other.values, other.term.choices)
 
 
 def _varied(chain: Chain, best: Fitted, place: int) -> Fitted:

@@ -1,7 +1,8 @@
 """The plays grow wider at a higher rate of the voltage.
 
-Forward    r_i(t) = r_i (1 + growth ln(1 + rate / reference)). rate is |du/dt|, smoothed over a short distance of u; it
-           keeps its value while u rests. Two other laws are tried: a power of the rate, and one offset for all r_i.
+Forward    r_i(t) = r_i (1 + growth ln(1 + rate / reference)). rate is |du/dt|, smoothed over a short distance of u, so
+           that it keeps its value while u rests; or over a short time, so that it falls. Two other laws are tried: a
+           power of the rate, and one offset for all r_i.
 Inverse    Implicit, with the thresholds of the present rate. It is exact for thresholds of any time course
            (piezod/operators/README.md, "Thresholds that change with time").
 Signature  Loops widen with the logarithm of the rate, the flat after a reversal grows longer, a hold shows nothing.
@@ -21,14 +22,20 @@ import numpy as np
 from piezod.effects.effect import Array, Checks, Context, Effect, Location, Parameter, Search, Values, unchanged
 
 LOGARITHM, POWER, OFFSET = 0, 1, 2  # values of `kind`
+DISTANCE, TIME = 0.0, 1.0  # values of `rate_over`: what the rate is smoothed over
+USUAL_MEMORY_s = 0.005
 OFFSET_SHARE = 0.1  # OFFSET: growth 1 adds this share of the voltage range to every threshold
 USUAL_DISTANCE_V = 2.0  # distance of the voltage over which the rate is smoothed, as on a usual stack
 PAUSE_s = 0.05  # a shorter rest is part of the movement (a held command); a longer one is a hold
 
 
 @numba.njit(cache=True, nogil=True)
-def rate_step(rate: float, rested_s: float, moved_V: float, dt_s: float, distance_V: float) -> tuple[float, float]:
+def rate_step(
+    rate: float, rested_s: float, moved_V: float, dt_s: float, distance_V: float, memory_s: float
+) -> tuple[float, float]:
     """Smoothed rate and time at rest, one sample later.
+
+    Smoothed over a distance, the rate keeps its value at rest. Smoothed over a time, it falls there.
 
     Parameters
     ----------
@@ -42,6 +49,8 @@ def rate_step(rate: float, rested_s: float, moved_V: float, dt_s: float, distanc
         Spacing of the samples [s].
     distance_V
         Distance of the voltage over which the rate is smoothed [V], above 0.
+    memory_s
+        Time over which it is smoothed instead [s]; 0: it is smoothed over the distance.
 
     Returns
     -------
@@ -49,6 +58,8 @@ def rate_step(rate: float, rested_s: float, moved_V: float, dt_s: float, distanc
         The same after the sample [V/s, s].
     """
     rested_s += dt_s
+    if memory_s > 0.0:
+        return rate - (moved_V / dt_s - rate) * math.expm1(-dt_s / memory_s), 0.0
     if moved_V == 0.0:
         return rate, rested_s
     duration_s = rested_s if rested_s <= PAUSE_s else dt_s
@@ -56,12 +67,12 @@ def rate_step(rate: float, rested_s: float, moved_V: float, dt_s: float, distanc
 
 
 @numba.njit(cache=True, nogil=True)
-def _rates(u: Array, dt_s: float, distance_V: float) -> Array:
+def _rates(u: Array, dt_s: float, distance_V: float, memory_s: float) -> Array:
     out = np.empty(u.size)
     rate, rested = 0.0, 0.0
     out[0] = rate
     for k in range(1, u.size):
-        rate, rested = rate_step(rate, rested, abs(u[k] - u[k - 1]), dt_s, distance_V)
+        rate, rested = rate_step(rate, rested, abs(u[k] - u[k - 1]), dt_s, distance_V, memory_s)
         out[k] = rate
     return out
 
@@ -73,7 +84,9 @@ def widening(context: Context, values: Values) -> tuple[Array, Array]:
     """
     u = context.applied_V
     growth, kind = values["growth"], round(values.get("kind", LOGARITHM))
-    decay = np.log1p(_rates(u, context.dt_s, values.get("rate_way_V", USUAL_DISTANCE_V)) / values["reference_V_per_s"])
+    memory_s = values["rate_memory_s"] if round(values.get("rate_over", DISTANCE)) == TIME else 0.0
+    rates = _rates(u, context.dt_s, values.get("rate_way_V", USUAL_DISTANCE_V), memory_s)
+    decay = np.log1p(rates / values["reference_V_per_s"])
     if kind == OFFSET:
         return np.ones(u.size), OFFSET_SHARE * float(np.ptp(u)) * growth * decay
     factor: Array = np.exp(growth * decay) if kind == POWER else 1.0 + growth * decay
@@ -88,7 +101,23 @@ EFFECT = Effect(
     parameters=(
         Parameter("growth", "1", 0.0, 1.0, Search((0.05,))),
         Parameter("reference_V_per_s", "V/s", 0.1, 1e4, Search((3.0, 30.0, 300.0), logarithmic=True)),
-        Parameter("rate_way_V", "V", 0.01, 200.0, Search((USUAL_DISTANCE_V,), logarithmic=True, nuisance=True)),
+        Parameter(
+            "rate_way_V",
+            "V",
+            0.01,
+            200.0,
+            Search((USUAL_DISTANCE_V,), logarithmic=True, nuisance=True, only_if=("rate_over", DISTANCE)),
+        ),
+        Parameter(
+            "rate_memory_s",
+            "s",
+            1e-5,
+            1.0,
+            Search((USUAL_MEMORY_s,), logarithmic=True, nuisance=True, only_if=("rate_over", TIME)),
+        ),
+        Parameter(
+            "rate_over", "1", 0.0, 1.0, Search((0.0,), nuisance=True, choices=(DISTANCE, TIME), all_screened=True)
+        ),
         Parameter("kind", "1", 0.0, 2.0, Search((0.0,), nuisance=True, choices=(0.0, 1.0, 2.0))),
     ),
     forward=unchanged,

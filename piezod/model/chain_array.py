@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from piezod.effects.creep import PLAYS, spectrum
 from piezod.effects.kernels import first_order_coefficients
 from piezod.effects.output_nonlinearity import rising
-from piezod.effects.rate_dependent_hysteresis import OFFSET_SHARE, USUAL_DISTANCE_V
+from piezod.effects.rate_dependent_hysteresis import DISTANCE, OFFSET_SHARE, TIME, USUAL_DISTANCE_V
 from piezod.model.compensated import ActingEffects
 from piezod.model.parameters import Model
 from piezod.recording.hold import HELD_ONE_SAMPLE, STRAIGHT
@@ -38,6 +38,7 @@ class ChainConstants(NamedTuple, Generic[Number]):
     rate_kind: Number
     rate_reference_V_per_s: Number
     rate_way_V: Number
+    rate_memory_s: Number  # 0: the rate is smoothed over rate_way_V
     rate_offset_V: Number
     dt_s: Number
     gain: Number
@@ -109,6 +110,7 @@ def _constants(model: Model, acting: ActingEffects, dt_s: float) -> ChainConstan
         rate_kind=float(round(rate.get("kind", 0.0))),
         rate_reference_V_per_s=rate.get("reference_V_per_s", 1.0),
         rate_way_V=rate.get("rate_way_V", USUAL_DISTANCE_V),
+        rate_memory_s=rate["rate_memory_s"] if rate.get("rate_over", DISTANCE) == TIME else 0.0,
         rate_offset_V=OFFSET_SHARE * (model.input.high - model.input.low),
         dt_s=dt_s,
         gain=1.0 + acting.get("gain_drift", {}).get("relative_change", 0.0),

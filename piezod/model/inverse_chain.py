@@ -35,7 +35,8 @@ def _widening(chain: Array, applied_V: float) -> tuple[float, float, float, floa
     """Factor and offset [V] of the thresholds for a tick that ends at `applied_V`; its rate [V/s] and rest [s]."""
     moved_V = abs(applied_V - chain[STATE.applied_V])
     before, rested_s = chain[STATE.rate_V_per_s], chain[STATE.rested_s]
-    rate, rested_s = rate_step(before, rested_s, moved_V, chain[CONSTANT.dt_s], chain[CONSTANT.rate_way_V])
+    way_V, memory_s = chain[CONSTANT.rate_way_V], chain[CONSTANT.rate_memory_s]
+    rate, rested_s = rate_step(before, rested_s, moved_V, chain[CONSTANT.dt_s], way_V, memory_s)
     wider = chain[CONSTANT.rate_growth] * math.log1p(rate / chain[CONSTANT.rate_reference_V_per_s])
     if chain[CONSTANT.rate_kind] == OFFSET:
         return 1.0, chain[CONSTANT.rate_offset_V] * wider, rate, rested_s

@@ -51,14 +51,14 @@ class Hysteresis:
     irreversible: float
     reach_V: float
 
-    def lagging(self, voltage_V: Array, widening: Array | None = None) -> Array:
+    def lagging(self, voltage_V: Array, widening: Array | None = None, *, yields_at_rest: bool = False) -> Array:
         """Irreversible part alone, scaled to end at `reach_V`, shape (n,) [V]; for the parameters see `run`."""
         if isinstance(self.operator, Everett):
             if widening is not None:
                 raise ValueError("hysteresis kind is preisach, which has no widths to widen; draw plays or bouc_wen")
             return self.scale * self.operator.run(voltage_V)
         path_V = 0.01 * self.reach_V
-        return self.scale * (voltage_V - self.operator.run(voltage_V, widening, path_V))
+        return self.scale * (voltage_V - self.operator.run(voltage_V, widening, path_V, yields_at_rest=yields_at_rest))
 
     def widened(self, factor: float) -> "Hysteresis":
         """The same with relays that are wider by a factor; only for a Preisach plane by width."""

@@ -9,7 +9,7 @@ Its loading branch is the master curve `X(z/r) = int dz / (1 - z^n)`. The curve 
 is exact. The output of the hysteresis is the input less the weighted stops.
 
 With rate dependence, every width is multiplied by a factor at every sample. A deflection beyond a width that has shrunk
-decays along the path travelled, and never at rest.
+decays along the path travelled and never at rest, or goes at once (`yields_at_rest`).
 """
 
 from dataclasses import dataclass
@@ -39,7 +39,9 @@ class Stops:
     weights: Array
     exponent: float
 
-    def run(self, voltage_V: Array, widening: Array | None = None, path_V: float = 1.0) -> Array:
+    def run(
+        self, voltage_V: Array, widening: Array | None = None, path_V: float = 1.0, *, yields_at_rest: bool = False
+    ) -> Array:
         """Weighted sum of the stops from the unloaded state [V].
 
         Parameters
@@ -50,11 +52,15 @@ class Stops:
             Factor on every width, shape (n,) (1); None: 1.
         path_V
             Travel over which a deflection beyond a hard stop decays to 1/e [V].
+        yields_at_rest
+            Whether a deflection beyond a width that has shrunk goes at once, at rest too.
         """
         factor = np.ones(1) if widening is None else widening
         hard = self.exponent == 0.0
         size, travel = (np.zeros(1), np.zeros(1)) if hard else master_curve(self.exponent)
-        result: Array = _run(self.widths_V, self.weights, size, travel, voltage_V, factor, path_V, hard)
+        result: Array = _run(
+            self.widths_V, self.weights, size, travel, voltage_V, factor, path_V, (hard, yields_at_rest)
+        )
         return result
 
 
@@ -79,10 +85,18 @@ def master_curve(exponent: float) -> tuple[Array, Array]:
 
 @njit(cache=True)
 def _run(
-    widths: Array, weights: Array, size: Array, travel: Array, u: Array, factor: Array, path: float, hard: bool
+    widths: Array,
+    weights: Array,
+    size: Array,
+    travel: Array,
+    u: Array,
+    factor: Array,
+    path: float,
+    kind: tuple[bool, bool],
 ) -> Array:
     """Weighted sum of the stops over an input; `factor` of shape (1,) means no widening."""
     stop, out = np.zeros(widths.size), np.empty(u.size)
+    hard, at_rest = kind
     last, total = 0.0, 0.0
     for k in range(u.size):
         du = u[k] - last
@@ -94,6 +108,12 @@ def _run(
             for i in range(widths.size):
                 r = widths[i] * wide
                 stop[i] = _move_hard(stop[i], du, r, keep) if hard else _move_smooth(stop[i], du, r, size, travel)
+                total += weights[i] * stop[i]
+        if at_rest:
+            total = 0.0
+            for i in range(widths.size):
+                r = widths[i] * (factor[k] if factor.size > 1 else 1.0)
+                stop[i] = min(max(stop[i], -r), r)
                 total += weights[i] * stop[i]
         out[k] = total
     return out

@@ -10,6 +10,7 @@ from firmware_sim.concealed.plant.linear import first_order, respond
 from firmware_sim.concealed.plant.record_context import Effect, RecordContext, Signal
 
 RATE_LAWS = ("logarithmic", "linear", "filtered", "mixture")
+YIELDING = ("linear", "filtered")  # laws whose widths follow the rate at rest too
 WIDER = 1.6  # widths of the second operator of a mixture over those of the first
 DRIFT_SHAPES = ("bent", "logarithmic", "sigmoid")
 SLEW_TAU = 0.02  # time constant below the slew limit [samples]
@@ -58,6 +59,8 @@ def hysteretic_stroke(context: RecordContext, core: Hysteresis, noncongruent: Hy
         if on.details.get("law") == "mixture":
             other = core.lagging(voltage_V)
             other = other + grown * (core.widened(WIDER).lagging(voltage_V) - other)
+        elif on.details.get("law") in YIELDING:
+            other = core.lagging(voltage_V, 1.0 + grown, yields_at_rest=True)
         else:
             widening = 1.0 + grown
     if on := context.on("noncongruent_minor_loops"):
@@ -115,10 +118,10 @@ def drift_progress(shape: str, bend: float, part: Array) -> Array:
 def _rate_measure(context: RecordContext, on: Effect, voltage_V: Array) -> Array:
     """Function of the rate that the widths grow with, shape (n,) [1]."""
     rate, law = _rate_V_per_s(context, voltage_V), on.details.get("law", "logarithmic")
+    if law in YIELDING:
+        rate = respond(first_order(on.number("memory_s")), rate, context.drive.fine_s, held=False)
     if law == "linear":
         return rate / on.number("fastest_V_per_s")
-    if law == "filtered":
-        rate = respond(first_order(on.number("memory_s")), rate, context.drive.fine_s, held=False)
     result: Array = np.arcsinh(rate / on.parameters["reference_V_per_s"])
     return result
 
