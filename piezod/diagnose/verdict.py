@@ -24,6 +24,9 @@ BY_LEVEL = 0.25  # share of what is left that must lie above that at the lowest 
 SURE = 0.01  # p below which that share is believed
 CLOSED = 0.97  # part of what could be explained, from which it counts as explained
 BELIEVED = 0.5  # confidence that one of the names must have where something is left
+FEWEST_HOLDS = 3
+HOLD_S, SHORT_HOLD_S = 0.5, 0.15  # of the rests that tell the noise
+SLOWER = 1.5  # times the noise in short rests that all noise has at most: where half of its power is slower, 1.41
 PARTLY = 0.9  # most that a name is believed whose effect leaves much to explain
 
 
@@ -45,17 +48,21 @@ def noise_floor(series: Sequence[Series], residuals: Sequence[Array], left: Guar
     No less than a converter's rounding: a coarse one hides all noise at rest, not while the force moves.
     """
     asked = [(one, r) for one, r in zip(series, residuals, strict=True) if one.role == "recording"]
-    quiet = [value for one, r in asked for value in _holds(one, r)]
     rms = rms_of(residuals, series)
     rounding_N = max(one.lattice_N for one, _ in asked) / float(np.sqrt(12.0))
-    if len(quiet) >= 3:
-        return min(max(float(np.sqrt(np.mean(np.square(quiet)))), rounding_N), rms), "quiet"
-    return min(max(rms * float(np.sqrt(max(1.0 - left.share, 0.0))), rounding_N), rms), "spectrum"
+    unexplained_N = rms * float(np.sqrt(max(1.0 - left.share, 0.0)))
+    for hold_s, most in ((HOLD_S, 1.0), (SHORT_HOLD_S, SLOWER)):
+        quiet = [value for one, r in asked for value in _holds(one, r, hold_s)]
+        if len(quiet) >= FEWEST_HOLDS:
+            value = most * float(np.sqrt(np.mean(np.square(quiet))))
+            if most == 1.0 or value < unexplained_N:
+                return min(max(value, rounding_N), rms), "quiet"
+    return min(max(unexplained_N, rounding_N), rms), "spectrum"
 
 
-def _holds(series: Series, residual: Array) -> list[float]:
-    """Standard deviation of the residual in every stretch of half a second in which the command rests."""
-    size = max(int(0.5 / series.dt_s), 20)
+def _holds(series: Series, residual: Array, hold_s: float) -> list[float]:
+    """Standard deviation of the residual in every stretch of a duration in which the command rests."""
+    size = max(int(hold_s / series.dt_s), 20)
     found = []
     for first in range(0, series.command_V.size - size, size):
         part = slice(first, first + size)

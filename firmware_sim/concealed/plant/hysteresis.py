@@ -60,13 +60,6 @@ class Hysteresis:
         path_V = 0.01 * self.reach_V
         return self.scale * (voltage_V - self.operator.run(voltage_V, widening, path_V, yields_at_rest=yields_at_rest))
 
-    def widened(self, factor: float) -> "Hysteresis":
-        """The same with relays that are wider by a factor; only for a Preisach plane by width."""
-        if not isinstance(self.operator, Everett):
-            raise TypeError(f"hysteresis kind is {self.kind}, must be a Preisach plane")
-        operator = self.operator.widened(factor)
-        return replace(self, operator=operator)
-
     def run(self, voltage_V: Array, *, widening: Array | None = None, other: Array | None = None) -> Array:
         """Free stroke over voltages from the virgin state, shape (n,) [V].
 

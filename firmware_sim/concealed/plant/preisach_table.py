@@ -41,12 +41,6 @@ class Everett:
     by_bias: Array
     virgin: Array
 
-    def widened(self, factor: float) -> "Everett":
-        """The same with relays that are wider by a factor: k H(u / k) of the output H over an input u."""
-        d = np.linspace(0.0, 2.0 * self.reach_V, WIDTH_POINTS)
-        table = factor * np.interp(d / factor, d, self.by_width)
-        return Everett(self.reach_V, table, np.zeros((1, 1)), 0.5 * table)
-
     def run(self, voltage_V: Array) -> Array:
         """Output over an input from the demagnetised state, shape (n,) [V]."""
         result: Array = _run(self.reach_V, self.by_width, self.by_bias, self.virgin, voltage_V)

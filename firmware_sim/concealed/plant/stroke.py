@@ -9,9 +9,8 @@ from firmware_sim.concealed.plant.hysteresis import Hysteresis
 from firmware_sim.concealed.plant.linear import first_order, respond
 from firmware_sim.concealed.plant.record_context import Effect, RecordContext, Signal
 
-RATE_LAWS = ("logarithmic", "linear", "filtered", "mixture")
+RATE_LAWS = ("logarithmic", "linear", "filtered")
 YIELDING = ("linear", "filtered")  # laws whose widths follow the rate at rest too
-WIDER = 1.6  # widths of the second operator of a mixture over those of the first
 DRIFT_SHAPES = ("bent", "logarithmic", "sigmoid")
 SLEW_TAU = 0.02  # time constant below the slew limit [samples]
 
@@ -56,10 +55,7 @@ def hysteretic_stroke(context: RecordContext, core: Hysteresis, noncongruent: Hy
     voltage_V, widening, other = voltage.values, None, None
     if on := context.on("rate_dependent_hysteresis"):
         grown = on.parameters["growth"] * _rate_measure(context, on, voltage_V)
-        if on.details.get("law") == "mixture":
-            other = core.lagging(voltage_V)
-            other = other + grown * (core.widened(WIDER).lagging(voltage_V) - other)
-        elif on.details.get("law") in YIELDING:
+        if on.details.get("law") in YIELDING:
             other = core.lagging(voltage_V, 1.0 + grown, yields_at_rest=True)
         else:
             widening = 1.0 + grown

@@ -176,7 +176,10 @@ class _Attempt:
         if "rate_dependent_hysteresis" in self._spec.names:
             kinds, shares = ("plays", "plays", "bouc_wen"), (0.4, 0.3, 0.3)
         kind = kinds[int(rng.choice(3, p=shares))]
-        core = draw_hysteresis(rng, self._family.hysteresis if self._family else kind, self._reach_V)
+        if self._family:
+            by_rate = "rate_dependent_hysteresis" in self._spec.names
+            kind = self._family.with_rate if by_rate else self._family.hysteresis
+        core = draw_hysteresis(rng, kind, self._reach_V)
         law = ForceLaw(self._full_N, rng.uniform(-0.2, 0.25), rng.uniform(-0.06, 0.12))
         return Plant(core, draw_noncongruent(rng, self._reach_V), law)
 

@@ -29,6 +29,8 @@ class Family:
         Whether the load cell stands in front of the guide, where it feels the friction with the other sign.
     dropout
         What a reading does that drops out: of `sampling.DROPOUTS`.
+    with_rate
+        Kind of the operator where the rate widens it; a Preisach plane has no widths to widen.
     not_compared
         Parameters by effect that mean another thing under these laws.
     """
@@ -39,6 +41,7 @@ class Family:
     friction: str
     in_front: bool
     dropout: str
+    with_rate: Kind
     not_compared: Mapping[str, tuple[str, ...]] = field(
         default_factory=lambda: {"rate_dependent_hysteresis": ("growth", "reference_V_per_s")}
     )
@@ -65,9 +68,13 @@ class Family:
 
 
 FAMILIES = {
-    "preisach": Family("preisach", "logarithmic", "mixture", "dahl", in_front=False, dropout="noisy"),
-    "bouc_wen": Family("bouc_wen", "kelvin", "filtered", "lugre", in_front=True, dropout="rail"),
-    "plays": Family("plays", "fractional", "linear", "maxwell", in_front=False, dropout="noisy"),
-    "interpolated": Family("interpolated", "diffusion", "mixture", "dahl", in_front=True, dropout="exact"),
+    "preisach": Family(
+        "preisach", "logarithmic", "filtered", "dahl", in_front=False, dropout="noisy", with_rate="plays"
+    ),
+    "bouc_wen": Family("bouc_wen", "kelvin", "filtered", "lugre", in_front=True, dropout="rail", with_rate="bouc_wen"),
+    "plays": Family("plays", "fractional", "linear", "maxwell", in_front=False, dropout="noisy", with_rate="plays"),
+    "interpolated": Family(
+        "interpolated", "diffusion", "logarithmic", "dahl", in_front=True, dropout="exact", with_rate="bouc_wen"
+    ),
 }
 """The families, by the law of their hysteresis."""

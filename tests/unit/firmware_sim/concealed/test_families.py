@@ -5,7 +5,6 @@ import pytest
 
 from firmware_sim.concealed.plant.creep import OTHER_LAWS, curve, slope_per_decade
 from firmware_sim.concealed.plant.friction import REACHED, dahl_friction, lugre_friction, maxwell_slip
-from firmware_sim.concealed.plant.hysteresis import draw_hysteresis, major_cycles
 from firmware_sim.concealed.plant.sampling import RAIL
 from firmware_sim.concealed.study.drawing import CaseSpec, draw_case
 from firmware_sim.concealed.study.families import FAMILIES
@@ -52,13 +51,6 @@ def test_other_laws_of_creep_have_the_slope_of_one_a_decade_and_rise_from_0(law)
     assert np.all(np.diff(response(np.geomspace(1e-3, 1e3, 50))) > 0.0)
 
 
-@pytest.mark.parametrize("kind", ["preisach", "interpolated"])
-def test_wider_relays_answer_as_the_others_do_to_a_smaller_input(kind):
-    plain = draw_hysteresis(np.random.default_rng(4), kind, 100.0)
-    cycles = major_cycles(100.0)
-    assert plain.widened(1.6).lagging(cycles) == pytest.approx(1.6 * plain.lagging(cycles / 1.6), abs=0.02)
-
-
 @pytest.mark.parametrize("law", ["linear", "filtered"])
 def test_widths_that_follow_the_rate_at_rest_let_the_force_move_when_the_command_stops(law):
     voltage_V = np.concatenate((np.linspace(0.0, REACH_V, 2000), hold(REACH_V, 2.0)))
@@ -82,7 +74,8 @@ def test_a_case_of_a_family_has_its_hysteresis_and_its_laws(name):
         ]
     ):
         case = draw_case(CaseSpec("single", (effect_name,), (20.0,), "white", name), np.random.SeedSequence(number))
-        assert case.truth["hysteresis"]["kind"] == family.hysteresis
+        by_rate = effect_name == "rate_dependent_hysteresis"
+        assert case.truth["hysteresis"]["kind"] == (family.with_rate if by_rate else family.hysteresis)
         assert case.effects[effect_name].details[key] == expected
         assert case.truth["family"] == name
         if effect_name == "sensor_dropout":
