@@ -112,6 +112,8 @@ def fit_of_base(base: Base) -> Fit:
 def _fit(structure: Structure, zones: Array, parameters: Array, sums: Sums, gram: Array, eps: float) -> Fit:
     bounded, law = parameters.copy(), slice(parameters.size - zones.size, None)
     bounded[law] = np.maximum(bounded[law], (1.0 + 1e-9) * eps * bounded[law].max())
+    # a solver keeps a bound to its tolerance only
+    bounded[: structure.plays] = np.maximum(bounded[: structure.plays], (1.0 + 1e-9) * eps)
     return Fit(
         structure,
         _as_hysteresis(structure, zones, bounded, eps),

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from piezod.errors import UsageError
 from piezod.estimation.columns import Samples, Structure
+from piezod.estimation.noise import Noise, noise_of
 from piezod.estimation.normal_equations import GROUPS, group_of
 from piezod.estimation.quadratic_program import Variant
 from piezod.estimation.reduction import reduced
@@ -38,6 +39,9 @@ LEFT = 1.02
 
 LEAST_EXPLAINED = 0.5
 """Share of the output's variance below which a model leaves more than it explains."""
+
+NOTHING_LEFT = 1.1
+"""Times the noise up to which an error is noise: it has 5 % of uncertainty, and the model some of its own."""
 
 WORSE_START = 1.5
 """Times the error of the rest that the first samples may show before they are left out."""
@@ -97,6 +101,8 @@ class Identification:
         The same after pruning: what the model was made of.
     notes
         What the recordings cannot determine, and what was noticed in them.
+    noise
+        Noise of the recordings; None: they do not tell it.
     """
 
     model: Model
@@ -104,6 +110,7 @@ class Identification:
     taken: Candidate
     chosen: Candidate
     notes: list[str]
+    noise: Noise | None = None
 
     @property
     def explained(self) -> float:
@@ -126,6 +133,13 @@ class Identification:
             f"error on held-out data {error:.3g} {unit} rms, {share:.2g} % of range; the model explains "
             f"{100.0 * self.explained:.4g} % of the output's variance"
         )
+        if self.useful and self.noise is not None:
+            rest = (
+                "nothing else is left"
+                if error < NOTHING_LEFT * self.noise.rms
+                else "piezod diagnose tells what is left"
+            )
+            return f"{words}; noise {self.noise.rms:.3g} {unit}, seen in {self.noise.seen_in}; {rest}"
         if self.useful:
             return words
         return (
@@ -236,7 +250,18 @@ def _smooth(
     )
     said += [note for one in stretches for note in one.notes]
     model = _model(recordings, pairs, options, fit, stretches[0], figures, by, sources, said)
-    return Identification(model, [], chosen, chosen, said + _undetermined(chosen))
+    noise = _noise(recordings, fitted)
+    return Identification(model, [], chosen, chosen, said + _undetermined(chosen), noise)
+
+
+def _noise(recordings: Sequence[Recording], fitted: Sequence[Samples]) -> Noise | None:
+    """Noise of all recordings that tell it, by rms."""
+    told = [noise_of(one.u, one.y, one.counts, rec.dt_s) for rec, one in zip(recordings, fitted, strict=True)]
+    known = [(noise, one.u.size) for noise, one in zip(told, fitted, strict=True) if noise is not None]
+    if not known:
+        return None
+    power = sum(noise.rms**2 * size for noise, size in known) / sum(size for _, size in known)
+    return Noise(float(np.sqrt(power)), known[0][0].seen_in)
 
 
 def _base(stretches: Sequence[Stretch], eps: float) -> Base:

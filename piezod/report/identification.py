@@ -2,6 +2,7 @@
 
 import html
 from collections.abc import Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -48,6 +49,7 @@ def identification_as_dict(identification: Identification) -> dict[str, Any]:
         "condition": chosen.fit.condition,
         "verdict": identification.verdict,
         "explained": identification.explained,
+        "noise": None if identification.noise is None else asdict(identification.noise),
         "notes": identification.notes,
         "candidates": [
             {"plays": c.plays, "dead_zones": c.zones, "rms_fit": c.rms_fit, "rms_held_out": c.rms_held_out}

@@ -10,7 +10,7 @@ from piezod.effects import EFFECTS
 from piezod.errors import ConfigurationError, ModelError
 from piezod.model import load_model, make_compensator, save_model
 from piezod.model.parameters import EffectValues
-from piezod.session.assembly import load_bench_and_model
+from piezod.session.assembly import load_bench_and_model, load_bench_without_model
 
 CONFIG = Path(__file__).parents[3] / "config"
 REFUSED = [name for name, effect in EFFECTS.items() if effect.handling == "refused"]
@@ -54,6 +54,16 @@ def test_an_effect_in_compensation_without_is_not_compensated_and_the_check_warn
         for one in (model, model.model_copy(update={"effects": (values("creep"),)}))
     )
     assert with_it.plan(100.0) == without.plan(100.0)
+
+
+def test_a_rate_that_the_wire_does_not_carry_is_refused_at_load(tmp_path):
+    path = bench_with(tmp_path)
+    content = yaml.safe_load(path.read_text(encoding="utf-8"))
+    kept = {key: content["link"][key] for key in ("unit_id", "timeout_s", "heartbeat_within_s", "registers")}
+    content["link"] = kept | {"kind": "modbus_rtu", "port": "/dev/ttyS0", "baudrate": 9600}
+    path.write_text(yaml.safe_dump(content), encoding="utf-8")
+    with pytest.raises(ConfigurationError, match="the wire of link does not carry"):
+        load_bench_without_model(path)
 
 
 def test_a_plain_gain_needs_no_inverse(tmp_path):

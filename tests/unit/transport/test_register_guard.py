@@ -188,6 +188,16 @@ def test_a_pair_confirms_the_output_of_its_amplifier_when_the_load_cell_is_silen
     assert not link.output_confirmed
 
 
+def test_a_pair_reads_what_both_have_from_the_amplifier_and_the_force_from_the_load_cell(pair):
+    link, amplifier, cell = pair
+    amplifier.bench.put(110, ">H", 150)
+    cell.bench.put(110, ">H", 70)
+    assert link.read_register("watchdog_ms") == 150.0
+    sent = len(amplifier.bench.requests)
+    link.read_register("force")
+    assert len(amplifier.bench.requests) == sent
+
+
 def test_a_pair_names_the_device_that_is_another(pair):
     link, amplifier, cell = pair
     cell.bench.put(0, ">H", 7)
