@@ -314,8 +314,8 @@ def without_frozen(series: Series, model: Model) -> tuple[Series, list[tuple[int
     stretches = frozen_stretches(series, expected) or still_stretches(series, expected)
     counts = series.counts.copy()
     for first, end in stretches:
-        counts[first + 1 : end] = False
-    if stretches and np.count_nonzero(counts) <= len(stretches):
+        counts[first:end] = False  # the first one too: at a rail it is no reading
+    if stretches and not counts.any():
         raise RecordingError(
             f"{series.name}: the reading stands still at {series.reading_N[0]:g} {model.output.unit} from the first "
             f"sample to the last, {series.duration_s:.3g} s; look at the sensor and its converter, then record again"

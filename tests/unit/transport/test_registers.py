@@ -11,8 +11,9 @@ from pymodbus.client import ModbusTcpClient
 from piezod.config.link import Register
 from piezod.errors import ConfigurationError
 from piezod.transport import ExchangeResult, tick_values
+from piezod.transport.frames import write_request
 from piezod.transport.registers import RegisterCodec
-from piezod.transport.tick_values import COUNTERS, QUANTITIES, Plausibility, ReadBlock
+from piezod.transport.tick_values import COUNTERS, QUANTITIES, Plausibility, ReadBlock, SetPoint
 
 TYPE = ModbusTcpClient.DATATYPE
 PYMODBUS = {"int16": TYPE.INT16, "uint16": TYPE.UINT16, "int32": TYPE.INT32, "float32": TYPE.FLOAT32}
@@ -137,3 +138,14 @@ def test_a_heartbeat_may_stay_unchanged_for_the_configured_time_only(monkeypatch
         results.append(plausibility.accept(-1))
     ok, stood = ExchangeResult.OK, ExchangeResult.HEARTBEAT_STOOD
     assert results == [ok, ok, ok, stood, ok, stood]
+
+
+def test_a_command_number_in_front_of_the_voltage_keeps_both_in_their_places():
+    writes = {
+        "command_sequence": register("uint16", address=30),
+        "voltage_setpoint": register("float32", "ABCD", address=31),
+    }
+    request = write_request("tcp", 1, 16, 30, 3)
+    assert SetPoint(writes).encode_into(request, 12.5) == 12.5
+    at = request.values_at
+    assert struct.unpack(">Hf", bytes(request.frame[at : at + 6])) == (1, 12.5)
