@@ -131,3 +131,18 @@ def test_an_output_that_nobody_drives_is_ramped_down_from_its_readback(ring_log)
     assert link.voltages[0] == pytest.approx(59.6)
     assert link.voltages[-1] == pytest.approx(0.0, abs=1e-9)
     assert loop.supervisor.state is State.DISARMED
+
+
+def test_a_command_that_may_arrive_after_the_watchdog_of_the_device_is_not_sent(ring_log):
+    link = FakeLink()
+    loop = armed_loop(link, ring_log)
+    run(loop, 300)
+    ticks = round(1e-3 * limits().device_watchdog_ms / DT_S)
+    link.fails = lambda number: number == 301
+    run(loop, 1)
+    link.poll = lambda: ExchangeResult.TIMEOUT
+    run(loop, ticks - 3)  # two ticks at least are kept in reserve
+    written = len(link.voltages)
+    link.poll = lambda: ExchangeResult.OK
+    run(loop, 1)
+    assert len(link.voltages) == written

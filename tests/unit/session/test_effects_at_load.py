@@ -66,6 +66,16 @@ def test_a_rate_that_the_wire_does_not_carry_is_refused_at_load(tmp_path):
         load_bench_without_model(path)
 
 
+def test_a_voltage_that_its_register_cannot_hold_is_refused_at_load(tmp_path):
+    path = bench_with(tmp_path)
+    content = yaml.safe_load(path.read_text(encoding="utf-8"))
+    content["link"]["registers"]["voltage_setpoint"] |= {"type": "int16", "order": "AB", "scale": 0.001}
+    content["link"]["registers"]["command_sequence"]["address"] -= 1
+    path.write_text(yaml.safe_dump(content), encoding="utf-8")
+    with pytest.raises(ConfigurationError, match="voltage_setpoint"):
+        load_bench_without_model(path)
+
+
 def test_a_plain_gain_needs_no_inverse(tmp_path):
     load_bench_and_model(bench_with(tmp_path, "friction", compensation="gain"))
 
