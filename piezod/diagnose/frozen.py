@@ -19,6 +19,10 @@ STILL = 2.0  # noises that it spreads by at most,
 MOVING = 6.0  # and that the model spreads by at least
 STAYS = 5.0  # noises from its level, within which a reading stands still
 ABRUPT = 3.0  # times what the model, or a reading that stands still, moves in a sample: a sensor comes back in a leap
+ONSET = 0.1  # of the model's way in a stretch, at which it begins
+PARTS, POINTS, NEAREST = 32, 64, 64  # of a stretch; samples of one that are looked at; stretches on either side
+ALIKE, LARGE = 0.95, 0.5  # correlation and size of moves that are like the one in it
+FEWEST_ALIKE, MOSTLY_FOLLOWS = 2, 0.25  # of them, and the share that may stand still too
 FOLLOWS = 0.5  # of the way that the model went meanwhile, that the leap makes up
 
 
@@ -52,8 +56,9 @@ def frozen_stretches(series: Series, model_N: Array) -> list[tuple[int, int]]:
 def still_stretches(series: Series, model_N: Array) -> list[tuple[int, int]]:
     """Stretches (first, end) in which the reading keeps a level, with its noise, though the model moves throughout.
 
-    It must end by a leap to where the model has gone by then, while the model itself moves smoothly. So neither a delay
-    (the model moves at the begin), nor a gap or a limit (the force meets it smoothly), nor friction passes for it.
+    It must end by a leap to where the model has gone by then, while the model itself moves smoothly. So neither a gap
+    nor a limit (the force meets it smoothly) nor friction passes for it. A delay does where the model moves at once and
+    then rests: such a stretch counts where the reading follows the model's other moves of this shape.
     """
     y, noise_N = series.reading_N, max(series.noise_N, series.lattice_N)
     if not series.counts.all():
@@ -66,11 +71,10 @@ def still_stretches(series: Series, model_N: Array) -> list[tuple[int, int]]:
         still &= _spread(model_N, window) > MOVING * noise_N
         edges = np.flatnonzero(np.diff(np.concatenate(([False], still, [False])).astype(np.int8)))
         for first, last in zip(edges[::2], edges[1::2], strict=True):
-            stretch = _whole_stretch(y, int(first), int(last) - 1 + window, noise_N)
-            if all(stretch[0] >= end or stretch[1] <= begin for begin, end in found) and _comes_back(
-                y, model_N, stretch, noise_N
-            ):
-                found.append(stretch)
+            whole = _whole_stretch(y, int(first), int(last) - 1 + window, noise_N)
+            if all(whole[0] >= end or whole[1] <= begin for begin, end in found):
+                stretch = _coming_back(y, model_N, whole, noise_N)
+                found += [] if stretch is None else [stretch]
     return sorted(found)
 
 
@@ -92,17 +96,38 @@ def _whole_stretch(y: Array, first: int, end: int, noise_N: float) -> tuple[int,
     return (int(before[-1]) + 1 if before.size else 0), (middle + int(behind[0]) if behind.size else y.size)
 
 
-def _comes_back(y: Array, model_N: Array, stretch: tuple[int, int], noise_N: float) -> bool:
-    """Whether the model moves in both halves of a stretch, and the reading leaps to it at the end."""
+def _coming_back(y: Array, model_N: Array, stretch: tuple[int, int], noise_N: float) -> tuple[int, int] | None:
+    """The stretch, from where the model moves, if the reading leaps at its end to where the model has gone."""
     first, end = stretch
     if end >= y.size - 1 or end - first < FROZEN_SAMPLES:
-        return False
-    middle = (first + end) // 2
-    if min(np.ptp(model_N[first:middle]), np.ptp(model_N[middle:end])) < MOVING * noise_N:
-        return False
+        return None
     leap, way = y[end] - np.median(y[first:end]), model_N[end] - model_N[first]
     smooth = max(abs(model_N[end] - model_N[end - 1]), STAYS * noise_N)
-    return bool(abs(leap) > ABRUPT * smooth and abs(leap - way) < FOLLOWS * abs(way))
+    if abs(leap) <= ABRUPT * smooth or abs(leap - way) >= FOLLOWS * abs(way):
+        return None
+    middle = (first + end) // 2
+    if min(np.ptp(model_N[first:middle]), np.ptp(model_N[middle:end])) >= MOVING * noise_N:
+        return stretch
+    away = np.abs(model_N[first:end] - model_N[first])
+    moving = first + max(int(np.argmax(away > ONSET * away.max())) - 1, 0), end
+    return moving if _follows_elsewhere(y, model_N, moving) else None
+
+
+def _follows_elsewhere(y: Array, model_N: Array, stretch: tuple[int, int]) -> bool:
+    """Whether the reading follows the model where that moves as in a stretch, before and behind it."""
+    first, end = stretch
+    size = end - first
+    nearest = np.arange(max(0, first - NEAREST * size), min(y.size, end + NEAREST * size) - size, max(1, size // PARTS))
+    begins = nearest[(nearest + size <= first) | (nearest >= end)]
+    if not begins.size:
+        return False
+    looked_at = np.linspace(0, size - 1, min(size, POINTS)).astype(int)
+    moves, follows = (one[begins[:, None] + looked_at] - one[begins][:, None] for one in (model_N, y))
+    shape = model_N[first + looked_at] - model_N[first]
+    own, length = np.linalg.norm(moves, axis=1), float(np.linalg.norm(shape))
+    alike = (np.abs(moves @ shape) > ALIKE * own * length) & (own > LARGE * length)
+    still = np.linalg.norm(follows[alike], axis=1) < LARGE * own[alike]
+    return bool(np.count_nonzero(alike) >= FEWEST_ALIKE and np.mean(still) < MOSTLY_FOLLOWS)
 
 
 def _leaping(series: Series, model_N: Array, stretches: list[tuple[int, int]]) -> list[tuple[int, int]]:

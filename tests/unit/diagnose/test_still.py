@@ -48,3 +48,26 @@ LOW, HIGH = np.percentile(MODEL_N, [30, 75])
 )
 def test_nothing_else_that_stands_still_is_a_frozen_reading(true_N):
     assert not any(still(true_N, seed=seed) for seed in range(5))
+
+
+LEAPS_V = np.repeat([20.0, 90.0, 40.0, 100.0, 60.0, 30.0, 80.0, 50.0, 110.0, 70.0] * 4, 500)
+
+
+def at_steps(true_N):
+    reading_N = true_N + 0.3 * noise(true_N.size, 0.0, np.random.default_rng(8))
+    return still_stretches(series(time(LEAPS_V.size), LEAPS_V, reading_N, 0.3), model_of(LEAPS_V))
+
+
+def test_a_reading_that_misses_one_of_many_steps_is_frozen():
+    model_N = model_of(LEAPS_V)
+    true_N = model_N.copy()
+    true_N[7400:7700] = model_N[7400]
+    ((first, end),) = at_steps(true_N)
+    assert abs(first - 7500) < 5
+    assert abs(end - 7700) < 5
+
+
+@pytest.mark.parametrize("late", [20, 60, 200])
+def test_a_reading_that_is_late_at_every_step_is_not_frozen(late):
+    model_N = model_of(LEAPS_V)
+    assert at_steps(np.concatenate((np.full(late, model_N[0]), model_N[:-late]))) == []
