@@ -180,6 +180,15 @@ def test_more_heat_than_permitted_trips_and_the_heat_outlasts_the_drive():
     assert interlock.check(0.0) is Cause.OVERHEATED
 
 
+def test_the_permitted_power_itself_does_not_trip():
+    voltages_V = [140.0 * (k // 4 % 2) for k in range(400)]
+    interlock = heat(dissipation_max_W=1e6)
+    most_W = max((interlock.check(voltage_V), interlock.power_W)[1] for voltage_V in voltages_V)
+    at_limit, below = heat(dissipation_max_W=most_W), heat(dissipation_max_W=most_W * (1.0 - 1e-12))
+    assert {at_limit.check(voltage_V) for voltage_V in voltages_V} == {Cause.NONE}
+    assert Cause.OVERHEATED in {below.check(voltage_V) for voltage_V in voltages_V}
+
+
 def test_an_interlock_without_a_limit_never_trips():
     values = {"tracking_trip_N": None, "readback_trip_V": None, "stuck_samples": None, "dissipation_max_W": None}
     without = limits(**values)
