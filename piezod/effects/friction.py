@@ -2,7 +2,7 @@
 
 Forward    F - force z, with z the state of `bouc_wen` moved by F. Exponent 1 and closing 1 is Dahl's solid friction.
            Closing 0.5 and a large exponent is a spring that yields at its limit and then slides. A load cell behind
-           the guide lacks the friction. One in front of it feels the friction in addition: force_N is below 0.
+           the guide lacks the friction. One in front of it measures the friction too: force_N is below 0.
 Inverse    Refused.
 Signature  Loops whose width stops at twice the friction force and does not depend on the rate. Look-alikes: the plays,
            which absorb it, and output_nonlinearity, which has one branch.

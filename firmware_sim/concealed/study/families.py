@@ -1,6 +1,6 @@
 """Families of plants, which differ in what they are: the law of the hysteresis, and of each effect that has several.
 
-A rule of a diagnosis is chosen on some families and judged on another one. The laws stand in `plant/`.
+A rule of a diagnosis is chosen on some families and tested on another one. The laws stand in `plant/`.
 """
 
 from collections.abc import Mapping
@@ -26,7 +26,7 @@ class Family:
     creep, rate, friction
         Laws of these effects: of `creep.LAWS`, `stroke.RATE_LAWS` and `friction.LAWS`.
     in_front
-        Whether the load cell stands in front of the guide, where it feels the friction with the other sign.
+        Whether the load cell stands in front of the guide, where the friction has the other sign.
     dropout
         What a reading does that drops out: of `sampling.DROPOUTS`.
     with_rate
