@@ -15,6 +15,7 @@ FROZEN_MOVES = 6.0  # by how many noises the model moves meanwhile
 LEAP, FAR = 1.5, 2.5  # steps of a coarse lattice
 LATE = 0.25  # of a stretch on a coarse lattice, at its end
 STILL_WINDOWS = (16, 64, 256, 1024)  # samples in which a noisy reading is looked at
+MOST_RUNS = 64  # of such windows, the longest, that are looked at: each costs a pass over the recording
 STILL = 2.0  # noises that it spreads by at most,
 MOVING = 6.0  # and that the model spreads by at least
 STAYS = 5.0  # noises from its level, within which a reading stands still
@@ -70,7 +71,8 @@ def still_stretches(series: Series, model_N: Array) -> list[tuple[int, int]]:
         still = _spread(y, window) < STILL * noise_N
         still &= _spread(model_N, window) > MOVING * noise_N
         edges = np.flatnonzero(np.diff(np.concatenate(([False], still, [False])).astype(np.int8)))
-        for first, last in zip(edges[::2], edges[1::2], strict=True):
+        runs = sorted(zip(edges[::2], edges[1::2], strict=True), key=lambda run: run[0] - run[1])
+        for first, last in runs[:MOST_RUNS]:
             whole = _whole_stretch(y, int(first), int(last) - 1 + window, noise_N)
             if all(whole[0] >= end or whole[1] <= begin for begin, end in found):
                 stretch = _coming_back(y, model_N, whole, noise_N)
