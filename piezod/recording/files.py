@@ -17,7 +17,7 @@ from piezod.recording.formats.mdf4 import open_mdf4, write_mdf4
 from piezod.recording.formats.parquet import open_parquet, write_parquet
 from piezod.recording.formats.spreadsheet import open_spreadsheet, write_spreadsheet
 from piezod.recording.formats.sqlite import open_sqlite, write_sqlite
-from piezod.recording.formats.stream import RecordingStream, chunk_ranges, increasing, read_all
+from piezod.recording.formats.stream import RecordingStream, chunk_ranges, read_all
 from piezod.recording.formats.tdms import open_tdms, write_tdms
 from piezod.recording.formats.text import open_text
 from piezod.recording.formats.text_layout import TextOptions
@@ -173,7 +173,7 @@ def open_stream(
     with _open(path, options) as stream:
         names = _wanted(stream, columns)
         done, end_s = 0, -np.inf
-        for table in increasing(stream, stream.chunks(names, chunk)):
+        for table in stream.chunks(names, chunk):
             for start, stop in chunk_ranges(table[TIME].size, chunk):
                 piece = {name: table[name][start:stop] for name in names}
                 check_time(str(path), piece[TIME], done, end_s)

@@ -16,7 +16,7 @@ import numpy as np
 from piezod.errors import RecordingError
 from piezod.recording.formats.access import library_errors, replaced_file
 from piezod.recording.formats.csv_cells import arrow_parser, parse
-from piezod.recording.formats.stream import MOST_VALUES, RecordingStream, Table, chunk_ranges, read_all
+from piezod.recording.formats.stream import MOST_VALUES, RecordingStream, Table, chunk_ranges, increasing, read_all
 from piezod.recording.names import TIME, channel_name, name_columns
 from piezod.recording.recording import Recording
 
@@ -79,7 +79,7 @@ def open_csv(path: Path) -> Iterator[RecordingStream]:
                 if table.size:
                     yield {name: np.ascontiguousarray(table[:, k]) for name, k in zip(wanted, columns, strict=True)}
 
-        yield RecordingStream(path, names, chunks, None, metadata)
+        yield RecordingStream(path, names, lambda *asked: increasing(chunks(*asked), metadata), None, metadata)
 
 
 def is_own_csv(path: Path) -> bool:

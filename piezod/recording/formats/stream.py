@@ -81,7 +81,7 @@ def read_all(stream: RecordingStream) -> Recording:
     RecordingError
         The file holds no samples, or its time does not strictly increase.
     """
-    parts = list(increasing(stream, stream.chunks(stream.names, WHOLE_CHUNK)))
+    parts = list(stream.chunks(stream.names, WHOLE_CHUNK))
     if not parts:
         raise RecordingError(f"{stream.path}: has a header but no samples")
     # Column by column, and each part is freed at once: the samples are never in memory twice.
@@ -89,20 +89,21 @@ def read_all(stream: RecordingStream) -> Recording:
     return Recording(columns.pop(TIME), columns, stream.metadata, str(stream.path))
 
 
-def increasing(stream: RecordingStream, tables: Iterator[Table]) -> Iterator[Table]:
-    """The tables of a stream without repeated times; `metadata["time"]` then says what was changed.
+def increasing(tables: Iterator[Table], metadata: dict[str, str]) -> Iterator[Table]:
+    """The tables of a text without repeated times; `metadata["time"]` then says what was changed.
 
     Parameters
     ----------
-    stream
-        The open file.
     tables
-        Its tables, with the time among the columns.
+        Blocks of the file, with the time among the columns. They must not depend on how many samples are asked for at
+        a time: what a repeated stamp means is decided block by block.
+    metadata
+        Of the file.
     """
     stamps = TimeStamps()
     for table in stamps.cleaned(tables, TIME):
         if stamps.notes:
-            stream.metadata["time"] = "; ".join(stamps.notes)
+            metadata["time"] = "; ".join(stamps.notes)
         yield table
 
 

@@ -15,7 +15,7 @@ import numpy as np
 
 from piezod.errors import RecordingError
 from piezod.recording.formats.csv_cells import parse_plain
-from piezod.recording.formats.stream import MOST_VALUES, Array, RecordingStream, Table
+from piezod.recording.formats.stream import MOST_VALUES, Array, RecordingStream, Table, increasing
 from piezod.recording.formats.text_cells import clock_s, number, unwrapped
 from piezod.recording.formats.text_layout import COMMENTS, Layout, TextOptions, find_layout, split_cells
 from piezod.recording.names import TIME
@@ -50,7 +50,8 @@ def open_text(path: Path, options: TextOptions = TextOptions()) -> Iterator[Reco
             columns = dict(zip(names, table, strict=True))
             yield {name: columns[name] for name in wanted}
 
-    yield RecordingStream(path, names, chunks, None, layout.metadata | {"understood": layout.understood()})
+    metadata = layout.metadata | {"understood": layout.understood()}
+    yield RecordingStream(path, names, lambda *asked: increasing(chunks(*asked), metadata), None, metadata)
 
 
 class _Rows:
