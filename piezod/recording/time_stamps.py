@@ -1,14 +1,11 @@
 """Time stamps that a logger rounded or wrote twice."""
 
 from collections.abc import Iterator
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from piezod.recording.stretches import Array
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
 
 FEWEST = 16
 """Samples of a block in which repeated stamps can be understood; in fewer they are an error."""
@@ -55,43 +52,48 @@ class TimeStamps:
         for table in tables:
             stamps_s = table[time]
             repeated = np.diff(stamps_s, prepend=self._stamp_s) == 0.0
-            if stamps_s.size < FEWEST or not repeated.any() or not np.isfinite(stamps_s).all():
-                self._continue(stamps_s, stamps_s)
-                yield table
-            elif (np.diff(stamps_s) < 0.0).any():
-                yield table
-            elif self._rounded_to_s or np.count_nonzero(repeated) >= ROUNDED_SHARE * stamps_s.size:
-                times_s = self._spread(stamps_s)
-                self._continue(stamps_s, times_s)
-                yield {**table, time: times_s}
-            else:
+            if not (np.isfinite(stamps_s).all() and (np.diff(stamps_s) >= 0.0).all()):
+                yield table  # refused where it is read
+                continue
+            cleaned = table
+            if self._are_rounded(repeated):
+                cleaned = {**table, time: self._spread(stamps_s)}
+            elif repeated.any() and (self._left_out or _few(repeated)):
                 self._left_out += int(np.count_nonzero(repeated))
-                kept = {name: values[~repeated] for name, values in table.items()}
-                self._continue(kept[time], kept[time])
-                yield kept
+                cleaned = {name: values[~repeated] for name, values in table.items()}
+            if cleaned[time].size:
+                self._stamp_s, self._end_s = float(stamps_s[-1]), float(cleaned[time][-1])
+            yield cleaned
 
-    def _continue(self, stamps_s: Array, times_s: Array) -> None:
-        if stamps_s.size:
-            self._stamp_s, self._end_s = float(stamps_s[-1]), float(times_s[-1])
+    def _are_rounded(self, repeated: NDArray[np.bool_]) -> bool:
+        """Whether the stamps of a block are rounded; what the first block with repeated ones shows holds for all."""
+        if self._rounded_to_s or self._left_out or repeated.size < FEWEST:
+            return self._rounded_to_s > 0.0
+        return bool(repeated.any() and not _few(repeated) and not repeated[1:].all())
 
     def _spread(self, stamps_s: Array) -> Array:
         """Times between the stamps, evenly over the block where that agrees with them."""
         steps_s = np.diff(stamps_s)
-        if not (steps_s > 0.0).any():
-            return stamps_s
-        resolution_s = float(steps_s[steps_s > 0.0].min())
+        resolution_s = float(steps_s[steps_s > 0.0].min(initial=self._rounded_to_s or np.inf))
         self._rounded_to_s = max(self._rounded_to_s, resolution_s)
         within = _within_runs(stamps_s, resolution_s)
         if within[0] <= self._end_s:  # the run goes on from the block before
             run = int(np.searchsorted(stamps_s, stamps_s[0], side="right"))
             within[:run] = self._end_s + (stamps_s[0] + resolution_s - self._end_s) * np.arange(1, run + 1) / (run + 1)
+        if stamps_s.size < FEWEST:
+            return within
         count = np.arange(stamps_s.size)
-        slope, offset = np.polynomial.Polynomial.fit(count, within, 1).convert().coef[::-1]
-        even = offset + slope * count
+        slope, offset = np.polyfit(count, within, 1)
+        even: Array = offset + slope * count
         if even[0] <= self._end_s:
             even = self._end_s + (even[-1] - self._end_s) * (count + 1) / stamps_s.size
-        agrees = np.abs(even - within).max() <= EVENLY_WITHIN * resolution_s
+        agrees = np.abs(even - within).max() <= EVENLY_WITHIN * resolution_s and even[-1] < stamps_s[-1] + resolution_s
         return even if agrees else within
+
+
+def _few(repeated: NDArray[np.bool_]) -> bool:
+    """Whether a block is long enough to tell, and few of its stamps are repeated."""
+    return repeated.size >= FEWEST and bool(np.count_nonzero(repeated) < ROUNDED_SHARE * repeated.size)
 
 
 def _within_runs(stamps_s: Array, resolution_s: float) -> Array:

@@ -4,7 +4,7 @@ import numpy as np
 
 from firmware_sim.concealed.plant.arrays import Array
 from firmware_sim.concealed.plant.force_law import ForceLaw, amount_for_curvature, bend, contact
-from firmware_sim.concealed.plant.friction import dahl_friction, friction_force, lugre_friction, maxwell_slip
+from firmware_sim.concealed.plant.friction import friction_force, lugre_friction, maxwell_slip
 from firmware_sim.concealed.plant.linear import cascade, first_order, respond, second_order
 from firmware_sim.concealed.plant.record_context import RecordContext, Signal
 from firmware_sim.concealed.plant.sampling import tone, wander
@@ -62,9 +62,7 @@ def _subtract_friction(context: RecordContext, force_N: Array) -> Array:
     if on is None:
         return force_N
     given, law = (on.parameters["force_N"], on.parameters["presliding_N"]), on.details.get("law", "elasto_plastic")
-    if law == "dahl":
-        friction_N = dahl_friction(force_N, *given)
-    elif law == "maxwell":
+    if law == "maxwell":
         friction_N = maxwell_slip(force_N, *given, int(on.number("seed")))
     elif law == "lugre":
         fine_s = context.drive.fine_s

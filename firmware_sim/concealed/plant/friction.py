@@ -15,7 +15,7 @@ from numba import njit
 from firmware_sim.concealed.plant.arrays import Array
 from firmware_sim.concealed.plant.stops import Stops
 
-LAWS = ("elasto_plastic", "dahl", "maxwell", "lugre")
+LAWS = ("elasto_plastic", "maxwell", "lugre")
 ELEMENTS = 15  # of Maxwell slip
 LONGEST_PART = 0.02  # [presliding travel]; a longer step is split
 REACHED = 1.0 - np.exp(-1.0)
@@ -37,20 +37,6 @@ def friction_force(force_N: Array, coulomb_N: float, presliding_N: float, break_
         Share of the limit up to which the friction is elastic, 0 to 1.
     """
     result: Array = coulomb_N * _run(force_N / presliding_N, stiffness(break_away), break_away)
-    return result
-
-
-def dahl_friction(force_N: Array, coulomb_N: float, presliding_N: float) -> Array:
-    """Friction after Dahl, dz/dx = 1 - z sgn(dx), shape (n,) [N].
-
-    Source: Dahl (1968), A Solid Friction Model, DTIC ADA041920.
-
-    Parameters
-    ----------
-    force_N, coulomb_N, presliding_N
-        As for `friction_force`.
-    """
-    result: Array = coulomb_N * _slide(force_N / presliding_N, np.ones(1))
     return result
 
 
@@ -132,14 +118,14 @@ def _run(x: Array, slope: float, break_away: float) -> Array:
 
 @njit(cache=True)
 def _slide(x: Array, limit: Array) -> Array:
-    """State of Dahl's equation over a travel; `limit` of shape (1,) is the same everywhere."""
+    """State that approaches a limit exponentially with the travel, whose limit is given at every point."""
     out = np.empty(x.size)
     z, last = 0.0, x[0]
     for k in range(x.size):
         travel = x[k] - last
         last = x[k]
         if travel != 0.0:
-            end = (limit[k] if limit.size > 1 else limit[0]) * (1.0 if travel > 0.0 else -1.0)
+            end = limit[k] * (1.0 if travel > 0.0 else -1.0)
             z = end + (z - end) * np.exp(-abs(travel) / abs(end))
         out[k] = z
     return out

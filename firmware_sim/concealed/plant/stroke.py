@@ -6,11 +6,10 @@ from firmware_sim.concealed.plant.amplifier import clamp, slew, swelling_lag
 from firmware_sim.concealed.plant.arrays import Array
 from firmware_sim.concealed.plant.creep import creep_response, curve
 from firmware_sim.concealed.plant.hysteresis import Hysteresis
-from firmware_sim.concealed.plant.linear import first_order, respond
 from firmware_sim.concealed.plant.record_context import Effect, RecordContext, Signal
 
-RATE_LAWS = ("logarithmic", "linear", "filtered")
-YIELDING = ("linear", "filtered")  # laws whose widths follow the rate at rest too
+RATE_LAWS = ("logarithmic", "linear", "averaged")
+YIELDING = ("linear", "averaged")  # laws whose widths follow the rate at rest too
 DRIFT_SHAPES = ("bent", "logarithmic", "sigmoid")
 SLEW_TAU = 0.02  # time constant below the slew limit [samples]
 
@@ -115,10 +114,17 @@ def _rate_measure(context: RecordContext, on: Effect, voltage_V: Array) -> Array
     """Function of the rate that the widths grow with, shape (n,) [1]."""
     rate, law = _rate_V_per_s(context, voltage_V), on.details.get("law", "logarithmic")
     if law in YIELDING:
-        rate = respond(first_order(on.number("memory_s")), rate, context.drive.fine_s, held=False)
+        rate = _mean_of_the_last(rate, max(round(on.number("window_s") / context.drive.fine_s), 1))
     if law == "linear":
         return rate / on.number("fastest_V_per_s")
     result: Array = np.arcsinh(rate / on.parameters["reference_V_per_s"])
+    return result
+
+
+def _mean_of_the_last(values: Array, count: int) -> Array:
+    """Mean of every value and those before it, `count` in all, shape (n,); before the first they are 0."""
+    sums = np.concatenate((np.zeros(count), np.cumsum(values)))
+    result: Array = (sums[count:] - sums[:-count]) / count
     return result
 
 

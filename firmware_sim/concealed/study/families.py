@@ -11,7 +11,7 @@ import numpy as np
 from firmware_sim.concealed.plant.hysteresis import Kind
 from firmware_sim.concealed.study.entry import Context
 
-RATE_MEMORY_S = (0.001, 0.01)
+RATE_WINDOW_S = (0.002, 0.02)
 STRIBECK = (1.05, 1.3)  # static over sliding friction
 
 
@@ -52,7 +52,7 @@ class Family:
             "creep": {"law": self.creep},
             "rate_dependent_hysteresis": {
                 "law": self.rate,
-                "memory_s": float(np.exp(rng.uniform(*np.log(RATE_MEMORY_S)))),
+                "window_s": float(np.exp(rng.uniform(*np.log(RATE_WINDOW_S)))),
                 "fastest_V_per_s": bench.lasting_V_per_s,
             },
             "friction": {
@@ -69,12 +69,18 @@ class Family:
 
 FAMILIES = {
     "preisach": Family(
-        "preisach", "logarithmic", "filtered", "dahl", in_front=False, dropout="noisy", with_rate="plays"
+        "preisach", "logarithmic", "averaged", "maxwell", in_front=False, dropout="noisy", with_rate="plays"
     ),
-    "bouc_wen": Family("bouc_wen", "kelvin", "filtered", "lugre", in_front=True, dropout="rail", with_rate="bouc_wen"),
+    "bouc_wen": Family("bouc_wen", "kelvin", "averaged", "lugre", in_front=True, dropout="rail", with_rate="bouc_wen"),
     "plays": Family("plays", "fractional", "linear", "maxwell", in_front=False, dropout="noisy", with_rate="plays"),
     "interpolated": Family(
-        "interpolated", "diffusion", "logarithmic", "dahl", in_front=True, dropout="exact", with_rate="bouc_wen"
+        "interpolated",
+        "diffusion",
+        "logarithmic",
+        "elasto_plastic",
+        in_front=True,
+        dropout="exact",
+        with_rate="bouc_wen",
     ),
 }
 """The families, by the law of their hysteresis."""

@@ -1,10 +1,15 @@
 """Rounded and repeated time stamps."""
 
+import itertools
+
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from piezod.errors import RecordingError
 from piezod.recording import open_stream, read_recording
+from piezod.recording.time_stamps import TimeStamps
 
 
 def write(path, time_s, values=None, header="time_s,voltage_V,force_N"):
@@ -26,6 +31,32 @@ def test_rounded_stamps_of_even_samples_are_spread_within_two_resolutions(tmp_pa
     assert (np.diff(found_s) > 0.0).all()
     assert np.abs(found_s - true_s).max() < 0.02
     assert "rounded to 0.01 s" in pieces[-1].metadata["time"]
+
+
+@given(
+    samples=st.integers(16, 400),
+    rate_Hz=st.floats(300.0, 3000.0),
+    cuts=st.lists(st.integers(1, 399), max_size=6),
+    floor=st.booleans(),
+)
+def test_rounded_stamps_rise_strictly_however_the_file_is_cut_into_blocks(samples, rate_Hz, cuts, floor):
+    true_s = np.arange(samples) / rate_Hz
+    stamps_s = np.floor(true_s * 100.0) / 100.0 if floor else np.round(true_s, 2)
+    first = next((k for k in sorted(set(cuts)) if 16 <= k < samples and len(set(stamps_s[:k])) > 1), samples)
+    edges = [0, first, *sorted(k for k in set(cuts) if first < k < samples), samples]
+    blocks = [{"time_s": stamps_s[a:b]} for a, b in itertools.pairwise(edges) if b > a]
+    found_s = np.concatenate([block["time_s"] for block in TimeStamps().cleaned(iter(blocks), "time_s")])
+    if len(set(stamps_s[:first])) > 1:
+        assert (np.diff(found_s) > 0.0).all()
+        assert np.abs(found_s - true_s).max() < 0.03
+
+
+@pytest.mark.parametrize("last", [1, 2, 5, 300])
+def test_rows_written_twice_are_left_out_in_a_short_last_block_too(last):
+    stamps_s = np.insert(np.arange(500) / 1000.0, [100, 500 - 1], [0.099, 0.498])
+    blocks = [{"time_s": part, "force_N": part} for part in (stamps_s[:-last], stamps_s[-last:])]
+    cleaned = TimeStamps().cleaned(iter(blocks), "time_s")
+    assert np.concatenate([block["force_N"] for block in cleaned]) == pytest.approx(np.arange(500) / 1000.0)
 
 
 def test_evenly_spaced_samples_stay_evenly_spaced(tmp_path):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from firmware_sim.concealed.plant.creep import OTHER_LAWS, curve, slope_per_decade
-from firmware_sim.concealed.plant.friction import REACHED, dahl_friction, lugre_friction, maxwell_slip
+from firmware_sim.concealed.plant.friction import REACHED, lugre_friction, maxwell_slip
 from firmware_sim.concealed.plant.sampling import RAIL
 from firmware_sim.concealed.study.drawing import CaseSpec, draw_case
 from firmware_sim.concealed.study.families import FAMILIES
@@ -20,7 +20,6 @@ from tests.unit.firmware_sim.concealed.benches import (
 
 COULOMB_N, PRESLIDING_N = 3.0, 20.0
 FRICTIONS = {
-    "dahl": lambda force_N: dahl_friction(force_N, COULOMB_N, PRESLIDING_N),
     "maxwell": lambda force_N: maxwell_slip(force_N, COULOMB_N, PRESLIDING_N, 5),
     "lugre": lambda force_N: lugre_friction(force_N, COULOMB_N, PRESLIDING_N, 1.0, 50.0, 1e-3),
 }
@@ -51,10 +50,10 @@ def test_other_laws_of_creep_have_the_slope_of_one_a_decade_and_rise_from_0(law)
     assert np.all(np.diff(response(np.geomspace(1e-3, 1e3, 50))) > 0.0)
 
 
-@pytest.mark.parametrize("law", ["linear", "filtered"])
+@pytest.mark.parametrize("law", ["linear", "averaged"])
 def test_widths_that_follow_the_rate_at_rest_let_the_force_move_when_the_command_stops(law):
     voltage_V = np.concatenate((np.linspace(0.0, REACH_V, 2000), hold(REACH_V, 2.0)))
-    details = {"law": law, "memory_s": 0.005, "fastest_V_per_s": REACH_V * RATE_HZ / 2000}
+    details = {"law": law, "window_s": 0.01, "fastest_V_per_s": REACH_V * RATE_HZ / 2000}
     on = effect("rate_dependent_hysteresis", details, growth=0.3, reference_V_per_s=1.0)
     force_N = forces(play_plant(), drive(voltage_V), **on)
     plain_N = forces(play_plant(), drive(voltage_V))
