@@ -142,7 +142,11 @@ def choose_columns(path: Path, names: Sequence[str], given: Mapping[str, str | N
     return (
         chosen["input"],
         chosen["output"],
-        [f"the {role} is {name}, else give --{role}" for role, name in chosen.items() if role not in defaults],
+        [
+            f"the {role} is the column {name}; --{role} names another"
+            for role, name in chosen.items()
+            if role not in defaults
+        ],
     )
 
 

@@ -68,7 +68,8 @@ def lugre_friction(
 def maxwell_slip(force_N: Array, coulomb_N: float, presliding_N: float, seed: int) -> Array:
     """Friction of elements that stick to their limit and then slip, shape (n,) [N].
 
-    Source: Lampaert, Al-Bender, Swevers (2003), A generalized Maxwell-slip friction model, doi:10.1109/PHYCON.2003.
+    Source: Lampaert, Al-Bender, Swevers (2003), A generalized Maxwell-slip friction model appropriate for control
+    purposes, Physics and Control conference.
 
     Parameters
     ----------
