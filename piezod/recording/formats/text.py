@@ -16,8 +16,8 @@ import numpy as np
 from piezod.errors import RecordingError
 from piezod.recording.formats.csv_cells import parse_plain
 from piezod.recording.formats.stream import MOST_VALUES, Array, RecordingStream, Table, increasing
-from piezod.recording.formats.text_cells import clock_s, number, unwrapped
-from piezod.recording.formats.text_layout import COMMENTS, Layout, TextOptions, find_layout, split_cells
+from piezod.recording.formats.text_cells import COMMENTS, clock_s, number, split_cells, unwrapped
+from piezod.recording.formats.text_layout import Layout, TextOptions, find_layout
 from piezod.recording.names import TIME
 from piezod.recording.quantities import UNITS
 

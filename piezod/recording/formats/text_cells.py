@@ -1,8 +1,12 @@
 """Numbers and times from the cells of delimited text: decimal commas, thousands, missing values, dates, clock times."""
 
+import csv
 import re
 from datetime import datetime
 from math import inf, nan
+
+COMMENTS = ("#", "%", "//", "!")
+"""What a line that holds no samples may begin with."""
 
 MISSING = {
     "",
@@ -163,3 +167,15 @@ def unwrapped(times_s: list[float], before_s: float) -> list[float]:
         before_s = time_s + day_s
         result.append(before_s)
     return result
+
+
+def split_cells(line: str, separator: str) -> list[str]:
+    """Cells of a line, without quotes and surrounding blanks; empty cells at its end are left out."""
+    text = line.strip("\r\n\x00")
+    if separator == " ":
+        return text.split()
+    cells = next(csv.reader([text], delimiter=separator), []) if '"' in text else text.split(separator)
+    cells = [cell.strip() for cell in cells]
+    while cells and not cells[-1]:
+        cells.pop()
+    return cells

@@ -5,34 +5,41 @@ lines are rows of numbers with the same number of cells is taken. Where the cell
 refused with the option that does.
 """
 
-import csv
 import functools
-import re
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
 from piezod.errors import RecordingError, UsageError
-from piezod.recording.formats.text_cells import date_forms, day_of, is_clock, is_grouped, is_number, is_undecided
-from piezod.recording.names import TIME
-from piezod.recording.quantities import UNITS, Column, column_of, is_unit
+from piezod.recording.formats.text_cells import (
+    COMMENTS,
+    day_of,
+    is_clock,
+    is_grouped,
+    is_number,
+    is_undecided,
+    split_cells,
+)
+from piezod.recording.formats.text_head import (
+    MOST_PREAMBLE_LINES,
+    check_names,
+    columns_of,
+    head_of,
+    metadata_of,
+    stated_interval_s,
+    time_column,
+    with_time_unit,
+    with_unit,
+)
+from piezod.recording.quantities import Column
 
 SAMPLE = 2**18
 """Bytes from the begin of the file that decide about its layout."""
 
-MOST_PREAMBLE_LINES = 1000
-"""Lines before the first row of numbers."""
-
 SEPARATORS = {"\t": "tab", ";": "semicolon", ",": "comma", "|": "bar", " ": "spaces"}
-COMMENTS = ("#", "%", "//", "!")
 FEWEST_ROWS = 2
 """Rows of numbers that a table must begin with, so that a line of the preamble is not taken for one."""
-
-_INTERVAL = re.compile(
-    r"(?i)^\W*(sample[ _]interval|sample[ _]time|sampling[ _](?:interval|period)|time[ _]?increment|increment|delta_x"
-    r"|dt|abtastintervall|abtastzeit|xincr\w*|horizontal interval)\b[^0-9+\-.]*(?P<value>[0-9.,eE+\-]+)"
-)
 
 
 @dataclass(frozen=True)
@@ -133,18 +140,6 @@ class Layout:
         return ", ".join([*words, *self.notes])
 
 
-def split_cells(line: str, separator: str) -> list[str]:
-    """Cells of a line, without quotes and surrounding blanks; empty cells at its end are left out."""
-    text = line.strip("\r\n\x00")
-    if separator == " ":
-        return text.split()
-    cells = next(csv.reader([text], delimiter=separator), []) if '"' in text else text.split(separator)
-    cells = [cell.strip() for cell in cells]
-    while cells and not cells[-1]:
-        cells.pop()
-    return cells
-
-
 def encoding_of(raw: bytes) -> str:
     """Encoding of a text: by its byte order mark, by the zero bytes of UTF-16, UTF-8 where it is valid, else cp1252."""
     if raw.startswith(b"\xef\xbb\xbf"):
@@ -197,27 +192,26 @@ def _layout_of(path: Path, _changed_ns: int, _size: int, options: TextOptions) -
         decimal = "."  # a point is a decimal mark where no comma is
     rows = [cells for line in lines[first:] if len(cells := split_cells(line, separator)) == width]
     _check_decimal(path, rows, separator, decimal, options)
-    header, units, above = _head(lines[:first], separator, width)
+    header, units, above = head_of(lines[:first], separator, width)
     notes: list[str] = []
-    columns = _columns(path, options, header, units, rows, width)
-    time, date_form = _time(path, columns, rows, decimal)
-    interval_s = None
+    columns = columns_of(path, options.columns, header, units, rows, width)
+    time, date_form = time_column(path, columns, rows, decimal)
     interval_s = None
     if options.rate_Hz:
         interval_s, date_form = 1.0 / options.rate_Hz, None
         if time >= 0:
             notes.append(f"'{columns[time].written}' is not used, --rate-Hz is given")
     elif time >= 0:
-        columns = _with_time_unit(path, columns, time, rows, date_form, notes)
-    elif (interval_s := _interval(lines[:first], decimal)) is None:
+        columns = with_time_unit(path, columns, time, rows, date_form, notes)
+    elif (interval_s := stated_interval_s(lines[:first], decimal)) is None:
         raise RecordingError(
             f"{path}: has no column of time, has {', '.join(one.written for one in columns)[:120]}; "
             "give --rate-Hz, or name the columns with --columns time_s,..."
         )
-    columns = tuple(_with_unit(one, notes) for one in columns)
+    columns = tuple(with_unit(one, notes) for one in columns)
     grouped = any(is_grouped(cell, decimal) for cells in rows for cell in cells)
     first_day = day_of(rows[0][time], date_form) if date_form else 0
-    _check_names(path, columns)
+    check_names(path, columns)
     return Layout(
         encoding,
         separator,
@@ -229,7 +223,7 @@ def _layout_of(path: Path, _changed_ns: int, _size: int, options: TextOptions) -
         date_form,
         first_day,
         interval_s,
-        _metadata(above),
+        metadata_of(above),
         tuple(notes),
     )
 
@@ -290,145 +284,3 @@ def _check_decimal(
         f"{path}: {with_comma[0]!r} may be {with_comma[0].replace(',', '.')} or {with_comma[0].replace(',', '')}; "
         "give --decimal , or --decimal ."
     )
-
-
-def _head(lines: Sequence[str], separator: str, width: int) -> tuple[list[str], list[str], Sequence[str]]:
-    """Names, units, and the lines of the preamble above them."""
-    found: list[tuple[int, list[str]]] = []
-    for k in range(len(lines) - 1, -1, -1):
-        text = lines[k].strip()
-        if not text:
-            continue
-        for mark in COMMENTS:
-            text = text.removeprefix(mark)
-        cells = split_cells(text.strip(), separator)
-        if separator == " " and len(cells) != width:
-            cells = [cell.strip() for cell in re.split(r"\s{2,}|\t", text.strip())]
-        if len(cells) < width:
-            break
-        found.append((k, cells[:width]))
-        if len(found) == 2:
-            break
-    if not found:
-        keys = _metadata(lines)
-        return [keys[f"NAME{k}"] for k in range(width) if f"NAME{k}" in keys], [], lines
-    units = [] if not all(is_unit(cell) or not cell for cell in found[0][1]) else found[0][1]
-    if units and len(found) > 1:
-        return found[1][1], units, lines[: found[1][0]]
-    return found[0][1], [], lines[: found[0][0]]
-
-
-def _columns(
-    path: Path,
-    options: TextOptions,
-    header: Sequence[str],
-    units: Sequence[str],
-    rows: Sequence[Sequence[str]],
-    width: int,
-) -> tuple[Column, ...]:
-    if options.columns:
-        if len(options.columns) != width:
-            raise RecordingError(f"{path}: --columns names {len(options.columns)} columns, the file has {width}")
-        return tuple(column_of(name) for name in options.columns)
-    if len(header) != width:
-        first = ", ".join(rows[0])[:80]
-        raise RecordingError(
-            f"{path}: has no header for its {width} columns, the first row is {first}; name them, such as "
-            "--columns time_s,voltage_V,force_N, or export numbers with decimal commas between semicolons"
-        )
-    if not all(header):
-        raise RecordingError(f"{path}: column {list(header).index('') + 1} has no name; name all with --columns")
-    return tuple(column_of(name, unit) for name, unit in zip(header, units or [""] * width, strict=True))
-
-
-def _time(path: Path, columns: Sequence[Column], rows: Sequence[Sequence[str]], decimal: str) -> tuple[int, str | None]:
-    """Column of time, and the form of its dates; (-1, None) without one."""
-    named = [k for k, one in enumerate(columns) if one.quantity == "time"]
-    clocks = [k for k in range(len(columns)) if all(is_clock(cells[k]) for cells in rows[:20] if k < len(cells))]
-    for k in [k for k in named if k in clocks] or clocks[:1]:
-        forms = set(date_forms(rows[0][k])) & set(date_forms(rows[-1][k]))
-        days = {cells[k].split("T")[0].split(" ")[0] for cells in rows}
-        if not forms or (len(forms) > 1 and len(days) > 1):
-            raise RecordingError(f"{path}: {rows[0][k]!r} may be day or month first; write dates as 2026-11-25")
-        return k, min(forms)
-    numbers = [k for k in named if all(is_number(cells[k], decimal) for cells in rows[:20] if k < len(cells))]
-    if len(numbers) > 1:
-        names = ", ".join(columns[k].written for k in numbers)
-        raise RecordingError(f"{path}: {names} all look like time; name the columns with --columns")
-    return (numbers[0], None) if numbers else (-1, None)
-
-
-def _with_time_unit(
-    path: Path,
-    columns: tuple[Column, ...],
-    time: int,
-    rows: Sequence[Sequence[str]],
-    date_form: str | None,
-    notes: list[str],
-) -> tuple[Column, ...]:
-    """The columns with the unit of time; a time without unit in whole numbers may be milliseconds."""
-    one = columns[time]
-    if one.quantity != "time":
-        one = Column(one.written, "time", "")
-    if date_form is None and not one.unit:
-        if all(cells[time].strip().lstrip("+-").isdigit() for cells in rows if time < len(cells)):
-            raise RecordingError(
-                f"{path}: '{one.written}' is in whole numbers without a unit, may be s, ms or a count of samples; "
-                "name the columns with --columns time_ms,..., or give --rate-Hz"
-            )
-        notes.append("time without unit is taken in s")
-        one = Column(one.written, "time", "s")
-    return (*columns[:time], one, *columns[time + 1 :])
-
-
-def _with_unit(one: Column, notes: list[str]) -> Column:
-    """A known quantity without a unit is taken in the first unit of the quantity."""
-    if one.quantity in ("voltage", "force") and not one.unit:
-        unit = next(iter(UNITS[one.quantity]))
-        notes.append(f"'{one.written}' without unit is taken in {unit}")
-        return Column(one.written, one.quantity, unit)
-    return one
-
-
-def _check_names(path: Path, columns: Sequence[Column]) -> None:
-    """Refuse two columns with one name: which of them is meant is the user's to say."""
-    by_name: dict[str, list[str]] = {}
-    for one in columns:
-        by_name.setdefault(one.channel, []).append(one.written)
-    for name, written in by_name.items():
-        if len(written) > 1 and name != TIME:
-            raise RecordingError(
-                f"{path}: {' and '.join(repr(w) for w in written)} are both {name}; name the columns with --columns"
-            )
-
-
-def _interval(lines: Sequence[str], decimal: str) -> float | None:
-    """Sample interval that the preamble states [s]: behind its name, or in the line below it."""
-    for line, below in zip(lines, [*lines[1:], ""], strict=True):
-        names, values = line.strip(" ,").lower().split(","), below.strip(" ,").split(",")
-        if "increment" in names and len(values) == len(names):
-            line = f"increment {values[names.index('increment')]}"  # noqa: PLW2901
-        found = _INTERVAL.match(line)
-        if found:
-            try:
-                value = float(found["value"].strip(",").replace(decimal, "."))
-            except ValueError:
-                continue
-            if value > 0.0:
-                return value
-    return None
-
-
-def _metadata(lines: Sequence[str]) -> dict[str, str]:
-    """Keys and values of the preamble."""
-    found = {}
-    for line in lines[:MOST_PREAMBLE_LINES]:
-        text = line.strip()
-        for mark in COMMENTS:
-            text = text.removeprefix(mark)
-        key, mark, value = (
-            re.split(r"(\s*[:=;\t]\s*)", text.strip(), maxsplit=1) if re.search(r"[:=;\t]", text) else ("", "", "")
-        )
-        if mark and key and value.strip():
-            found[key.strip().strip('"')] = value.strip().strip('";,')
-    return found
