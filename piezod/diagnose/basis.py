@@ -85,9 +85,14 @@ class PlayDensity:
         return PlayDensity(all_V[order], hats[order])
 
     def columns(
-        self, applied_V: Array, path_V: Array, factor: Array | None = None, offset_V: Array | None = None
+        self,
+        applied_V: Array,
+        path_V: Array,
+        factor: Array | None = None,
+        offset_V: Array | None = None,
+        step: int = 1,
     ) -> Array:
-        """B_k over a record, shape (N, columns) [V].
+        """B_k at every `step`-th sample of a record, shape (rows, columns) [V].
 
         Parameters
         ----------
@@ -97,9 +102,11 @@ class PlayDensity:
             Voltages since the de-energised state, before the first sample [V].
         factor, offset_V
             What the thresholds are multiplied by and what is added to them, shape (N,) or None.
+        step
+            Samples from a row to the next.
         """
         forget_outdated_steps(_columns.stats.cache_path)
-        out = np.empty((applied_V.size, self.count))
+        out = np.empty((-(-applied_V.size // step), self.count))
         none = np.empty(0)
         _columns(
             *self._laid_out,
@@ -107,6 +114,7 @@ class PlayDensity:
             np.ascontiguousarray(applied_V),
             none if factor is None else factor,
             none if offset_V is None else offset_V,
+            step,
             out,
         )
         return out
@@ -150,22 +158,28 @@ def _columns(
     u: Array,
     factor: Array,
     offset: Array,
+    step: int,
     out: Array,
 ) -> None:
+    """Plays at every `step`-th sample; between these, those of constant width need only what turns the voltage."""
     plays = r.size
     z, lag, wide = np.zeros(plays), np.zeros(plays), r.copy()
     for k in range(path.size):
         for i in range(plays):
             z[i] = next_state(z[i], r[i], path[k])
     for k in range(u.size):
+        asked = k % step == 0
+        now = u[k]
         if factor.size:
             for i in range(plays):
                 wide[i] = r[i] * factor[k] + offset[k]
-        now = u[k]
+        elif not asked and k + 1 < u.size and (now == u[k - 1] or (now - u[k - 1]) * (u[k + 1] - now) > 0.0):
+            continue
         for i in range(plays):
             z[i] = next_state(z[i], wide[i], now)
             lag[i] = z[i] - now
-        _gather(lag, near, far, starts, out[k])
+        if asked:
+            _gather(lag, near, far, starts, out[k // step])
 
 
 @numba.njit(cache=True, nogil=True, inline="always")

@@ -221,8 +221,18 @@ class Chain:
             one.path_V,
         )
 
-    def played(self, number: int, here: Sequence[tuple[Term, Mapping[str, float]]]) -> tuple[Array, Array, Context]:
-        """Applied voltage and play columns of a recording."""
+    def _step(self, number: int, here: Sequence[tuple[Term, Mapping[str, float]]]) -> int:
+        """Samples from one that must be simulated to the next: all, where something behind the plays remembers."""
+        behind_plays = [term.effect for term, _ in here if term.effect.location >= Location.STACK]
+        additive = all(
+            one.form == "additive" and one.location > Location.STACK for one in behind_plays if one.form != "memoryless"
+        )
+        return (self.rows[number].step or 1) if additive else 1
+
+    def played(
+        self, number: int, here: Sequence[tuple[Term, Mapping[str, float]]], step: int = 1
+    ) -> tuple[Array, Array, Context]:
+        """Applied voltage of a recording, and its play columns at every `step`-th sample."""
         context = self.context(number)
 
         def moved() -> tuple[Array, Array, Hold, dict[str, tuple[Array, Array]]]:
@@ -234,9 +244,10 @@ class Chain:
                 elif term.effect.location == Location.HYSTERESIS and term.effect.widening is not None:
                     factor, offset_V = term.effect.widening(now, values)
             path_V = np.array(self.series[number].path_V)
-            return applied_V, self.density.columns(applied_V, path_V, factor, offset_V), now.hold, now.cache
+            columns = self.density.columns(applied_V, path_V, factor, offset_V, step)
+            return applied_V, columns, now.hold, now.cache
 
-        applied_V, columns, hold, cache = self._plays[number].get(self._front(number, here), moved)
+        applied_V, columns, hold, cache = self._plays[number].get((*self._front(number, here), step), moved)
         return applied_V, columns, replace(context, applied_V=applied_V, hold=hold, cache=cache)
 
     def _front(self, number: int, here: Sequence[tuple[Term, Mapping[str, float]]]) -> Key:
@@ -245,16 +256,16 @@ class Chain:
         return (self.series[number].hold, self.series[number].path_V, _named(front))
 
     def stroke(
-        self, number: int, here: Sequence[tuple[Term, Mapping[str, float]]], point: Point
+        self, number: int, here: Sequence[tuple[Term, Mapping[str, float]]], point: Point, step: int = 1
     ) -> tuple[Array, Context]:
-        """What stands in front of the force law of a recording, shape (N,) [V]."""
-        applied_V, columns, context = self.played(number, here)
+        """What stands in front of the force law of a recording at every `step`-th sample, shape (rows,) [V]."""
+        applied_V, columns, context = self.played(number, here, step)
         stack = [(term, values) for term, values in here if term.effect.location == Location.STACK]
-        of_plays = (self._front(number, here), point.density.tobytes())
+        of_plays = (self._front(number, here), step, point.density.tobytes())
         key = (*of_plays, _named(stack))
 
         def strained() -> tuple[Array, Hold]:
-            stroke_V = self._sums[number].get(of_plays, lambda: applied_V + columns @ point.density)
+            stroke_V = self._sums[number].get(of_plays, lambda: applied_V[::step] + columns @ point.density)
             now = context
             for term, values in stack:
                 stroke_V = term.effect.forward(stroke_V, now, values)
@@ -281,9 +292,10 @@ class Chain:
         What remembers nothing is computed for these alone, what does not depend on the signal once.
         """
         here = self.terms_of(number, terms, point)
-        stroke_V, context = self.stroke(number, here, point)
+        step = self._step(number, here)
+        stroke_V, context = self.stroke(number, here, point, step)
         after = [(term, values) for term, values in here if term.effect.location >= Location.MECHANICS]
-        rows, thinned = self.rows[number], False
+        rows, thinned = self.rows[number], step > 1
         signal_N: Array = stroke_V
         for place in range(len(after) + 1):
             if not thinned and all(term.effect.form == "additive" for term, _ in after[place:]):
@@ -292,7 +304,7 @@ class Chain:
                 signal_N = self.law.value(np.ascontiguousarray(signal_N), point.law)
             if place < len(after):
                 term, values = after[place]
-                if thinned:
+                if thinned and term.effect.form == "additive":
                     signal_N = signal_N + self._added(number, here, term, context, values)[rows]
                 else:
                     signal_N = term.effect.forward(signal_N, context, values)
@@ -320,14 +332,15 @@ class Chain:
         Carried through the chain column by column: those of a long recording are most of what a diagnosis holds.
         """
         here = self.terms_of(number, terms, point)
-        applied_V, columns, context = self.played(number, here)
+        step = self._step(number, here)
+        applied_V, columns, context = self.played(number, here, step)
         stack = [(term.effect, values) for term, values in here if term.effect.location == Location.STACK]
-        stroke_V = applied_V + columns @ point.density
+        stroke_V = applied_V[::step] + columns @ point.density
         through_stack, stroke_V, context = passages(stack, stroke_V, context)
         after = [(term.effect, values) for term, values in here if term.effect.location >= Location.MECHANICS]
-        through_rest, _, _ = passages(after, self.law.value(stroke_V, point.law), context)
+        through_rest, _, _ = passages(after, self.law.value(stroke_V, point.law), context, step)
         remembers = any(one.linear for one in through_rest)
-        rows = self.rows[number]
+        rows = self.rows[number] if step == 1 else slice(None)
         kept = slice(None) if remembers else rows
         splines, slopes = self.law.columns(stroke_V[kept])
         slope = slopes @ point.law
@@ -344,7 +357,7 @@ class Chain:
             return compared(slope * column[kept])
 
         base, count = columns.shape[1] + splines.shape[1], sum(len(term.effect.weights) for term in terms)
-        tangents = np.zeros((self.series[number].counts[rows].size, base + count))
+        tangents = np.zeros((self.series[number].counts[self.rows[number]].size, base + count))
         for k in range(columns.shape[1]):
             tangents[:, k] = through(np.ascontiguousarray(columns[:, k]), through_stack)
         for k in range(splines.shape[1]):

@@ -242,9 +242,10 @@ class _Asked:
         """What a search found, with how sure it is and what is left."""
         chain, found = result.chain, result.found
         normal = Normal.at(chain, found.terms, found.point)
-        residuals = [one.reading_N - modelled for one, modelled in zip(chain.series, normal.readings, strict=True)]
-        left = explainable(chain.series, residuals, normal.readings)
-        share, closed = remaining(result, left, motion(chain.series, residuals, normal.readings))
+        modelled = normal.readings()
+        residuals = [one.reading_N - simulated for one, simulated in zip(chain.series, modelled, strict=True)]
+        left = explainable(chain.series, residuals, modelled)
+        share, closed = remaining(result, left, motion(chain.series, residuals, modelled))
         floor, floor_from = noise_floor(chain.series, residuals, left)
         series = with_tones(chain.series, result.tones)
         simulated = [one.reading_N - residual for one, residual in zip(series, residuals, strict=True)]

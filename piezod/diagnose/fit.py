@@ -113,7 +113,7 @@ class Normal:
     terms: tuple[Term, ...]
     point: Point
     layout: Layout
-    readings: list[Array]  # simulated, one a recording
+    compared: list[Array]  # simulated, of the samples that are compared, one a recording
     jacobians: list[Array]  # (N, P), 0 where a reading does not count
     tangents: list[Array]  # (N, base and effects' weights), as they are simulated
     told: list[Array]  # weights of the readings that tell
@@ -159,7 +159,7 @@ class Normal:
         for number, series in enumerate(chain.series):
             reading, jacobian = _jacobian(chain, terms, point, layout, number, near)
             rows = chain.rows[number]
-            residual, told = series.residual(rows, reading[rows])
+            residual, told = series.residual(rows, reading)
             tangents = jacobian[:, layout.carried]
             jacobian *= told[:, None] / series.noise_N
             trusted = series.weights(rows)
@@ -168,7 +168,7 @@ class Normal:
             weight = np.minimum(1.0, HUBER * scale / np.maximum(np.abs(residual), 1e-12))
             made.loss += _robust(residual, scale)
             made.scales.append(scale)
-            made.readings.append(reading)
+            made.compared.append(reading)
             made.jacobians.append(jacobian)
             made.tangents.append(tangents)
             made.weighted.append(weight * residual)
@@ -185,6 +185,10 @@ class Normal:
         made.ridge, made.pull = _ridge(made.hessian, layout) + np.diag(made.stiff), -made.stiff * vector
         made.loss += float(made.stiff @ vector**2)
         return made
+
+    def readings(self) -> list[Array]:
+        """Simulated readings of all samples, one array a recording, shape (N,) [N]."""
+        return [self.chain.run(number, self.terms, self.point).reading_N for number in range(len(self.chain.series))]
 
     def loss_at(self, point: Point) -> float:
         """The robust loss alone, at another point."""
@@ -295,10 +299,9 @@ class Normal:
 def _jacobian(
     chain: Chain, terms: Sequence[Term], point: Point, layout: Layout, number: int, near: Normal | None
 ) -> tuple[Array, Array]:
-    """Simulated reading of a recording, and how it changes with every parameter."""
+    """Simulated readings of a recording that are compared, and how they change with every parameter."""
     series, rows = chain.series[number], chain.rows[number]
-    reading = chain.run(number, terms, point).reading_N
-    compared_N = reading[rows]
+    compared_N = chain.compared(number, terms, point)
     jacobian = np.zeros((series.counts[rows].size, layout.size))
     tangents = chain.tangents(number, terms, point) if near is None else near.tangents[number]
     jacobian[:, layout.carried] = tangents
@@ -311,7 +314,7 @@ def _jacobian(
             moved = _moved(point, term, one.name, unscaled(one, here + size))
             change = chain.compared(number, terms, moved) - compared_N
             jacobian[:, place] = change / size
-    return reading, jacobian
+    return compared_N, jacobian
 
 
 def _thinned(blocks: Sequence[slice], step: int) -> list[slice]:

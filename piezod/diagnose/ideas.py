@@ -237,9 +237,9 @@ def _changes(chain: Chain, terms: Sequence[Term], point: Point) -> tuple[Normal,
     channels = ["temperature_C"] if all(one.temperature_C is not None for one in chain.series) else []
     tops_Hz = [
         top
-        for number, one in enumerate(chain.series)
+        for one, modelled in zip(chain.series, normal.readings(), strict=True)
         if one.role == "recording"
-        for top in peaks_Hz(one, one.reading_N - normal.readings[number])
+        for top in peaks_Hz(one, one.reading_N - modelled)
     ]
     ringing = (*tops_Hz, *EFFECTS["resonance"].parameter("frequency_Hz").search.starts)
     known = {"resonance frequency_Hz": ringing, **_skews(chain, terms, point)}
@@ -250,7 +250,7 @@ def _changes(chain: Chain, terms: Sequence[Term], point: Point) -> tuple[Normal,
         parts = [
             [
                 chain.compared(number, (*terms, term), replace(point, values=(*point.values, part)))
-                - normal.readings[number][chain.rows[number]]
+                - normal.compared[number]
                 for number in range(len(chain.series))
             ]
             for part in parts_of(effect, values).values()

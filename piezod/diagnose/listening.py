@@ -22,7 +22,7 @@ Heard = tuple[Chain, Fitted, list[Tone]]
 def heard(result: Search) -> Heard | None:
     """The strongest tone taken off, where that lowers the loss enough."""
     normal = Normal.at(result.chain, result.found.terms, result.found.point)
-    residuals = [one.reading_N - modelled for one, modelled in zip(result.chain.series, normal.readings, strict=True)]
+    residuals = [one.reading_N - modelled for one, modelled in zip(result.chain.series, normal.readings(), strict=True)]
     for group in tones(result.chain.series, residuals, result.tones)[:2]:
         if _near_a_mode(result, group[0]):
             continue
@@ -66,7 +66,7 @@ def listen_again(result: Search) -> None:
         return
     normal = Normal.at(result.chain, result.found.terms, result.found.point)
     series = result.chain.series
-    left = [one.reading_N - modelled for one, modelled in zip(series, normal.readings, strict=True)]
+    left = [one.reading_N - modelled for one, modelled in zip(series, normal.readings(), strict=True)]
     again = heard_again(series, left, result.tones)
     back = with_tones(series, result.tones)
     result.tones = again

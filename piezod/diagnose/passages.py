@@ -42,17 +42,32 @@ class Passage:
 
 
 def passages(
-    effects: Sequence[tuple[Effect, Mapping[str, float]]], signal: Array, context: Context
+    effects: Sequence[tuple[Effect, Mapping[str, float]]], signal: Array, context: Context, step: int = 1
 ) -> tuple[list[Passage], Array, Context]:
-    """How small changes pass through effects that follow each other, with the signal and the context behind them."""
+    """How small changes pass through effects that follow each other, with the signal and the context behind them.
+
+    Parameters
+    ----------
+    effects
+        With their values.
+    signal
+        In front of them, at every `step`-th sample, shape (rows,). Beyond 1, none of them remembers the signal.
+    context
+        What they may look at, of all samples.
+    step
+        Samples from one of the signal's to the next.
+    """
     found = []
     for effect, values in effects:
         forward, slope = effect.forward, None
         if effect.form == "memoryless":
-            step = 1e-5 * (float(np.ptp(signal)) + 1e-12)
-            above, below = forward(signal + step, context, values), forward(signal - step, context, values)
-            slope = (above - below) / (2.0 * step)
+            little = 1e-5 * (float(np.ptp(signal)) + 1e-12)
+            above, below = forward(signal + little, context, values), forward(signal - little, context, values)
+            slope = (above - below) / (2.0 * little)
         found.append(Passage(effect, context, values, slope))
-        signal = forward(signal, context, values)
+        if step > 1 and effect.form == "additive":
+            signal = signal + forward(np.zeros(context.time_s.size), context, values)[::step]
+        else:
+            signal = forward(signal, context, values)
         context = behind(effect, context)
     return found, signal, context

@@ -160,7 +160,7 @@ def both(result: Search, tried: Sequence[tuple[Chain, Fitted]], largest: float) 
     """
     if len(result.names) + 2 > MOST_EFFECTS or result.found.loss <= NOTHING_LEFT:
         return False
-    pairs = two_at_once(result.chain, result.found)
+    pairs = [one for one in two_at_once(result.chain, result.found) if worth(result.found, one)]
     believed = []
     for chain, pair in each(settled, [(result.chain, pair) for pair in sorted(pairs, key=weighed)[:PAIRS_SETTLED]]):
         orders = pair, _turned(pair)

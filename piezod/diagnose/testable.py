@@ -45,7 +45,7 @@ def untestable(chain: Chain, terms: Sequence[Term], point: Point) -> tuple[str, 
         for part in parts_of(effect, values).values():
             given = Point(point.density, point.law, point.offsets_N, (*point.values, part))
             change = [
-                coarse.compared(k, (*terms, term), given) - normal.readings[k][coarse.rows[k]] if k in asked else None
+                coarse.compared(k, (*terms, term), given) - normal.compared[k] if k in asked else None
                 for k in range(len(coarse.series))
             ]
             energies.append(normal.free_energy(change))

@@ -7,7 +7,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from piezod.diagnose.acceptance import LOOSE
+from piezod.diagnose.acceptance import LOOSE, WORTH
 from piezod.diagnose.chain import Chain, Point, Scope, Term
 from piezod.diagnose.courses import coarse, started_alike
 from piezod.diagnose.fit import MOST_STEPS, Fitted, Normal, fit
@@ -28,7 +28,7 @@ LATE_BY = (1.0, 2.0, 4.0, 8.0, 16.0, 32.0)  # samples, behind which a coupling o
 NEAR = 0.4  # of the best one's gain, from which one is fitted thoroughly, or on more samples
 FEWEST_REFINED, FEWEST_COMPARED = 2, 3
 COARSE_STEPS = 7
-NOTHING = 0.003  # of the loss: an idea that promises less is not tried
+NOTHING = 0.25 * WORTH  # of the loss: an idea that promises less to first order is not tried
 PROMISING = 0.03  # of the best idea's gain, below which an idea is not tried
 
 
@@ -74,11 +74,13 @@ def two_at_once(chain: Chain, found: Fitted) -> list[Fitted]:
     """Hypotheses with two more effects, of the pairs that promise most; one of both has a shape of its own."""
     few = coarse(chain)
     promising = screened_pairs(few, found.terms, found.point)
-    shaped = [pair for pair in promising if any(idea.term.effect.name not in LOOSE for idea in pair)]
+    enough = _enough(few, found)
+    shaped = [
+        pair for pair in promising if pair[0].gain > enough and any(idea.term.effect.name not in LOOSE for idea in pair)
+    ]
 
     def fitted(pair: tuple[Idea, Idea]) -> Fitted:
-        point = replace(found.point, values=(*found.point.values, *(idea.values for idea in pair)))
-        return fit(few, (*found.terms, *(idea.term for idea in pair)), point)
+        return fit(few, *_with(found, pair))
 
     tried = sorted(each(fitted, shaped[:PAIRS]) + _coupled_late(few, found), key=lambda one: one.loss)
     for place in (len(found.terms), len(found.terms) + 1):
@@ -94,18 +96,44 @@ def _coupled_late(chain: Chain, found: Fitted) -> list[Fitted]:
         return []
     dt_s = min(one.dt_s for one in chain.series)
     scopes: tuple[Scope, ...] = ("since", "already")
+    normal = Normal.at(chain, found.terms, found.point)
+
+    def promised(pair: tuple[Idea, Idea]) -> float:
+        delayed, coupled = (_compared(chain, found, pair[:count]) for count in (1, 2))
+        own = [late - before for late, before in zip(delayed, normal.compared, strict=True)]
+        beside = [both - late for both, late in zip(coupled, delayed, strict=True)]
+        return normal.gain_of([own, beside])[0]
+
     starts = [
         (_idea(names[0], -1, {"delay_s": late * dt_s}, scope), _idea(names[1], -1, {}, other))
         for late in LATE_BY
         for scope in scopes
         for other in scopes
     ]
+    ranked = sorted(zip(each(promised, starts), starts, strict=True), key=lambda one: -one[0])
+    worthwhile = [pair for gain, pair in ranked[:PAIRS] if gain > _enough(chain, found)]
 
     def fitted(pair: tuple[Idea, Idea]) -> Fitted:
-        point = replace(found.point, values=(*found.point.values, *(idea.values for idea in pair)))
-        return fit(chain, (*found.terms, *(idea.term for idea in pair)), point, most_steps=COARSE_STEPS)
+        return fit(chain, *_with(found, pair), most_steps=COARSE_STEPS)
 
-    return sorted(each(fitted, starts), key=lambda one: one.loss)[:FEWEST_REFINED]
+    return sorted(each(fitted, worthwhile), key=lambda one: one.loss)[:FEWEST_REFINED]
+
+
+def _with(found: Fitted, ideas: Sequence[Idea]) -> tuple[tuple[Term, ...], Point]:
+    """A hypothesis with more effects, and where it begins."""
+    terms = (*found.terms, *(idea.term for idea in ideas))
+    return terms, replace(found.point, values=(*found.point.values, *(idea.values for idea in ideas)))
+
+
+def _compared(chain: Chain, found: Fitted, ideas: Sequence[Idea]) -> list[Array]:
+    """Simulated readings with more effects, of the samples that are compared."""
+    return [chain.compared(number, *_with(found, ideas)) for number in range(len(chain.series))]
+
+
+def _enough(chain: Chain, found: Fitted) -> float:
+    """What an idea must promise to be tried, as its gain."""
+    samples = sum(float(one.counts[rows].sum()) for one, rows in zip(chain.series, chain.rows, strict=True))
+    return NOTHING * found.loss * samples
 
 
 def _fine(chain: Chain, before: Fitted, tried: Sequence[Fitted]) -> list[Fitted]:
@@ -138,11 +166,7 @@ def _tried(chain: Chain, found: Fitted, past: Point) -> list[Fitted]:
     bends the base towards itself.
     """
     ideas = screened(chain, found.terms, found.point)
-    enough = (
-        NOTHING
-        * found.loss
-        * sum(float(one.counts[rows].sum()) for one, rows in zip(chain.series, chain.rows, strict=True))
-    )
+    enough = _enough(chain, found)
     chosen: dict[str, list[Idea]] = {}
     for idea in ideas:
         if idea.gain < max(PROMISING * ideas[0].gain, enough):
@@ -203,8 +227,7 @@ def _varied(chain: Chain, best: Fitted, place: int) -> Fitted:
 
 
 def _extended(chain: Chain, found: Fitted, idea: Idea, most_steps: int = MOST_STEPS) -> Fitted:
-    point = replace(found.point, values=(*found.point.values, idea.values))
-    return fit(chain, (*found.terms, idea.term), point, most_steps=most_steps)
+    return fit(chain, *_with(found, (idea,)), most_steps=most_steps)
 
 
 def _again(
@@ -224,11 +247,12 @@ def suggested(chain: Chain, found: Fitted) -> list[Idea]:
     if "load_step" in found.effects:
         return []
     normal = Normal.at(chain, found.terms, found.point)
+    modelled = normal.readings()
     ideas = []
     for number, series in enumerate(chain.series):
         if series.role == "identification":
             continue
-        left_N = series.reading_N - normal.readings[number]
+        left_N = series.reading_N - modelled[number]
         for step in (*likely_steps(normal, number), *sharpest_steps(series, left_N)):
             end_s = NEVER_S if step.end == series.time_s.size else step.end * series.dt_s
             places = {"step_N": step.height_N, "on_s": step.first * series.dt_s, "off_s": end_s}

@@ -48,10 +48,10 @@ def test_what_a_pair_promises_is_what_least_squares_gains_with_both():
         moved = []
         for idea in (first, second):
             at = replace(point, values=(idea.values,))
-            change = chain.compared(number, (idea.term,), at) - normal.readings[number][chain.rows[number]]
+            change = chain.compared(number, (idea.term,), at) - normal.compared[number]
             moved.append(change / one.noise_N * idea.term.acts_on(number, one))
         columns.append(weight[:, None] * np.column_stack((normal.jacobians[number], *moved)))
-        residual, _ = one.residual(chain.rows[number], normal.readings[number][chain.rows[number]])
+        residual, _ = one.residual(chain.rows[number], normal.compared[number])
         left.append(weight * residual)
     columns, left = np.concatenate(columns), np.concatenate(left)
     columns /= np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
