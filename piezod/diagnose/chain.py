@@ -357,7 +357,7 @@ class Chain:
             return compared(slope * column[kept])
 
         base, count = columns.shape[1] + splines.shape[1], sum(len(term.effect.weights) for term in terms)
-        tangents = np.zeros((self.series[number].counts[self.rows[number]].size, base + count))
+        tangents = np.zeros((self.series[number].counts[self.rows[number]].size, base + count), order="F")
         for k in range(columns.shape[1]):
             tangents[:, k] = through(np.ascontiguousarray(columns[:, k]), through_stack)
         for k in range(splines.shape[1]):

@@ -157,10 +157,10 @@ class Normal:
         )
         hessian, gradient, squares, samples = [], [], [], []
         for number, series in enumerate(chain.series):
-            reading, jacobian = _jacobian(chain, terms, point, layout, number, near)
+            tangents = chain.tangents(number, terms, point) if near is None else near.tangents[number]
+            reading, jacobian = _jacobian(chain, terms, point, layout, number, tangents)
             rows = chain.rows[number]
             residual, told = series.residual(rows, reading)
-            tangents = jacobian[:, layout.carried]
             jacobian *= told[:, None] / series.noise_N
             trusted = series.weights(rows)
             made.told.append(told)
@@ -175,7 +175,7 @@ class Normal:
             made.weights.append(weight)
             for block in _thinned(series.blocks, rows.step):
                 part = jacobian[block]
-                hessian.append(part.T @ (weight[block, None] * part))
+                hessian.append(_weighted_square(part, weight[block]))
                 gradient.append(part.T @ made.weighted[-1][block])
                 squares.append(float(residual[block] @ residual[block]))
                 samples.append(float(trusted[block] @ trusted[block]))
@@ -297,13 +297,12 @@ class Normal:
 
 
 def _jacobian(
-    chain: Chain, terms: Sequence[Term], point: Point, layout: Layout, number: int, near: Normal | None
+    chain: Chain, terms: Sequence[Term], point: Point, layout: Layout, number: int, tangents: Array
 ) -> tuple[Array, Array]:
     """Simulated readings of a recording that are compared, and how they change with every parameter."""
-    series, rows = chain.series[number], chain.rows[number]
+    series = chain.series[number]
     compared_N = chain.compared(number, terms, point)
-    jacobian = np.zeros((series.counts[rows].size, layout.size))
-    tangents = chain.tangents(number, terms, point) if near is None else near.tangents[number]
+    jacobian = np.zeros((compared_N.size, layout.size), order="F")  # it is filled and read by columns
     jacobian[:, layout.carried] = tangents
     if number:
         jacobian[:, layout.offsets + number - 1] = 1.0
@@ -315,6 +314,15 @@ def _jacobian(
             change = chain.compared(number, terms, moved) - compared_N
             jacobian[:, place] = change / size
     return compared_N, jacobian
+
+
+def _weighted_square(rows: Array, weights: Array) -> Array:
+    """Sum of w j j^T over rows j. Few weights are not 1, and a plain square is computed by half."""
+    few = np.flatnonzero(weights != 1.0)
+    square: Array = rows.T @ rows
+    if few.size:
+        square -= rows[few].T @ ((1.0 - weights[few])[:, None] * rows[few])
+    return square
 
 
 def _thinned(blocks: Sequence[slice], step: int) -> list[slice]:
