@@ -154,6 +154,31 @@ def _load(
 ) -> LoadedRecording:
     names = column_names(path, text)
     recording, sha256, notes = _read(path, names, [input_column, output_column], on_step, text)
+    return usable(recording, input_column, output_column, sha256, notes)
+
+
+def usable(
+    recording: Recording, input_column: str, output_column: str, sha256: str, notes: Sequence[str] = ()
+) -> LoadedRecording:
+    """Make a recording fit for identification, as `load_recordings` does.
+
+    Parameters
+    ----------
+    recording
+        With both columns; it is not changed.
+    input_column, output_column
+        Their names.
+    sha256
+        Hash of its file or its samples.
+    notes
+        What is known of it.
+
+    Raises
+    ------
+    RecordingError
+        Most of its output is frozen or clipped, or its input has no stretch of some length.
+    """
+    notes = list(notes)
     recording, breaks, bridge_notes = _bridge(recording, input_column)
     recording, cut = _longest(recording, input_column, breaks)
     notes += bridge_notes + cut

@@ -1,6 +1,7 @@
 """`Recording`: one time axis and named channels with units, the same for every file format."""
 
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -47,11 +48,51 @@ class Recording:
     source: str = "recording"
 
     def __post_init__(self) -> None:
-        """Check the time axis and the lengths of the channels."""
+        """Check the time axis and the lengths of the channels; take lists and whole numbers too."""
+        object.__setattr__(self, "time_s", np.asarray(self.time_s, dtype=np.float64))
+        for name, values in self.channels.items():
+            self.channels[name] = np.asarray(values, dtype=np.float64)
         for name, values in self.channels.items():
             if values.shape != self.time_s.shape:
                 raise RecordingError(f"{self.source}: {name} has {values.size} samples, time_s has {self.time_s.size}")
         check_time(self.source, self.time_s)
+
+    @classmethod
+    def from_frame(cls, frame: Any, source: str = "frame") -> "Recording":  # noqa: ANN401  # pandas is optional
+        """A recording from a pandas frame.
+
+        Parameters
+        ----------
+        frame
+            Columns are channels, such as `voltage_V` and `force_N`. Time is its column `time_s` [s], else its index, in
+            seconds or as dates.
+        source
+            Origin for messages.
+
+        Raises
+        ------
+        RecordingError
+            Time does not strictly increase.
+        """
+        columns = {str(name): frame[name].to_numpy(dtype=np.float64) for name in frame.columns}
+        if TIME in columns:
+            return cls(columns.pop(TIME), columns, {}, source)
+        index = frame.index.to_numpy()
+        if np.issubdtype(index.dtype, np.datetime64):
+            index = (index - index[0]) / np.timedelta64(1, "s")
+        return cls(index, columns, {}, source)
+
+    def frame(self) -> Any:  # noqa: ANN401  # pandas is optional
+        """The recording as a pandas frame: channels over an index `time_s`.
+
+        Raises
+        ------
+        ImportError
+            pandas is not installed.
+        """
+        import pandas as pd  # noqa: PLC0415  # optional
+
+        return pd.DataFrame(self.channels, index=pd.Index(self.time_s, name=TIME))
 
     @property
     def dt_s(self) -> float:

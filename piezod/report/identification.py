@@ -75,7 +75,7 @@ def print_identification(identification: Identification) -> None:
     assert chosen.fit is not None
     print(f"{_orders(identification)}; condition number {chosen.fit.condition:.0f}")
     print(f"{'':24}{'fit':>12}{'held out':>12}")
-    for name, fit, held_out in _figure_rows(identification):
+    for name, fit, held_out in figure_rows(identification):
         print(f"{name:24}{fit:>12}{held_out:>12}")
     for title, rows in (("plays", play_rows(model.hysteresis)), ("dead zones", dead_zone_rows(model.hysteresis))):
         significant = [str(row.index) for row in rows if row.matters]
@@ -108,7 +108,7 @@ def write_identification_page(path: Path, identification: Identification, record
     verdict = f"{words[0].upper()}{words[1:]}. The model has {chosen.plays} plays and {chosen.zones} dead zones."
     parts: list[Part] = [
         head_html(f"Identification: {_quantity(model.input.channel)} to {_quantity(model.output.channel)}", verdict),
-        table_html(["", "fit", "held out"], _figure_rows(identification)),
+        table_html(["", "fit", "held out"], figure_rows(identification)),
     ]
     if identification.notes:
         notes = "".join(f"<li>{html.escape(note)}</li>" for note in identification.notes)
@@ -165,7 +165,14 @@ def _hysteresis(u: Array, y: Array) -> str:
     return f"{max_hysteresis_percent(u[known], y[known]):.2f} % of range"
 
 
-def _figure_rows(identification: Identification) -> list[tuple[str, ...]]:
+def figure_rows(identification: Identification) -> list[tuple[str, ...]]:
+    """Figures of merit in words, of the fit and of held-out data.
+
+    Parameters
+    ----------
+    identification
+        Model, orders and errors of an identification.
+    """
     fit, unit = identification.model.provenance.fit, unit_words(identification.model.output.unit)
     span = identification.model.output.high - identification.model.output.low
     pairs = (

@@ -1,0 +1,180 @@
+"""Read, identify, simulate, diagnose."""
+
+import os
+from collections.abc import Callable
+from pathlib import Path
+from typing import Literal
+
+from piezod import __version__
+from piezod.api.given import Given, Some, each_of, recording_of, with_columns
+from piezod.api.model import Model
+from piezod.api.results import Diagnosed, Identified
+from piezod.diagnose.diagnosis import diagnose as diagnosis_of
+from piezod.diagnose.prepare import Source, past_sources
+from piezod.errors import UsageError
+from piezod.identify.identification import Options
+from piezod.identify.identification import identify as identification_of
+from piezod.identify.intake import usable
+from piezod.identify.simulation import simulate_recording
+from piezod.recording import Recording, TextOptions
+from piezod.recording import read_recording as recording_from
+from piezod.recording.conversion import in_units_of
+
+OnStep = Callable[[str, float | None], None]
+
+
+def read_recording(
+    path: str | os.PathLike[str],
+    *,
+    columns: str | None = None,
+    rate_Hz: float | None = None,
+    decimal: Literal[".", ","] | None = None,
+) -> Recording:
+    """Read a recording of any supported format.
+
+    Parameters
+    ----------
+    path
+        File: text of any layout, xlsx, sqlite, HDF5, MAT, TDMS, Parquet, MDF4, LabVIEW measurement.
+    columns
+        Names of the columns of a text file with commas between, such as `"time_ms,voltage_V,force_N"`.
+    rate_Hz
+        Samples per second of a text file without a column of time [Hz].
+    decimal
+        Decimal mark of a text file.
+
+    Raises
+    ------
+    RecordingError
+        It cannot be read, or a question is open that one of the parameters settles; the message names it.
+    """
+    return recording_from(Path(path), TextOptions.of(columns, rate_Hz, decimal))
+
+
+def identify(
+    recordings: Some,
+    *,
+    input: str | None = None,  # noqa: A002  # as the option of the command
+    output: str | None = None,
+    plays: int | None = None,
+    dead_zones: int | None = None,
+    name: str = "stack",
+    on_step: OnStep = lambda *_: None,
+) -> Identified:
+    """Identify a model.
+
+    Parameters
+    ----------
+    recordings
+        One or several: paths, `Recording` objects or pandas frames.
+    input, output
+        Names of their channels; None: voltage and force in any unit, else what the names tell.
+    plays, dead_zones
+        Numbers of operators, 1 to 100 and 0 to 30; None: the fewest that fit to the noise.
+    name
+        Name of the model.
+    on_step
+        Called with the current step in words, and the share done, if known.
+
+    Raises
+    ------
+    RecordingError
+        A recording cannot be used.
+    """
+    read = [recording_of(one) for one in each_of(recordings)]
+    _, input_name, output_name, _ = with_columns(read[0][0], input, output)
+    loaded = []
+    for recording, sha256 in read:
+        converted, _, _, notes = with_columns(recording, input_name, output_name)
+        loaded.append(usable(converted, input_name, output_name, sha256, notes))
+    options = Options(input=input_name, output=output_name, plays=plays, zones=dead_zones, name=name)
+    prepared = [one.recording for one in loaded]
+    identification = identification_of(
+        prepared,
+        options,
+        f"piezod {__version__}",
+        sources=[one.source for one in loaded],
+        notes=[note for one in loaded for note in one.notes],
+        on_step=on_step,
+    )
+    return Identified(identification, tuple(prepared))
+
+
+def simulate(recording: Given, model: Model | str | os.PathLike[str], *, start_window_s: float = 1.0) -> Recording:
+    """Simulate a model in free run over the input of a recording.
+
+    Parameters
+    ----------
+    recording
+        A path, a `Recording` or a pandas frame. An output that it holds is looked at in its first seconds only.
+    model
+        A model, or the path of its file.
+    start_window_s
+        First seconds from which the initial state is estimated, where the recording does not start at rest [s].
+
+    Returns
+    -------
+    Recording
+        `time_s` and the output channel.
+
+    Raises
+    ------
+    RecordingError
+        The recording lacks the model's input.
+    """
+    plant = _model(model)
+    read, sha256 = recording_of(recording)
+    read, _ = in_units_of(read, [plant.input.channel, plant.output.channel])
+    return simulate_recording(plant, read, start_window_s, sha256=sha256).recording
+
+
+def diagnose(
+    recordings: Some,
+    model: Model | Identified | str | os.PathLike[str],
+    *,
+    where: str | None = None,
+    on_step: OnStep = lambda *_: None,
+) -> Diagnosed:
+    """Find the effects that a model lacks.
+
+    Parameters
+    ----------
+    recordings
+        What to explain, one or several: paths, `Recording` objects or pandas frames.
+    model
+        A model or the path of its file; or the result of `identify`, whose recordings are then compared too, wherever
+        they came from.
+    where
+        `COLUMN=VALUE` at which the readings count; None: everywhere.
+    on_step
+        Called with the current step in words, and the share done.
+
+    Raises
+    ------
+    RecordingError
+        A recording cannot be used.
+    UsageError
+        A recording is given twice.
+    """
+    plant = model.model if isinstance(model, Identified) else _model(model)
+    columns = plant.input.channel, plant.output.channel
+    asked = []
+    for one in each_of(recordings):
+        recording, sha256 = recording_of(one)
+        converted, notes = in_units_of(recording, columns)
+        asked.append(Source(converted, sha256, "recording", where, tuple(notes)))
+    if len({one.sha256 for one in asked}) < len(asked):
+        raise UsageError("a recording is given twice, must be different ones")
+    if isinstance(model, Identified):
+        known = zip(model.recordings, plant.provenance.recordings, strict=True)
+        past = [Source(recording, source.sha256, "identification") for recording, source in known]
+        past, notes = [one for one in past if one.sha256 not in {other.sha256 for other in asked}], []
+    else:
+        folder = Path() if isinstance(model, Model) else Path(model).parent
+        past, notes = past_sources(plant, folder, asked)
+    notes = [*(note for one in asked for note in one.notes), *notes]
+    return Diagnosed(diagnosis_of(plant, asked, past, notes, on_step))
+
+
+def _model(model: Model | str | os.PathLike[str]) -> Model:
+    return model if isinstance(model, Model) else Model.load(model)
