@@ -4,7 +4,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from piezod.errors import RecordingError
 from piezod.recording import stretches
@@ -49,13 +49,22 @@ class Recording:
 
     def __post_init__(self) -> None:
         """Check the time axis and the lengths of the channels; take lists and whole numbers too."""
-        object.__setattr__(self, "time_s", np.asarray(self.time_s, dtype=np.float64))
+        object.__setattr__(self, "time_s", self._numbers(TIME, self.time_s))
         for name, values in self.channels.items():
-            self.channels[name] = np.asarray(values, dtype=np.float64)
+            self.channels[name] = self._numbers(name, values)
         for name, values in self.channels.items():
             if values.shape != self.time_s.shape:
                 raise RecordingError(f"{self.source}: {name} has {values.size} samples, time_s has {self.time_s.size}")
         check_time(self.source, self.time_s)
+
+    def _numbers(self, name: str, values: ArrayLike) -> Array:
+        try:
+            numbers: Array = np.asarray(values, dtype=np.float64)
+        except (TypeError, ValueError) as error:
+            raise RecordingError(f"{self.source}: {name} must hold numbers: {error}") from None
+        if numbers.ndim != 1:
+            raise RecordingError(f"{self.source}: {name} has the shape {numbers.shape}, must be one row of samples")
+        return numbers
 
     @classmethod
     def from_frame(cls, frame: Any, source: str = "frame") -> "Recording":  # noqa: ANN401  # pandas is optional

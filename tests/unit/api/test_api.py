@@ -71,8 +71,15 @@ def test_what_is_given_is_not_changed(recording):
 def test_lists_and_whole_numbers_make_a_recording():
     made = piezod.Recording([0, 1, 2], {"voltage_V": [0, 5, 10]})
     assert made.channel("voltage_V").dtype == np.float64
-    with pytest.raises(RecordingError, match="2 samples"):
-        piezod.Recording([0, 1, 2], {"voltage_V": [0, 5]})
+
+
+@pytest.mark.parametrize(
+    ("values", "problem"),
+    [([0, 5], "2 samples"), (["a", "b", "c"], "must hold numbers"), ([[0, 5, 1]], "one row of samples")],
+)
+def test_what_is_no_channel_is_refused(values, problem):
+    with pytest.raises(RecordingError, match=problem):
+        piezod.Recording([0, 1, 2], {"voltage_V": values})
 
 
 def test_a_frame_over_dates_counts_seconds_from_the_first():

@@ -121,7 +121,8 @@ def test_an_output_path_that_is_a_recording_or_lies_in_no_folder_is_refused(tmp_
 def test_an_existing_file_is_unchanged_after_an_error_in_writing(tmp_path, suffix):
     path = tmp_path / f"rec{suffix}"
     path.write_bytes(b"precious")
-    broken = Recording(np.arange(3.0), {"force_N": np.array(["a", "b", "c"])})
+    broken = Recording(np.arange(3.0), {"force_N": np.zeros(3)})
+    broken.channels["force_N"] = np.array(["a", "b", "c"])
     with pytest.raises(RecordingError, match=r"rec.*cannot be written"):
         write_recording(broken, path)
     assert path.read_bytes() == b"precious"
