@@ -1,4 +1,4 @@
-"""Progress bars on a terminal. Without a terminal nothing is shown."""
+"""Progress of a long task on stderr: a bar on a terminal, else a line every ten seconds."""
 
 import contextlib
 import sys
@@ -13,12 +13,40 @@ from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, T
 SHOW_AFTER_S = 2.0
 """A shorter task shows no bar [s]."""
 
+LINE_EVERY_S = 10.0
+"""Between two lines where stderr is no terminal [s]; a shorter task prints none."""
+
+TELLING_SHARE = 0.05
+"""Share of a task from which the time left follows."""
+
+
+class _Lines:
+    """Lines on stderr that say what is being done, how much of it is done and how long the rest will take."""
+
+    def __init__(self) -> None:
+        self._start_s = self._last_s = time.monotonic()
+
+    def show(self, step: str, share: float | None) -> None:
+        """Print a line where it is time for one."""
+        now_s = time.monotonic()
+        if now_s - self._last_s < LINE_EVERY_S:
+            return
+        self._last_s = now_s
+        taken_s = now_s - self._start_s
+        done = "" if share is None else f", {100.0 * share:.0f} %"
+        left = ""
+        if share is not None and share >= TELLING_SHARE:
+            left = f", about {taken_s * (1.0 - share) / share:.0f} s left"
+        sys.stderr.write(f"{step}{done}, {taken_s:.0f} s taken{left}\n")
+        sys.stderr.flush()
+
 
 @contextlib.contextmanager
 def steps(show_after_s: float = SHOW_AFTER_S) -> Iterator[Callable[[str, float | None], None]]:
     """Yield a function that shows the name of the current step and the completed share, 0 to 1 or None if unknown.
 
-    The bar appears at the first call after `show_after_s`, and disappears at the end.
+    The bar appears at the first call after `show_after_s`, and disappears at the end. Where the output is no
+    terminal, a line is printed every ten seconds.
 
     Parameters
     ----------
@@ -26,7 +54,7 @@ def steps(show_after_s: float = SHOW_AFTER_S) -> Iterator[Callable[[str, float |
         Delay before the bar appears [s]; 0 for a task that is known to be long.
     """
     if not (sys.stdout.isatty() and sys.stderr.isatty()):
-        yield lambda *_: None
+        yield _Lines().show
         return
     start_s = time.monotonic()
     columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn())
@@ -55,21 +83,21 @@ def progress(label: str, duration_s: float) -> Iterator[Callable[[NDArray[np.voi
     duration_s
         Expected duration [s].
     """
-    console = Console(stderr=True)
+    first_ns: int | None = None
+
+    def passed_s(rows: NDArray[np.void]) -> float:
+        nonlocal first_ns
+        first_ns = first_ns if first_ns is not None else int(rows["time_ns"][0])
+        return (int(rows["time_ns"][-1]) - first_ns) * 1e-9
+
     if not sys.stderr.isatty():
-        yield lambda _: None
+        lines = _Lines()
+        yield lambda rows: lines.show(label, min(passed_s(rows) / duration_s, 1.0)) if len(rows) else None
         return
+    console = Console(stderr=True)
     with Progress(
         TextColumn(label), BarColumn(), TextColumn("{task.percentage:3.0f} %"), TimeRemainingColumn(), console=console
     ) as bar:
         task = bar.add_task(label, total=duration_s)
-        first_ns: int | None = None
-
-        def show(rows: NDArray[np.void]) -> None:
-            nonlocal first_ns
-            if len(rows):
-                first_ns = first_ns if first_ns is not None else int(rows["time_ns"][0])
-                bar.update(task, completed=(int(rows["time_ns"][-1]) - first_ns) * 1e-9)
-
-        yield show
+        yield lambda rows: bar.update(task, completed=passed_s(rows)) if len(rows) else None
         bar.update(task, completed=duration_s)
