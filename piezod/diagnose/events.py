@@ -108,7 +108,7 @@ def bursts(values: Array, counts: Mask, lattice: float) -> Bursts:
     known = np.concatenate(([0.0], np.cumsum(counts)))
     total = np.concatenate(([0.0], np.cumsum(np.where(counts, news / usual, 0.0) ** 2)))
     struck, smallest = np.zeros(values.size, bool), 1.0
-    for samples in BURST_SAMPLES:
+    for samples in (one for one in BURST_SAMPLES if one <= values.size):
         edges = np.arange(0, values.size + 1, samples)
         n, power = np.diff(known[edges]), np.diff(total[edges])
         p = _tail(power, n, samples, 1.0 if coarse else 0.0)

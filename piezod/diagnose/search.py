@@ -333,9 +333,9 @@ def without(found: Fitted, name: str) -> tuple[list[Term], list[Mapping[str, flo
 
 
 def _drop(result: Search, largest: float) -> None:
-    """Leave out effects that the others have made needless."""
+    """Leave out effects that the others, or the base as it is at the end, have made needless."""
     left = list(result.found.effects)
-    while left and len(result.found.effects) > 1:
+    while left:
         found = result.found
         name = left.pop(0)
         once = all(term.scope == "once" for term in found.terms if term.effect.name == name)

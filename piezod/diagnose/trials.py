@@ -28,6 +28,7 @@ LATE_BY = (1.0, 2.0, 4.0, 8.0, 16.0, 32.0)  # samples, behind which a coupling o
 NEAR = 0.4  # of the best one's gain, from which one is fitted thoroughly, or on more samples
 FEWEST_REFINED, FEWEST_COMPARED = 2, 3
 COARSE_STEPS = 7
+RACED_STEPS = 2  # after which those that are ahead go on
 NOTHING = 0.25 * WORTH  # of the loss: an idea that promises less to first order is not tried
 PROMISING = 0.03  # of the best idea's gain, below which an idea is not tried
 
@@ -96,38 +97,22 @@ def _coupled_late(chain: Chain, found: Fitted) -> list[Fitted]:
         return []
     dt_s = min(one.dt_s for one in chain.series)
     scopes: tuple[Scope, ...] = ("since", "already")
-    normal = Normal.at(chain, found.terms, found.point)
-
-    def promised(pair: tuple[Idea, Idea]) -> float:
-        delayed, coupled = (_compared(chain, found, pair[:count]) for count in (1, 2))
-        own = [late - before for late, before in zip(delayed, normal.compared, strict=True)]
-        beside = [both - late for both, late in zip(coupled, delayed, strict=True)]
-        return normal.gain_of([own, beside])[0]
-
     starts = [
         (_idea(names[0], -1, {"delay_s": late * dt_s}, scope), _idea(names[1], -1, {}, other))
         for late in LATE_BY
         for scope in scopes
         for other in scopes
     ]
-    ranked = sorted(zip(each(promised, starts), starts, strict=True), key=lambda one: -one[0])
-    worthwhile = [pair for gain, pair in ranked[:PAIRS] if gain > _enough(chain, found)]
-
-    def fitted(pair: tuple[Idea, Idea]) -> Fitted:
-        return fit(chain, *_with(found, pair), most_steps=COARSE_STEPS)
-
-    return sorted(each(fitted, worthwhile), key=lambda one: one.loss)[:FEWEST_REFINED]
+    first = each(lambda pair: fit(chain, *_with(found, pair), most_steps=RACED_STEPS), starts)
+    ahead = sorted(first, key=lambda one: one.loss)[:PAIRS]
+    tried = each(lambda one: fit(chain, one.terms, one.point, most_steps=COARSE_STEPS), ahead)
+    return sorted(tried, key=lambda one: one.loss)[:FEWEST_REFINED]
 
 
 def _with(found: Fitted, ideas: Sequence[Idea]) -> tuple[tuple[Term, ...], Point]:
     """A hypothesis with more effects, and where it begins."""
     terms = (*found.terms, *(idea.term for idea in ideas))
     return terms, replace(found.point, values=(*found.point.values, *(idea.values for idea in ideas)))
-
-
-def _compared(chain: Chain, found: Fitted, ideas: Sequence[Idea]) -> list[Array]:
-    """Simulated readings with more effects, of the samples that are compared."""
-    return [chain.compared(number, *_with(found, ideas)) for number in range(len(chain.series))]
 
 
 def _enough(chain: Chain, found: Fitted) -> float:

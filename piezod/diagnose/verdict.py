@@ -99,7 +99,7 @@ def remaining(result: Search, left: Guard, moving: Motion) -> tuple[float, float
     """Share of what is left that something could still explain, and how much of all that could be explained was."""
     local = left.local_share if left.local_p < SURE else 0.0
     by_level = moving.level_share if moving.level_share > BY_LEVEL else 0.0
-    share = max(left.share if left.p < SURE else 0.0, moving.share, by_level, local)
+    share = min(max(left.share if left.p < SURE else 0.0, moving.share, by_level, local), 1.0)
     before, after = (held_out_rms(result.chain, one) ** 2 for one in (result.base, result.found))
     before += power_of(result.chain, result.tones_asked_about)
     explainable_N2 = before - (1.0 - share) * after

@@ -24,6 +24,7 @@ PER_CENT = 100.0
 DECADE = 10.0  # ends farther apart keep three digits each
 SAME = 1e-3  # of the value: ends nearer to each other are one, except in time
 WIDE = 0.5  # of the value: an interval beyond it says nothing about digits
+PROBABLE = 0.6  # confidence below which a name is said with a perhaps
 PER = "per "  # a parameter so called is said behind its value: 1.27 % per decade
 NO_BREAK = "\N{NO-BREAK SPACE}"
 
@@ -134,7 +135,7 @@ def place_words(place: Place, wording: Wording = VOLTS) -> str:
 
 def effect_words(finding: Finding, wording: Wording = VOLTS) -> str:
     """An effect with its first parameter and where it is seen: a part of the verdict's sentence."""
-    said = finding.title
+    said = finding.title if finding.confidence >= PROBABLE else f"perhaps {finding.title}"
     for name, value in list(finding.parameters.items())[:1]:
         middle, interval = (one.replace(NO_BREAK, " ") for one in value_words(value, name, finding.name, wording))
         label = label_of(name, value.unit)
