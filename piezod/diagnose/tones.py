@@ -147,12 +147,12 @@ def _steady_lines(series: Series, residual_N: Array, seen: Sequence[Line]) -> li
 
 
 def swing_with_command(series: Series, residual_N: Array, frequency_Hz: float) -> tuple[float, float]:
-    """Amplitude of a tone, and by how much it grows or falls when the command moves by its standard deviation [N].
+    """Amplitude of a tone, and by how much it grows or falls when the command goes from its mean to its lowest [N].
 
-    What comes from outside knows nothing of the command; a gain that swings does.
+    What comes from outside knows nothing of the command. The tone of a gain that swings vanishes with the force.
     """
     u = series.command_V[series.counts]
-    moved = (u - u.mean()) / max(float(u.std()), 1e-300)
+    moved = (u - u.mean()) / max(float(u.mean() - u.min()), 1e-300)
     carrier = np.exp(2j * np.pi * frequency_Hz * series.time_s[series.counts])
     columns = np.column_stack([part for one in (carrier, moved * carrier) for part in (one.real, one.imag)])
     steady_N, swing_N = np.linalg.lstsq(columns, residual_N[series.counts], rcond=None)[0].reshape(2, 2)

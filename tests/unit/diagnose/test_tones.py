@@ -61,7 +61,7 @@ def test_a_tone_of_the_identification_goes_with_the_recordings_and_never_alone(m
 def test_a_tone_that_swings_with_the_command_is_no_vibration(swing):
     time_s = np.arange(0.0, 40.0, 1e-3)
     u = mixed_work(time_s)
-    amplitude_N = 2.0 * (1.0 + swing * (u - u.mean()) / u.std())
+    amplitude_N = 2.0 * (1.0 + swing * (u - u.mean()) / (u.mean() - u.min()))
     white_N = NOISE_N * noise(time_s.size, 0.0, np.random.default_rng(2))
     residual_N = white_N + amplitude_N * np.sin(2.0 * np.pi * 31.7 * time_s + 0.3)
     one = Series("by hand", "recording", time_s, u, model_of(u) + residual_N, np.ones(time_s.size, bool), NOISE_N)
