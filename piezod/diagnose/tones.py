@@ -26,7 +26,7 @@ ALIKE_HZ = 0.1  # lines of two recordings that belong to one machine
 LOWEST_HZ, APART_HZ = 2.0, 1.0  # of a harmonic as it appears, from zero and from the others
 TURNS = 4  # in which harmonics that appear near each other are told apart
 RIDGE = 0.02  # of an amplitude, where carrier and conjugate cannot be told apart
-SWINGS = 0.5  # of its amplitude, with the command: no tone from outside,
+SWINGS = 0.5  # of its amplitude, that it loses or gains where the command is lowest: no tone from outside,
 BAND = 0.99  # nor are its neighbours within the band that has so much of the command's power
 MULTIPLES, MULTIPLE_HZ = 20, 0.3  # of the mains: none of them is another machine
 
@@ -138,7 +138,8 @@ def _steady_lines(series: Series, residual_N: Array, seen: Sequence[Line]) -> li
     pairs = itertools.combinations_with_replacement([one.frequency_Hz for one in seen], 2)
     centres_Hz = {0.5 * (a + b) for a, b in pairs if abs(a - b) <= 2.0 * band_Hz}
     tones_N = [(f, *swing_with_command(series, residual_N, f)) for f in centres_Hz]
-    swinging = [(f, np.hypot(steady, swing)) for f, steady, swing in tones_N if swing > SWINGS * steady]
+    deep = _depth(series)
+    swinging = [(f, np.hypot(steady, swing)) for f, steady, swing in tones_N if swing * deep > SWINGS * steady]
     return [
         one
         for one in seen
@@ -147,16 +148,22 @@ def _steady_lines(series: Series, residual_N: Array, seen: Sequence[Line]) -> li
 
 
 def swing_with_command(series: Series, residual_N: Array, frequency_Hz: float) -> tuple[float, float]:
-    """Amplitude of a tone, and by how much it grows or falls when the command goes from its mean to its lowest [N].
+    """Amplitude of a tone, and by how much it grows or falls when the command moves by its standard deviation [N].
 
-    What comes from outside knows nothing of the command. The tone of a gain that swings vanishes with the force.
+    What comes from outside knows nothing of the command; a gain that swings does.
     """
     u = series.command_V[series.counts]
-    moved = (u - u.mean()) / max(float(u.mean() - u.min()), 1e-300)
+    moved = (u - u.mean()) / max(float(u.std()), 1e-300)
     carrier = np.exp(2j * np.pi * frequency_Hz * series.time_s[series.counts])
     columns = np.column_stack([part for one in (carrier, moved * carrier) for part in (one.real, one.imag)])
     steady_N, swing_N = np.linalg.lstsq(columns, residual_N[series.counts], rcond=None)[0].reshape(2, 2)
     return float(np.hypot(*steady_N)), float(np.hypot(*swing_N))
+
+
+def _depth(series: Series) -> float:
+    """By how many standard deviations the command goes from its mean to its lowest, where a gain has least to act on."""
+    u = series.command_V[series.counts]
+    return float((u.mean() - u.min()) / max(float(u.std()), 1e-300))
 
 
 def _command_band_Hz(series: Series) -> float:

@@ -57,17 +57,18 @@ def test_a_tone_of_the_identification_goes_with_the_recordings_and_never_alone(m
     assert not tones(made, residuals_N, [group[0] for group in groups])
 
 
-@pytest.mark.parametrize("swing", [0.0, 0.3, 1.0, 3.0, 30.0])
+@pytest.mark.parametrize("swing", [0.0, 0.15, 0.55, 1.0, 3.0, 30.0])
 def test_a_tone_that_swings_with_the_command_is_no_vibration(swing):
     time_s = np.arange(0.0, 40.0, 1e-3)
     u = mixed_work(time_s)
-    amplitude_N = 2.0 * (1.0 + swing * (u - u.mean()) / (u.mean() - u.min()))
+    amplitude_N = 2.0 * (1.0 + swing * (u - u.mean()) / u.std())
     white_N = NOISE_N * noise(time_s.size, 0.0, np.random.default_rng(2))
     residual_N = white_N + amplitude_N * np.sin(2.0 * np.pi * 31.7 * time_s + 0.3)
     one = Series("by hand", "recording", time_s, u, model_of(u) + residual_N, np.ones(time_s.size, bool), NOISE_N)
     assert swing_with_command(one, residual_N, 31.7) == pytest.approx((2.0, 2.0 * swing), abs=0.05)
     named = [tone.name for group in tones([one], [residual_N], ()) for tone in group]
-    assert named == (["vibration"] if swing < 0.5 else [])
+    deepest = (u.mean() - u.min()) / u.std()  # 1.8: there the tone of a gain is gone with a swing of 0.55
+    assert named == (["vibration"] if swing * deepest < 0.5 else [])
 
 
 @pytest.mark.parametrize("at_Hz", [2.0, 50.0, 121.7, 499.0])
