@@ -161,7 +161,7 @@ def swing_with_command(series: Series, residual_N: Array, frequency_Hz: float) -
 
 
 def _depth(series: Series) -> float:
-    """By how many standard deviations the command goes from its mean to its lowest, where a gain has least to act on."""
+    """Standard deviations from the mean of the command to its lowest, where a gain has least to act on."""
     u = series.command_V[series.counts]
     return float((u.mean() - u.min()) / max(float(u.std()), 1e-300))
 
