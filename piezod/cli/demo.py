@@ -20,6 +20,7 @@ def demo(
         Path | None, typer.Option("--json", metavar="FILE", help="File for the figures as JSON.")
     ] = None,
     report: Annotated[Path, typer.Option(metavar="FILE", help="Page to write.")] = Path("piezod-demo.html"),
+    quick: Annotated[bool, typer.Option("--quick", help="One reference, without the hidden effects; 15 s.")] = False,
 ) -> None:
     """Run all steps on the emulated bench, without hardware or root rights, in about a minute."""
     from piezod.commissioning.demo import run_demo
@@ -28,11 +29,11 @@ def demo(
     names: list[str] = []
     print("starting the emulated bench and the control process ...", flush=True)
     with live_line(names) as show:
-        result = run_demo(show, names)
+        result = run_demo(show, names, quick=quick)
     verdict = evaluate_demo(result.recordings, result.history.timing(), result.outcome)
     print_demo(verdict)
     recordings = dict(result.recordings)
-    if not result.outcome.stopped and not result.outcome.fault:
+    if not (quick or result.outcome.stopped or result.outcome.fault):
         hidden, followed = _demo_hidden()
         print_hidden(hidden)
         verdict = replace(verdict, hidden=hidden)

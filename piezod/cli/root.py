@@ -2,7 +2,9 @@
 
 import atexit
 import gc
+import platform
 import sys
+from importlib.metadata import version as version_of
 from pathlib import Path
 from typing import Annotated
 
@@ -75,15 +77,24 @@ def _misuse_text(error: Exception) -> str:
 
 
 def _version(wanted: bool) -> None:
+    """What a report of a fault needs: versions of the package, of what it computes with, and of the system."""
     if wanted:
-        print(f"piezod {__version__}")
+        libraries = ", ".join(f"{name} {version_of(name)}" for name in ("numba", "numpy"))
+        python, system = platform.python_version(), f"{platform.system()} {platform.release()} {platform.machine()}"
+        print(f"piezod {__version__} (Python {python}, {libraries}, {system})")
         raise typer.Exit
 
 
 @app.callback()
 def _root(
     version: Annotated[  # handled by its callback
-        bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version.")
+        bool,
+        typer.Option(
+            "--version",
+            callback=_version,
+            is_eager=True,
+            help="Print the versions of piezod, Python, numba, numpy and the system.",
+        ),
     ] = False,
 ) -> None:
     pass

@@ -37,7 +37,7 @@ class DemoResult:
     outcome: Outcome
 
 
-def run_demo(on_rows: OnRows, segment_names: list[str]) -> DemoResult:
+def run_demo(on_rows: OnRows, segment_names: list[str], *, quick: bool = False) -> DemoResult:
     """Start the emulator, follow every reference with every compensation, and stop.
 
     Parameters
@@ -46,13 +46,16 @@ def run_demo(on_rows: OnRows, segment_names: list[str]) -> DemoResult:
         Called about ten times per second with new rows, for a live line.
     segment_names
         List that receives the names of the segments, in their order, before the first row.
+    quick
+        Whether to follow the first reference only.
 
     Raises
     ------
     PiezodError
         The bench did not start, or the session failed.
     """
-    keys = [(reference, compensation) for reference in REFERENCES for compensation in COMPENSATIONS]
+    references = list(REFERENCES)[: 1 if quick else None]
+    keys = [(reference, compensation) for reference in references for compensation in COMPENSATIONS]
     segments = [
         SegmentSpec(f"{reference}, {compensation}", compensation, REFERENCES[reference])
         for reference, compensation in keys
