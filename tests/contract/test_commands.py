@@ -234,3 +234,8 @@ def test_a_closed_pipe_causes_no_traceback():
     command = f"{shlex.quote(sys.executable)} -m piezod effects | head -1"
     done = subprocess.run(["/bin/bash", "-c", command], capture_output=True, text=True, check=False, timeout=60)
     assert "Traceback" not in done.stderr
+
+
+def test_the_version_names_what_a_report_of_a_fault_needs():
+    done = subprocess.run([sys.executable, "-m", "piezod", "--version"], capture_output=True, text=True, check=True)
+    assert re.fullmatch(r"piezod \S+ \(Python 3\.\S+, numba \S+, numpy \S+, Linux \S+ \S+\)\n", done.stdout)

@@ -212,6 +212,18 @@ def test_the_demo_shows_that_at_most_a_quarter_of_the_hysteresis_is_left(tmp_pat
     assert len(text) < 3_000_000
 
 
+@pytest.mark.real_time
+def test_the_quick_demo_follows_one_reference_and_diagnoses_nothing(tmp_path):
+    figures = tmp_path / "demo.json"
+    done = piezod("demo", "--quick", "--report", tmp_path / "demo.html", "--json", figures, timeout=120)
+    result = json.loads(figures.read_text(encoding="utf-8"))
+    assert [(row["reference"], row["compensation"]) for row in result["figures"]] == [
+        ("triangle", "gain"),
+        ("triangle", "inverse"),
+    ], done.stdout + done.stderr
+    assert result.get("hidden") is None
+
+
 def test_an_interrupted_demo_ramps_down_says_so_and_does_not_pass(tmp_path):
     process = Popen(
         [sys.executable, "-m", "piezod", "demo", "--report", str(tmp_path / "demo.html")],
