@@ -111,7 +111,7 @@ def write_identification_page(path: Path, identification: Identification, record
         table_html(["", "fit", "held out"], figure_rows(identification)),
     ]
     if identification.notes:
-        notes = "".join(f"<li>{html.escape(note)}</li>" for note in identification.notes)
+        notes = "".join(f"<li>{html.escape(without_folders(note, recordings))}</li>" for note in identification.notes)
         parts.append(f"<h2>Notes</h2><ul>{notes}</ul>")
     for recording in recordings:
         parts.extend(_curves(identification, recording))
@@ -126,6 +126,21 @@ def write_identification_page(path: Path, identification: Identification, record
     ):
         parts.append(f"<h2>{title}</h2>{_operator_table(operators, units)}")
     write_page(path, "Identification", parts)
+
+
+def without_folders(text: str, recordings: Sequence[Recording]) -> str:
+    """A text with the names of the recordings' files instead of their paths.
+
+    Parameters
+    ----------
+    text
+        One line.
+    recordings
+        Recordings that it may name.
+    """
+    for recording in recordings:
+        text = text.replace(recording.source, Path(recording.source).name)
+    return text
 
 
 def _quantity(channel: str) -> str:
@@ -156,7 +171,7 @@ def _curves(identification: Identification, recording: Recording) -> list[Part]:
     )
     residual.line(decimated(time_s), decimated(y - modelled), color=ORANGE, legend_label="residual")
     note = f"max hysteresis of all samples {_hysteresis(u, y)}; {start}; the residual's axis excludes its outliers"
-    head = f"<h2>{html.escape(recording.source)}</h2><p class='dim'>{html.escape(note)}</p>"
+    head = f"<h2>{html.escape(Path(recording.source).name)}</h2><p class='dim'>{html.escape(note)}</p>"
     return [head, [finish_figure(over_time), finish_figure(loop)], [finish_figure(inputs)], [finish_figure(residual)]]
 
 

@@ -69,7 +69,7 @@ def write_comparison_page(path: Path, comparison: Comparison) -> None:
     )
     outputs, errors = _outputs_and_errors(comparison)
     parts: list[Part] = [
-        head_html(f"Comparison with {comparison.measured.source}", _verdict(comparison)),
+        head_html(f"Comparison with {Path(comparison.measured.source).name}", _verdict(comparison)),
         table_html(HEADER, _rows(comparison)),
         [outputs],
         [errors],
