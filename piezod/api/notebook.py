@@ -80,7 +80,7 @@ def curves_svg(x: Array, curves: Mapping[str, Array], labels: tuple[str, str]) -
         points = " ".join(f"{across(a):.1f},{down(b):.1f}" for a, b in zip(x[known], y[known], strict=True))
         width = 2.5 if place == 0 else 1.2
         parts.append(f"<polyline points='{points}' fill='none' stroke='{color}' stroke-width='{width}'/>")
-        parts.append(_text(WIDTH - 14, 14 * (place + 1) + TOP, name, "end", color))
+        parts.append(_text(WIDTH - 10 - 110 * place, 14, name, "end", color))
     title = html.escape(f"{axis_label(labels[1])} over {axis_label(labels[0])}: {', '.join(shown)}")
     return (
         f"<svg viewBox='0 0 {WIDTH} {HEIGHT}' width='{WIDTH}' style='max-width:100%' role='img' aria-label='{title}' "

@@ -106,7 +106,7 @@ class PlayDensity:
             Samples from a row to the next.
         """
         forget_outdated_steps(_columns.stats.cache_path)
-        out = np.empty((-(-applied_V.size // step), self.count))
+        out = np.empty((self.count, -(-applied_V.size // step)))
         none = np.empty(0)
         _columns(
             *self._laid_out,
@@ -117,7 +117,7 @@ class PlayDensity:
             step,
             out,
         )
-        return out
+        return out.T
 
     @functools.cached_property
     def _laid_out(self) -> tuple[Array, Array, Array, NDArray[np.int64]]:
@@ -179,7 +179,7 @@ def _columns(
             z[i] = next_state(z[i], wide[i], now)
             lag[i] = z[i] - now
         if asked:
-            _gather(lag, near, far, starts, out[k // step])
+            _gather(lag, near, far, starts, out[:, k // step])
 
 
 @numba.njit(cache=True, nogil=True, inline="always")

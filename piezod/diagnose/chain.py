@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from piezod.diagnose.basis import HATS, SPLINES, ForceLaw, PlayDensity
 from piezod.diagnose.kept import Kept, Key
-from piezod.diagnose.passages import Passage, passages
+from piezod.diagnose.passages import Passage, passages, unlike_signal
 from piezod.diagnose.series import Series
 from piezod.effects import EFFECTS
 from piezod.effects.effect import Context, Effect, Location, Parameter
@@ -224,10 +224,10 @@ class Chain:
     def _step(self, number: int, here: Sequence[tuple[Term, Mapping[str, float]]]) -> int:
         """Samples from one that must be simulated to the next: all, where something behind the plays remembers."""
         behind_plays = [term.effect for term, _ in here if term.effect.location >= Location.STACK]
-        additive = all(
-            one.form == "additive" and one.location > Location.STACK for one in behind_plays if one.form != "memoryless"
-        )
-        return (self.rows[number].step or 1) if additive else 1
+        free = {"memoryless", "scaling"}, {"memoryless", "scaling", "additive"}
+        if all(one.form in free[one.location > Location.STACK] for one in behind_plays):
+            return self.rows[number].step or 1
+        return 1
 
     def played(
         self, number: int, here: Sequence[tuple[Term, Mapping[str, float]]], step: int = 1
@@ -268,7 +268,10 @@ class Chain:
             stroke_V = self._sums[number].get(of_plays, lambda: applied_V[::step] + columns @ point.density)
             now = context
             for term, values in stack:
-                stroke_V = term.effect.forward(stroke_V, now, values)
+                if term.effect.form == "scaling":
+                    stroke_V = stroke_V * self._unlike_signal(number, here, term, now, values)[::step]
+                else:
+                    stroke_V = term.effect.forward(stroke_V, now, values)
                 now = behind(term.effect, now)
             return stroke_V, now.hold
 
@@ -305,14 +308,14 @@ class Chain:
             if place < len(after):
                 term, values = after[place]
                 if thinned and term.effect.form == "additive":
-                    signal_N = signal_N + self._added(number, here, term, context, values)[rows]
+                    signal_N = signal_N + self._unlike_signal(number, here, term, context, values)[rows]
                 else:
                     signal_N = term.effect.forward(signal_N, context, values)
                 context = behind(term.effect, context)
         result: Array = signal_N + point.offsets_N[number]
         return result
 
-    def _added(
+    def _unlike_signal(
         self,
         number: int,
         here: Sequence[tuple[Term, Mapping[str, float]]],
@@ -320,11 +323,9 @@ class Chain:
         context: Context,
         values: Mapping[str, float],
     ) -> Array:
-        """What an effect adds to any signal."""
+        """What an effect adds to any signal, or multiplies it by."""
         key = (self._front(number, here), context.hold, _named([(term, values)]))
-        return self._additions[number].get(
-            key, lambda: term.effect.forward(np.zeros(context.time_s.size), context, values)
-        )
+        return self._additions[number].get(key, lambda: unlike_signal(term.effect, values, context))
 
     def tangents(self, number: int, terms: Sequence[Term], point: Point) -> Array:
         """How the readings that are compared change with density, force law and effects' weights, shape (rows, all).
@@ -336,7 +337,7 @@ class Chain:
         applied_V, columns, context = self.played(number, here, step)
         stack = [(term.effect, values) for term, values in here if term.effect.location == Location.STACK]
         stroke_V = applied_V[::step] + columns @ point.density
-        through_stack, stroke_V, context = passages(stack, stroke_V, context)
+        through_stack, stroke_V, context = passages(stack, stroke_V, context, step)
         after = [(term.effect, values) for term, values in here if term.effect.location >= Location.MECHANICS]
         through_rest, _, _ = passages(after, self.law.value(stroke_V, point.law), context, step)
         remembers = any(one.linear for one in through_rest)

@@ -21,7 +21,7 @@ class Passage:
     effect, context, values
         Which effect.
     slope
-        Of a memoryless effect at every sample, shape (N,).
+        Of a memoryless effect, or the factor of a scaling one, at every sample, shape (N,).
     """
 
     effect: Effect
@@ -39,6 +39,27 @@ class Passage:
         if self.linear:
             return self.effect.forward(change, self.context, self.values)
         return change if self.slope is None else change * self.slope[kept]
+
+
+def unlike_signal(effect: Effect, values: Mapping[str, float], context: Context) -> Array:
+    """What an effect does that depends on no signal: the factor of a scaling one, what an additive one adds.
+
+    Parameters
+    ----------
+    effect
+        Of one of these forms.
+    values
+        Of its parameters.
+    context
+        What it may look at.
+
+    Returns
+    -------
+    Array
+        At every sample, shape (N,).
+    """
+    size = context.time_s.size
+    return effect.forward(np.ones(size) if effect.form == "scaling" else np.zeros(size), context, values)
 
 
 def passages(
@@ -64,9 +85,13 @@ def passages(
             little = 1e-5 * (float(np.ptp(signal)) + 1e-12)
             above, below = forward(signal + little, context, values), forward(signal - little, context, values)
             slope = (above - below) / (2.0 * little)
+        elif effect.form == "scaling":
+            slope = unlike_signal(effect, values, context)[::step]
         found.append(Passage(effect, context, values, slope))
-        if step > 1 and effect.form == "additive":
-            signal = signal + forward(np.zeros(context.time_s.size), context, values)[::step]
+        if slope is not None and effect.form == "scaling":
+            signal = signal * slope
+        elif step > 1 and effect.form == "additive":
+            signal = signal + unlike_signal(effect, values, context)[::step]
         else:
             signal = forward(signal, context, values)
         context = behind(effect, context)

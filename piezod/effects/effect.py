@@ -28,7 +28,7 @@ class Location(IntEnum):
     ACQUISITION = 6  # reading [N]
 
 
-Form = Literal["linear", "additive", "memoryless", "other"]
+Form = Literal["linear", "scaling", "additive", "memoryless", "other"]
 Handling = Literal["compensated", "corrected in the reading", "refused"]
 
 
@@ -201,8 +201,9 @@ class Effect:
     location
         Location in the signal chain.
     form
-        "linear": the output is a linear function of the signal, with or without memory. "additive": the added term
-        does not depend on the signal. "memoryless": a function of the present sample. "other": none of these.
+        "linear": the output is a linear function of the signal, with or without memory. "scaling": the signal times a
+        factor of time alone. "additive": the added term does not depend on the signal. "memoryless": a function of the
+        present sample. "other": none of these.
     parameters
         Parameters that a finding reports, then nuisances.
     forward

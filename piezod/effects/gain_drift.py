@@ -37,10 +37,9 @@ def changed_share(part: float, bend: float, s_shape: float) -> float:
         Amplitude of the sine in the course [1]; 0: none.
     """
     part = min(max(part, 0.0), 1.0)
-    part -= s_shape * math.sin(2.0 * math.pi * part) / (2.0 * math.pi)
-    if abs(bend) < SMALLEST_BEND:
-        return part
-    return math.expm1(-bend * part) / math.expm1(-bend)
+    if s_shape != 0.0:
+        part -= s_shape * math.sin(2.0 * math.pi * part) / (2.0 * math.pi)
+    return part if abs(bend) < SMALLEST_BEND else math.expm1(-bend * part) / math.expm1(-bend)
 
 
 @numba.njit(cache=True, nogil=True)
@@ -65,7 +64,7 @@ EFFECT = Effect(
     name="gain_drift",
     title="drift of the sensitivity",
     location=Location.STACK,
-    form="linear",
+    form="scaling",
     parameters=(
         Parameter("relative_change", "1", -0.5, 1.0, Search((-0.02,))),
         Parameter("bend", "1", -5.0, 20.0, Search((1.0,), nuisance=True)),

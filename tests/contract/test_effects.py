@@ -53,8 +53,8 @@ FIELDS = ["Forward", "Inverse", "Signature", "Location", "Valid", "Source"]
 every_effect = pytest.mark.parametrize("name", list(EFFECTS))
 
 
-def of_form(form):
-    return pytest.mark.parametrize("name", [one.name for one in EFFECTS.values() if one.form == form])
+def of_form(*forms):
+    return pytest.mark.parametrize("name", [one.name for one in EFFECTS.values() if one.form in forms])
 
 
 def main_values(name):
@@ -201,7 +201,7 @@ def test_rest_stays_rest(name, hold):
     expected = EFFECTS[name].checks.constant
     for values in values_to_check(name):
         if expected == "varies":
-            if EFFECTS[name].form == "linear":
+            if EFFECTS[name].form in ("linear", "scaling"):
                 assert not results(name, nothing, context, values)[0].any()
             continue
         for result in results(name, level, context, values):
@@ -230,7 +230,7 @@ def test_a_signal_is_left_as_it_was_and_gives_the_same_again(name):
     assert all(np.array_equal(a, b) for a, b in zip(once, again, strict=True))
 
 
-@of_form("linear")
+@of_form("linear", "scaling")
 @pytest.mark.parametrize("hold", [STRAIGHT, HELD, HELD_BEFORE])
 def test_linear_effects_pass_a_sum_as_the_sum_of_its_parts(name, hold):
     context = context_of(hold=hold)
@@ -238,6 +238,14 @@ def test_linear_effects_pass_a_sum_as_the_sum_of_its_parts(name, hold):
     for values in values_to_check(name):
         of_x, of_y, of_both = (EFFECTS[name].forward(one, context, values) for one in (x, y, 2.0 * x - 0.7 * y))
         np.testing.assert_allclose(of_both, 2.0 * of_x - 0.7 * of_y, atol=1e-8)
+
+
+@of_form("scaling")
+def test_what_a_scaling_effect_multiplies_by_does_not_depend_on_the_signal(name):
+    context, x = context_of(), random_walk(2048, seed=7)
+    for values in values_to_check(name):
+        factor = EFFECTS[name].forward(np.ones(x.size), context, values)
+        np.testing.assert_allclose(EFFECTS[name].forward(x, context, values), factor * x, rtol=1e-12)
 
 
 @of_form("additive")
