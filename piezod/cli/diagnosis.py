@@ -72,6 +72,39 @@ def diagnose(
             print("then piezod disarm and piezod reload; the daemon does not change its model by itself")
 
 
+@app.command("testable", epilog="Example: piezod testable work.csv --model model.yaml")
+def what_is_testable(
+    recordings: Annotated[list[Path], typer.Argument(metavar="REC...", help="Recordings, or plans of them.")],
+    model: Annotated[Path, typer.Option("--model", metavar="MODEL", help="Identified model.")],
+    columns: ColumnsOption = None,
+    rate_hz: RateOption = None,
+    decimal: DecimalOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Tell which effects recordings could show, and which they cannot separate from each other."""
+    from piezod.diagnose.isolability import isolability
+    from piezod.diagnose.prepare import past_sources, read_source
+    from piezod.model import load_model
+    from piezod.recording import TextOptions
+    from piezod.report.isolability import isolability_as_dict, isolability_text
+    from piezod.report.progress import steps
+
+    plant = load_model(model)
+    text = TextOptions.of(columns, rate_hz, decimal)
+    with steps() as show:
+        show("reading", None)
+        names = plant.input.channel, plant.output.channel
+        asked = [read_source(path, "recording", names, text=text) for path in recordings]
+        past, notes = past_sources(plant, model.parent, asked)
+        show("comparing effects", None)
+        found = isolability(plant, asked, past)
+    unit = plant.output.unit
+    if as_json:
+        print(json.dumps(isolability_as_dict(found, unit), indent=2))
+    else:
+        print("\n".join([isolability_text(found, unit), *(f"note: {note}" for note in notes)]))
+
+
 @app.command(epilog="Example: piezod effects creep")
 def effects(
     name: Annotated[str | None, typer.Argument(metavar="[NAME]", help="Effect to describe.")] = None,

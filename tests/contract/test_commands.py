@@ -23,7 +23,7 @@ COMMANDS = {
     "demo", "run", "check", "record", "identify", "simulate", "diagnose", "validate", "blind make", "blind run",
     "blind score", "latency", "effects", "status", "arm", "disarm", "stop", "reset", "reload", "commission",
     "watch", "init", "config schema", "config show", "config check", "convert", "compare", "resid", "report",
-    "support-bundle",
+    "support-bundle", "testable",
 }  # fmt: skip
 WITHOUT_JSON = {
     "watch": "serves a page",
@@ -53,6 +53,7 @@ ERRORS = [
     ("identify /nowhere/a.csv -o /tmp/x.yaml --variant C", 2, "--variant is 'C', must be A or B"),
     ("simulate /nowhere/a.csv --model /nowhere/m.yaml -o /tmp/x.csv", 78, "cannot be read"),
     ("diagnose /nowhere/a.csv --model /nowhere/m.yaml -o /tmp/piezod-nothing", 78, "cannot be read"),
+    ("testable /nowhere/a.csv --model /nowhere/m.yaml", 78, "cannot be read"),
     (f"validate {NOT_THERE} --model /nowhere/m.yaml", 78, "cannot be read"),
     ("commission -o /tmp/piezod-nothing", 2, "give CONFIG or --emulated SCENARIO"),
     ("blind make /proc/nothing --cases 0", 2, "see piezod blind make --help"),

@@ -32,7 +32,7 @@ RATE_LIMITED_SHARE = 0.5  # of the benches limit the rate of their commands
 RATE_LIMIT = (1.0, 40.0)  # [ranges per second]
 READ_LATE = (0.35, 0.9)  # time from a held command to its reading [samples]
 FOREIGNNESS = 0.25  # smallest share of a foreign effect that catalogue effects cannot reproduce
-ATTEMPTS = 18
+ATTEMPTS = 72  # one of a hundred cases has no plausible draw in 18
 STRICT_ATTEMPTS = 8  # attempts before another strength is allowed
 
 

@@ -1,0 +1,62 @@
+"""Text and JSON of what recordings can tell."""
+
+from typing import Any
+
+from piezod.diagnose.isolability import LARGE, Isolability
+from piezod.diagnose.words import listed, unit_words
+
+MOST_PAIRS = 12
+
+
+def isolability_as_dict(found: Isolability, unit: str) -> dict[str, Any]:
+    """The result for JSON.
+
+    Parameters
+    ----------
+    found
+        Result of `isolability`.
+    unit
+        Of the output.
+    """
+    return {
+        "schema": "piezod.isolability/1",
+        "noise": {"value": found.noise, "unit": unit},
+        "effects": list(found.effects),
+        "seen_from_noises": dict(zip(found.effects, found.seen_from.tolist(), strict=True)),
+        "separated_from_noises": found.separated_from.tolist(),
+        "unseen": list(found.unseen),
+        "groups": [list(group) for group in found.groups()],
+        "pairs": [
+            {"first": one.first, "second": one.second, "from_noises": one.size, "separate_by": one.separate_by}
+            for one in found.pairs()
+        ],
+        "notes": list(found.notes),
+    }
+
+
+def isolability_text(found: Isolability, unit: str) -> str:
+    """The result for a terminal.
+
+    Parameters
+    ----------
+    found
+        Result of `isolability`.
+    unit
+        Of the output.
+    """
+    groups, hidden, pairs = found.groups(), found.unseen, found.pairs()
+    alone = len(found.effects) - len(hidden) - sum(len(group) for group in groups)
+    separated = f"of {len(found.effects)} effects these recordings separate {alone} from all others"
+    large = f"{LARGE * found.noise:.3g} {unit_words(unit)} rms"
+    lines = [f"{separated} when they change the reading by {LARGE:g} times the noise, {large}"]
+    lines += [f"not separable: {listed(group, 'or')}" for group in groups]
+    if hidden:
+        lines.append(f"not seen: {listed(hidden)}")
+    lines += ["", f"{'effect':26}seen from [noise]"]
+    lines += [f"{name:26}{size:.2g}" for name, size in zip(found.effects, found.seen_from, strict=True)]
+    if pairs:
+        lines += ["", f"{'pair':53}separated from [noise]  by"]
+        lines += [f"{one.first:26} {one.second:26}{one.size:22.2g}  {one.separate_by}" for one in pairs[:MOST_PAIRS]]
+        if len(pairs) > MOST_PAIRS:
+            lines.append(f"and {len(pairs) - MOST_PAIRS} more pairs; --json prints all")
+    return "\n".join([*lines, *(f"note: {note}" for note in found.notes)])
