@@ -1,6 +1,7 @@
 """`piezod run`, which is the daemon, and the commands for a running daemon."""
 
 import json
+from collections.abc import Coroutine
 from pathlib import Path
 from typing import Annotated
 
@@ -101,6 +102,48 @@ def _command_daemon(
     else:
         print(status_text(answer) if settled else answer["message"])
     raise typer.Exit(1 if settled and answer["state"] not in wanted else 0)
+
+
+@app.command(epilog="Example: piezod bridge config/bench.yaml --mqtt mqtt://broker")
+def bridge(
+    config: ConfigArgument,
+    mqtt: Annotated[
+        str | None, typer.Option(metavar="URL", help="Broker: mqtt://[USER:PASSWORD@]HOST[:PORT], mqtts:// for TLS.")
+    ] = None,
+    opcua: Annotated[
+        int | None, typer.Option(metavar="PORT", min=1, max=65535, help="Port of an OPC UA server on 127.0.0.1.")
+    ] = None,
+    certificates: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="DIR", help="server.der, server.pem, clients/*.der: OPC UA is encrypted, with arm, disarm and stop."
+        ),
+    ] = None,
+) -> None:
+    """Carry the values of the running daemon to MQTT and OPC UA; it reads shared memory and cannot delay a tick."""
+    from piezod.bridge.mqtt import Broker, publish
+    from piezod.bridge.opcua import serve
+    from piezod.bridge.run import run_bridges
+    from piezod.config import load_bench
+    from piezod.daemon.client import command_and_wait
+
+    if mqtt is None and opcua is None:
+        raise UsageError("--mqtt or --opcua is missing: give one of them, or both")
+    if certificates is not None and opcua is None:
+        raise UsageError("--certificates needs --opcua PORT")
+    bench, broker = load_bench(config), None if mqtt is None else Broker.of(mqtt)
+
+    def send(name: str) -> dict[str, object]:
+        return command_and_wait(bench.socket_path, name, wait=False)
+
+    def announce(line: str) -> None:
+        print(line, flush=True)
+
+    def bridges() -> list[Coroutine[object, object, None]]:
+        made = [] if broker is None else [publish(bench, broker, send, announce)]
+        return made if opcua is None else [*made, serve(bench, opcua, certificates, send, announce)]
+
+    run_bridges(bridges)
 
 
 @app.command(epilog="Example: piezod watch config/bench.yaml --port 5006")

@@ -23,10 +23,11 @@ COMMANDS = {
     "demo", "run", "check", "record", "identify", "simulate", "diagnose", "validate", "blind make", "blind run",
     "blind score", "latency", "effects", "status", "arm", "disarm", "stop", "reset", "reload", "commission",
     "watch", "init", "config schema", "config show", "config check", "convert", "compare", "resid", "report",
-    "support-bundle", "testable",
+    "support-bundle", "testable", "bridge",
 }  # fmt: skip
 WITHOUT_JSON = {
     "watch": "serves a page",
+    "bridge": "serves other systems",
     "record": "writes a recording",
     "config schema": "always prints JSON",
     "blind make": "writes a study",
@@ -46,6 +47,7 @@ ERRORS = [
     # arguments, exit code, part of the message
     ("demo --report", 2, "requires an argument"),
     (f"run {NOT_THERE}", 78, "cannot be read"),
+    (f"bridge {NOT_THERE} --opcua 4840", 78, "cannot be read"),
     ("check", 2, "Missing argument 'CONFIG'; see piezod check --help"),
     (f"record {NOT_THERE} --excitation constant-triangles -o /tmp/x.csv", 78, "cannot be read"),
     (f"record {NOT_THERE} --excitation constant-triangles -o /tmp/x.doc", 78, "suffix is '.doc', must be one of"),

@@ -1,0 +1,74 @@
+"""Newest tick of a running daemon as named values in SI units.
+
+The bridge reads the ring log in shared memory, as the live page does. It cannot delay a tick.
+"""
+
+import math
+import time
+from pathlib import Path
+
+from piezod.control import CAUSE_TEXT, Cause, RingReader, State
+from piezod.errors import PiezodError
+
+Values = dict[str, float | int | str | None]
+
+MEASURED = ("reference_N", "force_N", "voltage_V", "readback_V", "temperature_C")
+"""Columns of the ring log that are sent under their own names."""
+
+UNITS = {"time_s": "s", "lateness_s": "s"} | {name: name.rpartition("_")[2] for name in MEASURED}
+
+
+class Newest:
+    """Reads the newest tick; continues when the daemon restarts.
+
+    Parameters
+    ----------
+    ring_log
+        File of the ring log.
+    """
+
+    def __init__(self, ring_log: Path) -> None:
+        self._path = ring_log
+        self._ring: RingReader | None = None
+        self._identity: tuple[int, int] | None = None
+
+    def read(self) -> Values | None:
+        """The newest tick; None: none came since the last call.
+
+        Returns
+        -------
+        dict
+            `time_s` since 1970, `tick`, `state` and `cause` in words, measured values, `lateness_s`. A value that is
+            not measured is None.
+        """
+        self._open()
+        if self._ring is None or not self._ring.waiting:
+            return None
+        self._ring.seek(self._ring.next + self._ring.waiting - 1)
+        rows = self._ring.read()
+        if not rows.size:
+            return None
+        row = rows[-1]
+        since_boot_ns = time.clock_gettime_ns(time.CLOCK_BOOTTIME)
+        values: Values = {
+            "time_s": (time.time_ns() - since_boot_ns + int(row["time_ns"])) * 1e-9,
+            "tick": int(row["tick"]),
+            "state": State(int(row["state"])).name,
+            "cause": CAUSE_TEXT[Cause(int(row["cause"]))],
+        }
+        values |= {name: _finite(float(row[name])) for name in MEASURED}
+        return values | {"lateness_s": int(row["lateness_ns"]) * 1e-9}
+
+    def _open(self) -> None:
+        """Open the ring log, and again after a restart of the daemon, which makes a new file of the same name."""
+        try:
+            found = self._path.stat()
+            if (found.st_dev, found.st_ino) != self._identity:
+                self._ring = RingReader(self._path)
+                self._identity = found.st_dev, found.st_ino
+        except (OSError, PiezodError):
+            return  # the daemon does not run, or still writes the header
+
+
+def _finite(value: float) -> float | None:
+    return value if math.isfinite(value) else None

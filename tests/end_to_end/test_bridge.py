@@ -1,0 +1,243 @@
+"""The bridges against real peers: mosquitto, and an OPC UA client."""
+
+import asyncio
+import contextlib
+import itertools
+import json
+import shutil
+import signal
+import socket
+import subprocess
+import sys
+import time
+
+import pytest
+
+from tests.benches.certificates import openssl
+from tests.benches.daemon import WITHIN_S, daemon
+from tests.benches.emulator import bench_file, emulator, piezod
+from tests.benches.processes import Popen
+
+pytestmark = pytest.mark.xdist_group("bridge")
+NEVER = {"comm_loss_ms": 9000, "device_watchdog_ms": 8000, "stale_after_ms": 4000, "missed_ticks_in_a_row": 2000}
+
+
+def free_port():
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return probe.getsockname()[1]
+
+
+@pytest.fixture(scope="module")
+def bench(tmp_path_factory):
+    with emulator("--port", "0") as served:
+        folder = tmp_path_factory.mktemp("bridge")
+        path = bench_file(
+            folder,
+            served,
+            rate_Hz=100,
+            limits=NEVER,
+            arming={"voltage_V_per_s": 800.0, "reset_cycle": False},
+            reference={"frequency_Hz": 0.5},
+        )
+        with daemon(path):
+            yield path
+
+
+@contextlib.contextmanager
+def bridge(bench, *options):
+    process = Popen(
+        [sys.executable, "-m", "piezod", "bridge", str(bench), *map(str, options)], stdout=subprocess.PIPE, text=True
+    )
+    try:
+        yield process, process.stdout.readline()
+    finally:
+        process.send_signal(signal.SIGTERM)
+        process.wait(timeout=WITHIN_S)
+        process.stdout.close()
+
+
+@pytest.fixture(scope="module")
+def broker():
+    path = shutil.which("mosquitto", path="/usr/sbin:/usr/bin")
+    if path is None:
+        pytest.skip("no mosquitto here: apt-get install mosquitto")
+    port = free_port()
+    process = Popen([path, "-p", str(port)], stderr=subprocess.DEVNULL, stdout=subprocess.DEVNULL)
+    deadline_s = time.monotonic() + WITHIN_S
+    while True:
+        with contextlib.suppress(OSError), socket.create_connection(("127.0.0.1", port), 1.0):
+            break
+        assert time.monotonic() < deadline_s
+        time.sleep(0.05)
+    yield port
+    process.kill()
+    process.wait()
+
+
+class Subscriber:
+    """Every message of a broker, by topic."""
+
+    def __init__(self, port):
+        aiomqtt = pytest.importorskip("aiomqtt")
+        self.client, self.seen = aiomqtt.Client("127.0.0.1", port), {}
+
+    async def until(self, condition):
+        async def listen():
+            async for message in self.client.messages:
+                self.seen.setdefault(str(message.topic), []).append(message.payload)
+                if condition(self.seen):
+                    return
+
+        await asyncio.wait_for(listen(), WITHIN_S)
+
+
+def test_a_broker_gets_ticks_and_status_and_learns_of_the_end_of_a_killed_bridge(bench, broker):
+    async def run():
+        subscriber = Subscriber(broker)
+        async with subscriber.client as client:
+            await client.subscribe("piezod/#")
+            with bridge(bench, "--mqtt", f"mqtt://127.0.0.1:{broker}") as (process, line):
+                assert line.startswith(f"mqtt: 127.0.0.1:{broker}, topics piezod/")
+                await subscriber.until(
+                    lambda seen: (
+                        sum(len(v) for k, v in seen.items() if k.endswith("tick")) >= 5
+                        and any(k.endswith("status") for k in seen)
+                    )
+                )
+                process.kill()
+                await subscriber.until(lambda seen: any(v[-1] == b"0" for k, v in seen.items() if k.endswith("online")))
+        return subscriber.seen
+
+    seen = asyncio.run(run())
+    by_name = {topic.rpartition("/")[2]: payloads for topic, payloads in seen.items()}
+    assert by_name["online"] == [b"1", b"0"]
+    ticks = [json.loads(one) for one in by_name["tick"]]
+    assert all(after["tick"] > before["tick"] for before, after in itertools.pairwise(ticks))
+    assert ticks[0]["state"] == "DISARMED"
+    assert abs(ticks[-1]["time_s"] - time.time()) < 60.0
+    assert isinstance(ticks[0]["force_N"], float)
+    assert json.loads(by_name["status"][0])["state"] == "DISARMED"
+
+
+def test_a_broker_that_comes_later_is_found(bench):
+    path = shutil.which("mosquitto", path="/usr/sbin:/usr/bin")
+    if path is None:
+        pytest.skip("no mosquitto here: apt-get install mosquitto")
+    port = free_port()
+    with bridge(bench, "--mqtt", f"mqtt://127.0.0.1:{port}") as (process, line):
+        assert "trying again" in line
+        late = Popen([path, "-p", str(port)], stderr=subprocess.DEVNULL, stdout=subprocess.DEVNULL)
+        try:
+            assert process.stdout.readline().startswith("mqtt: 127.0.0.1")
+        finally:
+            late.kill()
+            late.wait()
+
+
+def test_a_client_reads_nodes_that_it_cannot_write_and_finds_no_methods(bench):
+    asyncua = pytest.importorskip("asyncua")
+    port = free_port()
+
+    async def run():
+        async with asyncua.Client(f"opc.tcp://127.0.0.1:{port}/piezod/") as client:
+            index = await client.get_namespace_index("urn:piezod")
+            (folder,) = [one for one in await client.nodes.objects.get_children() if one.nodeid.NamespaceIndex == index]
+            force = await folder.get_child(f"{index}:force_N")
+            before, state = await force.read_value(), await (await folder.get_child(f"{index}:state")).read_value()
+            ticks = []
+            for _ in range(2):
+                ticks.append(await (await folder.get_child(f"{index}:tick")).read_value())
+                await asyncio.sleep(0.5)
+            with pytest.raises(asyncua.ua.uaerrors.BadUserAccessDenied):
+                await force.write_value(before + 1.0)
+            return state, ticks, await folder.get_methods()
+
+    with bridge(bench, "--opcua", port) as (_, line):
+        assert line.startswith(f"opc ua: opc.tcp://127.0.0.1:{port}/piezod/  (read only)")
+        state, ticks, methods = asyncio.run(run())
+    assert state == "DISARMED"
+    assert ticks[1] > ticks[0]
+    assert methods == []
+
+
+def certificates_in(folder):
+    """Of a server and of two clients, one of them known."""
+    (folder / "clients").mkdir()
+    for name in ("server", "known", "stranger"):
+        openssl(
+            "req", "-x509", "-newkey", "rsa:2048", "-nodes", "-days", "2", "-subj", f"/CN={name}",
+            "-addext", f"subjectAltName=URI:urn:{name},DNS:localhost", "-addext",
+            "keyUsage=digitalSignature,nonRepudiation,keyEncipherment,dataEncipherment",
+            "-keyout", folder / f"{name}.pem", "-outform", "DER",
+            "-out", folder / ("clients/known.der" if name == "known" else f"{name}.der"),
+        )  # fmt: skip
+    return folder
+
+
+def test_a_client_with_a_known_certificate_arms_and_stops_and_a_stranger_does_not_get_in(bench, tmp_path):
+    asyncua = pytest.importorskip("asyncua")
+    from asyncua.crypto.security_policies import SecurityPolicyBasic256Sha256
+
+    port, folder = free_port(), certificates_in(tmp_path)
+
+    def client_of(certificate, key):
+        client = asyncua.Client(f"opc.tcp://127.0.0.1:{port}/piezod/")
+        client.application_uri = f"urn:{key.stem}"
+        return client, client.set_security(SecurityPolicyBasic256Sha256, str(certificate), str(key))
+
+    async def call(name):
+        client, secured = client_of(folder / "clients" / "known.der", folder / "known.pem")
+        await secured
+        async with client:
+            index = await client.get_namespace_index("urn:piezod")
+            (bench_node,) = [
+                one for one in await client.nodes.objects.get_children() if one.nodeid.NamespaceIndex == index
+            ]
+            await bench_node.call_method(f"{index}:{name}")
+
+    async def intrude():
+        client, secured = client_of(folder / "stranger.der", folder / "stranger.pem")
+        await secured
+        async with client:
+            pass
+
+    with bridge(bench, "--opcua", port, "--certificates", folder) as (_, line):
+        assert "(methods for 1 clients)" in line
+        asyncio.run(call("arm"))
+        wait_for_state(bench, "RUNNING")
+        asyncio.run(call("stop"))
+        wait_for_state(bench, "DISARMED")
+        with pytest.raises(Exception, match=r"(?i)denied|reject|identity|closed|invalid"):
+            asyncio.run(intrude())
+
+
+def wait_for_state(bench, wanted):
+    deadline_s = time.monotonic() + WITHIN_S
+    while json.loads(piezod("status", bench, "--json").stdout)["state"] != wanted:
+        assert time.monotonic() < deadline_s
+        time.sleep(0.1)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ((), "--mqtt or --opcua is missing"),
+        (("--mqtt", "http://host"), "--mqtt is 'http://host', must be mqtt://"),
+        (("--mqtt", "mqtt://user:secret@host:port"), "--mqtt is 'host:port', must be mqtt://"),
+        (("--certificates", "."), "--mqtt or --opcua is missing"),
+    ],
+)
+def test_what_cannot_be_bridged_is_refused_in_a_line(bench, options, message):
+    done = piezod("bridge", bench, *options)
+    assert done.returncode == 2
+    assert done.stderr.startswith(f"piezod: {message}")
+    assert "secret" not in done.stderr
+    assert len(done.stderr.splitlines()) == 1
+
+
+def test_a_folder_without_certificates_is_refused(bench, tmp_path):
+    pytest.importorskip("asyncua")
+    done = piezod("bridge", bench, "--opcua", free_port(), "--certificates", tmp_path)
+    assert done.returncode == 78
+    assert "holds no *.der" in done.stderr
