@@ -44,10 +44,11 @@ def table_html(header: Sequence[str], rows: Sequence[Sequence[str]], groups: Seq
         Row above the header: headings, and the number of columns that each spans.
     """
     above = "".join(f"<th class='group' colspan='{span}'>{html.escape(heading)}</th>" for heading, span in groups)
-    head = "".join(f"<th>{html.escape(cell)}</th>" for cell in header)
+    head = "".join(f"<th>{html.escape(cell)}</th>" if cell else "<td></td>" for cell in header)
     body = "".join("<tr>" + "".join(f"<td>{html.escape(cell)}</td>" for cell in row) + "</tr>" for row in rows)
     lines = f"<tr>{above}</tr><tr>{head}</tr>" if groups else f"<tr>{head}</tr>"
-    return f"<div class='scroll'><table class='numbers'><thead>{lines}</thead><tbody>{body}</tbody></table></div>"
+    scrolls = "<div class='scroll' role='group' aria-label='table' tabindex='0'>"  # by the arrow keys too
+    return f"{scrolls}<table class='numbers'><thead>{lines}</thead><tbody>{body}</tbody></table></div>"
 
 
 def head_html(title: str, verdict: str) -> str:

@@ -124,7 +124,9 @@ PAGE_TEMPLATE = """<!DOCTYPE html>
 <style>{style}</style>
 </head>
 <body>
+<main>
 {body}
+</main>
 {library}
 {script}
 <script>{own}</script>
