@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 from piezod.diagnose.words import unit_words
 from piezod.identify.identification import Identification
 from piezod.identify.order import Candidate
-from piezod.identify.scores import max_hysteresis_percent
 from piezod.identify.simulation import simulate
 from piezod.identify.tables import OperatorRow, dead_zone_rows, play_rows
 from piezod.recording import Recording
@@ -124,7 +123,9 @@ def write_identification_page(path: Path, identification: Identification, record
         ("Plays", play_rows(model.hysteresis), (command, "1", command, "1")),
         ("Dead zones", dead_zone_rows(model.hysteresis), (command, f"{unit}/{command}", unit, f"{command}/{unit}")),
     ):
-        parts.append(f"<h2>{title}</h2>{_operator_table(operators, units)}")
+        significant = sum(one.matters for one in operators)
+        summary = f"{title}: {len(operators)}, of which {significant} are significant"
+        parts.append(f"<details><summary>{summary}</summary>{_operator_table(operators, units)}</details>")
     write_page(path, "Identification", parts)
 
 
@@ -157,7 +158,9 @@ def _curves(identification: Identification, recording: Recording) -> list[Part]:
     over_time = figure(title="Output over time", x_axis_label="time [s]", y_axis_label=output, height=300)
     over_time.line(decimated(time_s), decimated(y), color=GREY, line_width=3, legend_label="measured")
     over_time.line(decimated(time_s), decimated(modelled), color=BLUE, legend_label="modelled")
-    inputs = figure(title="Input over time", x_axis_label="time [s]", y_axis_label=command, height=200)
+    inputs = figure(
+        title="Input over time", x_axis_label="time [s]", y_axis_label=command, height=200, x_range=over_time.x_range
+    )
     inputs.line(decimated(time_s), decimated(u), color=ORANGE, legend_label="input")
     loop = figure(title="Hysteresis curve", x_axis_label=command, y_axis_label=output, height=300)
     loop.line(decimated(u), decimated(y), color=GREY, line_width=3, legend_label="measured")
@@ -167,17 +170,13 @@ def _curves(identification: Identification, recording: Recording) -> list[Part]:
         x_axis_label="time [s]",
         y_axis_label=f"residual [{unit_words(model.output.unit)}]",
         height=200,
+        x_range=over_time.x_range,
         y_range=usual_range(y - modelled),
     )
     residual.line(decimated(time_s), decimated(y - modelled), color=ORANGE, legend_label="residual")
-    note = f"max hysteresis of all samples {_hysteresis(u, y)}; {start}; the residual's axis excludes its outliers"
+    note = f"{start}; the residual's axis excludes its outliers"
     head = f"<h2>{html.escape(Path(recording.source).name)}</h2><p class='dim'>{html.escape(note)}</p>"
     return [head, [finish_figure(over_time), finish_figure(loop)], [finish_figure(inputs)], [finish_figure(residual)]]
-
-
-def _hysteresis(u: Array, y: Array) -> str:
-    known = np.isfinite(y)
-    return f"{max_hysteresis_percent(u[known], y[known]):.2f} % of range"
 
 
 def figure_rows(identification: Identification) -> list[tuple[str, ...]]:

@@ -58,6 +58,7 @@ dt {{ color: var(--dim); }} dd {{ margin: 0; }}
 dd.Forward {{ font-family: ui-monospace, monospace; font-size: 12.5px; }}
 .remains {{ background: var(--soft); border-left: 4px solid {GREEN}; border-radius: 6px; padding: 4px 16px 8px; }}
 .remains.open {{ border-left-color: {RED}; }}
+details > summary {{ cursor: pointer; font-size: 15px; font-weight: 600; margin: 14px 0 4px; }}
 .remains li {{ margin: 3px 0; }} ul {{ margin: 6px 0; padding-left: 20px; }}
 figure {{ margin: 6px 0 2px; min-width: 0; }}
 figcaption {{ color: var(--dim); font-size: 12px; }}
@@ -79,6 +80,12 @@ figcaption {{ color: var(--dim); font-size: 12px; }}
   .numbers th, .numbers td {{ padding-right: 10px; font-size: 12px; }}
   td[data-label]:not([data-label=""])::before {{ content: attr(data-label) ": "; color: var(--dim); font-size: 12px; }}
   td:first-child::before {{ content: none !important; }} table:not(.numbers) td:empty {{ display: none; }}
+}}
+@media screen and (prefers-color-scheme: dark) {{
+  :root {{ color-scheme: dark; --line: #3b3f45; --soft: #1f2227; --dim: #a8aeb6; }}
+  body {{ color: #e3e5e8; background: #15171b; }} a {{ color: #79b8ff; }}
+  .chain i {{ color: #a8aeb6; }} .chain li.hit {{ background: #36231a; }} .bar {{ background: #3b3f45; }}
+  [data-root-id] > * {{ filter: invert(0.91) hue-rotate(180deg); }}  /* figures are drawn for paper */
 }}
 @page {{ size: A4; margin: 12mm; }}
 @media print {{

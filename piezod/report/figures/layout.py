@@ -7,6 +7,7 @@ from bokeh.models import BasicTicker, HoverTool, LogTicker
 from bokeh.plotting import figure
 from numpy.typing import NDArray
 
+AXIS_WIDTH = 70  # [px]: figures below each other begin at one place
 MOST_TICKS = 5  # more labels overlap on a telephone
 SHOWN_SAMPLES = 1500  # points of a decimated curve; tables use all samples
 
@@ -63,5 +64,6 @@ def finish_figure(plot: figure, *, vertical_legend: bool = False) -> figure:
     apply_layout(plot, orientation=orientation, spacing=spacing, glyph_height=14, label_height=14)
     if not isinstance(plot.xaxis[0].ticker, LogTicker):
         plot.xaxis.ticker = BasicTicker(desired_num_ticks=MOST_TICKS)
+    plot.min_border_left = AXIS_WIDTH
     plot.add_tools(HoverTool(tooltips=[("x", "$x{0.000}"), ("y", "$y{0.00}")]))
     return plot

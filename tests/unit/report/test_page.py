@@ -36,7 +36,7 @@ def test_groups_of_columns_are_above_the_header():
     made = table_html(["reference", "rms", "max"], [["a", "1", "<2>"]], groups=[("", 1), ("with & without", 2)])
     assert "<th class='group' colspan='2'>with &amp; without</th></tr><tr><th>reference</th>" in made
     assert "<td>&lt;2&gt;</td>" in made
-    assert "<div class='scroll'>" in made
+    assert "<div class='scroll' role='group' aria-label='table' tabindex='0'>" in made
 
 
 @pytest.mark.parametrize(
