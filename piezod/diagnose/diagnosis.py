@@ -22,6 +22,7 @@ from piezod.diagnose.prepare import Source, chain_of, even, stand_in, started, w
 from piezod.diagnose.search import OnProgress, fitted_without, instead, search, without
 from piezod.diagnose.search_state import Beside, Search
 from piezod.diagnose.series import Series
+from piezod.diagnose.significance import with_shares
 from piezod.diagnose.testable import untestable
 from piezod.diagnose.told import as_told
 from piezod.diagnose.tones import with_tones
@@ -253,7 +254,7 @@ class _Asked:
         before, after = rms_of(base_residuals, series), held_out_rms(chain, found)
         refitted = None if result.names else min(after, before)
         least = after if refitted is None else refitted
-        effects = each(lambda name: finding_of(result, name), found.effects)
+        effects = with_shares(each(lambda name: finding_of(result, name), found.effects))
         effects += [tone_finding(result, name) for name in dict.fromkeys(tone.name for tone in result.tones)]
         effects += read_off(chain.series, self.frozen, residuals, before)
         span = span_of(series)

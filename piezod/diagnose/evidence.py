@@ -15,6 +15,7 @@ from piezod.diagnose.places import place_of
 from piezod.diagnose.search import fitted_without
 from piezod.diagnose.search_state import Search
 from piezod.diagnose.series import Series
+from piezod.diagnose.significance import p_value
 from piezod.diagnose.tones import Tone
 from piezod.diagnose.verdict import held_out_rms, power_of
 from piezod.effects import EFFECTS
@@ -64,6 +65,7 @@ def finding_of(result: Search, name: str) -> Finding:
         rivals,
         term.effect.handling,
         term.effect.why,
+        p_value(result, name),
     )
 
 

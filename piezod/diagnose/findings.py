@@ -107,6 +107,9 @@ class Finding:
         Closest first.
     handling, why
         What the compensator does about it.
+    p, q
+        Probability that a useless effect predicts as well, and expected share of false names up to it; None for what is
+        read off the readings without a fit.
     """
 
     name: str
@@ -120,12 +123,15 @@ class Finding:
     rivals: tuple[Rival, ...] = ()
     handling: str = ""
     why: str = ""
+    p: float | None = None
+    q: float | None = None
 
     def as_dict(self, unit: str) -> dict[str, Any]:
         """For JSON."""
         return {
             "name": self.name,
             "confidence": self.confidence,
+            **({} if self.p is None or self.q is None else {"p_value": self.p, "q_value": self.q}),
             "scope": self.scope,
             "where": [place.as_dict() for place in self.where],
             "parameters": {name: value.as_dict() for name, value in self.parameters.items()},

@@ -106,6 +106,7 @@ def card_html(finding: Finding, findings: Findings, wording: Wording) -> str:
     handling = words.HANDLINGS.get(finding.handling, finding.handling)
     facts = [
         ("confidence", _confidence(finding)),
+        *([] if finding.q is None else [("false-discovery rate", f"{finding.q:.1g}")]),
         ("error without → with it", _error_change(finding, findings)),
         ("when", words.SCOPES[finding.scope]),
         ("where", "; ".join(place_words(place, wording) for place in finding.where) or "everywhere"),

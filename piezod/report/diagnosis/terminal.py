@@ -34,6 +34,8 @@ def print_findings(diagnosis: Diagnosis, folder: Path) -> None:
 
 def _print_effect(finding: Finding, wording: Wording) -> None:
     confidence = f"confidence {100 * finding.confidence:.0f} %"
+    if finding.q is not None:
+        confidence += f", false-discovery rate {finding.q:.1g}"
     print(f"  {finding.name} ({confidence}, {SCOPES[finding.scope]}): {finding.title}")
     for name, value in finding.parameters.items():
         text, interval = value_words(value, name, finding.name, wording)
