@@ -33,6 +33,7 @@ FAIR_SHARE = 0.02  # of the largest gain so far: more effects than that are the 
 LATE = 0.05  # of a sample
 RINGS = 0.6  # damping ratio beyond which nothing is seen to ring
 SLIDES = 0.16  # of the force's range: friction with a longer presliding hardly slides, the stack remembers
+BEGIN = 0.02  # of a recording: a step within it is what an unknown start leaves
 NO_LONGER = 0.99  # of the range
 PLAINER = 0.01  # of the loss, that a parameter must bring,
 MOST_COUNTED = 8  # if not so many count already: of many that are stiff few are used
@@ -122,8 +123,8 @@ def degenerate(chain: Chain, fitted: Fitted) -> bool:
     """Whether the last effect is not what its name says.
 
     A leak as slow as the catalogue knows is a drift, friction that hardly slides a memory of the stack, a resonance
-    that does not ring a lag, a step without edges a drift; what is late by next to nothing of a sample is the moment of
-    reading.
+    that does not ring a lag, a step without edges a drift, one at the begin what an unknown start leaves; what is late
+    by next to nothing of a sample is the moment of reading.
     """
     term, values = fitted.terms[-1], fitted.point.values[-1]
     if term.effect.name == "friction":
@@ -140,10 +141,17 @@ def degenerate(chain: Chain, fitted: Fitted) -> bool:
     }.get(term.effect.name)
     if late_s is not None:
         return late_s < LATE * min(one.dt_s for one in chain.series)
-    if term.effect.name == "load_step":
-        series = chain.series[term.series]
-        residual_N = series.reading_N - chain.run(term.series, fitted.terms, fitted.point).reading_N
-        late_s = shown_late_s(chain, fitted.terms, fitted.point)
-        first, end = (round((values[name] + late_s) / series.dt_s) for name in ("on_s", "off_s"))
-        return not sharp(series, residual_N, Step(values["step_N"], first, min(end, series.time_s.size)))
-    return False
+    return term.effect.name == "load_step" and not _is_a_step(chain, fitted)
+
+
+def _is_a_step(chain: Chain, fitted: Fitted) -> bool:
+    """Whether the last effect, a step, has edges, and is not all over or there to stay soon after the begin."""
+    term, values = fitted.terms[-1], fitted.point.values[-1]
+    series = chain.series[term.series]
+    size, begin = series.time_s.size, BEGIN * series.time_s.size
+    late_s = shown_late_s(chain, fitted.terms, fitted.point)
+    first, end = (round((values[name] + late_s) / series.dt_s) for name in ("on_s", "off_s"))
+    if end <= begin or (end >= size and first < begin):
+        return False
+    residual_N = series.reading_N - chain.run(term.series, fitted.terms, fitted.point).reading_N
+    return sharp(series, residual_N, Step(values["step_N"], first, min(end, size)))

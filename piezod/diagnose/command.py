@@ -10,11 +10,15 @@ import numpy as np
 from piezod.diagnose.diagnosis import Diagnosis, diagnose
 from piezod.diagnose.findings import HeldOut
 from piezod.diagnose.prepare import Source, past_sources, read_source
+from piezod.diagnose.verdict import words_of
+from piezod.diagnose.words import Wording
 from piezod.errors import ConfigurationError, UsageError
 from piezod.identify.simulation import simulate_recording
 from piezod.model import Model, load_model, save_model
 from piezod.recording import TextOptions
 
+WORSE = 1.02  # times the error of the given model on a recording held out: the noise of a minute does not do that
+MOST_DOUBTED = 0.5  # confidence of an effect that makes such a recording worse
 START_WINDOW_S = 1.0  # of a recording that does not start at rest, where its start is found
 OnStep = Callable[[str, float | None], None]
 
@@ -67,11 +71,16 @@ def diagnose_files(
     asked = [read_source(path, "recording", columns, condition, text) for path in recordings]
     past, notes = past_sources(model, model_path.parent, asked)
     notes = [*(note for one in (*asked, *apart) for note in one.notes), *notes]
+    before = [_tared_rms(one, model) for one in apart]  # before the search: a file that cannot be used is said at once
     diagnosis = diagnose(model, asked, past, notes, on_step)
     if apart:
         on_step("simulating what was held out", 0.98)
-        told = tuple(_held_out(one, model, diagnosis.model) for one in apart)
-        diagnosis = replace(diagnosis, findings=replace(diagnosis.findings, held_out=told))
+        after = [_tared_rms(one, diagnosis.model) for one in apart]
+        told = tuple(
+            HeldOut(one.recording.source, one.sha256, *errors)
+            for one, *errors in zip(apart, before, after, strict=True)
+        )
+        diagnosis = checked_by(diagnosis, model, told)
     try:
         output.mkdir(parents=True, exist_ok=True)
         content = json.dumps(diagnosis.findings.as_dict(), indent=2) + "\n"
@@ -82,10 +91,35 @@ def diagnose_files(
     return diagnosis
 
 
-def _held_out(source: Source, given: Model, extended: Model) -> HeldOut:
-    """Both models over a recording that neither has seen."""
-    before, after = (_tared_rms(source, model) for model in (given, extended))
-    return HeldOut(source.recording.source, source.sha256, before, after)
+def checked_by(diagnosis: Diagnosis, given: Model, held_out: Sequence[HeldOut]) -> Diagnosis:
+    """The diagnosis with the recordings that were held out; where one gets worse it is less sure.
+
+    Then the verdict is no more than partly explained, no effect is more likely than not, and the given model stays.
+
+    Parameters
+    ----------
+    diagnosis
+        Of other recordings.
+    given
+        The model as it was identified.
+    held_out
+        Errors of both models.
+    """
+    findings = replace(diagnosis.findings, held_out=tuple(held_out))
+    worse = [one for one in held_out if one.after > WORSE * one.before]
+    if not worse or not findings.effects:
+        return replace(diagnosis, findings=findings)
+    notes = [
+        f"{one.path}, held out: the extended model is worse, {one.before:.3g} -> {one.after:.3g} {findings.unit}; "
+        "the given model stays"
+        for one in worse
+    ]
+    effects = tuple(replace(one, confidence=min(one.confidence, MOST_DOUBTED)) for one in findings.effects)
+    verdict = "partly_explained" if findings.verdict == "explained" else findings.verdict
+    findings = replace(findings, effects=effects, verdict=verdict, notes=(*findings.notes, *notes))
+    words = words_of(findings, Wording(given.input.unit, given.output.unit))
+    findings = replace(findings, words=f"{words}; a recording that was held out gets worse")
+    return replace(diagnosis, findings=findings, model=given)
 
 
 def _tared_rms(source: Source, model: Model) -> float:

@@ -19,7 +19,7 @@ from piezod.diagnose.locate import locate
 from piezod.diagnose.motion import motion
 from piezod.diagnose.parallel import each
 from piezod.diagnose.prepare import Source, chain_of, even, stand_in, started, without_frozen, without_unknown
-from piezod.diagnose.search import OnProgress, fitted_without, instead, search, without
+from piezod.diagnose.search import NEEDLESS, OnProgress, fitted_without, instead, search, without
 from piezod.diagnose.search_state import Beside, Search
 from piezod.diagnose.series import Series
 from piezod.diagnose.significance import with_shares
@@ -173,11 +173,11 @@ def _doubtful(result: Search, findings: Findings) -> list[str]:
     """
     if result.found.effects and findings.after > BETTER * findings.before:
         return list(result.found.effects)
-    weak = [
-        one
-        for one in findings.effects
-        if one.name in result.names and one.confidence < LEAST_CONFIDENCE and one.after**2 > LEFT_BY_ONE * one.before**2
-    ]
+    named = [one for one in findings.effects if one.name in result.names]
+    needless = [one.name for one in named if one.before**2 < (1.0 + NEEDLESS) * one.after**2]
+    if needless:  # without plays that fold, or on all samples, they gain nothing
+        return needless[:1]
+    weak = [one for one in named if one.confidence < LEAST_CONFIDENCE and one.after**2 > LEFT_BY_ONE * one.before**2]
     return [min(weak, key=lambda one: one.confidence).name] if weak else []
 
 
@@ -187,7 +187,7 @@ def _not_believed(findings: Findings, doubtful: Sequence[str]) -> list[str]:
         f"{one.name} would explain a part, {one.before:.3g} -> {one.after:.3g} {findings.unit}, but is not believed "
         f"(confidence {one.confidence:.2f})"
         for one in findings.effects
-        if one.name in doubtful and one.confidence < LEAST_CONFIDENCE
+        if one.name in doubtful and one.confidence < LEAST_CONFIDENCE and one.after < one.before
     ]
 
 

@@ -1,12 +1,17 @@
 """Which gains are believed, on losses of blocks made by hand."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from piezod.diagnose.acceptance import acts_locally, steadiness, worth
-from piezod.diagnose.chain import HATS, SPLINES, Point, Term
+from piezod.diagnose.acceptance import acts_locally, degenerate, steadiness, worth
+from piezod.diagnose.basis import ForceLaw, PlayDensity
+from piezod.diagnose.chain import HATS, SPLINES, Chain, Point, Term, empty_point
 from piezod.diagnose.fit import Fitted
+from piezod.diagnose.steps import NEVER_S
 from piezod.effects import EFFECTS
+from tests.unit.diagnose.residuals import mixed_work, noise, series, time
 
 BLOCKS = 30
 
@@ -52,3 +57,23 @@ def test_steadiness_is_the_sign_test_of_equal_gains():
     assert steadiness(before, fitted(with_gain(np.full(BLOCKS, 0.2)), "creep")) == pytest.approx(np.sqrt(BLOCKS))
     half = np.where(np.arange(BLOCKS) % 2 == 0, 0.2, -0.2)
     assert steadiness(before, fitted(with_gain(half), "creep")) == pytest.approx(0.0)
+
+
+@pytest.mark.parametrize(
+    ("on_s", "off_s", "is_one"),
+    [(7.3, NEVER_S, True), (0.2, NEVER_S, False), (0.1, 0.3, False), (0.2, 7.3, True), (19.9, NEVER_S, True)],
+)
+def test_a_step_soon_after_the_begin_is_what_an_unknown_start_leaves(on_s, off_s, is_one):
+    time_s = time(20_000)
+    u = mixed_work(time_s)
+    residual_N = noise(time_s.size, 0.0, np.random.default_rng(1)) + 5.0 * ((time_s >= on_s) & (time_s < off_s))
+    recorded = series(time_s, u, residual_N)
+    chain = Chain([recorded], PlayDensity.up_to(60.0), ForceLaw(-5.0, 125.0), 100.0)
+    values = {"step_N": 5.0, "on_s": on_s, "off_s": off_s, "rise_s": 0.0}
+    flat = replace(empty_point(chain, 1.0, 0.0), values=(values,))
+    flat = replace(flat, law=np.zeros_like(flat.law))
+    term = Term(EFFECTS["load_step"], "once", 0)
+    readings = chain.run(0, (), replace(flat, values=())).reading_N
+    there = replace(recorded, reading_N=readings + residual_N)
+    step = Fitted((term,), flat, np.ones(BLOCKS), np.full(BLOCKS, 100.0), ({},))
+    assert degenerate(chain.like([there]), step) != is_one

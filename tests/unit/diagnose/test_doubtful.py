@@ -4,7 +4,10 @@ from types import SimpleNamespace
 
 import pytest
 
-from piezod.diagnose.diagnosis import _doubtful
+import piezod
+from piezod.diagnose.command import checked_by
+from piezod.diagnose.diagnosis import Diagnosis, _doubtful
+from piezod.diagnose.findings import Finding, Findings, HeldOut
 
 
 def doubted(*effects, before=2.0, after=1.0):
@@ -32,3 +35,28 @@ def test_what_halves_the_error_stays(others):
 
 def test_all_go_where_the_given_model_says_it_as_well():
     assert doubted(("creep", 0.9, 3.0, 1.0), ("friction", 0.9, 2.0, 1.0), before=1.0) == ["creep", "friction"]
+
+
+@pytest.mark.parametrize("before", [0.9, 1.0, 1.005])
+def test_what_gains_nothing_in_the_end_goes_however_sure_it_was(before):
+    assert doubted(("gain_drift", 0.95, before, 1.0), ("creep", 0.9, 2.0, 1.0)) == ["gain_drift"]
+
+
+@pytest.mark.parametrize(
+    ("held_out", "verdict", "most", "stays"),
+    [
+        ((2.0, 1.0), "explained", 0.9, False),
+        ((2.0, 2.01), "explained", 0.9, False),
+        ((2.0, 2.2), "partly_explained", 0.5, True),
+    ],
+)
+def test_a_recording_held_out_that_gets_worse_lowers_verdict_and_confidence(held_out, verdict, most, stays):
+    given, extended = piezod.Model.load("config/model.yaml"), object()
+    creep = Finding("creep", "creep of the stack", 0.9, "since", (), {}, 2.0, 1.0)
+    findings = Findings("explained", "creep", "N", 1.0, "quiet", (), (creep,), 2.0, 1.0, 90.0, 99.0, 0.0)
+    found = checked_by(Diagnosis(findings, extended, [], [], []), given, [HeldOut("later.csv", "", *held_out)])
+    assert found.findings.verdict == verdict
+    assert found.findings.effects[0].confidence == most
+    assert (found.model is given) == stays
+    assert ("gets worse" in found.findings.words) == stays
+    assert any("later.csv" in note for note in found.findings.notes) == stays
