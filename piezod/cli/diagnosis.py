@@ -76,19 +76,27 @@ def diagnose(
 def what_is_testable(
     recordings: Annotated[list[Path], typer.Argument(metavar="REC...", help="Recordings, or plans of them.")],
     model: Annotated[Path, typer.Option("--model", metavar="MODEL", help="Identified model.")],
+    next_file: Annotated[
+        Path | None,
+        typer.Option("--next", metavar="FILE", help="File for the drive that separates the open pairs best."),
+    ] = None,
+    longest: Annotated[float, typer.Option(metavar="S", min=6.0, max=600.0, help="Its longest duration.")] = 60.0,
     columns: ColumnsOption = None,
     rate_hz: RateOption = None,
     decimal: DecimalOption = None,
     as_json: JsonOption = False,
 ) -> None:
     """Tell which effects recordings could show, and which they cannot separate from each other."""
+    from piezod.diagnose.experiment import next_experiment
     from piezod.diagnose.isolability import isolability
     from piezod.diagnose.prepare import past_sources, read_source
     from piezod.model import load_model
-    from piezod.recording import TextOptions
-    from piezod.report.isolability import isolability_as_dict, isolability_text
+    from piezod.recording import TextOptions, check_recording_target, write_recording
+    from piezod.report.isolability import experiment_as_dict, experiment_text, isolability_as_dict, isolability_text
     from piezod.report.progress import steps
 
+    if next_file is not None:
+        check_recording_target(next_file, recordings)
     plant = load_model(model)
     text = TextOptions.of(columns, rate_hz, decimal)
     with steps() as show:
@@ -98,11 +106,18 @@ def what_is_testable(
         past, notes = past_sources(plant, model.parent, asked)
         show("comparing effects", None)
         found = isolability(plant, asked, past)
+        show("looking for the next experiment", None)
+        planned = None if next_file is None else next_experiment(plant, asked, past, found, longest)
+    if planned is not None and next_file is not None:
+        write_recording(planned.recording(plant.input.channel), next_file)
     unit = plant.output.unit
     if as_json:
-        print(json.dumps(isolability_as_dict(found, unit), indent=2))
+        more = {} if next_file is None else {"next": None if planned is None else experiment_as_dict(planned)}
+        print(json.dumps(isolability_as_dict(found, unit) | more, indent=2))
     else:
         print("\n".join([isolability_text(found, unit), *(f"note: {note}" for note in notes)]))
+        if next_file is not None:
+            print(experiment_text(planned, str(next_file)))
 
 
 @app.command(epilog="Example: piezod effects creep")

@@ -2,6 +2,7 @@
 
 from typing import Any
 
+from piezod.diagnose.experiment import Experiment
 from piezod.diagnose.isolability import LARGE, Isolability
 from piezod.diagnose.words import listed, unit_words
 
@@ -60,3 +61,43 @@ def isolability_text(found: Isolability, unit: str) -> str:
         if len(pairs) > MOST_PAIRS:
             lines.append(f"and {len(pairs) - MOST_PAIRS} more pairs; --json prints all")
     return "\n".join([*lines, *(f"note: {note}" for note in found.notes)])
+
+
+def experiment_as_dict(planned: Experiment) -> dict[str, Any]:
+    """An experiment for JSON.
+
+    Parameters
+    ----------
+    planned
+        Result of `next_experiment`.
+    """
+    return {
+        "duration_s": planned.voltage_V.size * planned.dt_s,
+        "segments": list(planned.segments),
+        "pairs": [
+            {"first": one.first, "second": one.second, "from_noises": one.size, "then_from_noises": size}
+            for one, size in zip(planned.pairs, planned.sizes, strict=True)
+        ],
+    }
+
+
+def experiment_text(planned: Experiment | None, name: str) -> str:
+    """An experiment for a terminal.
+
+    Parameters
+    ----------
+    planned
+        Result of `next_experiment`.
+    name
+        Of the file with the drive.
+    """
+    if planned is None:
+        return "no pair of effects is open: no further experiment is needed, and none is written"
+    duration_s = planned.voltage_V.size * planned.dt_s
+    lines = [
+        f"{name}: {duration_s:.0f} s, {', '.join(dict.fromkeys(planned.segments))}; piezod record --excitation {name}"
+    ]
+    lines.append(f"{'pair':53}separated from [noise]  with it")
+    for pair, size in list(zip(planned.pairs, planned.sizes, strict=True))[:MOST_PAIRS]:
+        lines.append(f"{pair.first:26} {pair.second:26}{pair.size:22.2g}  {size:7.2g}")
+    return "\n".join(lines)
