@@ -40,11 +40,7 @@ def diagnose(
     as_json: JsonOption = False,
 ) -> None:
     """Find the effects that a model lacks: place, effect, confidence, and the extended model."""
-    from piezod.diagnose.command import diagnose_files
-    from piezod.recording import TextOptions
-    from piezod.report.diagnosis.page import write_diagnosis_page
-    from piezod.report.diagnosis.terminal import print_findings
-    from piezod.report.progress import steps
+    from piezod.recording import TextOptions, column_names
 
     recordings = list(recordings or ())
     text = TextOptions.of(columns, rate_hz, decimal)
@@ -57,10 +53,18 @@ def diagnose(
         recordings = [saved]
     if model is None or not recordings:
         raise UsageError("REC... or --model is missing: give both, or --from-bench CONFIG")
+    for path in (*recordings, *(hold_out or ())):
+        column_names(path, text)  # a wrong file is refused before the libraries are there
+    from piezod.diagnose.command import diagnose_files
+    from piezod.report.progress import steps
+
     with steps() as show:
         diagnosis = diagnose_files(
             recordings, model, output, input_column, output_column, show, hold_out or (), condition, text
         )
+        from piezod.report.diagnosis.page import write_diagnosis_page
+        from piezod.report.diagnosis.terminal import print_findings
+
         show("drawing the report", None)
         write_diagnosis_page(output / "report.html", diagnosis)
     if as_json:
@@ -87,18 +91,21 @@ def what_is_testable(
     as_json: JsonOption = False,
 ) -> None:
     """Tell which effects recordings could show, and which they cannot separate from each other."""
+    from piezod.recording import TextOptions, check_recording_target, column_names, write_recording
+
+    text = TextOptions.of(columns, rate_hz, decimal)
+    for path in recordings:
+        column_names(path, text)  # a wrong file is refused before the libraries are there
     from piezod.diagnose.experiment import next_experiment
     from piezod.diagnose.isolability import isolability
     from piezod.diagnose.prepare import past_sources, read_source
     from piezod.model import load_model
-    from piezod.recording import TextOptions, check_recording_target, write_recording
     from piezod.report.isolability import experiment_as_dict, experiment_text, isolability_as_dict, isolability_text
     from piezod.report.progress import steps
 
     if next_file is not None:
         check_recording_target(next_file, recordings)
     plant = load_model(model)
-    text = TextOptions.of(columns, rate_hz, decimal)
     with steps() as show:
         show("reading", None)
         names = plant.input.channel, plant.output.channel

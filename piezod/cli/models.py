@@ -56,13 +56,7 @@ def identify(
     as_json: JsonOption = False,
 ) -> None:
     """Identify a model from recordings."""
-    from piezod.identify.identification import Options
-    from piezod.identify.identification import identify as identify_model
-    from piezod.identify.intake import load_recordings
-    from piezod.model import save_model
     from piezod.recording import TextOptions, check_output_path, choose_columns, column_names
-    from piezod.report.identification import identification_as_dict, print_identification, write_identification_page
-    from piezod.report.progress import steps
 
     if variant not in ("A", "B"):
         raise UsageError(f"--variant is '{variant}', must be A or B")
@@ -71,6 +65,12 @@ def identify(
     input_name, output_name, chosen = choose_columns(
         recordings[0], column_names(recordings[0], text), {"input": input_column, "output": output_column}
     )
+    from piezod.identify.identification import Options  # a wrong file is refused before the libraries are there
+    from piezod.identify.identification import identify as identify_model
+    from piezod.identify.intake import load_recordings
+    from piezod.model import save_model
+    from piezod.report.progress import steps
+
     options = Options(
         input=input_name,
         output=output_name,
@@ -92,6 +92,8 @@ def identify(
             notes=chosen + [note for each in loaded for note in each.notes],
             on_step=show,
         )
+    from piezod.report.identification import identification_as_dict, print_identification, write_identification_page
+
     if report is not None:
         write_identification_page(report / "identification.html", identification, read)
     save_model(identification.model, model)
@@ -117,14 +119,16 @@ def simulate(
     as_json: JsonOption = False,
 ) -> None:
     """Simulate a model over the input of a recording, in free run; compare with its output, if it has one."""
+    from piezod.recording import TextOptions, check_recording_target, column_names, write_recording
+
+    text = TextOptions.of(columns, rate_hz, decimal)
+    check_recording_target(output, [recording])
+    column_names(recording, text)  # a wrong file is refused before the libraries are there
     from piezod.identify.intake import load_for_simulation
     from piezod.identify.simulation import simulate_recording, where
     from piezod.model import load_model
-    from piezod.recording import TextOptions, check_recording_target, write_recording
     from piezod.report.progress import steps
 
-    check_recording_target(output, [recording])
-    text = TextOptions.of(columns, rate_hz, decimal)
     plant = load_model(model)
     column, equals, _ = (condition or "").partition("=")
     with steps() as show:
@@ -162,6 +166,9 @@ def compare(
     as_json: JsonOption = False,
 ) -> None:
     """Compare a measured output with simulated ones and with models in free run; fit as in MATLAB's compare."""
+    from piezod.recording import column_names
+
+    column_names(recordings[0])  # a wrong file is refused before the libraries are there
     from piezod.report.comparison.output_comparison import compare_files
     from piezod.report.comparison.output_page import comparison_as_dict, comparison_text, write_comparison_page
 
@@ -181,6 +188,9 @@ def resid(
     as_json: JsonOption = False,
 ) -> None:
     """Test whether a model's residual is white and independent of the input, with the bounds of MATLAB's resid."""
+    from piezod.recording import column_names
+
+    column_names(recording)  # a wrong file is refused before the libraries are there
     from piezod.identify.intake import load_for_simulation
     from piezod.model import load_model
     from piezod.report.comparison.whiteness import residual_of, whiteness_test
@@ -210,6 +220,9 @@ def validate(
     as_json: JsonOption = False,
 ) -> None:
     """Follow six triangular force references without and with each model; report the better model."""
+    from piezod.config import load_bench
+
+    load_bench(config)  # a wrong file is refused before the libraries are there
     from piezod.commissioning.validate import plan_validation, run_validation
     from piezod.report.progress import progress
     from piezod.report.tracking.validation import evaluate_validation, validation_text, write_validation_page

@@ -90,10 +90,11 @@ def report(
 ) -> None:
     """Make the page of a run from its recording, complete or interrupted."""
     from piezod.recording import check_output_path, read_recording
-    from piezod.report.run import run_figures, write_run_page
 
     check_output_path(output, [recording])
-    run = read_recording(recording)
+    run = read_recording(recording)  # a wrong file is refused before the libraries are there
+    from piezod.report.run import run_figures, write_run_page
+
     figures = run_figures(run)
     write_run_page(output, run, figures)
     print(json.dumps(figures.as_dict(), indent=2) if as_json else f"{figures.sentence}\npage: {output.resolve()}")

@@ -157,10 +157,11 @@ def watch(
 ) -> None:
     """Serve a live page of the running daemon; it reads shared memory and cannot delay a tick."""
     from piezod.config import load_bench
+
+    bench = load_bench(config)  # a wrong file is refused before the libraries are there
     from piezod.daemon.client import command_and_wait
     from piezod.report.live.server import read_token, serve_live_page
 
-    bench = load_bench(config)
     token = None if token_file is None else read_token(token_file)
     serve_live_page(
         bench,

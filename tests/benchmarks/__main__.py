@@ -22,6 +22,7 @@ BENCHMARKS = (
     "memory",
     "solvers",
     "identification",
+    "commands",
 )
 SLOW = ("diagnose",)  # up to an hour: only when named
 
