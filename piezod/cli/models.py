@@ -168,7 +168,8 @@ def compare(
     """Compare a measured output with simulated ones and with models in free run; fit as in MATLAB's compare."""
     from piezod.recording import column_names
 
-    column_names(recordings[0])  # a wrong file is refused before the libraries are there
+    if len(recordings) > 1 or model:  # else there is nothing to compare, which is said first
+        column_names(recordings[0])  # a wrong file is refused before the libraries are there
     from piezod.report.comparison.output_comparison import compare_files
     from piezod.report.comparison.output_page import comparison_as_dict, comparison_text, write_comparison_page
 
