@@ -251,9 +251,12 @@ class _Attempt:
         if name in FOREIGN and visible.after_neighbours_N(reading) < FOREIGNNESS * raw_N:
             return None
         not_compared = self._family.not_compared.get(name, ()) if self._family else ()
+        parameters = {key: value for key, value in effect.parameters.items() if key not in not_compared}
+        if name == "friction" and effect.details.get("in_front"):
+            parameters["force_N"] *= -1.0  # the cell in front of the guide reads it with the other sign
         truth: dict[str, object] = {
             "name": name,
-            "parameters": {key: value for key, value in effect.parameters.items() if key not in not_compared},
+            "parameters": parameters,
             "details": effect.details,
             "scope": scope,
             "strength": strength,

@@ -77,6 +77,9 @@ def test_a_case_of_a_family_has_its_hysteresis_and_its_laws(name):
         assert case.truth["hysteresis"]["kind"] == (family.with_rate if by_rate else family.hysteresis)
         assert case.effects[effect_name].details[key] == expected
         assert case.truth["family"] == name
+        if effect_name == "friction":
+            (truth,) = case.truth["effects"]
+            assert (truth["parameters"]["force_N"] < 0.0) == family.in_front
         if effect_name == "sensor_dropout":
             reading_N = case.reading_N(case.records[1])
             assert (RAIL * case.plant.law.full_N in reading_N) == (family.dropout == "rail")
