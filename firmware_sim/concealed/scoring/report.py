@@ -105,8 +105,29 @@ def as_text(scores: Sequence[CaseScore]) -> str:
         ),
         _table(["confidence", "names", "mean", "right"], [_bin_row(b) for b in calibration_bins(scores)]),
     ]
+    families = sorted({score.case.family for score in scores} - {""})
+    if families:
+        header = ["family", "nulls", "false alarms", "others", "exact set", "foreign", "flagged"]
+        parts.insert(1, _table(header, [_family_row(name, scores) for name in families]))
     failed = failures(scores)
     return "\n\n".join([*parts, "\n".join([f"{len(failed)} of {len(scores)} cases with a failure", *failed])]) + "\n"
+
+
+def _family_row(name: str, scores: Sequence[CaseScore]) -> list[str]:
+    """Cases of a family by kind, and how many of each are right or wrong."""
+    mine = [score for score in scores if score.case.family == name]
+    nulls = [score for score in mine if score.case.kind == "null"]
+    foreign = [score for score in mine if score.case.kind == "foreign"]
+    others = [score for score in mine if score.case.kind not in ("null", "foreign")]
+    counts = (
+        len(nulls),
+        sum(score.alarm for score in nulls),
+        len(others),
+        sum(score.exact for score in others),
+        len(foreign),
+        sum(score.verdict.flagged for score in foreign),
+    )
+    return [name, *map(str, counts)]
 
 
 def _confusion(name: str, scores: Sequence[CaseScore]) -> Confusion:

@@ -56,6 +56,8 @@ class TrueCase:
         Name of the foreign effect; empty: none.
     noise_N
         Rms of the noise [N].
+    family
+        Family of the plant; empty: none.
     """
 
     name: str
@@ -63,6 +65,7 @@ class TrueCase:
     effects: tuple[TrueEffect, ...]
     foreign: str
     noise_N: float
+    family: str = ""
 
     @property
     def names(self) -> frozenset[str]:
@@ -91,7 +94,7 @@ def _case(name: str, fields: Mapping[str, Any]) -> TrueCase:
     effects = tuple(_effect(effect) for effect in fields["effects"])
     foreign = "".join(effect.name for effect in effects if effect.name in FOREIGN)
     known = tuple(effect for effect in effects if effect.name not in FOREIGN)
-    return TrueCase(name, fields["kind"], known, foreign, float(fields["noise"]["rms_N"]))
+    return TrueCase(name, fields["kind"], known, foreign, float(fields["noise"]["rms_N"]), fields.get("family", ""))
 
 
 def _effect(fields: Mapping[str, Any]) -> TrueEffect:

@@ -2,6 +2,7 @@
 
 import json
 import os
+from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 
 import numpy as np
@@ -195,6 +196,20 @@ def test_text_and_json_say_the_same_figures(study, capsys):
     assert json.loads(capsys.readouterr().out)["figures"] == json.loads(json.dumps(content["figures"]))
     assert main(["score", *map(str, study)]) == 0
     assert capsys.readouterr().out == text
+
+
+def test_the_cases_of_each_family_are_counted(study):
+    scores = score_study(*study)
+    assert "family" not in as_text(scores)
+    of_one = [replace(score, case=replace(score.case, family="ising")) for score in scores]
+    kinds = [score.case.kind for score in scores]
+    nulls, foreign = kinds.count("null"), kinds.count("foreign")
+    right = sum(score.exact for score in scores if score.case.kind not in ("null", "foreign"))
+    alarms = sum(score.alarm for score in scores if score.case.kind == "null")
+    flagged = sum(score.verdict.flagged for score in scores if score.case.kind == "foreign")
+    (row,) = [line.split() for line in as_text(of_one).splitlines() if line.startswith("ising")]
+    others = len(scores) - nulls - foreign
+    assert row[1:] == [str(one) for one in (nulls, alarms, others, right, foreign, flagged)]
 
 
 def test_a_truth_that_was_changed_is_refused(study):
