@@ -10,7 +10,7 @@ from threadpoolctl import threadpool_limits
 from piezod.diagnose.acceptance import counted, weighed
 from piezod.diagnose.evidence import all_terms, finding_of, read_off, tone_finding
 from piezod.diagnose.extended import extended_model
-from piezod.diagnose.findings import Findings, Place, above_noise, gap_closed
+from piezod.diagnose.findings import Finding, Findings, Place, above_noise, gap_closed
 from piezod.diagnose.fit import Normal, fit
 from piezod.diagnose.guard import explainable
 from piezod.diagnose.ideas import DIRECT
@@ -52,6 +52,7 @@ STILL_GAINS = 0.5  # of what was gained by plays that fold: what another effect 
 FOLDED = 0.6  # of its confidence that an effect keeps when the plays fold that were refitted with it
 BETTER = 0.99  # of the given model's error
 LEAST_CONFIDENCE = 0.6  # below which an effect is not named: more likely it is the shape of something else,
+MOST_FALSE = 0.2  # expected share of false names; an effect that shows in three blocks reaches 0.09
 LEFT_BY_ONE = 0.25  # unless it leaves no more of the squared error than that: it halves the error
 
 
@@ -177,7 +178,7 @@ def _doubtful(result: Search, findings: Findings) -> list[str]:
     needless = [one.name for one in named if one.before**2 < (1.0 + NEEDLESS) * one.after**2]
     if needless:  # without plays that fold, or on all samples, they gain nothing
         return needless[:1]
-    weak = [one for one in named if one.confidence < LEAST_CONFIDENCE and one.after**2 > LEFT_BY_ONE * one.before**2]
+    weak = [one for one in named if _unlikely(one) and one.after**2 > LEFT_BY_ONE * one.before**2]
     return [min(weak, key=lambda one: one.confidence).name] if weak else []
 
 
@@ -185,10 +186,15 @@ def _not_believed(findings: Findings, doubtful: Sequence[str]) -> list[str]:
     """What a reader is told of effects that came near and are not named."""
     return [
         f"{one.name} would explain a part, {one.before:.3g} -> {one.after:.3g} {findings.unit}, but is not believed "
-        f"(confidence {one.confidence:.2f})"
+        f"(confidence {one.confidence:.2f}{'' if one.q is None else f', false-discovery rate {one.q:.2g}'})"
         for one in findings.effects
-        if one.name in doubtful and one.confidence < LEAST_CONFIDENCE and one.after < one.before
+        if one.name in doubtful and _unlikely(one) and one.after < one.before
     ]
+
+
+def _unlikely(one: Finding) -> bool:
+    """Whether a name is more likely the shape of something else, or may well be chance."""
+    return one.confidence < LEAST_CONFIDENCE or (one.q is not None and one.q > MOST_FALSE)
 
 
 def _without(result: Search, names: Sequence[str]) -> Search:

@@ -11,9 +11,10 @@ from piezod.diagnose.findings import Finding, Findings, HeldOut
 
 
 def doubted(*effects, before=2.0, after=1.0):
-    """Of effects given as name, confidence, error without and with it."""
+    """Of effects given as name, confidence, error without and with it, and false-discovery rate where it is known."""
+    effects = [(*one, None)[:5] for one in effects]
     names = [name for name, *_ in effects]
-    found = [SimpleNamespace(name=n, confidence=c, before=b, after=a) for n, c, b, a in effects]
+    found = [SimpleNamespace(name=n, confidence=c, before=b, after=a, q=q) for n, c, b, a, q in effects]
     result = SimpleNamespace(names=names, found=SimpleNamespace(effects=names))
     return _doubtful(result, SimpleNamespace(effects=found, before=before, after=after))
 
@@ -60,3 +61,8 @@ def test_a_recording_held_out_that_gets_worse_lowers_verdict_and_confidence(held
     assert (found.model is given) == stays
     assert ("gets worse" in found.findings.words) == stays
     assert any("later.csv" in note for note in found.findings.notes) == stays
+
+
+@pytest.mark.parametrize(("q", "before", "stays"), [(0.09, 1.2, True), (0.3, 1.2, False), (0.3, 2.1, True)])
+def test_what_may_well_be_chance_goes_unless_it_halves_the_error(q, before, stays):
+    assert doubted(("load_step", 0.8, before, 1.0, q)) == ([] if stays else ["load_step"])
