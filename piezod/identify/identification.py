@@ -219,7 +219,7 @@ def identify(
     figures = fit_figures(*([_run(operator, samples) for samples in part] for part in (fitted, held_out)))
     model = _model(recordings, pairs, options, chosen.fit, stretches[0], figures, by, sources, said)
     said += [note for one in stretches for note in one.notes]
-    return Identification(model, candidates, taken, chosen, said + _undetermined(chosen))
+    return Identification(model, candidates, taken, chosen, said + _undetermined(chosen), _noise(recordings, fitted))
 
 
 def _smooth(

@@ -195,6 +195,17 @@ def test_every_start_is_identified_to_the_noise_and_every_sample_is_held_out_onc
     assert found.chosen.rms_fit <= found.chosen.rms_held_out
 
 
+@pytest.mark.parametrize("options", [Options(), Options(plays=6, zones=0), Options(plays=6)])
+def test_the_verdict_names_the_noise_of_repeats_however_the_orders_came(options):
+    u = constant_triangles(U_MAX, 0.5, 12, 250.0)
+    operator, _ = known_operator(6, 0, False, seed=9)
+    y = operator.run(u) + np.random.default_rng(1).normal(0.0, 0.1, u.size)
+    found = identify([recording_of(u, y)], options, "a test")
+    assert found.noise is not None
+    assert found.noise.rms == pytest.approx(0.1, rel=0.1)
+    assert "seen in repeats" in found.verdict
+
+
 def test_the_constraints_of_the_thesis_are_kept_where_they_are_asked_for():
     u = varying_triangles(U_MAX, 0.1, 15, 50.0)
     operator, _ = known_operator(6, 0, False, seed=9)  # some of its weights are negative
