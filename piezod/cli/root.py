@@ -15,7 +15,7 @@ from piezod.errors import PiezodError, UsageError
 
 app = typer.Typer(
     no_args_is_help=True,
-    add_completion=False,
+    add_completion=True,
     rich_markup_mode=None,
     pretty_exceptions_enable=False,
     help="Feedforward force control for piezo stacks. Commands that read print JSON with --json.",

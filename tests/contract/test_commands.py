@@ -1,6 +1,7 @@
 """The contract of every command: an example in its help, JSON output, errors of one line with their exit code."""
 
 import json
+import os
 import re
 import shlex
 import subprocess
@@ -242,3 +243,12 @@ def test_a_closed_pipe_causes_no_traceback():
 def test_the_version_names_what_a_report_of_a_fault_needs():
     done = subprocess.run([sys.executable, "-m", "piezod", "--version"], capture_output=True, text=True, check=True)
     assert re.fullmatch(r"piezod \S+ \(Python 3\.\S+, numba \S+, numpy \S+, Linux \S+ \S+\)\n", done.stdout)
+
+
+def test_the_shell_completes_a_command():
+    asks = {"_PIEZOD_COMPLETE": "complete_bash", "COMP_WORDS": "piezod dia", "COMP_CWORD": "1"}
+    command = "import sys; sys.argv = ['piezod']; from piezod.cli import main; main()"
+    done = subprocess.run(
+        [sys.executable, "-c", command], env=os.environ | asks, capture_output=True, text=True, check=False
+    )
+    assert done.stdout.split() == ["diagnose"], done.stderr
