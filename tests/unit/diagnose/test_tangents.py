@@ -60,3 +60,22 @@ def test_tangents_are_what_a_small_change_of_each_column_does(names):
         reach = np.abs(difference).max()
         near = np.abs(found[:, k] - difference) <= 1e-5 * reach + 1e-9
         assert np.mean(near) > 0.995, k  # at a corner of the chain the two sides differ
+
+
+@pytest.mark.parametrize(
+    "names", [*BEHIND, ("electrical_lag",), ("voltage_clamp", "gain_drift", "load_step"), ("friction",)]
+)
+@pytest.mark.parametrize("noisy", [False, True])
+def test_what_is_compared_is_the_simulation_at_these_samples(names, noisy):
+    seconds = time(SAMPLES, RATE_HZ)
+    u = np.round(mixed_work(seconds), 3)
+    u[1000:1200] = u[1000]  # a hold
+    if noisy:
+        u = u + np.random.default_rng(3).normal(0.0, 0.5, u.size)  # it turns within every step
+    chain = Chain([series(seconds, u, many_plays(u))], PlayDensity.up_to(119.4), ForceLaw(-4.0, 120.0), 216.0, 500)
+    terms, values = zip(*map(term_of, names), strict=True) if names else ((), ())
+    density = 0.3 * np.random.default_rng(5).uniform(0.0, 1.0, chain.density.count)
+    point = Point(density, chain.law.straight(0.0, 1.8), np.zeros(1), values)
+    whole = chain.run(0, terms, point).reading_N
+    assert chain.rows[0].step == 8
+    np.testing.assert_allclose(chain.compared(0, terms, point), whole[chain.rows[0]], rtol=0.0, atol=1e-9)
