@@ -1,9 +1,10 @@
 """The demo's output: a line of live values, a table, the verdicts, and a page."""
 
 import contextlib
+import html
 import sys
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -51,11 +52,14 @@ class HiddenVerdict:
         Errors by compensation: gain, inverse, extended.
     noise_N
         Noise of the reading, estimated by the diagnosis [N].
+    confidences
+        Of each effect that was found, by its title.
     """
 
     diagnosis: str
     figures: dict[str, TrackingFigures]
     noise_N: float
+    confidences: dict[str, float] = field(default_factory=dict)
 
     @property
     def passed(self) -> bool:
@@ -75,7 +79,13 @@ class HiddenVerdict:
     def as_dict(self) -> dict[str, Any]:
         """Return the result for JSON."""
         figures = [{"compensation": name, **errors.as_dict()} for name, errors in self.figures.items()]
-        return {"diagnosis": self.diagnosis, "noise_N": self.noise_N, "figures": figures, "virtual_time": True}
+        return {
+            "diagnosis": self.diagnosis,
+            "confidences": self.confidences,
+            "noise_N": self.noise_N,
+            "figures": figures,
+            "virtual_time": True,
+        }
 
 
 @dataclass(frozen=True)
@@ -169,7 +179,9 @@ def evaluate_demo(recordings: dict[FigureKey, Recording], timing: Timing, outcom
     return DemoVerdict(figures, timing, outcome)
 
 
-def evaluate_hidden(recordings: dict[FigureKey, Recording], diagnosis: str, noise_N: float) -> HiddenVerdict:
+def evaluate_hidden(
+    recordings: dict[FigureKey, Recording], diagnosis: str, noise_N: float, confidences: dict[str, float]
+) -> HiddenVerdict:
     """Compute the figures on the bench with hidden effects.
 
     Parameters
@@ -180,9 +192,11 @@ def evaluate_hidden(recordings: dict[FigureKey, Recording], diagnosis: str, nois
         Verdict sentence of the diagnosis.
     noise_N
         Noise of the reading, estimated by the diagnosis [N].
+    confidences
+        Of each effect that was found, by its title.
     """
     figures = {compensation: tracking_figures(one, loop=False) for (_, compensation), one in recordings.items()}
-    return HiddenVerdict(diagnosis, figures, noise_N)
+    return HiddenVerdict(diagnosis, figures, noise_N, confidences)
 
 
 @contextlib.contextmanager
@@ -268,7 +282,33 @@ def write_demo_page(path: Path, verdict: DemoVerdict, recordings: dict[FigureKey
     """
     shown = {key: recording for key, recording in recordings.items() if recording.time_s.size > 1}
     table = table_html(HEADER, _rows(verdict)) + f"<p>{_timing_sentence(verdict)}</p>"
+    if verdict.hidden is not None:
+        table += _hidden_html(verdict.hidden)
     write_tracking_page(path, "Demo: the force follows a reference", verdict.sentence, shown, table)
+
+
+def _hidden_html(hidden: HiddenVerdict) -> str:
+    """What was hidden, what was found, and what each compensation leaves."""
+    sure = ", ".join(f"{title} {100.0 * confidence:.0f} %" for title, confidence in hidden.confidences.items())
+    rows = [
+        [
+            LABELS[name],
+            f"{errors.rms_error_N:.2f}",
+            f"{errors.rms_error_percent:.2f}",
+            f"{errors.max_error_N:.2f}",
+            f"{errors.max_error_percent:.2f}",
+        ]
+        for name, errors in hidden.figures.items()
+    ]
+    share = 100.0 * hidden.noise_N / hidden.figures["extended"].range_N
+    rows.append(["noise of the reading", f"{hidden.noise_N:.2f}", f"{share:.2f}", "-", "-"])
+    return (
+        "<h2>A bench with something wrong in it</h2>"
+        "<p>Creep of the stack, a lag of the amplifier and a delay were hidden in the emulated bench. "
+        "The diagnosis got the model without them and one recording.</p>"
+        f"<p><strong>{html.escape(hidden.diagnosis)}</strong></p><p>Confidence: {html.escape(sure)}.</p>"
+        + table_html(["compensation", "rms error [N]", "[%]", "max error [N]", "[%]"], rows)
+    )
 
 
 def _rows(verdict: DemoVerdict) -> list[list[str]]:
