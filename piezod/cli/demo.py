@@ -11,7 +11,7 @@ from piezod.cli.root import app
 
 if TYPE_CHECKING:
     from piezod.recording import Recording
-    from piezod.report.tracking.demo import HiddenVerdict
+    from piezod.report.tracking.hidden import HiddenVerdict
 
 
 @app.command(epilog="Example: piezod demo --report demo.html --json demo.json")
@@ -24,7 +24,8 @@ def demo(
 ) -> None:
     """Run all steps on the emulated bench, without hardware or root rights, in about a minute."""
     from piezod.commissioning.demo import run_demo
-    from piezod.report.tracking.demo import evaluate_demo, live_line, print_demo, print_hidden, write_demo_page
+    from piezod.report.tracking.demo import evaluate_demo, live_line, print_demo, write_demo_page
+    from piezod.report.tracking.hidden import print_hidden
 
     names: list[str] = []
     print("starting the emulated bench and the control process ...", flush=True)
@@ -55,7 +56,7 @@ def _demo_hidden() -> "tuple[HiddenVerdict, dict[tuple[str, str], Recording]]":
     from piezod.model import load_model
     from piezod.recording import write_csv
     from piezod.report.progress import steps
-    from piezod.report.tracking.demo import evaluate_hidden
+    from piezod.report.tracking.hidden import evaluate_hidden
 
     with TemporaryDirectory() as name, steps() as show:
         folder, given = Path(name), shipped("model.yaml")

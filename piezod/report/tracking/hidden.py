@@ -1,0 +1,125 @@
+"""The demo's second part: a bench with hidden effects, what the diagnosis found, and what each compensation leaves."""
+
+import html
+from dataclasses import dataclass, field
+from typing import Any
+
+from piezod.recording import Recording
+from piezod.report.page import table_html
+from piezod.report.tracking.page import LABELS
+from piezod.report.tracking.tracking_errors import FigureKey, TrackingFigures, tracking_figures
+
+MOST_ERROR = 0.5  # rms error with the extended over that with the static model at which the demo passes
+
+
+@dataclass(frozen=True)
+class HiddenVerdict:
+    """Result on the bench with hidden effects: the diagnosis, and the errors with and without what it found.
+
+    Parameters
+    ----------
+    diagnosis
+        Verdict sentence of the diagnosis.
+    figures
+        Errors by compensation: gain, inverse, extended.
+    noise_N
+        Noise of the reading, estimated by the diagnosis [N].
+    confidences
+        Of each effect that was found, by its title.
+    """
+
+    diagnosis: str
+    figures: dict[str, TrackingFigures]
+    noise_N: float
+    confidences: dict[str, float] = field(default_factory=dict)
+
+    @property
+    def passed(self) -> bool:
+        """Whether the extended model reduces the rms error at least to half."""
+        return self.figures["extended"].rms_error_N <= MOST_ERROR * self.figures["inverse"].rms_error_N
+
+    @property
+    def sentence(self) -> str:
+        """Verdict in a sentence."""
+        static, extended = self.figures["inverse"], self.figures["extended"]
+        return (
+            f"hidden effects: rms error {static.rms_error_percent:.2f} % -> {extended.rms_error_percent:.2f} % "
+            f"of range ({'at most' if self.passed else 'NOT below'} {MOST_ERROR:.0%} of it); "
+            f"the noise of the reading is {100.0 * self.noise_N / extended.range_N:.2f} %"
+        )
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the result for JSON."""
+        figures = [{"compensation": name, **errors.as_dict()} for name, errors in self.figures.items()]
+        return {
+            "diagnosis": self.diagnosis,
+            "confidences": self.confidences,
+            "noise_N": self.noise_N,
+            "figures": figures,
+            "virtual_time": True,
+        }
+
+
+def evaluate_hidden(
+    recordings: dict[FigureKey, Recording], diagnosis: str, noise_N: float, confidences: dict[str, float]
+) -> HiddenVerdict:
+    """Compute the figures on the bench with hidden effects.
+
+    Parameters
+    ----------
+    recordings
+        By (reference, compensation).
+    diagnosis
+        Verdict sentence of the diagnosis.
+    noise_N
+        Noise of the reading, estimated by the diagnosis [N].
+    confidences
+        Of each effect that was found, by its title.
+    """
+    figures = {compensation: tracking_figures(one, loop=False) for (_, compensation), one in recordings.items()}
+    return HiddenVerdict(diagnosis, figures, noise_N, confidences)
+
+
+def print_hidden(hidden: HiddenVerdict) -> None:
+    """Print diagnosis, errors of each compensation, noise and verdict of `hidden`, the bench with hidden effects."""
+    print("a bench with hidden creep, lag and delay (emulated in virtual time, as fast as this machine allows):")
+    print(f"  diagnosis: {hidden.diagnosis}")
+    print(f"  {'compensation':<20} {'rms error [N]':>13} {'[%]':>6} {'max error [N]':>14} {'[%]':>6}")
+    for name, errors in hidden.figures.items():
+        print(
+            f"  {LABELS[name]:<20} {errors.rms_error_N:>13.2f} {errors.rms_error_percent:>6.2f} "
+            f"{errors.max_error_N:>14.2f} {errors.max_error_percent:>6.2f}"
+        )
+    share = 100.0 * hidden.noise_N / hidden.figures["extended"].range_N
+    print(f"  {'noise of the reading':<20} {hidden.noise_N:>13.2f} {share:>6.2f} {'-':>14} {'-':>6}")
+    print(hidden.sentence)
+
+
+def hidden_html(hidden: HiddenVerdict) -> str:
+    """What was hidden, what was found, and what each compensation leaves.
+
+    Parameters
+    ----------
+    hidden
+        Result on the bench with hidden effects.
+    """
+    sure = ", ".join(f"{title} {100.0 * confidence:.0f} %" for title, confidence in hidden.confidences.items())
+    rows = [
+        [
+            LABELS[name],
+            f"{errors.rms_error_N:.2f}",
+            f"{errors.rms_error_percent:.2f}",
+            f"{errors.max_error_N:.2f}",
+            f"{errors.max_error_percent:.2f}",
+        ]
+        for name, errors in hidden.figures.items()
+    ]
+    share = 100.0 * hidden.noise_N / hidden.figures["extended"].range_N
+    rows.append(["noise of the reading", f"{hidden.noise_N:.2f}", f"{share:.2f}", "-", "-"])
+    return (
+        "<h2>A bench with something wrong in it</h2>"
+        "<p>Creep of the stack, a lag of the amplifier and a delay were hidden in the emulated bench. "
+        "The diagnosis got the model without them and one recording.</p>"
+        f"<p><strong>{html.escape(hidden.diagnosis)}</strong></p><p>Confidence: {html.escape(sure)}.</p>"
+        + table_html(["compensation", "rms error [N]", "[%]", "max error [N]", "[%]"], rows)
+    )
