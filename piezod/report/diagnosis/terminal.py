@@ -27,6 +27,8 @@ def print_findings(diagnosis: Diagnosis, folder: Path) -> None:
         print(f"  {held_out.path}, held out: {held_out.before:.4g} -> {held_out.after:.4g} {findings.unit}")
     if findings.not_testable:
         print(f"not testable with these recordings: {', '.join(findings.not_testable)}")
+    if findings.not_testable or any(one.rivals for one in findings.effects):
+        print("piezod testable REC --model MODEL --next next.csv plans the experiment that tells more")
     for note in findings.notes:
         print(f"note: {note}")
     print(f"{folder / 'findings.json'}, {folder / 'model.yaml'}, {folder / 'report.html'}")
