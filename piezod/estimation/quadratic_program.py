@@ -109,15 +109,25 @@ def solve_step(hessian: Array, gradient: Array, constraints: Constraints, start:
     equality, rows = equalities * scale, constraints.rows * scale
     length, span = np.linalg.norm(rows, axis=1), np.linalg.norm(equality, axis=1)
     length[length == 0.0] = 1.0  # a row of nothing constrains nothing
-    step = _proxqp(
-        factor * scaled,
-        -factor * scale * gradient,
-        equality / span[:, None],
-        (1.0 - equalities @ start) / span,
-        rows / length[:, None],
-        (constraints.low - constraints.rows @ start) / length,
-    )
-    slopes: Array = start + scale * step
+    linear, value = -factor * scale * gradient, (1.0 - equalities @ start) / span
+    low = (constraints.low - constraints.rows @ start) / length
+    largest = max(float(np.abs(one).max(initial=0.0)) for one in (linear, value, low))
+    for unit in (1.0, largest):  # in a unit that makes numbers huge, rounding exceeds the tolerances
+        try:
+            step = _proxqp(
+                factor * scaled,
+                linear / unit,
+                equality / span[:, None],
+                value / unit,
+                rows / length[:, None],
+                low / unit,
+            )
+        except RecordingError:
+            if unit == largest:
+                raise
+        else:
+            break
+    slopes: Array = start + unit * scale * step
     return slopes
 
 

@@ -123,10 +123,10 @@ def _refuse_empty(pair: _Pair) -> None:
         low, high = _range(values)
         if np.isnan(low):
             raise pair.refused(f"{name} holds no number at all; {ADVICE}")
-        if high - low <= 1e-9 * (1.0 + max(abs(low), abs(high))):
+        if high - low <= 1e-9 * max(abs(low), abs(high)):
             raise pair.refused(f"{name} is constant at {low:.6g}; {ADVICE}")
     low, high = (float(each.reduce(pair.u, where=np.isfinite(pair.y), initial=np.nan)) for each in (np.fmin, np.fmax))
-    if high - low <= 1e-9 * (1.0 + max(abs(low), abs(high))):
+    if high - low <= 1e-9 * max(abs(low), abs(high)):
         raise pair.refused(f"{pair.input} is constant at {low:.6g} wherever {pair.output} is there; {ADVICE}")
     absent = np.count_nonzero(~np.isfinite(pair.u))
     if absent:

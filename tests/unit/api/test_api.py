@@ -134,3 +134,11 @@ def test_the_import_brings_neither_solver_nor_plots():
 def test_a_name_that_is_not_there_is_an_attribute_error():
     with pytest.raises(AttributeError, match="no attribute 'identifi'"):
         _ = piezod.identifi
+
+
+@pytest.mark.parametrize("factor", [1e-12, 1e-6, 1e6])
+def test_a_unit_that_makes_numbers_tiny_or_huge_gives_the_same_verdict(recording, factor):
+    scaled = piezod.Recording(TIME_S, {"voltage_V": VOLTAGE_V, "force_GN": factor * recording.channel("force_N")})
+    found, usual = piezod.identify(scaled, output="force_GN"), piezod.identify(recording)
+    assert found.error == pytest.approx(factor * usual.error, rel=0.02)
+    assert found.identification.explained == pytest.approx(usual.identification.explained, abs=1e-4)
