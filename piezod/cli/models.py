@@ -101,7 +101,8 @@ def identify(
         print(json.dumps(identification_as_dict(identification), indent=2))
     else:
         print_identification(identification)
-    raise typer.Exit(0 if identification.useful else 1)
+    if not identification.useful:
+        raise typer.Exit(1)  # `piezod commission` goes on behind a useful one
 
 
 @app.command(epilog="Example: piezod simulate varying.csv --model model.yaml -o simulated.csv")

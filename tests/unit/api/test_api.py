@@ -142,3 +142,11 @@ def test_a_unit_that_makes_numbers_tiny_or_huge_gives_the_same_verdict(recording
     found, usual = piezod.identify(scaled, output="force_GN"), piezod.identify(recording)
     assert found.error == pytest.approx(factor * usual.error, rel=0.02)
     assert found.identification.explained == pytest.approx(usual.identification.explained, abs=1e-4)
+
+
+def test_the_command_returns_behind_a_useful_model_as_commissioning_needs(recording, tmp_path, capsys):
+    from piezod.cli.models import identify
+
+    write_csv(recording, tmp_path / "rec.csv")
+    assert identify([tmp_path / "rec.csv"], tmp_path / "model.yaml") is None
+    assert "error on held-out data" in capsys.readouterr().out
