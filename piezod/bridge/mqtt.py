@@ -126,6 +126,8 @@ async def publish(
                 finally:
                     await client.publish(online, b"0", qos=1, retain=True)
         except aiomqtt.MqttError as error:
+            if (task := asyncio.current_task()) is not None and task.cancelling():
+                return  # the broker went away in the moment of the end
             pause_s = RECONNECT_S[min(attempt, len(RECONNECT_S) - 1)]
             if not attempt:
                 announce(f"mqtt: {broker.host}:{broker.port}: {error}; trying again")

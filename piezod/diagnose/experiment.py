@@ -23,6 +23,9 @@ Array = NDArray[np.float64]
 INNER = 0.98
 """Part of the range of the recordings that is driven."""
 
+NOT_SEPARATED = 1e6
+"""Size in noises of a pair of which one effect does not show at all."""
+
 LOOP_BIASES = (0.2, 0.5, 0.8)
 """Centres of minor loops, as parts of the range."""
 
@@ -106,7 +109,7 @@ def next_experiment(
         left_s -= drives[best][1].size * first.dt_s
     if not chosen:
         return None
-    voltage_V = _joined([drives[k][1] for k in sorted(chosen)], low_V, most_V)
+    voltage_V = np.concatenate([drives[k][1] for k in sorted(chosen)])  # each comes back to where the next one begins
     new = _simulated(model, voltage_V, first.dt_s, before.noise)
     after = isolability(model, [*asked, new], past)
     names = tuple(drives[k][0] for k in sorted(chosen))
@@ -122,7 +125,7 @@ def _size(found: Isolability, pair: Pair) -> float:
     """Size from which on a pair is separated; a large one where a recording does not show both."""
     places = [found.effects.index(name) for name in (pair.first, pair.second) if name in found.effects]
     if len(places) < 2:
-        return 1e6
+        return NOT_SEPARATED
     return float(max(found.separated_from[places[0], places[1]], found.separated_from[places[1], places[0]]))
 
 
@@ -164,15 +167,11 @@ def _segments(low_V: float, high_V: float, dt_s: float, most_V: float) -> list[t
 
 def _slewed(drive: Array, start_V: float, most_V: float) -> Array:
     """A drive that follows another one at a limited slew, from a voltage and back to it."""
-    back = np.full(max(int(np.ptp(drive) / max(most_V, 1e-12)) + 1, 2), start_V)
-    wanted = np.concatenate((drive, back[: 4 * drive.size]))
+    farthest_V = float(np.abs(drive - start_V).max())
+    wanted = np.concatenate((drive, np.full(int(np.ceil(farthest_V / most_V)), start_V)))
     out = np.empty(wanted.size)
     now = start_V
     for k, value in enumerate(wanted):
         now += min(max(value - now, -most_V), most_V)
         out[k] = now
     return out
-
-
-def _joined(drives: Sequence[Array], low_V: float, most_V: float) -> Array:
-    return _slewed(np.concatenate(drives), low_V, most_V)

@@ -50,9 +50,9 @@ class Recording:
     def __post_init__(self) -> None:
         """Check the time axis and the lengths of the channels; take lists and whole numbers too."""
         object.__setattr__(self, "time_s", self._numbers(TIME, self.time_s))
-        for name, values in self.channels.items():
-            self.channels[name] = self._numbers(name, values)
-        for name, values in self.channels.items():
+        numbers = {name: self._numbers(name, values) for name, values in self.channels.items()}
+        object.__setattr__(self, "channels", numbers)
+        for name, values in numbers.items():
             if values.shape != self.time_s.shape:
                 raise RecordingError(f"{self.source}: {name} has {values.size} samples, time_s has {self.time_s.size}")
         check_time(self.source, self.time_s)

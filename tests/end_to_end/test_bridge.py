@@ -135,6 +135,22 @@ def test_a_broker_that_comes_later_is_found(bench):
             late.wait()
 
 
+def test_a_bridge_ends_when_its_broker_dies_in_the_same_moment(bench):
+    path = shutil.which("mosquitto", path="/usr/sbin:/usr/bin")
+    if path is None:
+        pytest.skip("no mosquitto here: apt-get install mosquitto")
+    for _ in range(3):
+        port = free_port()
+        dying = Popen([path, "-p", str(port)], stderr=subprocess.DEVNULL, stdout=subprocess.DEVNULL)
+        with bridge(bench, "--mqtt", f"mqtt://127.0.0.1:{port}") as (process, first):
+            connected = process.stdout.readline() if "trying again" in first else first  # it may be there later
+            assert connected.startswith("mqtt: 127.0.0.1")
+            dying.kill()
+            process.send_signal(signal.SIGTERM)
+            assert process.wait(timeout=10.0) == 0
+        dying.wait()
+
+
 def test_a_client_reads_nodes_that_it_cannot_write_and_finds_no_methods(bench):
     asyncua = pytest.importorskip("asyncua")
     port = free_port()
