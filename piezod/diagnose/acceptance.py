@@ -5,7 +5,7 @@ from numpy.typing import NDArray
 
 from piezod.diagnose.chain import Chain, Term
 from piezod.diagnose.fit import Fitted
-from piezod.diagnose.motion import motion
+from piezod.diagnose.remainder import motion
 from piezod.diagnose.steps import Step, sharp, shown_late_s
 
 Array = NDArray[np.float64]
@@ -122,9 +122,9 @@ def fair(chain: Chain, before: Fitted, after: Fitted, largest: float) -> bool:
 def degenerate(chain: Chain, fitted: Fitted) -> bool:
     """Whether the last effect is not what its name says.
 
-    A leak as slow as the catalogue knows is a drift, friction that hardly slides a memory of the stack, a resonance
-    that does not ring a lag, a step without edges a drift, one at the begin what an unknown start leaves; what is late
-    by next to nothing of a sample is the moment of reading.
+    A leak as slow as the catalogue knows is a drift. Friction that hardly slides is a memory of the stack. A resonance
+    that does not ring is a lag. A step without edges is a drift, and one at the begin is what an unknown start leaves.
+    A delay of next to nothing of a sample is the moment of reading.
     """
     term, values = fitted.terms[-1], fitted.point.values[-1]
     if term.effect.name == "friction":

@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piezod.diagnose.basis import HATS, SPLINES, ForceLaw, PlayDensity
-from piezod.diagnose.kept import Kept, Key
-from piezod.diagnose.passages import Passage, passages, unlike_signal
+from piezod.diagnose.cache import Kept, Key
+from piezod.diagnose.sensitivities import Passage, passages, unlike_signal
 from piezod.diagnose.series import Series
 from piezod.effects import EFFECTS
 from piezod.effects.effect import Context, Effect, Location, Parameter

@@ -13,20 +13,20 @@ from piezod.diagnose.extended import extended_model
 from piezod.diagnose.findings import Finding, Findings, Place, above_noise, gap_closed
 from piezod.diagnose.fit import Normal, fit
 from piezod.diagnose.guard import explainable
-from piezod.diagnose.ideas import DIRECT
-from piezod.diagnose.lattice import unrounded
 from piezod.diagnose.locate import locate
-from piezod.diagnose.motion import motion
+from piezod.diagnose.monotone import rises, unfolded
 from piezod.diagnose.parallel import each
 from piezod.diagnose.prepare import Source, chain_of, even, stand_in, started, without_frozen, without_unknown
+from piezod.diagnose.remainder import motion
+from piezod.diagnose.rounding import unrounded
+from piezod.diagnose.screening import DIRECT
 from piezod.diagnose.search import NEEDLESS, OnProgress, fitted_without, instead, search, without
 from piezod.diagnose.search_state import Beside, Search
 from piezod.diagnose.series import Series
 from piezod.diagnose.significance import with_shares
+from piezod.diagnose.stated_hold import as_told
 from piezod.diagnose.testable import untestable
-from piezod.diagnose.told import as_told
 from piezod.diagnose.tones import with_tones
-from piezod.diagnose.unfolded import rises, unfolded
 from piezod.diagnose.verdict import (
     held_out_rms,
     less_sure,

@@ -12,11 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piezod.diagnose.chain import Chain, Point, Term
-from piezod.diagnose.courses import best_course, coarse
 from piezod.diagnose.fit import Normal, fit
-from piezod.diagnose.ideas import DIRECT, catalogue_ideas, parts_of
 from piezod.diagnose.parallel import each
 from piezod.diagnose.prepare import Source, chain_of, even, stand_in, started, without_frozen, without_unknown
+from piezod.diagnose.sampling import best_course, coarse
+from piezod.diagnose.screening import DIRECT, catalogue_ideas, parts_of
 from piezod.effects import EFFECTS
 from piezod.effects.effect import Effect, Location
 from piezod.model import Model

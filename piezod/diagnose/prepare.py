@@ -11,7 +11,7 @@ from piezod.diagnose.basis import ForceLaw, PlayDensity
 from piezod.diagnose.chain import Chain, Point, empty_point
 from piezod.diagnose.direct import noise_of
 from piezod.diagnose.frozen import frozen_stretches, still_stretches
-from piezod.diagnose.lattice import lattice_step_N
+from piezod.diagnose.rounding import lattice_step_N
 from piezod.diagnose.series import Role, Series
 from piezod.errors import RecordingError
 from piezod.estimation.initial_state import estimate_path, remembered, start_at_zero, starts_at_rest

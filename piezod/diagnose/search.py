@@ -22,13 +22,13 @@ from piezod.diagnose.acceptance import (
     worth,
 )
 from piezod.diagnose.chain import Chain, Point, Term
-from piezod.diagnose.courses import best_course, coarse, settled, started_as_usual, suited_anew
+from piezod.diagnose.corners import sharpened
 from piezod.diagnose.fit import MOST_STEPS, Fitted, fit
-from piezod.diagnose.listening import dominates, heard, listen, listen_again
 from piezod.diagnose.parallel import each
+from piezod.diagnose.sampling import best_course, coarse, settled, started_as_usual, suited_anew
 from piezod.diagnose.search_state import Beside, Round, Search
 from piezod.diagnose.series import Series
-from piezod.diagnose.sharp import sharpened
+from piezod.diagnose.tone_search import dominates, heard, listen, listen_again
 from piezod.diagnose.trials import on_each_course, two_at_once, with_a_step
 
 Array = NDArray[np.float64]

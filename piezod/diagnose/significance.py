@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 
 from piezod.diagnose.acceptance import MOST_OF_A_BLOCK
 from piezod.diagnose.chain import Chain, Point, Term
-from piezod.diagnose.courses import coarse
 from piezod.diagnose.findings import Finding
 from piezod.diagnose.fit import fit
+from piezod.diagnose.sampling import coarse
 from piezod.diagnose.search import without
 from piezod.diagnose.search_state import Search
 from piezod.diagnose.series import Series

@@ -6,8 +6,8 @@ import numpy as np
 
 from piezod.diagnose.chain import Chain, Point, Term
 from piezod.diagnose.fit import Normal
-from piezod.diagnose.ideas import DIRECT, catalogue_ideas, parts_of
 from piezod.diagnose.parallel import each
+from piezod.diagnose.screening import DIRECT, catalogue_ideas, parts_of
 from piezod.effects.effect import Effect
 
 SEEN = 0.04  # of the loss that is left: an effect of usual size that changes less is not seen

@@ -9,10 +9,10 @@ from numpy.typing import NDArray
 
 from piezod.diagnose.acceptance import LOOSE, WORTH
 from piezod.diagnose.chain import Chain, Point, Scope, Term
-from piezod.diagnose.courses import coarse, started_alike
 from piezod.diagnose.fit import MOST_STEPS, Fitted, Normal, fit
-from piezod.diagnose.ideas import Idea, screened, screened_pairs, since
 from piezod.diagnose.parallel import each
+from piezod.diagnose.sampling import coarse, started_alike
+from piezod.diagnose.screening import Idea, screened, screened_pairs, since
 from piezod.diagnose.steps import NEVER_S, edge_near, likely_steps, sharpest_steps, shown_late_s
 from piezod.effects import EFFECTS
 from piezod.recording.hold import STRAIGHT

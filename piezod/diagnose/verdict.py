@@ -10,7 +10,7 @@ from piezod.diagnose.chain import Chain
 from piezod.diagnose.findings import Finding, Findings, Verdict
 from piezod.diagnose.fit import Fitted
 from piezod.diagnose.guard import Guard
-from piezod.diagnose.motion import Motion
+from piezod.diagnose.remainder import Motion
 from piezod.diagnose.search_state import Search
 from piezod.diagnose.series import Series
 from piezod.diagnose.tones import Tone

@@ -3,7 +3,7 @@
 import numpy as np
 from scipy.signal import lfilter
 
-from piezod.diagnose.lattice import lattice_step_N
+from piezod.diagnose.rounding import lattice_step_N
 from piezod.diagnose.series import Series
 
 RATE_HZ = 1000.0

@@ -9,7 +9,7 @@ from piezod.diagnose.basis import ForceLaw, PlayDensity
 from piezod.diagnose.chain import Chain, empty_point
 from piezod.diagnose.search import search
 from tests.unit.diagnose.residuals import mixed_work, noise, series, time
-from tests.unit.diagnose.test_sharp import many_plays
+from tests.unit.diagnose.test_corners import many_plays
 
 SAMPLES, RATE_HZ, NOISE_N = 12_000, 200.0, 0.2
 MEMORY_N, WAY_V, EXPONENT = 6.0, 40.0, 1.5

@@ -7,13 +7,13 @@ import pytest
 from scipy import signal
 
 from piezod.diagnose.fit import Normal, fit
-from piezod.diagnose.ideas import screened, screened_pairs
+from piezod.diagnose.screening import screened, screened_pairs
 from piezod.diagnose.search import both
 from piezod.diagnose.search_state import Search
 from piezod.diagnose.trials import two_at_once
 from tests.unit.diagnose.residuals import time
+from tests.unit.diagnose.test_corners import many_plays
 from tests.unit.diagnose.test_search import RATE_HZ, SAMPLES, worked
-from tests.unit.diagnose.test_sharp import many_plays
 
 FINE = 20  # steps of the plant in a sample
 

@@ -10,14 +10,14 @@ from piezod.diagnose.basis import ForceLaw, PlayDensity
 from piezod.diagnose.chain import Chain, Term, empty_point
 from piezod.diagnose.evidence import finding_of
 from piezod.diagnose.fit import fit
-from piezod.diagnose.ideas import screened
-from piezod.diagnose.listening import listen_again
+from piezod.diagnose.screening import screened
 from piezod.diagnose.search import both, search, swap
 from piezod.diagnose.search_state import Round, Search
+from piezod.diagnose.tone_search import listen_again
 from piezod.diagnose.tones import Tone, heard_again, without_tones
 from piezod.effects import EFFECTS
 from tests.unit.diagnose.residuals import mixed_work, noise, series, time
-from tests.unit.diagnose.test_sharp import many_plays
+from tests.unit.diagnose.test_corners import many_plays
 
 SAMPLES, RATE_HZ, NOISE_N = 12_000, 200.0, 0.2
 

@@ -7,7 +7,7 @@ from piezod.diagnose.basis import ForceLaw, PlayDensity
 from piezod.diagnose.chain import Chain, Point, Term
 from piezod.effects import EFFECTS
 from tests.unit.diagnose.residuals import mixed_work, series, time
-from tests.unit.diagnose.test_sharp import many_plays
+from tests.unit.diagnose.test_corners import many_plays
 
 SAMPLES, RATE_HZ = 4000, 200.0
 BEHIND = [

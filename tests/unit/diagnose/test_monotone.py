@@ -10,8 +10,8 @@ from piezod.diagnose.basis import ForceLaw, PlayDensity
 from piezod.diagnose.chain import Chain, Term, empty_point
 from piezod.diagnose.evidence import finding_of
 from piezod.diagnose.fit import fit
+from piezod.diagnose.monotone import SMALLEST, loading_slopes, unfolded
 from piezod.diagnose.search_state import Round, Search
-from piezod.diagnose.unfolded import SMALLEST, loading_slopes, unfolded
 from piezod.effects import EFFECTS
 from tests.unit.diagnose.residuals import mixed_work, noise, played, series, time
 

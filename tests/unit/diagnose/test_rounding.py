@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from piezod.diagnose.lattice import lattice_step_N, unrounded
+from piezod.diagnose.rounding import lattice_step_N, unrounded
 from piezod.diagnose.series import Series
 
 Array = NDArray[np.float64]

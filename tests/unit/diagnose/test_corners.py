@@ -5,9 +5,9 @@ import pytest
 
 from piezod.diagnose.basis import ForceLaw, PlayDensity
 from piezod.diagnose.chain import Chain, empty_point
+from piezod.diagnose.corners import sharpened
 from piezod.diagnose.fit import fit
 from piezod.diagnose.search import SHARPER, search
-from piezod.diagnose.sharp import sharpened
 from tests.unit.diagnose.residuals import mixed_work, noise, played, series, time, triangles
 
 SAMPLES = 20_000

@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piezod.diagnose.chain import LONG, Chain, Point
-from piezod.diagnose.courses import coarse
 from piezod.diagnose.fit import Fitted, Normal, fit, solved
+from piezod.diagnose.sampling import coarse
 
 Array = NDArray[np.float64]
 

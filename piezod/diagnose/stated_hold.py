@@ -7,8 +7,8 @@ import numpy as np
 
 from piezod.diagnose.acceptance import worth
 from piezod.diagnose.chain import Chain, Point, Term
-from piezod.diagnose.courses import SAME
 from piezod.diagnose.fit import Fitted, fit
+from piezod.diagnose.sampling import SAME
 from piezod.diagnose.search import without
 from piezod.effects import EFFECTS
 

@@ -8,11 +8,11 @@ import pytest
 from piezod.diagnose.basis import ForceLaw, PlayDensity
 from piezod.diagnose.chain import Chain, Term, empty_point
 from piezod.diagnose.fit import fit
-from piezod.diagnose.told import as_told
+from piezod.diagnose.stated_hold import as_told
 from piezod.effects import EFFECTS
 from piezod.recording import HELD_ONE_SAMPLE, Hold
 from tests.unit.diagnose.residuals import lagged, mixed_work, noise, series, time
-from tests.unit.diagnose.test_sharp import many_plays
+from tests.unit.diagnose.test_corners import many_plays
 
 SAMPLES, RATE_HZ, FINE = 6_000, 200.0, 50
 LAG_S, DELAY_S, NOISE_N = 0.008, 0.0064, 0.1
