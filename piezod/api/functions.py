@@ -1,12 +1,12 @@
 """Read, identify, simulate, diagnose."""
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Literal
 
 from piezod import __version__
-from piezod.api.given import Given, Some, each_of, recording_of, with_columns
+from piezod.api.given import Given, Some, each_of, loaded_of, names_of, recording_of, source_of
 from piezod.api.model import Model
 from piezod.api.results import Diagnosed, Identified
 from piezod.diagnose.diagnosis import diagnose as diagnosis_of
@@ -14,11 +14,10 @@ from piezod.diagnose.prepare import Source, past_sources
 from piezod.errors import UsageError
 from piezod.identify.identification import Options
 from piezod.identify.identification import identify as identification_of
-from piezod.identify.intake import usable
 from piezod.identify.simulation import simulate_recording
 from piezod.recording import Recording, TextOptions
 from piezod.recording import read_recording as recording_from
-from piezod.recording.conversion import in_units_of
+from piezod.recording.conversion import choose_columns, in_units_of
 
 OnStep = Callable[[str, float | None], None]
 
@@ -81,20 +80,44 @@ def identify(
     RecordingError
         A recording cannot be used.
     """
-    read = [recording_of(one) for one in each_of(recordings)]
-    _, input_name, output_name, _ = with_columns(read[0][0], input, output)
-    loaded = []
-    for recording, sha256 in read:
-        converted, _, _, notes = with_columns(recording, input_name, output_name)
-        loaded.append(usable(converted, input_name, output_name, sha256, notes))
+    some = each_of(recordings)
+    named = {"input": input, "output": output}
+    input_name, output_name, notes = choose_columns(Path(source_of(some[0])), names_of(some[0]), named)
     options = Options(input=input_name, output=output_name, plays=plays, zones=dead_zones, name=name)
+    return identified(some, options, notes, on_step)
+
+
+def identified(
+    some: Sequence[Given], options: Options, notes: Sequence[str], on_step: OnStep, text: TextOptions | None = None
+) -> Identified:
+    """Read recordings, make them fit for use, and identify a model: what `identify` and the command share.
+
+    Parameters
+    ----------
+    some
+        Paths, `Recording` objects or pandas frames. A file is read in pieces.
+    options
+        Columns, orders and others.
+    notes
+        What is known so far.
+    on_step
+        As for `identify`.
+    text
+        What the user says about text files; None: everything is found from the files.
+
+    Raises
+    ------
+    RecordingError
+        A recording cannot be used.
+    """
+    loaded = [loaded_of(one, options.input, options.output, on_step, text) for one in some]
     prepared = [one.recording for one in loaded]
     identification = identification_of(
         prepared,
         options,
         f"piezod {__version__}",
         sources=[one.source for one in loaded],
-        notes=[note for one in loaded for note in one.notes],
+        notes=[*notes, *(note for one in loaded for note in one.notes)],
         on_step=on_step,
     )
     return Identified(identification, tuple(prepared))

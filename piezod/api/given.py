@@ -9,9 +9,10 @@ from typing import Any
 import numpy as np
 
 from piezod.errors import UsageError
+from piezod.identify.intake import LoadedRecording, OnStep, load_recordings, usable
 from piezod.model import file_sha256
-from piezod.recording import Recording, TextOptions, read_recording
-from piezod.recording.conversion import choose_columns, in_units_of
+from piezod.recording import Recording, TextOptions, column_names, read_recording
+from piezod.recording.conversion import in_units_of
 
 Given = str | os.PathLike[str] | Recording | Any
 """A path, a `Recording`, or a pandas frame as `Recording.from_frame` takes it."""
@@ -34,15 +35,31 @@ def each_of(given: Some) -> list[Given]:
     return some
 
 
-def recording_of(given: Given, text: TextOptions | None = None) -> tuple[Recording, str]:
+def source_of(given: Given) -> str:
+    """Where a recording comes from, for messages."""
+    return os.fspath(given) if isinstance(given, str | os.PathLike) else getattr(given, "source", "frame")
+
+
+def names_of(given: Given) -> list[str]:
+    """Names of the channels of a recording.
+
+    Raises
+    ------
+    RecordingError, UsageError
+        As `recording_of`.
+    """
+    if isinstance(given, str | os.PathLike):
+        return list(column_names(Path(given)))
+    return list(_own(given).channels)
+
+
+def recording_of(given: Given) -> tuple[Recording, str]:
     """A recording, and the hash of its file or of its samples.
 
     Parameters
     ----------
     given
         A path, a `Recording`, or a pandas frame.
-    text
-        What the caller says about a text file.
 
     Raises
     ------
@@ -52,30 +69,42 @@ def recording_of(given: Given, text: TextOptions | None = None) -> tuple[Recordi
         It is none of these.
     """
     if isinstance(given, str | os.PathLike):
-        path = Path(given)
-        return read_recording(path, text), file_sha256(path)
+        return read_recording(Path(given)), file_sha256(Path(given))
+    recording = _own(given)
+    own = {name: values.copy() for name, values in recording.channels.items()}  # what is frozen or clipped is masked
+    return Recording(recording.time_s, own, recording.metadata, recording.source), _samples_sha256(recording)
+
+
+def loaded_of(
+    given: Given, input_column: str, output_column: str, on_step: OnStep, text: TextOptions | None
+) -> LoadedRecording:
+    """A recording that is fit for identification.
+
+    Parameters
+    ----------
+    given
+        A path, a `Recording`, or a pandas frame.
+    input_column, output_column, on_step, text
+        As for `piezod.identify.intake.load_recordings`.
+
+    Raises
+    ------
+    RecordingError, UsageError
+        As `recording_of`, or it is of no use.
+    """
+    if isinstance(given, str | os.PathLike):
+        return load_recordings([Path(given)], input_column, output_column, on_step, text)[0]
+    recording, sha256 = recording_of(given)
+    converted, notes = in_units_of(recording, [input_column, output_column])
+    return usable(converted, input_column, output_column, sha256, notes)
+
+
+def _own(given: Given) -> Recording:
     if hasattr(given, "columns") and hasattr(given, "to_numpy"):
         given = Recording.from_frame(given)
     if not isinstance(given, Recording):
         raise UsageError(f"a recording is a {type(given).__name__}, must be a path, a Recording or a pandas frame")
-    own = {name: values.copy() for name, values in given.channels.items()}  # what is frozen or clipped is masked
-    return Recording(given.time_s, own, given.metadata, given.source), _samples_sha256(given)
-
-
-def with_columns(
-    recording: Recording, input_column: str | None, output_column: str | None
-) -> tuple[Recording, str, str, list[str]]:
-    """A recording with input and output in the units of their names, both names, and notes.
-
-    Raises
-    ------
-    RecordingError
-        The names of its channels do not tell which are meant.
-    """
-    names = {"input": input_column, "output": output_column}
-    input_name, output_name, chosen = choose_columns(Path(recording.source), list(recording.channels), names)
-    converted, notes = in_units_of(recording, [input_name, output_name])
-    return converted, input_name, output_name, chosen + notes
+    return given
 
 
 def _samples_sha256(recording: Recording) -> str:

@@ -7,7 +7,6 @@ from typing import Annotated
 
 import typer
 
-from piezod import __version__
 from piezod.cli.root import ColumnsOption, ConfigArgument, DecimalOption, JsonOption, RateOption, app
 from piezod.errors import UsageError
 
@@ -65,10 +64,9 @@ def identify(
     input_name, output_name, chosen = choose_columns(
         recordings[0], column_names(recordings[0], text), {"input": input_column, "output": output_column}
     )
-    from piezod.identify.identification import Options  # a wrong file is refused before the libraries are there
-    from piezod.identify.identification import identify as identify_model
-    from piezod.identify.intake import load_recordings
-    from piezod.model import save_model
+    from piezod.api.functions import identified  # a wrong file is refused before the libraries are there
+    from piezod.identify.identification import Options
+    from piezod.report.identification import print_identification
     from piezod.report.progress import steps
 
     options = Options(
@@ -82,26 +80,15 @@ def identify(
         name=name,
     )
     with steps() as show:
-        loaded = load_recordings(recordings, input_name, output_name, show, text)
-        read = [each.recording for each in loaded]
-        identification = identify_model(
-            read,
-            options,
-            f"piezod {__version__}",
-            sources=[each.source for each in loaded],
-            notes=chosen + [note for each in loaded for note in each.notes],
-            on_step=show,
-        )
-    from piezod.report.identification import identification_as_dict, print_identification, write_identification_page
-
+        found = identified(recordings, options, chosen, show, text)
     if report is not None:
-        write_identification_page(report / "identification.html", identification, read)
-    save_model(identification.model, model)
+        found.write_page(report / "identification.html")
+    found.model.save(model)
     if as_json:
-        print(json.dumps(identification_as_dict(identification), indent=2))
+        print(json.dumps(found.as_dict(), indent=2))
     else:
-        print_identification(identification)
-    if not identification.useful:
+        print_identification(found.identification)
+    if not found.useful:
         raise typer.Exit(1)  # `piezod commission` goes on behind a useful one
 
 
