@@ -77,8 +77,8 @@ def diagnose_files(
         on_step("simulating what was held out", 0.98)
         after = [_tared_rms(one, diagnosis.model) for one in apart]
         told = tuple(
-            HeldOut(one.recording.source, one.sha256, *errors)
-            for one, *errors in zip(apart, before, after, strict=True)
+            HeldOut(one.recording.source, one.sha256, given, extended)
+            for one, given, extended in zip(apart, before, after, strict=True)
         )
         diagnosis = checked_by(diagnosis, model, told)
     try:

@@ -16,7 +16,7 @@ from piezod.diagnose.guard import explainable
 from piezod.diagnose.locate import locate
 from piezod.diagnose.monotone import rises, unfolded
 from piezod.diagnose.parallel import each
-from piezod.diagnose.prepare import Source, chain_of, even, stand_in, started, without_frozen, without_unknown
+from piezod.diagnose.prepare import Source, chain_of, made_ready, stand_in
 from piezod.diagnose.remainder import motion
 from piezod.diagnose.rounding import unrounded
 from piezod.diagnose.screening import DIRECT
@@ -110,20 +110,12 @@ def _diagnosed(
     model: Model, asked: Sequence[Source], past: Sequence[Source], notes: Sequence[str], progress: OnProgress
 ) -> Diagnosis:
     progress("reading", 0.0)
-    said = list(notes)
-    series: list[Series] = []
-    frozen: dict[int, list[tuple[int, int]]] = {}
-    for source in (*past, *asked):
-        one, more = even(source, model)
-        one, unknown = without_unknown(started(one, model), model)
-        one, stretches = without_frozen(one, model)
-        if stretches:
-            frozen[len(series)] = stretches
-        said += more + unknown
-        series.append(unrounded(one))
+    ready, still, noticed = made_ready([*past, *asked], model)
+    said, series = [*notes, *noticed], [unrounded(one) for one in ready]
     if not past:
         series.insert(0, stand_in(model))
-        frozen = {number + 1: stretches for number, stretches in frozen.items()}
+        still.insert(0, [])
+    frozen = {number: stretches for number, stretches in enumerate(still) if stretches}
     given = [_given(model, one) for one in series]
     chain, start = chain_of(series, model)
     result = search(chain, start, progress)

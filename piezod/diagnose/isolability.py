@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from piezod.diagnose.chain import Chain, Point, Term
 from piezod.diagnose.fit import Normal, fit
 from piezod.diagnose.parallel import each
-from piezod.diagnose.prepare import Source, chain_of, even, stand_in, started, without_frozen, without_unknown
+from piezod.diagnose.prepare import Source, chain_of, made_ready, stand_in
 from piezod.diagnose.sampling import best_course, coarse
 from piezod.diagnose.screening import DIRECT, catalogue_ideas, parts_of
 from piezod.effects import EFFECTS
@@ -147,13 +147,9 @@ def isolability(model: Model, asked: Sequence[Source], past: Sequence[Source]) -
     RecordingError
         A recording cannot be used.
     """
-    notes: list[str] = []
-    series = [] if past else [stand_in(model)]
-    for source in (*past, *asked):
-        one, more = even(source, model)
-        one, unknown = without_unknown(started(one, model), model)
-        series.append(without_frozen(one, model)[0])
-        notes += more + unknown
+    series, _, notes = made_ready([*past, *asked], model)
+    if not past:
+        series.insert(0, stand_in(model))
     chain, start = chain_of(series, model)
     chain, base = best_course(coarse(chain), (), start)
     base = fit(chain, (), base.point)

@@ -124,6 +124,42 @@ def past_sources(model: Model, folder: Path, given: Sequence[Source]) -> tuple[l
     return found, notes
 
 
+Stretches = list[tuple[int, int]]
+
+
+def made_ready(sources: Sequence[Source], model: Model) -> tuple[list[Series], list[Stretches], list[str]]:
+    """Recordings on equal steps, from where their past no longer matters, without frozen readings.
+
+    Parameters
+    ----------
+    sources
+        As they were given.
+    model
+        As it was identified.
+
+    Returns
+    -------
+    series, frozen, notes
+        The recordings, the stretches of each in which its readings stand still, and what was noticed.
+
+    Raises
+    ------
+    RecordingError
+        A recording cannot be used.
+    """
+    series: list[Series] = []
+    frozen: list[Stretches] = []
+    notes: list[str] = []
+    for source in sources:
+        one, more = even(source, model)
+        one, unknown = without_unknown(started(one, model), model)
+        one, stretches = without_frozen(one, model)
+        series.append(one)
+        frozen.append(stretches)
+        notes += more + unknown
+    return series, frozen, notes
+
+
 def even(source: Source, model: Model) -> tuple[Series, list[str]]:
     """A recording on equal steps.
 
@@ -341,6 +377,7 @@ __all__ = [
     "Source",
     "chain_of",
     "even",
+    "made_ready",
     "noise_of",
     "past_sources",
     "read_source",
