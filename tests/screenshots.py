@@ -18,7 +18,7 @@ import yaml
 from PIL import Image
 
 from tests.benches.browser import VIEWPORTS, chromium
-from tests.benches.daemon import daemon
+from tests.benches.daemon import LONG_LIMITS, daemon
 from tests.benches.emulator import EMULATOR, bench_file, emulator
 
 ROOT = Path(__file__).parents[1]
@@ -27,7 +27,6 @@ COLOURS = 256  # of a palette that includes rare colours; it makes the files sma
 LIMIT_BYTES = 200_000
 RATE_HZ = 100  # low enough for any machine
 RUN_S = 35.0  # longer than the 30 s that the curves show
-LONG_LIMITS = {"comm_loss_ms": 9000, "device_watchdog_ms": 8000, "stale_after_ms": 4000, "missed_ticks_in_a_row": 2000}
 LAG_AND_CREEP = {"electrical_lag": {"time_constant_s": 0.004}, "creep": {"per_decade": 0.013}}
 MOST_PIXELS = 1700  # height of a picture; a longer page is cropped
 

@@ -22,7 +22,7 @@ def demo(
     report: Annotated[Path, typer.Option(metavar="FILE", help="Page to write.")] = Path("piezod-demo.html"),
     quick: Annotated[bool, typer.Option("--quick", help="One reference, without the hidden effects; 15 s.")] = False,
 ) -> None:
-    """Run all steps on the emulated bench, without hardware or root rights, in about a minute."""
+    """Run all steps on the emulated bench, without hardware or root rights, in about 75 s."""
     from piezod.commissioning.demo import run_demo
     from piezod.report.tracking.demo import evaluate_demo, live_line, print_demo, write_demo_page
     from piezod.report.tracking.hidden import print_hidden

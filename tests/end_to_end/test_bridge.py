@@ -14,12 +14,11 @@ import time
 import pytest
 
 from tests.benches.certificates import openssl
-from tests.benches.daemon import WITHIN_S, daemon
+from tests.benches.daemon import LONG_LIMITS, WITHIN_S, daemon
 from tests.benches.emulator import bench_file, emulator, piezod
 from tests.benches.processes import Popen
 
 pytestmark = pytest.mark.xdist_group("bridge")
-NEVER = {"comm_loss_ms": 9000, "device_watchdog_ms": 8000, "stale_after_ms": 4000, "missed_ticks_in_a_row": 2000}
 
 
 def free_port():
@@ -36,7 +35,7 @@ def bench(tmp_path_factory):
             folder,
             served,
             rate_Hz=100,
-            limits=NEVER,
+            limits=LONG_LIMITS,
             arming={"voltage_V_per_s": 800.0, "reset_cycle": False},
             reference={"frequency_Hz": 0.5},
         )

@@ -9,13 +9,12 @@ from pathlib import Path
 
 import pytest
 
-from tests.benches.daemon import WITHIN_S, daemon
+from tests.benches.daemon import LONG_LIMITS, WITHIN_S, daemon
 from tests.benches.emulator import bench_file, emulator, piezod
 from tests.benches.processes import Popen
 
 pytestmark = pytest.mark.xdist_group("epics")
 IOC = Path(__file__).parents[2] / "config" / "piezod_ioc.py"
-NEVER = {"comm_loss_ms": 9000, "device_watchdog_ms": 8000, "stale_after_ms": 4000, "missed_ticks_in_a_row": 2000}
 LOOPBACK = {"EPICS_CA_ADDR_LIST": "127.0.0.1", "EPICS_CA_AUTO_ADDR_LIST": "NO", "EPICS_CAS_INTF_ADDR_LIST": "127.0.0.1"}
 CLIENT = """
 import asyncio, json, sys
@@ -37,7 +36,9 @@ def bench(tmp_path_factory):
     with emulator("--port", "0") as served:
         arming = {"voltage_V_per_s": 800.0, "reset_cycle": False}
         folder = tmp_path_factory.mktemp("epics")
-        path = bench_file(folder, served, rate_Hz=100, limits=NEVER, arming=arming, reference={"frequency_Hz": 0.5})
+        path = bench_file(
+            folder, served, rate_Hz=100, limits=LONG_LIMITS, arming=arming, reference={"frequency_Hz": 0.5}
+        )
         with daemon(path):
             yield path
 

@@ -11,11 +11,10 @@ import pytest
 
 from piezod.control import RingReader, State
 from tests.benches.browser import chromium, open_page
-from tests.benches.daemon import WITHIN_S, change, daemon
+from tests.benches.daemon import LONG_LIMITS, WITHIN_S, change, daemon
 from tests.benches.emulator import bench_file, emulator, piezod
 from tests.benches.processes import Popen
 
-NEVER = {"comm_loss_ms": 9000, "device_watchdog_ms": 8000, "stale_after_ms": 4000, "missed_ticks_in_a_row": 2000}
 NEWEST = """() => Bokeh.documents[0].get_model_by_name("force").renderers[0].data_source.data.time_ms.at(-1)"""
 
 
@@ -49,7 +48,7 @@ def bench(serves, tmp_path):
         tmp_path,
         serves,
         rate_Hz=100,
-        limits=NEVER,
+        limits=LONG_LIMITS,
         arming={"voltage_V_per_s": 800.0, "reset_cycle": False},
         reference={"frequency_Hz": 0.5},
     )
