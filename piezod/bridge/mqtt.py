@@ -22,6 +22,8 @@ RECONNECT_S = (1.0, 2.0, 5.0, 10.0)
 """Pauses before attempts in a row [s]; the last value repeats."""
 KEEPALIVE_S = 5
 """Silence after which the broker publishes the last will, times 1.5 [s]."""
+ANSWER_WITHIN_S = 2.0
+"""Longest wait for a broker [s]; a dead one is asked twice at the end."""
 PORTS = {"mqtt": 1883, "mqtts": 8883}
 
 SendCommand = Callable[[str], dict[str, Any]]
@@ -115,6 +117,7 @@ async def publish(
                 username=broker.user or None,
                 password=broker.password or None,
                 keepalive=KEEPALIVE_S,
+                timeout=ANSWER_WITHIN_S,
                 will=aiomqtt.Will(online, b"0", qos=1, retain=True),
                 tls_context=ssl.create_default_context() if broker.encrypted else None,
             ) as client:
