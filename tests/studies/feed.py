@@ -19,9 +19,8 @@ from typing import Self
 import numpy as np
 
 from piezod.recorder.messages import Plan, Report, parse_report
-from piezod.recorder.recording_files import recording_files
 from piezod.recording.ring_log import ROW_DTYPE, RingLog
-from tests.benches.recorded_blocks import read_blocks
+from tests.benches.recorded_blocks import begun_files, read_blocks
 
 WITHIN_S = 120.0  # however busy the machine is
 BEGAN_NS = 10**12
@@ -213,7 +212,7 @@ def compare(folder: Path, bench: str, acknowledged: int) -> Comparison:
     """Compare the files of a folder with the written rows."""
     found = Comparison()
     seen: list[np.ndarray] = []
-    for path in recording_files(folder, bench) if folder.exists() else ():
+    for path in begun_files(folder, bench) if folder.exists() else ():
         _, blocks, damaged = read_blocks(path)
         found.damaged += damaged
         found.files += 1

@@ -18,8 +18,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from piezod.recorder.messages import Plan
-from piezod.recorder.recording_files import recording_files
-from tests.benches.recorded_blocks import read_blocks
+from tests.benches.recorded_blocks import begun_files, read_blocks
 from tests.studies.feed import Comparison, Feed, RecorderProcess, compare
 from tests.studies.powercut import cannot_cut, cannot_mount, disk, fill, small_folder
 from tests.studies.served import Served, served
@@ -124,7 +123,7 @@ def daemon_kills(folder: Path, times: int) -> Iterator[Line]:
 
 def _recorded_ticks(folder: Path) -> list[tuple[int, int]]:
     """(tick, state) of every row, in order."""
-    blocks = [block for path in recording_files(folder, "emulator") for block in read_blocks(path)[1]]
+    blocks = [block for path in begun_files(folder, "emulator") for block in read_blocks(path)[1]]
     return [(int(row["tick"]), int(row["state"])) for block in blocks for row in block.rows]
 
 

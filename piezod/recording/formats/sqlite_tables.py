@@ -155,6 +155,8 @@ def read_about(connection: sqlite3.Connection, path: Path) -> About:
         The file is another database or a recording of another schema, or the table's content is damaged.
     """
     tables = dict(connection.execute("SELECT name, sql FROM sqlite_schema WHERE type = 'table' LIMIT 100"))
+    if not tables:
+        raise RecordingError(f"{path}: has no samples: the recorder was ended before it wrote the first block")
     if any(tables.get(name) != statement for name, statement in TABLES.items()):
         raise RecordingError(f"{path}: is no recording: its tables are not those of piezod")
     values = dict(connection.execute("SELECT key, value FROM about LIMIT 100"))

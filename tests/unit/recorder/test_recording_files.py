@@ -9,6 +9,7 @@ import threading
 import numpy as np
 import pytest
 
+from piezod.errors import RecordingError
 from piezod.recorder.recording_files import (
     RecordingFile,
     _new_file,
@@ -17,10 +18,11 @@ from piezod.recorder.recording_files import (
     size_bytes,
     tidy_files,
 )
+from piezod.recording import read_recording
 from piezod.recording.formats.sqlite_blocks import Block
 from piezod.recording.formats.sqlite_tables import About
 from piezod.recording.ring_log import ROW_DTYPE
-from tests.benches.recorded_blocks import read_blocks
+from tests.benches.recorded_blocks import begun_files, read_blocks
 from tests.unit.recording.test_sqlite import ticks
 
 ABOUT = About(ROW_DTYPE, "ticks", {"bench": "b"}, "session", 10**9)
@@ -50,6 +52,16 @@ def test_a_closed_file_has_no_other_parts_and_a_file_without_ticks_is_removed(tm
     file.close()
     RecordingFile(tmp_path, "b", ABOUT).close()
     assert names(tmp_path) == ["b-000001.sqlite"]
+
+
+def test_a_file_that_a_kill_left_before_its_first_block_says_so(tmp_path):
+    file = RecordingFile(tmp_path, "b", ABOUT)
+    with pytest.raises(RecordingError, match="the recorder was ended before it wrote the first block"):
+        read_recording(file.path)
+    assert begun_files(tmp_path, "b") == []
+    file.commit(Block(ticks(10)))
+    assert begun_files(tmp_path, "b") == [file.path]
+    file.close()
 
 
 @pytest.mark.parametrize("suffix", ["", "-wal"])
