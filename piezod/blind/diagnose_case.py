@@ -7,6 +7,7 @@ from pathlib import Path
 from piezod import __version__
 from piezod.blind.case import Description, read_description
 from piezod.diagnose.command import diagnose_files
+from piezod.diagnose.replay import write_replay
 from piezod.identify.identification import Options, identify
 from piezod.identify.intake import load_recordings
 from piezod.identify.simulation import simulate_recording
@@ -18,6 +19,9 @@ PLAYS, ZONES = 14, 6
 
 MODEL = "model.yaml"
 """File of the identified model."""
+
+REPLAY = "replay.json"
+"""File of the hypotheses that were tried."""
 
 EXTENDED, BASE = "simulated_held_out.csv", "simulated_held_out_base.csv"
 """Files of the held-out simulations with the extended and with the identified model."""
@@ -48,7 +52,7 @@ def diagnose_case(verdict: Path) -> Durations:
     Parameters
     ----------
     verdict
-        Folder for `findings.json` and the two simulations; created if it does not exist.
+        Folder for `findings.json`, the two simulations and the replay file; created if it does not exist.
 
     Raises
     ------
@@ -64,6 +68,7 @@ def diagnose_case(verdict: Path) -> Durations:
     diagnosis = diagnose_files(recordings, Path(MODEL), verdict, None, None, lambda *_: None)
     diagnosed_s = time.monotonic()
     (verdict / MODEL).unlink()  # not part of a verdict
+    write_replay(verdict / REPLAY, diagnosis.attempts)
     drive = _held_out_input(description)
     write_csv(_simulated(model, drive), verdict / BASE)
     write_csv(_simulated(_repeatable(diagnosis.model), drive), verdict / EXTENDED)

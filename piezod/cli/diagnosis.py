@@ -34,6 +34,9 @@ def diagnose(
     condition: Annotated[
         str | None, typer.Option("--where", metavar="COLUMN=VALUE", help="Use only the samples with this value.")
     ] = None,
+    replay: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="File for every hypothesis that was tried (JSON).")
+    ] = None,
     columns: ColumnsOption = None,
     rate_hz: RateOption = None,
     decimal: DecimalOption = None,
@@ -62,6 +65,10 @@ def diagnose(
         diagnosis = diagnose_files(
             recordings, model, output, input_column, output_column, show, hold_out or (), condition, text
         )
+        if replay is not None:
+            from piezod.diagnose.replay import write_replay
+
+            write_replay(replay, diagnosis.attempts)
         from piezod.report.diagnosis.page import write_diagnosis_page
         from piezod.report.diagnosis.terminal import print_findings
 

@@ -18,6 +18,7 @@ from piezod.diagnose.monotone import rises, unfolded
 from piezod.diagnose.parallel import each
 from piezod.diagnose.prepare import Source, chain_of, made_ready, stand_in
 from piezod.diagnose.remainder import motion
+from piezod.diagnose.replay import Attempt
 from piezod.diagnose.rounding import unrounded
 from piezod.diagnose.screening import DIRECT
 from piezod.diagnose.search import NEEDLESS, OnProgress, fitted_without, instead, search, without
@@ -70,6 +71,8 @@ class Diagnosis:
         All recordings, made ready.
     base, extended
         Simulated readings of every recording, the given model's and the extended one's.
+    attempts
+        Hypotheses that were compared.
     """
 
     findings: Findings
@@ -77,6 +80,7 @@ class Diagnosis:
     series: list[Series]
     base: list[Array]
     extended: list[Array]
+    attempts: Sequence[Attempt] = ()
 
 
 def diagnose(
@@ -296,7 +300,7 @@ class _Asked:
         findings, extended = self._extended(findings, result)
         wording = Wording(self.model.input.unit, self.model.output.unit)
         findings = replace(findings, words=words_of(findings, wording))
-        return Diagnosis(findings, extended, series, self.given, simulated)
+        return Diagnosis(findings, extended, series, self.given, simulated, result.attempts)
 
     def _extended(self, findings: Findings, result: Search) -> tuple[Findings, Model]:
         """The model with what was found, and the findings less sure where there can be none.

@@ -30,6 +30,8 @@ class Fitted:
     losses
         Mean square residual of every block in units of its recording's noise, the block left out of the fit (by one
         linear step), shape (B,).
+    in_fit
+        The same with the block in the fit, shape (B,).
     samples
         How many samples of every block count, each as far as it is trusted, shape (B,).
     spread
@@ -39,6 +41,7 @@ class Fitted:
     terms: tuple[Term, ...]
     point: Point
     losses: Array
+    in_fit: Array
     samples: Array
     spread: tuple[dict[str, float], ...]
 
@@ -291,9 +294,9 @@ class Normal:
         spread: tuple[dict[str, float], ...] = tuple({} for _ in self.terms)
         for place, (term, one) in enumerate(self.layout.searched, start=self.layout.effects):
             spread[term][one.name] = float(jackknife[place])
-        return Fitted(
-            self.terms, point, np.maximum(losses, 1e-12) / np.maximum(self.samples, 1.0), self.samples, spread
-        )
+        samples = np.maximum(self.samples, 1.0)
+        left_out = np.maximum(losses, 1e-12) / samples
+        return Fitted(self.terms, point, left_out, self.squares / samples, self.samples, spread)
 
 
 def _jacobian(

@@ -25,6 +25,7 @@ from piezod.diagnose.chain import Chain, Point, Term
 from piezod.diagnose.corners import sharpened
 from piezod.diagnose.fit import MOST_STEPS, Fitted, fit
 from piezod.diagnose.parallel import each
+from piezod.diagnose.replay import Attempt
 from piezod.diagnose.sampling import best_course, coarse, settled, started_as_usual, suited_anew
 from piezod.diagnose.search_state import Beside, Round, Search
 from piezod.diagnose.series import Series
@@ -141,7 +142,13 @@ def _finalists(result: Search, tried: list[tuple[Chain, Fitted]], largest: float
         return _believed(on, before.get(id(on), result.found), after, largest)
 
     tried = sorted(tried, key=lambda one: one[1].loss)
-    better = [one for one in tried if believed(one)]
+    better = []
+    for on, after in tried:
+        kept = believed((on, after))
+        better += [(on, after)] * kept
+        result.attempts.append(
+            Attempt("one", len(result.names), before[id(on)], after, degenerate=degenerate(on, after), believed=kept)
+        )
     limit = better[0][1].loss if better else result.found.loss
     doubted = [one for one in tried if one[1].loss < limit and not degenerate(*one)][:DOUBTED]
     anew = [one for one in each(suited_anew, doubted) if one is not None and believed(one)]
@@ -166,8 +173,10 @@ def both(result: Search, tried: Sequence[tuple[Chain, Fitted]], largest: float) 
         orders = pair, _turned(pair)
         firsts = [fit(chain, one.terms[:-1], replace(one.point, values=one.point.values[:-1])) for one in orders]
         beside = zip(firsts, orders, strict=True)
-        if worth(result.found, pair) and all(_believed(chain, *one, largest) for one in beside):
-            believed.append((chain, firsts[0], pair))
+        kept = worth(result.found, pair) and all(_believed(chain, *one, largest) for one in beside)
+        believed += [(chain, firsts[0], pair)] * kept
+        unlike = any(degenerate(chain, one) for one in orders)
+        result.attempts.append(Attempt("pair", len(result.names), result.found, pair, degenerate=unlike, believed=kept))
     if not believed:
         return False
     chain, first, pair = min(believed, key=lambda one: weighed(one[2]))
@@ -343,6 +352,10 @@ def _drop(result: Search, largest: float) -> None:
         gain = fewer.loss - found.loss
         least = max(NEEDLESS * found.loss, *(price(found, term) for term in found.terms if term.effect.name == name))
         small = gain < FAIR_SHARE * largest and steadiness(fewer, found) < STEADY_WHEN_SMALL
-        if gain < least or (small and not once and not acts_locally(fewer, found, name)):
+        needless = gain < least or (small and not once and not acts_locally(fewer, found, name))
+        result.attempts.append(
+            Attempt("drop", len(result.names), fewer, found, degenerate=False, believed=not needless)
+        )
+        if needless:
             result.found = fewer
             left = list(fewer.effects)

@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 
 from piezod.diagnose.chain import Chain, Point
 from piezod.diagnose.fit import Fitted
+from piezod.diagnose.replay import Attempt
 from piezod.diagnose.tones import Tone
 
 
@@ -49,6 +50,8 @@ class Search:
         What was taken off the readings of the chain's series.
     beside
         By effect, what was tried in its place at the end.
+    attempts
+        What was compared, for the replay file.
     """
 
     chain: Chain
@@ -58,6 +61,7 @@ class Search:
     rounds: list[Round] = field(default_factory=list)
     tones: list[Tone] = field(default_factory=list)
     beside: dict[str, Beside] = field(default_factory=dict)
+    attempts: list[Attempt] = field(default_factory=list)
 
     @property
     def names(self) -> tuple[str, ...]:

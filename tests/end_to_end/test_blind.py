@@ -18,7 +18,7 @@ from tests.benches.emulator import piezod
 
 SEED = 13  # its cases are short
 FOREIGN_SEED = 12  # nothing comes near it
-FILES = {"findings.json", "run.json", "simulated_held_out.csv", "simulated_held_out_base.csv"}
+FILES = {"findings.json", "run.json", "simulated_held_out.csv", "simulated_held_out_base.csv", "replay.json"}
 LONG_S = 120.0
 
 

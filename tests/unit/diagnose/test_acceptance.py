@@ -19,7 +19,8 @@ BLOCKS = 30
 def fitted(losses, effect=None):
     terms = () if effect is None else (Term(EFFECTS[effect], "since"),)
     point = Point(np.zeros(HATS), np.zeros(SPLINES), np.zeros(2), tuple({} for _ in terms))
-    return Fitted(terms, point, np.asarray(losses, float), np.full(BLOCKS, 100.0), tuple({} for _ in terms))
+    losses = np.asarray(losses, float)
+    return Fitted(terms, point, losses, losses, np.full(BLOCKS, 100.0), tuple({} for _ in terms))
 
 
 def with_gain(gains):
@@ -75,5 +76,5 @@ def test_a_step_soon_after_the_begin_is_what_an_unknown_start_leaves(on_s, off_s
     term = Term(EFFECTS["load_step"], "once", 0)
     readings = chain.run(0, (), replace(flat, values=())).reading_N
     there = replace(recorded, reading_N=readings + residual_N)
-    step = Fitted((term,), flat, np.ones(BLOCKS), np.full(BLOCKS, 100.0), ({},))
+    step = Fitted((term,), flat, np.ones(BLOCKS), np.ones(BLOCKS), np.full(BLOCKS, 100.0), ({},))
     assert degenerate(chain.like([there]), step) != is_one
