@@ -54,13 +54,17 @@ class DaemonConfig(Section):
 
 
 class RecorderConfig(Section):
-    """Folder with files of ticks; the oldest file is deleted when the folder reaches its limit."""
+    """Folder with files of ticks; the oldest file is deleted when the folder reaches its limit.
+
+    `keep_around_s` is the time before and after the begin of a fault that gets a file of its own [s]; None: none.
+    """
 
     folder: Annotated[str, Field(min_length=1)]
     sync_every_s: Annotated[float, Field(ge=0.05, le=60)] = 0.5
     file_MB: Annotated[float, Field(ge=8, le=100_000)] = 256.0
     file_h: Annotated[float, Field(gt=0, le=8760)] = 24.0
     folder_MB: Annotated[float, Field(ge=16)] = 10_000.0
+    keep_around_s: Annotated[float, Field(ge=1, le=60)] | None = None
 
     @model_validator(mode="after")
     def _folder_holds_two_files(self) -> Self:

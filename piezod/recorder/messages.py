@@ -38,6 +38,10 @@ class Plan:
         Metadata of every file.
     absent
         Columns that the device does not have.
+    rows_around_fault
+        Number of rows before and after the begin of a fault that get a file of their own; 0: none.
+    ramp_down, fault
+        Values of the column `state` in a ramp down and in a fault.
     """
 
     folder: str
@@ -48,6 +52,9 @@ class Plan:
     folder_bytes: float
     metadata: dict[str, str] = field(default_factory=dict)
     absent: tuple[str, ...] = ()
+    rows_around_fault: int = 0
+    ramp_down: int = -1
+    fault: int = -1
 
 
 @dataclass

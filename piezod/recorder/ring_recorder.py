@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piezod.errors import PiezodError
+from piezod.recorder.fault_files import FaultFiles
 from piezod.recorder.messages import Plan, Report
 from piezod.recorder.recording_files import (
     RecordingFile,
@@ -59,6 +60,7 @@ class RingRecorder:
         self._file: RecordingFile | None = None
         self._begun_s = 0.0
         self._other_bytes = 0
+        self._faults = FaultFiles(plan)
         self._failed_in_a_row = 0
         self._retry_at_s = 0.0
         self.report = Report()
@@ -94,8 +96,9 @@ class RingRecorder:
             self._seek_start(reader)
             while (rows := reader.read(MAX_BLOCK_ROWS)).size:
                 first = reader.next - rows.size
-                self._write(rows, first)
+                block = self._write(rows, first)
                 self._failed_in_a_row, self.report.problem = 0, ""
+                self._keep_faults(block)
         except (OSError, sqlite3.Error) as error:
             if first is not None:
                 reader.seek(first)
@@ -108,6 +111,7 @@ class RingRecorder:
         self._retry_at_s = 0.0
         self.step()
         self._close()
+        self._keep_faults(None)
         if self._reader is not None:
             self.report.dropped += self._reader.waiting
             self._reader = None
@@ -127,7 +131,7 @@ class RingRecorder:
             self._origin_ns, self.report.row = about.origin_ns, row
         self._positioned = True
 
-    def _write(self, rows: NDArray[np.void], first: int) -> None:
+    def _write(self, rows: NDArray[np.void], first: int) -> Block:
         if self._origin_ns is None:
             self._origin_ns = int(rows["time_ns"][0])
         block = Block(rows, first, time.time_ns(), time.clock_gettime_ns(time.CLOCK_BOOTTIME))
@@ -144,6 +148,21 @@ class RingRecorder:
         report.bytes = self._other_bytes + size_bytes(self._file.path)
         if size >= self._plan.file_bytes or time.monotonic() - self._begun_s >= self._plan.file_s:
             self._close()
+        return block
+
+    def _keep_faults(self, block: Block | None) -> None:
+        """Files of the faults in a block, or of all that still wait; a failure is reported and changes nothing else."""
+        try:
+            if block is None:
+                self._faults.finish(self._about(kept="around a fault"))
+            else:
+                self._faults.add(block, self._about(kept="around a fault"))
+        except (OSError, sqlite3.Error) as error:
+            self.report.problem = f"{self._folder}: no file of the ticks around a fault: {_reason(error)}"
+
+    def _about(self, **metadata: str) -> About:
+        plan, origin_ns = self._plan, self._origin_ns or 0
+        return About(ROW_DTYPE, "ticks", plan.metadata | metadata, self.report.session, origin_ns, tuple(plan.absent))
 
     def _begin_file(self) -> RecordingFile:
         """Remove old files until a new one fits, then begin it."""
@@ -152,11 +171,8 @@ class RingRecorder:
         existing = recording_files(self._folder, plan.bench)
         tidy_files(existing)
         self._other_bytes = make_room(existing, plan.folder_bytes - plan.file_bytes)
-        began = {"began": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime())}
-        about = About(
-            ROW_DTYPE, "ticks", plan.metadata | began, self.report.session, self._origin_ns or 0, tuple(plan.absent)
-        )
-        file = RecordingFile(self._folder, plan.bench, about)
+        began = time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime())
+        file = RecordingFile(self._folder, plan.bench, self._about(began=began))
         self._begun_s = time.monotonic()
         self.report.file = str(file.path)
         return file

@@ -221,5 +221,8 @@ def recorder_plan(bench: BenchConfig) -> Plan:
             "program": f"piezod {__version__}",
             "states": states,
         },
+        rows_around_fault=round((config.keep_around_s or 0.0) * bench.rate_Hz),
+        ramp_down=State.RAMP_DOWN,
+        fault=State.FAULT,
         absent=tuple(column for column, role in roles if not bench.has_role(role)),
     )

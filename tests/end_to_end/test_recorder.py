@@ -16,7 +16,7 @@ import pytest
 
 from piezod.recorder.recording_files import recording_files
 from piezod.recording import read_recording
-from tests.benches.daemon import PATIENT, daemon
+from tests.benches.daemon import PATIENT, change, daemon
 from tests.benches.emulator import ROOT, bench_file, emulator, piezod
 from tests.benches.recorded_blocks import read_blocks
 from tests.studies import recorder as study
@@ -139,6 +139,29 @@ def test_a_recorder_that_dies_is_started_again_and_nothing_is_missing_or_twice(s
     ]
     assert len(ticks) == total
     assert ticks == sorted(set(ticks))
+
+
+def test_the_ticks_around_a_fault_have_a_file_of_their_own(serves, tmp_path):
+    bench = recording_bench(tmp_path, serves, tmp_path / "kept", keep_around_s=1.0)
+    with daemon(bench) as service:
+        ticking(service)
+        assert service.tell("arm")["state"] == "RUNNING"
+        time.sleep(1.5)
+        change(bench, "force_trip_N: 360.0", "force_trip_N: 30.0")
+        service.tell("reload")
+        service.wait_for("FAULT: force above limits.force_trip_N")
+        kept = tmp_path / "kept" / "faults" / "emulator-000001.sqlite"
+        service.wait_until(kept.exists, "the file of the fault")
+        service.tell("reset")
+        assert service.end() == 0
+    recording = read_recording(kept)
+    state = recording.channel("state")
+    begin = int(np.flatnonzero(np.isin(state, (4, 5)))[0])
+    assert recording.time_s[begin] - recording.time_s[0] == pytest.approx(1.0, abs=0.02)
+    assert recording.time_s[-1] - recording.time_s[begin] >= 0.9
+    assert set(state[:begin]) == {2.0}
+    assert state[-1] == 5
+    assert recording.metadata["kept"] == "around a fault"
 
 
 def test_a_disk_that_does_not_answer_is_said_and_costs_nothing(serves, tmp_path):
