@@ -63,6 +63,7 @@ def status_dict(
         "version": __version__,
         "bench": bench.name,
         "config": str(path.resolve()),
+        "model": None if bench.model is None else str(bench.model),
         "rate_Hz": bench.rate_Hz,
         "connected": channel.connected,
         "problem": channel.problem,

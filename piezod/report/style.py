@@ -94,7 +94,7 @@ figcaption {{ color: var(--dim); font-size: 12px; }}
 }}
 """
 
-PAGE_SCRIPT = """
+TOUCH_SCRIPT = """
 // On a touch screen a drag scrolls the page, so box zoom is off.
 if (matchMedia("(pointer: coarse)").matches) {
   const timer = setInterval(() => {
@@ -104,6 +104,9 @@ if (matchMedia("(pointer: coarse)").matches) {
     }
   }, 300);
 }
+"""
+
+PRINT_SCRIPT = """
 // Printing does not redraw a figure, so each is scaled to the width of its column.
 const columns = {three: 3, pair: 2, first: 3};
 addEventListener("beforeprint", () => {
@@ -117,6 +120,8 @@ addEventListener("afterprint", () => {
   for (const one of document.querySelectorAll("figure [data-root-id] > *")) one.style.zoom = "";
 });
 """.replace("PIXELS", str(0.97 * A4_PIXELS))
+
+PAGE_SCRIPT = TOUCH_SCRIPT + PRINT_SCRIPT
 
 DATA_NOTE = "<p class='dim'>Data of the figures as CSV: folder <code>{folder}</code> beside this page.</p>"
 

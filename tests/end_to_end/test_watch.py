@@ -9,6 +9,7 @@ import time
 
 import pytest
 
+from piezod import __version__
 from piezod.control import RingReader, State
 from tests.benches.browser import chromium, open_page
 from tests.benches.daemon import LONG_LIMITS, WITHIN_S, change, daemon
@@ -16,6 +17,8 @@ from tests.benches.emulator import bench_file, emulator, piezod
 from tests.benches.processes import Popen
 
 NEWEST = """() => Bokeh.documents[0].get_model_by_name("force").renderers[0].data_source.data.time_ms.at(-1)"""
+
+WINDOW = """Bokeh.documents[0].get_model_by_name("force").x_range"""
 
 
 @contextlib.contextmanager
@@ -85,6 +88,30 @@ def test_the_page_shows_a_running_bench_and_streams(bench, browser):
         assert page.title() == "RUNNING: emulator"
         assert errors == []
         assert page.locator("#stale").is_hidden()
+        page.close()
+
+
+def test_a_zoomed_page_stands_still_until_it_is_reset(bench, browser):
+    with daemon(bench) as service, watch(bench) as (_, address):
+        service.connected()
+        page, errors = open_page(browser, address)
+        service.tell("arm")
+        shows(page, "RUNNING")
+        streams(page)
+        page.get_by_text(f"model model.yaml · 100 Hz · piezod {__version__} · up").wait_for()
+        box = page.locator("figure").first.bounding_box()
+        page.mouse.move(box["x"] + 0.7 * box["width"], box["y"] + 120)
+        page.mouse.down()
+        page.mouse.move(box["x"] + 0.8 * box["width"], box["y"] + 140, steps=5)
+        page.mouse.up()
+        page.wait_for_function(f"() => {WINDOW}.end - {WINDOW}.start < 10_000")
+        shown = page.evaluate(f"() => {WINDOW}.end")
+        page.wait_for_timeout(1000)
+        assert page.evaluate(f"() => {WINDOW}.end") == shown
+        page.get_by_title("Reset").first.click()
+        page.wait_for_function(f"() => {WINDOW}.end - {WINDOW}.start > 20_000")
+        streams(page)
+        assert errors == []
         page.close()
 
 

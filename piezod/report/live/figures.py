@@ -1,6 +1,9 @@
 """Figures of the live page."""
 
+from collections.abc import Callable
+
 import numpy as np
+from bokeh.events import RangesUpdate, Reset
 from bokeh.models import (
     ColumnDataSource,
     DatetimeTicker,
@@ -14,13 +17,15 @@ from numpy.typing import NDArray
 
 from piezod.config import BenchConfig
 from piezod.report.figures.durations import BAR_START, EDGES_us, bars, histogram
-from piezod.report.figures.layout import apply_layout
+from piezod.report.figures.layout import AXIS_WIDTH, apply_layout
 from piezod.report.live.curves import LOOP, OVER_TIME
 from piezod.report.live.feed import WINDOW_s
 from piezod.report.style import BLUE, GREEN, GREY, ORANGE, RED
 
 NO_COUNTS = np.zeros(EDGES_us.size - 1, dtype=np.int64)
+NEARLY = 0.98  # of the window: a range at least as long is not zoomed
 _CLOCK = "%H:%M:%S"
+TOOLS = "xbox_zoom,xwheel_zoom,reset"
 
 
 class Figures:
@@ -42,7 +47,9 @@ class Figures:
         self.force_range, self.loop_range = (_with_margin(limits.force_min_N, limits.force_trip_N) for _ in range(2))
         self.error_range = Range1d(start=-1.0, end=1.0)
         self.window = Range1d(start=0.0, end=1000.0 * WINDOW_s)
+        self.force_title = Title(text="", text_font_style="normal")
         self.force = self._force()
+        self.force.add_layout(self.force_title, "above")
         self.error = self._error()
         self.voltage = self._voltage(bench)
         self.curve = self._loop(bench)
@@ -50,6 +57,12 @@ class Figures:
         self.lateness.add_layout(self.summaries["lateness"], "above")
         self.exchange = _histogram("How long an exchange took", self.durations["exchange"], bench, GREEN)
         self.exchange.add_layout(self.summaries["exchange"], "above")
+
+    def on_zoom(self, call: Callable[..., None]) -> None:
+        """Call a function with `zoomed` when a viewer zooms the curves over time, and when he resets them."""
+        for plot in (self.force, self.error, self.voltage):
+            plot.on_event(RangesUpdate, lambda event: call(zoomed=event.x1 - event.x0 < NEARLY * 1000.0 * WINDOW_s))
+            plot.on_event(Reset, lambda _: call(zoomed=False))
 
     def roots(self) -> dict[str, figure]:
         """Figures by their name in the page template."""
@@ -93,11 +106,12 @@ class Figures:
         return _finish(plot, "{0.00}", {"voltage [V]": "@voltage_V", "force [N]": "@force_N"})
 
     def _timed(self, title: str, label: str, height: int, y_range: Range1d) -> figure:
-        plot = figure(title=title, y_axis_label=label, height=height, x_range=self.window, y_range=y_range, tools="")
+        plot = figure(title=title, y_axis_label=label, height=height, x_range=self.window, y_range=y_range, tools=TOOLS)
         plot.xaxis.formatter = DatetimeTickFormatter(
             milliseconds=_CLOCK, seconds=_CLOCK, minsec=_CLOCK, minutes=_CLOCK, hourmin=_CLOCK, hours=_CLOCK
         )
         plot.xaxis.ticker = DatetimeTicker(desired_num_ticks=4)
+        plot.min_border_left = AXIS_WIDTH
         return plot
 
 

@@ -3,6 +3,7 @@
 import html
 import time
 from collections.abc import Iterable
+from pathlib import Path
 
 import numpy as np
 
@@ -27,9 +28,12 @@ _SYMBOLS = {
 }
 _LAST_EVENTS = 8
 
+INK_CSS = ":host { color: #1b1d20; }"  # for paper: in the dark the page inverts its parts
+
 BANNER_CSS = """
 :host .bk-clearfix { width: 100%; }
 :host { font: 14px/1.35 system-ui, "Segoe UI", Helvetica, Arial, sans-serif; }
+.about { color: #555; margin: 0 0 8px; }
 .banner { display: flex; gap: 14px; align-items: center; }
 .banner .symbol { flex: none; width: 46px; height: 46px; border-radius: 50%; color: #fff; font-size: 26px;
   line-height: 46px; text-align: center; }
@@ -99,7 +103,30 @@ def banner_html(feed: Feed) -> str:
         text += f"<p class='remedy'>{html.escape(remedy)}</p>"
     symbol = f"<div class='symbol' style='background:{_COLOURS[state]}'>{_SYMBOLS.get(state, '')}</div>"
     values = "".join(f"<div><span>{name}</span><b>{html.escape(value)}</b></div>" for name, value in _values(feed))
-    return f"<div class='banner'>{symbol}<div>{text}</div></div><div class='values'>{values}</div>"
+    return f"{about_html(feed)}<div class='banner'>{symbol}<div>{text}</div></div><div class='values'>{values}</div>"
+
+
+def about_html(feed: Feed) -> str:
+    """HTML of a line with model, rate, version and time since the start of the daemon, with escaped text.
+
+    Parameters
+    ----------
+    feed
+        Status of the bench as of the last update.
+    """
+    parts = [f"{feed.bench.rate_Hz:g} Hz"]
+    if (status := feed.status) is not None:
+        model = status.get("model")
+        parts.insert(0, f"model {Path(model).name}" if model else "without a model")
+        parts += [f"piezod {status['version']}", f"up {_lasting(status['up_s'])}"]
+    return f"<p class='about'>{html.escape(' · '.join(parts))}</p>"
+
+
+def _lasting(time_s: float) -> str:
+    for name, unit_s in (("days", 86_400.0), ("h", 3600.0), ("min", 60.0)):
+        if time_s >= 2.0 * unit_s:
+            return f"{int(time_s // unit_s)} {name}"
+    return f"{int(time_s)} s"
 
 
 def _values(feed: Feed) -> Iterable[tuple[str, str]]:

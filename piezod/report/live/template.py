@@ -1,6 +1,6 @@
 """Template, style and script of the live page. The page warns when its values are out of date."""
 
-from piezod.report.style import PAGE_CSS
+from piezod.report.style import PAGE_CSS, TOUCH_SCRIPT
 
 LIVE_CSS = (
     PAGE_CSS
@@ -16,7 +16,9 @@ h1 { margin-bottom: 8px; }
 )
 
 # Without updates the script shows a warning, and reloads the page as soon as the server answers.
-LIVE_SCRIPT = """
+LIVE_SCRIPT = (
+    TOUCH_SCRIPT
+    + """
 const STALE_AFTER_MS = 3000, TRY_EVERY_MS = 2000;
 let updated = Date.now(), watched = null;
 function watchDocument() {
@@ -38,6 +40,7 @@ setInterval(() => {
   fetch(location.href, {cache: "no-store"}).then((answer) => { if (answer.ok) location.reload(); }, () => {});
 }, TRY_EVERY_MS);
 """
+)
 
 TEMPLATE = """{% extends base %}
 {% block postamble %}

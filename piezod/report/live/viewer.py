@@ -13,11 +13,12 @@ from bokeh.models.widgets import Button, Div, PasswordInput
 from piezod.report.figures.durations import bars
 from piezod.report.live.feed import Feed, WINDOW_s
 from piezod.report.live.figures import Figures, fit_range
-from piezod.report.live.status_banner import BANNER_CSS, EVENTS_CSS, banner_html, events_html, state_and_remedy
+from piezod.report.live.status_banner import BANNER_CSS, EVENTS_CSS, INK_CSS, banner_html, events_html, state_and_remedy
 
 UPDATE_EVERY_ms = 250
 HISTOGRAMS_EVERY_s = 1.0
 RETRY_AFTER_s = 1.0  # after a wrong token
+STANDING = "zoomed: the curves stand still; the reset tool shows the present"
 ACTIONS = ("arm", "disarm", "stop", "reset")
 
 Command = Callable[[str], Awaitable[str]]
@@ -37,11 +38,13 @@ class Viewer:
     def __init__(self, document: Document, feed: Feed) -> None:
         self._document, self._feed = document, feed
         self._figures = Figures(feed.bench)
-        self._banner = Div(name="banner", sizing_mode="stretch_width", stylesheets=[BANNER_CSS])
-        self._events = Div(name="events", sizing_mode="stretch_width", stylesheets=[EVENTS_CSS])
+        self._banner = Div(name="banner", sizing_mode="stretch_width", stylesheets=[INK_CSS, BANNER_CSS])
+        self._events = Div(name="events", sizing_mode="stretch_width", stylesheets=[INK_CSS, EVENTS_CSS])
         self._shown_over_time = self._shown_loop = 0
         self._shown_events = -1
         self._histograms_s = float("-inf")
+        self._zoomed = False
+        self._figures.on_zoom(self._zoom)
         with document.models.freeze():  # without it each addition visits all models
             for name, plot in self._figures.roots().items():
                 plot.name = name
@@ -53,9 +56,22 @@ class Viewer:
 
     def update(self) -> None:
         """Show the new points. Bokeh calls it again only after the browser has received the last update."""
-        feed, figures = self._feed, self._figures
+        feed = self._feed
         self._document.title = f"{state_and_remedy(feed)[0].replace('_', ' ')}: {feed.bench.name}"
         self._banner.text = banner_html(feed)
+        if feed.event_count != self._shown_events:
+            self._shown_events = feed.event_count
+            self._events.text = events_html(feed.events)
+        if not self._zoomed:
+            self._update_figures()
+
+    def _zoom(self, *, zoomed: bool) -> None:
+        """Keep the curves as they are while a viewer looks at a part of them."""
+        self._zoomed = zoomed
+        self._figures.force_title.text = STANDING if zoomed else ""
+
+    def _update_figures(self) -> None:
+        feed, figures = self._feed, self._figures
         over_time = feed.curves.over_time
         if over_time.total > self._shown_over_time:
             new = over_time.since(self._shown_over_time)
@@ -73,9 +89,6 @@ class Viewer:
             figures.loop.stream({**new}, rollover=loop.capacity)
             fit_range(figures.loop_range, loop.since(0)["force_N"])
             figures.now.data = {name: values[-1:] for name, values in new.items()}
-        if feed.event_count != self._shown_events:
-            self._shown_events = feed.event_count
-            self._events.text = events_html(feed.events)
         if time.monotonic() - self._histograms_s >= HISTOGRAMS_EVERY_s:
             self._histograms_s = time.monotonic()
             self._update_histograms()
@@ -99,7 +112,7 @@ def add_command_buttons(document: Document, token: str, command: Command) -> Non
         Sends a command and returns its result as text; never raises.
     """
     typed = PasswordInput(placeholder="token", width=180)
-    result = Div(text="Commands need the token.", sizing_mode="stretch_width")
+    result = Div(text="Commands need the token.", sizing_mode="stretch_width", stylesheets=[INK_CSS])
     wait_until_s = 0.0
 
     def press(name: str) -> None:
