@@ -44,7 +44,7 @@ def main() -> None:
 
 def live(browser, folder: Path) -> None:
     """The live page of a running bench, on a desktop and on a telephone. The run is recorded for `run`."""
-    with _running(folder) as (bench, _), _watch(bench) as address:
+    with running(folder) as (bench, _), watch(bench) as address:
         time.sleep(RUN_S)
         for viewport, name in (("desktop", "live"), ("telephone", "live-telephone")):
             page = _open(browser, address, viewport)
@@ -56,23 +56,31 @@ def live(browser, folder: Path) -> None:
 def run(browser, folder: Path) -> None:
     """The page of a run."""
     if not (folder / "recordings").is_dir():
-        with _running(folder):
+        with running(folder):
             time.sleep(RUN_S)
+    _save_picture(_open(browser, run_page(folder).as_uri()), "run")
+
+
+def run_page(folder: Path) -> Path:
+    """The page of the last run in `folder/recordings`."""
     recording = max((folder / "recordings").glob("*.sqlite"))
     _piezod("report", recording, "-o", folder / "run.html")
-    _save_picture(_open(browser, (folder / "run.html").as_uri()), "run")
+    return folder / "run.html"
 
 
 def commission(browser, folder: Path) -> None:
     """The pages of identification and validation, from one commissioning."""
-    _commissioned(folder)
-    identified = folder / "seed" / "varying-triangles" / "identification.html"
-    _save_picture(_open(browser, identified.as_uri()), "identification")
-    _save_picture(_open(browser, (folder / "seed" / "validation.html").as_uri()), "validation")
+    for page in commissioned(folder):
+        _save_picture(_open(browser, page.as_uri()), page.stem)
 
 
 def diagnosis(browser, folder: Path) -> None:
     """The page of a diagnosis. The bench has a lag and a creep that its model lacks."""
+    _save_picture(_open(browser, diagnosed(folder).as_uri()), "diagnosis")
+
+
+def diagnosed(folder: Path) -> Path:
+    """Diagnose a bench with a lag and a creep that its model lacks: `folder/diagnosis` from `folder/work.csv`."""
     content = yaml.safe_load(EMULATOR.read_text(encoding="utf-8")) | {"effects": LAG_AND_CREEP}
     changed = folder / "changed.yaml"
     changed.write_text(yaml.safe_dump(content), encoding="utf-8")
@@ -81,14 +89,14 @@ def diagnosis(browser, folder: Path) -> None:
         bench = bench_file(folder, serves, rate_Hz=200, limits=LONG_LIMITS)
         _piezod("record", bench, "--excitation", "staircase-minor-loops-multisine", "-o", work)
     _piezod("diagnose", work, "--model", ROOT / "config" / "model.yaml", "-o", folder / "diagnosis")
-    _save_picture(_open(browser, (folder / "diagnosis" / "report.html").as_uri()), "diagnosis")
+    return folder / "diagnosis" / "report.html"
 
 
 PICTURES = {"live": live, "run": run, "commission": commission, "diagnosis": diagnosis}
 
 
 @contextlib.contextmanager
-def _running(folder: Path) -> Iterator[tuple[Path, object]]:
+def running(folder: Path) -> Iterator[tuple[Path, object]]:
     """Run a daemon that follows triangles and records them; yields its bench file and the daemon."""
     with emulator("--port", "0") as serves:
         bench = bench_file(
@@ -108,7 +116,7 @@ def _running(folder: Path) -> Iterator[tuple[Path, object]]:
 
 
 @contextlib.contextmanager
-def _watch(bench: Path) -> Iterator[str]:
+def watch(bench: Path) -> Iterator[str]:
     """Serve the live page; yields its address."""
     command = [sys.executable, "-m", "piezod", "watch", str(bench), "--port", "0"]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
@@ -120,13 +128,24 @@ def _watch(bench: Path) -> Iterator[str]:
         process.wait()
 
 
-def _commissioned(folder: Path) -> None:
-    if not (folder / "seed" / "validation.html").exists():
-        _piezod("commission", "--emulated", "seed_bench", "-o", folder / "seed")
+def commissioned(folder: Path) -> tuple[Path, Path]:
+    """The pages of an identification and of the validation, from one commissioning."""
+    _piezod("commission", "--emulated", "seed_bench", "-o", folder / "seed")
+    return folder / "seed" / "varying-triangles" / "identification.html", folder / "seed" / "validation.html"
+
+
+def compared(folder: Path) -> tuple[Path, Path]:
+    """The pages of a comparison of three models and of a residual test, after `diagnosed`."""
+    models = folder / "diagnosis" / "model.yaml", ROOT / "config" / "model.yaml", folder / "few.yaml"
+    _piezod("identify", folder / "work.csv", "--plays", "2", "--dead-zones", "1", "-o", models[2])
+    given = [option for model in models for option in ("--model", model)]
+    _piezod("compare", folder / "work.csv", *given, "--report", folder / "comparison.html")
+    _piezod("resid", folder / "work.csv", "--model", models[1], "--report", folder / "residual.html")
+    return folder / "comparison.html", folder / "residual.html"
 
 
 def _piezod(*arguments: object) -> None:
-    subprocess.run([sys.executable, "-m", "piezod", *map(str, arguments)], check=True)
+    subprocess.run([sys.executable, "-m", "piezod", *map(str, arguments)], check=True, stdout=subprocess.DEVNULL)
 
 
 def _open(browser, address: str, viewport: str = "desktop"):

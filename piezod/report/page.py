@@ -85,7 +85,7 @@ def write_page(path: Path, title: str, parts: Sequence[Part]) -> None:
     title
         Title of the browser window.
     parts
-        HTML and rows of figures, from top to bottom.
+        HTML and rows of figures, from top to bottom; more than two figures stand in rows of three.
 
     Raises
     ------
@@ -101,7 +101,8 @@ def write_page(path: Path, title: str, parts: Sequence[Part]) -> None:
         names = [f"figure_{number}_{column}" for column in range(len(part))]
         figures |= dict(zip(names, part, strict=True))
         inside = "".join(f"<figure>{placeholder(name)}</figure>" for name in names)
-        body.append(f"<div class='{'pair' if len(names) > 1 else 'alone'}'>{inside}</div>")
+        columns = {1: "alone", 2: "pair"}.get(len(names), "three")
+        body.append(f"<div class='{columns}'>{inside}</div>")
     try:
         folder = write_figure_data(path, figures)
     except OSError as error:

@@ -103,9 +103,15 @@ def compare_files(
 
 
 def _names(paths: Sequence[Path]) -> dict[Path, str]:
-    """Names of the files without suffix; whole paths of files that share a name."""
-    stems = [path.stem for path in paths]
-    return {path: path.stem if stems.count(path.stem) == 1 else str(path) for path in paths}
+    """Names of the files without suffix, with as many folders as are needed to tell them from each other."""
+    parts = {path: path.resolve().with_suffix("").parts for path in paths}
+    deepest = max(map(len, parts.values()))
+    names = {}
+    for path in paths:
+        ends = (sum(other[-count:] == parts[path][-count:] for other in parts.values()) for count in range(1, deepest))
+        count = next((count for count, same in enumerate(ends, 1) if same == 1), deepest)
+        names[path] = "/".join(parts[path][-count:])
+    return names
 
 
 def _recorded(path: Path, recording: Recording, y: Array, name: str, label: str) -> SimulatedOutput:

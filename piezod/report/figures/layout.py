@@ -50,18 +50,15 @@ def apply_layout(plot: figure, **legend: Any) -> figure:  # noqa: ANN401
     return plot
 
 
-def finish_figure(plot: figure, *, vertical_legend: bool = False) -> figure:
+def finish_figure(plot: figure) -> figure:
     """Add layout, few ticks and a tooltip to a figure of a report, and return it.
 
     Parameters
     ----------
     plot
         The figure with all its curves.
-    vertical_legend
-        Whether the legend has one entry a line, for long names.
     """
-    orientation, spacing = ("vertical", 0) if vertical_legend else ("horizontal", 8)
-    apply_layout(plot, orientation=orientation, spacing=spacing, glyph_height=14, label_height=14)
+    apply_layout(plot, spacing=8, glyph_height=14, label_height=14)
     if not isinstance(plot.xaxis[0].ticker, LogTicker):
         plot.xaxis.ticker = BasicTicker(desired_num_ticks=MOST_TICKS)
     plot.min_border_left = AXIS_WIDTH

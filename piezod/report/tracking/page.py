@@ -41,45 +41,21 @@ def write_tracking_page(
     for reference in dict.fromkeys(key[0] for key in recordings):
         by_compensation = {key[1]: recording for key, recording in recordings.items() if key[0] == reference}
         parts.append(f"<h2>{html.escape(reference)}</h2>")
-        parts.append([_over_time(by_compensation), force_over_reference(by_compensation, COLOURS, LABELS)])
+        parts.append([_over_time(by_compensation), _force_over_reference(by_compensation)])
         parts.append([_error_over_time(by_compensation)])
     write_page(path, title, parts)
 
 
-def force_over_reference(
-    recordings: Mapping[str, Recording],
-    colours: Mapping[str, str],
-    labels: Mapping[str, str],
-    *,
-    vertical_legend: bool = False,
-) -> figure:
-    """Force over reference, one curve for each compensation.
-
-    Parameters
-    ----------
-    recordings
-        Recordings with `reference_N` and `force_N` [N], by name of the compensation.
-    colours
-        Colour of each curve, by the same names.
-    labels
-        Entry in the legend, by the same names.
-    vertical_legend
-        Whether the legend is one column.
-
-    Raises
-    ------
-    RecordingError
-        A recording lacks one of the two channels.
-    """
+def _force_over_reference(recordings: Mapping[str, Recording]) -> figure:
     plot = figure(title="Force over reference", x_axis_label="reference [N]", y_axis_label="force [N]", height=320)
     for name, recording in recordings.items():
         plot.line(
             decimated(recording.channel("reference_N")),
             decimated(recording.channel("force_N")),
-            color=colours[name],
-            legend_label=labels[name],
+            color=COLOURS[name],
+            legend_label=LABELS[name],
         )
-    return finish_figure(plot, vertical_legend=vertical_legend)
+    return finish_figure(plot)
 
 
 def _over_time(recordings: Mapping[str, Recording]) -> figure:

@@ -1,13 +1,15 @@
 """Output of a validation: a table, a page, and a sentence that names the model with the least hysteresis."""
 
 import html
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
+from bokeh.models import Range1d
 from bokeh.plotting import figure
+from numpy.typing import NDArray
 
 from piezod.identify.scores import max_hysteresis_percent
 from piezod.recording import Recording
@@ -15,8 +17,9 @@ from piezod.report.figures.layout import decimated, finish_figure
 from piezod.report.page import Part, head_html, table_html, write_page
 from piezod.report.style import BLUE, GREEN, GREY, ORANGE, RED
 from piezod.report.text_table import column_widths, text_table
-from piezod.report.tracking.page import force_over_reference
 from piezod.report.tracking.tracking_errors import FigureKey, SessionOutcome, TrackingFigures, tracking_figures
+
+Array = NDArray[np.float64]
 
 MODEL_COLOURS = (BLUE, GREEN, RED, GREY)
 
@@ -188,7 +191,7 @@ def validation_text(verdict: ValidationVerdict) -> str:
 
 
 def write_validation_page(path: Path, verdict: ValidationVerdict, recordings: dict[FigureKey, Recording]) -> None:
-    """Write the page: verdict, table, and for each reference the force and the error over the reference.
+    """Write the page: verdict, table, and for each reference the error and the force over the reference.
 
     Parameters
     ----------
@@ -217,14 +220,54 @@ def write_validation_page(path: Path, verdict: ValidationVerdict, recordings: di
         name: ORANGE if number == 0 else MODEL_COLOURS[(number - 1) % len(MODEL_COLOURS)]
         for number, name in enumerate(verdict.compensations)
     }
-    labels = {name: name for name in verdict.compensations}
-    for reference in verdict.references:
-        runs = {key[1]: recording for key, recording in recordings.items() if key[0] == reference}
+    runs = {
+        reference: {key[1]: recording for key, recording in recordings.items() if key[0] == reference}
+        for reference in dict.fromkeys(key[0] for key in recordings)
+    }
+    if runs:
+        shown.append(_legend(colours))
+    for heading, label, drawn in (
+        ("Error over reference", "error [N]", _error_N),
+        ("Force over reference", "force [N]", _force_N),
+    ):
         if runs:
-            shown.append(f"<h2>{html.escape(reference)}</h2>")
-            force = force_over_reference(runs, colours, labels, vertical_legend=True)
-            shown.append([force, _error_over_reference(runs, colours)])
+            shown += [f"<h2>{heading}</h2>", _small_multiples(runs, colours, label, drawn)]
     write_page(path, title, shown)
+
+
+def _legend(colours: Mapping[str, str]) -> str:
+    entries = (
+        f"<span style='color:{colour}'>\N{BLACK SQUARE}</span> {html.escape(name)}" for name, colour in colours.items()
+    )
+    return f"<p>{' &emsp; '.join(entries)}</p>"
+
+
+def _error_N(recording: Recording) -> Array:
+    return recording.channel("force_N") - recording.channel("reference_N")
+
+
+def _force_N(recording: Recording) -> Array:
+    return recording.channel("force_N")
+
+
+def _small_multiples(
+    runs: Mapping[str, Mapping[str, Recording]],
+    colours: Mapping[str, str],
+    label: str,
+    drawn: Callable[[Recording], Array],
+) -> list[figure]:
+    """One small figure for each reference; all have the same scale."""
+    values = [drawn(recording) for by_name in runs.values() for recording in by_name.values()]
+    low, high = min(float(np.nanmin(one)) for one in values), max(float(np.nanmax(one)) for one in values)
+    margin = 0.05 * (high - low)
+    shared = Range1d(start=low - margin, end=high + margin)
+    plots = []
+    for reference, by_name in runs.items():
+        plot = figure(title=reference, x_axis_label="reference [N]", y_axis_label=label, height=230, y_range=shared)
+        for name, recording in by_name.items():
+            plot.line(decimated(recording.channel("reference_N")), decimated(drawn(recording)), color=colours[name])
+        plots.append(finish_figure(plot))
+    return plots
 
 
 def _range_sentence(verdict: ValidationVerdict) -> str:
@@ -258,12 +301,3 @@ def _cells(errors: TrackingFigures | None) -> tuple[str, str, str]:
         f"{errors.rms_error_N:.2f} ({errors.rms_error_percent:.2f})",
         f"{errors.max_error_N:.2f} ({errors.max_error_percent:.2f})",
     )
-
-
-def _error_over_reference(recordings: dict[str, Recording], colours: dict[str, str]) -> figure:
-    plot = figure(title="Error over reference", x_axis_label="reference [N]", y_axis_label="error [N]", height=320)
-    for name, recording in recordings.items():
-        reference = recording.channel("reference_N")
-        error = recording.channel("force_N") - reference
-        plot.line(decimated(reference), decimated(error), color=colours[name], legend_label=name)
-    return finish_figure(plot, vertical_legend=True)

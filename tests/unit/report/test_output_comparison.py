@@ -31,13 +31,17 @@ def test_the_fit_is_that_of_matlabs_compare(files):
     assert json.loads(json.dumps(comparison_as_dict(result)))["compared"][1]["name"] == "model"
 
 
-def test_two_files_of_the_same_name_are_named_by_their_paths(files, tmp_path):
+def test_two_files_of_the_same_name_are_named_with_their_folders(files, tmp_path):
     measured, simulated, _, _ = files
     twin = tmp_path / "twin" / simulated.name
     twin.parent.mkdir()
     twin.write_bytes(simulated.read_bytes())
     result = compare_files(measured, [simulated, twin], [MODEL], None, 1.0)
-    assert [output.name for output in result.simulated] == [str(simulated), str(twin), "model"]
+    assert [output.name for output in result.simulated] == [
+        f"{tmp_path.name}/{simulated.stem}",
+        f"twin/{simulated.stem}",
+        "model",
+    ]
 
 
 def test_outputs_that_differ_are_not_compared(files):
