@@ -19,7 +19,8 @@ from piezod.control import TableReference, check_safeguards, make_reference
 from piezod.daemon.preview import missing_preview
 from piezod.effects import EFFECTS
 from piezod.errors import PiezodError
-from piezod.model import Model, Plant, acting_effects, load_model
+from piezod.model import ExtendedCompensator, Model, Plant, acting_effects, load_model
+from piezod.model.unnamed_law import NAME as UNNAMED
 from piezod.session.assembly import check_effects, check_units, check_wire
 from piezod.transport import Reading
 
@@ -108,7 +109,11 @@ def check_model_effects(bench: BenchConfig, model: Model, path: Path) -> Iterato
         ]
         if names:
             yield Check("effects", "OK", f"{', '.join(names)}: {handling}")
+    if model.unnamed_law is not None:
+        yield _law_check(bench, model)
     for name in bench.compensation_without:
+        if name == UNNAMED and model.unnamed_law is not None:
+            continue
         if name not in acting:
             yield Check(
                 "effects", "WARN", f"{name}: left out, but the model has none", "compensation_without: remove it"
@@ -116,6 +121,16 @@ def check_model_effects(bench: BenchConfig, model: Model, path: Path) -> Iterato
         else:
             found = f"{name}: not compensated, because of compensation_without"
             yield Check("effects", "WARN", found, EFFECTS[name].why)
+
+
+def _law_check(bench: BenchConfig, model: Model) -> Check:
+    """Check what becomes of the unnamed law."""
+    if UNNAMED in bench.compensation_without:
+        return Check("effects", "WARN", "unnamed law: not compensated, because of compensation_without")
+    if ExtendedCompensator(model, bench.dt_s, bench.compensation_without).compensates_law:
+        return Check("effects", "OK", "unnamed law: compensated")
+    found = "unnamed law: not compensated, it changes more within a tick than the force"
+    return Check("effects", "WARN", found, f"compensation_without: [{UNNAMED}] says that this is known")
 
 
 def _force_range(bench: BenchConfig, model: Model) -> Check:

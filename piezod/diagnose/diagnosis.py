@@ -10,7 +10,7 @@ from threadpoolctl import threadpool_limits
 from piezod.diagnose.acceptance import counted, weighed
 from piezod.diagnose.evidence import all_terms, finding_of, read_off, tone_finding
 from piezod.diagnose.extended import extended_model
-from piezod.diagnose.findings import Finding, Findings, Place, above_noise, gap_closed
+from piezod.diagnose.findings import Finding, Findings, Place, Unnamed, above_noise, gap_closed
 from piezod.diagnose.fit import Normal, fit
 from piezod.diagnose.guard import explainable
 from piezod.diagnose.locate import locate
@@ -28,6 +28,7 @@ from piezod.diagnose.significance import with_shares
 from piezod.diagnose.stated_hold import as_told
 from piezod.diagnose.testable import untestable
 from piezod.diagnose.tones import with_tones
+from piezod.diagnose.unnamed import fit_unnamed
 from piezod.diagnose.verdict import (
     held_out_rms,
     less_sure,
@@ -35,6 +36,7 @@ from piezod.diagnose.verdict import (
     noise_floor,
     remaining,
     rms_of,
+    share_left,
     span_of,
     verdict_of,
     words_of,
@@ -44,6 +46,7 @@ from piezod.effects import EFFECTS
 from piezod.errors import ModelError
 from piezod.identify.scores import nrmse_percent
 from piezod.model import Model
+from piezod.model.unnamed_law import LawStep
 
 Array = NDArray[np.float64]
 
@@ -73,6 +76,8 @@ class Diagnosis:
         Simulated readings of every recording, the given model's and the extended one's.
     attempts
         Hypotheses that were compared.
+    without_law
+        The same without its unnamed law; None where there is none.
     """
 
     findings: Findings
@@ -81,6 +86,7 @@ class Diagnosis:
     base: list[Array]
     extended: list[Array]
     attempts: Sequence[Attempt] = ()
+    without_law: "Diagnosis | None" = None
 
 
 def diagnose(
@@ -134,7 +140,47 @@ def _diagnosed(
         said += _not_believed(diagnosis.findings, doubtful)
         result = rising(_without(result, doubtful))
         diagnosis = asked_for.judged(result)
+    if diagnosis.findings.verdict in ("unexplained", "partly_explained"):
+        progress("looking for a law without a name", 0.97)
+        diagnosis = with_unnamed(diagnosis, stand_ins=int(not past))
     return diagnosis
+
+
+def with_unnamed(diagnosis: Diagnosis, *, stand_ins: int) -> Diagnosis:
+    """The diagnosis with an unnamed law for what is left, if one predicts; the verdict stays.
+
+    Parameters
+    ----------
+    diagnosis
+        With its effects.
+    stand_ins
+        How many series stand for recordings that are gone: they say nothing about the law.
+    """
+    findings, model = diagnosis.findings, diagnosis.model
+    modelled = diagnosis.extended if model.effects else diagnosis.base
+    fitted = fit_unnamed(diagnosis.series[stand_ins:], modelled[stand_ins:], findings.floor)
+    if fitted is None:
+        return diagnosis
+    extended = [
+        readings + LawStep(fitted.law, one.dt_s).run(one.command_V, readings)
+        for one, readings in zip(diagnosis.series, modelled, strict=True)
+    ]
+    residuals = [one.reading_N - readings for one, readings in zip(diagnosis.series, extended, strict=True)]
+    left = explainable(diagnosis.series, residuals, extended)
+    moving = motion(diagnosis.series, residuals, extended)
+    drivers = tuple(axis.driver for axis in fitted.law.drivers)
+    law = Unnamed(drivers, fitted.memories_s, fitted.already, fitted.before, fitted.after, fitted.p)
+    findings = replace(
+        findings,
+        law=law,
+        after=fitted.after,
+        refitted=None,
+        explainable=share_left(left, moving),
+        nrmse_after=_nrmse_percent(diagnosis.series, extended),
+    )
+    findings = replace(findings, words=words_of(findings, Wording(model.input.unit, model.output.unit)))
+    extended_model = model.model_copy(update={"unnamed_law": fitted.law})
+    return replace(diagnosis, findings=findings, model=extended_model, extended=extended, without_law=diagnosis)
 
 
 def rising(result: Search) -> Search:

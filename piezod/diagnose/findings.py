@@ -164,6 +164,42 @@ class HeldOut:
 
 
 @dataclass(frozen=True)
+class Unnamed:
+    """An unnamed law: what it depends on, and what it is worth.
+
+    Parameters
+    ----------
+    drivers
+        One or two of `piezod.model.unnamed_law.DRIVERS`.
+    memories_s
+        Shortest and longest memory that matters [s]; empty: none does.
+    already
+        Whether it holds in the recordings of the identification too.
+    before, after
+        Root mean square error on data left out, without it and with it [output unit].
+    p
+        Probability that a useless law gains as much, over all candidates.
+    """
+
+    drivers: tuple[str, ...]
+    memories_s: tuple[float, ...]
+    already: bool
+    before: float
+    after: float
+    p: float
+
+    def as_dict(self, unit: str) -> dict[str, Any]:
+        """For JSON."""
+        return {
+            "drivers": list(self.drivers),
+            "memories_s": list(self.memories_s),
+            "scope": "already" if self.already else "since",
+            "held_out": {"before": self.before, "after": self.after, "unit": unit},
+            "p_value": self.p,
+        }
+
+
+@dataclass(frozen=True)
 class Findings:
     """The whole verdict.
 
@@ -182,8 +218,8 @@ class Findings:
     effects
         What was found, the largest first.
     before, after
-        Root mean square error of given and extended model on data left out [output unit]; equal where nothing was
-        found, as the given model stays then.
+        Root mean square error of given and extended model on data left out [output unit]; equal where neither an
+        effect nor an unnamed law was found, as the given model stays then.
     nrmse_before, nrmse_after
         Fit as MATLAB's `compare` defines it [%].
     explainable
@@ -196,6 +232,8 @@ class Findings:
         Widest range of readings of a recording asked about [output unit].
     refitted
         Where nothing was found: the same error of the given model with its hysteresis refitted to the recordings.
+    law
+        Law without a name that is in the extended model; None: there is none. `after` is then the error with it.
     held_out
         Recordings that nothing was fitted to.
     recordings
@@ -218,6 +256,7 @@ class Findings:
     not_testable: tuple[str, ...] = ()
     span: float = 0.0
     refitted: float | None = None
+    law: Unnamed | None = None
     held_out: tuple[HeldOut, ...] = ()
     recordings: tuple[dict[str, Any], ...] = field(default_factory=tuple)
 
@@ -258,6 +297,7 @@ class Findings:
                 "nrmse_percent": {"before": self.nrmse_before, "after": self.nrmse_after},
             },
             "unexplained": {"explainable_share": self.explainable},
+            "unnamed_law": None if self.law is None else self.law.as_dict(self.unit),
             "not_testable": list(self.not_testable),
             "notes": list(self.notes),
             "recordings": list(self.recordings),

@@ -65,7 +65,7 @@ def p_value(result: Search, name: str) -> float:
                 known[parity::2] = False
                 gains += np.log(before[known] / after[known]).tolist()
     chain.forget()
-    return _by_signs(np.array(gains))
+    return by_signs(np.array(gains))
 
 
 def with_shares(findings: Sequence[Finding]) -> list[Finding]:
@@ -113,8 +113,14 @@ def _losses(chain: Chain, number: int, terms: Sequence[Term], point: Point) -> A
     return np.array([residual[one] @ residual[one] / max(float(weights[one] @ weights[one]), 1e-300) for one in edges])
 
 
-def _by_signs(gains: Array) -> float:
-    """One-sided test of the mean against random signs; one block weighs no more than some of the others."""
+def by_signs(gains: Array) -> float:
+    """Probability that the sum of gains is as large with random signs.
+
+    Parameters
+    ----------
+    gains
+        Of every block, shape (B,); a block weighs no more than some of the others.
+    """
     if gains.size < 2:
         return 1.0
     most = MOST_OF_A_BLOCK * float(np.median(np.abs(gains)))

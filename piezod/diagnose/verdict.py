@@ -14,7 +14,7 @@ from piezod.diagnose.remainder import Motion
 from piezod.diagnose.search_state import Search
 from piezod.diagnose.series import Series
 from piezod.diagnose.tones import Tone
-from piezod.diagnose.words import Wording, effect_words
+from piezod.diagnose.words import Wording, effect_words, law_words
 
 Array = NDArray[np.float64]
 
@@ -95,11 +95,16 @@ def less_sure(one: Finding, share: float, closed: float) -> Finding:
     return replace(one, confidence=one.confidence * alone * (PARTLY * closed if closed < 1.0 else 1.0))
 
 
-def remaining(result: Search, left: Guard, moving: Motion) -> tuple[float, float]:
-    """Share of what is left that something could still explain, and how much of all that could be explained was."""
+def share_left(left: Guard, moving: Motion) -> float:
+    """Share of what is left that something could still explain."""
     local = left.local_share if left.local_p < SURE else 0.0
     by_level = moving.level_share if moving.level_share > BY_LEVEL else 0.0
-    share = min(max(left.share if left.p < SURE else 0.0, moving.share, by_level, local), 1.0)
+    return min(max(left.share if left.p < SURE else 0.0, moving.share, by_level, local), 1.0)
+
+
+def remaining(result: Search, left: Guard, moving: Motion) -> tuple[float, float]:
+    """Share of what is left that something could still explain, and how much of all that could be explained was."""
+    share = share_left(left, moving)
     before, after = (held_out_rms(result.chain, one) ** 2 for one in (result.base, result.found))
     before += power_of(result.chain, result.tones_asked_about)
     explainable_N2 = before - (1.0 - share) * after
@@ -145,6 +150,8 @@ def words_of(findings: Findings, wording: Wording) -> str:
         again = f", {findings.refitted:.3g} {unit} once refitted" if findings.refitted < findings.before else ""
         fell = f"held-out error {findings.before:.3g} {unit}{again}"
     fell += f", noise {findings.floor:.3g} {unit}"
+    if findings.law is not None:
+        fell += f", with {law_words(findings.law)}"
     opening = {
         "matches": "The model matches the recordings",
         "explained": "; ".join(parts),

@@ -4,7 +4,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
-from piezod.diagnose.findings import Finding, Place, Value
+from piezod.diagnose.findings import Finding, Place, Unnamed, Value
 from piezod.effects import EFFECTS
 
 AXES = {
@@ -16,6 +16,15 @@ AXES = {
     "amplitude_V": ("way since the last reversal", "V"),
     "history_s": ("memory", "s"),
     "temperature_C": ("temperature", "°C"),
+}
+DRIVERS = {
+    "command": "the command",
+    "rate": "its rate",
+    "direction": "its direction",
+    "way": "the way since its last reversal",
+    "stroke": "its last stroke",
+    "reading": "the expected reading",
+    "reading_rate": "the rate of the expected reading",
 }
 LOGARITHMIC = {"frequency_Hz", "history_s"}
 MILLI = {"s": "ms"}  # units that are said in thousandths below SMALL
@@ -142,6 +151,17 @@ def effect_words(finding: Finding, wording: Wording = VOLTS) -> str:
         number = f"{middle} {label}" if label.startswith(PER) else f"{label} {middle}"
         said += f", {number}" + (f" ({interval})" if interval else "")
     return said + (f", seen at {place_words(finding.where[0], wording)}" if finding.where else "")
+
+
+def law_words(law: Unnamed) -> str:
+    """An unnamed law with what it depends on: a part of the verdict's sentence."""
+    drivers = listed([DRIVERS[name] for name in law.drivers])
+    if not law.memories_s:
+        memory = "without memory"
+    else:
+        low, high = law.memories_s
+        memory = f"memory {rounded(low)} s" if low == high else f"memory {rounded(low)} to {rounded(high)} s"
+    return f"an unnamed law of {drivers}, {memory}"
 
 
 def listed(words: Sequence[str], last: str = "and") -> str:

@@ -119,7 +119,7 @@ def make_compensator(kind: str, model: Model, dt_s: float, without: Collection[s
     if kind == "gain":
         return GainCompensator(model)
     if kind == "inverse":
-        if acting_effects(model, without):
+        if acting_effects(model, without) or model.unnamed_law is not None:
             return ExtendedCompensator(model, dt_s, without)
         return InverseCompensator(model)
     raise ValueError(f"compensation is {kind!r}, must be 'inverse' or 'gain'")

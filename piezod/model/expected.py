@@ -19,19 +19,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piezod.effects import EFFECTS
-from piezod.effects.contact_gap import contact_step
 from piezod.effects.feedthrough import coupling_step
 from piezod.effects.kernels import first_order_step
-from piezod.effects.output_nonlinearity import law_step
-from piezod.model.chain_array import CONSTANT, FIRST_ELEMENT, STATE
+from piezod.model.chain_array import STATE
 from piezod.model.compensated import acting_effects
 from piezod.model.extended_compensator import ExtendedCompensator
-from piezod.model.inverse_chain import commit_chain_step
+from piezod.model.inverse_chain import commit_chain_step, force_of
 from piezod.model.load_cell import CELL, CELL_STATE, LOW_PASS, RESONANCE, filter_matrices, hum_waves, load_cell_array
 from piezod.model.parameters import Model
-from piezod.operators.dead_zone import dead_zone_step
-from piezod.operators.play import play_value
-from piezod.operators.prandtl_ishlinskii import HEADER
+from piezod.model.unnamed_law import LawStep
 
 Array = NDArray[np.float64]
 
@@ -47,24 +43,6 @@ def _second_order(cell: Array, matrices: Array, y: int, before: float, now: floa
     cell[y + 1] = matrices[2] * y0 + matrices[3] * y1 + matrices[5] * before + matrices[7] * now
     result: float = cell[y]
     return result
-
-
-@numba.njit(cache=True)
-def _force(packed: Array, chain: Array, zones: Array) -> float:
-    """Force before the resonance at the end of the tick committed last [N]."""
-    stroke_V = play_value(packed, HEADER, int(packed[0]))
-    count = (chain.size - FIRST_ELEMENT) // 4
-    for j in range(FIRST_ELEMENT, FIRST_ELEMENT + count):
-        stroke_V += chain[j + 2 * count] * chain[j + 3 * count]
-    force: float = dead_zone_step(zones, 0, zones.size // 2, chain[CONSTANT.gain] * stroke_V) + packed[2]
-    span = chain[CONSTANT.law_span_N]
-    if span > 0.0:
-        square, cube = chain[CONSTANT.law_square], chain[CONSTANT.law_cube]
-        force = span * law_step(force / span, square, cube, chain[CONSTANT.law_low], chain[CONSTANT.law_high])
-    if chain[CONSTANT.gap_N] > 0.0:
-        force = contact_step(force, chain[CONSTANT.gap_N], chain[CONSTANT.gap_softness_N])
-    force += chain[STATE.thermal_N]
-    return force
 
 
 @numba.njit(cache=True)
@@ -141,11 +119,11 @@ def _run(
 ) -> None:
     """Advance by one tick per voltage; each reading belongs to the end of its tick."""
     if cell[CELL_STATE.tick] == 0.0:
-        _start(cell, history, _force(packed, chain, zones))
+        _start(cell, history, force_of(packed, chain, zones))
     for k in range(voltage_V.size):
         before_V, before = chain[STATE.applied_V], cell[CELL_STATE.force_N]
         commit_chain_step(packed, chain, voltage_V[k])
-        force, driving = _force(packed, chain, zones), cell[CELL_STATE.driving_force_N]
+        force, driving = force_of(packed, chain, zones), cell[CELL_STATE.driving_force_N]
         cell[CELL_STATE.driving_force_N] = force
         if cell[CELL.resonates] > 0.0:
             force = _second_order(cell, matrices[RESONANCE], CELL_STATE.force_N, driving, force)
@@ -195,10 +173,13 @@ class ExpectedReading:
         self._history = np.zeros(math.ceil(self._cell[CELL.delay_ticks]) + 2)
         self._turn = 2.0 * math.pi * hum.get("frequency_Hz", 0.0) * dt_s
         self._gain = dt_s / HUM_TIME_CONSTANT_S
+        self._law = None if model.unnamed_law is None else LawStep(model.unnamed_law, dt_s)
 
     def reset(self) -> None:
         """Return to the model's start state at rest; the estimate of the hum stays."""
         self._chain.reset()
+        if self._law is not None:
+            self._law.reset()
         self._cell[len(CELL) :] = 0.0
         self._cell[CELL_STATE.last_reading_N] = math.nan
 
@@ -230,4 +211,6 @@ class ExpectedReading:
             expected,
             corrected,
         )
+        if self._law is not None:
+            expected += self._law.run(np.ascontiguousarray(voltage_V, dtype=np.float64), expected)
         return expected, corrected

@@ -12,6 +12,7 @@ from piezod.effects.kernels import second_order_matrices
 from piezod.model.chain_array import STATE, chain_array
 from piezod.model.compensated import ActingEffects, acting_effects, refuse_uncompensated
 from piezod.model.inverse_chain import commit_chain_step, plan_chain_step, start_chain
+from piezod.model.law_inverse import law_inverse
 from piezod.model.parameters import Model
 from piezod.operators import ImplicitInverse
 from piezod.operators.compiled_cache import OPERATORS, forget_outdated_steps
@@ -64,6 +65,7 @@ class ExtendedCompensator:
         self._temperature_gain = -math.expm1(-dt_s / lag_s) if lag_s > 0.0 else 1.0
         self._first_C = self._temperature_C = math.nan
         self.dt_s = dt_s
+        self._law = law_inverse(model, dt_s, self._packed, self._chain, without)
         start_chain(self._packed, self._chain)
 
     def reset(self) -> None:
@@ -71,14 +73,21 @@ class ExtendedCompensator:
         self._packed[:] = ImplicitInverse(self._model.operator()).packed
         start_chain(self._packed, self._chain)
         self._first_C = self._temperature_C = math.nan
+        if self._law is not None:
+            self._law.reset()
 
     def plan(self, reference: float) -> float:
         """Voltage [V] for the force `reference` [N] at the end of the tick; changes no state."""
+        if self._law is not None:
+            return self._law.plan(reference)
         return plan_chain_step(self._packed, self._chain, reference)
 
     def commit(self, voltage_V: float) -> None:
         """Advance every state with the voltage `voltage_V` [V] that was written."""
-        commit_chain_step(self._packed, self._chain, voltage_V)
+        if self._law is not None:
+            self._law.commit(voltage_V)
+        else:
+            commit_chain_step(self._packed, self._chain, voltage_V)
 
     def update_temperature(self, temperature_C: float) -> None:
         """Update the thermal drift with a temperature [degC]; an invalid temperature is ignored."""
@@ -88,6 +97,11 @@ class ExtendedCompensator:
             return
         self._temperature_C += self._temperature_gain * (temperature_C - self._temperature_C)
         self._chain[STATE.thermal_N] = self._force_per_K * (self._temperature_C - self._first_C)
+
+    @property
+    def compensates_law(self) -> bool:
+        """Whether an unnamed law of the model is compensated."""
+        return self._law is not None
 
     @property
     def arrays(self) -> tuple[Array, Array]:

@@ -14,6 +14,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from piezod.effects.contact_gap import contact_step
 from piezod.effects.kernels import first_order_coefficients, first_order_step, time_constant_at
 from piezod.effects.output_nonlinearity import law_step
 from piezod.effects.rate_dependent_hysteresis import OFFSET, POWER, rate_step
@@ -217,3 +218,29 @@ def start_chain(packed: Array, chain: Array) -> None:
     chain[STATE.rate_V_per_s] = chain[STATE.rested_s] = chain[STATE.creep_drive_V] = chain[STATE.thermal_N] = 0.0
     count = (chain.size - FIRST_ELEMENT) // 4
     chain[FIRST_ELEMENT + 3 * count :] = 0.0
+
+
+@numba.njit(cache=True)
+def force_of(packed: Array, chain: Array, zones: Array) -> float:
+    """Force before the resonance at the end of the tick committed last [N].
+
+    Parameters
+    ----------
+    packed, chain
+        Arrays of `ExtendedCompensator`.
+    zones
+        Thresholds, then weights, of the direct dead zones.
+    """
+    stroke_V = play_value(packed, HEADER, int(packed[0]))
+    count = (chain.size - FIRST_ELEMENT) // 4
+    for j in range(FIRST_ELEMENT, FIRST_ELEMENT + count):
+        stroke_V += chain[j + 2 * count] * chain[j + 3 * count]
+    force: float = dead_zone_step(zones, 0, zones.size // 2, chain[CONSTANT.gain] * stroke_V) + packed[2]
+    span = chain[CONSTANT.law_span_N]
+    if span > 0.0:
+        square, cube = chain[CONSTANT.law_square], chain[CONSTANT.law_cube]
+        force = span * law_step(force / span, square, cube, chain[CONSTANT.law_low], chain[CONSTANT.law_high])
+    if chain[CONSTANT.gap_N] > 0.0:
+        force = contact_step(force, chain[CONSTANT.gap_N], chain[CONSTANT.gap_softness_N])
+    force += chain[STATE.thermal_N]
+    return force

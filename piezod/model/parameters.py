@@ -9,6 +9,7 @@ from pydantic import Field, model_validator
 
 from piezod.config import Section
 from piezod.effects import EFFECTS
+from piezod.model.unnamed_law import UnnamedLaw
 from piezod.operators import EPS, PrandtlIshlinskii
 from piezod.recording.hold import Hold
 
@@ -174,6 +175,7 @@ class EffectValues(Section):
 class Model(Section):
     """Content of a model file.
 
+    `unnamed_law` is what a diagnosis found without a name for it.
     `sampling` is how the command runs between two samples, and `read_after` the time from a held command to its reading
     [samples]; see `piezod.recording.hold`. `seen_s` is the duration of the recording in which the effects were found
     [s]; the slope of a creep refers to it. `sample_s` is the sample period of that recording [s].
@@ -185,6 +187,7 @@ class Model(Section):
     output: Channel
     hysteresis: Hysteresis
     effects: Annotated[tuple[EffectValues, ...], Field(strict=False)] = ()
+    unnamed_law: UnnamedLaw | None = None
     sampling: Literal["straight", "held", "held_before"] = "straight"
     read_after: Annotated[float, Field(ge=0, le=1)] = 0.0
     seen_s: Annotated[float, Field(gt=0)] | None = None

@@ -8,6 +8,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from piezod.effects import EFFECTS, Context, Effect, Location
 from piezod.model.parameters import Model
+from piezod.model.unnamed_law import LawStep
 from piezod.operators import PrandtlIshlinskii
 from piezod.recording.hold import HELD_BEFORE, STRAIGHT
 
@@ -86,7 +87,8 @@ def run_chain(
     operator
         The model's operator, in the state at the start of the recording; its state advances.
     time_s, command_V
-        Times [s] and commanded voltages [V] of the recording, shape (N,); equal steps where the model has effects.
+        Times [s] and commanded voltages [V] of the recording, shape (N,); equal steps where the model has effects or an
+        unnamed law.
     temperature_C
         Temperatures [degC], shape (N,); None where they were not recorded.
     sha256
@@ -94,6 +96,26 @@ def run_chain(
     path_V
         Voltages that led the operator to its state [V].
     """
+    readings = _with_effects(model, operator, time_s, command_V, temperature_C, sha256, path_V)
+    if model.unnamed_law is not None:
+        readings = readings + LawStep(model.unnamed_law, _spacing_s(time_s)).run(command_V, readings)
+    return readings
+
+
+def _spacing_s(time_s: Array) -> float:
+    return float(np.median(np.diff(time_s)))
+
+
+def _with_effects(
+    model: Model,
+    operator: PrandtlIshlinskii,
+    time_s: Array,
+    command_V: Array,
+    temperature_C: Array | None,
+    sha256: str | None,
+    path_V: tuple[float, ...],
+) -> Array:
+    """Readings of hysteresis and effects; parameters as for `run_chain`."""
     effects = _acting_in(model, sha256)
     if not effects and model.hold != HELD_BEFORE:
         return operator.run(command_V)
@@ -101,7 +123,7 @@ def run_chain(
         command_V = np.concatenate((command_V[:1], command_V[:-1]))
     seconds = time_s - time_s[0]
     context = Context(
-        float(np.median(np.diff(seconds))),
+        _spacing_s(seconds),
         seconds,
         command_V,
         command_V,

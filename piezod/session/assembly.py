@@ -34,6 +34,7 @@ from piezod.model import (
     refuse_uncompensated,
 )
 from piezod.model.reach import MOST_BEYOND, beyond_measured, output_reach
+from piezod.model.unnamed_law import NAME as UNNAMED
 from piezod.session.task import SegmentSpec
 from piezod.transport import (
     Link,
@@ -154,9 +155,10 @@ def check_effects(bench: BenchConfig, model: Model, path: Path) -> None:
         Names the effect, the reason and the remedy.
     """
     for name in bench.compensation_without:
-        if name not in EFFECTS:
+        if name not in (*EFFECTS, UNNAMED):
+            names = ", ".join((*EFFECTS, UNNAMED))
             raise ConfigurationError(
-                f"{path}: compensation_without is {name!r}, must be one of {', '.join(EFFECTS)}; see piezod effects"
+                f"{path}: compensation_without is {name!r}, must be one of {names}; see piezod effects"
             )
     if bench.compensation == "inverse":
         try:

@@ -19,12 +19,13 @@ from piezod.report.diagnosis import sections
 from piezod.report.diagnosis.csv_tables import csv_text, effects_csv, map_csv, places_csv
 from piezod.report.diagnosis.figures.curves import error_bars, held_out_errors, loop_figures, time_figures
 from piezod.report.diagnosis.figures.drivers import driver_figure, memory_figure
+from piezod.report.diagnosis.figures.law import law_figure
 from piezod.report.diagnosis.figures.spectrum import map_figure, power_scale, spectrum_figure
 from piezod.report.diagnosis.residual.memory import memory
 from piezod.report.diagnosis.residual.residuals import Residuals, recordings_of_places
 from piezod.report.diagnosis.residual.spectra import spectrum, time_frequency
 from piezod.report.diagnosis.residual.views import views
-from piezod.report.diagnosis.wording import headline
+from piezod.report.diagnosis.wording import headline, law_sentence
 from piezod.report.page import placeholder, write_html, write_text
 
 Array = NDArray[np.float64]
@@ -153,6 +154,7 @@ def _body(page: _Page) -> str:
         f"<h2>Residual over each driver</h2>{_drivers(page)}",
         f"<h2>Residual over time and frequency</h2>{_maps(page)}",
         f"<h2>Effects found</h2>{cards}" if cards else "",
+        _law(page),
         f"<h2>Errors before and after the diagnosis</h2>{sections.held_out_html(findings, _whole_errors(page))}",
         f"<p class='dim'>{html.escape(_HELD_OUT)}</p>",
         f"<h2>What remains unexplained</h2><div class='remains {_open(page)}'>{_remains(page)}</div>",
@@ -161,6 +163,18 @@ def _body(page: _Page) -> str:
     ]
     return "".join(parts)
 
+
+def _law(page: _Page) -> str:
+    """The unnamed law: what it depends on, and its curves."""
+    found, law = page.diagnosis.findings.law, page.diagnosis.model.unnamed_law
+    if found is None or law is None:
+        return ""
+    plot, columns = law_figure(law, page.units)
+    sentence = html.escape(law_sentence(found, page.diagnosis.findings))
+    return f"<h2>Law without a name</h2><p>{sentence}</p>{page.add('unnamed_law', [plot], columns, _LAW)}"
+
+
+_LAW = "What the law adds to the reading while its drivers keep their values, after its memories have settled."
 
 _HELD_OUT = (
     "Held-out data: blocks of the recordings that the fit did not use. The lines below give the error over each whole "

@@ -147,7 +147,7 @@ def held_out_html(findings: Findings, rows: Sequence[tuple[str, float, float]]) 
         f"given model [{unit}]",
         f"{'extended model' if findings.refitted is None else 'refitted model'} [{unit}]",
         f"noise floor [{unit}]",
-        "explained part of the error above the noise",
+        "part of the error above the noise that is gone",
     ]
     return table([*header, "fit (NRMSE)"], [first, *more])
 

@@ -4,7 +4,7 @@ from pathlib import Path
 
 from piezod.diagnose.diagnosis import Diagnosis
 from piezod.diagnose.findings import Finding
-from piezod.diagnose.words import Wording, label_of, place_words, value_words
+from piezod.diagnose.words import Wording, label_of, law_words, place_words, value_words
 from piezod.report.diagnosis.wording import SCOPES
 
 
@@ -23,6 +23,10 @@ def print_findings(diagnosis: Diagnosis, folder: Path) -> None:
     print(f"{findings.verdict.replace('_', ' ')}: {findings.words}")
     for finding in findings.effects:
         _print_effect(finding, wording)
+    if (law := findings.law) is not None:
+        scope = SCOPES["already" if law.already else "since"]
+        print(f"  {law_words(law)} (p-value {law.p:.1g}, {scope})")
+        print(f"    held-out error {law.before:.4g} -> {law.after:.4g} {wording.output}; a description and no cause")
     for held_out in findings.held_out:
         print(f"  {held_out.path}, held out: {held_out.before:.4g} -> {held_out.after:.4g} {findings.unit}")
     if findings.not_testable:

@@ -2,8 +2,8 @@
 
 from collections.abc import Sequence
 
-from piezod.diagnose.findings import Finding, Findings, Place
-from piezod.diagnose.words import Wording, listed, percent, place_words, rounded, unit_words
+from piezod.diagnose.findings import Finding, Findings, Place, Unnamed
+from piezod.diagnose.words import Wording, law_words, listed, percent, place_words, rounded, unit_words
 from piezod.effects import EFFECTS, Effect, Location
 
 LOCATIONS = {
@@ -68,7 +68,9 @@ def lead(findings: Findings) -> str:
         return f"{before}{refitted}; {floor}."
     fall = f"{before} → {rounded(findings.after)} {unit}; {floor}"
     closed = findings.gap_closed
-    return f"{fall}. {percent(closed)} of the error above the noise is explained." if closed is not None else f"{fall}."
+    if closed is not None:
+        fall += f". {percent(closed)} of the error above the noise is {'described' if findings.law else 'explained'}"
+    return f"{fall}, with {law_words(findings.law)}." if findings.law else f"{fall}."
 
 
 def confidence_level(confidence: float) -> str:
@@ -192,6 +194,26 @@ def place_heading(findings: Findings) -> str:
     if findings.verdict == "matches":
         return "Small errors of the given model, attributed to no effect"
     return "Where the given model is wrong"
+
+
+def law_sentence(law: Unnamed, findings: Findings) -> str:
+    """What an unnamed law depends on, and what it is worth.
+
+    Parameters
+    ----------
+    law, findings
+        The law, and the findings that hold it.
+    """
+    unit = unit_words(findings.unit)
+    words = law_words(law)
+    scope = (
+        "It holds in the recordings of the identification too" if law.already else "It came since the identification"
+    )
+    return (
+        f"{words[0].upper()}{words[1:]}: error on held-out data {rounded(law.before)} → {rounded(law.after)} {unit}. "
+        f"{scope}. No effect of the catalogue has its shape, so this is a description and no cause. "
+        "The extended model contains it."
+    )
 
 
 def remains(findings: Findings, places: Sequence[Place], wording: Wording) -> list[str]:

@@ -6,26 +6,26 @@ import pytest
 from piezod.diagnose.chain import Point, Term
 from piezod.diagnose.fit import fit
 from piezod.diagnose.search_state import Search
-from piezod.diagnose.significance import _by_signs, adjusted, p_value
+from piezod.diagnose.significance import by_signs, adjusted, p_value
 from piezod.effects import EFFECTS
 from tests.unit.diagnose.test_pairs import stairs, worked
 
 
 def test_gains_by_chance_give_p_values_that_are_spread_evenly():
     rng = np.random.default_rng(1)
-    found = np.array([_by_signs(rng.normal(0.0, 0.1, 24)) for _ in range(400)])
+    found = np.array([by_signs(rng.normal(0.0, 0.1, 24)) for _ in range(400)])
     for level in (0.05, 0.2, 0.5):
         spread = np.sqrt(level * (1.0 - level) / found.size)
         assert abs(np.mean(found <= level) - level) < 3.0 * spread
 
 
 def test_a_gain_in_every_block_is_as_unlikely_as_the_signs_allow():
-    assert _by_signs(np.full(8, 0.1)) == pytest.approx(2.0**-8, rel=0.2)
+    assert by_signs(np.full(8, 0.1)) == pytest.approx(2.0**-8, rel=0.2)
 
 
 def test_one_block_alone_proves_nothing():
-    assert _by_signs(np.concatenate(([5.0], np.zeros(11)))) > 0.3
-    assert _by_signs(np.array([5.0])) == 1.0
+    assert by_signs(np.concatenate(([5.0], np.zeros(11)))) > 0.3
+    assert by_signs(np.array([5.0])) == 1.0
 
 
 @pytest.mark.parametrize(

@@ -10,6 +10,7 @@ from piezod.effects import EFFECTS
 from piezod.errors import ConfigurationError, ModelError
 from piezod.model import load_model, make_compensator, save_model
 from piezod.model.parameters import EffectValues
+from piezod.model.unnamed_law import UnnamedLaw
 from piezod.session.assembly import load_bench_and_model, load_bench_without_model
 
 CONFIG = Path(__file__).parents[3] / "config"
@@ -86,3 +87,21 @@ def test_a_name_in_compensation_without_must_be_in_the_catalogue_and_in_the_mode
     path = bench_with(tmp_path, compensation_without=["creep"])
     (check,) = check_model_effects(*load_bench_and_model(path), path)
     assert (check.level, check.found) == ("WARN", "creep: left out, but the model has none")
+
+
+@pytest.mark.parametrize(
+    ("size", "without", "level", "says"),
+    [
+        (1.0, [], "OK", "unnamed law: compensated"),
+        (1e4, [], "WARN", "unnamed law: not compensated, it changes more within a tick than the force"),
+        (1.0, ["unnamed_law"], "WARN", "unnamed law: not compensated, because of compensation_without"),
+    ],
+)
+def test_the_check_says_what_becomes_of_an_unnamed_law(tmp_path, size, without, level, says):
+    path = bench_with(tmp_path, compensation_without=without)
+    axis = {"driver": "command", "low": 0.0, "high": 140.0, "nodes": 3}
+    law = {"drivers": [axis], "dead_band": 1.0, "smoothing_s": 0.01, "memories_s": [0.0], "tables": [[0.0, size, 0.0]]}
+    model = load_model(tmp_path / "model.yaml").model_copy(update={"unnamed_law": UnnamedLaw.model_validate(law)})
+    save_model(model, tmp_path / "model.yaml")
+    (check,) = check_model_effects(*load_bench_and_model(path), path)
+    assert (check.level, check.found) == (level, says)

@@ -1,0 +1,125 @@
+"""The inverse of a model with an unnamed law: what the law will add is taken off the reference, by iteration.
+
+    F(k) = reference(k) - law(u(k), F(k)),   u(k) = plan(F(k))
+
+The iteration contracts while the law changes less within a tick than the force; a law that does not is left out.
+"""
+
+from collections.abc import Collection
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from piezod.model.inverse_chain import commit_chain_step, force_of, plan_chain_step
+from piezod.model.parameters import Model
+from piezod.model.unnamed_law import NAME, LawStep, advance_drivers, advance_law
+
+Array = NDArray[np.float64]
+
+ITERATIONS = 3
+LARGEST = 0.7  # of the force's slope; three iterations then leave a third of the law's change within a tick
+ADDED, TARGET, PLANNED = range(3)
+
+
+@numba.njit(cache=True)
+def _plan(
+    packed: Array,
+    chain: Array,
+    state: Array,
+    scratch: Array,
+    settings: Array,
+    axes: Array,
+    keeps: Array,
+    tables: Array,
+    memo: Array,
+    reference: float,
+) -> float:
+    target = reference - memo[ADDED]
+    for _ in range(ITERATIONS):
+        planned_V = plan_chain_step(packed, chain, target)
+        for k in range(state.size):
+            scratch[k] = state[k]
+        advance_drivers(scratch, settings, planned_V, target)
+        target = reference - advance_law(scratch, axes, keeps, tables)
+    planned_V = plan_chain_step(packed, chain, target)
+    memo[TARGET], memo[PLANNED] = target, planned_V
+    return planned_V
+
+
+@numba.njit(cache=True)
+def _commit(
+    packed: Array,
+    chain: Array,
+    zones: Array,
+    state: Array,
+    settings: Array,
+    axes: Array,
+    keeps: Array,
+    tables: Array,
+    memo: Array,
+    voltage_V: float,
+) -> None:
+    commit_chain_step(packed, chain, voltage_V)
+    force = memo[TARGET] if voltage_V == memo[PLANNED] else force_of(packed, chain, zones)
+    advance_drivers(state, settings, voltage_V, force)
+    memo[ADDED] = advance_law(state, axes, keeps, tables)
+
+
+class LawInverse:
+    """Plan and commit with an unnamed law, for `ExtendedCompensator`; allocates nothing.
+
+    Parameters
+    ----------
+    law
+        Law in its start state.
+    model
+        Model that it belongs to.
+    packed, chain
+        Arrays of the compensator.
+    """
+
+    def __init__(self, law: LawStep, model: Model, packed: Array, chain: Array) -> None:
+        thresholds, weights = model.hysteresis.operator().dead_zones
+        self._zones = np.concatenate((thresholds, weights))
+        self._packed, self._chain = packed, chain
+        self._state, self._tables = law.arrays[0], law.arrays[1:]
+        self._scratch, self._memo = self._state.copy(), np.array([0.0, 0.0, np.nan])
+
+    def reset(self) -> None:
+        """Return to rest at the next tick."""
+        self._state[:] = self._memo[:] = 0.0
+
+    def plan(self, reference: float) -> float:
+        """Voltage [V] for a reading of `reference` [N] at the end of the tick; changes no state."""
+        return _plan(self._packed, self._chain, self._state, self._scratch, *self._tables, self._memo, reference)
+
+    def commit(self, voltage_V: float) -> None:
+        """Advance every state with the voltage `voltage_V` [V] that was written."""
+        _commit(self._packed, self._chain, self._zones, self._state, *self._tables, self._memo, voltage_V)
+
+
+def law_inverse(
+    model: Model, dt_s: float, packed: Array, chain: Array, without: Collection[str] = ()
+) -> LawInverse | None:
+    """Inverse with the unnamed law of a model; None without a law, or where its iteration may not contract.
+
+    Parameters
+    ----------
+    model
+        Diagnosed model.
+    dt_s
+        Tick period [s].
+    packed, chain
+        Arrays of the compensator.
+    without
+        Names of what is deliberately not compensated.
+    """
+    if model.unnamed_law is None or NAME in without:
+        return None
+    law = LawStep(model.unnamed_law, dt_s)
+    over_command, over_reading = law.steepest()
+    weights = model.hysteresis.plays.weights
+    strokes = np.linspace(model.input.low, model.input.high, 200) * sum(weights)
+    slope = weights[0] * float(np.min(np.diff(model.hysteresis.operator().output(strokes)) / np.diff(strokes)))
+    return LawInverse(law, model, packed, chain) if over_command / slope + over_reading < LARGEST else None

@@ -1,0 +1,55 @@
+"""Figure of an unnamed law: what it adds to the reading over its first driver, one curve for values of the second."""
+
+import numpy as np
+from bokeh.plotting import figure
+from numpy.typing import NDArray
+
+from piezod.diagnose.words import rounded
+from piezod.model.unnamed_law import Axis, UnnamedLaw, node_values
+from piezod.report.diagnosis.figures.drawing import column_source, draw_curve, finish, new_figure
+from piezod.report.style import BLUE, GREEN, GREY, ORANGE, RED
+
+Array = NDArray[np.float64]
+
+COLOURS = (BLUE, ORANGE, GREEN, RED, GREY)
+LABELS = {
+    "command": "command [{0}]",
+    "rate": "rate of the command [{0}/s]",
+    "direction": "direction of the command",
+    "way": "way since the last reversal [{0}]",
+    "stroke": "last stroke [{0}]",
+    "reading": "expected reading [{1}]",
+    "reading_rate": "rate of the expected reading [{1}/s]",
+}
+
+
+def law_figure(law: UnnamedLaw, units: tuple[str, str]) -> tuple[figure, dict[str, Array]]:
+    """Steady values of a law, and its columns.
+
+    Parameters
+    ----------
+    law
+        Tables of the law.
+    units
+        Units of command and output.
+    """
+    first, *more = law.drivers
+    steady = np.sum(law.tables, axis=0).reshape(first.nodes, -1)
+    columns: dict[str, Array] = {first.driver: node_values(first)}
+    plot = new_figure("", LABELS[first.driver].format(*units), f"added [{units[1]}]", 300)
+    chosen = np.unique(np.linspace(0, steady.shape[1] - 1, min(len(COLOURS), steady.shape[1])).astype(int))
+    names = _names(more[0], units) if more else ["law"]
+    for k in chosen.tolist():
+        columns[names[k]] = steady[:, k]
+    source = column_source(columns)
+    for colour, name in zip(COLOURS, list(columns)[1:], strict=False):
+        draw_curve(plot, source, name, name, colour, x=first.driver, width=2.0)
+    return finish(plot), columns
+
+
+def _names(axis: Axis, units: tuple[str, str]) -> list[str]:
+    """Names of the curves at every node of the second driver."""
+    if axis.driver == "direction":
+        return ["falling", "rising"]
+    label, _, unit = LABELS[axis.driver].format(*units).rstrip("]").partition(" [")
+    return [f"{label} {rounded(float(value))} {unit}" for value in node_values(axis)]

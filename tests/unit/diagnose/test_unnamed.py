@@ -1,0 +1,81 @@
+"""An unnamed law is fitted where something repeatable is left that no name takes, and only there."""
+
+import numpy as np
+import pytest
+
+from piezod.diagnose.series import Series
+from piezod.diagnose.unnamed import fit_unnamed
+from piezod.model.unnamed_law import LawStep
+
+NOISE_N, DT_S = 0.1, 0.01
+
+
+def drive(seconds, seed):
+    """A walk between levels with ramps of several rates, and sines [V]."""
+    draw = np.random.default_rng(seed)
+    time_s = np.arange(0.0, seconds, DT_S)
+    corners_s = np.concatenate(([0.0], np.cumsum(draw.uniform(0.3, 2.0, int(seconds)))))
+    levels_V = draw.uniform(0.0, 100.0, corners_s.size)
+    return time_s, np.interp(time_s, corners_s, levels_V) + 5.0 * np.sin(3.0 * time_s)
+
+
+def slack(command_V):
+    """The force that a stop of finite stiffness adds [N]: an elastic and a yielding part, which no table here has."""
+    force_N = np.zeros(command_V.size)
+    for k in range(1, command_V.size):
+        force_N[k] = np.clip(force_N[k - 1] + 0.05 * (command_V[k] - command_V[k - 1]), -0.6, 0.6)
+    return force_N
+
+
+def curved(command_V):
+    """A wavy force law behind a lag of half a second [N]."""
+    force_N = 0.8 * np.sin(command_V / 12.0)
+    for k in range(1, force_N.size):
+        force_N[k] = force_N[k - 1] + (force_N[k] - force_N[k - 1]) * DT_S / 0.5
+    return force_N
+
+
+def recordings(law, *, also_before):
+    made, modelled = [], []
+    for role, seed in (("identification", 1), ("recording", 2)):
+        time_s, command_V = drive(60.0, seed)
+        expected_N = 2.0 * command_V
+        added_N = law(command_V) if also_before or role == "recording" else 0.0
+        noise_N = NOISE_N * np.random.default_rng(seed).normal(size=time_s.size)
+        counts = np.ones(time_s.size, dtype=bool)
+        made.append(Series(role, role, time_s, command_V, expected_N + added_N + noise_N + 7.0, counts, NOISE_N))
+        modelled.append(expected_N)
+    return made, modelled
+
+
+@pytest.mark.parametrize("also_before", [True, False])
+@pytest.mark.parametrize("law", [slack, curved])
+def test_a_law_predicts_another_drive(law, also_before):
+    series, modelled = recordings(law, also_before=also_before)
+    fit = fit_unnamed(series, modelled, NOISE_N)
+    assert fit.already == also_before
+    _, command_V = drive(40.0, 3)
+    wanted_N = law(command_V)
+    added_N = LawStep(fit.law, DT_S).run(command_V, 2.0 * command_V)
+    left_N = float(np.std(wanted_N - added_N))
+    assert left_N < 0.5 * np.std(wanted_N)
+    assert fit.after < fit.before
+    assert fit.after == pytest.approx(np.hypot(NOISE_N, left_N), rel=0.3), "the promise is kept on another drive"
+    np.testing.assert_allclose(np.mean(LawStep(fit.law, DT_S).run(series[1].command_V, modelled[1])), 0.0, atol=1e-3)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_noise_and_a_slow_drift_are_no_law(seed):
+    draw = np.random.default_rng(seed)
+    series, modelled = recordings(
+        lambda command_V: 0.002 * np.cumsum(draw.normal(size=command_V.size)), also_before=True
+    )
+    assert fit_unnamed(series, modelled, NOISE_N) is None
+
+
+def test_a_law_that_closes_a_hundredth_of_the_gap_is_not_worth_a_word():
+    draw = np.random.default_rng(0)
+    series, modelled = recordings(
+        lambda command_V: 0.1 * curved(command_V) + draw.normal(size=command_V.size), also_before=False
+    )
+    assert fit_unnamed(series, modelled, NOISE_N) is None
