@@ -6,7 +6,7 @@ import pytest
 from piezod.diagnose.chain import Point, Term
 from piezod.diagnose.fit import fit
 from piezod.diagnose.search_state import Search
-from piezod.diagnose.significance import by_signs, adjusted, p_value
+from piezod.diagnose.significance import adjusted, by_signs, p_value
 from piezod.effects import EFFECTS
 from tests.unit.diagnose.test_pairs import stairs, worked
 
