@@ -1,5 +1,6 @@
-"""`piezod commission`: excitations, models and their comparison in one command."""
+"""Commands that drive a bench several times: commission, investigate."""
 
+import json
 import sys
 from pathlib import Path
 from typing import Annotated
@@ -44,3 +45,80 @@ def commission(
                 identify([output / f"{name}.csv"], model, output / name, name=name)
             print("\nvalidation", flush=True)
         validate(bench, models, output / "validation.html", as_json=as_json)
+
+
+@app.command(epilog="Example: piezod investigate config/bench.yaml --model model.yaml -o investigation")
+def investigate(
+    output: Annotated[Path, typer.Option("-o", metavar="DIR", help="Folder for recordings, drives and findings.")],
+    model: Annotated[Path, typer.Option("--model", metavar="MODEL", help="Identified model.")],
+    config: Annotated[Path | None, typer.Argument(metavar="[CONFIG]", help="Bench configuration.")] = None,
+    emulated: Annotated[
+        str | None,
+        typer.Option(metavar="SCENARIO", help="Emulated bench that runs faster than real time: stack or seed_bench."),
+    ] = None,
+    hidden: Annotated[
+        list[str] | None, typer.Option(metavar="EFFECT", help="Effect of the emulated bench; repeatable.")
+    ] = None,
+    excitation: Annotated[
+        str, typer.Option(metavar="NAME", help="First excitation, or a recording whose voltage is repeated.")
+    ] = "staircase-minor-loops-multisine",
+    drives: Annotated[int, typer.Option(min=1, max=20, help="Largest number of drives.")] = 4,
+    longest: Annotated[float, typer.Option(metavar="S", min=6.0, max=600.0, help="Of a planned drive.")] = 60.0,
+    yes: Annotated[bool, typer.Option("--yes", help="Do not ask before a drive.")] = False,
+    as_json: JsonOption = False,
+) -> None:
+    """Record, diagnose and plan the next experiment, until no effect has a rival; then follow references."""
+    from contextlib import ExitStack, redirect_stdout
+
+    from piezod.commissioning.emulator import virtual_time_bench
+    from piezod.model import load_model
+
+    if (config is None) == (emulated is None) or (hidden and not emulated):
+        raise UsageError("give CONFIG, or --emulated SCENARIO with its --hidden effects, exactly one of them")
+    if not yes and not sys.stdin.isatty():
+        raise UsageError("--yes is missing: without a terminal nobody can be asked before a drive")
+    load_model(model)  # a wrong file is refused before the libraries are there
+    from piezod.commissioning.investigate import Drive, Step
+    from piezod.commissioning.investigate import investigate as steps_of
+    from piezod.report.diagnosis.page import write_diagnosis_page
+    from piezod.report.isolability import promise_text
+    from piezod.report.progress import steps
+
+    def agreed(drive: Drive) -> bool:
+        about = f"drive {drive.number}: {drive.excitation}, {drive.duration_s:.0f} s"
+        print(f"\n{about}", flush=True)
+        return yes or typer.confirm("drive the bench")
+
+    output.mkdir(parents=True, exist_ok=True)
+    done: list[Step] = []
+    with ExitStack() as stack:
+        bench = config or stack.enter_context(virtual_time_bench(output, str(emulated), hidden or ()))
+        with redirect_stdout(sys.stderr if as_json else sys.stdout), steps() as show:
+            for step in steps_of(
+                bench,
+                model,
+                output,
+                excitation=excitation,
+                most_drives=drives,
+                longest_s=longest,
+                agreed=agreed,
+                on_rows=lambda _: None,
+                on_step=show,
+            ):
+                done.append(step)
+                findings = step.diagnosis.findings
+                write_diagnosis_page(step.folder / "report.html", step.diagnosis)
+                print(f"{findings.verdict.replace('_', ' ')}: {findings.words}")
+                if step.promised is not None:
+                    print(promise_text(step.promised, step.reached))
+                for name, rival in step.open_pairs:
+                    print(f"open: {name} or {rival}")
+        if as_json:
+            content = {"schema": "piezod.investigate/1", "drives": [one.as_dict() for one in done]}
+            print(json.dumps(content, indent=2))
+        if not done or as_json:
+            return
+        print(f"\npage: {(done[-1].folder / 'report.html').resolve()}")
+        found = done[-1].diagnosis.model
+        if (found.effects or found.unnamed_law) and (yes or typer.confirm("follow references with both models")):
+            validate(bench, [model, done[-1].folder / "model.yaml"], output / "validation.html")

@@ -2,7 +2,8 @@
 
 Segments of a few seconds are simulated with the model, each alone. What they tell of a pair of effects adds up like the
 inverse square of the size from which on the pair is separated. The segments that raise the least of these sums most are
-joined; the whole drive is then simulated once more, beside the recordings, for the sizes that are promised.
+joined, behind one rise over the range and back, which erases the memory of earlier drives. The whole drive is then
+simulated once more, beside the recordings, for the sizes that are promised.
 """
 
 from collections.abc import Callable, Sequence
@@ -11,9 +12,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from piezod.diagnose.isolability import Isolability, Pair, isolability
+from piezod.diagnose.isolability import Isolability, Pair, isolability, separated_by
 from piezod.diagnose.parallel import each
 from piezod.diagnose.prepare import Source
+from piezod.effects import EFFECTS
 from piezod.excitation import multisine, staircase, steps, triangle
 from piezod.model import Model
 from piezod.recording import Recording
@@ -67,7 +69,12 @@ class Experiment:
 
 
 def next_experiment(
-    model: Model, asked: Sequence[Source], past: Sequence[Source], before: Isolability, longest_s: float
+    model: Model,
+    asked: Sequence[Source],
+    past: Sequence[Source],
+    before: Isolability,
+    longest_s: float,
+    wanted: Sequence[tuple[str, str]] | None = None,
 ) -> Experiment | None:
     """Find the drive; None where no pair of effects is open.
 
@@ -81,8 +88,10 @@ def next_experiment(
         What they can tell.
     longest_s
         Longest duration of the drive [s].
+    wanted
+        Pairs of effects to separate; None: all that are open.
     """
-    pairs = tuple(before.pairs())
+    pairs = tuple(before.pairs() if wanted is None else _pairs(before, wanted))
     if not pairs:
         return None
     first = asked[0].recording
@@ -94,11 +103,13 @@ def next_experiment(
 
     def alone(one: tuple[str, Array]) -> Array:
         found = isolability(model, [_simulated(model, one[1], first.dt_s, before.noise)], past)
-        return np.array([_size(found, pair) ** -2.0 for pair in pairs])
+        return np.array([separation(found, pair.first, pair.second) ** -2.0 for pair in pairs])
 
     told = each(alone, drives)
     chosen: list[int] = []
-    total, left_s = np.array([pair.size**-2.0 for pair in pairs]), longest_s
+    rise = np.full(int(np.ceil((high_V - low_V) / most_V)), low_V + INNER * (high_V - low_V))
+    first_V = _slewed(rise, low_V, most_V)
+    total, left_s = np.array([pair.size**-2.0 for pair in pairs]), longest_s - first_V.size * first.dt_s
     while True:
         fitting = [k for k, (_, drive) in enumerate(drives) if drive.size * first.dt_s <= left_s]
         if not fitting:
@@ -109,11 +120,23 @@ def next_experiment(
         left_s -= drives[best][1].size * first.dt_s
     if not chosen:
         return None
-    voltage_V = np.concatenate([drives[k][1] for k in sorted(chosen)])  # each comes back to where the next one begins
+    parts = [drives[k][1] for k in sorted(chosen)]  # each comes back to where the next one begins
+    voltage_V = np.concatenate([first_V, *parts])
     new = _simulated(model, voltage_V, first.dt_s, before.noise)
     after = isolability(model, [*asked, new], past)
     names = tuple(drives[k][0] for k in sorted(chosen))
-    return Experiment(voltage_V, first.dt_s, names, pairs, tuple(_size(after, pair) for pair in pairs))
+    return Experiment(
+        voltage_V, first.dt_s, names, pairs, tuple(separation(after, pair.first, pair.second) for pair in pairs)
+    )
+
+
+def _pairs(before: Isolability, wanted: Sequence[tuple[str, str]]) -> list[Pair]:
+    """Pairs that the recordings show, with their sizes."""
+    shown = [(one, other) for one, other in wanted if {one, other} <= set(before.effects)]
+    return [
+        Pair(one, other, separation(before, one, other), separated_by(EFFECTS[one], EFFECTS[other]))
+        for one, other in shown
+    ]
 
 
 def _worth(total: Array, more: Array) -> float:
@@ -121,9 +144,17 @@ def _worth(total: Array, more: Array) -> float:
     return float(np.sum(np.log1p(more / total)))
 
 
-def _size(found: Isolability, pair: Pair) -> float:
-    """Size from which on a pair is separated; a large one where a recording does not show both."""
-    places = [found.effects.index(name) for name in (pair.first, pair.second) if name in found.effects]
+def separation(found: Isolability, first: str, second: str) -> float:
+    """Size from which on two effects are separated, in noises; a large one where a recording does not show both.
+
+    Parameters
+    ----------
+    found
+        What recordings can tell.
+    first, second
+        Names of the effects.
+    """
+    places = [found.effects.index(name) for name in (first, second) if name in found.effects]
     if len(places) < 2:
         return NOT_SEPARATED
     return float(max(found.separated_from[places[0], places[1]], found.separated_from[places[1], places[0]]))

@@ -1,5 +1,6 @@
 """Text and JSON of what recordings can tell."""
 
+from collections.abc import Sequence
 from typing import Any
 
 from piezod.diagnose.experiment import Experiment
@@ -79,6 +80,22 @@ def experiment_as_dict(planned: Experiment) -> dict[str, Any]:
             for one, size in zip(planned.pairs, planned.sizes, strict=True)
         ],
     }
+
+
+def promise_text(planned: Experiment, reached: Sequence[float]) -> str:
+    """What an experiment promised, beside what its recording reached.
+
+    Parameters
+    ----------
+    planned
+        Result of `next_experiment`.
+    reached
+        Sizes from which on its pairs are separated with the recording, in noises.
+    """
+    lines = [f"{'pair':53}separated from [noise]  promised  reached"]
+    for pair, promised, size in zip(planned.pairs, planned.sizes, reached, strict=True):
+        lines.append(f"{pair.first:26} {pair.second:26}{pair.size:22.2g}  {promised:8.2g}  {size:7.2g}")
+    return "\n".join(lines)
 
 
 def experiment_text(planned: Experiment | None, name: str) -> str:

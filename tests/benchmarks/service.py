@@ -32,15 +32,15 @@ def measure(*, quick: bool) -> Iterator[Row]:
     """Rows of start and stop, and the lower limit of a start."""
     rounds = 2 if quick else ROUNDS
     with tempfile.TemporaryDirectory() as name, peers.emulator("tcp", "real") as address:
-        bench = _bench_file(Path(name), address)
+        bench = bench_file(Path(name), address)
         ready_ms, stop_ms, limit_ms = [], [], []
         _kill_while_driving(bench)
         for _ in range(rounds):
             begun_s = time.monotonic()
-            with _started(bench) as (process, client):
+            with started(bench) as (process, client):
                 ready_ms.append(1e3 * (time.monotonic() - begun_s))
                 _require(client.ask("status")["state"], "DISARMED", "after the start")
-                _arm(client)
+                arm(client)
                 begun_s = time.monotonic()
                 process.terminate()
                 _require(process.wait(WITHIN_S), 0, "as exit code")
@@ -61,7 +61,7 @@ def measure(*, quick: bool) -> Iterator[Row]:
     yield Row("service", "SIGTERM while driving to the end", "ms", float(np.median(stop_ms)), note="with its ramp down")
 
 
-def _bench_file(folder: Path, address: peers.Address) -> Path:
+def bench_file(folder: Path, address: peers.Address) -> Path:
     content = yaml.safe_load(shipped("bench.yaml").read_text(encoding="utf-8"))
     content["link"] |= {"host": address.host, "port": address.port, "timeout_s": 0.5}
     content["limits"] |= PATIENCE
@@ -74,7 +74,7 @@ def _bench_file(folder: Path, address: peers.Address) -> Path:
 
 
 @contextlib.contextmanager
-def _started(bench: Path) -> Iterator[tuple[subprocess.Popen[bytes], Client]]:
+def started(bench: Path) -> Iterator[tuple[subprocess.Popen[bytes], Client]]:
     """A service after READY, and a client connected to it."""
     name = f"\0piezod-benchmark-{os.getpid()}"
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as listener:
@@ -96,14 +96,14 @@ def _started(bench: Path) -> Iterator[tuple[subprocess.Popen[bytes], Client]]:
             process.wait()
 
 
-def _arm(client: Client) -> None:
+def arm(client: Client) -> None:
     client.ask("arm")
     _require(client.wait_until_settled()["state"], "RUNNING", "after arming")
 
 
 def _kill_while_driving(bench: Path) -> None:
-    with _started(bench) as (process, client):
-        _arm(client)
+    with started(bench) as (process, client):
+        arm(client)
         process.send_signal(signal.SIGKILL)
         process.wait()
         deadline_s = time.monotonic() + WITHIN_S

@@ -22,9 +22,9 @@ ROOT = Path(__file__).parents[2]
 # The commands that other programs rely on.
 COMMANDS = {
     "demo", "run", "check", "record", "identify", "simulate", "diagnose", "validate", "blind make", "blind run",
-    "blind score", "latency", "effects", "status", "arm", "disarm", "stop", "reset", "reload", "commission",
-    "watch", "init", "config schema", "config show", "config check", "convert", "compare", "resid", "report",
-    "support-bundle", "testable", "bridge",
+    "blind score", "latency", "effects", "status", "arm", "disarm", "stop", "reset", "reload",
+    "commission", "investigate", "watch", "init", "config schema", "config show", "config check", "convert",
+    "compare", "resid", "report", "support-bundle", "testable", "bridge",
 }  # fmt: skip
 WITHOUT_JSON = {
     "watch": "serves a page",
@@ -59,6 +59,8 @@ ERRORS = [
     ("testable /nowhere/a.csv --model /nowhere/m.yaml", 78, "cannot be read"),
     (f"validate {NOT_THERE} --model /nowhere/m.yaml", 78, "cannot be read"),
     ("commission -o /tmp/piezod-nothing", 2, "give CONFIG or --emulated SCENARIO"),
+    ("investigate -o /tmp/piezod-nothing --model config/model.yaml", 2, "give CONFIG, or --emulated SCENARIO"),
+    ("investigate config/bench.yaml -o /tmp/piezod-nothing --model config/model.yaml", 2, "--yes is missing"),
     ("blind make /proc/nothing --cases 0", 2, "see piezod blind make --help"),
     ("blind run /nowhere/study -o /tmp/x --jobs 1 --scheduler tcp://h:1", 2, "give one of them"),
     ("blind score /nowhere/study /nowhere/verdicts", 78, "/nowhere/study"),

@@ -29,6 +29,8 @@ def test_the_drive_stays_within_range_slews_and_time(planned):
     assert np.abs(np.diff(u)).max() <= np.abs(np.diff(given)).max() * (1.0 + 1e-9)
     assert u.size * found.dt_s <= LONGEST_S
     assert u[-1] == given.min()
+    rise = u[: int(np.flatnonzero(np.diff(u) < 0.0)[0]) + 1]
+    assert rise[-1] >= given.min() + 0.98 * np.ptp(given) - 1e-9, "it begins with a rise over the range"
     assert found.recording("voltage_V").uniform
 
 
@@ -48,6 +50,14 @@ def test_an_answer_with_other_noise_separates_within_a_factor_of_two_of_the_prom
         places = after.effects.index(pair.first), after.effects.index(pair.second)
         reached = max(after.separated_from[places], after.separated_from[places[::-1]])
         assert 0.5 < reached / promised < 2.0, pair
+
+
+def test_only_wanted_pairs_are_separated(planned, stack):  # noqa: F811
+    asked, before, found = planned
+    wanted = (found.pairs[-1].first, found.pairs[-1].second)
+    (pair,) = next_experiment(stack, asked, [], before, LONGEST_S, [wanted, ("creep", "gremlins")]).pairs
+    assert pair == found.pairs[-1]
+    assert next_experiment(stack, asked, [], before, LONGEST_S, [("creep", "gremlins")]) is None
 
 
 def test_where_no_pair_is_open_nothing_is_planned(planned, stack):  # noqa: F811
