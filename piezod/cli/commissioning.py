@@ -113,6 +113,8 @@ def investigate(
                     print(promise_text(step.promised, step.reached))
                 for name, rival in step.open_pairs:
                     print(f"open: {name} or {rival}")
+                if step.diagnosis.findings.effects and not step.open_pairs:
+                    print("no rival is open: each effect is larger than what separates it from its rivals")
         if as_json:
             content = {"schema": "piezod.investigate/1", "drives": [one.as_dict() for one in done]}
             print(json.dumps(content, indent=2))

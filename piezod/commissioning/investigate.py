@@ -1,26 +1,31 @@
 """`piezod investigate`: record, diagnose, plan the next experiment, and again, until nothing is open."""
 
+import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from datetime import datetime
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from piezod.commissioning.record import excitation_duration_s, record_excitation
 from piezod.diagnose.command import diagnose_files
 from piezod.diagnose.diagnosis import Diagnosis
 from piezod.diagnose.experiment import Experiment, next_experiment, separation
 from piezod.diagnose.findings import Findings
-from piezod.diagnose.isolability import isolability
+from piezod.diagnose.isolability import Isolability, isolability
 from piezod.diagnose.prepare import past_sources, read_source
 from piezod.model import load_model
-from piezod.recording import write_recording
+from piezod.recording import Recording, write_recording
+from piezod.session.assembly import load_bench_without_model
 from piezod.session.follow import OnRows
 
 Pairs = tuple[tuple[str, str], ...]
 PERIODS = 1
 FREQUENCY_HZ = 0.1
-OPEN = 0.45
-"""Separation of a rival [noise] below which it is open: three times the scale at which a rival costs confidence."""
+LONGEST_REST_S = 600.0
+"""Longest rest between two drives that is simulated [s]: what creeps after ten minutes is less than noise."""
 
 
 @dataclass(frozen=True)
@@ -84,15 +89,51 @@ class Step:
         }
 
 
-def open_pairs(findings: Findings) -> Pairs:
-    """Effects found, each with a rival that the recordings do not exclude.
+def open_pairs(findings: Findings, known: Isolability) -> Pairs:
+    """Effects found, each with a rival, that are smaller than the size from which the recordings separate both.
 
     Parameters
     ----------
     findings
         Result of a diagnosis.
+    known
+        What the recordings can tell.
     """
-    return tuple((one.name, rival.name) for one in findings.effects for rival in one.rivals if rival.separation < OPEN)
+    pairs = []
+    for one in findings.effects:
+        size = math.sqrt(max(one.before**2 - one.after**2, 0.0)) / known.noise
+        pairs += [(one.name, rival.name) for rival in one.rivals if size < separation(known, one.name, rival.name)]
+    return tuple(pairs)
+
+
+def joined(first: Recording, second: Recording, rest_V: float) -> Recording:
+    """Two recordings of one bench as one, since the stack remembers the first while the second is driven.
+
+    Between them the voltage rests and no force is known. The time between is that of the clock, at most
+    `LONGEST_REST_S`.
+
+    Parameters
+    ----------
+    first, second
+        Recordings with `voltage_V` and `force_N`, and the time at which each was complete as metadata `recorded`.
+    rest_V
+        Voltage between them [V].
+    """
+    dt_s = first.dt_s
+    ends = [datetime.fromisoformat(one.metadata["recorded"]) for one in (first, second)]
+    rest_s = (ends[1] - ends[0]).total_seconds() - float(second.time_s[-1] - second.time_s[0])
+    count = max(1, round(min(max(rest_s, 0.0), LONGEST_REST_S) / dt_s))
+    between = {"voltage_V": np.full(count, rest_V), "force_N": np.full(count, np.nan)}
+    channels = {name: np.concatenate((first.channel(name), between[name], second.channel(name))) for name in between}
+    begin_s = float(first.time_s[-1]) + (count + 1) * dt_s
+    time_s = np.concatenate(
+        (
+            first.time_s,
+            float(first.time_s[-1]) + dt_s * np.arange(1, count + 1),
+            begin_s + second.time_s - second.time_s[0],
+        )
+    )
+    return Recording(time_s, channels, first.metadata | {"recorded": second.metadata["recorded"]}, "work")
 
 
 def investigate(
@@ -140,7 +181,8 @@ def investigate(
     """
     model = load_model(model_path)
     channels = model.input.channel, model.output.channel
-    recordings: list[Path] = []
+    rest_V = load_bench_without_model(config).limits.voltage_safe_V
+    whole: Recording | None = None
     planned: Experiment | None = None
     for number in range(1, most_drives + 1):
         drive = Drive(number, excitation, excitation_duration_s(excitation, FREQUENCY_HZ, PERIODS))
@@ -155,16 +197,18 @@ def investigate(
             reset_cycle=False,
             on_rows=on_rows,
         )
-        recordings.append(output / f"work_{number}.csv")
-        write_recording(recorded, recordings[-1])
+        own, joint = output / f"work_{number}.csv", output / "work.csv"
+        write_recording(recorded, own)
+        whole = recorded if whole is None else joined(whole, recorded, rest_V)
+        write_recording(whole, joint)
         folder = output / f"diagnosis_{number}"
-        diagnosis = diagnose_files(recordings, model_path, folder, None, None, on_step)
-        asked = [read_source(path, "recording", channels) for path in recordings]
+        diagnosis = diagnose_files([joint], model_path, folder, None, None, on_step)
+        asked = [read_source(joint, "recording", channels)]
         past, _ = past_sources(model, model_path.parent, asked)
         known = isolability(model, asked, past)
-        pairs = open_pairs(diagnosis.findings)
+        pairs = open_pairs(diagnosis.findings, known)
         reached = () if planned is None else tuple(separation(known, pair.first, pair.second) for pair in planned.pairs)
-        yield Step(recordings[-1], folder, diagnosis, pairs, planned, reached)
+        yield Step(own, folder, diagnosis, pairs, planned, reached)
         if not pairs:
             return
         planned = next_experiment(model, asked, past, known, longest_s, pairs)

@@ -12,26 +12,30 @@ from piezod.diagnose.isolability import Isolability, Pair
 from piezod.recording import Recording, read_recording
 
 PAIR = ("creep", "thermal_drift")
+RIVALS = (Rival(PAIR[1], 0.3, "a hold"),)
 
 
-def found(separation):
-    rivals = () if separation is None else (Rival(PAIR[1], separation, "a hold"),)
-    effect = Finding(PAIR[0], "creep", 0.9, "since", (), {}, 2.0, 1.0, rivals)
+def found(size):
+    """Creep of a size in noises of 0.1 N, with a rival."""
+    effect = Finding(PAIR[0], "creep", 0.9, "since", (), {}, float(np.hypot(1.0, 0.1 * size)), 1.0, RIVALS)
     return SimpleNamespace(findings=SimpleNamespace(effects=(effect,)))
 
 
 @pytest.fixture
 def bench(monkeypatch, tmp_path):
-    """A bench that answers with zeros; the rival is excluded by the third recording."""
+    """A bench that answers with zeros; the third makes creep larger than what separates it from its rival."""
     driven, diagnosed = [], []
 
     def record(config, excitation, **_):
         driven.append(excitation)
-        return Recording(np.arange(4) * 0.1, {"voltage_V": np.arange(4.0), "force_N": np.zeros(4)}, {}, "x"), None
+        channels = {"voltage_V": np.arange(4.0), "force_N": np.zeros(4)}
+        metadata = {"recorded": f"2026-11-26T12:00:{10 * len(driven):02d}+00:00"}
+        return Recording(np.arange(4) * 0.1, channels, metadata, "x"), None
 
     def diagnose(recordings, *_):
-        diagnosed.append([path.name for path in recordings])
-        return found((0.1, 0.2, 0.5)[len(recordings) - 1])
+        (path,) = recordings
+        diagnosed.append(read_recording(path))
+        return found((3.0, 4.9, 5.1)[len(diagnosed) - 1])
 
     def plan(model, asked, past, known, longest_s, wanted):
         assert list(wanted) == [PAIR]
@@ -39,6 +43,8 @@ def bench(monkeypatch, tmp_path):
 
     known = Isolability(PAIR, np.ones(2), np.array([[0.0, 4.0], [5.0, 0.0]]), 0.1, ())
     channels = SimpleNamespace(channel="voltage_V"), SimpleNamespace(channel="force_N")
+    limits = SimpleNamespace(limits=SimpleNamespace(voltage_safe_V=0.0))
+    monkeypatch.setattr(room, "load_bench_without_model", lambda _: limits)
     monkeypatch.setattr(room, "load_model", lambda _: SimpleNamespace(input=channels[0], output=channels[1]))
     monkeypatch.setattr(room, "record_excitation", record)
     monkeypatch.setattr(room, "diagnose_files", diagnose)
@@ -60,7 +66,13 @@ def test_it_goes_on_with_planned_drives_until_no_rival_is_open(bench):
     done = steps(bench)
     drives = [str(bench.folder / f"drive_{k}.csv") for k in (2, 3)]
     assert bench.driven == ["constant-triangles", *drives]
-    assert bench.diagnosed == [["work_1.csv"], ["work_1.csv", "work_2.csv"], ["work_1.csv", "work_2.csv", "work_3.csv"]]
+    whole = bench.diagnosed[-1]
+    np.testing.assert_allclose(np.diff(whole.time_s), 0.1, atol=1e-9)
+    voltage_V, rest = whole.channel("voltage_V"), np.zeros(97)  # 10 s from end to end, less 0.3 s of the recording
+    np.testing.assert_array_equal(
+        voltage_V, np.concatenate([np.arange(4.0), rest, np.arange(4.0), rest, np.arange(4.0)])
+    )
+    assert np.count_nonzero(np.isnan(whole.channel("force_N"))) == 2 * 97
     assert [step.open_pairs for step in done] == [(PAIR,), (PAIR,), ()]
     assert [step.reached for step in done] == [(), (5.0,), (5.0,)]
     assert [step.promised is None for step in done] == [True, False, False]
