@@ -78,10 +78,9 @@ def investigate(
     if not yes and not sys.stdin.isatty():
         raise UsageError("--yes is missing: without a terminal nobody can be asked before a drive")
     load_model(model)  # a wrong file is refused before the libraries are there
-    from piezod.commissioning.investigate import Drive, Step
+    from piezod.commissioning.investigate import Drive, Step, step_text
     from piezod.commissioning.investigate import investigate as steps_of
     from piezod.report.diagnosis.page import write_diagnosis_page
-    from piezod.report.isolability import promise_text
     from piezod.report.progress import steps
 
     def agreed(drive: Drive) -> bool:
@@ -106,15 +105,8 @@ def investigate(
                 on_step=show,
             ):
                 done.append(step)
-                findings = step.diagnosis.findings
                 write_diagnosis_page(step.folder / "report.html", step.diagnosis)
-                print(f"{findings.verdict.replace('_', ' ')}: {findings.words}")
-                if step.promised is not None:
-                    print(promise_text(step.promised, step.reached))
-                for name, rival in step.open_pairs:
-                    print(f"open: {name} or {rival}")
-                if step.diagnosis.findings.effects and not step.open_pairs:
-                    print("no rival is open: each effect is larger than what separates it from its rivals")
+                print(step_text(step))
         if as_json:
             content = {"schema": "piezod.investigate/1", "drives": [one.as_dict() for one in done]}
             print(json.dumps(content, indent=2))

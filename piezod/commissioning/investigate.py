@@ -18,6 +18,7 @@ from piezod.diagnose.isolability import Isolability, isolability
 from piezod.diagnose.prepare import past_sources, read_source
 from piezod.model import load_model
 from piezod.recording import Recording, write_recording
+from piezod.report.isolability import promise_text
 from piezod.session.assembly import load_bench_without_model
 from piezod.session.follow import OnRows
 
@@ -87,6 +88,24 @@ class Step:
                 for pair, size, reached in pairs
             ],
         }
+
+
+def step_text(step: Step) -> str:
+    """Findings, kept promise and open pairs of a step, for a terminal.
+
+    Parameters
+    ----------
+    step
+        One drive of an investigation.
+    """
+    findings = step.diagnosis.findings
+    lines = [f"{findings.verdict.replace('_', ' ')}: {findings.words}"]
+    if step.promised is not None:
+        lines.append(promise_text(step.promised, step.reached))
+    lines += [f"open: {name} or {rival}" for name, rival in step.open_pairs]
+    if findings.effects and not step.open_pairs:
+        lines.append("no rival is open: each effect is larger than what separates it from its rivals")
+    return "\n".join(lines)
 
 
 def open_pairs(findings: Findings, known: Isolability) -> Pairs:
