@@ -61,7 +61,7 @@ def diagnose_case(verdict: Path) -> Durations:
     """
     description = read_description(Path())
     begun_s = time.monotonic()
-    model = _identified(description)
+    model = identified(description)
     save_model(model, Path(MODEL))
     identified_s = time.monotonic()
     recordings = [Path(name) for name in description.recordings]
@@ -75,8 +75,22 @@ def diagnose_case(verdict: Path) -> Durations:
     return Durations(identified_s - begun_s, diagnosed_s - identified_s)
 
 
-def _identified(description: Description) -> Model:
-    (loaded,) = load_recordings([Path(description.identification)], description.input, description.output)
+def identified(description: Description, folder: Path = Path()) -> Model:
+    """Model identified on the recording that the description names.
+
+    Parameters
+    ----------
+    description
+        Files and columns of a case.
+    folder
+        Folder of the case.
+
+    Raises
+    ------
+    RecordingError
+        The recording cannot be read or is not suitable.
+    """
+    (loaded,) = load_recordings([folder / description.identification], description.input, description.output)
     return identify(
         [loaded.recording],
         Options(input=description.input, output=description.output, plays=PLAYS, zones=ZONES),

@@ -11,6 +11,7 @@ from tests.studies import (
     compensation,
     effects_compensated,
     flexure,
+    lisdd,
     messy_files,
     nulls,
     overlay,
@@ -36,6 +37,7 @@ def main() -> None:
     _flexure(studies.add_parser("flexure", help="prediction of a real feedforward by a diagnosed model"))
     _effects_compensated(studies.add_parser("effects_compensated", help="each effect before and after compensation"))
     peers.add_options(studies.add_parser("peers", help="other methods on the cases of a concealed study"))
+    lisdd.add_options(studies.add_parser("lisdd", help="LISDD on the cases of a concealed study"))
     recorder.add_options(studies.add_parser("recorder", help="the recorder under kills, power cuts and disk failures"))
     messy_files.add_options(studies.add_parser("messy_files", help="text of spreadsheets and instruments"))
     nulls.add_options(studies.add_parser("nulls", help="identified models on benches with nothing wrong in them"))
