@@ -9,8 +9,8 @@ and an offset.
 1. The operating space, command and its rate, is divided into cells. Gain and offset are fitted on the calm half.
 2. Cells with more residual energy than the identification had are flagged, at 5 % over all cells.
 3. In the flagged cells every candidate of the library is fitted to a third of the blocks, and compared on the second.
-4. The best is tested on the last third by an F-test, and taken at a false-discovery rate of 5 %. This is repeated on the
-   rest, at most three times, so that pairs and triples can be found.
+4. The best is tested on the last third by an F-test, and taken at a false-discovery rate of 5 %. This is repeated on
+   the rest, at most three times, so that pairs and triples can be found.
 
 The library has one candidate for each effect of the catalogue that has a term without hidden states, and first-order
 memories for those that need one. Places are the flagged spans of command and rate.
