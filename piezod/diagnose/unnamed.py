@@ -31,7 +31,7 @@ from piezod.model.unnamed_law import (
 Array = NDArray[np.float64]
 
 ROWS = 6000  # of a recording that are compared, as means of as many samples,
-MOST_ROWS = 60_000  # and for the law that is taken
+MOST_ROWS = 30_000  # and for the law that is taken
 AS_WELL = 1.1  # times the error: a law that holds in the recordings of the identification too is preferred up to it
 NODES = {"direction": 2, "way": 8, "stroke": 6}
 USUAL_NODES = 9  # of the other drivers
@@ -57,6 +57,7 @@ LEAST = 0.1  # of what is left that is more than noise: a law must close so much
 SURE = 0.01  # largest p-value, over all candidates
 DEAD = 0.005  # of the command's range: smaller reversals are noise
 SMOOTH = 3.0  # samples over which a rate is smoothed
+SAME = 1e-9  # of the values: what spans less stands still
 LARGE = 99.5  # percentile of a rate that is the last node
 
 
@@ -196,7 +197,8 @@ def _axes(records: Sequence[_Record]) -> list[Axis]:
             low = 0.0 if k >= WAY else -high
         if k == DIRECTION:
             low, high = -1.0, 1.0
-        axes.append(Axis(driver=name, low=low, high=max(high, low + 1e-12), nodes=NODES.get(name, USUAL_NODES)))
+        wider = max(high, low + SAME * max(abs(low), abs(high), SAME))  # of a driver that stands still
+        axes.append(Axis(driver=name, low=low, high=wider, nodes=NODES.get(name, USUAL_NODES)))
     return axes
 
 

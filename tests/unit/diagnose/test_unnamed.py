@@ -1,5 +1,7 @@
 """An unnamed law is fitted where something repeatable is left that no name takes, and only there."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -62,6 +64,12 @@ def test_a_law_predicts_another_drive(law, also_before):
     assert fit.after < fit.before
     assert fit.after == pytest.approx(np.hypot(NOISE_N, left_N), rel=0.3), "the promise is kept on another drive"
     np.testing.assert_allclose(np.mean(LawStep(fit.law, DT_S).run(series[1].command_V, modelled[1])), 0.0, atol=1e-3)
+
+
+def test_a_command_that_stands_still_far_from_zero_has_no_law():
+    series, modelled = recordings(lambda command_V: 0.0 * command_V, also_before=True)
+    still = [replace(one, command_V=np.full(one.time_s.size, 1e7)) for one in series]
+    assert fit_unnamed(still, [np.full(one.size, 2e7) for one in modelled], NOISE_N) is None
 
 
 @pytest.mark.parametrize("seed", range(5))
