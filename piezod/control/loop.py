@@ -353,8 +353,13 @@ class ControlLoop:
             self.supervisor.end_ramp_down()
 
     def _follow_output(self, readback_V: float) -> None:
-        """Continue the ramp of a tripped amplifier at rest: switched on again, it would jump to the last voltage."""
-        if self.supervisor.amplifier_tripped and isfinite(readback_V) and self._is_safe(readback_V):
+        """Continue the ramp of a tripped amplifier at rest: switched on again, it would jump to the last voltage.
+
+        An amplifier that is too hot may still drive. It is off only where its output is far nearer to rest than the
+        voltage that was written; else the ramp goes on to its end.
+        """
+        dropped = abs(self.limiter.applied_V - self._safe_V) > 2.0 * self._readback_within_V
+        if dropped and self.supervisor.amplifier_tripped and isfinite(readback_V) and self._is_safe(readback_V):
             self.limiter.applied_V = self._safe_V
 
     def _is_safe(self, readback_V: float) -> bool:

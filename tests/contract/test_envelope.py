@@ -251,6 +251,16 @@ class Envelope(RuleBasedStateMachine):
             self.folder.cleanup()
 
 
+def test_an_amplifier_that_is_too_hot_and_still_drives_is_ramped_to_the_end():
+    bench = Envelope()
+    bench.build(600.0, None, None, 0.0, "ramp_down", watchdog_ms=100, sign_check=False, seed=0)
+    bench.arm(cycle=False, hold=False, kind="steady", seed=0)
+    bench.tick(ticks=56)
+    bench.lose_the_amplifier(bits=16, ticks=100)
+    bench.amplifier_saw_nothing_outside_its_envelope()
+    bench.teardown()
+
+
 TestEnvelope = Envelope.TestCase
 TestEnvelope.settings = settings(
     max_examples=int(os.environ.get("PIEZOD_ENVELOPE_EXAMPLES", "25")),

@@ -105,6 +105,7 @@ def test_a_zoomed_page_stands_still_until_it_is_reset(bench, browser):
         page.mouse.move(box["x"] + 0.8 * box["width"], box["y"] + 140, steps=5)
         page.mouse.up()
         page.wait_for_function(f"() => {WINDOW}.end - {WINDOW}.start < 10_000")
+        page.wait_for_timeout(1000)
         shown = page.evaluate(f"() => {WINDOW}.end")
         page.wait_for_timeout(1000)
         assert page.evaluate(f"() => {WINDOW}.end") == shown

@@ -3,7 +3,7 @@
 from collections.abc import Callable
 
 import numpy as np
-from bokeh.events import RangesUpdate, Reset
+from bokeh.events import Event, RangesUpdate, Reset
 from bokeh.models import (
     ColumnDataSource,
     DatetimeTicker,
@@ -25,6 +25,7 @@ from piezod.report.style import BLUE, GREEN, GREY, ORANGE, RED
 NO_COUNTS = np.zeros(EDGES_us.size - 1, dtype=np.int64)
 NEARLY = 0.98  # of the window: a range at least as long is not zoomed
 _CLOCK = "%H:%M:%S"
+RESENT_ms = 1e-3
 TOOLS = "xbox_zoom,xwheel_zoom,reset"
 
 
@@ -60,8 +61,20 @@ class Figures:
 
     def on_zoom(self, call: Callable[..., None]) -> None:
         """Call a function with `zoomed` when a viewer zooms the curves over time, and when he resets them."""
+        sent_ms = 0.0
+
+        def zoom(event: Event) -> None:
+            nonlocal sent_ms
+            assert isinstance(event, RangesUpdate)
+            first_ms, last_ms = float(event.x0 or 0.0), float(event.x1 or 0.0)
+            zoomed = last_ms - first_ms < NEARLY * 1000.0 * WINDOW_s
+            if zoomed and abs(first_ms - sent_ms) > 10.0 * RESENT_ms:
+                sent_ms = first_ms + RESENT_ms  # an update on its way may have undone it; what is equal is not sent
+                self.window.update(start=sent_ms, end=last_ms + RESENT_ms)
+            call(zoomed=zoomed)
+
         for plot in (self.force, self.error, self.voltage):
-            plot.on_event(RangesUpdate, lambda event: call(zoomed=event.x1 - event.x0 < NEARLY * 1000.0 * WINDOW_s))
+            plot.on_event(RangesUpdate, zoom)
             plot.on_event(Reset, lambda _: call(zoomed=False))
 
     def roots(self) -> dict[str, figure]:
