@@ -53,10 +53,10 @@ def write_replay(path: Path, attempts: Sequence[Attempt]) -> None:
     Parameters
     ----------
     path
-        JSON file. `hypotheses` holds every hypothesis once: names, scopes, parameters with their standard errors on
-        the scale that is searched, and for every block its mean square residual when it is left out of the fit
-        (`losses`) and within it (`in_fit`), both in units of the noise squared, and its number of samples.
-        `attempts` refers to them by number.
+        JSON file. `hypotheses` holds every hypothesis once, and `attempts` refers to them by number. Each has names,
+        scopes, parameters, and their standard errors on the scale that is searched. For every block it has the number
+        of samples and the mean square residual, in units of the noise squared. `losses` are those of blocks left out
+        of the fit, `in_fit` those of blocks within it.
     attempts
         In the order of the search.
 

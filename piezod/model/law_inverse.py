@@ -84,11 +84,13 @@ class LawInverse:
         self._zones = np.concatenate((thresholds, weights))
         self._packed, self._chain = packed, chain
         self._state, self._tables = law.arrays[0], law.arrays[1:]
-        self._scratch, self._memo = self._state.copy(), np.array([0.0, 0.0, np.nan])
+        self._scratch, self._memo = self._state.copy(), np.empty(3)
+        self.reset()
 
     def reset(self) -> None:
         """Return to rest at the next tick."""
-        self._state[:] = self._memo[:] = 0.0
+        self._state[:] = 0.0
+        self._memo[ADDED], self._memo[TARGET], self._memo[PLANNED] = 0.0, 0.0, np.nan  # no voltage is planned yet
 
     def plan(self, reference: float) -> float:
         """Voltage [V] for a reading of `reference` [N] at the end of the tick; changes no state."""

@@ -12,6 +12,7 @@ from piezod.control import TableReference
 from piezod.model import ExtendedCompensator, Model, Plant
 from piezod.model.compensator import InverseCompensator
 from piezod.model.parameters import Channel, Hysteresis, Provenance, Start, Superposition
+from piezod.model.unnamed_law import UnnamedLaw
 from tests.benchmarks.extended import extended_model
 from tests.benchmarks.memory import growth, traced_bytes
 
@@ -99,6 +100,25 @@ def test_a_million_ticks_with_creep_lag_delay_and_resonance_allocate_no_memory_t
         compensator.commit(compensator.plan(reference.ahead))
 
     assert growth(tick, range(PASS), 1_000_000 // PASS, count) == 0
+
+
+@pytest.mark.usefixtures("_idle_collector", "_tracing")
+@pytest.mark.parametrize("count", [sys.getallocatedblocks, traced_bytes])
+def test_ticks_with_an_unnamed_law_allocate_no_memory_that_remains(forces_N, count):
+    axes = (
+        {"driver": "command", "low": 0.0, "high": 140.0, "nodes": 9},
+        {"driver": "way", "low": 0.0, "high": 140.0, "nodes": 8},
+    )
+    tables = (1e-3 * np.random.default_rng(0).normal(size=(3, 72))).tolist()
+    law = {"drivers": axes, "dead_band": 1.0, "smoothing_s": 0.003, "memories_s": (0.0, 0.1, 1.0), "tables": tables}
+    model = extended_model().model_copy(update={"unnamed_law": UnnamedLaw.model_validate(law)})
+    compensator = ExtendedCompensator(model, 1e-3)
+    assert compensator.compensates_law
+
+    def tick(force_N):
+        compensator.commit(compensator.plan(force_N))
+
+    assert growth(tick, forces_N, 200_000 // PASS, count) == 0
 
 
 @pytest.mark.usefixtures("_idle_collector", "_tracing")

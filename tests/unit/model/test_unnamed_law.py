@@ -137,6 +137,21 @@ def test_a_law_is_compensated(axes, left):
     assert errors[1] < left * errors[0], errors
 
 
+def test_a_reset_forgets_the_planned_voltage():
+    model = held_model()
+    axis = Axis(driver="reading", low=-50.0, high=250.0, nodes=5)
+    with_it = model.model_copy(update={"unnamed_law": law_of(axis, size=1.0)})
+    planned = []
+    for warm in (False, True):
+        compensator = ExtendedCompensator(with_it, DT_S)
+        if warm:
+            compensator.commit(compensator.plan(0.0))
+            compensator.reset()
+        compensator.commit(0.0)
+        planned.append(compensator.plan(100.0))
+    assert planned[0] == planned[1]
+
+
 def test_a_law_that_changes_more_than_the_force_is_left_out():
     model = held_model()
     steep = law_of(COMMAND_AXIS, memories_s=(0.0,), size=1.0)
