@@ -75,13 +75,11 @@ def diagnose_files(
     diagnosis = diagnose(model, asked, past, notes, on_step)
     if apart:
         on_step("simulating what was held out", 0.98)
-        checked = checked_by(diagnosis, model, _compared(apart, before, diagnosis.model))
-        if checked.model is model and diagnosis.without_law is not None:  # the law may be what is worse
-            simpler = diagnosis.without_law
-            note = "an unnamed law fits the recordings, but makes one that was held out worse, and is left out"
-            simpler = replace(simpler, findings=replace(simpler.findings, notes=(*simpler.findings.notes, note)))
-            checked = checked_by(simpler, model, _compared(apart, before, simpler.model))
-        diagnosis = checked
+        told = _compared(apart, before, diagnosis.model)
+        if diagnosis.without_law is not None:
+            plain = _compared(apart, before, diagnosis.without_law.model)
+            diagnosis, told = law_checked(diagnosis, told, plain)
+        diagnosis = checked_by(diagnosis, model, told)
     try:
         output.mkdir(parents=True, exist_ok=True)
         content = json.dumps(diagnosis.findings.as_dict(), indent=2) + "\n"
@@ -121,6 +119,25 @@ def checked_by(diagnosis: Diagnosis, given: Model, held_out: Sequence[HeldOut]) 
     words = words_of(findings, Wording(given.input.unit, given.output.unit))
     findings = replace(findings, words=f"{words}; a recording that was held out gets worse")
     return replace(diagnosis, findings=findings, model=given)
+
+
+def law_checked(
+    diagnosis: Diagnosis, with_it: tuple[HeldOut, ...], without: tuple[HeldOut, ...]
+) -> tuple[Diagnosis, tuple[HeldOut, ...]]:
+    """The diagnosis and the errors of its model; without its unnamed law where that makes a recording worse.
+
+    Parameters
+    ----------
+    diagnosis
+        With an unnamed law.
+    with_it, without
+        Errors of the extended model with and without the law, on recordings that were held out.
+    """
+    plain = diagnosis.without_law
+    if plain is None or all(law.after <= other.after for law, other in zip(with_it, without, strict=True)):
+        return diagnosis, with_it
+    note = "an unnamed law fits the recordings, but makes one that was held out worse, and is left out"
+    return replace(plain, findings=replace(plain.findings, notes=(*plain.findings.notes, note))), without
 
 
 def _compared(apart: Sequence[Source], before: Sequence[float], extended: Model) -> tuple[HeldOut, ...]:

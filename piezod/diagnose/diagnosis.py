@@ -174,6 +174,7 @@ def with_unnamed(diagnosis: Diagnosis, *, stand_ins: int) -> Diagnosis:
         findings,
         law=law,
         after=fitted.after,
+        floor=min(findings.floor, fitted.after),
         refitted=None,
         explainable=share_left(left, moving),
         nrmse_after=_nrmse_percent(diagnosis.series, extended),

@@ -19,10 +19,10 @@ AXES = {
 }
 DRIVERS = {
     "command": "the command",
-    "rate": "its rate",
-    "direction": "its direction",
-    "way": "the way since its last reversal",
-    "stroke": "its last stroke",
+    "rate": "the rate of the command",
+    "direction": "the direction of the command",
+    "way": "the way since the last reversal",
+    "stroke": "the last stroke",
     "reading": "the expected reading",
     "reading_rate": "the rate of the expected reading",
 }

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import pytest
 
 import piezod
-from piezod.diagnose.command import checked_by
+from piezod.diagnose.command import checked_by, law_checked
 from piezod.diagnose.diagnosis import Diagnosis, _doubtful
 from piezod.diagnose.findings import Finding, Findings, HeldOut
 
@@ -61,6 +61,18 @@ def test_a_recording_held_out_that_gets_worse_lowers_verdict_and_confidence(held
     assert (found.model is given) == stays
     assert ("gets worse" in found.findings.words) == stays
     assert any("later.csv" in note for note in found.findings.notes) == stays
+
+
+@pytest.mark.parametrize(("after", "stays"), [((1.0, 0.9), True), ((0.1, 1.01), False)])
+def test_an_unnamed_law_goes_where_it_makes_one_recording_held_out_worse(after, stays):
+    findings = Findings("unexplained", "", "N", 1.0, "quiet", (), (), 2.0, 1.0, 90.0, 99.0, 0.5)
+    plain = Diagnosis(findings, object(), [], [], [])
+    with_law = Diagnosis(findings, object(), [], [], [], without_law=plain)
+    errors, others = (tuple(HeldOut("later.csv", "", 2.0, one) for one in some) for some in (after, (1.0, 1.0)))
+    found, told = law_checked(with_law, errors, others)
+    assert (found is with_law) == stays
+    assert told == (errors if stays else others)
+    assert any("left out" in note for note in found.findings.notes) != stays
 
 
 @pytest.mark.parametrize(("q", "before", "stays"), [(0.09, 1.2, True), (0.3, 1.2, False), (0.3, 2.1, True)])
