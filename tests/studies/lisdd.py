@@ -91,7 +91,7 @@ def least_squares(columns, target):
 
 
 def discover(t, u, y, base, calm_variance):
-    """Names with p-values, flagged spans, and the terms with their coefficients."""
+    """Names, flagged spans, and p-values by name."""
     dt = float(t[1] - t[0])
     rate = np.gradient(u, dt)
     edges = [np.unique(np.quantile(one, np.linspace(0.0, 1.0, n + 1))) for one, n in zip((u, rate), CELLS, strict=True)]
@@ -102,7 +102,7 @@ def discover(t, u, y, base, calm_variance):
     calm = np.ones(t.size, dtype=bool)
     physics = np.column_stack((base, np.ones(t.size)))
     for _ in range(5):
-        (found, _), residual = least_squares(physics[calm], y[calm]), None
+        found, _ = least_squares(physics[calm], y[calm])
         residual = y - physics @ found
         energy = np.bincount(cell, residual**2, minlength=count) / np.maximum(size, 1)
         calm = energy[cell] <= np.median(energy[size > 0])
@@ -110,11 +110,11 @@ def discover(t, u, y, base, calm_variance):
     limit = calm_variance * stats.chi2.ppf(1.0 - ALPHA / count, independent) / independent
     flagged = (energy > limit) & (size > 0)
     inside = flagged[cell]
-    where = spans(edges, flagged.reshape(-1, edges[1].size - 1)) if flagged.any() else []
     if not flagged.any():
-        return [], where, [], found
+        return [], [], {}
+    where = spans(edges, flagged.reshape(-1, edges[1].size - 1))
     third = (np.arange(t.size) * BLOCKS // t.size) % 3
-    candidates, names, terms, left = library(t, u, base, dt), [], [], residual.copy()
+    candidates, found, left = library(t, u, base, dt), {}, residual.copy()
     for _ in range(TERMS):
         best = None
         for name, columns in [*candidates, tone(t, left, dt)]:
@@ -134,14 +134,12 @@ def discover(t, u, y, base, calm_variance):
         _, without = least_squares(np.ones((int(test.sum()), 1)), left[test])
         free = max(test.sum() / SAMPLES_PER_TRUTH - matrix.shape[1], 1.0)
         p = float(stats.f.sf(((without - with_it) / len(columns)) / (with_it / free), len(columns), free))
-        if p > ALPHA / (len(candidates) + 1) * (len(names) + 1):
+        if p > ALPHA / (len(candidates) + 1) * (len(found) + 1):
             break
         coefficients, _ = least_squares(matrix[inside], left[inside])
         left = left - matrix @ coefficients
-        if name not in names:
-            names.append(name)
-            terms.append((name, coefficients, p))
-    return names, where, terms, found
+        found.setdefault(name, p)
+    return list(found), where, found
 
 
 def spans(edges, flagged):
@@ -179,10 +177,10 @@ def diagnose(folder):
     for name in description.recordings:
         t, u, y, base = read(name)
         kept = np.isfinite(y) & np.isfinite(base)
-        found, places, terms, _ = discover(t[kept], u[kept], y[kept], base[kept], calm)
+        found, places, certain = discover(t[kept], u[kept], y[kept], base[kept], calm)
         names += [one for one in found if one not in names]
         where += places
-        p_values |= {one: p for one, _, p in terms}
+        p_values |= certain
     verdict = "explained" if names else "unexplained" if where else "matches"
     effects = [
         {
