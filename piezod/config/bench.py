@@ -8,9 +8,16 @@ from pydantic import Field, model_validator
 from piezod.config.checked import Section, check, require, shortened
 from piezod.config.limits import LimitsConfig
 from piezod.config.link import LinkConfig, ModbusRtuLink, ModbusTcpLink, SerialLineLink
-from piezod.config.reference import ReferenceConfig, RegisterReference, StreamReference
+from piezod.config.reference import ReferenceConfig, RegisterReference, StreamReference, is_looped
 from piezod.config.reference_range import ReferenceRange, reference_range
-from piezod.config.sections import ArmingConfig, DaemonConfig, DriftConfig, RealTimeConfig, RecorderConfig
+from piezod.config.sections import (
+    ArmingConfig,
+    DaemonConfig,
+    DriftConfig,
+    LearningConfig,
+    RealTimeConfig,
+    RecorderConfig,
+)
 from piezod.config.yaml_reader import Document, read_document
 from piezod.errors import ConfigurationError
 
@@ -39,6 +46,7 @@ class BenchConfig(Section):
     daemon: DaemonConfig = DaemonConfig()
     recorder: RecorderConfig | None = None
     drift: DriftConfig | None = DriftConfig()
+    learning: LearningConfig | None = None
 
     @property
     def dt_s(self) -> float:
@@ -61,6 +69,13 @@ class BenchConfig(Section):
         if self.daemon.socket is None:
             return self.ring_log_path.with_name(self.ring_log_path.name + ".sock")
         return Path(self.daemon.socket.replace("{name}", self.name))
+
+    @property
+    def learned_path(self) -> Path:
+        """File of the learned correction: `learning.file`, or a file beside the ring log."""
+        if self.learning is not None and self.learning.file is not None:
+            return Path(self.learning.file.replace("{name}", self.name))
+        return self.ring_log_path.with_name(self.ring_log_path.name + ".learned.csv")
 
     @property
     def recordings_path(self) -> Path | None:
@@ -170,12 +185,23 @@ class BenchConfig(Section):
         return self
 
     @model_validator(mode="after")
+    def _learning_needs_repeats(self) -> Self:
+        if self.learning is not None and not is_looped(self.reference):
+            raise ValueError(
+                f"learning needs a reference that repeats, reference.kind is {self.reference.kind}: use a waveform "
+                "with duration_s: null, or a file with loop: true, or write learning: null"
+            )
+        return self
+
+    @model_validator(mode="after")
     def _every_run_time_file_has_a_path_of_its_own(self) -> Self:
         paths = {"daemon.ring_log": self.ring_log_path, "its lock": self.lock_path, "daemon.socket": self.socket_path}
         if isinstance(self.reference, StreamReference) and self.reference.udp_address is None:
             paths["reference.listen"] = Path(self.reference.listen)
         if self.drift is not None and self.drift.file is not None:
             paths["drift.file"] = Path(self.drift.file.replace("{name}", self.name))
+        if self.learning is not None:
+            paths["learning.file"] = self.learned_path
         found: dict[Path, str] = {}
         for name, path in paths.items():
             if (other := found.setdefault(path, name)) != name:

@@ -48,6 +48,19 @@ class FileReference(_LimitedReference):
     at_end: EndAction = "ramp_down"
 
 
+def is_looped(reference: "ReferenceConfig") -> bool:
+    """Whether the values of a reference are known ahead and begin again at the end.
+
+    Parameters
+    ----------
+    reference
+        Section `reference` of the bench configuration.
+    """
+    if isinstance(reference, FileReference):
+        return reference.loop
+    return isinstance(reference, WaveformReference) and reference.duration_s is None
+
+
 class RegisterReference(_LimitedReference):
     """The `reference` register, written by a PLC; stale when `reference_counter` does not change."""
 

@@ -1,4 +1,4 @@
-"""The sections `real_time`, `arming`, `daemon`, `recorder` and `drift` of a bench file."""
+"""The sections `real_time`, `arming`, `daemon`, `recorder`, `drift` and `learning` of a bench file."""
 
 from typing import Annotated, Literal, Self
 
@@ -87,4 +87,14 @@ class DriftConfig(Section):
     window_s: Annotated[float, Field(ge=1, le=3600)] = 10.0
     beyond_N: Annotated[float, Field(gt=0)] | None = None
     keep_s: Annotated[float, Field(ge=10, le=3600)] = 120.0
+    file: str | None = None
+
+
+class LearningConfig(Section):
+    """Learning of a looped reference from one repeat to the next.
+
+    `most_N` is the largest correction [N]; None: a quarter of the span of the reference. `file` keeps the correction.
+    """
+
+    most_N: Annotated[float, Field(gt=0)] | None = None
     file: str | None = None

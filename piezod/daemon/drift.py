@@ -18,9 +18,9 @@ from numpy.typing import NDArray
 from piezod.config import BenchConfig, load_bench, model_path
 from piezod.config.run_time_files import FILE_MODE, is_own_file, set_access
 from piezod.control import State
+from piezod.daemon.expected_rows import ExpectedRows
 from piezod.errors import CheckFailedError, ConfigurationError, PiezodError
 from piezod.model import Model
-from piezod.model.expected import ExpectedReading
 from piezod.recording import HELD_ONE_SAMPLE, Recording, write_csv
 from piezod.recording.ticks import GOOD, pair_rows
 from piezod.session.history import is_tracking
@@ -36,8 +36,6 @@ DRIFT_MAGIC = b"\n# kept: left its model\n"
 DRIFT_HEAD_BYTES = 4096
 WINDOWS = 2
 """Number of windows in a row above the limit that count as a drift."""
-LONGEST_GAP_S = 5.0
-"""Longest gap of missed ticks that is bridged with the last voltage [s]; after a longer gap the prediction restarts."""
 
 
 class DriftWatch:
@@ -75,7 +73,7 @@ class DriftWatch:
     def __init__(self, bench: BenchConfig, model: Model, log: Callable[[str], None]) -> None:
         assert bench.drift is not None
         self._bench, self._log, self._name = bench, log, model.name
-        self._expected = ExpectedReading(model, bench.dt_s)
+        self._expected = ExpectedRows(model, bench.dt_s)
         own_N = model.provenance.fit.rms_held_out
         self.limit_N = bench.drift.beyond_N or (
             LIMIT_IN_MODEL_ERRORS * own_N if own_N else LIMIT_IN_RANGES * (model.output.high - model.output.low)
@@ -83,7 +81,6 @@ class DriftWatch:
         self._window_ticks = round(bench.drift.window_s * bench.rate_Hz)
         self._max_rows = round(bench.drift.keep_s * bench.rate_Hz)
         self.path = drift_recording_path(bench)
-        self._before: NDArray[np.void] | None = None
         self._armed_rows: list[NDArray[np.void]] = []
         self._row_count = 0
         self._complete, self._state = False, int(State.DISARMED)
@@ -97,34 +94,22 @@ class DriftWatch:
 
     def warm_up(self) -> None:
         """Load the compiled steps."""
-        self._expected.run(np.zeros(1), np.full(1, nan))
-        self._expected.reset()
+        self._expected.warm_up()
 
     def begin(self) -> None:
         """Begin with a new control process, whose bench is at rest."""
-        self._before = None
-        self._expected.reset()
+        self._expected.begin()
 
     def add(self, rows: NDArray[np.void]) -> None:
         """Compare new rows of the ring log."""
         if not rows.size:
             return
-        commands, readings = pair_rows(rows, self._before)
-        self._before = rows[-1:].copy()
         self._collect(rows)
-        if not commands.size:
-            return
-        steps = readings["tick"] - commands["tick"]
-        if steps.max() > LONGEST_GAP_S * self._bench.rate_Hz:
-            self.begin()
-            return
-        last = np.cumsum(steps) - 1
-        voltage_V = np.repeat(commands["voltage_V"], steps)
-        reading_N = np.full(voltage_V.size, nan)
-        reading_N[last] = np.where(readings["result"] == GOOD, readings["force_N"], nan)
-        expected, corrected = self._expected.run(voltage_V, reading_N, float(readings["temperature_C"][-1]))
-        self.corrected_N = float(corrected[-1])
-        self._add_to_windows((reading_N[last] - expected[last])[is_tracking(commands, readings)])
+        shown = self._expected
+        if shown.add(rows):
+            self.corrected_N = float(shown.corrected_N[-1])
+            tracking = is_tracking(shown.commands, shown.readings)
+            self._add_to_windows((shown.reading_N - shown.expected_N)[tracking])
 
     def corrected(self) -> float | None:
         """Force behind the last reading [N]; None before the first."""

@@ -15,6 +15,7 @@ from piezod.control import State
 from piezod.control.phase_times import PHASES
 from piezod.daemon.connections import Connections
 from piezod.daemon.drift import DriftWatch
+from piezod.daemon.learning_watch import LearningWatch
 from piezod.daemon.phase_watch import PhaseWatch
 from piezod.daemon.railed import RailedWatch
 from piezod.daemon.statistics import BOUNDS_S, DurationHistogram, TickStatistics
@@ -66,6 +67,8 @@ class BenchMetrics(Collector):
         Function that returns the counts of a live reference by result; it returns None without one.
     phases
         Durations of the phases of a tick; None without them.
+    learning
+        Function that returns the present learning of a looped reference; it returns None without one.
     """
 
     def __init__(
@@ -77,6 +80,7 @@ class BenchMetrics(Collector):
         railed: RailedWatch | None = None,
         values: Callable[[], dict[str, int] | None] = lambda: None,
         phases: PhaseWatch | None = None,
+        learning: Callable[[], LearningWatch | None] = lambda: None,
     ) -> None:
         self._labels = [name]
         self._statistics = statistics
@@ -84,6 +88,7 @@ class BenchMetrics(Collector):
         self._drift = drift
         self._railed, self._phases = railed, phases
         self._values = values
+        self._learning = learning
 
     def collect(self) -> Iterable[Metric]:
         """Yield all metrics with their present values."""
@@ -110,6 +115,7 @@ class BenchMetrics(Collector):
         if self._recorder is not None:
             yield from self._recorder_metrics(self._recorder)
         yield from self._drift_metrics()
+        yield from self._learning_metrics()
         if self._railed is not None:
             text = "1 while the reference is out of reach because the voltage is at a limit"
             gauge = GaugeMetricFamily("piezod_railed", text, labels=["bench"])
@@ -148,6 +154,21 @@ class BenchMetrics(Collector):
             if np.isfinite(value):
                 gauge.add_metric(self._labels, value)
             yield gauge
+
+    def _learning_metrics(self) -> Iterable[Metric]:
+        watch = self._learning()
+        if watch is None:
+            return
+        errors_N = watch.errors_N
+        yield self._count("piezod_learned_passes", "Passes of a looped reference that were learned from", len(errors_N))
+        gauge = GaugeMetricFamily(
+            "piezod_learning_error_newtons",
+            "Rms tracking error of the last pass of a looped reference",
+            labels=["bench"],
+        )
+        if errors_N:
+            gauge.add_metric(self._labels, errors_N[-1])
+        yield gauge
 
     def _recorder_metrics(self, recorder: RecorderWatch) -> Iterable[Metric]:
         status = recorder.as_dict()

@@ -71,14 +71,21 @@ def run_foreground(path: Path, *, arm: bool) -> RunResult:
         The bench could not be started; nothing was written to the device.
     """
     bench = load_bench(path)
+    size = 0
+    if bench.learning is not None:
+        from piezod.session.assembly import correction_size  # noqa: PLC0415  # slow import that other benches do not need
+
+        size = correction_size(bench, path.parent)
     lock = lock_bench(bench)
-    session = Session(bench, None, path.parent, [], serves=path, lock=lock)
+    session = Session(bench, None, path.parent, [], serves=path, lock=lock, correction_size=size)
     try:
         session.launch()
         from piezod.daemon.drift import check_drift_file  # noqa: PLC0415  # slow import, while the control process starts
         from piezod.daemon.service import Service  # noqa: PLC0415
+        from piezod.session.learned_file import check_learned_file  # noqa: PLC0415
 
         check_drift_file(bench)
+        check_learned_file(bench)
         service = Service(path, bench, lock, session, arm=arm)
         asyncio.run(service.run())
     except OSError as error:

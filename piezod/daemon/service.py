@@ -28,7 +28,7 @@ from piezod.daemon.status import reference_values, status_dict
 from piezod.daemon.systemd import Notifier
 from piezod.errors import PiezodError, TemporaryError
 from piezod.recorder.watch import RecorderWatch
-from piezod.session.assembly import load_bench_and_model
+from piezod.session.assembly import correction_size, load_bench_and_model
 from piezod.session.files import files_digest
 from piezod.session.lock import BenchLock
 from piezod.session.session import POLL_INTERVAL_S, Session, rebuild_error
@@ -112,6 +112,7 @@ class Service:
                     self.railed_watch,
                     lambda: reference_values(self._bench, self._channel),
                     self.phase_watch,
+                    lambda: self.model_watch.learning,
                 )
                 metrics = MetricsServer(shown, log_line)
                 stack.push_async_callback(metrics.close)
@@ -176,8 +177,16 @@ class Service:
     def _launch(self) -> Session:
         """Start a control process with the configuration that a reload has set, or with the present one."""
         bench, self._next = self._next or self._bench, None
+        folder = self._path.parent
         session = Session(
-            bench, None, self._path.parent, [], serves=self._path, lock=self._lock, heat_W=self.outcome.heat_W
+            bench,
+            None,
+            folder,
+            [],
+            serves=self._path,
+            lock=self._lock,
+            heat_W=self.outcome.heat_W,
+            correction_size=correction_size(bench, folder),
         )
         session.launch()
         self._bench, self._files = bench, ""
@@ -211,8 +220,8 @@ class Service:
             if self._recorder is not None:
                 self._recorder.follow(self._bench.ring_log_path)
             self.statistics.begin()
-            self.phase_watch.begin(session.phase_cells)
-            self.model_watch.begin(self._bench)
+            self.phase_watch.begin(session.shared.phases)
+            self.model_watch.begin(self._bench, session.shared.correction)
             self._notifier.ready()
             self._notifier.status(f"DISARMED, {content.description}")
             if self._stops_requested:

@@ -72,6 +72,7 @@ def status_dict(
         "reference_values": reference_values(bench, channel),
         "recorder": None if recorder is None else recorder.as_dict(),
         "drift": None if drift is None else drift.as_dict(),
+        "learning": None if model_watch.learning is None else model_watch.learning.as_dict(),
         "rail": railed_watch.as_dict(),
         "phases": phase_watch.as_dict(),
         "preview": None if preview is None else preview.as_dict(),
@@ -122,6 +123,8 @@ def status_text(status: dict[str, Any]) -> str:
         lines.append(f"  {_values_text(values)}")
     if drift := status.get("drift"):
         lines.append(f"  {_drift_text(drift)}")
+    if learning := status.get("learning"):
+        lines.append(f"  {_learning_text(learning)}")
     rail = status.get("rail")
     if rail and rail["railed"]:
         lines.append(f"  reference: RAILED; not reachable, the voltage is at a limit for {rail['lasted_s']:.1f} s")
@@ -136,6 +139,16 @@ def _values_text(values: dict[str, int]) -> str:
     return f"reference: {values['accepted']} values accepted, {sum(refused.values())} refused" + (
         f" ({reasons})" if reasons else ""
     )
+
+
+def _learning_text(learning: dict[str, Any]) -> str:
+    if learning["rms_N"] is None:
+        return "learning: waits for the first repeat"
+    text = (
+        f"learning: {learning['state']}; error {learning['first_N']:.3g} N in the first repeat, "
+        f"{learning['rms_N']:.3g} N in the last of {learning['passes']}"
+    )
+    return f"{text}; not kept: {learning['problem']}" if learning["problem"] else text
 
 
 def _drift_text(drift: dict[str, Any]) -> str:

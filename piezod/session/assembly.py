@@ -15,16 +15,19 @@ from piezod.control import (
     PhaseTimes,
     RateKeeper,
     RealRateKeeper,
+    Reference,
     RingLog,
     Segment,
     TableReference,
     VirtualRateKeeper,
     make_reference,
 )
+from piezod.control.references.repeat_correction import correction_cells
 from piezod.effects import EFFECTS
 from piezod.errors import ConfigurationError, ModelError
 from piezod.excitation import triangle_ramp
 from piezod.model import (
+    Compensator,
     DirectDrive,
     ExtendedCompensator,
     Model,
@@ -38,11 +41,15 @@ from piezod.model.unnamed_law import NAME as UNNAMED
 from piezod.session.task import SegmentSpec
 from piezod.transport import (
     Link,
+    Reading,
     check_encodable,
     make_link,
     max_wire_rate_Hz,
     verify_identity,
 )
+
+MOST_LEARNED_TICKS = 2_000_000
+"""Longest repeat that is learned [ticks]: its spectra take 0.5 GB in the daemon, and half a second of one core."""
 
 
 def load_bench_and_model(path: Path) -> tuple[BenchConfig, Model]:
@@ -231,6 +238,64 @@ def make_rate_keeper(bench: BenchConfig, link: Link) -> RateKeeper:
     return RealRateKeeper(bench.dt_s)
 
 
+def reference_table(bench: BenchConfig, folder: Path) -> TableReference:
+    """Make the table of a reference that is known ahead.
+
+    Parameters
+    ----------
+    bench
+        Bench configuration with a waveform or a file for a reference.
+    folder
+        Folder that relative paths start from.
+
+    Raises
+    ------
+    ConfigurationError
+        The file cannot be read or holds a value beyond the range, or the waveform does not fit the tick rate.
+    """
+    reference = make_reference(bench.reference, bench.rate_Hz, folder, Reading(), bench.reference_range, counted=False)
+    assert isinstance(reference, TableReference)
+    return reference
+
+
+def correction_size(bench: BenchConfig, folder: Path) -> int:
+    """Number of float64 values of a learned correction (`RepeatCorrection`); 0 where nothing is learned.
+
+    Parameters
+    ----------
+    bench
+        Bench configuration.
+    folder
+        Folder that relative paths start from.
+
+    Raises
+    ------
+    ConfigurationError
+        The reference cannot be made, or a repeat has more than `MOST_LEARNED_TICKS`.
+    """
+    if bench.learning is None:
+        return 0
+    ticks = len(reference_table(bench, folder))
+    if ticks > MOST_LEARNED_TICKS:
+        raise ConfigurationError(
+            f"learning: a repeat of the reference has {ticks} ticks, must have at most {MOST_LEARNED_TICKS}; shorten "
+            "it, or write learning: null"
+        )
+    return correction_cells(ticks)
+
+
+def plan_ahead(reference: Reference, compensator: Compensator) -> None:
+    """Let the values of a table lead by delay and resonance of the model; no effect on any other reference.
+
+    Parameters
+    ----------
+    reference, compensator
+        Parts of a segment.
+    """
+    if isinstance(reference, TableReference) and isinstance(compensator, ExtendedCompensator):
+        reference.plan_ahead(compensator.ahead, compensator.preview_ticks)
+
+
 def make_segment(spec: SegmentSpec, bench: BenchConfig, model: Model | None, link: Link, folder: Path) -> Segment:
     """Make the segment that a specification describes.
 
@@ -263,10 +328,9 @@ def make_segment(spec: SegmentSpec, bench: BenchConfig, model: Model | None, lin
     counted = link.has("reference_counter")
     reference = make_reference(config, bench.rate_Hz, folder, link.reading, bench.reference_range, counted=counted)
     compensator = make_compensator(spec.compensation, model, bench.dt_s, bench.compensation_without)
+    plan_ahead(reference, compensator)
     if not isinstance(compensator, ExtendedCompensator):
         return Segment(spec.name, reference, compensator, reset_cycle)
-    if isinstance(reference, TableReference):
-        reference.plan_ahead(compensator.ahead, compensator.preview_ticks)
     return Segment(spec.name, reference, compensator, reset_cycle, update_temperature=compensator.update_temperature)
 
 

@@ -18,7 +18,18 @@ from pathlib import Path
 from typing import Any
 
 from piezod.config import BenchConfig, model_path
-from piezod.control import CAUSE_TEXT, Cause, ControlLoop, PhaseTimes, RingLog, Segment, check_ready, real_time
+from piezod.control import (
+    CAUSE_TEXT,
+    Cause,
+    ControlLoop,
+    PhaseTimes,
+    RingLog,
+    Segment,
+    TableReference,
+    check_ready,
+    real_time,
+)
+from piezod.control.references.repeat_correction import RepeatCorrection
 from piezod.errors import PiezodError, TemporaryError, system_error_text
 from piezod.model import Model
 from piezod.session.assembly import (
@@ -33,14 +44,15 @@ from piezod.session.assembly import (
 from piezod.session.command_queue import CommandQueue
 from piezod.session.device_names import device_names
 from piezod.session.files import files_digest
+from piezod.session.learned_file import LearnedFile
 from piezod.session.lock import BenchLock
-from piezod.session.task import Outcome, Ready, SegmentSpec, Task
+from piezod.session.task import Outcome, Ready, SegmentSpec, SharedMemory, Task
 from piezod.transport import ExchangeResult, Link
 
 _PR_SET_PDEATHSIG = 1  # prctl(2): the signal that the kernel sends when the parent dies
 
 
-def run(task: Task, pipe: Connection, lock: BenchLock, phases: PhaseTimes) -> None:
+def run(task: Task, pipe: Connection, lock: BenchLock, shared: SharedMemory) -> None:
     """Execute a task and send its outcome, or its error, to the parent.
 
     When the parent dies, the bench is ramped down and the process ends.
@@ -53,8 +65,8 @@ def run(task: Task, pipe: Connection, lock: BenchLock, phases: PhaseTimes) -> No
         Connection to the parent. It carries `ready`, `answer`, and finally `done` or `error`.
     lock
         Lock of the bench; this process holds it until its end.
-    phases
-        Times of the phases of a tick, in memory that the parent reads.
+    shared
+        Memory for the times of the phases of a tick, and for a learned correction.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGHUP, signal.SIG_IGN)
@@ -65,7 +77,7 @@ def run(task: Task, pipe: Connection, lock: BenchLock, phases: PhaseTimes) -> No
         lock.cover(device_names(task.bench.link))  # again: a name may resolve to another address, a reload name another
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always")
-            outcome = _execute(task, pipe, phases)
+            outcome = _execute(task, pipe, shared)
         outcome.warnings = [str(warning.message) for warning in caught]
         _send(pipe, ("done", outcome))
     except PiezodError as error:
@@ -93,7 +105,7 @@ def _send(pipe: Connection, message: tuple[str, Any]) -> bool:
     return True
 
 
-def _execute(task: Task, pipe: Connection, phases: PhaseTimes | None = None) -> Outcome:
+def _execute(task: Task, pipe: Connection, shared: SharedMemory | None = None) -> Outcome:
     """Connect the bench, build its loop, and drive the segments or serve commands."""
     bench = task.bench
     files = "" if task.serves is None else files_digest(bench, task.serves)
@@ -103,12 +115,14 @@ def _execute(task: Task, pipe: Connection, phases: PhaseTimes | None = None) -> 
         segments = [make_segment(spec, bench, model, link, task.folder) for spec in specs]
         for segment in segments:
             stack.callback(segment.reference.close)
+        if shared is not None and shared.correction is not None:
+            _correct_by(segments[0], shared.correction, task)
         if segments and task.serves is None:
             _warm_up(segments)
             check_ready(bench, link)
         ring_log = _ring_log(bench)
         stack.callback(ring_log.close)
-        loop = make_loop(bench, link, clock, ring_log, phases)
+        loop = make_loop(bench, link, clock, ring_log, None if shared is None else PhaseTimes(shared.phases))
         loop.supervisor.heat_W = task.heat_W
         for segment in segments[:1]:
             loop.observe(segment, ring_log)
@@ -123,6 +137,16 @@ def _execute(task: Task, pipe: Connection, phases: PhaseTimes | None = None) -> 
         with real_time(bench.real_time):
             fault = _drive(loop, segments) if task.serves is None else _serve(loop, commands)
         return _outcome(link, loop, fault, clock.missed)
+
+
+def _correct_by(segment: Segment, cells: Any, task: Task) -> None:  # noqa: ANN401  # an array of ctypes
+    """Let the looped table of a segment follow the learned correction, from that of an earlier run on."""
+    assert isinstance(segment.reference, TableReference)
+    assert task.serves is not None
+    correction = RepeatCorrection(cells)
+    segment.reference.correct_by(correction)
+    if (earlier_N := LearnedFile(task.bench, task.serves, segment.reference).read()) is not None:
+        correction.offer(earlier_N)
 
 
 def _ring_log(bench: BenchConfig) -> RingLog:

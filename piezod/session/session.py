@@ -16,7 +16,7 @@ import piezod.errors
 from piezod.config import BenchConfig
 from piezod.errors import PiezodError
 from piezod.session.lock import BenchLock, lock_bench
-from piezod.session.task import Outcome, SegmentSpec, Task
+from piezod.session.task import Outcome, SegmentSpec, SharedMemory, Task
 
 if TYPE_CHECKING:
     from multiprocessing.connection import Connection
@@ -50,11 +50,13 @@ class Session:
         Lock of the bench that the caller holds. None: the session takes it at the start and releases it at the end.
     heat_W
         `Outcome.heat_W` of the session before on the same bench [W]: the stack is still warm.
+    correction_size
+        Number of float64 values of a learned correction (`RepeatCorrection`); 0: nothing is learned.
 
     Attributes
     ----------
-    phase_cells
-        Shared memory of `piezod.control.PhaseTimes`.
+    shared
+        Memory that the control process shares with this one.
     outcome
         Outcome of the session, after its end.
     """
@@ -69,13 +71,16 @@ class Session:
         serves: Path | None = None,
         lock: BenchLock | None = None,
         heat_W: float = 0.0,
+        correction_size: int = 0,
     ) -> None:
         self._task = Task(bench, model, folder, tuple(segments), serves, heat_W)
         self._lock, self._owns_lock = lock, lock is None
         self._pipe: Connection | None = None
         self._process: Any = None
         self._reader: RingReader | None = None
-        self.phase_cells = multiprocessing.get_context("spawn").RawArray("q", PHASE_CELLS)
+        context = multiprocessing.get_context("spawn")
+        correction = context.RawArray("d", correction_size) if correction_size else None
+        self.shared = SharedMemory(context.RawArray("q", PHASE_CELLS), correction)
         self._commands = 0
         self._stop_requested = False
         self.outcome = Outcome()
@@ -98,7 +103,7 @@ class Session:
             self._lock = lock_bench(self._task.bench)
         context = multiprocessing.get_context("spawn")
         self._pipe, theirs = context.Pipe()
-        arguments = (self._task, theirs, self._lock, self.phase_cells)
+        arguments = (self._task, theirs, self._lock, self.shared)
         self._process = context.Process(target=_enter_control_process, args=arguments, daemon=False)
         self._process.start()
         theirs.close()
@@ -240,9 +245,8 @@ def rebuild_error(name: str, text: str) -> PiezodError:
     return error
 
 
-def _enter_control_process(task: Task, pipe: "Connection", lock: BenchLock, phase_cells: Any) -> None:  # noqa: ANN401
+def _enter_control_process(task: Task, pipe: "Connection", lock: BenchLock, shared: SharedMemory) -> None:
     """Run in the new process: import the control process there, and not in its parent."""
-    from piezod.control import PhaseTimes  # noqa: PLC0415  # slow import that the parent does not need
-    from piezod.session.control_process import run  # noqa: PLC0415  # as above
+    from piezod.session.control_process import run  # noqa: PLC0415  # slow import that the parent does not need
 
-    run(task, pipe, lock, PhaseTimes(phase_cells))
+    run(task, pipe, lock, shared)

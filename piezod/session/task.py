@@ -5,7 +5,7 @@ This module imports little. The control process starts first and loads its own m
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from piezod.config import BenchConfig
 
@@ -70,6 +70,22 @@ class Task:
     segments: tuple[SegmentSpec, ...]
     serves: Path | None = None
     heat_W: float = 0.0
+
+
+@dataclass(frozen=True)
+class SharedMemory:
+    """Memory that the control process shares with its parent.
+
+    Parameters
+    ----------
+    phases
+        int64 values of `piezod.control.PhaseTimes`.
+    correction
+        float64 values of a `RepeatCorrection`; None: nothing is learned.
+    """
+
+    phases: Any
+    correction: Any = None
 
 
 @dataclass(frozen=True)

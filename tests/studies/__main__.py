@@ -11,6 +11,7 @@ from tests.studies import (
     compensation,
     effects_compensated,
     flexure,
+    learning,
     lisdd,
     messy_files,
     nulls,
@@ -36,6 +37,7 @@ def main() -> None:
     )
     _flexure(studies.add_parser("flexure", help="prediction of a real feedforward by a diagnosed model"))
     _effects_compensated(studies.add_parser("effects_compensated", help="each effect before and after compensation"))
+    _learning(studies.add_parser("learning", help="a looped reference with each effect hidden, repeat by repeat"))
     peers.add_options(studies.add_parser("peers", help="other methods on the cases of a concealed study"))
     lisdd.add_options(studies.add_parser("lisdd", help="LISDD on the cases of a concealed study"))
     recorder.add_options(studies.add_parser("recorder", help="the recorder under kills, power cuts and disk failures"))
@@ -96,6 +98,18 @@ def _compensation(parser: argparse.ArgumentParser) -> None:
         with _folder(options.folder) as folder:
             rows = compensation.study(benches, rates_Hz, extent, folder)
             _print_rows(rows, compensation.header(), compensation.summary, options.json)
+
+    parser.set_defaults(run=run)
+
+
+def _learning(parser: argparse.ArgumentParser) -> None:
+    _shared(parser, learning.CASES)
+
+    def run(options: argparse.Namespace, parser: argparse.ArgumentParser) -> None:
+        names = _picked(parser, "case", options.only, learning.CASES)
+        with _folder(options.folder) as folder:
+            rows = learning.study(names, folder, jobs=options.jobs)
+            _print_rows(rows, learning.header(), learning.summary, options.json)
 
     parser.set_defaults(run=run)
 

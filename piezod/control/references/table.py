@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 from piezod.config.reference import FileReference, WaveformReference
 from piezod.config.reference_range import ReferenceRange
 from piezod.control.references.reference import Freshness
+from piezod.control.references.repeat_correction import RepeatCorrection
 from piezod.errors import ConfigurationError, RecordingError
 from piezod.excitation import shape, whole_periods
 from piezod.recording import read_csv
@@ -42,6 +43,7 @@ class TableReference:
         self._ahead = self._values
         self._run_in = self._ahead[:0]
         self._loop = loop
+        self._correction: RepeatCorrection | None = None
         self._first = 0
         self.ahead = self._values[0]
         self.ramp_down_on_lapse = ramp_down_on_lapse
@@ -74,6 +76,44 @@ class TableReference:
         assert ahead.shape == values.shape
         self._ahead = _packed(ahead)
 
+    def correct_by(self, correction: RepeatCorrection) -> None:
+        """Add a learned correction to `ahead`, from the next start on.
+
+        Parameters
+        ----------
+        correction
+            Correction of every tick of a pass.
+
+        Raises
+        ------
+        ConfigurationError
+            The table is not looped, or has another number of ticks.
+        """
+        if not self._loop or correction.ticks != len(self._values):
+            raise ConfigurationError(
+                f"learning: a correction of {correction.ticks} ticks for a table of {len(self._values)} ticks, must be "
+                "equal, and the table looped; was the reference file exchanged? start again"
+            )
+        self._correction = correction
+
+    def planned(self) -> NDArray[np.float64]:
+        """Values of `ahead` of a pass without a correction, shape (N,)."""
+        return np.array(self._ahead)
+
+    def values(self) -> NDArray[np.float64]:
+        """Values of a pass, shape (N,)."""
+        return np.array(self._values)
+
+    @property
+    def loops(self) -> bool:
+        """Whether the values begin again at the end."""
+        return self._loop
+
+    @property
+    def run_in_ticks(self) -> int:
+        """Ticks of the first value before the first pass."""
+        return len(self._run_in)
+
     def span(self) -> tuple[float, float]:
         """Smallest and largest value."""
         return min(self._values), max(self._values)
@@ -88,19 +128,26 @@ class TableReference:
         """Let the first sample belong to `tick`."""
         self._first = tick
         self.freshness = Freshness.LIVE
+        if self._correction is not None:
+            self._correction.start(tick + len(self._run_in))
 
     def read(self, tick: int, now_ns: int) -> float:  # noqa: ARG002  # the same call for every reference
         """Value of `tick`."""
         k = tick - self._first - len(self._run_in)
+        correction = self._correction
         if k < 0:
-            self.ahead = self._run_in[k]
+            self.ahead = self._run_in[k] + (0.0 if correction is None else correction.read(0, 0))
             return self._values[0]
+        repeat = 0
         if k >= len(self._values):
             if not self._loop:
                 self.freshness = Freshness.ENDED
                 k = len(self._values) - 1
+            repeat = k // len(self._values)
             k %= len(self._values)
         self.ahead = self._ahead[k]
+        if correction is not None:
+            self.ahead += correction.read(repeat, k)
         return self._values[k]
 
     def close(self) -> None:

@@ -88,7 +88,7 @@ def test_a_socket_has_its_mode_whatever_the_umask_is(tmp_path, umask):
     ("old", "new", "says"),
     [
         ("socket: null ", "socket: /dev/shm/piezod-{name}.ring ", "daemon.socket is /dev/shm/piezod-emulator.ring"),
-        ("file: null ", "file: /dev/shm/piezod-{name}.ring.lock ", "drift.file is .*, the same as its lock"),
+        ("\n  file: null ", "\n  file: /dev/shm/piezod-{name}.ring.lock ", "drift.file is .*, the same as its lock"),
     ],
 )
 def test_two_run_time_files_with_one_path_are_refused(tmp_path, old, new, says):
