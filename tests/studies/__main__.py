@@ -17,6 +17,7 @@ from tests.studies import (
     nulls,
     overlay,
     recorder,
+    rivals,
     scenarios,
     soak,
     table,
@@ -39,6 +40,7 @@ def main() -> None:
     _effects_compensated(studies.add_parser("effects_compensated", help="each effect before and after compensation"))
     _learning(studies.add_parser("learning", help="a looped reference with each effect hidden, repeat by repeat"))
     peers.add_options(studies.add_parser("peers", help="other methods on the cases of a concealed study"))
+    rivals.add_options(studies.add_parser("rivals", help="the next experiment where a diagnosis left rivals"))
     lisdd.add_options(studies.add_parser("lisdd", help="LISDD on the cases of a concealed study"))
     recorder.add_options(studies.add_parser("recorder", help="the recorder under kills, power cuts and disk failures"))
     messy_files.add_options(studies.add_parser("messy_files", help="text of spreadsheets and instruments"))

@@ -108,7 +108,7 @@ def make_case(directory: Path, name: str, spec: CaseSpec, seed: np.random.SeedSe
     folder = directory / name
     folder.mkdir(exist_ok=True)
     for record in case.records:
-        _write_record(folder / record.name, case, record)
+        write_record(folder / record.name, case, record)
     described = json.dumps(_description(case), indent=1) + "\n"
     (folder / "case.json").write_text(described, encoding="utf-8")
     held_out = case.records[-1]
@@ -130,7 +130,18 @@ def _description(case: Case) -> dict[str, object]:
     }
 
 
-def _write_record(path: Path, case: Case, record: Record) -> None:
+def write_record(path: Path, case: Case, record: Record) -> None:
+    """Write the readings of a record of a case.
+
+    Parameters
+    ----------
+    path
+        CSV file.
+    case
+        The case.
+    record
+        One of its records, or one with another drive.
+    """
     columns = {
         "time_s": (record.drive.time_s, "%.6f"),
         "voltage_V": (record.drive.voltage_V, "%.4f"),
