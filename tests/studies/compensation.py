@@ -17,10 +17,11 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from firmware_sim.physics.bench import Bench
 from firmware_sim.physics.scenario import load_scenario
-from piezod.config.reference import WaveformReference
+from piezod.config.reference import FileReference, WaveformReference
 from piezod.errors import PiezodError
 from piezod.excitation import IDENTIFICATION
 from piezod.model import load_model
@@ -47,6 +48,7 @@ AMPLITUDE_N, OFFSET_N = 110.0, 150.0
 SMALL_N = 30.0  # at 10 Hz the whole range exceeds the slew limit of the bench at every reversal
 SEED, WORK_SEED, RUN_SEED = 1, 3, 5
 SETTLES_S = 0.1
+PRACTICE_HZ = 1000.0
 COMPENSATIONS = {"plain gain": ("gain", "model"), "static inverse": ("inverse", "model")}
 EXTENDED = "extended inverse"
 
@@ -77,8 +79,8 @@ LONG = Extent(0.25, 60.0, None, 3.0)
 SHORT = Extent(0.5, 30.0, (14, 6), 1.0)
 
 
-def references(extent: Extent) -> dict[str, WaveformReference]:
-    """The references by name."""
+def references(extent: Extent, folder: Path) -> dict[str, WaveformReference | FileReference]:
+    """The references by name; those of `practice` are written into a folder."""
     slow_s = 10.0 * extent.periods
     shapes: dict[str, tuple[str, float, float, float]] = {
         "triangle 0.1 Hz": ("triangle", AMPLITUDE_N, 0.1, slow_s),
@@ -88,12 +90,46 @@ def references(extent: Extent) -> dict[str, WaveformReference]:
         "multisine 0.25 to 3.25 Hz": ("multisine", AMPLITUDE_N, 0.25, 8.0 if extent.periods > 1.0 else 4.0),
         "staircase 0.05 Hz": ("staircase", AMPLITUDE_N, 0.05, 2.0 * slow_s / 3.0 if extent.periods > 1.0 else 10.0),
     }
-    return {
+    waveforms = {
         name: WaveformReference(
             kind=kind, amplitude_N=amplitude_N, offset_N=OFFSET_N, frequency_Hz=frequency_Hz, duration_s=duration_s
         )
         for name, (kind, amplitude_N, frequency_Hz, duration_s) in shapes.items()
     }
+    moves = {}
+    for name, force_N in practice().items():
+        path = folder / f"{name.replace(' ', '-')}.csv"
+        write_csv(Recording(np.arange(force_N.size) / PRACTICE_HZ, {"reference_N": force_N}), path)
+        moves[name] = FileReference(kind="file", path=str(path))
+    return waveforms | moves
+
+
+def practice() -> dict[str, NDArray[np.float64]]:
+    """Moves as positioning tasks have them, at `PRACTICE_HZ` [N].
+
+    After C. Schindlbeck, C. Pape and E. Reithmeier (2017), Recursive Online Compensation of Piezoelectric
+    Nonlinearities via a Modified Prandtl-Ishlinskii Approach, IFAC World Congress, whose trajectories have stationary
+    states, varying final times, and small and large ranges in turn. Each move is the polynomial of least jerk between two rests.
+    """
+    levels = (-1.0, 1.0, 0.0, 0.6, -0.4, 0.9, -0.8, 0.2, -1.0)
+    small = (-1.0, 1.0, 0.8, 1.0, 0.8, 1.0, -1.0, -0.8, -1.0, -0.8, -1.0, 0.1, -0.1, 0.1, -1.0)
+    times_s = (4.0, 2.0, 1.0, 0.5, 0.25, 0.25, 0.5, 1.0)
+    return {
+        "pauses": _moves(levels, [1.0] * (len(levels) - 1), rest_s=1.5),
+        "changing final times": _moves((-1.0, 1.0) * 4 + (-1.0,), times_s, rest_s=0.3),
+        "small and large ranges": _moves(small, [0.8] * (len(small) - 1), rest_s=0.2),
+    }
+
+
+def _moves(levels: Sequence[float], times_s: Sequence[float], *, rest_s: float) -> NDArray[np.float64]:
+    """Moves of least jerk from level to level of the amplitude, each followed by a rest [N]."""
+    parts = [np.full(round(0.5 * PRACTICE_HZ), levels[0])]
+    for begin, end, time_s in zip(levels[:-1], levels[1:], times_s, strict=True):
+        part = np.linspace(0.0, 1.0, round(time_s * PRACTICE_HZ))
+        parts += [begin + (end - begin) * part**3 * (10.0 - 15.0 * part + 6.0 * part**2)]
+        parts += [np.full(round(rest_s * PRACTICE_HZ), end)]
+    moves: NDArray[np.float64] = OFFSET_N + AMPLITUDE_N * np.concatenate(parts)
+    return moves
 
 
 @dataclass(frozen=True)
@@ -186,12 +222,12 @@ def study(benches: Sequence[str], rates_Hz: Sequence[float], extent: Extent, fol
             except StepError as error:
                 yield CompensationRow(bench, rate_Hz, "-", "-", why=str(error))
                 continue
-            for name, reference in references(extent).items():
+            for name, reference in references(extent, place).items():
                 yield from driven(bench, rate_Hz, name, reference, place)
 
 
 def driven(
-    bench: str, rate_Hz: float, name: str, reference: WaveformReference, place: Path
+    bench: str, rate_Hz: float, name: str, reference: WaveformReference | FileReference, place: Path
 ) -> Iterator[CompensationRow]:
     """Rows of one reference with every compensation, and its floor."""
     scenario = load_scenario("stack", {"effects": HIDDEN[bench]})

@@ -16,8 +16,8 @@ from firmware_sim.firmware.device import Device
 from firmware_sim.physics.bench import Bench
 from firmware_sim.physics.scenario import Scenario
 from piezod.config import BenchConfig, load_bench
-from piezod.config.reference import WaveformReference
-from piezod.control import RingLog, RingReader, State
+from piezod.config.reference import FileReference, WaveformReference
+from piezod.control import RingLog, RingReader, State, TableReference
 from piezod.model import Model
 from piezod.session.assembly import make_loop, make_rate_keeper, make_segment
 from piezod.session.task import SegmentSpec
@@ -87,7 +87,7 @@ def follow(
     bench: BenchConfig,
     model: Model,
     compensation: str,
-    reference: WaveformReference,
+    reference: WaveformReference | FileReference,
     on_for_s: float = 0.0,
 ) -> Followed:
     """Arm a bench after its power-on, follow a reference to its end, ramp down.
@@ -101,7 +101,7 @@ def follow(
     model, compensation
         Model, and its compensation: `gain` or `inverse`.
     reference
-        Reference with a duration.
+        Reference that ends.
     on_for_s
         Time at rest from power-on to arming [s].
 
@@ -118,7 +118,8 @@ def follow(
     segment = make_segment(SegmentSpec("study", compensation, reference), bench, model, link, ROOT)
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "ring"
-        ring = RingLog(path, round((reference.duration_s + 60.0) * bench.rate_Hz))
+        assert isinstance(segment.reference, TableReference)
+        ring = RingLog(path, len(segment.reference) + round(60.0 * bench.rate_Hz))
         reader = RingReader(path)
         loop = make_loop(bench, link, clock, ring)
         link.poll()
