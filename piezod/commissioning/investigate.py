@@ -224,13 +224,14 @@ def investigate(
         diagnosis = diagnose_files([joint], model_path, folder, None, None, on_step)
         asked = [read_source(joint, "recording", channels)]
         past, _ = past_sources(model, model_path.parent, asked)
-        known = isolability(model, asked, past)
+        fitted = diagnosis.fitted()
+        known = isolability(model, asked, past, fitted)
         pairs = open_pairs(diagnosis.findings, known)
         reached = () if planned is None else tuple(separation(known, pair.first, pair.second) for pair in planned.pairs)
         yield Step(own, folder, diagnosis, pairs, planned, reached)
         if not pairs:
             return
-        planned = next_experiment(model, asked, past, known, longest_s, pairs)
+        planned = next_experiment(model, asked, past, known, longest_s, pairs, fitted)
         if planned is None:
             return
         excitation = str(output / f"drive_{number + 1}.csv")

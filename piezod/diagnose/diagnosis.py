@@ -11,8 +11,9 @@ from piezod.diagnose.acceptance import counted, weighed
 from piezod.diagnose.evidence import all_terms, finding_of, read_off, tone_finding
 from piezod.diagnose.extended import extended_model
 from piezod.diagnose.findings import Finding, Findings, Place, Unnamed, above_noise, gap_closed
-from piezod.diagnose.fit import Normal, fit
+from piezod.diagnose.fit import Fitted, Normal, fit
 from piezod.diagnose.guard import explainable
+from piezod.diagnose.isolability import Start
 from piezod.diagnose.locate import locate
 from piezod.diagnose.monotone import rises, unfolded
 from piezod.diagnose.parallel import each
@@ -87,6 +88,37 @@ class Diagnosis:
     extended: list[Array]
     attempts: Sequence[Attempt] = ()
     without_law: "Diagnosis | None" = None
+
+    def fitted(self) -> dict[str, Start]:
+        """Parameters and choices of every effect found, and of each rival where it takes the effect's place."""
+        places = [(one.name, "") for one in self.findings.effects]
+        places += [(rival.name, one.name) for one in self.findings.effects for rival in one.rivals]
+        return fitted_in([attempt.after for attempt in self.attempts], places)
+
+
+def fitted_in(tried: Sequence[Fitted], places: Sequence[tuple[str, str]]) -> dict[str, Start]:
+    """Parameters and choices of effects, as the best of the fullest hypotheses has them.
+
+    Parameters
+    ----------
+    tried
+        Hypotheses.
+    places
+        Names, each with the name of the effect that it replaces; empty: none.
+    """
+    names = {name for name, instead_of in places if not instead_of}
+    result: dict[str, Start] = {}
+    for name, instead_of in places:
+        options = [
+            (one, k)
+            for one in tried
+            for k, term in enumerate(one.terms)
+            if term.effect.name == name and set(one.effects) - {name} <= names - {instead_of}
+        ]
+        if options and name not in result:
+            best, k = max(options, key=lambda option: (len(option[0].terms), -option[0].loss))
+            result[name] = dict(best.point.values[k]), best.terms[k].choices
+    return result
 
 
 def diagnose(

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from piezod.diagnose.isolability import Isolability, Pair, isolability, separated_by
+from piezod.diagnose.isolability import Found, Isolability, Pair, isolability, separated_by
 from piezod.diagnose.parallel import each
 from piezod.diagnose.prepare import Source
 from piezod.effects import EFFECTS
@@ -75,6 +75,7 @@ def next_experiment(
     before: Isolability,
     longest_s: float,
     wanted: Sequence[tuple[str, str]] | None = None,
+    fitted: Found | None = None,
 ) -> Experiment | None:
     """Find the drive; None where no pair of effects is open.
 
@@ -90,6 +91,8 @@ def next_experiment(
         Longest duration of the drive [s].
     wanted
         Pairs of effects to separate; None: all that are open.
+    fitted
+        Effects as they were found, as for `before`.
     """
     pairs = tuple(before.pairs() if wanted is None else _pairs(before, wanted))
     if not pairs:
@@ -102,7 +105,7 @@ def next_experiment(
     drives = _segments(low_V, high_V, first.dt_s, most_V)
 
     def alone(one: tuple[str, Array]) -> Array:
-        found = isolability(model, [_simulated(model, one[1], first.dt_s, before.noise)], past)
+        found = isolability(model, [_simulated(model, one[1], first.dt_s, before.noise)], past, fitted)
         return np.array([separation(found, pair.first, pair.second) ** -2.0 for pair in pairs])
 
     told = each(alone, drives)
@@ -123,7 +126,7 @@ def next_experiment(
     parts = [drives[k][1] for k in sorted(chosen)]  # each comes back to where the next one begins
     voltage_V = np.concatenate([first_V, *parts])
     new = _simulated(model, voltage_V, first.dt_s, before.noise)
-    after = isolability(model, [*asked, new], past)
+    after = isolability(model, [*asked, new], past, fitted)
     names = tuple(drives[k][0] for k in sorted(chosen))
     return Experiment(
         voltage_V, first.dt_s, names, pairs, tuple(separation(after, pair.first, pair.second) for pair in pairs)

@@ -5,7 +5,7 @@ decides, as in the isolability of faults (E. Frisk, M. Krysander and D. Jung (20
 of Model Based Diagnosis Systems for Large Scale Models, IFAC-PapersOnLine 50(1)), here for one given record.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -23,6 +23,13 @@ from piezod.model import Model
 
 Array = NDArray[np.float64]
 Places = NDArray[np.intp]
+Start = tuple[dict[str, float], tuple[tuple[str, float], ...]]
+"""Values of an effect's searched parameters, and of its choices."""
+Found = Mapping[str, Start]
+"""Effects that a diagnosis found, and their rivals, each as it was fitted."""
+
+NEARBY = 1.1
+"""Factor by which each parameter of a found effect is moved, for the changes that another effect may imitate with."""
 
 SURE = 3.0
 """Standard deviations by which two effects must differ."""
@@ -130,7 +137,9 @@ def separated_by(one: Effect, other: Effect) -> str:
     return one.separate_by
 
 
-def isolability(model: Model, asked: Sequence[Source], past: Sequence[Source]) -> Isolability:
+def isolability(
+    model: Model, asked: Sequence[Source], past: Sequence[Source], found: Found | None = None
+) -> Isolability:
     """Determine what recordings can tell.
 
     Parameters
@@ -141,44 +150,51 @@ def isolability(model: Model, asked: Sequence[Source], past: Sequence[Source]) -
         Recordings in which an effect might be sought.
     past
         Recordings that the model was identified on; none: its statistics stand for them.
+    found
+        Effects in the size in which they were found: a short delay is more like a lag than a long one. The others are
+        taken at the starts of the catalogue.
 
     Raises
     ------
     RecordingError
         A recording cannot be used.
     """
+    found = found or {}
     series, _, notes = made_ready([*past, *asked], model)
     if not past:
         series.insert(0, stand_in(model))
     chain, start = chain_of(series, model)
     chain, base = best_course(coarse(chain), (), start)
     base = fit(chain, (), base.point)
-    names, changes = _changes(chain, base.point)
+    names, changes = _changes(chain, base.point, found)
     normal = Normal.at(chain, (), base.point)
     free, _, whole = normal.projected(changes)
     samples = float(sum(np.count_nonzero(one.counts) for one in series if one.role == "recording"))
     effects = tuple(dict.fromkeys(names))
     columns = {effect: np.flatnonzero([name == effect for name in names]) for effect in effects}
-    sure = np.array([_size(whole[columns[e]], np.diag(free)[columns[e]], samples) for e in effects])
+    own = {effect: columns[effect][:1] if effect in found else columns[effect] for effect in effects}
+    sure = np.array([_size(whole[own[e]], np.diag(free)[own[e]], samples) for e in effects])
     separate = np.zeros((len(effects), len(effects)))
     for i, first in enumerate(effects):
         for j, second in enumerate(effects):
             if i != j:
-                left = _left(free, columns[first], columns[second])
-                separate[i, j] = _size(whole[columns[first]], left, samples)
+                left = _left(free, own[first], columns[second])
+                separate[i, j] = _size(whole[own[first]], left, samples)
     noises = [one.noise_N for one in series if one.role == "recording"]
     return Isolability(effects, sure, separate, float(np.sqrt(np.mean(np.square(noises)))), tuple(notes))
 
 
-def _changes(chain: Chain, point: Point) -> tuple[list[str], list[Array]]:
+def _changes(chain: Chain, point: Point, found: Found) -> tuple[list[str], list[Array]]:
     """Names, and what each start of every effect changes in each recording, shape (rows, starts) [N]."""
     asked = [k for k, one in enumerate(chain.series) if one.role == "recording"]
     channels = ["temperature_C"] if all(chain.series[k].temperature_C is not None for k in asked) else []
     before = [chain.compared(k, (), point) for k in range(len(chain.series))]
-    starts = [one for one in catalogue_ideas(chain, channels, {}) if one[0].name not in DIRECT]
+    starts = [one for one in catalogue_ideas(chain, channels, {}) if one[0].name not in {*DIRECT, *found}]
+    starts += [(EFFECTS[name], *start) for name, one in found.items() for start in _nearby(EFFECTS[name], one)]
 
     def changed(one: tuple[Effect, dict[str, float], tuple[tuple[str, float], ...]]) -> list[list[Array]]:
         effect, values, choices = one
+        parts = [values] if effect.name in found else parts_of(effect, values).values()
         term = Term(effect, "since", choices=choices)
         return [
             [
@@ -187,7 +203,7 @@ def _changes(chain: Chain, point: Point) -> tuple[list[str], list[Array]]:
                 else np.zeros(before[k].size)
                 for k in range(len(chain.series))
             ]
-            for part in parts_of(effect, values).values()
+            for part in parts
         ]
 
     names, columns = [], []
@@ -197,6 +213,16 @@ def _changes(chain: Chain, point: Point) -> tuple[list[str], list[Array]]:
                 names.append(effect.name)
                 columns.append(part)
     return names, [np.array([part[k] for part in columns]).T for k in range(len(chain.series))]
+
+
+def _nearby(effect: Effect, start: Start) -> list[Start]:
+    """A start, and it with each of its parameters moved a little."""
+    values, choices = start
+    moved = [
+        {**values, name: float(np.clip(value * NEARBY, effect.parameter(name).low, effect.parameter(name).high))}
+        for name, value in values.items()
+    ]
+    return [(one, choices) for one in (values, *moved)]
 
 
 def _left(free: Array, of: Places, beside: Places) -> Array:

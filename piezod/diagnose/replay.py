@@ -99,6 +99,7 @@ def _hypothesis(one: Fitted) -> dict[str, Any]:
     return {
         "effects": [term.effect.name for term in one.terms],
         "scopes": [term.scope for term in one.terms],
+        "choices": [dict(term.choices) for term in one.terms],
         "values": [{name: _short(value) for name, value in values.items()} for values in one.point.values],
         "spread": [{name: _short(value) for name, value in values.items()} for values in one.spread],
         "losses": [_short(value) for value in one.losses],

@@ -109,7 +109,8 @@ def practice() -> dict[str, NDArray[np.float64]]:
 
     After C. Schindlbeck, C. Pape and E. Reithmeier (2017), Recursive Online Compensation of Piezoelectric
     Nonlinearities via a Modified Prandtl-Ishlinskii Approach, IFAC World Congress, whose trajectories have stationary
-    states, varying final times, and small and large ranges in turn. Each move is the polynomial of least jerk between two rests.
+    states, varying final times, and small and large ranges in turn. Each move is the polynomial of least jerk between
+    two rests.
     """
     levels = (-1.0, 1.0, 0.0, 0.6, -0.4, 0.9, -0.8, 0.2, -1.0)
     small = (-1.0, 1.0, 0.8, 1.0, 0.8, 1.0, -1.0, -0.8, -1.0, -0.8, -1.0, 0.1, -0.1, 0.1, -1.0)

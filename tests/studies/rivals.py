@@ -1,10 +1,12 @@
-"""The next experiment on the cases of a concealed study that a diagnosis left with rivals.
+"""The next experiment after a first recording that leaves rivals, on concealed plants of four families.
 
-python -m tests.studies rivals STUDY VERDICTS
+    python -m tests.studies rivals --cases 80 --json rivals.json
 
-The plants of an opened study are drawn again from its seed. For every verdict in which an effect has a rival, the next
-experiment of at most a minute is computed from the same files, driven on the plant from rest, and both recordings are
-diagnosed. The same is done with cases without a rival and with nulls, where nothing may get worse.
+Each case is a concealed plant with one hidden effect, or with none. A model is identified on its identification record.
+The first recording is poor: two slow triangles, as a user might record at first. It is diagnosed. A pair is open where
+an effect found is smaller than what separates it from its rival. The next experiment of at most a minute is computed
+from these files, driven on the plant from rest, and both recordings are diagnosed. Where no pair is open, the
+experiment for what the recording cannot separate is driven, and nothing may get worse.
 """
 
 import argparse
@@ -19,25 +21,47 @@ from pathlib import Path
 
 import numpy as np
 
-from firmware_sim.concealed.plant.drives import temperature
+from firmware_sim.concealed.plant.drives import Drive, temperature
 from firmware_sim.concealed.study.case import Case, Record
-from firmware_sim.concealed.study.drawing import draw_case
+from firmware_sim.concealed.study.drawing import CaseSpec, draw_case
 from firmware_sim.concealed.study.families import FAMILIES
 from firmware_sim.concealed.study.make import write_record
-from firmware_sim.concealed.study.plan import case_specs
-from firmware_sim.concealed.study.seal import TRUTH, unpack
-from firmware_sim.concealed.study.truth import TrueCase, read_truth
-from piezod.blind.case import read_description
+from piezod.blind.case import Description
 from piezod.blind.diagnose_case import MODEL, identified
+from piezod.commissioning.investigate import open_pairs
 from piezod.diagnose.command import diagnose_files
+from piezod.diagnose.diagnosis import Diagnosis
 from piezod.diagnose.experiment import next_experiment, separation
 from piezod.diagnose.isolability import isolability
 from piezod.diagnose.prepare import past_sources, read_source
 from piezod.model import save_model
 
-NEXT = "recording_next.csv"
+Pairs = tuple[tuple[str, str], ...]
+HIDDEN = (
+    "electrical_lag",
+    "transport_delay",
+    "sensor_filter",
+    "feedthrough",
+    "resonance",
+    "creep",
+    "charge_leakage",
+    "gain_drift",
+    "output_nonlinearity",
+    "friction",
+    "noncongruent_minor_loops",
+    "rate_dependent_hysteresis",
+    "contact_gap",
+    "slew_limit",
+    "voltage_clamp",
+    "",
+)
+STRENGTHS = (4.0, 20.0)
+FIRST_S = 20.0
+FIRST_HZ = 0.1
+FIRST, NEXT = "recording.csv", "recording_2.csv"
+IDENTIFICATION = "identification.csv"
 FACTOR = 2.0
-"""A reached separation within this factor of the predicted one keeps the promise."""
+"""A separation that is reached within this factor of the predicted one keeps the promise."""
 
 
 @dataclass(frozen=True)
@@ -46,39 +70,37 @@ class RivalsRow:
 
     Parameters
     ----------
-    case, kind
-        Name and kind of the case.
-    truth
-        True effects; a foreign effect in brackets.
+    case, family, truth
+        Number, family and hidden effect; empty: none.
     before, after
         Names given, each with its rivals.
     right_before, right_after
         Whether the names are exactly the true ones.
     open_before, open_after
-        Pairs of an effect and its rival.
+        Open pairs of an effect and its rival.
     predicted, reached
         Sizes from which on the pairs are separated, in noises.
-    seconds
+    drive_s
         Length of the drive [s].
     """
 
-    case: str
-    kind: str
-    truth: tuple[str, ...]
+    case: int
+    family: str
+    truth: str
     before: tuple[str, ...]
     after: tuple[str, ...]
     right_before: bool
     right_after: bool
-    open_before: tuple[tuple[str, str], ...]
-    open_after: tuple[tuple[str, str], ...]
+    open_before: Pairs
+    open_after: Pairs
     predicted: tuple[float, ...]
     reached: tuple[float, ...]
-    seconds: float
+    drive_s: float
 
     @property
     def settled(self) -> bool:
-        """Whether none of the pairs is open any more, and the true one of each was kept."""
-        return not set(self.open_before) & set(self.open_after) and (self.right_after or not self.right_before)
+        """Whether the names are right and no pair is open any more."""
+        return self.right_after and not self.open_after
 
     def as_dict(self) -> dict[str, object]:
         """All fields, for `--json`."""
@@ -86,134 +108,115 @@ class RivalsRow:
 
     def text(self) -> str:
         """One line."""
-        sizes = " ".join(f"{a:.2g}/{b:.2g}" for a, b in zip(self.predicted, self.reached, strict=True))
         said = f"{' + '.join(self.before) or '-'} => {' + '.join(self.after) or '-'}"
-        marks = f"{'right' if self.right_before else 'wrong'} => {'right' if self.right_after else 'wrong'}"
-        true = " + ".join(self.truth) or "-"
-        return f"{self.case} {self.kind:<7} {true}: {said}; {marks}; {sizes}; {self.seconds:.0f} s"
+        marks = " => ".join("right" if right else "wrong" for right in (self.right_before, self.right_after))
+        shown = [f"{a} or {b}" for a, b in self.open_before], [f"{a} or {b}" for a, b in self.open_after]
+        opened = " => ".join(", ".join(one) or "-" for one in shown)
+        case = f"{self.case:3} {self.family:<12} {self.truth or '-'}"
+        return f"{case}: {said}; {marks}; open {opened}; {self.drive_s:.0f} s"
 
 
 def summary(rows: Sequence[RivalsRow]) -> str:
     """The summary lines."""
     rivals = [row for row in rows if row.open_before]
     others = [row for row in rows if not row.open_before]
-    known = [row for row in rivals if row.kind != "foreign"]
-    settled = sum(row.settled for row in known)
-    right = sum(row.right_before for row in known), sum(row.right_after for row in known)
+    right = sum(row.right_before for row in rivals), sum(row.right_after for row in rivals)
     pairs = [pair for row in rivals for pair in zip(row.predicted, row.reached, strict=True)]
     kept = sum(1.0 / FACTOR <= b / a <= FACTOR for a, b in pairs)
-    worse = [row.case for row in others if row.right_before and not row.right_after]
-    better = [row.case for row in others if not row.right_before and row.right_after]
+    worse = [str(row.case) for row in others if row.right_before and not row.right_after]
+    better = [str(row.case) for row in others if not row.right_before and row.right_after]
     return (
-        f"rivals open: {len(rivals)} cases, {len(known)} without a foreign effect; settled {settled} of {len(known)}; "
-        f"exact names {right[0]} => {right[1]}; predicted separation within a factor {FACTOR:g}: {kept} of "
-        f"{len(pairs)} pairs\nothers: {len(others)} cases; made worse: {', '.join(worse) or 'none'}; made right: "
+        f"rivals open: {len(rivals)} cases; settled {sum(row.settled for row in rivals)}; right {right[0]} => "
+        f"{right[1]}; predicted separation within a factor {FACTOR:g}: {kept} of {len(pairs)} pairs\n"
+        f"others: {len(others)} cases; right {sum(row.right_before for row in others)} => "
+        f"{sum(row.right_after for row in others)}; made worse: {', '.join(worse) or 'none'}; made right: "
         f"{', '.join(better) or 'none'}"
     )
 
 
-def redrawn(study: Path) -> dict[str, Case]:
-    """Draw the cases of an opened study again; ready to be driven, by name."""
-    content = json.loads(unpack((study / TRUTH).read_bytes()))
-    entropy, count = np.random.SeedSequence(int(content["entropy"])), len(content["cases"])
-    plan, *children = entropy.spawn(count + 1)
-    families = tuple(FAMILIES) if any(one.family for one in read_truth(study)) else ("",)
-    specs = case_specs(np.random.Generator(np.random.PCG64(plan)), count, "all", None, None, families)
-    return {
-        f"case_{k:04d}": lambda spec=spec, child=child: draw_case(spec, child)
-        for k, (spec, child) in enumerate(zip(specs, children, strict=True), 1)
-    }
-
-
-def run(study: Path, verdict: Path, truth: TrueCase, longest_s: float) -> RivalsRow | None:
-    """Plan, drive and diagnose one case; None where no pair of effects is open in it."""
-    case = redrawn(study)[truth.name]()
-    findings = json.loads((verdict / "findings.json").read_text(encoding="utf-8"))
-    before = {one["name"]: tuple(rival["name"] for rival in one["rivals"]) for one in findings["effects"]}
-    pairs = _pairs(before)
-    folder = study / truth.name
-    description = read_description(folder)
-    asked_paths = [folder / name for name in description.recordings]
+def run(number: int, seed: int, longest_s: float) -> RivalsRow | None:
+    """Draw, record, diagnose, plan, record, diagnose; None where no experiment is worth while."""
+    hidden = HIDDEN[number % len(HIDDEN)]
+    family = tuple(FAMILIES)[number // len(HIDDEN) % len(FAMILIES)]
+    strength = STRENGTHS[number // 2 % len(STRENGTHS)]
+    names = (hidden,) if hidden else ()
+    spec = CaseSpec("single" if hidden else "null", names, (strength,) * len(names), "white", family)
+    case = draw_case(spec, np.random.SeedSequence((seed, number)))
+    work = next(record for record in case.records if record.name.startswith("recording"))
+    reach_V, rate_Hz = float(work.drive.voltage_V.max()), work.drive.rate_Hz
+    phase = FIRST_HZ * np.arange(round(FIRST_S * rate_Hz)) / rate_Hz
     with tempfile.TemporaryDirectory() as temporary:
         place = Path(temporary)
-        model_path = place / MODEL
-        (place / description.identification).symlink_to((folder / description.identification).resolve())
-        save_model(identified(description, folder), model_path)
-        model = identified(description, folder)
-        channels = (model.input.channel, model.output.channel)
-        asked = [read_source(path, "recording", channels) for path in asked_paths]
+        write_record(place / IDENTIFICATION, case, case.records[0])
+        description = Description(IDENTIFICATION, (FIRST,), IDENTIFICATION, "voltage_V", "force_N")
+        model = identified(description, place)
+        model_path, channels = place / MODEL, (model.input.channel, model.output.channel)
+        save_model(model, model_path)
+        _write(place / FIRST, case, work, reach_V * (1.0 - np.abs(2.0 * (phase % 1.0) - 1.0)), 1)
+        before = _diagnosed([place / FIRST], model_path, place / "before")
+        asked = [read_source(place / FIRST, "recording", channels)]
         past, _ = past_sources(model, place, asked)
-        known = isolability(model, asked, past)
-        planned = next_experiment(model, asked, past, known, longest_s, pairs or None)
+        fitted = before.fitted()
+        known = isolability(model, asked, past, fitted)
+        pairs = open_pairs(before.findings, known)
+        planned = next_experiment(model, asked, past, known, longest_s, pairs or None, fitted)
         if planned is None:
             return None
-        first = next(record for record in case.records if record.name.startswith("recording"))
-        seed = int(np.random.SeedSequence(first.seed).generate_state(1)[0])
-        rate_Hz = first.drive.rate_Hz
-        warmth = temperature(np.random.default_rng(seed), planned.voltage_V.size / rate_Hz + 1.0, rate_Hz)
-        drive = replace(
-            first.drive,
-            voltage_V=np.round(planned.voltage_V, 4),
-            temperature_C=warmth[: planned.voltage_V.size],
-        )
-        write_record(place / NEXT, case, Record(NEXT, drive, seed))
-        diagnosis = diagnose_files([*asked_paths, place / NEXT], model_path, place / "out", None, None, lambda *_: None)
+        _write(place / NEXT, case, work, planned.voltage_V, 2)
+        after = _diagnosed([place / FIRST, place / NEXT], model_path, place / "after")
         both = [*asked, read_source(place / NEXT, "recording", channels)]
-        reached = isolability(model, both, past)
-    after = {one.name: tuple(rival.name for rival in one.rivals) for one in diagnosis.findings.effects}
-    true = set(truth.names)
+        reached = isolability(model, both, past, fitted)
+        open_after = open_pairs(after.findings, isolability(model, both, past, after.fitted()))
     return RivalsRow(
-        truth.name,
-        truth.kind,
-        (*sorted(true), *((f"({truth.foreign})",) if truth.foreign else ())),
+        number,
+        family,
+        hidden,
         tuple(_said(before)),
         tuple(_said(after)),
-        set(before) == true,
-        set(after) == true,
+        {one.name for one in before.findings.effects} == set(names),
+        {one.name for one in after.findings.effects} == set(names),
         pairs,
-        _pairs(after),
+        open_after,
         planned.sizes,
         tuple(separation(reached, pair.first, pair.second) for pair in planned.pairs),
         planned.voltage_V.size * planned.dt_s,
     )
 
 
-def _pairs(named: dict[str, tuple[str, ...]]) -> tuple[tuple[str, str], ...]:
-    return tuple((name, rival) for name, rivals in named.items() for rival in rivals)
+def _write(path: Path, case: Case, work: Record, voltage_V: np.ndarray, number: int) -> None:
+    """Drive the plant of a case from rest and write the record."""
+    rate_Hz, seed = work.drive.rate_Hz, work.seed + 1000 * number
+    warmth = temperature(np.random.default_rng(seed), voltage_V.size / rate_Hz + 1.0, rate_Hz)[: voltage_V.size]
+    drive: Drive = replace(work.drive, voltage_V=np.round(voltage_V, 4), temperature_C=warmth)
+    write_record(path, case, Record(path.name, drive, seed))
 
 
-def _said(named: dict[str, tuple[str, ...]]) -> Iterator[str]:
-    for name, rivals in named.items():
-        yield f"{name} (or {', '.join(rivals)})" if rivals else name
+def _diagnosed(files: Sequence[Path], model: Path, output: Path) -> Diagnosis:
+    return diagnose_files(files, model, output, None, None, lambda *_: None)
+
+
+def _said(diagnosis: Diagnosis) -> Iterator[str]:
+    for one in diagnosis.findings.effects:
+        rivals = ", ".join(rival.name for rival in one.rivals)
+        yield f"{one.name} ({rivals})" if rivals else one.name
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Options of the study."""
-    parser.add_argument("study", type=Path, metavar="STUDY", help="opened study")
-    parser.add_argument("verdicts", type=Path, metavar="VERDICTS", help="its verdicts")
-    parser.add_argument("--most", type=int, default=40, metavar="N", help="cases with rivals, %(default)s")
-    parser.add_argument("--others", type=int, default=20, metavar="N", help="cases without, %(default)s")
+    parser.add_argument("--cases", type=int, default=64, metavar="N", help="number of cases, %(default)s")
+    parser.add_argument("--seed", type=int, metavar="S", help="seed of the cases; default: of the operating system")
     parser.add_argument("--longest-s", type=float, default=60.0, metavar="T", help="longest drive, %(default)s s")
     parser.add_argument("--jobs", type=int, default=2, metavar="N", help="number of parallel cases")
     parser.add_argument("--json", type=Path, metavar="FILE", help="also write the rows as JSON")
     parser.set_defaults(run=_run)
 
 
-def _run(options: argparse.Namespace, parser: argparse.ArgumentParser) -> None:
-    truths = {one.name: one for one in read_truth(options.study)}
-    rivals, others = [], []
-    for verdict in sorted(options.verdicts.glob("case_*")):
-        file = verdict / "findings.json"
-        if not file.exists():
-            continue
-        effects = json.loads(file.read_text(encoding="utf-8"))["effects"]
-        (rivals if any(one["rivals"] for one in effects) else others).append(verdict)
-    chosen = [*rivals[: options.most], *others[: options.others]]
-    if not chosen:
-        parser.error(f"{options.verdicts}: has no verdicts")
+def _run(options: argparse.Namespace, _: argparse.ArgumentParser) -> None:
+    seed = int(np.random.SeedSequence().generate_state(1)[0]) if options.seed is None else options.seed
     begun_s, rows = time.monotonic(), []
+    print(f"seed {seed}", flush=True)
     with ProcessPoolExecutor(options.jobs, mp_context=get_context("spawn")) as pool:
-        tasks = [pool.submit(run, options.study, one, truths[one.name], options.longest_s) for one in chosen]
+        tasks = [pool.submit(run, number, seed, options.longest_s) for number in range(options.cases)]
         for task in tasks:
             if (row := task.result()) is not None:
                 rows.append(row)
