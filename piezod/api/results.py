@@ -7,7 +7,7 @@ from typing import Any
 from piezod.api.model import Model
 from piezod.api.notebook import curves_svg, result_html
 from piezod.diagnose.diagnosis import Diagnosis
-from piezod.diagnose.words import Wording, label_of, value_words
+from piezod.diagnose.verdict.words import Wording, label_of, value_words
 from piezod.identify.identification import Identification
 from piezod.identify.simulation import simulate_recording
 from piezod.recording import Recording

@@ -7,7 +7,7 @@ from pathlib import Path
 from piezod import __version__
 from piezod.blind.case import Description, read_description
 from piezod.diagnose.command import diagnose_files
-from piezod.diagnose.replay import write_replay
+from piezod.diagnose.selection.replay import write_replay
 from piezod.identify.identification import Options, identify
 from piezod.identify.intake import load_recordings
 from piezod.identify.simulation import simulate_recording

@@ -66,7 +66,7 @@ def diagnose(
             recordings, model, output, input_column, output_column, show, hold_out or (), condition, text
         )
         if replay is not None:
-            from piezod.diagnose.replay import write_replay
+            from piezod.diagnose.selection.replay import write_replay
 
             write_replay(replay, diagnosis.attempts)
         from piezod.report.diagnosis.page import write_diagnosis_page
@@ -103,8 +103,8 @@ def what_is_testable(
     text = TextOptions.of(columns, rate_hz, decimal)
     for path in recordings:
         column_names(path, text)  # a wrong file is refused before the libraries are there
-    from piezod.diagnose.experiment import next_experiment
-    from piezod.diagnose.isolability import isolability
+    from piezod.diagnose.experiment.isolability import isolability
+    from piezod.diagnose.experiment.planning import next_experiment
     from piezod.diagnose.prepare import past_sources, read_source
     from piezod.model import load_model
     from piezod.report.isolability import experiment_as_dict, experiment_text, isolability_as_dict, isolability_text

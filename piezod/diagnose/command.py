@@ -10,8 +10,8 @@ import numpy as np
 from piezod.diagnose.diagnosis import Diagnosis, diagnose
 from piezod.diagnose.findings import HeldOut
 from piezod.diagnose.prepare import Source, past_sources, read_source
-from piezod.diagnose.verdict import words_of
-from piezod.diagnose.words import Wording
+from piezod.diagnose.verdict.verdict import words_of
+from piezod.diagnose.verdict.words import Wording
 from piezod.errors import ConfigurationError, UsageError
 from piezod.identify.simulation import simulate_recording
 from piezod.model import Model, load_model, save_model

@@ -7,30 +7,30 @@ import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
-from piezod.diagnose.acceptance import counted, weighed
-from piezod.diagnose.evidence import all_terms, finding_of, read_off, tone_finding
-from piezod.diagnose.extended import extended_model
+from piezod.diagnose.adequacy.guard import explainable
+from piezod.diagnose.adequacy.remainder import motion
+from piezod.diagnose.candidates.rounding import unrounded
+from piezod.diagnose.candidates.screening import DIRECT
+from piezod.diagnose.candidates.tones import with_tones
+from piezod.diagnose.experiment.isolability import Start
+from piezod.diagnose.experiment.testable import untestable
 from piezod.diagnose.findings import Finding, Findings, Place, Unnamed, above_noise, gap_closed
-from piezod.diagnose.fit import Fitted, Normal, fit
-from piezod.diagnose.guard import explainable
-from piezod.diagnose.isolability import Start
-from piezod.diagnose.locate import locate
-from piezod.diagnose.monotone import rises, unfolded
-from piezod.diagnose.parallel import each
+from piezod.diagnose.hypothesis.fit import Fitted, Normal, fit
+from piezod.diagnose.hypothesis.monotone import rises, unfolded
+from piezod.diagnose.hypothesis.parallel import each
+from piezod.diagnose.hypothesis.series import Series
+from piezod.diagnose.localisation.locate import locate
 from piezod.diagnose.prepare import Source, chain_of, made_ready, stand_in
-from piezod.diagnose.remainder import motion
-from piezod.diagnose.replay import Attempt
-from piezod.diagnose.rounding import unrounded
-from piezod.diagnose.screening import DIRECT
-from piezod.diagnose.search import NEEDLESS, OnProgress, fitted_without, instead, search, without
-from piezod.diagnose.search_state import Beside, Search
-from piezod.diagnose.series import Series
-from piezod.diagnose.significance import with_shares
-from piezod.diagnose.stated_hold import as_told
-from piezod.diagnose.testable import untestable
-from piezod.diagnose.tones import with_tones
-from piezod.diagnose.unnamed import fit_unnamed
-from piezod.diagnose.verdict import (
+from piezod.diagnose.selection.acceptance import counted, weighed
+from piezod.diagnose.selection.replay import Attempt
+from piezod.diagnose.selection.search import NEEDLESS, OnProgress, fitted_without, instead, search, without
+from piezod.diagnose.selection.search_state import Beside, Search
+from piezod.diagnose.selection.significance import with_shares
+from piezod.diagnose.selection.stated_hold import as_told
+from piezod.diagnose.selection.unnamed import fit_unnamed
+from piezod.diagnose.verdict.evidence import all_terms, finding_of, read_off, tone_finding
+from piezod.diagnose.verdict.extended import extended_model
+from piezod.diagnose.verdict.verdict import (
     held_out_rms,
     less_sure,
     no_noise,
@@ -42,7 +42,7 @@ from piezod.diagnose.verdict import (
     verdict_of,
     words_of,
 )
-from piezod.diagnose.words import Wording
+from piezod.diagnose.verdict.words import Wording
 from piezod.effects import EFFECTS
 from piezod.errors import ModelError
 from piezod.identify.scores import nrmse_percent

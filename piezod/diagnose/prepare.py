@@ -7,12 +7,12 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from piezod.diagnose.basis import ForceLaw, PlayDensity
-from piezod.diagnose.chain import Chain, Point, empty_point
-from piezod.diagnose.direct import noise_of
-from piezod.diagnose.frozen import frozen_stretches, still_stretches
-from piezod.diagnose.rounding import lattice_step_N
-from piezod.diagnose.series import Role, Series
+from piezod.diagnose.candidates.direct import noise_of
+from piezod.diagnose.candidates.frozen import frozen_stretches, still_stretches
+from piezod.diagnose.candidates.rounding import lattice_step_N
+from piezod.diagnose.hypothesis.basis import ForceLaw, PlayDensity
+from piezod.diagnose.hypothesis.chain import Chain, Point, empty_point
+from piezod.diagnose.hypothesis.series import Role, Series
 from piezod.errors import RecordingError
 from piezod.estimation.initial_state import estimate_path, remembered, start_at_zero, starts_at_rest
 from piezod.excitation import varying_triangles

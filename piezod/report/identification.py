@@ -10,7 +10,7 @@ import numpy as np
 from bokeh.plotting import figure
 from numpy.typing import NDArray
 
-from piezod.diagnose.words import unit_words
+from piezod.diagnose.verdict.words import unit_words
 from piezod.identify.identification import Identification
 from piezod.identify.order import Candidate
 from piezod.identify.simulation import simulate

@@ -3,9 +3,9 @@
 from collections.abc import Sequence
 from typing import Any
 
-from piezod.diagnose.experiment import Experiment
-from piezod.diagnose.isolability import LARGE, Isolability
-from piezod.diagnose.words import listed, unit_words
+from piezod.diagnose.experiment.isolability import LARGE, Isolability
+from piezod.diagnose.experiment.planning import Experiment
+from piezod.diagnose.verdict.words import listed, unit_words
 
 MOST_PAIRS = 12
 

@@ -10,7 +10,7 @@ from bokeh.embed import components
 from bokeh.model import Model
 from bokeh.resources import Resources
 
-from piezod.diagnose.words import unit_words
+from piezod.diagnose.verdict.words import unit_words
 from piezod.errors import ConfigurationError
 from piezod.report.figures.data_files import write_figure_data
 from piezod.report.style import DATA_NOTE, PAGE_CSS, PAGE_SCRIPT, PAGE_TEMPLATE

@@ -11,7 +11,7 @@ from collections.abc import ValuesView
 from pathlib import Path
 from time import perf_counter, process_time
 
-from piezod.diagnose import screening
+from piezod.diagnose.candidates import screening
 from piezod.diagnose.command import diagnose_files
 from piezod.effects import EFFECTS
 from piezod.effects.effect import Effect

@@ -31,8 +31,8 @@ from piezod.blind.diagnose_case import MODEL, identified
 from piezod.commissioning.investigate import open_pairs
 from piezod.diagnose.command import diagnose_files
 from piezod.diagnose.diagnosis import Diagnosis
-from piezod.diagnose.experiment import next_experiment, separation
-from piezod.diagnose.isolability import isolability
+from piezod.diagnose.experiment.isolability import isolability
+from piezod.diagnose.experiment.planning import next_experiment, separation
 from piezod.diagnose.prepare import past_sources, read_source
 from piezod.model import save_model
 

@@ -7,7 +7,7 @@ from typing import Any
 
 from bokeh.plotting import figure
 
-from piezod.diagnose.words import unit_words
+from piezod.diagnose.verdict.words import unit_words
 from piezod.report.comparison.output_comparison import Comparison, SimulatedOutput
 from piezod.report.figures.layout import finish_figure
 from piezod.report.figures.thinning import envelope, envelope_times, usual_range

@@ -9,7 +9,7 @@ from bokeh.models.annotations import BoxAnnotation
 from bokeh.plotting import figure
 from numpy.typing import NDArray
 
-from piezod.diagnose.words import unit_words
+from piezod.diagnose.verdict.words import unit_words
 from piezod.recording import Recording
 from piezod.report.comparison.whiteness import WhitenessTest
 from piezod.report.figures.layout import finish_figure

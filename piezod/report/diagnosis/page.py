@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from piezod import __version__
 from piezod.diagnose.diagnosis import Diagnosis
 from piezod.diagnose.findings import Place
-from piezod.diagnose.locate import locate
-from piezod.diagnose.words import Wording, unit_words
+from piezod.diagnose.localisation.locate import locate
+from piezod.diagnose.verdict.words import Wording, unit_words
 from piezod.report.diagnosis import sections
 from piezod.report.diagnosis.csv_tables import csv_text, effects_csv, map_csv, places_csv
 from piezod.report.diagnosis.figures.curves import error_bars, held_out_errors, loop_figures, time_figures

@@ -5,8 +5,8 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from piezod.diagnose.findings import Finding, Findings, Place
-from piezod.diagnose.series import Series
-from piezod.diagnose.words import Wording, label_of, percent, place_words, rounded, unit_words, value_words
+from piezod.diagnose.hypothesis.series import Series
+from piezod.diagnose.verdict.words import Wording, label_of, percent, place_words, rounded, unit_words, value_words
 from piezod.effects import EFFECTS
 from piezod.report.diagnosis import wording as words
 

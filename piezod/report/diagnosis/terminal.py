@@ -4,7 +4,7 @@ from pathlib import Path
 
 from piezod.diagnose.diagnosis import Diagnosis
 from piezod.diagnose.findings import Finding
-from piezod.diagnose.words import Wording, label_of, law_words, place_words, value_words
+from piezod.diagnose.verdict.words import Wording, label_of, law_words, place_words, value_words
 from piezod.report.diagnosis.wording import SCOPES
 
 

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 
 from piezod.diagnose.findings import Finding, Findings, Place, Unnamed
-from piezod.diagnose.words import Wording, law_words, listed, percent, place_words, rounded, unit_words
+from piezod.diagnose.verdict.words import Wording, law_words, listed, percent, place_words, rounded, unit_words
 from piezod.effects import EFFECTS, Effect, Location
 
 LOCATIONS = {

@@ -6,19 +6,20 @@ import numpy as np
 import pytest
 
 from piezod.commissioning import investigate as room
-from piezod.diagnose.experiment import Experiment
+from piezod.diagnose.experiment.isolability import Isolability, Pair
+from piezod.diagnose.experiment.planning import Experiment
 from piezod.diagnose.findings import Finding, Rival
-from piezod.diagnose.isolability import Isolability, Pair
 from piezod.recording import Recording, read_recording
 
 PAIR = ("creep", "thermal_drift")
+FITTED = {name: ({"size": 1.0}, ()) for name in PAIR}
 RIVALS = (Rival(PAIR[1], 0.3, "a hold"),)
 
 
 def found(size):
     """Creep of a size in noises of 0.1 N, with a rival."""
     effect = Finding(PAIR[0], "creep", 0.9, "since", (), {}, float(np.hypot(1.0, 0.1 * size)), 1.0, RIVALS)
-    return SimpleNamespace(findings=SimpleNamespace(effects=(effect,)))
+    return SimpleNamespace(findings=SimpleNamespace(effects=(effect,)), fitted=lambda: FITTED)
 
 
 @pytest.fixture
@@ -37,8 +38,9 @@ def bench(monkeypatch, tmp_path):
         diagnosed.append(read_recording(path))
         return found((3.0, 4.9, 5.1)[len(diagnosed) - 1])
 
-    def plan(model, asked, past, known, longest_s, wanted):
+    def plan(model, asked, past, known, longest_s, wanted, fitted):
         assert list(wanted) == [PAIR]
+        assert fitted is FITTED
         return Experiment(np.arange(3.0), 0.1, ("steps",), (Pair(*PAIR, 9.0, "a hold"),), (3.0,))
 
     known = Isolability(PAIR, np.ones(2), np.array([[0.0, 4.0], [5.0, 0.0]]), 0.1, ())

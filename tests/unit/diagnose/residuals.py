@@ -3,8 +3,8 @@
 import numpy as np
 from scipy.signal import lfilter
 
-from piezod.diagnose.rounding import lattice_step_N
-from piezod.diagnose.series import Series
+from piezod.diagnose.candidates.rounding import lattice_step_N
+from piezod.diagnose.hypothesis.series import Series
 
 RATE_HZ = 1000.0
 GAIN_N_PER_V = 1.8

@@ -5,11 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from piezod.diagnose.acceptance import acts_locally, degenerate, steadiness, worth
-from piezod.diagnose.basis import ForceLaw, PlayDensity
-from piezod.diagnose.chain import HATS, SPLINES, Chain, Point, Term, empty_point
-from piezod.diagnose.fit import Fitted
-from piezod.diagnose.steps import NEVER_S
+from piezod.diagnose.candidates.steps import NEVER_S
+from piezod.diagnose.hypothesis.basis import ForceLaw, PlayDensity
+from piezod.diagnose.hypothesis.chain import HATS, SPLINES, Chain, Point, Term, empty_point
+from piezod.diagnose.hypothesis.fit import Fitted
+from piezod.diagnose.selection.acceptance import acts_locally, degenerate, steadiness, worth
 from piezod.effects import EFFECTS
 from tests.unit.diagnose.residuals import mixed_work, noise, series, time
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from piezod.diagnose.basis import ForceLaw, PlayDensity
+from piezod.diagnose.hypothesis.basis import ForceLaw, PlayDensity
 
 SMOOTH = PlayDensity.up_to(120.0)
 RNG = np.random.default_rng(1)

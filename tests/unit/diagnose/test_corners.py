@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from piezod.diagnose.basis import ForceLaw, PlayDensity
-from piezod.diagnose.chain import Chain, empty_point
-from piezod.diagnose.corners import sharpened
-from piezod.diagnose.fit import fit
-from piezod.diagnose.search import SHARPER, search
+from piezod.diagnose.hypothesis.basis import ForceLaw, PlayDensity
+from piezod.diagnose.hypothesis.chain import Chain, empty_point
+from piezod.diagnose.hypothesis.fit import fit
+from piezod.diagnose.selection.corners import sharpened
+from piezod.diagnose.selection.search import SHARPER, search
 from tests.unit.diagnose.residuals import mixed_work, noise, played, series, time, triangles
 
 SAMPLES = 20_000

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from piezod.diagnose.experiment import _slewed, next_experiment
-from piezod.diagnose.isolability import isolability
+from piezod.diagnose.experiment.isolability import isolability
+from piezod.diagnose.experiment.planning import _slewed, next_experiment
 from piezod.diagnose.prepare import Source
 from piezod.recording import Recording
 from tests.unit.diagnose.test_isolability import slow_sine, source, stack  # noqa: F401

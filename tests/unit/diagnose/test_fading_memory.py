@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from piezod.diagnose.basis import ForceLaw, PlayDensity
-from piezod.diagnose.chain import Chain, empty_point
-from piezod.diagnose.search import search
+from piezod.diagnose.hypothesis.basis import ForceLaw, PlayDensity
+from piezod.diagnose.hypothesis.chain import Chain, empty_point
+from piezod.diagnose.selection.search import search
 from tests.unit.diagnose.residuals import mixed_work, noise, series, time
 from tests.unit.diagnose.test_corners import many_plays
 

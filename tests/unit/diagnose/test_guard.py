@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from piezod.diagnose.guard import explainable
-from piezod.diagnose.verdict import STILL_EXPLAINABLE, SURE
+from piezod.diagnose.adequacy.guard import explainable
+from piezod.diagnose.verdict.verdict import STILL_EXPLAINABLE, SURE
 from tests.unit.diagnose.residuals import (
     crept,
     lagged,

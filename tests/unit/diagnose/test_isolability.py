@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import piezod
-from piezod.diagnose.isolability import LARGE, Isolability, isolability, separated_by
+from piezod.diagnose.experiment.isolability import LARGE, Isolability, isolability, separated_by
 from piezod.diagnose.prepare import Source
 from piezod.effects import EFFECTS
 from tests.unit.diagnose.residuals import mixed_work

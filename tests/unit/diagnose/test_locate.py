@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from piezod.diagnose.locate import locate
+from piezod.diagnose.localisation.locate import locate
 from tests.unit.diagnose.residuals import (
     crept,
     lagged,

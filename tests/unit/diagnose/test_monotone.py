@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from piezod.diagnose import diagnosis
-from piezod.diagnose.basis import ForceLaw, PlayDensity
-from piezod.diagnose.chain import Chain, Term, empty_point
-from piezod.diagnose.evidence import finding_of
-from piezod.diagnose.fit import fit
-from piezod.diagnose.monotone import SMALLEST, loading_slopes, unfolded
-from piezod.diagnose.search_state import Round, Search
+from piezod.diagnose.hypothesis.basis import ForceLaw, PlayDensity
+from piezod.diagnose.hypothesis.chain import Chain, Term, empty_point
+from piezod.diagnose.hypothesis.fit import fit
+from piezod.diagnose.hypothesis.monotone import SMALLEST, loading_slopes, unfolded
+from piezod.diagnose.selection.search_state import Round, Search
+from piezod.diagnose.verdict.evidence import finding_of
 from piezod.effects import EFFECTS
 from tests.unit.diagnose.residuals import mixed_work, noise, played, series, time
 

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from scipy import signal
 
-from piezod.diagnose.fit import Normal, fit
-from piezod.diagnose.screening import screened, screened_pairs
-from piezod.diagnose.search import both
-from piezod.diagnose.search_state import Search
-from piezod.diagnose.trials import two_at_once
+from piezod.diagnose.candidates.screening import screened, screened_pairs
+from piezod.diagnose.hypothesis.fit import Normal, fit
+from piezod.diagnose.selection.search import both
+from piezod.diagnose.selection.search_state import Search
+from piezod.diagnose.selection.trials import two_at_once
 from tests.unit.diagnose.residuals import time
 from tests.unit.diagnose.test_corners import many_plays
 from tests.unit.diagnose.test_search import RATE_HZ, SAMPLES, worked

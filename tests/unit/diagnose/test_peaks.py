@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.signal import bilinear, lfilter
 
-from piezod.diagnose.direct import peaks_Hz
+from piezod.diagnose.candidates.direct import peaks_Hz
 from tests.unit.diagnose.residuals import mixed_work, series, time
 
 SAMPLES = 60_000

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from piezod.diagnose.basis import PlayDensity
+from piezod.diagnose.hypothesis.basis import PlayDensity
 from piezod.diagnose.prepare import Source, chain_of, even, started, without_frozen, without_unknown
 from piezod.errors import RecordingError
 from piezod.estimation.initial_state import remembered

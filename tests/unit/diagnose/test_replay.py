@@ -5,9 +5,9 @@ import json
 import numpy as np
 import pytest
 
-from piezod.diagnose.chain import Point
-from piezod.diagnose.fit import Fitted
-from piezod.diagnose.replay import Attempt, write_replay
+from piezod.diagnose.hypothesis.chain import Point
+from piezod.diagnose.hypothesis.fit import Fitted
+from piezod.diagnose.selection.replay import Attempt, write_replay
 from piezod.errors import ConfigurationError
 
 NONE = np.empty(0)

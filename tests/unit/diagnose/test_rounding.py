@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from piezod.diagnose.rounding import lattice_step_N, unrounded
-from piezod.diagnose.series import Series
+from piezod.diagnose.candidates.rounding import lattice_step_N, unrounded
+from piezod.diagnose.hypothesis.series import Series
 
 Array = NDArray[np.float64]
 

@@ -6,15 +6,15 @@ import numpy as np
 import pytest
 from scipy import signal
 
-from piezod.diagnose.basis import ForceLaw, PlayDensity
-from piezod.diagnose.chain import Chain, Term, empty_point
-from piezod.diagnose.evidence import finding_of
-from piezod.diagnose.fit import fit
-from piezod.diagnose.screening import screened
-from piezod.diagnose.search import both, search, swap
-from piezod.diagnose.search_state import Round, Search
-from piezod.diagnose.tone_search import listen_again
-from piezod.diagnose.tones import Tone, heard_again, without_tones
+from piezod.diagnose.candidates.screening import screened
+from piezod.diagnose.candidates.tones import Tone, heard_again, without_tones
+from piezod.diagnose.hypothesis.basis import ForceLaw, PlayDensity
+from piezod.diagnose.hypothesis.chain import Chain, Term, empty_point
+from piezod.diagnose.hypothesis.fit import fit
+from piezod.diagnose.selection.search import both, search, swap
+from piezod.diagnose.selection.search_state import Round, Search
+from piezod.diagnose.selection.tone_search import listen_again
+from piezod.diagnose.verdict.evidence import finding_of
 from piezod.effects import EFFECTS
 from tests.unit.diagnose.residuals import mixed_work, noise, series, time
 from tests.unit.diagnose.test_corners import many_plays

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from piezod.diagnose.chain import Point, Term
-from piezod.diagnose.fit import fit
-from piezod.diagnose.search_state import Search
-from piezod.diagnose.significance import adjusted, by_signs, p_value
+from piezod.diagnose.hypothesis.chain import Point, Term
+from piezod.diagnose.hypothesis.fit import fit
+from piezod.diagnose.selection.search_state import Search
+from piezod.diagnose.selection.significance import adjusted, by_signs, p_value
 from piezod.effects import EFFECTS
 from tests.unit.diagnose.test_pairs import stairs, worked
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from piezod.diagnose.direct import SKEWS_PPM, skew_ppm
+from piezod.diagnose.candidates.direct import SKEWS_PPM, skew_ppm
 from tests.unit.diagnose.residuals import mixed_work, model_of, noise, series, time
 
 SAMPLES, NOISE_N = 60_000, 2.0

@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from piezod.diagnose.basis import ForceLaw, PlayDensity
-from piezod.diagnose.chain import Chain, Term, empty_point
-from piezod.diagnose.fit import fit
-from piezod.diagnose.stated_hold import as_told
+from piezod.diagnose.hypothesis.basis import ForceLaw, PlayDensity
+from piezod.diagnose.hypothesis.chain import Chain, Term, empty_point
+from piezod.diagnose.hypothesis.fit import fit
+from piezod.diagnose.selection.stated_hold import as_told
 from piezod.effects import EFFECTS
 from piezod.recording import HELD_ONE_SAMPLE, Hold
 from tests.unit.diagnose.residuals import lagged, mixed_work, noise, series, time

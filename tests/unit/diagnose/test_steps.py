@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from piezod.diagnose.basis import ForceLaw, PlayDensity
-from piezod.diagnose.chain import Chain, Term, empty_point
-from piezod.diagnose.steps import NEVER_S, Step, edge_near, sharp, shown_late_s
+from piezod.diagnose.candidates.steps import NEVER_S, Step, edge_near, sharp, shown_late_s
+from piezod.diagnose.hypothesis.basis import ForceLaw, PlayDensity
+from piezod.diagnose.hypothesis.chain import Chain, Term, empty_point
 from piezod.effects import EFFECTS
 from tests.unit.diagnose.residuals import mixed_work, noise, series, time
 

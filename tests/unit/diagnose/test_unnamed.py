@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from piezod.diagnose.series import Series
-from piezod.diagnose.unnamed import fit_unnamed
+from piezod.diagnose.hypothesis.series import Series
+from piezod.diagnose.selection.unnamed import fit_unnamed
 from piezod.model.unnamed_law import LawStep
 
 NOISE_N, DT_S = 0.1, 0.01

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from piezod.diagnose.findings import Finding, Findings, above_noise, gap_closed
-from piezod.diagnose.verdict import less_sure, no_noise, span_of, verdict_of
+from piezod.diagnose.verdict.verdict import less_sure, no_noise, span_of, verdict_of
 
 
 def named(confidence):

@@ -4,9 +4,9 @@ from dataclasses import replace
 
 import pytest
 
-from piezod.diagnose import words
 from piezod.diagnose.findings import Finding, Findings, Place, Value
-from piezod.diagnose.verdict import words_of
+from piezod.diagnose.verdict import words
+from piezod.diagnose.verdict.verdict import words_of
 from piezod.effects import EFFECTS
 
 RANGE = EFFECTS["transport_delay"].parameter("delay_s")

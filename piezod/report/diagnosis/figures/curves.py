@@ -9,7 +9,7 @@ from bokeh.models.glyphs import Text
 from bokeh.plotting import figure
 
 from piezod.diagnose.findings import Findings, Place
-from piezod.diagnose.words import rounded, unit_words
+from piezod.diagnose.verdict.words import rounded, unit_words
 from piezod.report.diagnosis.figures.drawing import (
     EXTENDED,
     GIVEN,

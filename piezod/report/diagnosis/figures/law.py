@@ -4,7 +4,7 @@ import numpy as np
 from bokeh.plotting import figure
 from numpy.typing import NDArray
 
-from piezod.diagnose.words import rounded
+from piezod.diagnose.verdict.words import rounded
 from piezod.model.unnamed_law import Axis, UnnamedLaw, node_values
 from piezod.report.diagnosis.figures.drawing import column_source, draw_curve, finish, new_figure
 from piezod.report.style import BLUE, GREEN, GREY, ORANGE, RED

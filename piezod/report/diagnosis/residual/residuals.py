@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piezod.diagnose.findings import Place
-from piezod.diagnose.series import Series
+from piezod.diagnose.hypothesis.series import Series
 
 Array = NDArray[np.float64]
 

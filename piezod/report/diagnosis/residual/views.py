@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from piezod.diagnose import coordinates
+from piezod.diagnose.localisation import coordinates
 from piezod.report.diagnosis.residual.drivers import Driver, drivers, time_driver
 from piezod.report.diagnosis.residual.residuals import Residuals
 

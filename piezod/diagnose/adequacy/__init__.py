@@ -1,0 +1,1 @@
+"""What a flexible model could still explain."""

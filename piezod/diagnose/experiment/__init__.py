@@ -1,0 +1,1 @@
+"""What recordings can tell, and the next experiment."""

@@ -1,0 +1,1 @@
+"""Where the given model is wrong: in time, frequency, voltage, rate, history."""

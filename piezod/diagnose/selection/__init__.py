@@ -1,0 +1,1 @@
+"""Which effects stay: the stepwise search, its criterion, and the significance of what it finds."""

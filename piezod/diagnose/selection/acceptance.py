@@ -1,0 +1,157 @@
+"""Whether one more effect is believed: what it gains, how steadily, beside what was found, and whether it is itself."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from piezod.diagnose.adequacy.remainder import motion
+from piezod.diagnose.candidates.steps import Step, sharp, shown_late_s
+from piezod.diagnose.hypothesis.chain import Chain, Term
+from piezod.diagnose.hypothesis.fit import Fitted
+
+Array = NDArray[np.float64]
+
+WORTH = 0.04  # of the loss that is left: what an effect must gain at least
+MUCH = 0.3  # of the loss: where a few blocks hold nearly all of it, an effect may gain in these alone,
+NOTICED, FEW = 0.05, 0.25  # if not more than so many blocks grow worse
+MOST_OF_A_BLOCK = 3.0  # times the median gain
+STEADY = 2.5  # standard deviations of the blocks' gains
+WORTH_WHEN_SMALL, STEADY_WHEN_SMALL, LEFT_WHEN_SMALL = 0.08, 3.0, 0.05
+WORTH_ONCE, WORTH_ONCE_WHEN_SMALL = 0.06, 0.1  # what happened once can be put anywhere
+LOOSE = (
+    "friction",
+    "rate_dependent_hysteresis",
+    "noncongruent_minor_loops",
+    "gain_drift",
+    "creep",
+    "output_nonlinearity",
+    "contact_gap",
+)
+LOCAL = ("contact_gap", "voltage_clamp", "slew_limit")  # act at a limit alone: most blocks do not come there
+FEWEST_TOUCHED = 2  # blocks that such an effect must improve, and none may grow worse
+SMALLEST_SHARE = 5e-4  # of the largest gain: below it is what no form of the larger effect fits exactly
+FAIR_SHARE = 0.02  # of the largest gain so far: more effects than that are the plant's own shape
+LATE = 0.05  # of a sample
+RINGS = 0.6  # damping ratio beyond which nothing is seen to ring
+SLIDES = 0.16  # of the force's range: friction with a longer presliding hardly slides, the stack remembers
+BEGIN = 0.02  # of a recording: a step within it is what an unknown start leaves
+NO_LONGER = 0.99  # of the range
+PLAINER = 0.01  # of the loss, that a parameter must bring,
+MOST_COUNTED = 8  # if not so many count already: of many that are stiff few are used
+GENERAL = ("noncongruent_minor_loops",)  # bend to nearly whatever is a hysteresis: friction, a law of the output
+MORE, LEAVES = 0.1, 0.5  # of its gain, though no more of its loss, that it must be better than one with a shape
+
+
+def worth(before: Fitted, after: Fitted) -> bool:
+    """Whether an effect gains enough on blocks left out, and in most of them or very much."""
+    gain = before.loss - after.loss
+    if gain < WORTH * after.loss:
+        return False
+    if after.terms[-1].scope == "once":
+        return gain > WORTH_ONCE * after.loss
+    if gain < price(after, after.terms[-1]):
+        return False
+    if acts_locally(before, after, after.effects[-1]):
+        return True
+    gains = np.log(before.losses / after.losses)
+    if gain > MUCH * before.loss and np.mean(gains < -NOTICED) < FEW:
+        return True
+    return steadiness(before, after) > STEADY
+
+
+def acts_locally(before: Fitted, after: Fitted, name: str) -> bool:
+    """Whether an effect that acts at a limit alone gains clearly where a recording comes there, and loses nowhere."""
+    gains = np.log(before.losses / after.losses)
+    clear = name in LOCAL and before.loss - after.loss > WORTH_WHEN_SMALL * after.loss
+    return bool(clear and gains.min() > -NOTICED and np.sum(gains > NOTICED) >= FEWEST_TOUCHED)
+
+
+def weighed(fitted: Fitted) -> float:
+    """The loss, a little more of it for every parameter that the last effect is shaped by: of two alike the plainer."""
+    return fitted.loss + price(fitted, fitted.terms[-1])
+
+
+def price(fitted: Fitted, term: Term) -> float:
+    """What an effect must gain for the parameters that it is shaped by."""
+    return PLAINER * min(len(term.searched), MOST_COUNTED) * fitted.loss
+
+
+def counted(name: str, without_it: float, with_it: float) -> float:
+    """The loss that an effect is compared with others by in its place: less of what a general one gains counts."""
+    if name not in GENERAL:
+        return with_it
+    return with_it + min(MORE * max(without_it - with_it, 0.0), LEAVES * with_it)
+
+
+def steadiness(before: Fitted, after: Fitted) -> float:
+    """Sum of the blocks' logarithmic gains over its standard deviation if their signs were chance.
+
+    A block that gains or loses far more than most counts no more than some of them: it would drown what they say.
+    """
+    gains = np.log(before.losses / after.losses)
+    touched = gains[np.abs(gains) > 1e-3]
+    if touched.size < 4:
+        return 0.0
+    most = MOST_OF_A_BLOCK * float(np.median(np.abs(touched)))
+    touched = np.clip(touched, -most, most)
+    return float(np.sum(touched)) / float(np.sqrt(np.sum(touched**2)))
+
+
+def fair(chain: Chain, before: Fitted, after: Fitted, largest: float) -> bool:
+    """Whether an effect is more than the remainder of a larger one that has not quite the plant's shape.
+
+    A small one must gain steadily; one that takes many shapes must leave nothing that depends on movement or level.
+    """
+    gain = before.loss - after.loss
+    once = after.terms[-1].scope == "once"
+    if gain >= FAIR_SHARE * largest or (once and gain > WORTH_ONCE_WHEN_SMALL * after.loss):
+        return True
+    if once or gain < SMALLEST_SHARE * largest:
+        return False
+    if acts_locally(before, after, after.effects[-1]):
+        return True
+    if gain < WORTH_WHEN_SMALL * after.loss or steadiness(before, after) < STEADY_WHEN_SMALL:
+        return False
+    if after.effects[-1] not in LOOSE:
+        return True
+    modelled = [chain.run(k, after.terms, after.point).reading_N for k in range(len(chain.series))]
+    residuals = [one.reading_N - model for one, model in zip(chain.series, modelled, strict=True)]
+    left = motion(chain.series, residuals, modelled)
+    return max(left.share, left.level_share) < LEFT_WHEN_SMALL
+
+
+def degenerate(chain: Chain, fitted: Fitted) -> bool:
+    """Whether the last effect is not what its name says.
+
+    A leak as slow as the catalogue knows is a drift. Friction that hardly slides is a memory of the stack. A resonance
+    that does not ring is a lag. A step without edges is a drift, and one at the begin is what an unknown start leaves.
+    A delay of next to nothing of a sample is the moment of reading.
+    """
+    term, values = fitted.terms[-1], fitted.point.values[-1]
+    if term.effect.name == "friction":
+        return values["presliding_N"] > SLIDES * chain.parameter(term.effect, "presliding_N").high
+    if term.effect.name == "resonance":
+        return values["damping_ratio"] > RINGS
+    if term.effect.name == "charge_leakage":
+        return values["time_constant_s"] > NO_LONGER * chain.parameter(term.effect, "time_constant_s").high
+    late_s = {
+        "electrical_lag": values.get("time_constant_s", 0.0),
+        "transport_delay": values.get("delay_s", 0.0),
+        "sensor_filter": 1.0 / (2.0 * np.pi * values.get("cutoff_Hz", np.inf)),
+        "clock_skew": 1e-6 * abs(values.get("skew_ppm", 0.0)) * max(one.duration_s for one in chain.series),
+    }.get(term.effect.name)
+    if late_s is not None:
+        return late_s < LATE * min(one.dt_s for one in chain.series)
+    return term.effect.name == "load_step" and not _is_a_step(chain, fitted)
+
+
+def _is_a_step(chain: Chain, fitted: Fitted) -> bool:
+    """Whether the last effect, a step, has edges, and is not all over or there to stay soon after the begin."""
+    term, values = fitted.terms[-1], fitted.point.values[-1]
+    series = chain.series[term.series]
+    size, begin = series.time_s.size, BEGIN * series.time_s.size
+    late_s = shown_late_s(chain, fitted.terms, fitted.point)
+    first, end = (round((values[name] + late_s) / series.dt_s) for name in ("on_s", "off_s"))
+    if end <= begin or (end >= size and first < begin):
+        return False
+    residual_N = series.reading_N - chain.run(term.series, fitted.terms, fitted.point).reading_N
+    return sharp(series, residual_N, Step(values["step_N"], first, min(end, size)))

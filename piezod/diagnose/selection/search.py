@@ -1,0 +1,361 @@
+"""The search: grow a hypothesis by the effect that explains most of what is left, then try to swap and to drop."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+
+from piezod.diagnose.hypothesis.chain import Chain, Point, Term
+from piezod.diagnose.hypothesis.fit import MOST_STEPS, Fitted, fit
+from piezod.diagnose.hypothesis.parallel import each
+from piezod.diagnose.hypothesis.sampling import best_course, coarse, settled, started_as_usual, suited_anew
+from piezod.diagnose.hypothesis.series import Series
+from piezod.diagnose.selection.acceptance import (
+    FAIR_SHARE,
+    GENERAL,
+    STEADY_WHEN_SMALL,
+    WORTH,
+    acts_locally,
+    counted,
+    degenerate,
+    fair,
+    price,
+    steadiness,
+    weighed,
+    worth,
+)
+from piezod.diagnose.selection.corners import sharpened
+from piezod.diagnose.selection.replay import Attempt
+from piezod.diagnose.selection.search_state import Beside, Round, Search
+from piezod.diagnose.selection.tone_search import dominates, heard, listen, listen_again
+from piezod.diagnose.selection.trials import on_each_course, two_at_once, with_a_step
+
+Array = NDArray[np.float64]
+OnProgress = Callable[[str, float], None]
+
+MOST_EFFECTS = 5
+SEARCHED, FURTHER = 0.85, 0.5  # part of the work behind the search; of what is before it, left after a round
+FINALISTS = 3  # of them that are tried with every course of the command between samples
+BESIDE_A_STEP = 2  # effects that a step was preferred to are tried with a step of their own
+OTHER_START = 0.99  # of the loss: below it what was found is believed to have started otherwise
+OTHER_SCOPE = 0.98  # of the loss: below it an effect's other scope is taken
+PAIRS_SETTLED = 2  # of effects, that are tried with every course of the command between samples
+NOTHING_LEFT = 1.05  # of the noise's square: nothing is looked for beside what leaves no more
+RIVALS = 6  # of an effect, that are tried in its place at the end
+BETTER_INSTEAD = 0.98  # of the loss: below it a rival takes an effect's place
+NEEDLESS = 0.02  # of the loss: an effect without which no more is lost is left out again
+DOUBTED = 3  # of those that fit better and are not believed that are fitted from other starts
+SHARPER = 0.98  # of the loss: below it plays of their own width are taken into the base
+
+
+def search(chain: Chain, start: Point, progress: OnProgress) -> Search:
+    """Find the effects that the recordings show.
+
+    Parameters
+    ----------
+    chain
+        Recordings and base.
+    start
+        Of the base.
+    progress
+        Told what is being done, and what part of the work is behind it at least.
+    """
+    progress("fitting the base", 0.02)
+    chain, base = best_course(chain, (), start)
+    base = fit(chain, (), base.point)  # a base that has not arrived would take any effect for its own way
+    chain, base = started_as_usual(chain, base)
+    result = Search(chain, base, base, _past(chain, start))
+    largest = 0.0
+    while len(result.names) < MOST_EFFECTS:
+        progress(
+            f"looking for effect {len(result.names) + 1}", SEARCHED - (SEARCHED - 0.1) * FURTHER ** len(result.names)
+        )
+        tone = heard(result)
+        if tone is not None and dominates(result, tone):
+            listen(result, tone)
+            largest = max(result.base.loss - result.found.loss, 0.0)
+            continue
+        tried = on_each_course(result.chain, result.found, result.past) + _beside_the_last_step(result)
+        finalists = _finalists(result, tried, largest)
+        best = min(finalists, key=lambda one: weighed(one[1]), default=None)
+        if tone is not None and (best is None or tone[1].loss < best[1].loss):
+            listen(result, tone)
+            largest = max(result.base.loss - result.found.loss, 0.0)
+            continue
+        sharp = _sharper(result, best)
+        if sharp is not None:
+            _sharpen(result, *sharp)
+            largest = max(result.base.loss - result.found.loss, 0.0) if result.rounds else 0.0
+            continue
+        if best is None:
+            if not both(result, tried, largest):
+                break
+            largest = _followed(result, max(largest, result.rounds[-2].before.loss - result.found.loss))
+            continue
+        before = _without_it(result, best)
+        if before is not result.found:  # some of the gain is the other course's or the other starts'
+            result.base = fit(best[0], (), result.base.point)
+            if not worth(before, best[1]):
+                result.chain, result.found = best[0], before
+                continue
+        result.chain, result.found = best
+        largest = max(largest, before.loss - result.found.loss)
+        others = tuple(
+            one for on, one in tried if one.effects[-1] != result.found.effects[-1] and not degenerate(on, one)
+        )
+        result.rounds.append(Round(before, result.found, others))
+        _rescope(result)
+        largest = _followed(result, largest)
+    progress("trying to swap and to drop", SEARCHED)
+    swap(result)
+    _drop(result, largest)
+    _polish(result)
+    return result
+
+
+def _followed(result: Search, largest: float) -> float:
+    """The tones followed anew beside what was found, if there are any; the largest gain by then."""
+    if not result.tones:
+        return largest
+    listen_again(result)
+    return max(result.base.loss - result.found.loss, 0.0)
+
+
+def _finalists(result: Search, tried: list[tuple[Chain, Fitted]], largest: float) -> list[tuple[Chain, Fitted]]:
+    """The best of those that are believed, each with the course and the starts that suit it best.
+
+    What fits better than they do but is not believed may have been fitted from a start, or on a course, that was
+    estimated without it. On another course or from other starts it is compared with what was found so far on these: a
+    start that was estimated without it may say most of what it does.
+    """
+    before = {id(result.chain): result.found}
+    for on, _ in tried:
+        if id(on) not in before:
+            before[id(on)] = fit(on, result.found.terms, result.found.point, most_steps=6)
+
+    def believed(one: tuple[Chain, Fitted]) -> bool:
+        on, after = one
+        if after.loss > (1.0 - WORTH) * result.found.loss:
+            return False
+        return _believed(on, before.get(id(on), result.found), after, largest)
+
+    tried = sorted(tried, key=lambda one: one[1].loss)
+    better = []
+    for on, after in tried:
+        kept = believed((on, after))
+        better += [(on, after)] * kept
+        result.attempts.append(
+            Attempt("one", len(result.names), before[id(on)], after, degenerate=degenerate(on, after), believed=kept)
+        )
+    limit = better[0][1].loss if better else result.found.loss
+    doubted = [one for one in tried if one[1].loss < limit and not degenerate(*one)][:DOUBTED]
+    anew = [one for one in each(suited_anew, doubted) if one is not None and believed(one)]
+    return each(settled, sorted(better + anew, key=lambda one: one[1].loss)[:FINALISTS])
+
+
+def _believed(chain: Chain, before: Fitted, after: Fitted, largest: float) -> bool:
+    """Whether one more effect is what its name says, gains enough and is more than the remainder of a larger one."""
+    return not degenerate(chain, after) and worth(before, after) and fair(chain, before, after, largest)
+
+
+def both(result: Search, tried: Sequence[tuple[Chain, Fitted]], largest: float) -> bool:
+    """Two effects at once of which none is believed alone, since each leaves what the other one is; if they are found.
+
+    Each must be believed beside the other, and one of them have a shape that does not bend to what is left.
+    """
+    if len(result.names) + 2 > MOST_EFFECTS or result.found.loss <= NOTHING_LEFT:
+        return False
+    pairs = [one for one in two_at_once(result.chain, result.found) if worth(result.found, one)]
+    believed = []
+    for chain, pair in each(settled, [(result.chain, pair) for pair in sorted(pairs, key=weighed)[:PAIRS_SETTLED]]):
+        orders = pair, _turned(pair)
+        firsts = [fit(chain, one.terms[:-1], replace(one.point, values=one.point.values[:-1])) for one in orders]
+        beside = zip(firsts, orders, strict=True)
+        kept = worth(result.found, pair) and all(_believed(chain, *one, largest) for one in beside)
+        believed += [(chain, firsts[0], pair)] * kept
+        unlike = any(degenerate(chain, one) for one in orders)
+        result.attempts.append(Attempt("pair", len(result.names), result.found, pair, degenerate=unlike, believed=kept))
+    if not believed:
+        return False
+    chain, first, pair = min(believed, key=lambda one: weighed(one[2]))
+    alone = [one for on, one in tried if on is result.chain and worth(result.found, one) and not degenerate(on, one)]
+    others = tuple(one for one in alone if one.effects[-1] not in pair.effects)
+    result.rounds += [Round(result.found, first, others), Round(first, pair, ())]
+    if chain is not result.chain:
+        result.chain, result.base = chain, fit(chain, (), result.base.point)
+    result.found = pair
+    return True
+
+
+def _turned(pair: Fitted) -> Fitted:
+    """The same with the last two effects the other way round."""
+    order = [*range(len(pair.terms) - 2), len(pair.terms) - 1, len(pair.terms) - 2]
+    point = replace(pair.point, values=tuple(pair.point.values[k] for k in order))
+    return replace(
+        pair,
+        terms=tuple(pair.terms[k] for k in order),
+        point=point,
+        spread=tuple(pair.spread[k] for k in order),
+    )
+
+
+def _sharper(result: Search, best: tuple[Chain, Fitted] | None) -> tuple[Chain, Fitted] | None:
+    """The same with corners in the base, where these take more off than any effect: a name would be for their sake.
+
+    By all recordings only where no effect is left that may bend them.
+    """
+    enough = min(SHARPER * result.found.loss, np.inf if best is None else best[1].loss)
+    for by_all in (False, True) if best is None else (False,):
+        sharp = sharpened(result.chain, result.found, by_all=by_all)
+        if sharp is not None and sharp[1].loss < enough:
+            return sharp
+    return None
+
+
+def _sharpen(result: Search, chain: Chain, found: Fitted) -> None:
+    """Go on with plays of their own width in the base."""
+    result.chain, result.found = chain, found
+    result.base = fit(chain, (), replace(found.point, values=()))
+    result.past = _past(chain, result.base.point)
+
+
+def _beside_the_last_step(result: Search) -> list[tuple[Chain, Fitted]]:
+    """Where a step of the load was found last: what came next to it, each with a step that suits it."""
+    if not result.rounds or result.found.effects[-1:] != ("load_step",):
+        return []
+    last = result.rounds[-1].accepted.point
+    if (last.density.size, last.law.size) != (result.chain.density.count, result.chain.law.count):
+        return []  # fitted before the base had sharp plays
+    others = sorted(result.rounds[-1].others, key=lambda one: one.loss)
+    return with_a_step(result.chain, result.found, others[:BESIDE_A_STEP])
+
+
+def _without_it(result: Search, best: tuple[Chain, Fitted]) -> Fitted:
+    """What was found so far: on the course and from the starts that came with one more effect, if it fits better."""
+    if best[0] is result.chain:
+        return result.found
+    alone = fit(best[0], result.found.terms, result.found.point)
+    return alone if alone.loss < OTHER_START * result.found.loss else result.found
+
+
+def _rescope(result: Search) -> None:
+    """Effects that were found before, had already or come since: beside a new one the other may fit better."""
+    few, found = coarse(result.chain), result.found
+    known = fit(few, found.terms, found.point, most_steps=2)
+    others = []
+    for place, term in enumerate(found.terms[:-1]):
+        if term.scope != "once":
+            other = replace(term, scope="since" if term.scope == "already" else "already")
+            others.append((*found.terms[:place], other, *found.terms[place + 1 :]))
+    tried = each(lambda terms: fit(few, terms, found.point, most_steps=6), others)
+    best = min(tried, key=lambda one: one.loss, default=known)
+    if best.loss < OTHER_SCOPE * known.loss:
+        result.found = fit(result.chain, best.terms, best.point, most_steps=6)
+
+
+def _polish(result: Search) -> None:
+    """Base and hypothesis once more on all samples."""
+    result.chain = result.chain.like(result.chain.series, max(map(_length, result.chain.series)))
+    result.found = fit(result.chain, result.found.terms, result.found.point, most_steps=4)
+    result.base = fit(result.chain, (), result.base.point, most_steps=4)
+
+
+def _length(series: Series) -> int:
+    return int(series.time_s.size)
+
+
+def _past(chain: Chain, start: Point) -> Point:
+    """The base fitted to the recordings of the identification alone, the others shifted onto it."""
+    known = [k for k, one in enumerate(chain.series) if one.role == "identification"]
+    alone = chain.like([chain.series[k] for k in known])
+    point = fit(alone, (), replace(start, offsets_N=start.offsets_N[known])).point
+    offsets_N = np.zeros(len(chain.series))
+    offsets_N[known] = point.offsets_N
+    return replace(point, offsets_N=offsets_N)
+
+
+def swap(result: Search) -> None:
+    """Put a rival in an effect's place where the whole fits better with it, beside all that was found since."""
+    if len(result.found.effects) == 1 and result.found.effects[0] not in GENERAL:
+        return
+    for name in result.found.effects:
+        rivals = _rivals(result, name)
+        if not rivals:
+            continue
+        fewer = fitted_without(result.chain, result.found, name)
+        few = coarse(result.chain)
+        tried = each(partial(_with_instead, few, result.found, name, most_steps=4), rivals)
+        few.forget()
+        best = sorted(tried, key=lambda one: one.loss)[:2]
+        swapped = each(partial(_with_instead, result.chain, result.found, name), best)
+        fitting = [one for one in swapped if worth(fewer, one) and not degenerate(result.chain, one)]
+        losses = {name: counted(name, fewer.loss, result.found.loss)} | {one.effects[-1]: np.inf for one in swapped}
+        losses |= {one.effects[-1]: counted(one.effects[-1], fewer.loss, one.loss) for one in fitting}
+        taken = min(losses, key=lambda one: losses[one])
+        if losses[taken] < BETTER_INSTEAD * losses[name]:
+            result.found = next(one for one in fitting if one.effects[-1] == taken)
+        else:
+            taken = name
+        result.beside[taken] = Beside(fewer.loss, losses.pop(taken), losses)
+
+
+def instead(result: Search, name: str) -> list[Fitted]:
+    """The hypothesis with each rival that is what its name says in an effect's place, fitted anew."""
+    fitted = each(partial(_with_instead, result.chain, result.found, name), _rivals(result, name))
+    return [one for one in fitted if not degenerate(result.chain, one)]
+
+
+def _rivals(result: Search, name: str) -> list[Fitted]:
+    """What was tried when an effect was accepted and was not found since, the best with each effect."""
+    tried = [one for round_ in result.rounds if round_.accepted.effects[-1] == name for one in round_.others]
+    return _first_of_each([one for one in tried if one.effects[-1] not in result.found.effects])[:RIVALS]
+
+
+def _first_of_each(tried: Sequence[Fitted]) -> list[Fitted]:
+    """The best with each last effect, the best one first."""
+    best: dict[str, Fitted] = {}
+    for one in sorted(tried, key=lambda one: one.loss):
+        best.setdefault(one.effects[-1], one)
+    return list(best.values())
+
+
+def _with_instead(chain: Chain, found: Fitted, name: str, rival: Fitted, most_steps: int = MOST_STEPS) -> Fitted:
+    terms, values = without(found, name)
+    last = [k for k, term in enumerate(rival.terms) if term.effect.name == rival.effects[-1]]
+    terms += [rival.terms[k] for k in last]
+    values += [rival.point.values[k] for k in last]
+    return fit(chain, terms, replace(found.point, values=tuple(values)), most_steps=most_steps)
+
+
+def fitted_without(chain: Chain, found: Fitted, name: str) -> Fitted:
+    """The hypothesis without an effect, fitted anew."""
+    terms, values = without(found, name)
+    return fit(chain, terms, replace(found.point, values=tuple(values)))
+
+
+def without(found: Fitted, name: str) -> tuple[list[Term], list[Mapping[str, float]]]:
+    """Terms of all other effects, and their values."""
+    kept = [k for k, term in enumerate(found.terms) if term.effect.name != name]
+    return [found.terms[k] for k in kept], [found.point.values[k] for k in kept]
+
+
+def _drop(result: Search, largest: float) -> None:
+    """Leave out effects that the others, or the base as it is at the end, have made needless."""
+    left = list(result.found.effects)
+    while left:
+        found = result.found
+        name = left.pop(0)
+        once = all(term.scope == "once" for term in found.terms if term.effect.name == name)
+        fewer = fitted_without(result.chain, found, name)
+        gain = fewer.loss - found.loss
+        least = max(NEEDLESS * found.loss, *(price(found, term) for term in found.terms if term.effect.name == name))
+        small = gain < FAIR_SHARE * largest and steadiness(fewer, found) < STEADY_WHEN_SMALL
+        needless = gain < least or (small and not once and not acts_locally(fewer, found, name))
+        result.attempts.append(
+            Attempt("drop", len(result.names), fewer, found, degenerate=False, believed=not needless)
+        )
+        if needless:
+            result.found = fewer
+            left = list(fewer.effects)

@@ -1,0 +1,74 @@
+"""How far a search has come: what was found, on which way, and what was tried beside it."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from piezod.diagnose.candidates.tones import Tone
+from piezod.diagnose.hypothesis.chain import Chain, Point
+from piezod.diagnose.hypothesis.fit import Fitted
+from piezod.diagnose.selection.replay import Attempt
+
+
+@dataclass(frozen=True)
+class Round:
+    """One effect that was accepted, and what else was tried that is what its name says."""
+
+    before: Fitted
+    accepted: Fitted
+    others: tuple[Fitted, ...]
+
+
+@dataclass(frozen=True)
+class Beside:
+    """Losses beside all else that was found: without an effect, with it, and with each rival in its place.
+
+    Those with an effect as they are counted (`acceptance.counted`).
+    """
+
+    without: float
+    with_it: float
+    rivals: Mapping[str, float]
+
+
+@dataclass
+class Search:
+    """What was found and on which way.
+
+    Parameters
+    ----------
+    chain
+        Recordings, with the course between samples that fits best.
+    base
+        Nothing but the base.
+    found
+        The hypothesis at the end.
+    past
+        The base as the recordings show it that the model was identified on.
+    rounds
+        In the order of the search.
+    tones
+        What was taken off the readings of the chain's series.
+    beside
+        By effect, what was tried in its place at the end.
+    attempts
+        What was compared, for the replay file.
+    """
+
+    chain: Chain
+    base: Fitted
+    found: Fitted
+    past: Point
+    rounds: list[Round] = field(default_factory=list)
+    tones: list[Tone] = field(default_factory=list)
+    beside: dict[str, Beside] = field(default_factory=dict)
+    attempts: list[Attempt] = field(default_factory=list)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Effects that were found, tones last."""
+        return tuple(dict.fromkeys((*self.found.effects, *(tone.name for tone in self.tones))))
+
+    @property
+    def tones_asked_about(self) -> list[Tone]:
+        """Those in the recordings, without what was taken off the readings that the model was identified on."""
+        return [tone for tone in self.tones if self.chain.series[tone.number].role == "recording"]

@@ -1,0 +1,1 @@
+"""What is said: evidence, wording, and the extended model."""

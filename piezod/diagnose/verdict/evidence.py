@@ -1,0 +1,238 @@
+"""What speaks for each effect that was found: parameters, errors without it and with it, rivals, confidence."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from piezod.diagnose.candidates.direct import level_about
+from piezod.diagnose.candidates.tones import Tone
+from piezod.diagnose.findings import Finding, Place, Rival, Value
+from piezod.diagnose.hypothesis.chain import Term
+from piezod.diagnose.hypothesis.fit import Fitted
+from piezod.diagnose.hypothesis.series import Series
+from piezod.diagnose.selection.acceptance import counted
+from piezod.diagnose.selection.search import fitted_without
+from piezod.diagnose.selection.search_state import Search
+from piezod.diagnose.selection.significance import p_value
+from piezod.diagnose.verdict.places import place_of
+from piezod.diagnose.verdict.verdict import held_out_rms, power_of
+from piezod.effects import EFFECTS
+from piezod.effects.noncongruent_minor_loops import DEGREES
+
+Array = NDArray[np.float64]
+
+RIVAL = 0.8  # part of the winner's gain, from which another effect is a rival
+NORMAL_95 = 1.96
+MOST_SPREAD = 20.0  # of an interval on its scale: beyond it a parameter is not determined
+BENT = 1.0 / 8.0  # of a sample, by which a delay between samples may be off
+COARSE = 0.5  # of the other noise: a converter's step / sqrt(12) beyond it is a finding
+
+
+def finding_of(result: Search, name: str) -> Finding:
+    """An effect that was fitted: its parameters, and the errors on blocks left out without it and with it."""
+    chain, found = result.chain, result.found
+    place = next(k for k, term in enumerate(found.terms) if term.effect.name == name)
+    term, values = found.terms[place], found.point.values[place]
+    fewer = fitted_without(chain, found, name) if len(found.effects) > 1 else result.base
+    parameters = {}
+    for one in term.effect.catalogued:
+        value = {**values, **dict(term.choices)}[one.name]
+        error = min(NORMAL_95 * found.spread[place].get(one.name, 0.0), MOST_SPREAD)
+        low, high = (
+            (value * np.exp(-error), value * np.exp(error))
+            if one.search.logarithmic
+            else (value - error, value + error)
+        )
+        parameters[one.name] = Value(value, one.unit, float(max(low, one.low)), float(min(high, one.high)))
+    if term.effect.name == "transport_delay":
+        smoothed = any(other.effect.smooths for other in found.terms)
+        parameters["delay_s"] = _with_the_course(parameters["delay_s"], chain.series[-1], smoothed=smoothed)
+    if term.effect.name == "noncongruent_minor_loops":
+        parameters["share"] = _share(result, place)
+    rivals = _rivals(result, term)
+    gain = float(np.log(fewer.loss / found.loss))
+    return Finding(
+        term.effect.name,
+        term.effect.title,
+        _confidence(gain, rivals),
+        term.scope,
+        place_of(term, values, chain),
+        parameters,
+        held_out_rms(chain, fewer),
+        held_out_rms(chain, found),
+        rivals,
+        term.effect.handling,
+        term.effect.why,
+        p_value(result, name),
+    )
+
+
+def _with_the_course(delay_s: Value, series: Series, *, smoothed: bool) -> Value:
+    """A delay whose interval holds what nobody can tell from it.
+
+    That is for how much of a sample a command was held before the reading, where the recording does not say so; and
+    when within a sample a held command comes, where nothing smooths its steps. Where a lag does, the delay is taken
+    straight between samples and the lag's curve bends: at most f (1 - f) / 2 of a sample for its part f.
+    """
+    told, held = series.hold == series.recorded_hold, not series.hold.straight
+    within_s = (BENT if smoothed else 1.0) * series.dt_s if held else 0.0
+    shorter_s, longer_s = (
+        (0.0, 0.0) if told else (series.hold.read_after * series.dt_s, (1.0 - series.hold.read_after) * series.dt_s)
+    )
+    return replace(delay_s, low=max(delay_s.low - shorter_s - within_s, 0.0), high=delay_s.high + longer_s + within_s)
+
+
+def all_terms(found: Fitted, tones: Sequence[Tone]) -> Fitted:
+    """The hypothesis with the tones as effects that happened once."""
+    terms = tuple(Term(EFFECTS[tone.name], "once", tone.number) for tone in tones)
+    values = (*found.point.values, *(tone.values for tone in tones))
+    return replace(found, terms=(*found.terms, *terms), point=replace(found.point, values=values))
+
+
+def tone_finding(result: Search, name: str) -> Finding:
+    """A tone as a finding."""
+    effect, after = EFFECTS[name], held_out_rms(result.chain, result.found)
+    mine = [tone for tone in result.tones_asked_about if tone.name == name]
+    parameters = {}
+    for one in effect.catalogued:
+        values = np.array([tone.values[one.name] for tone in mine])
+        error = _tone_error(one.name, mine[0], result)
+        parameters[one.name] = Value(
+            float(values.mean()), one.unit, float(values.min()) - error, float(values.max()) + error
+        )
+    before = float(np.sqrt(after**2 + power_of(result.chain, mine)))
+    return Finding(
+        effect.name,
+        effect.title,
+        _confidence(2.0 * float(np.log(before / after)), ()),
+        "once",
+        place_of(Term(effect, "once", mine[0].number), mine[0].values, result.chain),
+        parameters,
+        before,
+        after,
+        (),
+        effect.handling,
+        effect.why,
+    )
+
+
+def _tone_error(name: str, tone: Tone, result: Search) -> float:
+    """Half of the 95 % interval of a tone's amplitude [N] or frequency [Hz] in what is left of its colour.
+
+    Cramer and Rao's bound, for white noise of the density that the residual has about the tone.
+    """
+    series = result.chain.series[tone.number]
+    modelled_N = result.chain.run(tone.number, result.found.terms, result.found.point).reading_N
+    frequency_Hz, amplitude_N = tone.values["frequency_Hz"], max(tone.values["amplitude_N"], 1e-300)
+    noise_N = level_about(series, series.reading_N - modelled_N, frequency_Hz)
+    error = NORMAL_95 * noise_N * float(np.sqrt(2.0 / series.time_s.size))
+    if name == "amplitude_N":
+        return error
+    return error / amplitude_N * float(np.sqrt(12.0)) / (2.0 * np.pi * max(series.duration_s, 1e-9))
+
+
+def _share(result: Search, place: int) -> Value:
+    """Part of what the plays lag behind that depends on the bias, by rms over the recordings asked about.
+
+    From what no plays and no curve follow up to all of it: how much of another hysteresis is congruent, nothing tells.
+    """
+    chain, found = result.chain, result.found
+    bends = {name: x for name, x in found.point.values[place].items() if name.startswith(("degree_1", "curve"))}
+    others = tuple(bends if number == place else values for number, values in enumerate(found.point.values))
+    congruent = replace(found.point, values=others)
+    shares = []
+    for k, series in enumerate(chain.series):
+        if series.role == "recording":
+            rows = chain.rows[k]
+            with_it, without_it = (chain.run(k, found.terms, point) for point in (found.point, congruent))
+            added_V, columns = (with_it.stroke_V - without_it.stroke_V)[rows], with_it.columns[rows]
+            curve = np.polynomial.chebyshev.chebvander(
+                2.0 * series.command_V[rows] / chain.voltage_span_V - 1.0, DEGREES
+            )
+            followed = np.hstack((columns, curve))
+            left_V = added_V - followed @ np.linalg.lstsq(followed, added_V, rcond=None)[0]
+            lags_V = max(float(np.std(columns @ found.point.density)), 1e-12)
+            shares.append((float(np.std(left_V)) / lags_V, float(np.std(added_V)) / lags_V))
+    low, value = np.clip(np.mean(shares, axis=0), 0.0, 1.0).tolist()
+    return Value(value, "1", low, 1.0)
+
+
+def _rivals(result: Search, term: Term) -> tuple[Rival, ...]:
+    """Other effects that came near, by how far they stay behind in noises: beside all that was found, or when tried.
+
+    What was found besides is no rival, though it may have been one before both were found.
+    """
+    behind: dict[str, float] = {}
+    for round_ in result.rounds:
+        if round_.accepted.terms[-1].effect is term.effect:
+            others = [one for one in round_.others if one.effects[-1] not in result.names]
+            without_it = round_.before.loss
+            losses = {
+                one.effects[-1]: counted(one.effects[-1], without_it, one.loss)
+                for one in sorted(others, key=_loss, reverse=True)
+            }
+            behind |= _near(without_it, counted(term.effect.name, without_it, round_.accepted.loss), losses)
+    beside = result.beside.get(term.effect.name)
+    if beside is not None:
+        early = {name: loss for name, loss in behind.items() if name not in beside.rivals}
+        behind = early | _near(beside.without, beside.with_it, beside.rivals)
+    rivals = [Rival(name, float(np.sqrt(loss)), term.effect.separate_by) for name, loss in behind.items()]
+    return tuple(sorted(rivals, key=lambda rival: rival.separation)[:3])
+
+
+def _loss(one: Fitted) -> float:
+    return one.loss
+
+
+def _near(without_it: float, with_it: float, losses: Mapping[str, float]) -> dict[str, float]:
+    """By how much the loss with others stays behind, where they gain nearly as much."""
+    enough = without_it - RIVAL * (without_it - with_it)
+    return {name: max(loss - with_it, 0.0) for name, loss in losses.items() if loss < enough}
+
+
+def _confidence(gain: float, rivals: Sequence[Rival]) -> float:
+    """From how much the loss falls and how near the closest rival comes."""
+    nearest = min((rival.separation for rival in rivals), default=3.0)
+    return float(np.clip(0.99 - 0.35 * np.exp(-gain / 0.1) - 0.4 * np.exp(-nearest / 0.15), 0.05, 0.99))
+
+
+def read_off(
+    series: Sequence[Series], frozen: dict[int, list[tuple[int, int]]], residuals: Sequence[Array], before: float
+) -> list[Finding]:
+    """What the readings show without a fit: frozen stretches, a coarse lattice."""
+    found = []
+    places = tuple(
+        Place("time_s", series[k].start_s + a * series[k].dt_s, series[k].start_s + b * series[k].dt_s)
+        for k, stretches in frozen.items()
+        for a, b in stretches
+        if series[k].role == "recording"
+    )
+    if places:
+        effect = EFFECTS["sensor_dropout"]
+        parameters = {"from_s": places[0].low, "to_s": places[0].high}
+        values = {name: Value(value, "s", value, value) for name, value in parameters.items()}
+        found.append(
+            Finding(
+                effect.name, effect.title, 0.97, "once", places, values, before, before, (), effect.handling, effect.why
+            )
+        )
+    step, rest = _coarsest(series, residuals)
+    if step > 0.0 and step / np.sqrt(12.0) > COARSE * rest:
+        effect = EFFECTS["quantisation"]
+        values = {"step_N": Value(step, "N", 0.99 * step, 1.01 * step)}
+        found.append(
+            Finding(
+                effect.name, effect.title, 0.95, "since", (), values, before, before, (), effect.handling, effect.why
+            )
+        )
+    return found
+
+
+def _coarsest(series: Sequence[Series], residuals: Sequence[Array]) -> tuple[float, float]:
+    """The coarsest lattice among the recordings asked about, and the noise besides it."""
+    steps = [(one.lattice_N, k) for k, one in enumerate(series) if one.role == "recording"]
+    step, k = max(steps)
+    spread = float(np.std(residuals[k][series[k].counts]))
+    return step, float(np.sqrt(max(spread**2 - step**2 / 12.0, 0.0)))

@@ -1,0 +1,122 @@
+"""The model with everything that was found, as a model file holds it."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from piezod.diagnose.hypothesis.chain import Chain
+from piezod.diagnose.hypothesis.fit import Fitted
+from piezod.errors import ModelError
+from piezod.estimation.initial_state import starts_at_rest
+from piezod.model import Model
+from piezod.model.parameters import EffectValues, FitFigures, Hysteresis, Start, Superposition
+from piezod.operators import EPS
+
+Array = NDArray[np.float64]
+
+PIECES = 30  # of the force law
+BESIDE_A_KINK = 1e-2  # of the strokes' range: nearer than that to a kink no other piece begins
+
+
+def extended_model(model: Model, chain: Chain, found: Fitted, hashes: list[str], rms_held_out: float) -> Model:
+    """The given model with refitted plays and force law, and the effects.
+
+    Parameters
+    ----------
+    model
+        As it was given.
+    chain, found
+        What the search found.
+    hashes
+        SHA-256 of every recording: effects that belong to one name it.
+    rms_held_out
+        Its own error on blocks left out, instead of the given model's [unit of the output].
+
+    Raises
+    ------
+    ModelError
+        The refitted operators have no inverse.
+    """
+    effects = tuple(
+        EffectValues(
+            name=term.effect.name,
+            parameters={key: float(f"{value:.8g}") for key, value in {**values, **dict(term.choices)}.items()},
+            recording=hashes[term.series] if term.scope == "once" else None,
+        )
+        for term, values in zip(found.terms, found.point.values, strict=True)
+    )
+    asked = [one for one in chain.series if one.role == "recording"] or list(chain.series)
+    changed = {
+        "hysteresis": hysteresis_of(chain, found),
+        "effects": effects,
+        "sampling": asked[0].hold.sampling,
+        "read_after": asked[0].hold.read_after,
+        "seen_s": max(one.duration_s for one in asked),
+        "sample_s": asked[0].dt_s,
+        "statistics": None,
+        "start": _start(model, chain),
+        "provenance": model.provenance.model_copy(update={"fit": FitFigures(rms_held_out=rms_held_out)}),
+    }
+    extended = model.model_copy(update=changed)
+    extended.operator()
+    return extended
+
+
+def _start(model: Model, chain: Chain) -> Start:
+    """As the recordings asked about started, where they agree and started at rest."""
+    paths = {one.path_V for one in chain.series if one.role == "recording" and starts_at_rest(one.command_V)}
+    if len(paths) != 1 or any(len(path) not in (0, 2) for path in paths):
+        return model.start
+    path = paths.pop()
+    return Start(kind="reset", peak=path[0]) if path else Start(kind="virgin")
+
+
+def hysteresis_of(chain: Chain, found: Fitted) -> Hysteresis:
+    """Density and splines as plays and dead zones."""
+    weights = chain.density.weights(found.point.density)
+    thresholds = np.concatenate(([0.0], chain.density.thresholds_V))
+    low_V, high_V = _stroke_range(chain, found)
+    zones, slopes, offset = _pieces(chain, found, low_V, high_V)
+    slopes = np.maximum(slopes, 2.0 * EPS * slopes.max())
+    if np.cumsum(weights).min() < EPS:
+        raise ModelError(
+            f"the refitted plays fold: their smallest slope is {np.cumsum(weights).min():.3g}, must be at least {EPS}; "
+            "record triangles over the whole range besides"
+        )
+    return Hysteresis(
+        plays=Superposition(thresholds=tuple(thresholds.tolist()), weights=tuple(weights.tolist())),
+        dead_zones=Superposition(thresholds=tuple(zones.tolist()), weights=_outwards(zones, slopes)),
+        offset=offset,
+    )
+
+
+def _stroke_range(chain: Chain, found: Fitted) -> tuple[float, float]:
+    strokes = [chain.run(k, found.terms, found.point).stroke_V for k in range(len(chain.series))]
+    return min(float(one.min()) for one in strokes), max(float(one.max()) for one in strokes)
+
+
+def _pieces(chain: Chain, found: Fitted, low_V: float, high_V: float) -> tuple[Array, Array, float]:
+    """Thresholds with 0 among them, the slope outwards of each, and the output at 0.
+
+    The piece around 0 has one slope; where the strokes begin above 0 the first piece is continued down to it.
+    """
+    knots, kinks = np.linspace(low_V, high_V, PIECES + 1), np.sort(chain.law.kinks_V)
+    kinks = kinks[(kinks > low_V) & (kinks < high_V)]
+    if kinks.size:
+        beside = np.min(np.abs(knots[:, None] - kinks), axis=1) > BESIDE_A_KINK * (high_V - low_V)
+        beside[[0, -1]] = True
+        knots = np.sort(np.concatenate((knots[beside], kinks)))
+    values = chain.law.value(knots, found.point.law)
+    rises = np.diff(values) / np.diff(knots)
+    centre = int(np.clip(np.searchsorted(knots, 0.0, side="right") - 1, 0, knots.size - 2))
+    below, above = np.arange(1, centre + 1), np.arange(centre + 1, knots.size - 1)
+    below = below[knots[below] < 0.0]
+    zones = np.concatenate((knots[below], [0.0], knots[above]))
+    slopes = np.concatenate((rises[below - 1], [rises[centre]], rises[above]))
+    return zones, slopes, float(values[centre] - rises[centre] * knots[centre])
+
+
+def _outwards(zones: Array, slopes: Array) -> tuple[float, ...]:
+    """Weights whose partial sums from the centre outwards are these slopes."""
+    centre = int(np.flatnonzero(zones == 0.0)[0])
+    lower = np.diff(slopes[centre::-1])[::-1]
+    return tuple(np.concatenate((lower, [slopes[centre]], np.diff(slopes[centre:]))).tolist())
