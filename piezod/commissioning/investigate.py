@@ -200,7 +200,8 @@ def investigate(
     """
     model = load_model(model_path)
     channels = model.input.channel, model.output.channel
-    rest_V = load_bench_without_model(config).limits.voltage_safe_V
+    limits = load_bench_without_model(config).limits
+    rest_V, slew = limits.voltage_safe_V, min(limits.slew_V_per_s, limits.fall_V_per_s)
     whole: Recording | None = None
     planned: Experiment | None = None
     for number in range(1, most_drives + 1):
@@ -231,7 +232,7 @@ def investigate(
         yield Step(own, folder, diagnosis, pairs, planned, reached)
         if not pairs:
             return
-        planned = next_experiment(model, asked, past, known, longest_s, pairs, fitted)
+        planned = next_experiment(model, asked, past, known, longest_s, pairs, fitted, slew)
         if planned is None:
             return
         excitation = str(output / f"drive_{number + 1}.csv")

@@ -144,6 +144,7 @@ def run(number: int, seed: int, longest_s: float) -> RivalsRow | None:
     case = draw_case(spec, np.random.SeedSequence((seed, number)))
     work = next(record for record in case.records if record.name.startswith("recording"))
     reach_V, rate_Hz = float(work.drive.voltage_V.max()), work.drive.rate_Hz
+    slew = float(np.abs(np.diff(work.drive.voltage_V)).max()) * rate_Hz  # of the bench, as its mixed work shows
     phase = FIRST_HZ * np.arange(round(FIRST_S * rate_Hz)) / rate_Hz
     with tempfile.TemporaryDirectory() as temporary:
         place = Path(temporary)
@@ -159,14 +160,15 @@ def run(number: int, seed: int, longest_s: float) -> RivalsRow | None:
         fitted = before.fitted()
         known = isolability(model, asked, past, fitted)
         pairs = open_pairs(before.findings, known)
-        planned = next_experiment(model, asked, past, known, longest_s, pairs or None, fitted)
+        planned = next_experiment(model, asked, past, known, longest_s, pairs or None, fitted, slew)
         if planned is None:
             return None
         _write(place / NEXT, case, work, planned.voltage_V, 2)
         after = _diagnosed([place / FIRST, place / NEXT], model_path, place / "after")
         both = [*asked, read_source(place / NEXT, "recording", channels)]
-        reached = isolability(model, both, past, fitted)
-        open_after = open_pairs(after.findings, isolability(model, both, past, after.fitted()))
+        reached = isolability(model, both, past, fitted, {name for pair in pairs for name in pair} or None)
+        named = after.fitted()
+        open_after = open_pairs(after.findings, isolability(model, both, past, named, named)) if named else ()
     return RivalsRow(
         number,
         family,

@@ -5,7 +5,7 @@ decides, as in the isolability of faults (E. Frisk, M. Krysander and D. Jung (20
 of Model Based Diagnosis Systems for Large Scale Models, IFAC-PapersOnLine 50(1)), here for one given record.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -138,7 +138,11 @@ def separated_by(one: Effect, other: Effect) -> str:
 
 
 def isolability(
-    model: Model, asked: Sequence[Source], past: Sequence[Source], found: Found | None = None
+    model: Model,
+    asked: Sequence[Source],
+    past: Sequence[Source],
+    found: Found | None = None,
+    only: Collection[str] | None = None,
 ) -> Isolability:
     """Determine what recordings can tell.
 
@@ -153,20 +157,22 @@ def isolability(
     found
         Effects in the size in which they were found: a short delay is more like a lag than a long one. The others are
         taken at the starts of the catalogue.
+    only
+        Names of the effects to compare; None: the whole catalogue.
 
     Raises
     ------
     RecordingError
         A recording cannot be used.
     """
-    found = found or {}
+    found = {name: one for name, one in (found or {}).items() if only is None or name in only}
     series, _, notes = made_ready([*past, *asked], model)
     if not past:
         series.insert(0, stand_in(model))
     chain, start = chain_of(series, model)
     chain, base = best_course(coarse(chain), (), start)
     base = fit(chain, (), base.point)
-    names, changes = _changes(chain, base.point, found)
+    names, changes = _changes(chain, base.point, found, only)
     normal = Normal.at(chain, (), base.point)
     free, _, whole = normal.projected(changes)
     samples = float(sum(np.count_nonzero(one.counts) for one in series if one.role == "recording"))
@@ -184,12 +190,13 @@ def isolability(
     return Isolability(effects, sure, separate, float(np.sqrt(np.mean(np.square(noises)))), tuple(notes))
 
 
-def _changes(chain: Chain, point: Point, found: Found) -> tuple[list[str], list[Array]]:
+def _changes(chain: Chain, point: Point, found: Found, only: Collection[str] | None) -> tuple[list[str], list[Array]]:
     """Names, and what each start of every effect changes in each recording, shape (rows, starts) [N]."""
     asked = [k for k, one in enumerate(chain.series) if one.role == "recording"]
     channels = ["temperature_C"] if all(chain.series[k].temperature_C is not None for k in asked) else []
     before = [chain.compared(k, (), point) for k in range(len(chain.series))]
-    starts = [one for one in catalogue_ideas(chain, channels, {}) if one[0].name not in {*DIRECT, *found}]
+    left_out = {*DIRECT, *found} if only is None else {*DIRECT, *found, *(set(EFFECTS) - set(only))}
+    starts = [one for one in catalogue_ideas(chain, channels, {}) if one[0].name not in left_out]
     starts += [(EFFECTS[name], *start) for name, one in found.items() for start in _nearby(EFFECTS[name], one)]
 
     def changed(one: tuple[Effect, dict[str, float], tuple[tuple[str, float], ...]]) -> list[list[Array]]:

@@ -1,4 +1,4 @@
-"""The next experiment: a drive that separates what recordings leave open, within the range and the slews that they had.
+"""The next experiment: a drive that separates what recordings leave open, within the range that they had and a slew.
 
 Segments of a few seconds are simulated with the model, each alone. What they tell of a pair of effects adds up like the
 inverse square of the size from which on the pair is separated. The segments that raise the least of these sums most are
@@ -76,6 +76,7 @@ def next_experiment(
     longest_s: float,
     wanted: Sequence[tuple[str, str]] | None = None,
     fitted: Found | None = None,
+    slew: float | None = None,
 ) -> Experiment | None:
     """Find the drive; None where no pair of effects is open.
 
@@ -93,19 +94,22 @@ def next_experiment(
         Pairs of effects to separate; None: all that are open.
     fitted
         Effects as they were found, as for `before`.
+    slew
+        Largest rate of the drive [input unit/s]; None: that of the first recording.
     """
     pairs = tuple(before.pairs() if wanted is None else _pairs(before, wanted))
     if not pairs:
         return None
+    only = {name for pair in pairs for name in (pair.first, pair.second)}
     first = asked[0].recording
     command_V = first.channel(model.input.channel)
     known = command_V[np.isfinite(command_V)]
     low_V, high_V = float(known.min()), float(known.max())
-    most_V = float(np.max(np.abs(np.diff(known)), initial=0.0))  # a sample
+    most_V = float(np.max(np.abs(np.diff(known)), initial=0.0)) if slew is None else slew * first.dt_s  # a sample
     drives = _segments(low_V, high_V, first.dt_s, most_V)
 
     def alone(one: tuple[str, Array]) -> Array:
-        found = isolability(model, [_simulated(model, one[1], first.dt_s, before.noise)], past, fitted)
+        found = isolability(model, [_simulated(model, one[1], first.dt_s, before.noise)], past, fitted, only)
         return np.array([separation(found, pair.first, pair.second) ** -2.0 for pair in pairs])
 
     told = each(alone, drives)
@@ -126,7 +130,7 @@ def next_experiment(
     parts = [drives[k][1] for k in sorted(chosen)]  # each comes back to where the next one begins
     voltage_V = np.concatenate([first_V, *parts])
     new = _simulated(model, voltage_V, first.dt_s, before.noise)
-    after = isolability(model, [*asked, new], past, fitted)
+    after = isolability(model, [*asked, new], past, fitted, only)
     names = tuple(drives[k][0] for k in sorted(chosen))
     return Experiment(
         voltage_V, first.dt_s, names, pairs, tuple(separation(after, pair.first, pair.second) for pair in pairs)

@@ -38,14 +38,15 @@ def bench(monkeypatch, tmp_path):
         diagnosed.append(read_recording(path))
         return found((3.0, 4.9, 5.1)[len(diagnosed) - 1])
 
-    def plan(model, asked, past, known, longest_s, wanted, fitted):
+    def plan(model, asked, past, known, longest_s, wanted, fitted, slew):
         assert list(wanted) == [PAIR]
         assert fitted is FITTED
+        assert slew == 300.0
         return Experiment(np.arange(3.0), 0.1, ("steps",), (Pair(*PAIR, 9.0, "a hold"),), (3.0,))
 
     known = Isolability(PAIR, np.ones(2), np.array([[0.0, 4.0], [5.0, 0.0]]), 0.1, ())
     channels = SimpleNamespace(channel="voltage_V"), SimpleNamespace(channel="force_N")
-    limits = SimpleNamespace(limits=SimpleNamespace(voltage_safe_V=0.0))
+    limits = SimpleNamespace(limits=SimpleNamespace(voltage_safe_V=0.0, slew_V_per_s=400.0, fall_V_per_s=300.0))
     monkeypatch.setattr(room, "load_bench_without_model", lambda _: limits)
     monkeypatch.setattr(room, "load_model", lambda _: SimpleNamespace(input=channels[0], output=channels[1]))
     monkeypatch.setattr(room, "record_excitation", record)
