@@ -6,7 +6,7 @@ over there (`control/references/repeat_correction.py`). Limits, interlocks and t
 """
 
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from math import ceil
 from pathlib import Path
 
@@ -118,18 +118,23 @@ class LearningWatch:
             self._end_pass()
 
     @property
-    def errors_N(self) -> list[float]:
-        """Root mean square tracking error of every pass so far [N]."""
+    def errors_N(self) -> Sequence[float]:
+        """Root mean square tracking errors of the last passes [N]."""
         return self._learning.errors_N
+
+    @property
+    def passes(self) -> int:
+        """Number of passes so far."""
+        return self._learning.repeats
 
     def as_dict(self) -> dict[str, object]:
         """State of the learning, for `piezod status`."""
-        errors = self._learning.errors_N
+        known = self.passes > 0
         return {
             "state": self._learning.state.value,
-            "passes": len(errors),
-            "first_N": errors[0] if errors else None,
-            "rms_N": errors[-1] if errors else None,
+            "passes": self.passes,
+            "first_N": self._learning.first_N if known else None,
+            "rms_N": self.errors_N[-1] if known else None,
             "file": str(self._file.path),
             "problem": self._file.problem,
         }

@@ -159,15 +159,14 @@ class BenchMetrics(Collector):
         watch = self._learning()
         if watch is None:
             return
-        errors_N = watch.errors_N
-        yield self._count("piezod_learned_passes", "Passes of a looped reference that were learned from", len(errors_N))
+        yield self._count("piezod_learned_passes", "Passes of a looped reference that were learned from", watch.passes)
         gauge = GaugeMetricFamily(
             "piezod_learning_error_newtons",
             "Rms tracking error of the last pass of a looped reference",
             labels=["bench"],
         )
-        if errors_N:
-            gauge.add_metric(self._labels, errors_N[-1])
+        if watch.passes:
+            gauge.add_metric(self._labels, watch.errors_N[-1])
         yield gauge
 
     def _recorder_metrics(self, recorder: RecorderWatch) -> Iterable[Metric]:

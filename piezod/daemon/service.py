@@ -329,6 +329,9 @@ class Service:
         """
         async with self._reload_lock:
             bench, _ = load_bench_and_model(self._path)
+            correction_size(
+                bench, self._path.parent
+            )  # refuses a reference that the next control process could not learn
             files = files_digest(bench, self._path)
             old, channel = self._bench, self._channel
             check_restart_keys(old, bench)

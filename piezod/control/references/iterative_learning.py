@@ -9,12 +9,14 @@ P is a pure delay at first, the one that fits planned and measured force; then w
 the correction. D is averaged over the repeats. W is a Wiener gain: near one for what repeats, zero for what does not
 (noise, a tone of its own frequency). As everything is computed between repeats, on whole periods, it has no phase.
 
-Source: Bristow, Tharayil and Alleyne, A survey of iterative learning control, IEEE Control Systems Magazine 26(3),
-2006, sections "Q-filter design" and "plant inversion", https://doi.org/10.1109/MCS.2006.1636313; the response from the
-repeats themselves: Kim and Zou, IEEE/ASME Transactions on Mechatronics 18(6), 2013,
-https://doi.org/10.1109/TMECH.2012.2212912.
+Source: D. A. Bristow, M. Tharayil and A. G. Alleyne (2006), A survey of iterative learning control, IEEE Control
+Systems Magazine 26(3), sections "Q-filter design" and "plant inversion", https://doi.org/10.1109/MCS.2006.1636313.
+The response from the repeats themselves: K.-S. Kim and Q. Zou (2013), A Modeling-Free Inversion-Based Iterative
+Feedforward Control for Precision Output Tracking of Linear Time-Invariant Systems, IEEE/ASME Transactions on
+Mechatronics 18(6).
 """
 
+from collections import deque
 from dataclasses import dataclass
 from enum import Enum
 from itertools import pairwise
@@ -45,6 +47,7 @@ MOST_GROWING = 4
 """Repeats in a row with a growing error, or a force that answers the wrong way, after which learning stops. The first
 may be a change of the bench; from the second on, each has half the gain of the one before."""
 LONGEST_DELAY_S = 0.2
+REMEMBERED = 100
 KEPT = 3
 """Repeats that a correction is computed from: two changes, of which a single event is in one only."""
 LOCAL_PART = 0.05
@@ -101,8 +104,12 @@ class IterativeLearning:
     ----------
     state
         Whether it observes, learns or has stopped.
+    repeats
+        Number of repeats so far.
+    first_N
+        Root mean square error of the first repeat [N]; nan before it.
     errors_N
-        Root mean square error of every repeat so far [N].
+        Those of the last repeats, at most `REMEMBERED` [N].
     """
 
     def __init__(self, reference_N: Array, planned_N: Array, rate_Hz: float, bounds: Bounds) -> None:
@@ -120,7 +127,8 @@ class IterativeLearning:
         self._gain, self._growing = 1.0, 0
         self._best_N, self._best = np.inf, np.zeros(reference_N.size)
         self.state = Learning.OBSERVING
-        self.errors_N: list[float] = []
+        self.repeats, self.first_N = 0, np.nan
+        self.errors_N: deque[float] = deque(maxlen=REMEMBERED)
 
     def add(self, force_N: Array, correction_N: Array, limited: NDArray[np.bool_]) -> Array | None:
         """Add a repeat and return the next correction; None: the present one stays.
@@ -137,6 +145,8 @@ class IterativeLearning:
         force_N = np.where(limited, self._reference_N, force_N)
         error_N = float(np.sqrt(np.mean((force_N - self._reference_N) ** 2)))
         self.errors_N.append(error_N)
+        self.repeats += 1
+        self.first_N = error_N if self.repeats == 1 else self.first_N
         if self.state is Learning.STOPPED:
             return None
         if self._delay is None:
@@ -157,7 +167,7 @@ class IterativeLearning:
         if error_N < self._best_N:
             self._best_N, self._best = error_N, correction_N.copy()
         grows = error_N > GROWS * before_N or self._answers_wrong_way()
-        if grows and len(self.errors_N) > OBSERVED:
+        if grows and self.repeats > OBSERVED:
             self._growing += 1
             self._gain *= 1.0 if self._growing == 1 else 0.5
         elif error_N < before_N:

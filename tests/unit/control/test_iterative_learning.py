@@ -128,3 +128,13 @@ def test_a_repeat_of_few_ticks_is_learned_too():
         wanted = learning.add(1.05 * (reference + correction) - 2.0, correction, np.zeros(20, dtype=bool))
         correction = correction if wanted is None else wanted
     assert learning.errors_N[-1] < 0.05 * learning.errors_N[0]
+
+
+def test_a_year_of_repeats_needs_no_more_memory_than_a_few():
+    learning = IterativeLearning(REFERENCE, REFERENCE, RATE_HZ, WIDE)
+    force = REFERENCE + 1.0
+    for _ in range(300):
+        learning.add(force, np.zeros(TICKS), FREE)
+    assert learning.repeats == 300
+    assert learning.first_N == pytest.approx(1.0)
+    assert len(learning.errors_N) == 100
