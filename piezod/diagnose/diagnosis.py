@@ -201,7 +201,7 @@ def with_unnamed(diagnosis: Diagnosis, *, stand_ins: int) -> Diagnosis:
     left = explainable(diagnosis.series, residuals, extended)
     moving = motion(diagnosis.series, residuals, extended)
     drivers = tuple(axis.driver for axis in fitted.law.drivers)
-    law = Unnamed(drivers, fitted.memories_s, fitted.already, fitted.before, fitted.after, fitted.p)
+    law = Unnamed(drivers, fitted.memories_s, fitted.already, fitted.before, fitted.after, fitted.p, fitted.law.gain)
     findings = replace(
         findings,
         law=law,

@@ -179,6 +179,8 @@ class Unnamed:
         Root mean square error on data left out, without it and with it [output unit].
     p
         Probability that a useless law gains as much, over all candidates.
+    gain
+        Whether it multiplies the reading's stroke instead of adding to it.
     """
 
     drivers: tuple[str, ...]
@@ -187,11 +189,13 @@ class Unnamed:
     before: float
     after: float
     p: float
+    gain: bool = False
 
     def as_dict(self, unit: str) -> dict[str, Any]:
         """For JSON."""
         return {
             "drivers": list(self.drivers),
+            "form": "gain" if self.gain else "added",
             "memories_s": list(self.memories_s),
             "scope": "already" if self.already else "since",
             "held_out": {"before": self.before, "after": self.after, "unit": unit},

@@ -41,7 +41,7 @@ def _plan(
         for k in range(state.size):
             scratch[k] = state[k]
         advance_drivers(scratch, settings, planned_V, target)
-        target = reference - advance_law(scratch, axes, keeps, tables)
+        target = reference - advance_law(scratch, settings, axes, keeps, tables)
     planned_V = plan_chain_step(packed, chain, target)
     memo[TARGET], memo[PLANNED] = target, planned_V
     return planned_V
@@ -63,7 +63,7 @@ def _commit(
     commit_chain_step(packed, chain, voltage_V)
     force = memo[TARGET] if voltage_V == memo[PLANNED] else force_of(packed, chain, zones)
     advance_drivers(state, settings, voltage_V, force)
-    memo[ADDED] = advance_law(state, axes, keeps, tables)
+    memo[ADDED] = advance_law(state, settings, axes, keeps, tables)
 
 
 class LawInverse:
@@ -120,7 +120,7 @@ def law_inverse(
     if model.unnamed_law is None or NAME in without:
         return None
     law = LawStep(model.unnamed_law, dt_s)
-    over_command, over_reading = law.steepest()
+    over_command, over_reading = law.steepest(model.output.high - model.output.low)
     weights = model.hysteresis.plays.weights
     strokes = np.linspace(model.input.low, model.input.high, 200) * sum(weights)
     slope = weights[0] * float(np.min(np.diff(model.hysteresis.operator().output(strokes)) / np.diff(strokes)))

@@ -1,6 +1,7 @@
 """The unnamed law: what a model with all effects found still leaves out, as a table without a name.
 
-    y = y_model + sum over m of lag_m(table_m(d1, d2))
+    y = y_model + sum over m of lag_m(table_m(d1, d2))                       added, or
+    y = y_model + (y_model - start) * sum over m of lag_m(table_m(d1, d2))    as a gain of the reading's stroke
 
 One or two drivers d1, d2 are computed from the command and from the reading that the model expects. Each memory m has a
 table over their grid and is followed by a first-order lag; the first memory has none. The law bends with nothing that
@@ -29,10 +30,11 @@ DRIVERS: tuple[Driver, ...] = get_args(Driver)
 """Command, its rate, direction, way since the last reversal, last stroke, expected reading, and its rate."""
 
 COMMAND, RATE, DIRECTION, WAY, STROKE, READING, READING_RATE = range(len(DRIVERS))
-STARTED, EXTREME, TURNED = len(DRIVERS), len(DRIVERS) + 1, len(DRIVERS) + 2
-STATES = len(DRIVERS) + 3
+STARTED, EXTREME, TURNED, ORIGIN = (len(DRIVERS) + k for k in range(4))
+STATES = len(DRIVERS) + 4
 """Places in the state array, before the states of the lags. STARTED is 0 before the first sample, 1 until the lags have
-begun, and 2 later. EXTREME is that of the command since the last reversal, TURNED the command at the reversal."""
+begun, and 2 later. EXTREME is that of the command since the last reversal, TURNED the command at the reversal, ORIGIN
+the first expected reading."""
 
 FINE = 20.0
 """Rates are spaced by log(1 + 20 r) of the ratio r to the largest rate: slow drives differ in their slow rates."""
@@ -58,7 +60,8 @@ class UnnamedLaw(Section):
 
     `memories_s` are the time constants of the lags [s]; 0 is no lag. `tables` has one row for each of them: the values
     at the nodes, those of the last driver next to each other. The reversals that direction, way and stroke refer to are
-    larger than `dead_band`, in the unit of the input. The rates are smoothed by a lag of `smoothing_s` [s].
+    larger than `dead_band`, in the unit of the input. The rates are smoothed by a lag of `smoothing_s` [s]. With `gain`
+    the tables are [1], and multiply the expected reading less its first value.
     """
 
     drivers: Annotated[tuple[Axis, ...], Field(strict=False, min_length=1, max_length=2)]
@@ -66,6 +69,7 @@ class UnnamedLaw(Section):
     smoothing_s: Annotated[float, Field(gt=0)]
     memories_s: Annotated[tuple[float, ...], Field(strict=False, min_length=1, max_length=12)]
     tables: Annotated[tuple[Annotated[tuple[float, ...], Field(strict=False)], ...], Field(strict=False, min_length=1)]
+    gain: bool = False
 
     @model_validator(mode="after")
     def _sizes_agree(self) -> Self:
@@ -88,7 +92,7 @@ def advance_drivers(state: Array, settings: Array, command: float, reading: floa
     state
         Drivers in the order of `DRIVERS`, then the numbers named below; it changes.
     settings
-        Dead band, kept part of the smoothed rates, and sample period [s].
+        Result of `settings_of`.
     command, reading
         Command and expected reading at this sample.
     """
@@ -96,7 +100,7 @@ def advance_drivers(state: Array, settings: Array, command: float, reading: floa
     if state[STARTED] == 0.0:
         state[:] = 0.0
         state[STARTED], state[COMMAND], state[READING] = 1.0, command, reading
-        state[EXTREME], state[TURNED] = command, command
+        state[EXTREME], state[TURNED], state[ORIGIN] = command, command, reading
     state[RATE] = keep * state[RATE] + (1.0 - keep) * (command - state[COMMAND]) / dt_s
     state[READING_RATE] = keep * state[READING_RATE] + (1.0 - keep) * (reading - state[READING]) / dt_s
     state[COMMAND], state[READING] = command, reading
@@ -150,13 +154,15 @@ def lagged(columns: Array, keep: float) -> Array:
 
 
 @numba.njit(cache=True)
-def advance_law(state: Array, axes: Array, keeps: Array, tables: Array) -> float:
+def advance_law(state: Array, settings: Array, axes: Array, keeps: Array, tables: Array) -> float:
     """Value of the law for drivers that were advanced, and advance its lags.
 
     Parameters
     ----------
     state
         `STATES` drivers, then the state of each lag; it changes.
+    settings
+        Result of `settings_of`.
     axes
         Driver, low, high and nodes of each axis, shape (1 or 2, 4).
     keeps
@@ -184,7 +190,7 @@ def advance_law(state: Array, axes: Array, keeps: Array, tables: Array) -> float
         now = here + part * (there - here)
         state[STATES + m] = now if begins else keeps[m] * state[STATES + m] + (1.0 - keeps[m]) * now
         total += state[STATES + m]
-    return total
+    return total * (state[READING] - state[ORIGIN]) if settings[3] > 0.0 else total
 
 
 @numba.njit(cache=True)
@@ -194,7 +200,7 @@ def _run(
     added = np.empty(command.size)
     for k in range(command.size):
         advance_drivers(state, settings, command[k], reading[k])
-        added[k] = advance_law(state, axes, keeps, tables)
+        added[k] = advance_law(state, settings, axes, keeps, tables)
     return added
 
 
@@ -223,7 +229,7 @@ class LawStep:
         memories = np.array(law.memories_s)
         self._keeps = np.where(memories > 0.0, np.exp(-dt_s / np.maximum(memories, 1e-300)), 0.0)
         self._tables = np.array(law.tables)
-        self._settings = settings_of(law.dead_band, law.smoothing_s, dt_s)
+        self._settings = settings_of(law.dead_band, law.smoothing_s, dt_s, gain=law.gain)
         self._state = np.zeros(STATES + memories.size)
 
     def reset(self) -> None:
@@ -241,15 +247,21 @@ class LawStep:
             Reading that the model expects without the law [output unit].
         """
         advance_drivers(self._state, self._settings, command, reading)
-        return advance_law(self._state, self._axes, self._keeps, self._tables)
+        return advance_law(self._state, self._settings, self._axes, self._keeps, self._tables)
 
     @property
     def arrays(self) -> tuple[Array, Array, Array, Array, Array]:
         """State, settings, axes, kept parts and tables, for compiled steps."""
         return self._state, self._settings, self._axes, self._keeps, self._tables
 
-    def steepest(self) -> tuple[float, float]:
-        """Largest change of the law within a sample, over a change of the command and of the expected reading [1]."""
+    def steepest(self, span: float = 1.0) -> tuple[float, float]:
+        """Largest change of the law within a sample, over a change of the command and of the expected reading [1].
+
+        Parameters
+        ----------
+        span
+            Range of the expected reading [output unit], which a gain multiplies.
+        """
         slopes = {COMMAND: 0.0, READING: 0.0}
         shape = self._axes[:, 3].astype(int)
         for place, (driver, low, high, nodes) in enumerate(self._axes):
@@ -265,6 +277,9 @@ class LawStep:
             if kind in (RATE, READING_RATE):
                 total *= (1.0 - self._settings[1]) / self._settings[2]
             slopes[READING if kind in (READING, READING_RATE) else COMMAND] += total
+        if self._settings[3] > 0.0:
+            slopes = {kind: span * slope for kind, slope in slopes.items()}
+            slopes[READING] += float(np.abs(self._tables).max(axis=1).sum())
         return slopes[COMMAND], slopes[READING]
 
     def run(self, command: Array, reading: Array) -> Array:
@@ -272,9 +287,9 @@ class LawStep:
         return _run(self._state, self._settings, self._axes, self._keeps, self._tables, command, reading)
 
 
-def settings_of(dead_band: float, smoothing_s: float, dt_s: float) -> Array:
-    """Settings of a step: dead band, kept part of the smoothed rates, and sample period."""
-    return np.array([dead_band, np.exp(-dt_s / smoothing_s), dt_s])
+def settings_of(dead_band: float, smoothing_s: float, dt_s: float, *, gain: bool = False) -> Array:
+    """Settings of a step: dead band, kept part of the smoothed rates, sample period, and 1 for a gain."""
+    return np.array([dead_band, np.exp(-dt_s / smoothing_s), dt_s, float(gain)])
 
 
 def driver_tracks(command: Array, reading: Array, dead_band: float, smoothing_s: float, dt_s: float) -> Array:

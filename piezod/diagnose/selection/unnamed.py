@@ -30,6 +30,9 @@ from piezod.model.unnamed_law import (
 
 Array = NDArray[np.float64]
 
+Form = tuple[tuple[Driver, ...], bool]
+"""Drivers of a law, and whether it is a gain."""
+
 ROWS = 6000  # of a recording that are compared, as means of as many samples,
 MOST_ROWS = 30_000  # and for the law that is taken
 AS_WELL = 1.1  # times the error: a law that holds in the recordings of the identification too is preferred up to it
@@ -47,6 +50,8 @@ PAIRS: tuple[tuple[Driver, ...], ...] = (
     ("reading", "direction"),
     ("stroke", "direction"),
 )
+GAINS: tuple[tuple[Driver, ...], ...] = (("rate",), ("stroke",))
+"""Drivers of a law that is a gain of the reading's stroke: how fast and how far it was driven."""
 MEMORIES = 5  # at log-spaced times, from the shortest that the rows show to a sixth of the recording
 LONGEST, SHORTEST = 1.0 / 6.0, 1e-4  # of the recording
 FOLDS = 4  # of each recording, contiguous: what lies between two near blocks is no prediction
@@ -95,6 +100,7 @@ class _Record:
     box_s: float
     residual: Array
     drivers: Array
+    lift: Array
     counts: Array
     block: NDArray[np.int64]
     noise: float
@@ -103,6 +109,7 @@ class _Record:
 @dataclass(frozen=True)
 class _Candidate:
     drivers: tuple[Driver, ...]
+    gain: bool
     memories_s: tuple[float, ...]
     errors: Array
     tables: Array
@@ -137,30 +144,34 @@ def fit_unnamed(series: Sequence[Series], modelled: Sequence[Array], floor: floa
     bank = _bank(few)
     reference = _offsets_only(few)
 
-    def tried(given: list[_Record], drivers: tuple[Driver, ...], memories_s: tuple[float, ...]) -> _Candidate:
-        return _fitted(given, [axes[name] for name in drivers], memories_s)
+    def tried(given: list[_Record], form: Form, memories_s: tuple[float, ...]) -> _Candidate:
+        drivers, gain = form
+        return _fitted(given, [axes[name] for name in drivers], memories_s, gain=gain)
 
     banks = (0.0,), (0.0, bank[0], bank[2]), (0.0, *bank)
-    first = each(lambda one: tried(few, *one), [(pair, memories) for pair in PAIRS for memories in banks[:2]])
-    ahead = list(dict.fromkeys(one.drivers for one in sorted(first, key=lambda one: one.error)))[:FINALISTS]
-    since = first + each(lambda pair: tried(few, pair, banks[2]), ahead)
-    always = each(lambda one: tried(everything, *one), [(pair, memories) for pair in ahead for memories in banks])
+    forms = [*((pair, False) for pair in PAIRS), *((drivers, True) for drivers in GAINS)]
+    first = each(lambda one: tried(few, *one), [(form, memories) for form in forms for memories in banks[:2]])
+    ahead = list(dict.fromkeys((one.drivers, one.gain) for one in sorted(first, key=lambda one: one.error)))[:FINALISTS]
+    since = first + each(lambda form: tried(few, form, banks[2]), ahead)
+    always = each(lambda one: tried(everything, *one), [(form, memories) for form in ahead for memories in banks])
     now, then = (_plainest(one, float(reference.sum())) for one in (since, always))
     chosen, given = (then, range(len(series))) if then.error < AS_WELL * now.error else (now, asked)
-    best = tried(records(given, MOST_ROWS), chosen.drivers, chosen.memories_s)
+    best = tried(records(given, MOST_ROWS), (chosen.drivers, chosen.gain), chosen.memories_s)
     fine = records(asked, MOST_ROWS)
     reference = _offsets_only(fine)
     p = min(1.0, (len(since) + len(always)) * by_signs(np.log(reference / best.errors)))
     before, after = _errors(fine, reference, best.errors, [series[k] for k in asked], [modelled[k] for k in asked])
     if p > SURE or before**2 - after**2 < LEAST * max(before**2 - floor**2, 0.0):
         return None
-    tables = best.tables - np.where(np.arange(best.tables.shape[0]) == 0, _mean(fine, axes, best), 0.0)[:, None]
+    tare = 0.0 if best.gain else _mean(fine, axes, best)
+    tables = best.tables - np.where(np.arange(best.tables.shape[0]) == 0, tare, 0.0)[:, None]
     law = UnnamedLaw(
         drivers=tuple(axes[name] for name in best.drivers),
         dead_band=dead_band,
         smoothing_s=smoothing_s,
         memories_s=best.memories_s,
         tables=tuple(tuple(float(value) for value in row) for row in tables),
+        gain=best.gain,
     )
     return Fit(law, before, after, p, _memories_that_matter(best), chosen is then)
 
@@ -180,6 +191,7 @@ def _record(series: Series, modelled: Array, dead_band: float, smoothing_s: floa
         box * series.dt_s,
         error.sum(axis=1) / np.maximum(number, 1),
         tracks[box // 2 :: box][:rows],
+        (modelled - modelled[0])[box // 2 :: box][:rows],
         number.astype(np.float64),
         block[: rows * box : box],
         series.noise_N,
@@ -236,13 +248,16 @@ def _columns(record: _Record, axes: Sequence[Axis], memories_s: Sequence[float])
     return np.hstack([lagged(grid, keep) if keep else grid for keep in keeps])
 
 
-def _fitted(records: Sequence[_Record], axes: Sequence[Axis], memories_s: tuple[float, ...]) -> _Candidate:
+def _fitted(
+    records: Sequence[_Record], axes: Sequence[Axis], memories_s: tuple[float, ...], *, gain: bool
+) -> _Candidate:
     """Least squares with the ridge that predicts best."""
     grams, sides, squares = [], [], []
     asked = np.concatenate([np.full(int(one.block[-1]) + 1, one.asked) for one in records])
     folds = np.concatenate([np.arange(n := int(one.block[-1]) + 1) * FOLDS // n for one in records])
     for number, record in enumerate(records):
-        columns = np.hstack([_columns(record, axes, memories_s), np.zeros((record.residual.size, len(records)))])
+        shaped = _columns(record, axes, memories_s) * (record.lift[:, None] if gain else 1.0)
+        columns = np.hstack([shaped, np.zeros((record.residual.size, len(records)))])
         columns[:, number - len(records)] = 1.0
         weights = np.sqrt(record.counts) / record.noise
         columns *= weights[:, None]
@@ -254,7 +269,8 @@ def _fitted(records: Sequence[_Record], axes: Sequence[Axis], memories_s: tuple[
             squares.append(float(side[rows] @ side[rows]))
     gram, side = np.sum(grams, axis=0), np.sum(sides, axis=0)
     size = side.size - len(records)
-    ridge = np.full(side.size, np.trace(gram[:size, :size]) / size)
+    diagonal = float(np.trace(gram[:size, :size])) / size
+    ridge = np.full(side.size, diagonal if diagonal > 0.0 else 1.0)  # nothing moves: every table is zero
     ridge[size:] *= 1e-9
     best: tuple[float, Array, Array] | None = None
     for strength in RIDGES:
@@ -270,7 +286,7 @@ def _fitted(records: Sequence[_Record], axes: Sequence[Axis], memories_s: tuple[
             best = float(errors[asked].sum()), np.maximum(errors[asked], 1e-300), found[:size]
     assert best is not None
     tables = best[2].reshape(len(memories_s), -1)
-    return _Candidate(tuple(axis.driver for axis in axes), memories_s, best[1], tables)
+    return _Candidate(tuple(axis.driver for axis in axes), gain, memories_s, best[1], tables)
 
 
 def _plainest(tried: Sequence[_Candidate], reference: float) -> _Candidate:

@@ -161,7 +161,7 @@ def law_words(law: Unnamed) -> str:
     else:
         low, high = law.memories_s
         memory = f"memory {rounded(low)} s" if low == high else f"memory {rounded(low)} to {rounded(high)} s"
-    return f"an unnamed law of {drivers}, {memory}"
+    return f"an unnamed {'gain that depends on' if law.gain else 'law of'} {drivers}, {memory}"
 
 
 def listed(words: Sequence[str], last: str = "and") -> str:

@@ -66,6 +66,23 @@ def test_a_law_predicts_another_drive(law, also_before):
     np.testing.assert_allclose(np.mean(LawStep(fit.law, DT_S).run(series[1].command_V, modelled[1])), 0.0, atol=1e-3)
 
 
+def tiring(command_V):
+    """A force whose gain falls by up to a tenth where much was moved within the last seconds [N]."""
+    moved_V, gain = np.abs(np.diff(command_V, prepend=command_V[0])) / DT_S, np.zeros(command_V.size)
+    for k in range(1, command_V.size):
+        gain[k] = gain[k - 1] + (-min(moved_V[k] / 1000.0, 0.1) - gain[k - 1]) * DT_S / 2.0
+    return gain * 2.0 * (command_V - command_V[0])
+
+
+def test_a_gain_that_depends_on_the_drive_is_found_as_a_gain():
+    series, modelled = recordings(tiring, also_before=False)
+    fit = fit_unnamed(series, modelled, NOISE_N)
+    assert fit.law.gain
+    _, command_V = drive(40.0, 3)
+    wanted_N, added_N = tiring(command_V), LawStep(fit.law, DT_S).run(command_V, 2.0 * command_V)
+    assert np.std(wanted_N - added_N) < 0.3 * np.std(wanted_N)
+
+
 def test_a_command_that_stands_still_far_from_zero_has_no_law():
     series, modelled = recordings(lambda command_V: 0.0 * command_V, also_before=True)
     still = [replace(one, command_V=np.full(one.time_s.size, 1e7)) for one in series]

@@ -104,14 +104,16 @@ def test_a_million_ticks_with_creep_lag_delay_and_resonance_allocate_no_memory_t
 
 @pytest.mark.usefixtures("_idle_collector", "_tracing")
 @pytest.mark.parametrize("count", [sys.getallocatedblocks, traced_bytes])
-def test_ticks_with_an_unnamed_law_allocate_no_memory_that_remains(forces_N, count):
+@pytest.mark.parametrize("gain", [False, True])
+def test_ticks_with_an_unnamed_law_allocate_no_memory_that_remains(forces_N, gain, count):
     axes = (
         {"driver": "command", "low": 0.0, "high": 140.0, "nodes": 9},
         {"driver": "way", "low": 0.0, "high": 140.0, "nodes": 8},
     )
-    tables = (1e-3 * np.random.default_rng(0).normal(size=(3, 72))).tolist()
+    tables = (1e-4 * np.random.default_rng(0).normal(size=(3, 72))).tolist()
     law = {"drivers": axes, "dead_band": 1.0, "smoothing_s": 0.003, "memories_s": (0.0, 0.1, 1.0), "tables": tables}
-    model = extended_model().model_copy(update={"unnamed_law": UnnamedLaw.model_validate(law)})
+    law = UnnamedLaw.model_validate(law | {"gain": gain})
+    model = extended_model().model_copy(update={"unnamed_law": law})
     compensator = ExtendedCompensator(model, 1e-3)
     assert compensator.compensates_law
 

@@ -37,6 +37,7 @@ def law_of(*axes, memories_s=(0.0, 0.05), size=2.0, seed=0):
 
 COMMAND_AXIS = Axis(driver="command", low=0.0, high=100.0, nodes=5)
 DIRECTION_AXIS = Axis(driver="direction", low=-1.0, high=1.0, nodes=2)
+RATE_AXIS = Axis(driver="rate", low=-2000.0, high=2000.0, nodes=5)
 WAY_AXIS = Axis(driver="way", low=0.0, high=100.0, nodes=4)
 
 
@@ -79,6 +80,15 @@ def test_steps_and_a_run_agree_and_a_reset_begins_anew():
         for value, added in zip(command, expected, strict=True):
             assert step.step(value, value) == pytest.approx(added, abs=1e-12)
         step.reset()
+
+
+def test_a_gain_multiplies_what_the_reading_has_moved_from_its_start():
+    added = law_of(WAY_AXIS)
+    command = 50.0 - 50.0 * np.cos(np.arange(200) / 9.0)
+    reading = 7.0 + 2.0 * command
+    expected = (reading - 7.0) * LawStep(added, DT_S).run(command, reading)
+    gain = LawStep(added.model_copy(update={"gain": True}), DT_S)
+    np.testing.assert_allclose(gain.run(command, reading), expected, atol=1e-9)
 
 
 @pytest.mark.parametrize("driver", DRIVERS)
@@ -135,6 +145,20 @@ def test_a_law_is_compensated(axes, left):
         reading = run_chain(with_it, with_it.operator(), t, driven(compensated, reference, low_V=-1e3))
         errors.append(float(np.sqrt(np.mean((reading - reference) ** 2))))
     assert errors[1] < left * errors[0], errors
+
+
+@pytest.mark.parametrize("axis", [RATE_AXIS, Axis(driver="stroke", low=0.0, high=100.0, nodes=4)])
+def test_a_gain_is_compensated(axis):
+    model = held_model()
+    t, reference = reference_N(model)
+    law = law_of(axis, memories_s=(0.05, 0.5), size=0.01).model_copy(update={"gain": True})
+    with_it = model.model_copy(update={"unnamed_law": law})
+    assert ExtendedCompensator(with_it, DT_S).compensates_law
+    errors = []
+    for compensated in (model, with_it):
+        reading = run_chain(with_it, with_it.operator(), t, driven(compensated, reference, low_V=-1e3))
+        errors.append(float(np.sqrt(np.mean((reading - reference) ** 2))))
+    assert errors[1] < 0.05 * errors[0], errors
 
 
 def test_a_reset_forgets_the_planned_voltage():

@@ -36,7 +36,7 @@ def law_figure(law: UnnamedLaw, units: tuple[str, str]) -> tuple[figure, dict[st
     first, *more = law.drivers
     steady = np.sum(law.tables, axis=0).reshape(first.nodes, -1)
     columns: dict[str, Array] = {first.driver: node_values(first)}
-    plot = new_figure("", LABELS[first.driver].format(*units), f"added [{units[1]}]", 300)
+    plot = new_figure("", LABELS[first.driver].format(*units), "gain [1]" if law.gain else f"added [{units[1]}]", 300)
     chosen = np.unique(np.linspace(0, steady.shape[1] - 1, min(len(COLOURS), steady.shape[1])).astype(int))
     names = _names(more[0], units) if more else ["law"]
     for k in chosen.tolist():
