@@ -151,6 +151,9 @@ def _values(feed: Feed) -> Iterable[tuple[str, str]]:
     yield "exchanges failed", str(status["failed_exchanges"])
     if recorder := status.get("recorder"):
         yield "ticks recorded", "DEGRADED" if recorder["degraded"] else _short(recorder["rows"])
+    learning = status.get("learning")
+    if learning and learning["rms_N"] is not None:
+        yield f"error, repeat {learning['passes']}", f"{learning['rms_N']:.2f} N (first {learning['first_N']:.2f})"
 
 
 def _short(count: int) -> str:

@@ -148,6 +148,16 @@ def test_a_device_that_is_not_connected_shows_the_message_of_the_daemon(bench):
     assert state_and_remedy(feed) == ("NO TICKS", "refused by 10.0.0.7", "the daemon retries automatically")
 
 
+@pytest.mark.parametrize(("rms_N", "shown"), [(None, False), (0.126, True)])
+def test_the_error_of_a_looped_reference_is_shown_once_it_is_known(bench, rms_N, shown):
+    feed = Feed(bench)
+    learning = {"state": "learning", "passes": 7, "first_N": 1.41, "rms_N": rms_N}
+    status = {"connected": True, "problem": "", "ticks": 9, "missed": 0, "failed_exchanges": 0, "learning": learning}
+    feed.set_status(status, "")
+    assert ("error, repeat 7" in banner_html(feed)) == shown
+    assert ("0.13 N (first 1.41)" in banner_html(feed)) == shown
+
+
 def test_events_are_few_and_the_newest_come_first(bench):
     states = np.tile([State.RUNNING, State.HOLD], 200)
     log = ring_of(bench, rows_of(400, state=states))
