@@ -152,8 +152,8 @@ def test_a_device_that_is_not_connected_shows_the_message_of_the_daemon(bench):
 def test_the_error_of_a_looped_reference_is_shown_once_it_is_known(bench, rms_N, shown):
     feed = Feed(bench)
     learning = {"state": "learning", "passes": 7, "first_N": 1.41, "rms_N": rms_N}
-    status = {"connected": True, "problem": "", "ticks": 9, "missed": 0, "failed_exchanges": 0, "learning": learning}
-    feed.set_status(status, "")
+    daemon = {"version": "1", "up_s": 60.0, "model": None, "connected": True, "problem": ""}
+    feed.set_status(daemon | {"ticks": 9, "missed": 0, "failed_exchanges": 0, "learning": learning}, "")
     assert ("error, repeat 7" in banner_html(feed)) == shown
     assert ("0.13 N (first 1.41)" in banner_html(feed)) == shown
 
