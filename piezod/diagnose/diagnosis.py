@@ -201,7 +201,11 @@ def with_unnamed(diagnosis: Diagnosis, *, stand_ins: int) -> Diagnosis:
     left = explainable(diagnosis.series, residuals, extended)
     moving = motion(diagnosis.series, residuals, extended)
     drivers = tuple(axis.driver for axis in fitted.law.drivers)
-    law = Unnamed(drivers, fitted.memories_s, fitted.already, fitted.before, fitted.after, fitted.p, fitted.law.gain)
+    short = fitted.formula
+    said = "" if short is None else short.text(model.input.unit, model.output.unit, gain=fitted.law.gain)
+    law = Unnamed(
+        drivers, fitted.memories_s, fitted.already, fitted.before, fitted.after, fitted.p, fitted.law.gain, said
+    )
     findings = replace(
         findings,
         law=law,

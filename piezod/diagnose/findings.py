@@ -181,6 +181,8 @@ class Unnamed:
         Probability that a useless law gains as much, over all candidates.
     gain
         Whether it multiplies the reading's stroke instead of adding to it.
+    formula
+        A short formula that predicts as well, with its units; empty: none is known.
     """
 
     drivers: tuple[str, ...]
@@ -190,12 +192,14 @@ class Unnamed:
     after: float
     p: float
     gain: bool = False
+    formula: str = ""
 
     def as_dict(self, unit: str) -> dict[str, Any]:
         """For JSON."""
         return {
             "drivers": list(self.drivers),
             "form": "gain" if self.gain else "added",
+            "formula": self.formula or None,
             "memories_s": list(self.memories_s),
             "scope": "already" if self.already else "since",
             "held_out": {"before": self.before, "after": self.after, "unit": unit},

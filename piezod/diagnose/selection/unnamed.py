@@ -5,14 +5,15 @@ that were left out of the fit. A law is taken only if it predicts these blocks m
 """
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from piezod.diagnose.hypothesis.parallel import each
 from piezod.diagnose.hypothesis.series import Series
+from piezod.diagnose.selection.formula import Formula, candidates
 from piezod.diagnose.selection.significance import by_signs
 from piezod.model.unnamed_law import (
     COMMAND,
@@ -82,6 +83,8 @@ class Fit:
         Shortest and longest memory that matters [s]; empty: none does.
     already
         Whether it holds in the recordings of the identification too.
+    formula
+        A short formula that predicts as well; None: the library has none.
     """
 
     law: UnnamedLaw
@@ -90,6 +93,7 @@ class Fit:
     p: float
     memories_s: tuple[float, ...]
     already: bool
+    formula: Formula | None
 
 
 @dataclass(frozen=True)
@@ -173,7 +177,8 @@ def fit_unnamed(series: Sequence[Series], modelled: Sequence[Array], floor: floa
         tables=tuple(tuple(float(value) for value in row) for row in tables),
         gain=best.gain,
     )
-    return Fit(law, before, after, p, _memories_that_matter(best), chosen is then)
+    short = _formula(records(given, ROWS), axes, best, bank)
+    return Fit(law, before, after, p, _memories_that_matter(best), chosen is then, short)
 
 
 def _record(series: Series, modelled: Array, dead_band: float, smoothing_s: float, most_rows: int) -> _Record:
@@ -222,11 +227,13 @@ def _bank(records: Sequence[_Record]) -> tuple[float, ...]:
 
 def _offsets_only(records: Sequence[_Record]) -> Array:
     """Squared error of every block in units of the noise, the offset of each recording fitted alone."""
-    errors = []
-    for one in records:
-        residual = one.residual - float(one.residual @ one.counts) / float(one.counts.sum())
-        errors.append(_by_block(one, residual))
-    return np.concatenate(errors)
+    return np.concatenate([_by_block(one, _centred(one)) for one in records])
+
+
+def _centred(record: _Record) -> Array:
+    """The residual without its mean."""
+    mean: Array = record.residual - float(record.residual @ record.counts) / float(record.counts.sum())
+    return mean
 
 
 def _by_block(record: _Record, residual: Array) -> Array:
@@ -251,13 +258,50 @@ def _columns(record: _Record, axes: Sequence[Axis], memories_s: Sequence[float])
 def _fitted(
     records: Sequence[_Record], axes: Sequence[Axis], memories_s: tuple[float, ...], *, gain: bool
 ) -> _Candidate:
-    """Least squares with the ridge that predicts best."""
+    """Tables by least squares with the ridge that predicts best."""
+
+    def shaped(record: _Record) -> Array:
+        return _columns(record, axes, memories_s) * (record.lift[:, None] if gain else 1.0)
+
+    errors, found = _predicted(records, shaped)
+    return _Candidate(tuple(axis.driver for axis in axes), gain, memories_s, errors, found.reshape(len(memories_s), -1))
+
+
+def _formula(
+    records: Sequence[_Record], axes: Mapping[Driver, Axis], law: _Candidate, bank: tuple[float, ...]
+) -> Formula | None:
+    """The best formula, where it gains nearly as much as a law of one driver, with its direction or without."""
+    named: list[Driver] = [name for name in law.drivers if name != "direction"]
+    if len(named) != 1:
+        return None
+    driver = named[0]
+    directed = len(law.drivers) > 1
+    reference = float(np.concatenate([_by_block(one, _centred(one)) for one in records if one.asked]).sum())
+    gains: list[tuple[float, Formula]] = []
+    for one in candidates(driver, axes[driver].high, (0.0, *bank), directed=directed):
+
+        def shaped(record: _Record, one: Formula = one) -> Array:
+            values = one.values(record.drivers[:, DRIVERS.index(driver)], record.drivers[:, DIRECTION])
+            column = values[:, None] * (record.lift[:, None] if law.gain else 1.0)
+            return lagged(column, math.exp(-record.box_s / one.memory_s)) if one.memory_s > 0.0 else column
+
+        errors, found = _predicted(records, shaped)
+        gains.append((reference - float(errors.sum()), replace(one, factor=float(found[0]))))
+    tables = _fitted(records, [axes[name] for name in law.drivers], law.memories_s, gain=law.gain)
+    gained, best = max(gains, key=lambda one: one[0])
+    return best if gained >= PLAINER * (reference - tables.error) else None
+
+
+def _predicted(records: Sequence[_Record], shaped: Callable[[_Record], Array]) -> tuple[Array, Array]:
+    """Squared error of every block asked about, left out of the fit, and the coefficients of all; the best ridge.
+
+    `shaped` gives the columns of a recording, shape (rows, K).
+    """
     grams, sides, squares = [], [], []
     asked = np.concatenate([np.full(int(one.block[-1]) + 1, one.asked) for one in records])
     folds = np.concatenate([np.arange(n := int(one.block[-1]) + 1) * FOLDS // n for one in records])
     for number, record in enumerate(records):
-        shaped = _columns(record, axes, memories_s) * (record.lift[:, None] if gain else 1.0)
-        columns = np.hstack([shaped, np.zeros((record.residual.size, len(records)))])
+        columns = np.hstack([shaped(record), np.zeros((record.residual.size, len(records)))])
         columns[:, number - len(records)] = 1.0
         weights = np.sqrt(record.counts) / record.noise
         columns *= weights[:, None]
@@ -285,8 +329,7 @@ def _fitted(
             found = np.linalg.solve(gram + np.diag(strength * ridge), side)
             best = float(errors[asked].sum()), np.maximum(errors[asked], 1e-300), found[:size]
     assert best is not None
-    tables = best[2].reshape(len(memories_s), -1)
-    return _Candidate(tuple(axis.driver for axis in axes), gain, memories_s, best[1], tables)
+    return best[1], best[2]
 
 
 def _plainest(tried: Sequence[_Candidate], reference: float) -> _Candidate:

@@ -161,7 +161,9 @@ def law_words(law: Unnamed) -> str:
     else:
         low, high = law.memories_s
         memory = f"memory {rounded(low)} s" if low == high else f"memory {rounded(low)} to {rounded(high)} s"
-    return f"an unnamed {'gain that depends on' if law.gain else 'law of'} {drivers}, {memory}"
+    form = "gain that depends on" if law.gain else "law of"
+    formula = f", nearly {law.formula}" if law.formula else ""
+    return f"an unnamed {form} {drivers}, {memory}{formula}"
 
 
 def listed(words: Sequence[str], last: str = "and") -> str:

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from piezod.diagnose.hypothesis.series import Series
+from piezod.diagnose.selection.formula import SHAPES, Formula
 from piezod.diagnose.selection.unnamed import fit_unnamed
 from piezod.model.unnamed_law import LawStep
 
@@ -81,6 +82,39 @@ def test_a_gain_that_depends_on_the_drive_is_found_as_a_gain():
     _, command_V = drive(40.0, 3)
     wanted_N, added_N = tiring(command_V), LawStep(fit.law, DT_S).run(command_V, 2.0 * command_V)
     assert np.std(wanted_N - added_N) < 0.3 * np.std(wanted_N)
+
+
+def saturating(command_V):
+    """A drag that saturates with the rate of the command [N]."""
+    return 1.5 * np.tanh(np.gradient(command_V, DT_S) / 40.0)
+
+
+def test_a_law_with_a_short_formula_is_told_with_its_numbers():
+    series, modelled = recordings(saturating, also_before=True)
+    formula = fit_unnamed(series, modelled, NOISE_N).formula
+    text = formula.text("V", "N", gain=False)
+    assert text.startswith(f"{formula.factor:.3g} N x ")
+    assert "rate / " in text
+    rate = np.linspace(-150.0, 150.0, 301)
+    told = formula.factor * formula.values(rate if formula.driver == "rate" else 2.0 * rate, np.ones(rate.size))
+    assert np.abs(told - 1.5 * np.tanh(rate / 40.0)).max() < 0.2
+
+
+def test_a_law_of_another_shape_has_no_formula():
+    series, modelled = recordings(curved, also_before=False)
+    assert fit_unnamed(series, modelled, NOISE_N).formula is None
+
+
+@pytest.mark.parametrize(
+    ("shape", "directed", "memory_s", "gain", "text"),
+    [
+        (4, True, 0.0, False, "-1.2 N x tanh(way / 3 V) x direction"),
+        (1, False, 0.5, True, "-1.2 x (way / 3 V)^2, behind a lag of 0.5 s"),
+        (6, False, 0.0, False, "-1.2 N x (way / 3 V) / (1 + |way / 3 V|)"),
+    ],
+)
+def test_a_formula_is_written_with_its_units(shape, directed, memory_s, gain, text):
+    assert Formula(SHAPES[shape], "way", 3.0, directed, memory_s, -1.2).text("V", "N", gain=gain) == text
 
 
 def test_a_command_that_stands_still_far_from_zero_has_no_law():

@@ -1,0 +1,132 @@
+"""A short formula for an unnamed law, where one predicts as well as its tables.
+
+    a f(d / b),  f one of a small library, times the direction where the law has it, behind at most one lag
+
+The library holds the shapes that a designer would try first: proportional, square, absolute, root, saturating and
+fading. A formula is told beside the tables, and never replaces them.
+"""
+
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from piezod.model.unnamed_law import Driver
+
+Array = NDArray[np.float64]
+
+PARTS = tuple(float(part) for part in np.geomspace(0.03, 1.0, 10))
+"""Scales that a bent shape is tried with, as parts of the driver's largest value."""
+
+
+@dataclass(frozen=True)
+class Shape:
+    """One entry of the library.
+
+    Parameters
+    ----------
+    function
+        Of the driver over its scale, shape (N,).
+    text
+        The same as a formula, with {0} for the driver over its scale.
+    bent
+        Whether the scale shapes it; otherwise it is only a unit.
+    """
+
+    function: Callable[[Array], Array]
+    text: str
+    bent: bool = False
+
+
+SHAPES = (
+    Shape(lambda x: x, "({0})"),
+    Shape(np.square, "({0})^2"),
+    Shape(np.abs, "|{0}|"),
+    Shape(lambda x: np.sign(x) * np.sqrt(np.abs(x)), "sqrt({0})"),
+    Shape(np.tanh, "tanh({0})", bent=True),
+    Shape(lambda x: np.exp(-np.abs(x)), "exp(-|{0}|)", bent=True),
+    Shape(lambda x: x / (1.0 + np.abs(x)), "({0}) / (1 + |{0}|)", bent=True),
+)
+
+
+@dataclass(frozen=True)
+class Formula:
+    """A formula with its numbers.
+
+    Parameters
+    ----------
+    shape
+        Entry of the library.
+    driver, scale
+        Driver, and what it is divided by [unit of the driver].
+    directed
+        Whether it is multiplied by the direction of the command, 1 or -1.
+    memory_s
+        Time constant of the lag behind it [s]; 0: none.
+    factor
+        Factor [output unit, or 1 for a gain].
+    """
+
+    shape: Shape
+    driver: Driver
+    scale: float
+    directed: bool
+    memory_s: float
+    factor: float = 1.0
+
+    def values(self, driver: Array, direction: Array) -> Array:
+        """Values without the factor and in front of the lag, shape (N,).
+
+        Parameters
+        ----------
+        driver, direction
+            The driver and the direction of the command, each shape (N,).
+        """
+        shaped = self.shape.function(driver / self.scale)
+        return shaped * direction if self.directed else shaped
+
+    def text(self, input_unit: str, output_unit: str, *, gain: bool) -> str:
+        """The formula with its units, such as `-1.2 N x tanh(rate / 35 V/s), behind a lag of 0.3 s`.
+
+        Parameters
+        ----------
+        input_unit, output_unit
+            Units of the model.
+        gain
+            Whether it multiplies the reading's stroke.
+        """
+        unit = {
+            "command": input_unit,
+            "rate": f"{input_unit}/s",
+            "way": input_unit,
+            "stroke": input_unit,
+            "reading": output_unit,
+            "reading_rate": f"{output_unit}/s",
+        }.get(self.driver, "")
+        name = self.driver.replace("_", " ")
+        argument = f"{name} / {self.scale:.3g} {unit}".rstrip()
+        factor = f"{self.factor:.3g}" if gain else f"{self.factor:.3g} {output_unit}"
+        said = f"{factor} x {self.shape.text.format(argument)}"
+        said += " x direction" if self.directed else ""
+        return said + (f", behind a lag of {self.memory_s:.2g} s" if self.memory_s > 0.0 else "")
+
+
+def candidates(driver: Driver, high: float, memories_s: tuple[float, ...], *, directed: bool) -> Iterator[Formula]:
+    """Every formula of the library for a driver.
+
+    Parameters
+    ----------
+    driver, high
+        Driver and its largest value.
+    memories_s
+        Time constants of the lag to try [s].
+    directed
+        Whether the direction multiplies.
+    """
+    nice = 10.0 ** math.floor(math.log10(high))
+    for shape in SHAPES:
+        for scale in [part * high for part in PARTS] if shape.bent else [nice]:
+            for memory_s in memories_s:
+                yield Formula(shape, driver, scale, directed, memory_s)
