@@ -7,6 +7,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
+from piezod.diagnose.candidates.screening import catalogue_ideas
 from piezod.diagnose.hypothesis.chain import Chain, Point, Term
 from piezod.diagnose.hypothesis.fit import MOST_STEPS, Fitted, fit
 from piezod.diagnose.hypothesis.parallel import each
@@ -40,7 +41,8 @@ SEARCHED, FURTHER = 0.85, 0.5  # part of the work behind the search; of what is 
 FINALISTS = 3  # of them that are tried with every course of the command between samples
 BESIDE_A_STEP = 2  # effects that a step was preferred to are tried with a step of their own
 OTHER_START = 0.99  # of the loss: below it what was found is believed to have started otherwise
-OTHER_SCOPE = 0.98  # of the loss: below it an effect's other scope is taken
+OTHER_SCOPE = 0.98  # of the loss: below it an effect's other scope or choice is taken
+SEVERAL, STARTS_ANEW = 3, 2  # parameters of an effect that is begun anew beside a new one, and its starts
 PAIRS_SETTLED = 2  # of effects, that are tried with every course of the command between samples
 NOTHING_LEFT = 1.05  # of the noise's square: nothing is looked for beside what leaves no more
 RIVALS = 6  # of an effect, that are tried in its place at the end
@@ -241,24 +243,52 @@ def _without_it(result: Search, best: tuple[Chain, Fitted]) -> Fitted:
 
 
 def _rescope(result: Search) -> None:
-    """Effects that were found before, had already or come since: beside a new one the other may fit better."""
+    """Effects found before, in their other scope, with another choice or from another start, beside a new one."""
     few, found = coarse(result.chain), result.found
     known = fit(few, found.terms, found.point, most_steps=2)
     others = []
     for place, term in enumerate(found.terms[:-1]):
+        values = found.point.values[place]
+        anew = [(replace(term, choices=choices), values) for choices in _other_choices(term)]
         if term.scope != "once":
-            other = replace(term, scope="since" if term.scope == "already" else "already")
-            others.append((*found.terms[:place], other, *found.terms[place + 1 :]))
-    tried = each(lambda terms: fit(few, terms, found.point, most_steps=6), others)
+            anew.append((replace(term, scope="since" if term.scope == "already" else "already"), values))
+        anew += [(other, start) for other in (term, *(one for one, _ in anew)) for start in _starts(few, term)]
+        others += [_exchanged(found, place, *one) for one in anew]
+    tried = each(lambda one: fit(few, *one, most_steps=6), others)
     best = min(tried, key=lambda one: one.loss, default=known)
     if best.loss < OTHER_SCOPE * known.loss:
-        result.found = fit(result.chain, best.terms, best.point, most_steps=6)
+        result.found = fit(result.chain, best.terms, best.point)
+
+
+def _exchanged(found: Fitted, place: int, term: Term, values: Mapping[str, float]) -> tuple[tuple[Term, ...], Point]:
+    """A hypothesis with one effect in another form or from another start."""
+    terms = (*found.terms[:place], term, *found.terms[place + 1 :])
+    point = replace(found.point, values=(*found.point.values[:place], values, *found.point.values[place + 1 :]))
+    return terms, point
+
+
+def _starts(chain: Chain, term: Term) -> list[dict[str, float]]:
+    """Where a search for an effect of several parameters may begin: of these, one can stand in for another."""
+    if term.scope == "once" or len(term.searched) < SEVERAL:
+        return []
+    ideas = [values for effect, values, choices in catalogue_ideas(chain, [], {}) if effect is term.effect]
+    return ideas[:STARTS_ANEW]
+
+
+def _other_choices(term: Term) -> list[tuple[tuple[str, float], ...]]:
+    """The choices of an effect with one of them changed."""
+    return [
+        tuple((name, value) if name == parameter.name else (name, chosen) for name, chosen in term.choices)
+        for parameter in term.effect.parameters
+        for value in parameter.search.choices
+        if (parameter.name, value) not in term.choices
+    ]
 
 
 def _polish(result: Search) -> None:
     """Base and hypothesis once more on all samples."""
     result.chain = result.chain.like(result.chain.series, max(map(_length, result.chain.series)))
-    result.found = fit(result.chain, result.found.terms, result.found.point, most_steps=4)
+    result.found = fit(result.chain, result.found.terms, result.found.point)
     result.base = fit(result.chain, (), result.base.point, most_steps=4)
 
 
