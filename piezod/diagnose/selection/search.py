@@ -108,7 +108,7 @@ def search(chain: Chain, start: Point, progress: OnProgress) -> Search:
             one for on, one in tried if one.effects[-1] != result.found.effects[-1] and not degenerate(on, one)
         )
         result.rounds.append(Round(before, result.found, others))
-        _rescope(result)
+        begin_anew(result)
         largest = _followed(result, largest)
     progress("trying to swap and to drop", SEARCHED)
     swap(result)
@@ -242,8 +242,16 @@ def _without_it(result: Search, best: tuple[Chain, Fitted]) -> Fitted:
     return alone if alone.loss < OTHER_START * result.found.loss else result.found
 
 
-def _rescope(result: Search) -> None:
-    """Effects found before, in their other scope, with another choice or from another start, beside a new one."""
+def begin_anew(result: Search) -> None:
+    """Fit effects found before anew beside the last one: in the other scope, with another choice, from another start.
+
+    What was fitted without the last effect may have taken on its shape, and stays there.
+
+    Parameters
+    ----------
+    result
+        Search; its hypothesis is replaced where another one leaves less.
+    """
     few, found = coarse(result.chain), result.found
     known = fit(few, found.terms, found.point, most_steps=2)
     others = []

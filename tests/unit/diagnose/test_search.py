@@ -11,7 +11,7 @@ from piezod.diagnose.candidates.tones import Tone, heard_again, without_tones
 from piezod.diagnose.hypothesis.basis import ForceLaw, PlayDensity
 from piezod.diagnose.hypothesis.chain import Chain, Term, empty_point
 from piezod.diagnose.hypothesis.fit import fit
-from piezod.diagnose.selection.search import both, search, swap
+from piezod.diagnose.selection.search import begin_anew, both, search, swap
 from piezod.diagnose.selection.search_state import Round, Search
 from piezod.diagnose.selection.tone_search import listen_again
 from piezod.diagnose.verdict.evidence import finding_of
@@ -329,3 +329,24 @@ def test_what_adds_so_much_of_either_sign_is_begun_at_its_own_sign_and_size(coup
     ideas = screened(chain, (), fit(chain, (), start).point)
     begun = [one for one in ideas if one.term.effect.name == "feedthrough" and one.term.scope == "since"]
     assert begun[0].values["coefficient_N_s_per_V"] == pytest.approx(coupled_N_s_per_V, rel=0.1)
+
+
+def test_a_choice_that_was_made_before_another_effect_was_found_is_made_anew():
+    """Creep of the stroke that passed for creep of the voltage, and fits badly as such beside its lag."""
+    chain, start = chain_over(np.zeros_like, np.full(SAMPLES, 20.0))
+    base, lag = fit(chain, (), start), Term(EFFECTS["electrical_lag"], "already")
+    of_stroke, of_voltage = ((Term(EFFECTS["creep"], "already", choices=(("driven_by", k),)), lag) for k in (0.0, 1.0))
+    creep = {"per_decade": 0.02, "from_s": 0.2, "to_s": 1000.0, "slope": 0.0}
+    truth = replace(base.point, values=(creep, {"time_constant_s": 0.03, "swell": 0.0}))
+    rng = np.random.default_rng(3)
+    readings_N = [chain.run(k, of_stroke, truth).reading_N for k in range(len(chain.series))]
+    noisy = [one + NOISE_N * noise(SAMPLES, 0.0, rng) for one in readings_N]
+    chain = chain.like([replace(one, reading_N=y) for one, y in zip(chain.series, noisy, strict=True)])
+    base = fit(chain, (), base.point)
+    begun = ({"per_decade": 0.01, "from_s": 0.1, "to_s": 1000.0, "slope": 0.0}, {"time_constant_s": 0.02, "swell": 0.0})
+    early = fit(chain, of_voltage, replace(base.point, values=begun))
+    assert early.loss > 1.05
+    result = Search(chain, base, early, base.point)
+    begin_anew(result)
+    assert dict(result.found.terms[0].choices)["driven_by"] == 0.0
+    assert result.found.loss < 1.02
