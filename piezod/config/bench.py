@@ -66,16 +66,23 @@ class BenchConfig(Section):
     @property
     def socket_path(self) -> Path:
         """Path of the daemon's control socket; beside the ring log unless configured."""
-        if self.daemon.socket is None:
-            return self.ring_log_path.with_name(self.ring_log_path.name + ".sock")
-        return Path(self.daemon.socket.replace("{name}", self.name))
+        return self._path_of(self.daemon.socket, ".sock")
 
     @property
     def learned_path(self) -> Path:
         """File of the learned correction: `learning.file`, or a file beside the ring log."""
-        if self.learning is not None and self.learning.file is not None:
-            return Path(self.learning.file.replace("{name}", self.name))
-        return self.ring_log_path.with_name(self.ring_log_path.name + ".learned.csv")
+        return self._path_of(None if self.learning is None else self.learning.file, ".learned.csv")
+
+    @property
+    def drift_path(self) -> Path:
+        """File for the recording of a bench that has drifted: `drift.file`, or a file beside the ring log."""
+        return self._path_of(None if self.drift is None else self.drift.file, ".drift.csv")
+
+    def _path_of(self, name: str | None, suffix: str) -> Path:
+        """Path of a file that the configuration names, or of one beside the ring log."""
+        if name is None:
+            return self.ring_log_path.with_name(self.ring_log_path.name + suffix)
+        return Path(name.replace("{name}", self.name))
 
     @property
     def recordings_path(self) -> Path | None:
@@ -199,7 +206,7 @@ class BenchConfig(Section):
         if isinstance(self.reference, StreamReference) and self.reference.udp_address is None:
             paths["reference.listen"] = Path(self.reference.listen)
         if self.drift is not None and self.drift.file is not None:
-            paths["drift.file"] = Path(self.drift.file.replace("{name}", self.name))
+            paths["drift.file"] = self.drift_path
         if self.learning is not None:
             paths["learning.file"] = self.learned_path
         found: dict[Path, str] = {}

@@ -6,7 +6,6 @@ windows in a row exceed the limit. The daemon then logs it once and shows it in 
 the last arming are written to a file for `piezod diagnose --from-bench`. `drift.keep_s` bounds the memory.
 """
 
-import os
 import threading
 from collections.abc import Callable
 from math import isfinite, nan, sqrt
@@ -16,14 +15,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piezod.config import BenchConfig, load_bench, model_path
-from piezod.config.run_time_files import FILE_MODE, is_own_file, set_access
 from piezod.control import State
 from piezod.daemon.expected_rows import ExpectedRows
-from piezod.errors import CheckFailedError, ConfigurationError, PiezodError
+from piezod.errors import CheckFailedError, ConfigurationError
 from piezod.model import Model
-from piezod.recording import HELD_ONE_SAMPLE, Recording, write_csv
+from piezod.recording import HELD_ONE_SAMPLE, Recording
 from piezod.recording.ticks import GOOD, pair_rows
 from piezod.session.history import is_tracking
+from piezod.session.kept_csv import KeptCsv
 
 Array = NDArray[np.float64]
 
@@ -31,9 +30,6 @@ LIMIT_IN_MODEL_ERRORS = 3.0
 """Default limit, as a multiple of the held-out rms error of the model."""
 LIMIT_IN_RANGES = 0.01
 """Default limit as a part of the force range, for a model without a held-out error."""
-DRIFT_MAGIC = b"\n# kept: left its model\n"
-"""Line in the head of every recording of a drift."""
-DRIFT_HEAD_BYTES = 4096
 WINDOWS = 2
 """Number of windows in a row above the limit that count as a drift."""
 
@@ -80,7 +76,7 @@ class DriftWatch:
         )
         self._window_ticks = round(bench.drift.window_s * bench.rate_Hz)
         self._max_rows = round(bench.drift.keep_s * bench.rate_Hz)
-        self.path = drift_recording_path(bench)
+        self.path = bench.drift_path
         self._armed_rows: list[NDArray[np.void]] = []
         self._row_count = 0
         self._complete, self._state = False, int(State.DISARMED)
@@ -198,43 +194,19 @@ class DriftWatch:
         if np.isfinite(readings["temperature_C"]).all():
             columns["temperature_C"] = readings["temperature_C"]
         time_s = readings["tick"] * self._bench.dt_s
-        metadata = {"bench": self._bench.name, "model": self._name, "kept": "left its model"} | HELD_ONE_SAMPLE.metadata
-        try:
-            check_drift_file(self._bench)
-            write_csv(Recording(time_s - time_s[0], columns, metadata=metadata), self.path)
-            set_access(self.path, FILE_MODE, os.getegid())
-        except (PiezodError, OSError) as error:
-            self.problem = str(error)
+        metadata = {"bench": self._bench.name, "model": self._name} | HELD_ONE_SAMPLE.metadata
+        self.problem = drift_file(self._bench).write(Recording(time_s - time_s[0], columns, metadata))
 
 
-def check_drift_file(bench: BenchConfig) -> None:
-    """Refuse a file that is not an earlier recording of a drift: it would be replaced.
-
-    Parameters
-    ----------
-    bench
-        Bench configuration.
-
-    Raises
-    ------
-    ConfigurationError
-        `drift.file` names another file.
-    """
-    if bench.drift is not None:
-        is_own_file(drift_recording_path(bench), "drift.file", DRIFT_MAGIC, DRIFT_HEAD_BYTES)
-
-
-def drift_recording_path(bench: BenchConfig) -> Path:
-    """Path of the recording of a bench that has drifted: `drift.file`, or a file beside the ring log.
+def drift_file(bench: BenchConfig) -> KeptCsv:
+    """File for the recording of a bench that has drifted: `drift.file`, or a file beside the ring log.
 
     Parameters
     ----------
     bench
         Bench configuration.
     """
-    if bench.drift is not None and bench.drift.file is not None:
-        return Path(bench.drift.file.replace("{name}", bench.name))
-    return bench.ring_log_path.with_name(bench.ring_log_path.name + ".drift.csv")
+    return KeptCsv(bench.drift_path, "drift.file", ("kept", "left its model"))
 
 
 def find_drift_recording(path: Path) -> tuple[Path, Path]:
@@ -255,7 +227,7 @@ def find_drift_recording(path: Path) -> tuple[Path, Path]:
     bench = load_bench(path)
     if bench.drift is None:
         raise ConfigurationError(f"{path}: drift is null, must be a section: no drift is watched, so none is recorded")
-    recording = drift_recording_path(bench)
+    recording = bench.drift_path
     if not recording.exists():
         raise CheckFailedError(
             f"{recording}: not there: this bench has not left its model; see piezod status, or name a recording"

@@ -80,12 +80,14 @@ def run_foreground(path: Path, *, arm: bool) -> RunResult:
     session = Session(bench, None, path.parent, [], serves=path, lock=lock, correction_size=size)
     try:
         session.launch()
-        from piezod.daemon.drift import check_drift_file  # noqa: PLC0415  # slow import, while the control process starts
+        from piezod.daemon.drift import drift_file  # noqa: PLC0415  # slow import, while the control process starts
         from piezod.daemon.service import Service  # noqa: PLC0415
-        from piezod.session.learned_file import check_learned_file  # noqa: PLC0415
+        from piezod.session.learned_file import learned_file  # noqa: PLC0415
 
-        check_drift_file(bench)
-        check_learned_file(bench)
+        if bench.drift is not None:
+            drift_file(bench).check()
+        if bench.learning is not None:
+            learned_file(bench).check()
         service = Service(path, bench, lock, session, arm=arm)
         asyncio.run(service.run())
     except OSError as error:

@@ -12,17 +12,17 @@ from piezod.diagnose.adequacy.remainder import motion
 from piezod.diagnose.candidates.rounding import unrounded
 from piezod.diagnose.candidates.screening import DIRECT
 from piezod.diagnose.candidates.tones import with_tones
-from piezod.diagnose.experiment.isolability import Start
 from piezod.diagnose.experiment.testable import untestable
 from piezod.diagnose.findings import Finding, Findings, Place, Unnamed, above_noise, gap_closed
-from piezod.diagnose.hypothesis.fit import Fitted, Normal, fit
+from piezod.diagnose.hypothesis.chain import Setting
+from piezod.diagnose.hypothesis.fit import Normal, fit
 from piezod.diagnose.hypothesis.monotone import rises, unfolded
 from piezod.diagnose.hypothesis.parallel import each
 from piezod.diagnose.hypothesis.series import Series
 from piezod.diagnose.localisation.locate import locate
 from piezod.diagnose.prepare import Source, chain_of, made_ready, stand_in
 from piezod.diagnose.selection.acceptance import counted, weighed
-from piezod.diagnose.selection.replay import Attempt
+from piezod.diagnose.selection.replay import Attempt, fitted_in
 from piezod.diagnose.selection.search import NEEDLESS, OnProgress, fitted_without, instead, search, without
 from piezod.diagnose.selection.search_state import Beside, Search
 from piezod.diagnose.selection.significance import with_shares
@@ -89,36 +89,11 @@ class Diagnosis:
     attempts: Sequence[Attempt] = ()
     without_law: "Diagnosis | None" = None
 
-    def fitted(self) -> dict[str, Start]:
+    def fitted(self) -> dict[str, Setting]:
         """Parameters and choices of every effect found, and of each rival where it takes the effect's place."""
         places = [(one.name, "") for one in self.findings.effects]
         places += [(rival.name, one.name) for one in self.findings.effects for rival in one.rivals]
         return fitted_in([attempt.after for attempt in self.attempts], places)
-
-
-def fitted_in(tried: Sequence[Fitted], places: Sequence[tuple[str, str]]) -> dict[str, Start]:
-    """Parameters and choices of effects, as the best of the fullest hypotheses has them.
-
-    Parameters
-    ----------
-    tried
-        Hypotheses.
-    places
-        Names, each with the name of the effect that it replaces; empty: none.
-    """
-    names = {name for name, instead_of in places if not instead_of}
-    result: dict[str, Start] = {}
-    for name, instead_of in places:
-        options = [
-            (one, k)
-            for one in tried
-            for k, term in enumerate(one.terms)
-            if term.effect.name == name and set(one.effects) - {name} <= names - {instead_of}
-        ]
-        if options and name not in result:
-            best, k = max(options, key=lambda option: (len(option[0].terms), -option[0].loss))
-            result[name] = dict(best.point.values[k]), best.terms[k].choices
-    return result
 
 
 def diagnose(

@@ -1,20 +1,18 @@
 """The file of a learned correction: written after every pass, read when a control process starts."""
 
 import hashlib
-import os
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from piezod.config import BenchConfig, model_path
-from piezod.config.run_time_files import FILE_MODE, is_own_file, set_access
+from piezod.config import BenchConfig
 from piezod.control import TableReference
 from piezod.errors import PiezodError
-from piezod.recording import Recording, read_csv, write_csv
+from piezod.recording import Recording, read_csv
+from piezod.session.files import files_digest
+from piezod.session.kept_csv import KeptCsv
 
-MAGIC = b"\n# learned: correction of a looped reference\n"
-HEAD_BYTES = 4096
 MOST_PART = 0.25
 """Default bound of the correction, as a part of the span of the reference: above, the model does not fit the bench."""
 ROUNDED = 1.0 + 1e-6  # the file has nine digits
@@ -55,10 +53,11 @@ class LearnedFile:
     """
 
     def __init__(self, bench: BenchConfig, path: Path, table: TableReference) -> None:
-        self.path, self.problem = bench.learned_path, ""
+        self._kept, self.problem = learned_file(bench), ""
+        self.path = self._kept.path
         self._most_N = most_N(bench, table)
         self._name, self._dt_s, self._reference_N = bench.name, bench.dt_s, table.values()
-        digest = hashlib.sha256(model_path(bench, path).read_bytes())
+        digest = hashlib.sha256(files_digest(bench, path).encode())
         digest.update(self._reference_N.tobytes())
         digest.update(repr((bench.rate_Hz, bench.compensation, bench.compensation_without)).encode())
         self._digest = digest.hexdigest()
@@ -87,29 +86,17 @@ class LearnedFile:
             Correction, shape (N,) [N].
         """
         time_s = np.arange(correction_N.size, dtype=np.float64) * self._dt_s
-        metadata = {"bench": self._name, "learned": "correction of a looped reference", "digest": self._digest}
+        metadata = {"bench": self._name, "digest": self._digest}
         columns = {"reference_N": self._reference_N, _COLUMN: correction_N}
-        try:
-            is_own_file(self.path, "learning.file", MAGIC, HEAD_BYTES)
-            write_csv(Recording(time_s, columns, metadata=metadata), self.path)
-            set_access(self.path, FILE_MODE, os.getegid())
-            self.problem = ""
-        except (PiezodError, OSError) as error:
-            self.problem = str(error)
+        self.problem = self._kept.write(Recording(time_s, columns, metadata))
 
 
-def check_learned_file(bench: BenchConfig) -> None:
-    """Refuse a file that is not a learned correction: it would be replaced.
+def learned_file(bench: BenchConfig) -> KeptCsv:
+    """File of a learned correction: `learning.file`, or a file beside the ring log.
 
     Parameters
     ----------
     bench
         Bench configuration.
-
-    Raises
-    ------
-    ConfigurationError
-        `learning.file` names another file.
     """
-    if bench.learning is not None:
-        is_own_file(bench.learned_path, "learning.file", MAGIC, HEAD_BYTES)
+    return KeptCsv(bench.learned_path, "learning.file", ("learned", "correction of a looped reference"))

@@ -38,7 +38,7 @@ from tests.studies.driven import AS_PLANNED_V, Array, study_bench
 from tests.studies.scenarios import LONG, ROOT, identified
 from tests.studies.strengths import NOISE_N, SWITCHED
 
-REPEATS = 8
+REPEATS = 10
 SEED = 5
 POLL_S = 0.1  # as the daemon reads the ring log
 SERVICE_SEED = 41
@@ -119,7 +119,7 @@ class LearningRow:
         """One line."""
         repeats = " ".join(f"{one:7.2f}" for one in self.repeats)
         true = f"{self.true_N[0]:7.3f} {self.true_N[1]:7.3f}"
-        return f"{self.case:<39} {self.floor_N:7.3f} {repeats}  {self.plain[-1]:7.2f}  {true}  {self.state}"
+        return f"{self.case:<39} {self.floor_N:7.3f} {repeats}  {self.plain[-1]:8.2f}  {true}  {self.state}"
 
     @property
     def is_worse(self) -> bool:
@@ -131,7 +131,7 @@ class LearningRow:
 def header() -> str:
     """The header line."""
     repeats = " ".join(f"{one:>7}" for one in range(1, REPEATS + 1))
-    return f"{'hidden':<39} {'floor N':>7} {repeats}  {'plain 8':>7}  {'true N':>7} {'last':>7}"
+    return f"{'hidden':<39} {'floor N':>7} {repeats}  {f'plain {REPEATS}':>8}  {'true N':>7} {'last':>7}"
 
 
 def summary(rows: Sequence[LearningRow]) -> str:

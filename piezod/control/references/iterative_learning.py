@@ -260,7 +260,7 @@ def _roll_off(frequency_Hz: Array, highest_Hz: float) -> Array:
 def _is_mains(frequency_Hz: Array) -> NDArray[np.bool_]:
     """Mask of the mains and its multiples, shape (N,); none in a repeat so short that it has few other harmonics."""
     near = np.zeros(frequency_Hz.size, dtype=bool)
-    if frequency_Hz[1] > 2.0 * MAINS_WITHIN_Hz + 1e-9:
+    if frequency_Hz.size < 2 or frequency_Hz[1] > 2.0 * MAINS_WITHIN_Hz + 1e-9:
         return near
     for mains_Hz in MAINS_Hz:
         multiple = np.round(frequency_Hz / mains_Hz)

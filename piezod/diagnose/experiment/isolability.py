@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piezod.diagnose.candidates.screening import DIRECT, catalogue_ideas, parts_of
-from piezod.diagnose.hypothesis.chain import Chain, Point, Term
+from piezod.diagnose.hypothesis.chain import Chain, Point, Setting, Term
 from piezod.diagnose.hypothesis.fit import Normal, fit
 from piezod.diagnose.hypothesis.parallel import each
 from piezod.diagnose.hypothesis.sampling import best_course, coarse
@@ -23,9 +23,7 @@ from piezod.model import Model
 
 Array = NDArray[np.float64]
 Places = NDArray[np.intp]
-Start = tuple[dict[str, float], tuple[tuple[str, float], ...]]
-"""Values of an effect's searched parameters, and of its choices."""
-Found = Mapping[str, Start]
+Found = Mapping[str, Setting]
 """Effects that a diagnosis found, and their rivals, each as it was fitted."""
 
 NEARBY = 1.1
@@ -222,9 +220,9 @@ def _changes(chain: Chain, point: Point, found: Found, only: Collection[str] | N
     return names, [np.array([part[k] for part in columns]).T for k in range(len(chain.series))]
 
 
-def _nearby(effect: Effect, start: Start) -> list[Start]:
-    """A start, and it with each of its parameters moved a little."""
-    values, choices = start
+def _nearby(effect: Effect, setting: Setting) -> list[Setting]:
+    """A setting, and it with each of its parameters moved a little."""
+    values, choices = setting
     moved = [
         {**values, name: float(np.clip(value * NEARBY, effect.parameter(name).low, effect.parameter(name).high))}
         for name, value in values.items()

@@ -31,6 +31,10 @@ CACHED, CACHED_WHEN_LONG = 4, 1  # results of every kind that are kept a recordi
 LONG = 250_000  # samples of a recording
 
 
+Setting = tuple[dict[str, float], tuple[tuple[str, float], ...]]
+"""Values of an effect's searched parameters, and its choices."""
+
+
 @dataclass(frozen=True)
 class Term:
     """An effect in a hypothesis.

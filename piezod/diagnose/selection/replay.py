@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from piezod.diagnose.hypothesis.chain import Setting
 from piezod.diagnose.hypothesis.fit import Fitted
 from piezod.errors import ConfigurationError
 
@@ -45,6 +46,31 @@ class Attempt:
     after: Fitted
     degenerate: bool
     believed: bool
+
+
+def fitted_in(tried: Sequence[Fitted], places: Sequence[tuple[str, str]]) -> dict[str, Setting]:
+    """Parameters and choices of effects, as the best of the fullest hypotheses has them.
+
+    Parameters
+    ----------
+    tried
+        Hypotheses.
+    places
+        Names, each with the name of the effect that it replaces; empty: none.
+    """
+    names = {name for name, instead_of in places if not instead_of}
+    result: dict[str, Setting] = {}
+    for name, instead_of in places:
+        options = [
+            (one, k)
+            for one in tried
+            for k, term in enumerate(one.terms)
+            if term.effect.name == name and set(one.effects) - {name} <= names - {instead_of}
+        ]
+        if options and name not in result:
+            best, k = max(options, key=lambda option: (len(option[0].terms), -option[0].loss))
+            result[name] = dict(best.point.values[k]), best.terms[k].choices
+    return result
 
 
 def write_replay(path: Path, attempts: Sequence[Attempt]) -> None:

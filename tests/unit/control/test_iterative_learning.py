@@ -138,3 +138,14 @@ def test_a_year_of_repeats_needs_no_more_memory_than_a_few():
     assert learning.repeats == 300
     assert learning.first_N == pytest.approx(1.0)
     assert len(learning.errors_N) == 100
+
+
+@pytest.mark.parametrize("ticks", [1, 2, 3, 5])
+def test_the_shortest_tables_are_learned_without_an_error(ticks):
+    reference = 100.0 + np.arange(ticks, dtype=float)
+    learning, correction = IterativeLearning(reference, reference, 50.0, WIDE), np.zeros(ticks)
+    for _ in range(6):
+        wanted = learning.add(reference + correction - 2.0, correction, np.zeros(ticks, dtype=bool))
+        correction = correction if wanted is None else wanted
+    assert np.isfinite(correction).all()
+    assert learning.errors_N[-1] <= learning.first_N

@@ -15,7 +15,7 @@ from piezod.errors import ConfigurationError
 from piezod.model import load_model
 from piezod.recording import read_csv
 from piezod.session.assembly import reference_table
-from piezod.session.learned_file import MAGIC, LearnedFile, check_learned_file
+from piezod.session.learned_file import LearnedFile, learned_file
 
 CONFIG = Path(__file__).parents[3] / "config"
 RATE_HZ, FIRST = 100.0, 30
@@ -137,12 +137,16 @@ def test_a_foreign_file_is_refused_and_stays(tmp_path):
     (tmp_path / "emulator.csv").write_text("my measurements\n", encoding="utf-8")
     bench = Bench(tmp_path, [])
     with pytest.raises(ConfigurationError, match=r"learning\.file: .*was not made by piezod"):
-        check_learned_file(bench.bench)
+        learned_file(bench.bench).check()
     bench.run(5)
     assert "was not made by piezod" in bench.watch.as_dict()["problem"]
     assert (tmp_path / "emulator.csv").read_text(encoding="utf-8") == "my measurements\n"
 
 
-def test_the_head_of_a_kept_correction_has_its_mark(tmp_path):
-    Bench(tmp_path, []).run(5)
-    assert MAGIC in (tmp_path / "emulator.csv").read_bytes()[:4096]
+def test_a_kept_correction_has_its_mark_and_is_replaced(tmp_path):
+    bench = Bench(tmp_path, [])
+    bench.run(5)
+    assert b"\n# learned: correction of a looped reference\n" in (tmp_path / "emulator.csv").read_bytes()[:4096]
+    learned_file(bench.bench).check()
+    bench.run(2)
+    assert bench.watch.as_dict()["problem"] == ""
