@@ -144,11 +144,9 @@ def _values_text(values: dict[str, int]) -> str:
 def _learning_text(learning: dict[str, Any]) -> str:
     if learning["rms_N"] is None:
         return "learning: waits for the first repeat"
-    text = (
-        f"learning: {learning['state']}; error {learning['first_N']:.3g} N in the first repeat, "
-        f"{learning['rms_N']:.3g} N in the last of {learning['passes']}"
-    )
-    return f"{text}; not kept: {learning['problem']}" if learning["problem"] else text
+    text = f"error {learning['first_N']:.3g} N at first, {learning['rms_N']:.3g} N in pass {learning['passes']}"
+    state = "" if learning["state"] == "learning" else f"{learning['state']}; "
+    return f"learning: {state}{text}" + (f"; not kept: {learning['problem']}" if learning["problem"] else "")
 
 
 def _drift_text(drift: dict[str, Any]) -> str:

@@ -1,6 +1,6 @@
 """Iterative learning with each effect of the catalogue hidden: tracking error of every repeat.
 
-The model is that of a bench without any effect. Each effect is switched on, a looped reference is followed, and the
+The model is that of a bench without any effect. Each effect is switched on, and a looped reference is followed. The
 daemon's own learning computes its corrections from the ring log, in virtual time and within one process.
 
 The error is the root mean square of the reading's, over the floor; where the voltage meets its limit, of the other

@@ -171,9 +171,13 @@ def _law(page: _Page) -> str:
         return ""
     plot, columns = law_figure(law, page.units)
     sentence = html.escape(law_sentence(found, page.diagnosis.findings))
-    return f"<h2>Law without a name</h2><p>{sentence}</p>{page.add('unnamed_law', [plot], columns, _LAW)}"
+    figure = page.add("unnamed_law", [plot], columns, _GAIN if law.gain else _LAW)
+    return f"<h2>Law without a name</h2><p>{sentence}</p>{figure}"
 
 
+_GAIN = (
+    "Gain of what the reading has moved from its start, while the drivers keep their values and memories have settled."
+)
 _LAW = "What the law adds to the reading while its drivers keep their values, after its memories have settled."
 
 _HELD_OUT = (

@@ -153,7 +153,10 @@ def _values(feed: Feed) -> Iterable[tuple[str, str]]:
         yield "ticks recorded", "DEGRADED" if recorder["degraded"] else _short(recorder["rows"])
     learning = status.get("learning")
     if learning and learning["rms_N"] is not None:
-        yield f"error, repeat {learning['passes']}", f"{learning['rms_N']:.2f} N (first {learning['first_N']:.2f})"
+        yield (
+            f"error, pass {learning['passes']}",
+            f"{learning['first_N']:.2f} \N{RIGHTWARDS ARROW} {learning['rms_N']:.2f} N",
+        )
 
 
 def _short(count: int) -> str:

@@ -79,7 +79,7 @@ def test_hum_of_the_mains_is_not_learned_though_it_repeats(frequency_Hz):
     assert abs(np.vdot(correction, hum)) / np.vdot(hum, hum) < 0.02
 
 
-def test_a_step_of_the_load_is_learned_in_two_repeats():
+def test_a_step_of_the_load_between_two_repeats_is_learned_in_two():
     errors, learning, _ = follow(lambda planned, repeat: planned + missed() + (8.0 if repeat >= 8 else 0.0), 12)
     assert errors[8] > 20 * NOISE
     assert errors[10:].max() < 3.0 * NOISE

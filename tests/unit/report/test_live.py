@@ -154,8 +154,8 @@ def test_the_error_of_a_looped_reference_is_shown_once_it_is_known(bench, rms_N,
     learning = {"state": "learning", "passes": 7, "first_N": 1.41, "rms_N": rms_N}
     daemon = {"version": "1", "up_s": 60.0, "model": None, "connected": True, "problem": ""}
     feed.set_status(daemon | {"ticks": 9, "missed": 0, "failed_exchanges": 0, "learning": learning}, "")
-    assert ("error, repeat 7" in banner_html(feed)) == shown
-    assert ("0.13 N (first 1.41)" in banner_html(feed)) == shown
+    assert ("error, pass 7" in banner_html(feed)) == shown
+    assert ("1.41 \N{RIGHTWARDS ARROW} 0.13 N" in banner_html(feed)) == shown
 
 
 def test_events_are_few_and_the_newest_come_first(bench):
