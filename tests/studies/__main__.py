@@ -12,6 +12,7 @@ from tests.studies import (
     effects_compensated,
     flexure,
     learning,
+    learning_concealed,
     lisdd,
     messy_files,
     nulls,
@@ -39,6 +40,9 @@ def main() -> None:
     _flexure(studies.add_parser("flexure", help="prediction of a real feedforward by a diagnosed model"))
     _effects_compensated(studies.add_parser("effects_compensated", help="each effect before and after compensation"))
     _learning(studies.add_parser("learning", help="a looped reference with each effect hidden, repeat by repeat"))
+    learning_concealed.add_options(
+        studies.add_parser("learning_concealed", help="learning on concealed plants of four families")
+    )
     peers.add_options(studies.add_parser("peers", help="other methods on the cases of a concealed study"))
     rivals.add_options(studies.add_parser("rivals", help="the next experiment where a diagnosis left rivals"))
     lisdd.add_options(studies.add_parser("lisdd", help="LISDD on the cases of a concealed study"))

@@ -46,6 +46,18 @@ GROWS = 1.2
 MOST_GROWING = 4
 """Repeats in a row with a growing error, or a force that answers the wrong way, after which learning stops. The first
 may be a change of the bench; from the second on, each has half the gain of the one before."""
+HARM = 4.0
+"""A correction does harm where the power of the error within an octave is four times that without it."""
+SMALL = 0.1
+"""A growth by less than a tenth of the whole power is none."""
+LOWEST_HARMONIC = 4
+"""Octaves begin above this harmonic: below, a step of the load is as large as what a mode does."""
+HARM_WHOLE = 3.0
+"""It does harm too where three errors in a row are three times that without it; a step of the load raises two."""
+MOST_HARMS = 3
+"""Times that a correction may do harm, each with a lower highest frequency than before, until learning stops."""
+CAUTIOUS = 0.25
+"""Part of the first correction in the upper four octaves: a mode may answer ten times as much as was asked for."""
 LONGEST_DELAY_S = 0.2
 REMEMBERED = 100
 KEPT = 3
@@ -57,7 +69,8 @@ EXPLAINED = 0.5
 DOUBT = 30.0
 """The answer outweighs the delay alone where 30 times the power was asked for of what changed unasked before."""
 MOST_RATIO, MOST_TURN = 4.0, np.pi / 2
-"""Largest ratio and turn of the response against the pure delay; beyond, it is an event and no answer."""
+"""Largest ratio and turn of the response against the pure delay below the upper five octaves, where a step of the load
+passes for an answer; above, a mode may answer with any ratio and turn."""
 TINY = 1e-300
 
 
@@ -116,15 +129,17 @@ class IterativeLearning:
         self._reference_N, self._planned_N, self._bounds = reference_N, planned_N, bounds
         self._rate_Hz = rate_Hz
         frequency_Hz = np.arange(reference_N.size // 2 + 1, dtype=np.float64) * (rate_Hz / reference_N.size)
-        self._omega = 2.0 * np.pi * frequency_Hz
-        self._band = _roll_off(frequency_Hz, HIGHEST_PART_OF_RATE * rate_Hz)
-        self._learned = np.where(_is_mains(frequency_Hz), 0.0, self._band)
+        self._frequency_Hz, self._omega = frequency_Hz, 2.0 * np.pi * frequency_Hz
+        self._not_mains = np.where(_is_mains(frequency_Hz), 0.0, 1.0)
+        self._limit_to(HIGHEST_PART_OF_RATE * rate_Hz)
         self._width = np.maximum(2, (LOCAL_PART * np.arange(frequency_Hz.size)).astype(int))
         self._delay: Spectrum | None = None
         self._answer, self._asked = np.zeros(frequency_Hz.size, dtype=complex), np.zeros(frequency_Hz.size)
+        self._own = np.zeros(frequency_Hz.size, dtype=complex)  # of a harmonic alone; 0: too little was asked for
         self._unasked: Array | None = None  # power that changes from one repeat to the next by itself
         self._repeats: list[tuple[Spectrum, Spectrum]] = []  # the last: error, correction
-        self._gain, self._growing = 1.0, 0
+        self._gain, self._growing, self._harmed, self._harms = 1.0, 0, 0, 0
+        self._plain: list[tuple[float, Array]] = []  # error and its power at the harmonics, without a correction
         self._best_N, self._best = np.inf, np.zeros(reference_N.size)
         self.state = Learning.OBSERVING
         self.repeats, self.first_N = 0, np.nan
@@ -153,8 +168,12 @@ class IterativeLearning:
             self._delay = self._estimate_delay(np.fft.rfft(self._planned_N + correction_N), np.fft.rfft(force_N))
         spectra = np.fft.rfft(force_N - self._reference_N), np.fft.rfft(correction_N)
         self._repeats = [*self._repeats[1 - KEPT :], spectra]
+        if len(self._plain) < OBSERVED:
+            self._plain.append((error_N, np.abs(spectra[0]) ** 2))
         if self._keep_best(error_N, correction_N):
             return self._best
+        if (harmless_Hz := self._harmless_up_to(error_N, np.abs(spectra[0]) ** 2)) < self._highest_Hz:
+            return self._limited_best(harmless_Hz)
         if len(self._repeats) < OBSERVED:
             return None
         self.state = Learning.LEARNING
@@ -175,6 +194,42 @@ class IterativeLearning:
         if self._growing >= MOST_GROWING:
             self.state = Learning.STOPPED
         return self.state is Learning.STOPPED
+
+    def _limit_to(self, highest_Hz: float) -> None:
+        """Learn up to a frequency."""
+        self._highest_Hz = highest_Hz
+        self._band = _roll_off(self._frequency_Hz, highest_Hz)
+        self._learned = self._not_mains * self._band
+
+    def _harmless_up_to(self, error_N: float, power: Array) -> float:
+        """Frequency below which the correction does not make more than the model left; a mode answers manyfold [Hz]."""
+        if self.repeats <= OBSERVED:
+            return self._highest_Hz
+        plain = np.mean([one for _, one in self._plain], axis=0)
+        harmless_Hz, top_Hz = self._highest_Hz, self._highest_Hz
+        while top_Hz > LOWEST_HARMONIC * self._rate_Hz / self._reference_N.size:
+            octave = (self._frequency_Hz > 0.5 * top_Hz) & (self._frequency_Hz <= top_Hz)
+            top_Hz *= 0.5
+            if power[octave].sum() > HARM * plain[octave].sum() + SMALL * plain.sum():
+                harmless_Hz = top_Hz
+        self._harmed = self._harmed + 1 if error_N > HARM_WHOLE * max(one for one, _ in self._plain) else 0
+        return 0.5 * harmless_Hz if self._harmed >= KEPT else harmless_Hz
+
+    def _upper(self, octaves: int) -> NDArray[np.bool_]:
+        """Mask of the upper octaves of what is learned."""
+        low = self._frequency_Hz > self._highest_Hz / 2.0**octaves
+        mask: NDArray[np.bool_] = low & (self._frequency_Hz <= self._highest_Hz)
+        return mask
+
+    def _limited_best(self, highest_Hz: float) -> Array:
+        """The best correction up to a frequency, which is the limit from now on."""
+        self._limit_to(highest_Hz)
+        self._repeats, self._harmed, self._harms = [], 0, self._harms + 1
+        if self._harms >= MOST_HARMS:
+            self.state = Learning.STOPPED
+        best: Array = np.fft.irfft(self._band * np.fft.rfft(self._best), self._reference_N.size)
+        self._best_N, self._best = np.inf, best
+        return best
 
     def _answers_wrong_way(self) -> bool:
         """Whether the force moved against the last change of the correction, by more than what else changed."""
@@ -218,7 +273,9 @@ class IterativeLearning:
         )
         size = np.clip(np.abs(ratio), 1.0 / MOST_RATIO, MOST_RATIO)
         turn = np.clip(np.angle(ratio), -MOST_TURN, MOST_TURN)
-        response: Spectrum = self._delay * size * np.exp(1j * turn)
+        own = self._upper(5) & (np.abs(asked) ** 2 > DOUBT * self._unasked / (2.0 * near + 1.0))
+        self._own = np.where(own, answer / np.where(own, asked, 1.0), self._own)
+        response: Spectrum = np.where(self._own == 0.0, self._delay * size * np.exp(1j * turn), self._own)
         return response
 
     def _wanted(self) -> Spectrum:
@@ -239,7 +296,9 @@ class IterativeLearning:
         variance = np.maximum(own, nearby) * part / (2.0 - part)
         wiener = np.clip(1.0 - SIGNIFICANT * variance / np.maximum(np.abs(mean) ** 2, TINY), 0.0, 1.0)
         present = self._repeats[-1][1]
-        wanted: Spectrum = present + self._gain * (-self._learned * wiener * mean / response - present)
+        is_first = not self._asked.any() and not self._own.any()
+        gain = self._gain * np.where(self._upper(4) & is_first, CAUTIOUS, 1.0)
+        wanted: Spectrum = present + gain * (-self._learned * wiener * mean / response - present)
         return wanted
 
     def _bounded(self, correction_N: Array) -> Array:

@@ -149,3 +149,18 @@ def test_the_shortest_tables_are_learned_without_an_error(ticks):
         correction = correction if wanted is None else wanted
     assert np.isfinite(correction).all()
     assert learning.errors_N[-1] <= learning.first_N
+
+
+@pytest.mark.parametrize("frequency_Hz", [9.0, 22.0, 37.0, 61.0, 83.0])
+@pytest.mark.parametrize("damping", [0.01, 0.03, 0.1])
+def test_a_lightly_damped_mode_is_not_driven_up(frequency_Hz, damping):
+    """A stack under a load: the response is ten to fifty times that of a delay at the mode, and turns there."""
+    ratio = np.fft.rfftfreq(TICKS, 1.0 / RATE_HZ) / frequency_Hz
+    mode = 1.0 / (1.0 - ratio**2 + 2.0j * damping * ratio)
+
+    def plant(planned, _):
+        return np.fft.irfft(np.fft.rfft(planned + missed(1.0)) * mode, TICKS)
+
+    errors, _, _ = follow(plant, 40)
+    assert errors[2:].max() < 12.0 * errors[0]
+    assert errors[-10:].max() < 1.3 * errors[0]
