@@ -21,9 +21,9 @@ from piezod.diagnose.hypothesis.parallel import each
 from piezod.diagnose.hypothesis.series import Series
 from piezod.diagnose.localisation.locate import locate
 from piezod.diagnose.prepare import Source, chain_of, made_ready, stand_in
-from piezod.diagnose.selection.acceptance import counted, weighed
+from piezod.diagnose.selection.acceptance import BETTER, counted, weighed
 from piezod.diagnose.selection.replay import Attempt, fitted_in
-from piezod.diagnose.selection.search import NEEDLESS, OnProgress, fitted_without, instead, search, without
+from piezod.diagnose.selection.search import OnProgress, fitted_without, instead, search, without
 from piezod.diagnose.selection.search_state import Beside, Search
 from piezod.diagnose.selection.significance import with_shares
 from piezod.diagnose.selection.stated_hold import as_told
@@ -55,7 +55,6 @@ MOSTLY = 0.8  # of the catalogue: recordings that could not have shown so much o
 COSTS = 0.1  # of what was gained, or of what is left: what plays that do not fold may cost
 STILL_GAINS = 0.5  # of what was gained by plays that fold: what another effect must gain without
 FOLDED = 0.6  # of its confidence that an effect keeps when the plays fold that were refitted with it
-BETTER = 0.99  # of the given model's error
 LEAST_CONFIDENCE = 0.6  # below which an effect is not named: more likely it is the shape of something else,
 MOST_FALSE = 0.2  # expected share of false names; an effect that shows in three blocks reaches 0.09
 LEFT_BY_ONE = 0.25  # unless it leaves no more of the squared error than that: it halves the error
@@ -226,10 +225,10 @@ def _doubtful(result: Search, findings: Findings) -> list[str]:
     What is left of the others is looked at without it: it may have taken a part of theirs. All of them where the given
     model says what was left out of the fit as well without them.
     """
-    if result.found.effects and findings.after > BETTER * findings.before:
+    if result.found.effects and findings.after**2 > BETTER * findings.before**2:
         return list(result.found.effects)
     named = [one for one in findings.effects if one.name in result.names]
-    needless = [one.name for one in named if one.before**2 < (1.0 + NEEDLESS) * one.after**2]
+    needless = [one.name for one in named if BETTER * one.before**2 < one.after**2]
     if needless:  # without plays that fold, or on all samples, they gain nothing
         return needless[:1]
     weak = [one for one in named if _unlikely(one) and one.after**2 > LEFT_BY_ONE * one.before**2]

@@ -3,10 +3,11 @@
     python -m tests.studies rivals --cases 80 --json rivals.json
 
 Each case is a concealed plant with one hidden effect, or with none. A model is identified on its identification record.
-The first recording is poor: two slow triangles, as a user might record at first. It is diagnosed. A pair is open where
-an effect found is smaller than what separates it from its rival. The next experiment of at most a minute is computed
-from these files, driven on the plant from rest, and both recordings are diagnosed. Where no pair is open, the
-experiment for what the recording cannot separate is driven, and nothing may get worse.
+The first recording is poor: two slow triangles, as a user might record at first. It is diagnosed. Rivals are listed
+where the findings name one beside an effect. A pair is open where an effect found is smaller than what separates it
+from its rival. The next experiment of at most a minute is computed from these files, driven on the plant from rest, and
+both recordings are diagnosed. Where no pair is open, the experiment for what the recording cannot separate is driven,
+and nothing may get worse.
 """
 
 import argparse
@@ -98,6 +99,11 @@ class RivalsRow:
     drive_s: float
 
     @property
+    def listed(self) -> int:
+        """Rivals that the findings list before."""
+        return _listed(self.before)
+
+    @property
     def settled(self) -> bool:
         """Whether the names are right and no pair is open any more."""
         return self.right_after and not self.open_after
@@ -117,21 +123,38 @@ class RivalsRow:
 
 
 def summary(rows: Sequence[RivalsRow]) -> str:
-    """The summary lines."""
-    rivals = [row for row in rows if row.open_before]
-    others = [row for row in rows if not row.open_before]
-    right = sum(row.right_before for row in rivals), sum(row.right_after for row in rivals)
-    pairs = [pair for row in rivals for pair in zip(row.predicted, row.reached, strict=True)]
-    kept = sum(1.0 / FACTOR <= b / a <= FACTOR for a, b in pairs)
-    worse = [str(row.case) for row in others if row.right_before and not row.right_after]
-    better = [str(row.case) for row in others if not row.right_before and row.right_after]
-    return (
-        f"rivals open: {len(rivals)} cases; settled {sum(row.settled for row in rivals)}; right {right[0]} => "
-        f"{right[1]}; predicted separation within a factor {FACTOR:g}: {kept} of {len(pairs)} pairs\n"
-        f"others: {len(others)} cases; right {sum(row.right_before for row in others)} => "
-        f"{sum(row.right_after for row in others)}; made worse: {', '.join(worse) or 'none'}; made right: "
-        f"{', '.join(better) or 'none'}"
+    """The summary lines, and the separations predicted beside those reached."""
+    groups = {
+        "with rivals listed": [row for row in rows if row.listed],
+        "with an open pair": [row for row in rows if row.open_before],
+        "named nothing, something hidden": [row for row in rows if not row.before and row.truth],
+        "nothing hidden": [row for row in rows if not row.truth],
+        "all": list(rows),
+    }
+    lines = [f"{'':<32}{'cases':>6}{'right before':>14}{'after':>7}{'settled':>9}{'made worse':>12}"]
+    for name, mine in groups.items():
+        counts = (
+            sum(row.right_before for row in mine),
+            sum(row.right_after for row in mine),
+            sum(row.settled for row in mine),
+            sum(row.right_before and not row.right_after for row in mine),
+        )
+        lines.append("{:<32}{:>6}{:>14}{:>7}{:>9}{:>12}".format(name, len(mine), *counts))
+    listed = sum(row.listed for row in rows), sum(_listed(row.after) for row in rows if row.listed)
+    lines.append(f"rivals listed in these cases: {listed[0]} before, {listed[1]} after")
+    pairs = [pair for row in rows for pair in zip(row.predicted, row.reached, strict=True)]
+    ratios = np.array([reached / predicted for predicted, reached in pairs])
+    kept = np.mean((ratios <= FACTOR) & (ratios >= 1.0 / FACTOR)) if pairs else 0.0
+    low, middle, high = np.percentile(ratios, (10, 50, 90)) if pairs else (0.0, 0.0, 0.0)
+    lines.append(
+        f"separation reached / predicted, {len(pairs)} pairs: median {middle:.2f} (tenth to ninetieth percentile "
+        f"{low:.2f} to {high:.2f}); within a factor {FACTOR:g}: {100.0 * kept:.0f} %"
     )
+    return "\n".join(lines)
+
+
+def _listed(named: Sequence[str]) -> int:
+    return sum(one.count(",") + 1 for one in named if "(" in one)
 
 
 def run(number: int, seed: int, longest_s: float) -> RivalsRow | None:

@@ -14,16 +14,10 @@ from piezod.diagnose.hypothesis.parallel import each
 from piezod.diagnose.hypothesis.sampling import best_course, coarse, settled, started_as_usual, suited_anew
 from piezod.diagnose.hypothesis.series import Series
 from piezod.diagnose.selection.acceptance import (
-    FAIR_SHARE,
+    BETTER,
     GENERAL,
-    STEADY_WHEN_SMALL,
-    WORTH,
-    acts_locally,
     counted,
     degenerate,
-    fair,
-    price,
-    steadiness,
     weighed,
     worth,
 )
@@ -40,16 +34,11 @@ MOST_EFFECTS = 5
 SEARCHED, FURTHER = 0.85, 0.5  # part of the work behind the search; of what is before it, left after a round
 FINALISTS = 3  # of them that are tried with every course of the command between samples
 BESIDE_A_STEP = 2  # effects that a step was preferred to are tried with a step of their own
-OTHER_START = 0.99  # of the loss: below it what was found is believed to have started otherwise
-OTHER_SCOPE = 0.98  # of the loss: below it an effect's other scope or choice is taken
 SEVERAL, STARTS_ANEW = 3, 2  # parameters of an effect that is begun anew beside a new one, and its starts
 PAIRS_SETTLED = 2  # of effects, that are tried with every course of the command between samples
 NOTHING_LEFT = 1.05  # of the noise's square: nothing is looked for beside what leaves no more
 RIVALS = 6  # of an effect, that are tried in its place at the end
-BETTER_INSTEAD = 0.98  # of the loss: below it a rival takes an effect's place
-NEEDLESS = 0.02  # of the loss: an effect without which no more is lost is left out again
 DOUBTED = 3  # of those that fit better and are not believed that are fitted from other starts
-SHARPER = 0.98  # of the loss: below it plays of their own width are taken into the base
 
 
 def search(chain: Chain, start: Point, progress: OnProgress) -> Search:
@@ -69,7 +58,6 @@ def search(chain: Chain, start: Point, progress: OnProgress) -> Search:
     base = fit(chain, (), base.point)  # a base that has not arrived would take any effect for its own way
     chain, base = started_as_usual(chain, base)
     result = Search(chain, base, base, _past(chain, start))
-    largest = 0.0
     while len(result.names) < MOST_EFFECTS:
         progress(
             f"looking for effect {len(result.names) + 1}", SEARCHED - (SEARCHED - 0.1) * FURTHER ** len(result.names)
@@ -77,24 +65,21 @@ def search(chain: Chain, start: Point, progress: OnProgress) -> Search:
         tone = heard(result)
         if tone is not None and dominates(result, tone):
             listen(result, tone)
-            largest = max(result.base.loss - result.found.loss, 0.0)
             continue
         tried = on_each_course(result.chain, result.found, result.past) + _beside_the_last_step(result)
-        finalists = _finalists(result, tried, largest)
+        finalists = _finalists(result, tried)
         best = min(finalists, key=lambda one: weighed(one[1]), default=None)
         if tone is not None and (best is None or tone[1].loss < best[1].loss):
             listen(result, tone)
-            largest = max(result.base.loss - result.found.loss, 0.0)
             continue
         sharp = _sharper(result, best)
         if sharp is not None:
             _sharpen(result, *sharp)
-            largest = max(result.base.loss - result.found.loss, 0.0) if result.rounds else 0.0
             continue
         if best is None:
-            if not both(result, tried, largest):
+            if not both(result, tried):
                 break
-            largest = _followed(result, max(largest, result.rounds[-2].before.loss - result.found.loss))
+            _follow(result)
             continue
         before = _without_it(result, best)
         if before is not result.found:  # some of the gain is the other course's or the other starts'
@@ -103,29 +88,26 @@ def search(chain: Chain, start: Point, progress: OnProgress) -> Search:
                 result.chain, result.found = best[0], before
                 continue
         result.chain, result.found = best
-        largest = max(largest, before.loss - result.found.loss)
         others = tuple(
             one for on, one in tried if one.effects[-1] != result.found.effects[-1] and not degenerate(on, one)
         )
         result.rounds.append(Round(before, result.found, others))
         begin_anew(result)
-        largest = _followed(result, largest)
+        _follow(result)
     progress("trying to swap and to drop", SEARCHED)
     swap(result)
-    _drop(result, largest)
+    _drop(result)
     _polish(result)
     return result
 
 
-def _followed(result: Search, largest: float) -> float:
-    """The tones followed anew beside what was found, if there are any; the largest gain by then."""
-    if not result.tones:
-        return largest
-    listen_again(result)
-    return max(result.base.loss - result.found.loss, 0.0)
+def _follow(result: Search) -> None:
+    """Follow the tones anew beside what was found, if there are any."""
+    if result.tones:
+        listen_again(result)
 
 
-def _finalists(result: Search, tried: list[tuple[Chain, Fitted]], largest: float) -> list[tuple[Chain, Fitted]]:
+def _finalists(result: Search, tried: list[tuple[Chain, Fitted]]) -> list[tuple[Chain, Fitted]]:
     """The best of those that are believed, each with the course and the starts that suit it best.
 
     What fits better than they do but is not believed may have been fitted from a start, or on a course, that was
@@ -139,9 +121,7 @@ def _finalists(result: Search, tried: list[tuple[Chain, Fitted]], largest: float
 
     def believed(one: tuple[Chain, Fitted]) -> bool:
         on, after = one
-        if after.loss > (1.0 - WORTH) * result.found.loss:
-            return False
-        return _believed(on, before.get(id(on), result.found), after, largest)
+        return after.loss < BETTER * result.found.loss and _believed(on, before.get(id(on), result.found), after)
 
     tried = sorted(tried, key=lambda one: one[1].loss)
     better = []
@@ -157,12 +137,12 @@ def _finalists(result: Search, tried: list[tuple[Chain, Fitted]], largest: float
     return each(settled, sorted(better + anew, key=lambda one: one[1].loss)[:FINALISTS])
 
 
-def _believed(chain: Chain, before: Fitted, after: Fitted, largest: float) -> bool:
-    """Whether one more effect is what its name says, gains enough and is more than the remainder of a larger one."""
-    return not degenerate(chain, after) and worth(before, after) and fair(chain, before, after, largest)
+def _believed(chain: Chain, before: Fitted, after: Fitted) -> bool:
+    """Whether one more effect is what its name says, and gains enough."""
+    return not degenerate(chain, after) and worth(before, after)
 
 
-def both(result: Search, tried: Sequence[tuple[Chain, Fitted]], largest: float) -> bool:
+def both(result: Search, tried: Sequence[tuple[Chain, Fitted]]) -> bool:
     """Two effects at once of which none is believed alone, since each leaves what the other one is; if they are found.
 
     Each must be believed beside the other, and one of them have a shape that does not bend to what is left.
@@ -175,7 +155,7 @@ def both(result: Search, tried: Sequence[tuple[Chain, Fitted]], largest: float) 
         orders = pair, _turned(pair)
         firsts = [fit(chain, one.terms[:-1], replace(one.point, values=one.point.values[:-1])) for one in orders]
         beside = zip(firsts, orders, strict=True)
-        kept = worth(result.found, pair) and all(_believed(chain, *one, largest) for one in beside)
+        kept = worth(result.found, pair) and all(_believed(chain, *one) for one in beside)
         believed += [(chain, firsts[0], pair)] * kept
         unlike = any(degenerate(chain, one) for one in orders)
         result.attempts.append(Attempt("pair", len(result.names), result.found, pair, degenerate=unlike, believed=kept))
@@ -208,7 +188,7 @@ def _sharper(result: Search, best: tuple[Chain, Fitted] | None) -> tuple[Chain, 
 
     By all recordings only where no effect is left that may bend them.
     """
-    enough = min(SHARPER * result.found.loss, np.inf if best is None else best[1].loss)
+    enough = min(BETTER * result.found.loss, np.inf if best is None else best[1].loss)
     for by_all in (False, True) if best is None else (False,):
         sharp = sharpened(result.chain, result.found, by_all=by_all)
         if sharp is not None and sharp[1].loss < enough:
@@ -239,7 +219,7 @@ def _without_it(result: Search, best: tuple[Chain, Fitted]) -> Fitted:
     if best[0] is result.chain:
         return result.found
     alone = fit(best[0], result.found.terms, result.found.point)
-    return alone if alone.loss < OTHER_START * result.found.loss else result.found
+    return alone if alone.loss < BETTER * result.found.loss else result.found
 
 
 def begin_anew(result: Search) -> None:
@@ -264,7 +244,7 @@ def begin_anew(result: Search) -> None:
         others += [_exchanged(found, place, *one) for one in anew]
     tried = each(lambda one: fit(few, *one, most_steps=6), others)
     best = min(tried, key=lambda one: one.loss, default=known)
-    if best.loss < OTHER_SCOPE * known.loss:
+    if best.loss < BETTER * known.loss:
         result.found = fit(result.chain, best.terms, best.point)
 
 
@@ -332,7 +312,7 @@ def swap(result: Search) -> None:
         losses = {name: counted(name, fewer.loss, result.found.loss)} | {one.effects[-1]: np.inf for one in swapped}
         losses |= {one.effects[-1]: counted(one.effects[-1], fewer.loss, one.loss) for one in fitting}
         taken = min(losses, key=lambda one: losses[one])
-        if losses[taken] < BETTER_INSTEAD * losses[name]:
+        if losses[taken] < BETTER * losses[name]:
             result.found = next(one for one in fitting if one.effects[-1] == taken)
         else:
             taken = name
@@ -379,21 +359,15 @@ def without(found: Fitted, name: str) -> tuple[list[Term], list[Mapping[str, flo
     return [found.terms[k] for k in kept], [found.point.values[k] for k in kept]
 
 
-def _drop(result: Search, largest: float) -> None:
+def _drop(result: Search) -> None:
     """Leave out effects that the others, or the base as it is at the end, have made needless."""
     left = list(result.found.effects)
     while left:
-        found = result.found
-        name = left.pop(0)
-        once = all(term.scope == "once" for term in found.terms if term.effect.name == name)
-        fewer = fitted_without(result.chain, found, name)
-        gain = fewer.loss - found.loss
-        least = max(NEEDLESS * found.loss, *(price(found, term) for term in found.terms if term.effect.name == name))
-        small = gain < FAIR_SHARE * largest and steadiness(fewer, found) < STEADY_WHEN_SMALL
-        needless = gain < least or (small and not once and not acts_locally(fewer, found, name))
+        fewer = fitted_without(result.chain, result.found, left.pop(0))
+        needed = worth(fewer, result.found)
         result.attempts.append(
-            Attempt("drop", len(result.names), fewer, found, degenerate=False, believed=not needless)
+            Attempt("drop", len(result.names), fewer, result.found, degenerate=False, believed=needed)
         )
-        if needless:
+        if not needed:
             result.found = fewer
             left = list(fewer.effects)

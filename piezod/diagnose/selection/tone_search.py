@@ -10,7 +10,7 @@ from piezod.diagnose.candidates.tones import Tone, heard_again, tones, with_tone
 from piezod.diagnose.hypothesis.chain import Chain
 from piezod.diagnose.hypothesis.fit import Fitted, Normal, fit
 from piezod.diagnose.hypothesis.series import Series
-from piezod.diagnose.selection.acceptance import WORTH
+from piezod.diagnose.selection.acceptance import BETTER, worth
 from piezod.diagnose.selection.search_state import Search
 
 NEAR_A_MODE = 0.05  # of its frequency: a line there is its own ringing
@@ -29,7 +29,7 @@ def heard(result: Search) -> Heard | None:
         chain = result.chain.like(without_tones(result.chain.series, group))
         fitted = fit(chain, result.found.terms, result.found.point, most_steps=6)
         candidate = chain, fitted, group
-        if result.found.loss - fitted.loss > WORTH * fitted.loss or dominates(result, candidate):
+        if worth(result.found, fitted) or dominates(result, candidate):
             return candidate
     return None
 
@@ -81,7 +81,7 @@ def _give_back(result: Search) -> None:
         return
     chain = result.chain.like(with_tones(result.chain.series, mine))
     fitted = fit(chain, result.found.terms, result.found.point)
-    if fitted.loss < (1.0 + WORTH) * result.found.loss:
+    if BETTER * fitted.loss < result.found.loss:
         result.chain, result.found = chain, fitted
         result.base = fit(chain, (), result.base.point)
         result.tones = others

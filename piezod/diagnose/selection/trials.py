@@ -13,7 +13,7 @@ from piezod.diagnose.hypothesis.chain import Chain, Point, Scope, Term
 from piezod.diagnose.hypothesis.fit import MOST_STEPS, Fitted, Normal, fit
 from piezod.diagnose.hypothesis.parallel import each
 from piezod.diagnose.hypothesis.sampling import coarse, started_alike
-from piezod.diagnose.selection.acceptance import LOOSE, WORTH
+from piezod.diagnose.selection.acceptance import LOOSE
 from piezod.effects import EFFECTS
 from piezod.recording.hold import STRAIGHT
 
@@ -29,7 +29,7 @@ NEAR = 0.4  # of the best one's gain, from which one is fitted thoroughly, or on
 FEWEST_REFINED, FEWEST_COMPARED = 2, 3
 COARSE_STEPS = 7
 RACED_STEPS = 2  # after which those that are ahead go on
-NOTHING = 0.25 * WORTH  # of the loss: an idea that promises less to first order is not tried
+NOTHING = 0.01  # of the loss: an idea that promises less to first order is not tried
 PROMISING = 0.03  # of the best idea's gain, below which an idea is not tried
 
 

@@ -67,7 +67,7 @@ def test_a_filter_and_a_coupling_that_nearly_cancel_are_found_together():
     chain, start = worked(np.random.default_rng(5), behind(12.0, 0.033))
     base = fit(chain, (), start)
     result = Search(chain, base, base, start)
-    assert both(result, [], 0.0)
+    assert both(result, [])
     assert set(result.names) == {"sensor_filter", "feedthrough"}
     assert [one.accepted.effects for one in result.rounds] == [result.names[:1], result.names]
     values = {name: value for one in result.found.point.values for name, value in one.items()}

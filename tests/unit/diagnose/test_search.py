@@ -309,7 +309,7 @@ def test_two_effects_are_found_at_once_where_each_leaves_what_the_other_one_is(c
     terms = (*leak.terms, Term(EFFECTS["friction"], "since"))
     alone = fit(chain, terms, replace(leak.point, values=(*leak.point.values, values)))
     result = Search(chain, base, leak, start)
-    assert both(result, [(chain, alone)], base.loss - leak.loss) == (coupled_N_s_per_V > 0.0)
+    assert both(result, [(chain, alone)]) == (coupled_N_s_per_V > 0.0)
     if coupled_N_s_per_V:
         assert result.names == ("charge_leakage", "friction", "feedthrough")
         assert result.found.loss < 1.05
