@@ -11,7 +11,6 @@ chosen on a grid by the decisions of three families, and tried on the fourth.
 
 import argparse
 import json
-import math
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -23,7 +22,7 @@ import numpy as np
 from firmware_sim.concealed.study.truth import TrueCase, read_truth
 from piezod.diagnose.hypothesis.chain import Point, Term
 from piezod.diagnose.hypothesis.fit import Fitted
-from piezod.diagnose.selection.acceptance import STEADILY, WORTH, least_gain, steadiness, weighed
+from piezod.diagnose.selection.acceptance import STEADILY, WORTH, comparable, least_gain, steadiness, weighed
 from piezod.effects import EFFECTS
 
 BY_OTHER_MEANS = {"mains_hum", "vibration", "sensor_dropout", "quantisation"}
@@ -31,6 +30,7 @@ GRID = [(worth, steadily) for worth in (0.08, 0.1, 0.14, 0.18, 0.22, 0.28, 0.35,
 COSTS = {"false": 1.0, "false in a null": 1.0, "false in a foreign case": 0.5, "missed": 2.0}
 """A false one may still be dropped later, and in a foreign case whatever is taken is false; what is missed is lost."""
 
+LOST = 1e300  # loss of a block that a hypothesis cannot simulate
 SAME_ROUND = 1e-4  # of the loss: candidates are written in the order of their losses, and a new round begins anew
 
 Rule = tuple[float, float]
@@ -118,7 +118,9 @@ def _rounds(attempts: Sequence[Mapping[str, Any]], fitted: Sequence[Fitted]) -> 
 
 
 def _candidate(before: Fitted, after: Fitted) -> Candidate:
-    return Candidate(after.effects[-1], before.loss / after.loss - 1.0, steadiness(before, after), weighed(after))
+    name, price = after.effects[-1], weighed(after)
+    before, after = comparable(before, after)
+    return Candidate(name, before.loss / after.loss - 1.0, steadiness(before, after), price)
 
 
 def _fitted(one: Mapping[str, Any]) -> Fitted:
@@ -129,8 +131,7 @@ def _fitted(one: Mapping[str, Any]) -> Fitted:
     )
     point = Point(np.zeros(0), np.zeros(0), np.zeros(0), tuple(one["values"]))
     losses, in_fit, samples = (
-        np.array([math.inf if value is None else value for value in one[key]])
-        for key in ("losses", "in_fit", "samples")
+        np.array([LOST if value is None else value for value in one[key]]) for key in ("losses", "in_fit", "samples")
     )
     return Fitted(terms, point, losses, in_fit, samples, tuple(one["spread"]))
 

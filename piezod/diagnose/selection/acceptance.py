@@ -1,6 +1,7 @@
 """Whether one more effect is believed: what it gains, how steadily, beside what was found, and whether it is itself."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +17,7 @@ WORTH, STEADILY = 0.22, 5.0
 in 422 replay files of four families, the same with each family left out (`python -m tests.studies rules`)."""
 
 BETTER = 0.98  # of the loss: below it a hypothesis is preferred to another one
+ALONE = 10.0  # times the loss within the fit: 99.9 % of all blocks stay below it
 MOST_OF_A_BLOCK = 3.0  # times the median gain
 LOOSE = (
     "friction",
@@ -39,7 +41,15 @@ MORE, LEAVES = 0.1, 0.5  # of its gain, though no more of its loss, that it must
 
 def worth(before: Fitted, after: Fitted) -> bool:
     """Whether an effect gains enough on blocks left out: the less, the more steadily it gains in them."""
+    before, after = comparable(before, after)
     return before.loss - after.loss > least_gain(steadiness(before, after)) * after.loss
+
+
+def comparable(before: Fitted, after: Fitted) -> tuple[Fitted, Fitted]:
+    """Both with the loss within the fit in each block that neither predicts from the others: it is like no other."""
+    alone = (before.losses > ALONE * before.in_fit) & (after.losses > ALONE * after.in_fit)
+    first, second = (replace(one, losses=np.where(alone, one.in_fit, one.losses)) for one in (before, after))
+    return first, second
 
 
 def least_gain(steady: float, worth: float = WORTH, steadily: float = STEADILY) -> float:

@@ -46,6 +46,17 @@ def test_a_gain_in_few_blocks_must_be_larger_than_one_in_all(blocks, gain, taken
     assert worth(fitted(np.exp(gains)), after) == taken
 
 
+def test_a_block_that_neither_hypothesis_predicts_from_the_others_counts_as_it_fits():
+    ones, lost, less_lost = np.ones((3, BLOCKS))
+    lost[5], less_lost[5] = 2000.0, 1400.0
+    before, after, known = (
+        replace(fitted(losses, effect), in_fit=ones)
+        for losses, effect in ((lost, None), (less_lost, "creep"), (ones, "creep"))
+    )
+    assert not worth(before, after)
+    assert worth(before, known), "one that does predict it is an effect"
+
+
 def test_steadiness_is_the_sign_test_of_equal_gains():
     before = fitted(np.ones(BLOCKS))
     assert steadiness(before, fitted(with_gain(np.full(BLOCKS, 0.2)), "creep")) == pytest.approx(np.sqrt(BLOCKS))
