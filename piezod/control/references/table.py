@@ -109,11 +109,6 @@ class TableReference:
         """Whether the values begin again at the end."""
         return self._loop
 
-    @property
-    def run_in_ticks(self) -> int:
-        """Ticks of the first value before the first pass."""
-        return len(self._run_in)
-
     def span(self) -> tuple[float, float]:
         """Smallest and largest value."""
         return min(self._values), max(self._values)

@@ -19,7 +19,6 @@ from piezod.diagnose.localisation import coordinates
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
-Kind = Literal["level", "drive", "gain", "time"]
 
 FORCE_KNOTS, RATE_KNOTS, WAY_KNOTS = 10, 7, 7
 FADING, FADING_HEAT, FADING_DIRECTION = 12, 6, 5
@@ -48,6 +47,11 @@ class Event:
     series: int
     at: float
 
+    @property
+    def width(self) -> int:
+        """Number of its columns."""
+        return 1 if self.kind == "jump" else 2
+
 
 class Columns:
     """What all recordings' columns have in common: knots, thresholds, times.
@@ -60,6 +64,11 @@ class Columns:
         Simulated readings, each shape (N,) [N].
     events
         Suggested columns.
+
+    Attributes
+    ----------
+    count
+        Number of columns.
     """
 
     def __init__(self, series: Sequence[Series], modelled: Sequence[Array], events: Sequence[Event] = ()) -> None:
@@ -77,27 +86,15 @@ class Columns:
         dt_s, duration_s = min(one.dt_s for one in series), max(one.duration_s for one in series)
         self.times_s = coordinates.times(dt_s, duration_s, FADING)
         self.time_knots = int(np.clip(MOST_TIME_KNOTS // len(series), 4, TIME_KNOTS))
-        self.kinds = self._layout()
+        drive = _Stretches(self, 0).drive(slice(0, 2)).shape[1]
+        of_a_recording = 1 + GAIN_KNOTS + self.time_knots
+        self.count = drive + len(series) * of_a_recording + sum(one.width for one in self.events)
 
     @property
-    def count(self) -> int:
-        """How many columns."""
-        return self.kinds.size
-
-    def of_kinds(self, *kinds: Kind) -> Mask:
-        """Which columns are of one of these kinds, or the recordings' levels."""
-        result: Mask = np.isin(self.kinds, ("level", *kinds))
+    def levels(self) -> Mask:
+        """Which columns are the recordings' levels."""
+        result: Mask = np.arange(self.count) < len(self.series)
         return result
-
-    def _layout(self) -> NDArray[np.str_]:
-        probe = _Stretches(self, 0)
-        drive = probe.drive(slice(0, 2)).shape[1]
-        recordings = len(self.series)
-        kinds = ["level"] * recordings + ["drive"] * drive + ["gain"] * GAIN_KNOTS * recordings
-        kinds += ["time"] * self.time_knots * recordings
-        for event in self.events:
-            kinds += {"tone": ["time"] * 2, "beat": ["gain"] * 2, "gain": ["gain"] * 2, "jump": ["time"]}[event.kind]
-        return np.array(kinds)
 
     def stretches(self, number: int, edges: Sequence[int]) -> Iterator[tuple[slice, Array]]:
         """Columns of one recording, stretch by stretch from its first sample on, each shape (n, count)."""
@@ -122,10 +119,9 @@ class Columns:
         out[:, here] = _hats(part, np.linspace(0.0, 1.0, self.time_knots))
         at += self.time_knots * recordings
         for event in self.events:
-            width = 1 if event.kind == "jump" else 2
             if event.series == number:
-                out[:, at : at + width] = _event_columns(event, one.time_s[stretch], gain)
-            at += width
+                out[:, at : at + event.width] = _event_columns(event, one.time_s[stretch], gain)
+            at += event.width
         return out
 
 

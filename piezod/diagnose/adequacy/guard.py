@@ -36,30 +36,16 @@ class Guard:
         Part of the loss that is explainable, (loss - absorbed) / loss.
     p
         Chance that it explains so much of noise: signs of log(before / after) flipped block by block.
-    slow_share, slow_p
-        What time alone explains (slow changes, jumps, tones), and its chance.
-    drive_share, drive_p
-        What the drive alone explains, its memory included, and its chance.
     local_share, local_p
         What is left in bursts beyond the residual's own colour, as a part of the loss, and its chance.
-    tones_Hz, gains_Hz, jumps_s
-        Tones that the drive has not, tones in the model's gain, and jumps (in their recording's own time), that were
-        seen and used.
     """
 
     loss: float
     absorbed: float
     share: float
     p: float
-    slow_share: float = 0.0
-    slow_p: float = 1.0
-    drive_share: float = 0.0
-    drive_p: float = 1.0
     local_share: float = 0.0
     local_p: float = 1.0
-    tones_Hz: tuple[float, ...] = ()
-    gains_Hz: tuple[float, ...] = ()
-    jumps_s: tuple[float, ...] = ()
 
 
 def explainable(
@@ -89,7 +75,7 @@ def explainable(
     suggested = _suggested(told, look.leftovers())
     if suggested:
         look = _Look.at(told, suggested)
-    return _judged(told, look, suggested, np.random.default_rng(seed))
+    return _judged(told, look, np.random.default_rng(seed))
 
 
 @dataclass(frozen=True)
@@ -154,7 +140,7 @@ class _Look:
     def at(cls, told: Sequence[_Told], suggested: Sequence[Event]) -> "_Look":
         columns = Columns([one.series for one in told], [one.modelled_N for one in told], suggested)
         blocks = _sums(told, columns)
-        return cls(told, columns, blocks, left_out(blocks, columns.of_kinds()))
+        return cls(told, columns, blocks, left_out(blocks, columns.levels))
 
     def leftovers(self) -> list[Array]:
         """Residuals less what the absorber makes of each block without it, each shape (N,).
@@ -211,11 +197,10 @@ def _driven(one: _Told) -> Mask:
     return colour.driven_bins(u, one.modelled_N, direction, np.abs(np.gradient(u)))
 
 
-def _judged(told: Sequence[_Told], look: _Look, suggested: Sequence[Event], rng: np.random.Generator) -> Guard:
+def _judged(told: Sequence[_Told], look: _Look, rng: np.random.Generator) -> Guard:
     n = float(look.blocks.samples.sum())
     loss = float(look.blocks.square.sum()) / n
     absorbed = float(look.all.after.sum()) / n
-    slow, drive = _part(look, "time"), _part(look, "drive")
     local = [
         events.bursts(left, one.beyond_seams, one.series.lattice_N / one.series.noise_N)
         for one, left in zip(told, look.leftovers(), strict=True)
@@ -226,18 +211,6 @@ def _judged(told: Sequence[_Told], look: _Look, suggested: Sequence[Event], rng:
         absorbed,
         1.0 - absorbed / loss,
         look.all.p(rng),
-        1.0 - float(slow.after.sum()) / (n * loss),
-        slow.p(rng),
-        1.0 - float(drive.after.sum()) / (n * loss),
-        drive.p(rng),
         float(sum(one.energy for one in local)) / energy,
         min(1.0, len(local) * min(one.p for one in local)),
-        tuple(one.at for one in suggested if one.kind == "tone"),
-        tuple(one.at for one in suggested if one.kind == "gain"),
-        tuple(told[one.series].series.start_s + one.at for one in suggested if one.kind == "jump"),
     )
-
-
-def _part(look: _Look, kind: str) -> LeftOut:
-    columns = look.columns.of_kinds(kind)  # type: ignore[arg-type]
-    return left_out(look.blocks.only(columns), look.columns.of_kinds()[columns])

@@ -41,10 +41,6 @@ class Blocks:
         """Which fold every block is left out with, shape (B,)."""
         return np.arange(self.square.size) % min(FOLDS, self.square.size)
 
-    def only(self, columns: Mask) -> "Blocks":
-        """The same with some of the columns."""
-        return Blocks(self.gram[:, columns][:, :, columns], self.product[:, columns], self.square, self.samples)
-
 
 @dataclass(frozen=True)
 class LeftOut:

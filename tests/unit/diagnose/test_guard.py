@@ -135,30 +135,6 @@ def test_a_spring_that_yields_is_explainable():
     assert guard.share > 0.7 * explainable_part(missing)
 
 
-@pytest.mark.parametrize("name", ["lag", "creep", "clamp"])
-def test_what_the_drive_explains_is_told_from_what_time_explains(name):
-    u = mixed_work(time(SAMPLES))
-    guard = guard_of(u, KNOWN[name](u))
-    assert guard.drive_share > 0.9 * guard.share
-    assert guard.slow_share < 0.5 * guard.share
-
-
-def test_a_slip_is_explained_by_time_and_its_instant_is_told():
-    u = triangles(time(SAMPLES))
-    guard = guard_of(u, FOREIGN["a mount that slips once"](u))
-    assert guard.slow_share > 0.9 * guard.share
-    assert min(abs(at_s - 17.0) for at_s in guard.jumps_s) < 0.05
-
-
-def test_a_tone_and_a_swinging_gain_are_told_by_their_frequencies():
-    time_s = time(SAMPLES)
-    u = triangles(time_s)
-    tone = guard_of(u, 0.3 * np.sin(2.0 * np.pi * 61.37 * time_s))
-    assert tone.tones_Hz == pytest.approx([61.37], abs=0.01)
-    swinging = guard_of(u, 0.005 * (model_of(u) - 108.0) * np.sin(2.0 * np.pi * 7.13 * time_s))
-    assert swinging.gains_Hz[0] == pytest.approx(7.13, abs=0.01)
-
-
 def test_samples_that_changed_places_are_seen_although_no_function_explains_them():
     u = mixed_work(time(SAMPLES)) * 1.0
     quick = u + 8.0 * np.sin(2.0 * np.pi * 40.0 * time(SAMPLES))
