@@ -13,7 +13,7 @@ from piezod.diagnose.candidates.rounding import unrounded
 from piezod.diagnose.candidates.screening import DIRECT
 from piezod.diagnose.candidates.tones import with_tones
 from piezod.diagnose.experiment.testable import untestable
-from piezod.diagnose.findings import Finding, Findings, Place, Unnamed, above_noise, gap_closed
+from piezod.diagnose.findings import Findings, Place, Unnamed, above_noise, gap_closed
 from piezod.diagnose.hypothesis.chain import Setting
 from piezod.diagnose.hypothesis.fit import Normal, fit
 from piezod.diagnose.hypothesis.monotone import rises, unfolded
@@ -56,7 +56,6 @@ COSTS = 0.1  # of what was gained, or of what is left: what plays that do not fo
 STILL_GAINS = 0.5  # of what was gained by plays that fold: what another effect must gain without
 FOLDED = 0.6  # of its confidence that an effect keeps when the plays fold that were refitted with it
 LEAST_CONFIDENCE = 0.6  # below which an effect is not named: more likely it is the shape of something else,
-MOST_FALSE = 0.2  # expected share of false names; an effect that shows in three blocks reaches 0.09
 LEFT_BY_ONE = 0.25  # unless it leaves no more of the squared error than that: it halves the error
 
 
@@ -231,7 +230,7 @@ def _doubtful(result: Search, findings: Findings) -> list[str]:
     needless = [one.name for one in named if BETTER * one.before**2 < one.after**2]
     if needless:  # without plays that fold, or on all samples, they gain nothing
         return needless[:1]
-    weak = [one for one in named if _unlikely(one) and one.after**2 > LEFT_BY_ONE * one.before**2]
+    weak = [one for one in named if one.confidence < LEAST_CONFIDENCE and one.after**2 > LEFT_BY_ONE * one.before**2]
     return [min(weak, key=lambda one: one.confidence).name] if weak else []
 
 
@@ -241,13 +240,8 @@ def _not_believed(findings: Findings, doubtful: Sequence[str]) -> list[str]:
         f"{one.name} would explain a part, {one.before:.3g} -> {one.after:.3g} {findings.unit}, but is not believed "
         f"(confidence {one.confidence:.2f}{'' if one.q is None else f', false-discovery rate {one.q:.2g}'})"
         for one in findings.effects
-        if one.name in doubtful and _unlikely(one) and one.after < one.before
+        if one.name in doubtful and one.confidence < LEAST_CONFIDENCE and one.after < one.before
     ]
-
-
-def _unlikely(one: Finding) -> bool:
-    """Whether a name is more likely the shape of something else, or may well be chance."""
-    return one.confidence < LEAST_CONFIDENCE or (one.q is not None and one.q > MOST_FALSE)
 
 
 def _without(result: Search, names: Sequence[str]) -> Search:

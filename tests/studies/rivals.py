@@ -229,6 +229,7 @@ def _said(diagnosis: Diagnosis) -> Iterator[str]:
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Options of the study."""
     parser.add_argument("--cases", type=int, default=64, metavar="N", help="number of cases, %(default)s")
+    parser.add_argument("--first", type=int, default=0, metavar="N", help="number of the first case, %(default)s")
     parser.add_argument("--seed", type=int, metavar="S", help="seed of the cases; default: of the operating system")
     parser.add_argument("--longest-s", type=float, default=60.0, metavar="T", help="longest drive, %(default)s s")
     parser.add_argument("--jobs", type=int, default=2, metavar="N", help="number of parallel cases")
@@ -241,11 +242,11 @@ def _run(options: argparse.Namespace, _: argparse.ArgumentParser) -> None:
     begun_s, rows = time.monotonic(), []
     print(f"seed {seed}", flush=True)
     with ProcessPoolExecutor(options.jobs, mp_context=get_context("spawn")) as pool:
-        tasks = [pool.submit(run, number, seed, options.longest_s) for number in range(options.cases)]
-        for task in tasks:
+        numbers = range(options.first, options.first + options.cases)
+        for task in [pool.submit(run, number, seed, options.longest_s) for number in numbers]:
             if (row := task.result()) is not None:
                 rows.append(row)
                 print(row.text(), flush=True)
+                if options.json:
+                    options.json.write_text(json.dumps([row.as_dict() for row in rows], indent=1), encoding="utf-8")
     print(f"{summary(rows)}\n{time.monotonic() - begun_s:.0f} s")
-    if options.json:
-        options.json.write_text(json.dumps([row.as_dict() for row in rows], indent=1), encoding="utf-8")

@@ -31,8 +31,11 @@ STEPS = 6
 FLIPS = 20_000
 """Random signs of the gains; the smallest p-value is one in so many."""
 
+FEWEST, NEARLY_ALL = 5, 0.9
+"""Blocks that must share nearly all of what is gained: of fewer, signs tell nothing below 2^-4 = 6 %."""
 
-def p_value(result: Search, name: str) -> float:
+
+def p_value(result: Search, name: str) -> float | None:
     """Probability that a useless effect gains as much on blocks left out.
 
     Parameters
@@ -44,8 +47,8 @@ def p_value(result: Search, name: str) -> float:
 
     Returns
     -------
-    float
-        Above 0, at most 1.
+    float or None
+        Above 0, at most 1; None where the effect acts in so few blocks that this test cannot show it.
     """
     chain, found = coarse(result.chain), result.found
     terms, values = without(found, name)
@@ -65,7 +68,19 @@ def p_value(result: Search, name: str) -> float:
                 known[parity::2] = False
                 gains += np.log(before[known] / after[known]).tolist()
     chain.forget()
-    return by_signs(np.array(gains))
+    return None if seldom(np.array(gains)) else by_signs(np.array(gains))
+
+
+def seldom(gains: Array) -> bool:
+    """Whether few blocks hold nearly all that is gained.
+
+    Parameters
+    ----------
+    gains
+        Of every block, shape (B,).
+    """
+    largest = np.sort(np.maximum(gains, 0.0))[::-1]
+    return bool(largest[: FEWEST - 1].sum() > NEARLY_ALL * largest.sum())
 
 
 def with_shares(findings: Sequence[Finding]) -> list[Finding]:
@@ -74,10 +89,10 @@ def with_shares(findings: Sequence[Finding]) -> list[Finding]:
     Parameters
     ----------
     findings
-        Each with its p-value.
+        Each with its p-value; those without one count as 1 beside the others, and get no share.
     """
     shares = adjusted([1.0 if one.p is None else one.p for one in findings])
-    return [replace(one, q=share) for one, share in zip(findings, shares, strict=True)]
+    return [replace(one, q=None if one.p is None else share) for one, share in zip(findings, shares, strict=True)]
 
 
 def adjusted(p_values: Sequence[float]) -> list[float]:

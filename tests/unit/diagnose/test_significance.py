@@ -6,7 +6,7 @@ import pytest
 from piezod.diagnose.hypothesis.chain import Point, Term
 from piezod.diagnose.hypothesis.fit import fit
 from piezod.diagnose.selection.search_state import Search
-from piezod.diagnose.selection.significance import adjusted, by_signs, p_value
+from piezod.diagnose.selection.significance import adjusted, by_signs, p_value, seldom
 from piezod.effects import EFFECTS
 from tests.unit.diagnose.test_pairs import stairs, worked
 
@@ -26,6 +26,13 @@ def test_a_gain_in_every_block_is_as_unlikely_as_the_signs_allow():
 def test_one_block_alone_proves_nothing():
     assert by_signs(np.concatenate(([5.0], np.zeros(11)))) > 0.3
     assert by_signs(np.array([5.0])) == 1.0
+
+
+@pytest.mark.parametrize(("blocks", "few"), [(2, True), (4, True), (6, False), (30, False)])
+def test_what_acts_in_less_than_five_blocks_cannot_be_tested_by_signs(blocks, few):
+    gains = np.random.default_rng(3).normal(0.0, 0.005, 60)
+    gains[:blocks] += 1.0
+    assert seldom(gains) == few
 
 
 @pytest.mark.parametrize(
