@@ -1,4 +1,4 @@
-"""Whether one more effect is believed: what it gains, how steadily, beside what was found, and whether it is itself."""
+"""Whether one more effect is believed: what it gains, how steadily, and whether it is what its name says."""
 
 import math
 from dataclasses import replace
@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piezod.diagnose.candidates.steps import Step, sharp, shown_late_s
-from piezod.diagnose.hypothesis.chain import Chain, Term
+from piezod.diagnose.hypothesis.chain import Chain
 from piezod.diagnose.hypothesis.fit import Fitted
 
 Array = NDArray[np.float64]
@@ -19,15 +19,6 @@ in 422 replay files of four families, the same with each family left out (`pytho
 BETTER = 0.98  # of the loss: below it a hypothesis is preferred to another one
 ALONE = 10.0  # times the loss within the fit: 99.9 % of all blocks stay below it
 MOST_OF_A_BLOCK = 3.0  # times the median gain
-LOOSE = (
-    "friction",
-    "rate_dependent_hysteresis",
-    "noncongruent_minor_loops",
-    "gain_drift",
-    "creep",
-    "output_nonlinearity",
-    "contact_gap",
-)
 LATE = 0.05  # of a sample
 RINGS = 0.6  # damping ratio beyond which nothing is seen to ring
 SLIDES = 0.16  # of the force's range: friction with a longer presliding hardly slides, the stack remembers
@@ -67,12 +58,7 @@ def least_gain(steady: float, worth: float = WORTH, steadily: float = STEADILY) 
 
 def weighed(fitted: Fitted) -> float:
     """The loss, a little more of it for every parameter that the last effect is shaped by: of two alike the plainer."""
-    return fitted.loss + price(fitted, fitted.terms[-1])
-
-
-def price(fitted: Fitted, term: Term) -> float:
-    """What an effect must gain for the parameters that it is shaped by."""
-    return PLAINER * min(len(term.searched), MOST_COUNTED) * fitted.loss
+    return fitted.loss * (1.0 + PLAINER * min(len(fitted.terms[-1].searched), MOST_COUNTED))
 
 
 def counted(name: str, without_it: float, with_it: float) -> float:

@@ -13,11 +13,21 @@ from piezod.diagnose.hypothesis.chain import Chain, Point, Scope, Term
 from piezod.diagnose.hypothesis.fit import MOST_STEPS, Fitted, Normal, fit
 from piezod.diagnose.hypothesis.parallel import each
 from piezod.diagnose.hypothesis.sampling import coarse, started_alike
-from piezod.diagnose.selection.acceptance import LOOSE
 from piezod.effects import EFFECTS
 from piezod.recording.hold import STRAIGHT
 
 Array = NDArray[np.float64]
+
+LOOSE = (
+    "friction",
+    "rate_dependent_hysteresis",
+    "noncongruent_minor_loops",
+    "gain_drift",
+    "creep",
+    "output_nonlinearity",
+    "contact_gap",
+)
+"""Effects that bend to nearly whatever is left: of a pair one must have a shape of its own."""
 
 TRIED = 7  # effects that are really fitted in a round, first coarsely
 TRIED_FROM_PAST = 3
