@@ -170,7 +170,11 @@ def isolability(
     chain, start = chain_of(series, model)
     chain, base = best_course(coarse(chain), (), start)
     base = fit(chain, (), base.point)
+    noises = [one.noise_N for one in series if one.role == "recording"]
+    noise = float(np.sqrt(np.mean(np.square(noises))))
     names, changes = _changes(chain, base.point, found, only)
+    if not names:
+        return Isolability((), np.zeros(0), np.zeros((0, 0)), noise, tuple(notes))
     normal = Normal.at(chain, (), base.point)
     free, _, whole = normal.projected(changes)
     samples = float(sum(np.count_nonzero(one.counts) for one in series if one.role == "recording"))
@@ -184,8 +188,7 @@ def isolability(
             if i != j:
                 left = _left(free, own[first], columns[second])
                 separate[i, j] = _size(whole[own[first]], left, samples)
-    noises = [one.noise_N for one in series if one.role == "recording"]
-    return Isolability(effects, sure, separate, float(np.sqrt(np.mean(np.square(noises)))), tuple(notes))
+    return Isolability(effects, sure, separate, noise, tuple(notes))
 
 
 def _changes(chain: Chain, point: Point, found: Found, only: Collection[str] | None) -> tuple[list[str], list[Array]]:

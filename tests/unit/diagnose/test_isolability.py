@@ -51,6 +51,12 @@ def test_the_noise_is_that_of_the_recording(rich):
     assert rich.noise == pytest.approx(NOISE_N, rel=0.1)
 
 
+def test_without_a_temperature_nothing_is_said_of_its_drift(stack):
+    recorded = source(stack, slow_sine(), 100.0)
+    found = isolability(stack, [recorded], [], only={"thermal_drift"})
+    assert (found.effects, found.pairs(), found.groups()) == ((), [], [])
+
+
 def test_a_slow_sine_does_not_separate_what_makes_late(slow):
     assert any(set(LATE) <= set(group) for group in slow.groups())
 
