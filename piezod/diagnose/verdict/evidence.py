@@ -27,6 +27,7 @@ RIVAL = 0.8  # part of the winner's gain, from which another effect is a rival
 NORMAL_95 = 1.96
 MOST_SPREAD = 20.0  # of an interval on its scale: beyond it a parameter is not determined
 BENT = 1.0 / 8.0  # of a sample, by which a delay between samples may be off
+UNLIKE = 2.0  # noises from the model, root mean square: a reading that stands still while the force moves is further
 COARSE = 0.5  # of the other noise: a converter's step / sqrt(12) beyond it is a finding
 
 
@@ -207,7 +208,7 @@ def read_off(
         Place("time_s", series[k].start_s + a * series[k].dt_s, series[k].start_s + b * series[k].dt_s)
         for k, stretches in frozen.items()
         for a, b in stretches
-        if series[k].role == "recording"
+        if series[k].role == "recording" and _stands(series[k], residuals[k], slice(a, b))
     )
     if places:
         effect = EFFECTS["sensor_dropout"]
@@ -228,6 +229,15 @@ def read_off(
             )
         )
     return found
+
+
+def _stands(series: Series, residual: Array, stretch: slice) -> bool:
+    """Whether a reading stands still to the last bit, or unlike the model with all that was found.
+
+    Behind a delay that was not known at first, a reading seems to stand still at each edge of the command.
+    """
+    exactly = np.ptp(series.reading_N[stretch]) == 0.0
+    return bool(exactly or np.sqrt(np.mean(residual[stretch] ** 2)) > UNLIKE * series.noise_N)
 
 
 def _coarsest(series: Sequence[Series], residuals: Sequence[Array]) -> tuple[float, float]:
