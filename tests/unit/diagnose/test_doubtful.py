@@ -11,10 +11,9 @@ from piezod.diagnose.findings import Finding, Findings, HeldOut
 
 
 def doubted(*effects, before=2.0, after=1.0):
-    """Of effects given as name, confidence, error without and with it, and false-discovery rate where it is known."""
-    effects = [(*one, None)[:5] for one in effects]
+    """Of effects given as name, confidence, and error without and with it."""
     names = [name for name, *_ in effects]
-    found = [SimpleNamespace(name=n, confidence=c, before=b, after=a, q=q) for n, c, b, a, q in effects]
+    found = [SimpleNamespace(name=n, confidence=c, before=b, after=a) for n, c, b, a in effects]
     result = SimpleNamespace(names=names, found=SimpleNamespace(effects=names))
     return _doubtful(result, SimpleNamespace(effects=found, before=before, after=after))
 
@@ -73,8 +72,3 @@ def test_an_unnamed_law_goes_where_it_makes_one_recording_held_out_worse(after, 
     assert (found is with_law) == stays
     assert told == (errors if stays else others)
     assert any("left out" in note for note in found.findings.notes) != stays
-
-
-@pytest.mark.parametrize(("q", "before", "stays"), [(0.09, 1.2, True), (0.3, 1.2, False), (0.3, 2.1, True)])
-def test_what_may_well_be_chance_goes_unless_it_halves_the_error(q, before, stays):
-    assert doubted(("load_step", 0.8, before, 1.0, q)) == ([] if stays else ["load_step"])
