@@ -22,7 +22,16 @@ import numpy as np
 from firmware_sim.concealed.study.truth import TrueCase, read_truth
 from piezod.diagnose.hypothesis.chain import Point, Term
 from piezod.diagnose.hypothesis.fit import Fitted
-from piezod.diagnose.selection.acceptance import STEADILY, WORTH, comparable, least_gain, steadiness, weighed
+from piezod.diagnose.selection.acceptance import (
+    LOOSE,
+    STEADILY,
+    STEADY,
+    WORTH,
+    comparable,
+    least_gain,
+    steadiness,
+    weighed,
+)
 from piezod.effects import EFFECTS
 
 BY_OTHER_MEANS = {"mains_hum", "vibration", "sensor_dropout", "quantisation"}
@@ -78,7 +87,8 @@ class Decision:
 
     def error(self, rule: Rule) -> str:
         """What a rule does wrong here; empty: nothing."""
-        taken = [one for one in self.candidates if one.gain > least_gain(one.steadiness, *rule)]
+        worth = [one for one in self.candidates if one.gain > least_gain(one.steadiness, *rule)]
+        taken = [one for one in worth if one.name not in LOOSE or one.steadiness > STEADY]
         if taken:
             right = min(taken, key=lambda one: one.weighed).name in self.left
             kinds = {"null": "false in a null", "foreign": "false in a foreign case"}

@@ -16,6 +16,17 @@ WORTH, STEADILY = 0.22, 5.0
 """An effect must gain WORTH exp(-steadiness / STEADILY) of the loss that it leaves. Both were chosen by 921 decisions
 in 422 replay files of four families, the same with each family left out (`python -m tests.studies rules`)."""
 
+LOOSE = (
+    "friction",
+    "rate_dependent_hysteresis",
+    "noncongruent_minor_loops",
+    "gain_drift",
+    "creep",
+    "output_nonlinearity",
+)
+"""Effects that bend to nearly whatever is left: they must gain steadily, however much they gain."""
+
+STEADY = 3.0  # standard deviations of chance; on the same files it costs no true name, and one false in five if foreign
 BETTER = 0.98  # of the loss: below it a hypothesis is preferred to another one
 ALONE = 10.0  # times the loss within the fit: 99.9 % of all blocks stay below it
 MOST_OF_A_BLOCK = 3.0  # times the median gain
@@ -34,6 +45,11 @@ def worth(before: Fitted, after: Fitted) -> bool:
     """Whether an effect gains enough on blocks left out: the less, the more steadily it gains in them."""
     before, after = comparable(before, after)
     return before.loss - after.loss > least_gain(steadiness(before, after)) * after.loss
+
+
+def steady_enough(before: Fitted, after: Fitted) -> bool:
+    """Whether the last effect has a shape of its own, or gains in so many blocks that it is no chance."""
+    return after.effects[-1] not in LOOSE or steadiness(*comparable(before, after)) > STEADY
 
 
 def comparable(before: Fitted, after: Fitted) -> tuple[Fitted, Fitted]:

@@ -18,6 +18,7 @@ from piezod.diagnose.selection.acceptance import (
     GENERAL,
     counted,
     degenerate,
+    steady_enough,
     weighed,
     worth,
 )
@@ -139,7 +140,7 @@ def _finalists(result: Search, tried: list[tuple[Chain, Fitted]]) -> list[tuple[
 
 def _believed(chain: Chain, before: Fitted, after: Fitted) -> bool:
     """Whether one more effect is what its name says, and gains enough."""
-    return not degenerate(chain, after) and worth(before, after)
+    return not degenerate(chain, after) and worth(before, after) and steady_enough(before, after)
 
 
 def both(result: Search, tried: Sequence[tuple[Chain, Fitted]]) -> bool:

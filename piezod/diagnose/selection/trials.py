@@ -13,21 +13,11 @@ from piezod.diagnose.hypothesis.chain import Chain, Point, Scope, Term
 from piezod.diagnose.hypothesis.fit import MOST_STEPS, Fitted, Normal, fit
 from piezod.diagnose.hypothesis.parallel import each
 from piezod.diagnose.hypothesis.sampling import coarse, started_alike
+from piezod.diagnose.selection.acceptance import LOOSE
 from piezod.effects import EFFECTS
 from piezod.recording.hold import STRAIGHT
 
 Array = NDArray[np.float64]
-
-LOOSE = (
-    "friction",
-    "rate_dependent_hysteresis",
-    "noncongruent_minor_loops",
-    "gain_drift",
-    "creep",
-    "output_nonlinearity",
-    "contact_gap",
-)
-"""Effects that bend to nearly whatever is left: of a pair one must have a shape of its own."""
 
 TRIED = 7  # effects that are really fitted in a round, first coarsely
 TRIED_FROM_PAST = 3
@@ -86,9 +76,7 @@ def two_at_once(chain: Chain, found: Fitted) -> list[Fitted]:
     few = coarse(chain)
     promising = screened_pairs(few, found.terms, found.point)
     enough = _enough(few, found)
-    shaped = [
-        pair for pair in promising if pair[0].gain > enough and any(idea.term.effect.name not in LOOSE for idea in pair)
-    ]
+    shaped = [pair for pair in promising if pair[0].gain > enough and any(_has_a_shape(idea) for idea in pair)]
 
     def fitted(pair: tuple[Idea, Idea]) -> Fitted:
         return fit(few, *_with(found, pair))
@@ -98,6 +86,10 @@ def two_at_once(chain: Chain, found: Fitted) -> list[Fitted]:
         tried = each(partial(_varied, few, place=place), tried[:FEWEST_REFINED])
     few.forget()
     return _fine(chain, found, tried)
+
+
+def _has_a_shape(idea: Idea) -> bool:
+    return idea.term.effect.name not in (*LOOSE, "contact_gap")
 
 
 def _coupled_late(chain: Chain, found: Fitted) -> list[Fitted]:

@@ -9,7 +9,7 @@ from piezod.diagnose.candidates.steps import NEVER_S
 from piezod.diagnose.hypothesis.basis import ForceLaw, PlayDensity
 from piezod.diagnose.hypothesis.chain import HATS, SPLINES, Chain, Point, Term, empty_point
 from piezod.diagnose.hypothesis.fit import Fitted
-from piezod.diagnose.selection.acceptance import degenerate, steadiness, worth
+from piezod.diagnose.selection.acceptance import degenerate, steadiness, steady_enough, worth
 from piezod.effects import EFFECTS
 from tests.unit.diagnose.residuals import mixed_work, noise, series, time
 
@@ -44,6 +44,16 @@ def test_a_gain_in_few_blocks_must_be_larger_than_one_in_all(blocks, gain, taken
     gains[:blocks] = gain
     after = fitted(np.ones(BLOCKS), "contact_gap")
     assert worth(fitted(np.exp(gains)), after) == taken
+
+
+@pytest.mark.parametrize(
+    ("effect", "blocks", "steady"), [("creep", 6, False), ("creep", 12, True), ("resonance", 6, True)]
+)
+def test_what_bends_to_anything_must_gain_in_more_than_nine_blocks(effect, blocks, steady):
+    """By hand: in n blocks that gain alike steadiness is sqrt(n), and 3 is reached by nine."""
+    gains = np.zeros(BLOCKS)
+    gains[:blocks] = 1.0
+    assert steady_enough(fitted(np.exp(gains)), fitted(np.ones(BLOCKS), effect)) == steady
 
 
 def test_a_block_that_neither_hypothesis_predicts_from_the_others_counts_as_it_fits():
