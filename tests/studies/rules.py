@@ -4,9 +4,10 @@
     python -m tests.studies rules STUDY VERDICTS [STUDY VERDICTS ...]
 
 A decision is one round of a search: every effect that was fitted beside those found so far. The rule takes the best of
-those that are worth it. Taking one that is not hidden is false; taking none where a hidden one was fitted misses it.
-Hum, vibration, dropouts and quantisation are found by other means and do not count. Both constants of the rule are
-chosen on a grid by the decisions of three families, and tried on the fourth.
+those that are worth it. One that bends to nearly anything must gain steadily besides. Taking one that is not hidden is
+false. Taking none where a hidden one was fitted misses it. Hum, vibration, dropouts and quantisation are found by other
+means and do not count. Both constants of the rule are chosen on a grid by the decisions of three families, and tried on
+the fourth.
 """
 
 import argparse

@@ -2,9 +2,10 @@
 
 A feedforward controller repeats its error where its reference repeats. Per harmonic of the repeat,
 
-    Y = P U + D        Y force, U planned force with the correction C, P response of the bench, D what the model misses
+    Y = P U + D
     C = -W D / P
 
+Y is the force and U the planned force with the correction C. P is the response of the bench, D what the model misses.
 P is a pure delay at first, the one that fits planned and measured force; then what the force answers to a change of
 the correction. D is averaged over the repeats. W is a Wiener gain: near one for what repeats, zero for what does not
 (noise, a tone of its own frequency). As everything is computed between repeats, on whole periods, it has no phase.

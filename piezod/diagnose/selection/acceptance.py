@@ -26,7 +26,7 @@ LOOSE = (
 )
 """Effects that bend to nearly whatever is left: they must gain steadily, however much they gain."""
 
-STEADY = 3.0  # standard deviations of chance; on the same files it costs no true name, and one false in five if foreign
+STEADY = 3.0  # on the same files it loses no hidden effect, and keeps out five of 25 false ones in foreign cases
 BETTER = 0.98  # of the loss: below it a hypothesis is preferred to another one
 ALONE = 10.0  # times the loss within the fit: 99.9 % of all blocks stay below it
 MOST_OF_A_BLOCK = 3.0  # times the median gain

@@ -111,9 +111,9 @@ def _follow(result: Search) -> None:
 def _finalists(result: Search, tried: list[tuple[Chain, Fitted]]) -> list[tuple[Chain, Fitted]]:
     """The best of those that are believed, each with the course and the starts that suit it best.
 
-    What fits better than they do but is not believed may have been fitted from a start, or on a course, that was
-    estimated without it. On another course or from other starts it is compared with what was found so far on these: a
-    start that was estimated without it may say most of what it does.
+    What fits better than they do may not be believed because its start or its course was estimated without it. It is
+    tried with both estimated anew. On another course or from other starts it is compared with what was found so far on
+    these: a start that was estimated without it may say most of what it does.
     """
     before = {id(result.chain): result.found}
     for on, _ in tried:

@@ -32,7 +32,7 @@ FLIPS = 20_000
 """Random signs of the gains; the smallest p-value is one in so many."""
 
 FEWEST, NEARLY_ALL = 5, 0.9
-"""Blocks that must share nearly all of what is gained: of fewer, signs tell nothing below 2^-4 = 6 %."""
+"""Blocks that must share nearly all of what is gained. With four, no p-value is below 2^-4 = 6 %."""
 
 
 def p_value(result: Search, name: str) -> float | None:

@@ -89,6 +89,7 @@ def two_at_once(chain: Chain, found: Fitted) -> list[Fitted]:
 
 
 def _has_a_shape(idea: Idea) -> bool:
+    """Whether an effect bends to few things; a gap, with its softness, bends to whatever is left at low force."""
     return idea.term.effect.name not in (*LOOSE, "contact_gap")
 
 

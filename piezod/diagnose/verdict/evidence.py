@@ -237,7 +237,8 @@ def _stands(series: Series, residual: Array, stretch: slice) -> bool:
     Behind a delay that was not known at first, a reading seems to stand still at each edge of the command.
     """
     exactly = np.ptp(series.reading_N[stretch]) == 0.0
-    return bool(exactly or np.sqrt(np.mean(residual[stretch] ** 2)) > UNLIKE * series.noise_N)
+    noise_N = max(series.noise_N, series.lattice_N)
+    return bool(exactly or np.sqrt(np.mean(residual[stretch] ** 2)) > UNLIKE * noise_N)
 
 
 def _coarsest(series: Sequence[Series], residuals: Sequence[Array]) -> tuple[float, float]:
