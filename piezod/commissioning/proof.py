@@ -28,7 +28,7 @@ from piezod.session.assembly import load_bench_without_model, opened_link
 from piezod.session.lock import lock_bench
 from piezod.transport import Link
 
-TICKS_TO_REACT = 2  # from the last sample of a debounce to the command that it changes
+TICKS_TO_REACT = 2.5  # from a debounce's last sample to the command that it changes, two; half a tick is jitter
 SETTLE_S = 0.1  # of the last millivolts, beyond the time of a ramp
 
 
