@@ -27,12 +27,20 @@ CLEARLY = 0.8  # share of the squared error below which a used stack is taken ra
 SHAKEN = (1.0, 0.8, 0.6, 0.4, 0.2)  # of the way to both ends, a course that leaves the stack without a memory
 TURNS_TRIED = 7  # last reversals between the ends of the range, before a start amid it
 
+JUMP = 10.0  # median errors above which one counts no more: a bench that follows a jump at the begin is no memory
+
 FAR_BETTER = 0.25  # share of a given start's squared error below which another is taken for a model that stays
 
 
 def starts_at_rest(u: Array) -> bool:
     """Whether the first input is near enough to zero for a drive that was off."""
     return bool(abs(u[0]) <= AT_REST * np.ptp(u))
+
+
+def loss_but_jumps(error: Array) -> float:
+    """Mean square of errors, shape (N,), nan where nothing is known; those far beyond the others count no more."""
+    size = np.abs(error)
+    return float(np.nanmean(np.minimum(size, JUMP * np.nanmedian(size)) ** 2))
 
 
 def remembered(u: Array) -> Path:
@@ -206,5 +214,5 @@ def estimate_path(operator: PrandtlIshlinskii, u: Array, y: Array, window: int) 
     for path in paths:
         operator.set_states(nothing)
         operator.run(path)
-        errors.append(float(np.nansum((operator.run(u[:window]) - y[:window]) ** 2)))
+        errors.append(loss_but_jumps(operator.run(u[:window]) - y[:window]))
     return paths[int(np.argmin(errors))]

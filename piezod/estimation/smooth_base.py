@@ -2,9 +2,9 @@
 
     minimise e'e + a |D2 play slopes|^2 + b |D2 force slopes|^2   subject to   slopes >= eps,   H(u_max) = u_max
 
-D2 are second differences from threshold to threshold. The weights a and b are those under which blocks that were held
-out are predicted best. Slopes that no sample tells continue those beside them; none is free. Each Gauss-Newton step is
-a quadratic program, solved by ProxQP.
+D2 are second differences from threshold to threshold. The weights a and b are those under which bands of the input
+that were held out are predicted best. Slopes that no sample tells continue those beside them; none is free. Each
+Gauss-Newton step is a quadratic program, solved by ProxQP.
 
 Source of the penalty: Eilers and Marx (1996), Flexible smoothing with B-splines and penalties, Statistical Science
 11(2), 89-121.
@@ -70,7 +70,7 @@ class Base:
     eps: float
 
     def without(self, group: int) -> Array:
-        """Parameters of the fit that has not seen a group of blocks, shape (q,); within the bounds."""
+        """Parameters of the fit that has not seen a group of bands, shape (q,); within the bounds."""
         rest = np.arange(GROUPS) != group
         hessian = self.sums.hessian[rest].sum(axis=0) + self.penalty
         gradient = self.sums.gradient[rest].sum(axis=0) - self.penalty @ self.parameters
@@ -218,7 +218,7 @@ class _Solver:
         return result
 
     def chosen_penalty(self, base: Base) -> Array:
-        """Penalty under which each group of blocks is predicted best by a fit of the others."""
+        """Penalty under which each group of bands is predicted best by a fit of the others."""
         weights = [FIRST_WEIGHTS[0], FIRST_WEIGHTS[1]]
         for table in (0, 1, 0, 1):
             losses = []

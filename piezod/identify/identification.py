@@ -288,8 +288,8 @@ def _without_unsettled(recording: Recording, stretch: Stretch, base: Base) -> St
 
 
 def _held_out(base: Base, recordings: Sequence[Samples]) -> list[Run]:
-    """Every group of blocks as the fit of the others simulates it; start and penalty have seen all groups."""
-    groups = [group_of(one.u.size).astype(np.int8) for one in recordings]
+    """Every group of bands as the fit of the others simulates it; start and penalty have seen all groups."""
+    groups = [group_of(one.u).astype(np.int8) for one in recordings]
     powers = sum(map(_powers, _errors(base, base.parameters, recordings), recordings, groups))
     held_out = [np.zeros(one.u.size) for one in recordings]
     for group in range(GROUPS):
