@@ -140,11 +140,15 @@ def _diagnosed(
     progress("judging what is left", 0.9)
     asked_for = _Asked(model, [*past, *asked], given, frozen, said, stand_ins=int(not past))
     diagnosis = asked_for.judged(result)
-    while doubtful := _doubtful(result, diagnosis.findings):
+    while (needless := _needless(result, diagnosis.findings)) or (weak := _weak(result, diagnosis.findings)):
         progress("leaving out what is doubtful", 0.95)
+        doubtful = needless or weak
         said += _not_believed(diagnosis.findings, doubtful)
         result = rising(_without(result, doubtful))
-        diagnosis = asked_for.judged(result)
+        without_them = asked_for.judged(result)
+        if not needless and _needed(diagnosis.findings, without_them.findings):
+            break
+        diagnosis = without_them
     if diagnosis.findings.verdict in ("unexplained", "partly_explained"):
         progress("looking for a law without a name", 0.97)
         diagnosis = with_unnamed(diagnosis, stand_ins=int(not past))
@@ -218,20 +222,30 @@ def rising(result: Search) -> Search:
     return replace(result, found=best, beside={**result.beside, taken: beside})
 
 
-def _doubtful(result: Search, findings: Findings) -> list[str]:
-    """The effect that is believed least, where that is too little and much is left with it too.
+def _needless(result: Search, findings: Findings) -> list[str]:
+    """An effect that gains nothing without plays that fold, or on all samples.
 
-    What is left of the others is looked at without it: it may have taken a part of theirs. All of them where the given
-    model says what was left out of the fit as well without them.
+    All of them where the given model says what was left out of the fit as well without them.
     """
     if result.found.effects and findings.after**2 > BETTER * findings.before**2:
         return list(result.found.effects)
-    named = [one for one in findings.effects if one.name in result.names]
-    needless = [one.name for one in named if BETTER * one.before**2 < one.after**2]
-    if needless:  # without plays that fold, or on all samples, they gain nothing
-        return needless[:1]
+    named = (one for one in findings.effects if one.name in result.names)
+    return [one.name for one in named if BETTER * one.before**2 < one.after**2][:1]
+
+
+def _weak(result: Search, findings: Findings) -> list[str]:
+    """The effect that is believed least, where that is too little and much is left with it too.
+
+    What is left of the others is looked at without it: it may have taken a part of theirs.
+    """
+    named = (one for one in findings.effects if one.name in result.names)
     weak = [one for one in named if one.confidence < LEAST_CONFIDENCE and one.after**2 > LEFT_BY_ONE * one.before**2]
     return [min(weak, key=lambda one: one.confidence).name] if weak else []
+
+
+def _needed(with_it: Findings, without_it: Findings) -> bool:
+    """Whether a recording that is explained would not be without an effect: with others it is more than their shape."""
+    return with_it.verdict == "explained" and without_it.verdict not in ("explained", "matches")
 
 
 def _not_believed(findings: Findings, doubtful: Sequence[str]) -> list[str]:

@@ -5,6 +5,9 @@ converter. Each sample has `FINER` steps, with a cubic spline between samples. A
 stack: the recorded voltage becomes the lagged one, and the command is computed from it. A clamp, a slew limit, a rate
 dependence and bias-dependent loops cannot be laid over, since the stack never received such voltages.
 
+The load cell's own noise arises behind the mechanics. So only effects of the reading (`OF_THE_READING`) act on the
+recorded output itself; the others act on its smooth course, and what that leaves is added again.
+
 The strength of an effect is the root mean square of its change without the mean, in units of the residual. The
 residual is that of the diagnosis of the unchanged recording.
 """
@@ -15,6 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 from scipy.interpolate import CubicSpline
+from scipy.signal import savgol_filter
 
 from firmware_sim.errors import ConfigurationError
 from firmware_sim.physics.acquisition import acquire
@@ -30,6 +34,7 @@ FINER = 40  # physics steps for each sample
 SEED = 11  # seed of the phases of mains, machine and room temperature
 WIDE = 1e6  # converter range beyond any output
 CLOSE = 0.02  # relative tolerance of the strength
+NOISE_WINDOW = 9  # samples of the local cubic whose course carries no noise
 WIDER, HALVINGS = 3.0, 14  # growth and bisections of the search for the factor
 TEMPERATURE = "temperature_C"
 LAG = "electrical_lag"
@@ -158,6 +163,7 @@ OVERLAYS = dict(
         _simple("clock_skew", "skew_ppm", lambda bare: 1e6 * bare.dt_s / bare.duration_s, 6.0),
     )
 )
+OF_THE_READING = {"sensor_filter", "mains_hum", "sensor_dropout", "quantisation", "transport_delay", "clock_skew"}
 NOT_OVERLAID = "slew_limit, voltage_clamp, rate_dependent_hysteresis, noncongruent_minor_loops"
 
 
@@ -225,8 +231,9 @@ def overlaid(bare: BaseRecording, effects: Mapping[str, Mapping[str, object]]) -
     if lag := effects.get(LAG):
         command = _before_lag(time_s, command, float(lag["time_constant_s"]))
     else:
-        _, changed = _run(time_s, output - output[0], command, effects, bare.span)
-        output = output[0] + changed
+        course = output if OF_THE_READING.issuperset(effects) else savgol_filter(output, NOISE_WINDOW, 3)
+        _, changed = _run(time_s, course - course[0], command, effects, bare.span)
+        output = course[0] + changed + (output - course)
     channels = dict(recording.channels) | {bare.command: command, bare.output: output}
     return Recording(recording.time_s, channels, recording.metadata, recording.source)
 

@@ -2,7 +2,8 @@
 
 A model is identified on one recording of a real bench. A second recording of that bench is diagnosed unchanged, and
 with each effect laid over it (`overlaid_effects.py`). An effect is found when the diagnosis names it in addition, with
-its parameter inside the interval or within `CLOSE_ENOUGH`. The recordings are read from `../shared/recordings`.
+its parameter inside the interval or within `CLOSE_ENOUGH`. Where the bench has the effect itself, the parameter must
+have grown by that much. The recordings are read from `../shared/recordings`.
 """
 
 import json
@@ -21,6 +22,7 @@ from tests.studies.scenarios import ROOT, StepError, run
 REAL = ROOT.parent / "shared" / "recordings"
 STRENGTH = 3.0  # of an effect, relative to the residual of the unchanged recording
 CLOSE_ENOUGH = 0.1  # relative error of a parameter
+PLACES = ("frequency_Hz", "from_s")  # do not add up with what the bench has itself
 PAUSE = 5.0  # sample periods; the longest part without such a pause is used
 SHORT_s, SHORT_ORDERS = 25.0, (14, 6)
 
@@ -283,14 +285,23 @@ def compared(
     if not row.named:
         return row
     found = verdict.named[effect][how.parameter]
-    right = found["low"] <= true <= found["high"] or abs(found["value"] / true - 1.0) <= CLOSE_ENOUGH
+    own = None if how.parameter in PLACES else first.named.get(effect, {}).get(how.parameter, {}).get("value")
+    low, value, high = (_added(found[key], own, inverse=how.inverse) for key in ("low", "value", "high"))
+    right = min(low, high) <= true <= max(low, high) or abs(value / true - 1.0) <= CLOSE_ENOUGH
     return replace(
         row,
         value=found["value"],
         low=found["low"],
         high=found["high"],
-        found=effect not in first.named and (right or not how.alike),
+        found=right or not how.alike,
     )
+
+
+def _added(found: float, own: float | None, *, inverse: bool) -> float:
+    """What was laid over a bench with an effect of its own; one that grows as its parameter falls adds inverses."""
+    if own is None:
+        return found
+    return 1.0 / (1.0 / found - 1.0 / own) if inverse else found - own
 
 
 def _bare_row(name: str, first: Verdict) -> OverlayRow:

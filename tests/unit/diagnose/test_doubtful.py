@@ -6,7 +6,7 @@ import pytest
 
 import piezod
 from piezod.diagnose.command import checked_by, law_checked
-from piezod.diagnose.diagnosis import Diagnosis, _doubtful
+from piezod.diagnose.diagnosis import Diagnosis, _needed, _needless, _weak
 from piezod.diagnose.findings import Finding, Findings, HeldOut
 
 
@@ -15,7 +15,8 @@ def doubted(*effects, before=2.0, after=1.0):
     names = [name for name, *_ in effects]
     found = [SimpleNamespace(name=n, confidence=c, before=b, after=a) for n, c, b, a in effects]
     result = SimpleNamespace(names=names, found=SimpleNamespace(effects=names))
-    return _doubtful(result, SimpleNamespace(effects=found, before=before, after=after))
+    findings = SimpleNamespace(effects=found, before=before, after=after)
+    return _needless(result, findings) or _weak(result, findings)
 
 
 def test_of_two_that_are_believed_too_little_the_lesser_goes_first():
@@ -40,6 +41,20 @@ def test_all_go_where_the_given_model_says_it_as_well():
 @pytest.mark.parametrize("before", [0.9, 1.0, 1.005])
 def test_what_gains_nothing_in_the_end_goes_however_sure_it_was(before):
     assert doubted(("gain_drift", 0.95, before, 1.0), ("creep", 0.9, 2.0, 1.0)) == ["gain_drift"]
+
+
+@pytest.mark.parametrize(
+    ("with_it", "without_it", "needed"),
+    [
+        ("explained", "partly_explained", True),
+        ("explained", "unexplained", True),
+        ("explained", "explained", False),
+        ("explained", "matches", False),
+        ("partly_explained", "unexplained", False),
+    ],
+)
+def test_what_is_doubtful_stays_where_a_recording_is_explained_with_it_alone(with_it, without_it, needed):
+    assert _needed(SimpleNamespace(verdict=with_it), SimpleNamespace(verdict=without_it)) == needed
 
 
 @pytest.mark.parametrize(
