@@ -140,7 +140,8 @@ def _diagnosed(
     progress("judging what is left", 0.9)
     asked_for = _Asked(model, [*past, *asked], given, frozen, said, stand_ins=int(not past))
     diagnosis = asked_for.judged(result)
-    while (needless := _needless(result, diagnosis.findings)) or (weak := _weak(result, diagnosis.findings)):
+    surest: dict[str, float] = {}
+    while (needless := _needless(result, diagnosis.findings)) or (weak := _weak(result, diagnosis.findings, surest)):
         progress("leaving out what is doubtful", 0.95)
         doubtful = needless or weak
         said += _not_believed(diagnosis.findings, doubtful)
@@ -233,13 +234,16 @@ def _needless(result: Search, findings: Findings) -> list[str]:
     return [one.name for one in named if BETTER * one.before**2 < one.after**2][:1]
 
 
-def _weak(result: Search, findings: Findings) -> list[str]:
+def _weak(result: Search, findings: Findings, surest: dict[str, float]) -> list[str]:
     """The effect that is believed least, where that is too little and much is left with it too.
 
-    What is left of the others is looked at without it: it may have taken a part of theirs.
+    What is left of the others is looked at without it: it may have taken a part of theirs. None of them is believed
+    less for what it took, so `surest` keeps the highest confidence that each had.
     """
-    named = (one for one in findings.effects if one.name in result.names)
-    weak = [one for one in named if one.confidence < LEAST_CONFIDENCE and one.after**2 > LEFT_BY_ONE * one.before**2]
+    for one in findings.effects:
+        surest[one.name] = max(one.confidence, surest.get(one.name, 0.0))
+    named = (one for one in findings.effects if one.name in result.names and surest[one.name] < LEAST_CONFIDENCE)
+    weak = [one for one in named if one.after**2 > LEFT_BY_ONE * one.before**2]
     return [min(weak, key=lambda one: one.confidence).name] if weak else []
 
 

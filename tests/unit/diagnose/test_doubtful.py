@@ -10,18 +10,24 @@ from piezod.diagnose.diagnosis import Diagnosis, _needed, _needless, _weak
 from piezod.diagnose.findings import Finding, Findings, HeldOut
 
 
-def doubted(*effects, before=2.0, after=1.0):
+def doubted(*effects, before=2.0, after=1.0, surest=None):
     """Of effects given as name, confidence, and error without and with it."""
     names = [name for name, *_ in effects]
     found = [SimpleNamespace(name=n, confidence=c, before=b, after=a) for n, c, b, a in effects]
     result = SimpleNamespace(names=names, found=SimpleNamespace(effects=names))
     findings = SimpleNamespace(effects=found, before=before, after=after)
-    return _needless(result, findings) or _weak(result, findings)
+    return _needless(result, findings) or _weak(result, findings, surest or {})
 
 
 def test_of_two_that_are_believed_too_little_the_lesser_goes_first():
     effects = ("creep", 0.55, 1.2, 1.0), ("friction", 0.3, 1.1, 1.0), ("resonance", 0.9, 1.5, 1.0)
     assert doubted(*effects) == ["friction"]
+
+
+def test_none_is_believed_less_for_what_another_took_that_was_left_out():
+    effects = ("creep", 0.5, 1.2, 1.0), ("friction", 0.4, 1.1, 1.0)
+    assert doubted(*effects, surest={"friction": 0.7}) == ["creep"]
+    assert doubted(*effects, surest={"friction": 0.7, "creep": 0.61}) == []
 
 
 def test_what_stands_alone_and_leaves_much_goes_too():
