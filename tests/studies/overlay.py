@@ -256,12 +256,20 @@ def _overlaid_row(
 ) -> OverlayRow:
     """Lay an effect over the recording, diagnose it, compare."""
     made, values, size = scaled_overlay(effect, bare, strength)
+    if effect == "mains_hum":  # at 200 Hz its third harmonic folds onto the first
+        values |= {"amplitude_N": _amplitude(bare, made, float(values["frequency_Hz"]))}
     write_csv(made, folder / f"{effect}.csv")
     try:
         verdict = _diagnosed(folder, effect, BENCHES[name], threads)
     except StepError as error:
         return OverlayRow(name, effect, size, why=str(error))
     return compared(name, effect, values, size, verdict, first)
+
+
+def _amplitude(bare: BaseRecording, made: Recording, frequency_Hz: float) -> float:
+    """Of a tone in what was laid over [output unit]."""
+    change = made.channel(bare.output) - bare.recording.channel(bare.output)
+    return 2.0 * abs(np.mean(change * np.exp(-2j * np.pi * frequency_Hz * made.time_s)))
 
 
 def compared(
