@@ -14,7 +14,7 @@ from piezod.diagnose.hypothesis.basis import ForceLaw, PlayDensity
 from piezod.diagnose.hypothesis.chain import Chain, Point, empty_point
 from piezod.diagnose.hypothesis.series import Role, Series
 from piezod.errors import RecordingError
-from piezod.estimation.initial_state import estimate_path, start_at_zero, starts_at_rest
+from piezod.estimation.initial_state import estimate_path, remembered, start_at_zero, starts_at_rest
 from piezod.excitation import varying_triangles
 from piezod.identify.simulation import where
 from piezod.model import Model, file_sha256
@@ -301,7 +301,7 @@ def started(series: Series, model: Model) -> Series:
 
 
 def without_unknown(series: Series, model: Model) -> tuple[Series, list[str]]:
-    """The same, not compared where it depends on what was driven before a start amid the range, and what is said.
+    """The same from where it no longer depends on what was driven before a start amid the range, and what is said.
 
     Whatever came before, the force lies between those after the ends of the range, reached first or one by the other;
     it does not depend on it where these stay as far apart as at the last sample, within some noises.
@@ -322,10 +322,19 @@ def without_unknown(series: Series, model: Model) -> tuple[Series, list[str]]:
     first = int(unknown[-1]) + 1 if unknown.size else 0
     if not first:
         return series, []
+    known = slice(first, None)
     said = f"{series.name}: its first {first * series.dt_s:.3g} s depend on what came before and are left out"
-    counts = series.counts.copy()
-    counts[:first] = False  # they still drive what remembers longer, and the clock begins with them
-    return replace(series, counts=counts), [said]
+    return replace(
+        series,
+        time_s=series.time_s[known] - series.time_s[first],
+        command_V=u[known],
+        reading_N=series.reading_N[known],
+        counts=series.counts[known],
+        temperature_C=None if series.temperature_C is None else series.temperature_C[known],
+        start_s=series.start_s + float(series.time_s[first]),
+        skipped_s=series.skipped_s + float(series.time_s[first]),
+        path_V=(*series.path_V, *remembered(u[:first])),
+    ), [said]
 
 
 def without_frozen(series: Series, model: Model) -> tuple[Series, list[tuple[int, int]]]:

@@ -43,6 +43,23 @@ def loss_but_jumps(error: Array) -> float:
     return float(np.nanmean(np.minimum(size, JUMP * np.nanmedian(size)) ** 2))
 
 
+def remembered(u: Array) -> Path:
+    """What plays remember of a course: its largest reversals, each within the one before, and where it ends.
+
+    Parameters
+    ----------
+    u
+        Input, shape (N,).
+    """
+    path: list[float] = []
+    first = 0
+    while first < u.size:
+        ends = sorted(u.size - 1 - int(find(u[first:][::-1])) for find in (np.argmax, np.argmin))
+        path += [float(u[end]) for end in ends]
+        first = ends[-1] + 1
+    return tuple(path)
+
+
 def settled_from(u: Array) -> int:
     """First sample after which the start no longer matters to plays up to half the swing.
 

@@ -39,6 +39,8 @@ class Series:
         Shape (N,), or None.
     start_s
         Time of the first sample in the recording's own time [s].
+    skipped_s
+        Time from the recording's first sample to that one [s].
     hold
         How the command runs between samples.
     recorded_hold
@@ -66,6 +68,7 @@ class Series:
     path_V: tuple[float, ...] = ()
     temperature_C: Array | None = None
     start_s: float = 0.0
+    skipped_s: float = 0.0
     hold: Hold = STRAIGHT
     recorded_hold: Hold | None = None
     lattice_N: float = 0.0

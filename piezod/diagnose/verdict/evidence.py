@@ -46,7 +46,12 @@ def finding_of(result: Search, name: str) -> Finding:
             if one.search.logarithmic
             else (value - error, value + error)
         )
-        parameters[one.name] = Value(value, one.unit, float(max(low, one.low)), float(min(high, one.high)))
+        acts_in = chain.series[term.series]
+        if one.instant and value > acts_in.duration_s:
+            continue  # never: what began stays
+        begin_s = acts_in.start_s if one.instant else 0.0
+        low, high = float(max(low, one.low)), float(min(high, one.high))
+        parameters[one.name] = Value(begin_s + value, one.unit, begin_s + low, begin_s + high)
     if term.effect.name == "transport_delay":
         smoothed = any(other.effect.smooths for other in found.terms)
         parameters["delay_s"] = _with_the_course(parameters["delay_s"], chain.series[-1], smoothed=smoothed)

@@ -1,9 +1,11 @@
 """The model with everything that was found, as a model file holds it."""
 
+from collections.abc import Mapping
+
 import numpy as np
 from numpy.typing import NDArray
 
-from piezod.diagnose.hypothesis.chain import Chain
+from piezod.diagnose.hypothesis.chain import Chain, Term
 from piezod.diagnose.hypothesis.fit import Fitted
 from piezod.errors import ModelError
 from piezod.estimation.initial_state import starts_at_rest
@@ -39,7 +41,7 @@ def extended_model(model: Model, chain: Chain, found: Fitted, hashes: list[str],
     effects = tuple(
         EffectValues(
             name=term.effect.name,
-            parameters={key: float(f"{value:.8g}") for key, value in {**values, **dict(term.choices)}.items()},
+            parameters=stored_parameters(term, values, chain),
             recording=hashes[term.series] if term.scope == "once" else None,
         )
         for term, values in zip(found.terms, found.point.values, strict=True)
@@ -59,6 +61,14 @@ def extended_model(model: Model, chain: Chain, found: Fitted, hashes: list[str],
     extended = model.model_copy(update=changed)
     extended.operator()
     return extended
+
+
+def stored_parameters(term: Term, values: Mapping[str, float], chain: Chain) -> dict[str, float]:
+    """Of a fitted effect, for a model file; instants count from the recording's first sample."""
+    skipped_s = chain.series[term.series].skipped_s if term.scope == "once" else 0.0
+    found = {**values, **dict(term.choices)}
+    shifted = {one.name: found[one.name] + skipped_s for one in term.effect.parameters if one.instant}
+    return {key: float(f"{value:.8g}") for key, value in {**found, **shifted}.items()}
 
 
 def _start(model: Model, chain: Chain) -> Start:

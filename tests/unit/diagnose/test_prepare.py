@@ -6,8 +6,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from piezod.diagnose.hypothesis.basis import PlayDensity
 from piezod.diagnose.prepare import Source, chain_of, even, started, without_frozen, without_unknown
 from piezod.errors import RecordingError
+from piezod.estimation.initial_state import remembered
 from piezod.model import load_model
 from piezod.recording import Recording
 from tests.unit.diagnose.residuals import mixed_work, series, time
@@ -62,7 +64,7 @@ def test_a_recording_whose_reading_never_moves_is_refused_in_one_line(model):
     assert np.count_nonzero(left.counts) == 500
 
 
-def test_what_depends_on_what_came_before_a_start_amid_the_range_is_driven_and_not_compared(model):
+def test_what_came_before_a_start_amid_the_range_is_left_out_and_what_followed_is_remembered(model):
     time_s = np.arange(6000) / RATE_Hz
     u = 60.0 + np.minimum(time_s, 10.0) * 5.8 * np.sin(2.0 * np.pi * 0.31 * time_s)
     readings_N = []
@@ -75,10 +77,8 @@ def test_what_depends_on_what_came_before_a_start_amid_the_range_is_driven_and_n
     source.recording.channels[model.input.channel][:] = u
     source.recording.channels[model.output.channel][:] = readings_N[0] + noise_N
     series, said = without_unknown(started(even(source, model)[0], model), model)
-    first = int(np.argmax(series.counts))
+    first = u.size - series.time_s.size
     assert 0 < first < 0.75 * u.size
-    assert series.counts[first:].all()
-    assert (series.start_s, series.time_s.size) == (0.0, u.size)  # times of what is found are those of the file
     assert f"its first {first / RATE_Hz:.3g} s depend on what came before" in said[0]
     apart_N = np.ptp([one - one[-1] for one in readings_N], axis=0)
     assert apart_N[first:].max() < 0.03 * apart_N.max()
@@ -86,7 +86,18 @@ def test_what_depends_on_what_came_before_a_start_amid_the_range_is_driven_and_n
     operator.run(np.array(series.path_V))
     simulated_N = operator.run(series.command_V)
     shift_N = readings_N[0][-1] - simulated_N[-1]
-    np.testing.assert_allclose((simulated_N + shift_N)[first:], readings_N[0][first:], atol=0.03 * apart_N.max())
+    np.testing.assert_allclose(simulated_N + shift_N, readings_N[0][first:], atol=0.03 * apart_N.max())
+    assert series.start_s == pytest.approx(first / RATE_Hz)
+
+
+def test_the_largest_reversals_are_all_that_plays_remember():
+    rng, density = np.random.default_rng(0), PlayDensity.up_to(60.0)
+    for samples in (1, 2, 3, 17, 300):
+        for _ in range(20):
+            u = np.clip(np.cumsum(rng.normal(0.0, 8.0, samples)) + 40.0, 0.0, 120.0)
+            then = u[-1] + rng.normal(0.0, 20.0, 50)
+            short = density.columns(then, np.array([5.0, *remembered(u)]))
+            np.testing.assert_allclose(short, density.columns(then, np.array([5.0, *u])), atol=1e-9)
 
 
 @pytest.mark.parametrize(("first_V", "reach_V"), [(0.0, 0.995 * 90.0), (10.0, 0.995 * 40.0)])

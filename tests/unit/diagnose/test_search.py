@@ -15,6 +15,7 @@ from piezod.diagnose.selection.search import begin_anew, both, search, swap
 from piezod.diagnose.selection.search_state import Round, Search
 from piezod.diagnose.selection.tone_search import listen_again
 from piezod.diagnose.verdict.evidence import finding_of
+from piezod.diagnose.verdict.extended import stored_parameters
 from piezod.effects import EFFECTS
 from tests.unit.diagnose.residuals import mixed_work, noise, series, time
 from tests.unit.diagnose.test_corners import many_plays
@@ -252,6 +253,17 @@ def test_a_large_step_of_the_load_is_found_in_front_of_a_filter_and_of_a_delay()
     assert abs(step["step_N"] - 60.0) < 1.0
     assert abs(step["on_s"] - 12.2) < 0.02
     assert abs(step["off_s"] - 25.3) < 0.02
+    skipped = [replace(one, start_s=140.0, skipped_s=37.0) for one in found.chain.series]  # from 103 s in its own time
+    later = replace(found, chain=found.chain.like(skipped))
+    told = finding_of(later, "load_step").parameters
+    assert told["on_s"].low <= told["on_s"].value <= told["on_s"].high
+    assert told["on_s"].value == pytest.approx(152.2, abs=0.02)
+    assert told["off_s"].value == pytest.approx(165.3, abs=0.02)
+    term = later.found.terms[later.names.index("load_step")]
+    stored = stored_parameters(term, step, later.chain)
+    assert (stored["on_s"], stored["off_s"]) == pytest.approx((49.2, 62.3), abs=0.02)  # from its first sample
+    step["off_s"] = 1e7
+    assert "off_s" not in finding_of(later, "load_step").parameters
 
 
 def worked(rng, missing, drive=None):
