@@ -89,7 +89,8 @@ def steadiness(before: Fitted, after: Fitted) -> float:
 
     A block that gains or loses far more than most counts no more than some of them: it would drown what they say.
     """
-    gains = np.log(before.losses / after.losses)
+    seen = (before.samples > 0) & (after.samples > 0)
+    gains = np.log(before.losses[seen] / after.losses[seen])
     touched = gains[np.abs(gains) > 1e-3]
     if touched.size < 4:
         return 0.0

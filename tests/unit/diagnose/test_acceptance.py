@@ -56,6 +56,14 @@ def test_what_bends_to_anything_must_gain_in_more_than_nine_blocks(effect, block
     assert steady_enough(fitted(np.exp(gains)), fitted(np.ones(BLOCKS), effect)) == steady
 
 
+def test_a_block_without_readings_says_nothing_of_a_gain():
+    samples = np.where(np.arange(BLOCKS) < 4, 0.0, 100.0)
+    empty = np.where(samples > 0, 1.0, np.inf)
+    before, after = (replace(fitted(empty * loss, "creep"), samples=samples) for loss in (1.1, 1.0))
+    with np.errstate(all="raise"):
+        assert steadiness(before, after) == pytest.approx(np.sqrt(BLOCKS - 4))
+
+
 def test_a_block_that_neither_hypothesis_predicts_from_the_others_counts_as_it_fits():
     ones, lost, less_lost = np.ones((3, BLOCKS))
     lost[5], less_lost[5] = 2000.0, 1400.0
