@@ -28,7 +28,7 @@ from piezod.diagnose.selection.search_state import Beside, Search
 from piezod.diagnose.selection.significance import with_shares
 from piezod.diagnose.selection.stated_hold import as_told
 from piezod.diagnose.selection.unnamed import fit_unnamed
-from piezod.diagnose.verdict.evidence import all_terms, finding_of, read_off, tone_finding
+from piezod.diagnose.verdict.evidence import all_terms, finding_of, read_off, standing, tone_finding
 from piezod.diagnose.verdict.extended import extended_model
 from piezod.diagnose.verdict.verdict import (
     held_out_rms,
@@ -140,6 +140,8 @@ def _diagnosed(
     progress("judging what is left", 0.9)
     asked_for = _Asked(model, [*past, *asked], given, frozen, said, stand_ins=int(not past))
     diagnosis = asked_for.judged(result)
+    left = [one.reading_N - with_it for one, with_it in zip(diagnosis.series, diagnosis.extended, strict=True)]
+    asked_for = replace(asked_for, frozen=standing(diagnosis.series, frozen, left))  # what all of it explains moves
     surest: dict[str, float] = {}
     while (needless := _needless(result, diagnosis.findings)) or (weak := _weak(result, diagnosis.findings, surest)):
         progress("leaving out what is doubtful", 0.95)

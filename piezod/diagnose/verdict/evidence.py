@@ -205,15 +205,15 @@ def _confidence(gain: float, rivals: Sequence[Rival]) -> float:
 
 
 def read_off(
-    series: Sequence[Series], frozen: dict[int, list[tuple[int, int]]], residuals: Sequence[Array], before: float
+    series: Sequence[Series], frozen: Mapping[int, list[tuple[int, int]]], residuals: Sequence[Array], before: float
 ) -> list[Finding]:
     """What the readings show without a fit: frozen stretches, a coarse lattice."""
     found = []
     places = tuple(
         Place("time_s", series[k].start_s + a * series[k].dt_s, series[k].start_s + b * series[k].dt_s)
-        for k, stretches in frozen.items()
+        for k, stretches in standing(series, frozen, residuals).items()
         for a, b in stretches
-        if series[k].role == "recording" and _stands(series[k], residuals[k], slice(a, b))
+        if series[k].role == "recording"
     )
     if places:
         effect = EFFECTS["sensor_dropout"]
@@ -234,6 +234,24 @@ def read_off(
             )
         )
     return found
+
+
+def standing(
+    series: Sequence[Series], frozen: Mapping[int, list[tuple[int, int]]], residuals: Sequence[Array]
+) -> dict[int, list[tuple[int, int]]]:
+    """Those stretches of readings that stand still which what was found leaves standing, by the number of the series.
+
+    Parameters
+    ----------
+    series, residuals
+        Recordings, and what was found leaves of each, shape (N,) [N].
+    frozen
+        First sample and end of each stretch.
+    """
+    return {
+        k: [one for one in stretches if _stands(series[k], residuals[k], slice(*one))]
+        for k, stretches in frozen.items()
+    }
 
 
 def _stands(series: Series, residual: Array, stretch: slice) -> bool:

@@ -67,7 +67,7 @@ def stored_parameters(term: Term, values: Mapping[str, float], chain: Chain) -> 
     """Of a fitted effect, for a model file; instants count from the recording's first sample."""
     skipped_s = chain.series[term.series].skipped_s if term.scope == "once" else 0.0
     found = {**values, **dict(term.choices)}
-    shifted = {one.name: found[one.name] + skipped_s for one in term.effect.parameters if one.instant}
+    shifted = {one.name: min(found[one.name] + skipped_s, one.high) for one in term.effect.parameters if one.instant}
     return {key: float(f"{value:.8g}") for key, value in {**found, **shifted}.items()}
 
 

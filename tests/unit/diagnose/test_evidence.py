@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from piezod.diagnose.verdict.evidence import read_off
+from piezod.diagnose.verdict.evidence import read_off, standing
 from tests.unit.diagnose.residuals import mixed_work, noise, series, time
 
 SAMPLES, STRETCH = 4000, (1000, 1020)
@@ -22,3 +22,5 @@ def test_a_reading_that_the_found_model_explains_does_not_stand_still(stands, na
     recorded = series(time_s, mixed_work(time_s), reading_N)
     found = read_off([recorded], {0: [STRETCH]}, [reading_N - force_N], 1.0)
     assert [one.name for one in found] == ["sensor_dropout"] * named
+    left = standing([recorded], {0: [STRETCH], 1: []}, [reading_N - force_N, reading_N])
+    assert left == {0: [STRETCH] * named, 1: []}

@@ -17,6 +17,7 @@ from piezod.diagnose.selection.tone_search import listen_again
 from piezod.diagnose.verdict.evidence import finding_of
 from piezod.diagnose.verdict.extended import stored_parameters
 from piezod.effects import EFFECTS
+from piezod.model.parameters import EffectValues
 from tests.unit.diagnose.residuals import mixed_work, noise, series, time
 from tests.unit.diagnose.test_corners import many_plays
 
@@ -263,6 +264,8 @@ def test_a_large_step_of_the_load_is_found_in_front_of_a_filter_and_of_a_delay()
     stored = stored_parameters(term, step, later.chain)
     assert (stored["on_s"], stored["off_s"]) == pytest.approx((49.2, 62.3), abs=0.02)  # from its first sample
     step["off_s"] = 1e7
+    stored = stored_parameters(term, step, later.chain)
+    EffectValues(name="load_step", parameters=stored, recording="0" * 64)  # never is within the range of the catalogue
     assert "off_s" not in finding_of(later, "load_step").parameters
 
 
