@@ -35,8 +35,7 @@ table {{ border-collapse: collapse; width: 100%; font-size: 13px; }}
 th, td {{ text-align: left; vertical-align: top; padding: 5px 10px 5px 0; border-bottom: 1px solid var(--line); }}
 th {{ color: var(--dim); font-weight: 600; font-size: 12px; }}
 td small {{ display: block; font-size: 12px; line-height: 1.3; }}
-.effects td:first-child {{ min-width: 190px; }} .effects td:nth-child(3) {{ min-width: 100px; }}
-.effects th {{ white-space: nowrap; }}
+.effects td:first-child {{ min-width: 140px; }} .effects td:nth-child(3) {{ min-width: 90px; }}
 .parameter {{ display: block; margin-bottom: 2px; }} .parameter small {{ display: block; }}
 .bar {{ display: block; width: 84px; height: 9px; background: #e4e4e4; border-radius: 5px; overflow: hidden;
   margin: 4px 0 2px; }}
