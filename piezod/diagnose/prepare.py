@@ -353,6 +353,8 @@ def without_frozen(series: Series, model: Model) -> tuple[Series, list[tuple[int
     for first, end in stretches:
         counts[first:end] = False  # the first one too: at a rail it is no reading
     if stretches and not counts.any():
+        if np.ptp(series.reading_N[series.counts]) > 0.0:
+            return series, []  # a few levels, each held for long: a coarse converter
         raise RecordingError(
             f"{series.name}: the reading stands still at {series.reading_N[0]:g} {model.output.unit} from the first "
             f"sample to the last, {series.duration_s:.3g} s; look at the sensor and its converter, then record again"

@@ -50,6 +50,16 @@ def test_samples_that_follow_no_clock_are_resampled(model):
     assert "resampled" in notes[0]
 
 
+@pytest.mark.parametrize("levels", [2, 3, 5])
+def test_a_converter_of_a_few_levels_moves(model, levels):
+    source = a_recording(np.arange(2000) / RATE_Hz, model)
+    output = source.recording.channels[model.output.channel]
+    step_N = np.ptp(output) / (levels - 1)
+    output[:] = step_N * np.round(output / step_N)
+    series, _ = even(source, model)
+    assert without_frozen(series, model)[0].counts.mean() > 0.5
+
+
 def test_a_recording_whose_reading_never_moves_is_refused_in_one_line(model):
     source = a_recording(np.arange(2000) / RATE_Hz, model)
     source.recording.channels[model.output.channel][:] = 41.25
