@@ -27,7 +27,11 @@ CLEARLY = 0.8  # share of the squared error below which a used stack is taken ra
 SHAKEN = (1.0, 0.8, 0.6, 0.4, 0.2)  # of the way to both ends, a course that leaves the stack without a memory
 TURNS_TRIED = 7  # last reversals between the ends of the range, before a start amid it
 
-JUMP = 10.0  # median errors above which one counts no more: a bench that follows a jump at the begin is no memory
+CLIPPED_AT, LEAST_CLIPPED = 10.0, 0.01
+"""Median errors, and at least a share of the output's swing, at which an error is clipped.
+
+A bench that still follows a jump at the begin says nothing of its past. Without noise the median error is zero.
+"""
 
 FAR_BETTER = 0.25  # share of a given start's squared error below which another is taken for a model that stays
 
@@ -37,10 +41,22 @@ def starts_at_rest(u: Array) -> bool:
     return bool(abs(u[0]) <= AT_REST * np.ptp(u))
 
 
-def loss_but_jumps(error: Array) -> float:
-    """Mean square of errors, shape (N,), nan where nothing is known; those far beyond the others count no more."""
-    size = np.abs(error)
-    return float(np.nanmean(np.minimum(size, JUMP * np.nanmedian(size)) ** 2))
+def clipped_mean_square(error: Array, y: Array) -> float:
+    """Mean square of errors, the largest of them clipped; 0 where nothing is known.
+
+    Parameters
+    ----------
+    error
+        Shape (N,) [output unit]; nan where nothing is known.
+    y
+        The output, shape (N,) [output unit].
+    """
+    known = np.isfinite(error)
+    if not known.any():
+        return 0.0
+    size = np.abs(error[known])
+    most = max(CLIPPED_AT * float(np.median(size)), LEAST_CLIPPED * float(np.ptp(y[known])))
+    return float(np.mean(np.minimum(size, most) ** 2))
 
 
 def remembered(u: Array) -> Path:
@@ -214,5 +230,5 @@ def estimate_path(operator: PrandtlIshlinskii, u: Array, y: Array, window: int) 
     for path in paths:
         operator.set_states(nothing)
         operator.run(path)
-        errors.append(loss_but_jumps(operator.run(u[:window]) - y[:window]))
+        errors.append(clipped_mean_square(operator.run(u[:window]) - y[:window], y[:window]))
     return paths[int(np.argmin(errors))]

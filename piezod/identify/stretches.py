@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from piezod.errors import RecordingError
 from piezod.estimation.columns import Samples, Structure
-from piezod.estimation.initial_state import loss_but_jumps, settled_from, start_amid, start_at_zero, starts_at_rest
+from piezod.estimation.initial_state import clipped_mean_square, settled_from, start_amid, start_at_zero, starts_at_rest
 from piezod.estimation.smooth_base import fit_roughly
 from piezod.estimation.thresholds import INSIDE, dead_zone_thresholds, play_reach, play_thresholds, widest
 from piezod.identify.fit import fit_hysteresis, fit_of_base
@@ -131,7 +131,7 @@ def leading_share(recording: Recording, u: Array, y: Array, column: str, share: 
 
 
 def _loss_of_start(u: Array, y: Array, counts: NDArray[np.bool_], eps: float) -> Callable[[tuple[float, ...]], float]:
-    """Mean square error in the output of a middling structure, as a function of the start path; jumps count little."""
+    """Mean square error in the output of a middling structure, as a function of the start path."""
     part = slice(None, None, max(1, u.size // START_SAMPLES))
     u, y, counts = u[part], np.nan_to_num(y[part]), counts[part]
     if not np.ptp(u) > 0.0 or counts.sum() < FEWEST_SAMPLES:
@@ -143,7 +143,8 @@ def _loss_of_start(u: Array, y: Array, counts: NDArray[np.bool_], eps: float) ->
         structures = Structures([Stretch(samples, samples, at_rest)])
         if not at_rest:
             base = fit_roughly(*structures.smooth(*START_ORDERS), [samples], eps, max(1, u.size // START_ROWS))
-            return loss_but_jumps(residual(fit_of_base(base).hysteresis.operator(), samples)[counts])
+            error = residual(fit_of_base(base).hysteresis.operator(), samples)
+            return clipped_mean_square(error[counts], y[counts])
         # a penalty would take the kink at an old peak for roughness
         return fit_hysteresis(structures.of(*START_ORDERS), [samples], eps=eps).statistics.rms ** 2
 
