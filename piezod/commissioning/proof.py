@@ -2,11 +2,11 @@
 
 Each step arms the bench with every precondition, drives `PROOF_SHARE` of the voltage range and provokes one reaction:
 
-    level       the force rises, and the voltage read back is the voltage written
-    force       the force trip lies between the forces at rest and at this level
-    readback    the voltage read back is shifted before it is checked
-    watchdog    the commands are withheld; the device must bring its output to rest by itself
-    stop        a stop is requested
+    level       the force rises, and the voltage read back is the voltage written.
+    force       the force trip lies between the forces at rest and at this level.
+    readback    the voltage read back is shifted before it is checked.
+    watchdog    the commands are withheld; the device must bring its output to rest by itself.
+    stop        a stop is requested.
 
 The bench is left at rest in any case, also after Ctrl-C. The record is written even when a step fails.
 """

@@ -21,13 +21,14 @@ from piezod.diagnose.hypothesis.parallel import each
 from piezod.diagnose.hypothesis.series import Series
 from piezod.diagnose.localisation.locate import locate
 from piezod.diagnose.prepare import Source, chain_of, made_ready, stand_in
-from piezod.diagnose.selection.acceptance import BETTER, counted, weighed
+from piezod.diagnose.selection.acceptance import counted, weighed
 from piezod.diagnose.selection.replay import Attempt, fitted_in
 from piezod.diagnose.selection.search import OnProgress, fitted_without, instead, search, without
 from piezod.diagnose.selection.search_state import Beside, Search
 from piezod.diagnose.selection.significance import with_shares
 from piezod.diagnose.selection.stated_hold import as_told
 from piezod.diagnose.selection.unnamed import fit_unnamed
+from piezod.diagnose.verdict.doubt import confidences, least_believed, needed, needless, not_believed
 from piezod.diagnose.verdict.evidence import all_terms, finding_of, read_off, standing, tone_finding
 from piezod.diagnose.verdict.extended import extended_model
 from piezod.diagnose.verdict.verdict import (
@@ -55,8 +56,6 @@ MOSTLY = 0.8  # of the catalogue: recordings that could not have shown so much o
 COSTS = 0.1  # of what was gained, or of what is left: what plays that do not fold may cost
 STILL_GAINS = 0.5  # of what was gained by plays that fold: what another effect must gain without
 FOLDED = 0.6  # of its confidence that an effect keeps when the plays fold that were refitted with it
-LEAST_CONFIDENCE = 0.6  # below which an effect is not named: more likely it is the shape of something else,
-LEFT_BY_ONE = 0.25  # unless it leaves no more of the squared error than that: it halves the error
 
 
 @dataclass(frozen=True)
@@ -141,17 +140,21 @@ def _diagnosed(
     asked_for = _Asked(model, [*past, *asked], given, frozen, said, stand_ins=int(not past))
     diagnosis = asked_for.judged(result)
     left = [one.reading_N - with_it for one, with_it in zip(diagnosis.series, diagnosis.extended, strict=True)]
-    asked_for = replace(asked_for, frozen=standing(diagnosis.series, frozen, left))  # what all of it explains moves
-    surest: dict[str, float] = {}
-    while (needless := _needless(result, diagnosis.findings)) or (weak := _weak(result, diagnosis.findings, surest)):
+    # what the full model explains stays explained when names are left out
+    asked_for = replace(asked_for, frozen=standing(diagnosis.series, frozen, left))
+    surest = confidences(diagnosis.findings)
+    while True:
+        idle = needless(result, diagnosis.findings)
+        doubtful = idle or least_believed(result, diagnosis.findings, surest)
+        if not doubtful:
+            break
         progress("leaving out what is doubtful", 0.95)
-        doubtful = needless or weak
-        said += _not_believed(diagnosis.findings, doubtful)
+        said += not_believed(diagnosis.findings, doubtful)
         result = rising(_without(result, doubtful))
         without_them = asked_for.judged(result)
-        if not needless and _needed(diagnosis.findings, without_them.findings):
+        if not idle and needed(diagnosis.findings, without_them.findings):
             break
-        diagnosis = without_them
+        diagnosis, surest = without_them, confidences(without_them.findings, surest)
     if diagnosis.findings.verdict in ("unexplained", "partly_explained"):
         progress("looking for a law without a name", 0.97)
         diagnosis = with_unnamed(diagnosis, stand_ins=int(not past))
@@ -223,45 +226,6 @@ def rising(result: Search) -> Search:
     losses = [counted(called, without_it, one.loss) for called, one in ((taken, best), (name, found))]
     beside = Beside(without_it, losses[0], {name: losses[1]})
     return replace(result, found=best, beside={**result.beside, taken: beside})
-
-
-def _needless(result: Search, findings: Findings) -> list[str]:
-    """An effect that gains nothing without plays that fold, or on all samples.
-
-    All of them where the given model says what was left out of the fit as well without them.
-    """
-    if result.found.effects and findings.after**2 > BETTER * findings.before**2:
-        return list(result.found.effects)
-    named = (one for one in findings.effects if one.name in result.names)
-    return [one.name for one in named if BETTER * one.before**2 < one.after**2][:1]
-
-
-def _weak(result: Search, findings: Findings, surest: dict[str, float]) -> list[str]:
-    """The effect that is believed least, where that is too little and much is left with it too.
-
-    What is left of the others is looked at without it: it may have taken a part of theirs. None of them is believed
-    less for what it took, so `surest` keeps the highest confidence that each had.
-    """
-    for one in findings.effects:
-        surest[one.name] = max(one.confidence, surest.get(one.name, 0.0))
-    named = (one for one in findings.effects if one.name in result.names and surest[one.name] < LEAST_CONFIDENCE)
-    weak = [one for one in named if one.after**2 > LEFT_BY_ONE * one.before**2]
-    return [min(weak, key=lambda one: one.confidence).name] if weak else []
-
-
-def _needed(with_it: Findings, without_it: Findings) -> bool:
-    """Whether a recording that is explained would not be without an effect: with others it is more than their shape."""
-    return with_it.verdict == "explained" and without_it.verdict not in ("explained", "matches")
-
-
-def _not_believed(findings: Findings, doubtful: Sequence[str]) -> list[str]:
-    """What a reader is told of effects that came near and are not named."""
-    return [
-        f"{one.name} would explain a part, {one.before:.3g} -> {one.after:.3g} {findings.unit}, but is not believed "
-        f"(confidence {one.confidence:.2f}{'' if one.q is None else f', false-discovery rate {one.q:.2g}'})"
-        for one in findings.effects
-        if one.name in doubtful and one.confidence < LEAST_CONFIDENCE and one.after < one.before
-    ]
 
 
 def _without(result: Search, names: Sequence[str]) -> Search:

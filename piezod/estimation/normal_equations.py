@@ -26,7 +26,7 @@ BANDS = 16
 """Bands of the input's range. Of 8, 16, 24 and 32 these gave the smallest errors on other work, on concealed plants."""
 
 STILL_OVER = 64 * CHUNK
-"""First samples, over which it is looked how fast the input moves."""
+"""First samples, from which the speed of the input is taken."""
 
 STILL = 0.005
 """Share of the input's swing that it may move within samples that are averaged."""

@@ -309,7 +309,9 @@ def _added(found: float, own: float | None, *, inverse: bool) -> float:
     """What was laid over a bench with an effect of its own; one that grows as its parameter falls adds inverses."""
     if own is None:
         return found
-    return 1.0 / (1.0 / found - 1.0 / own) if inverse else found - own
+    if not inverse:
+        return found - own
+    return np.inf if found == own else 1.0 / (1.0 / found - 1.0 / own)
 
 
 def _bare_row(name: str, first: Verdict) -> OverlayRow:

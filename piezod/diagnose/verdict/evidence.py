@@ -37,7 +37,7 @@ def finding_of(result: Search, name: str) -> Finding:
     place = next(k for k, term in enumerate(found.terms) if term.effect.name == name)
     term, values = found.terms[place], found.point.values[place]
     fewer = fitted_without(chain, found, name) if len(found.effects) > 1 else result.base
-    parameters = {}
+    parameters, acts_in = {}, chain.series[term.series]
     for one in term.effect.catalogued:
         value = {**values, **dict(term.choices)}[one.name]
         error = min(NORMAL_95 * found.spread[place].get(one.name, 0.0), MOST_SPREAD)
@@ -46,7 +46,6 @@ def finding_of(result: Search, name: str) -> Finding:
             if one.search.logarithmic
             else (value - error, value + error)
         )
-        acts_in = chain.series[term.series]
         if one.instant and value > acts_in.duration_s:
             continue  # never: what began stays
         begin_s = acts_in.start_s if one.instant else 0.0

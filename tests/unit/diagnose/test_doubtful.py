@@ -6,8 +6,9 @@ import pytest
 
 import piezod
 from piezod.diagnose.command import checked_by, law_checked
-from piezod.diagnose.diagnosis import Diagnosis, _needed, _needless, _weak
+from piezod.diagnose.diagnosis import Diagnosis
 from piezod.diagnose.findings import Finding, Findings, HeldOut
+from piezod.diagnose.verdict.doubt import confidences, least_believed, needed, needless
 
 
 def doubted(*effects, before=2.0, after=1.0, surest=None):
@@ -16,7 +17,7 @@ def doubted(*effects, before=2.0, after=1.0, surest=None):
     found = [SimpleNamespace(name=n, confidence=c, before=b, after=a) for n, c, b, a in effects]
     result = SimpleNamespace(names=names, found=SimpleNamespace(effects=names))
     findings = SimpleNamespace(effects=found, before=before, after=after)
-    return _needless(result, findings) or _weak(result, findings, surest or {})
+    return needless(result, findings) or least_believed(result, findings, confidences(findings, surest))
 
 
 def test_of_two_that_are_believed_too_little_the_lesser_goes_first():
@@ -50,7 +51,7 @@ def test_what_gains_nothing_in_the_end_goes_however_sure_it_was(before):
 
 
 @pytest.mark.parametrize(
-    ("with_it", "without_it", "needed"),
+    ("with_it", "without_it", "stays"),
     [
         ("explained", "partly_explained", True),
         ("explained", "unexplained", True),
@@ -59,8 +60,8 @@ def test_what_gains_nothing_in_the_end_goes_however_sure_it_was(before):
         ("partly_explained", "unexplained", False),
     ],
 )
-def test_what_is_doubtful_stays_where_a_recording_is_explained_with_it_alone(with_it, without_it, needed):
-    assert _needed(SimpleNamespace(verdict=with_it), SimpleNamespace(verdict=without_it)) == needed
+def test_what_is_doubtful_stays_where_a_recording_is_explained_with_it_alone(with_it, without_it, stays):
+    assert needed(SimpleNamespace(verdict=with_it), SimpleNamespace(verdict=without_it)) == stays
 
 
 @pytest.mark.parametrize(

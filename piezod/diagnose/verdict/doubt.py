@@ -1,0 +1,62 @@
+"""Which names are left out again: those that gain nothing in the end, then the one that is believed least."""
+
+from collections.abc import Mapping, Sequence
+
+from piezod.diagnose.findings import Findings
+from piezod.diagnose.selection.acceptance import BETTER
+from piezod.diagnose.selection.search_state import Search
+
+LEAST_CONFIDENCE = 0.6  # below which an effect is not named: more likely it is the shape of something else,
+LEFT_BY_ONE = 0.25  # unless it leaves no more of the squared error than that: it halves the error
+
+
+def confidences(findings: Findings, before: Mapping[str, float] | None = None) -> dict[str, float]:
+    """The highest confidence that each effect has or had `before`, by name."""
+    highest = dict(before or {})
+    for one in findings.effects:
+        highest[one.name] = max(one.confidence, highest.get(one.name, 0.0))
+    return highest
+
+
+def needless(result: Search, findings: Findings) -> list[str]:
+    """An effect that gains nothing without plays that fold, or on all samples.
+
+    All of them where the given model says what was left out of the fit as well without them.
+    """
+    if result.found.effects and findings.after**2 > BETTER * findings.before**2:
+        return list(result.found.effects)
+    named = (one for one in findings.effects if one.name in result.names)
+    return [one.name for one in named if BETTER * one.before**2 < one.after**2][:1]
+
+
+def least_believed(result: Search, findings: Findings, surest: Mapping[str, float]) -> list[str]:
+    """The effect that is believed least, where that is too little and much is left with it too.
+
+    An effect that was left out may have taken a part of another. What it took counts as left beside the other, so the
+    highest confidence of each decides.
+
+    Parameters
+    ----------
+    result, findings
+        What a search found, and how sure it is.
+    surest
+        Highest confidence that each effect has or had, by name.
+    """
+    named = (one for one in findings.effects if one.name in result.names and surest[one.name] < LEAST_CONFIDENCE)
+    weak = [one for one in named if one.after**2 > LEFT_BY_ONE * one.before**2]
+    return [min(weak, key=lambda one: one.confidence).name] if weak else []
+
+
+def needed(with_it: Findings, without_it: Findings) -> bool:
+    """Whether a recording is explained with an effect and is not without it."""
+    return with_it.verdict == "explained" and without_it.verdict not in ("explained", "matches")
+
+
+def not_believed(findings: Findings, doubtful: Sequence[str]) -> list[str]:
+    """What a reader is told of effects that came near and are not named."""
+    return [
+        f"{one.name} would explain a part, {one.before:.3g} -> {one.after:.3g} {findings.unit}, but is not believed "
+        f"(confidence {one.confidence:.2f}{'' if one.q is None else f', false-discovery rate {one.q:.2g}'})"
+        for one in findings.effects
+        if one.name in doubtful and one.confidence < LEAST_CONFIDENCE and one.after < one.before
+    ]
