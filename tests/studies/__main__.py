@@ -14,6 +14,7 @@ from tests.studies import (
     learning,
     learning_concealed,
     lisdd,
+    lives,
     messy_files,
     nulls,
     overlay,
@@ -47,6 +48,7 @@ def main() -> None:
     peers.add_options(studies.add_parser("peers", help="other methods on the cases of a concealed study"))
     rivals.add_options(studies.add_parser("rivals", help="the next experiment where a diagnosis left rivals"))
     rules.add_options(studies.add_parser("rules", help="the rule of the search on replay files, families left out"))
+    lives.add_options(studies.add_parser("lives", help="five recordings of a bench with one change, concealed plants"))
     lisdd.add_options(studies.add_parser("lisdd", help="LISDD on the cases of a concealed study"))
     recorder.add_options(studies.add_parser("recorder", help="the recorder under kills, power cuts and disk failures"))
     messy_files.add_options(studies.add_parser("messy_files", help="text of spreadsheets and instruments"))
