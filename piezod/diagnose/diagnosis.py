@@ -13,8 +13,8 @@ from piezod.diagnose.candidates.rounding import unrounded
 from piezod.diagnose.candidates.screening import DIRECT
 from piezod.diagnose.candidates.tones import with_tones
 from piezod.diagnose.experiment.testable import untestable
-from piezod.diagnose.findings import Findings, Place, Unnamed, above_noise, gap_closed
-from piezod.diagnose.hypothesis.chain import Setting
+from piezod.diagnose.findings import Finding, Findings, Place, Unnamed, above_noise, gap_closed
+from piezod.diagnose.hypothesis.chain import Chain, Point, Setting, Term
 from piezod.diagnose.hypothesis.fit import Normal, fit
 from piezod.diagnose.hypothesis.monotone import rises, unfolded
 from piezod.diagnose.hypothesis.parallel import each
@@ -22,6 +22,7 @@ from piezod.diagnose.hypothesis.series import Series
 from piezod.diagnose.localisation.locate import locate
 from piezod.diagnose.prepare import Source, chain_of, made_ready, stand_in
 from piezod.diagnose.selection.acceptance import counted, weighed
+from piezod.diagnose.selection.given_effects import as_given, given_effects
 from piezod.diagnose.selection.replay import Attempt, fitted_in
 from piezod.diagnose.selection.search import OnProgress, fitted_without, instead, search, without
 from piezod.diagnose.selection.search_state import Beside, Search
@@ -29,15 +30,23 @@ from piezod.diagnose.selection.significance import with_shares
 from piezod.diagnose.selection.stated_hold import as_told
 from piezod.diagnose.selection.unnamed import fit_unnamed
 from piezod.diagnose.verdict.doubt import confidences, least_believed, needed, needless, not_believed
-from piezod.diagnose.verdict.evidence import all_terms, finding_of, read_off, standing, tone_finding
-from piezod.diagnose.verdict.extended import extended_model
+from piezod.diagnose.verdict.evidence import (
+    all_terms,
+    finding_of,
+    gone_finding,
+    kept_effects,
+    read_off,
+    standing,
+    tone_finding,
+)
+from piezod.diagnose.verdict.extended import extended_model, with_error
+from piezod.diagnose.verdict.simulated import GivenRuns, free_run, tared_rms
 from piezod.diagnose.verdict.verdict import (
     held_out_rms,
     less_sure,
     no_noise,
     noise_floor,
     remaining,
-    rms_of,
     share_left,
     span_of,
     verdict_of,
@@ -126,25 +135,25 @@ def _diagnosed(
     progress("reading", 0.0)
     ready, still, noticed = made_ready([*past, *asked], model)
     said, series = [*notes, *noticed], [unrounded(one) for one in ready]
+    before = GivenRuns.of(model, [*past, *asked], series)
     if not past:
         series.insert(0, stand_in(model))
         still.insert(0, [])
     frozen = {number: stretches for number, stretches in enumerate(still) if stretches}
-    given = [_given(model, one) for one in series]
-    chain, start = chain_of(series, model)
-    result = search(chain, start, progress)
+    asked_for = _Asked(model, [*past, *asked], series, before, frozen, said, stand_ins=int(not past))
+    chain, start, given = asked_for.begun()
+    result = search(chain, start, progress, given)
     result.chain.forget()
     result.chain, result.found = as_told(result.chain, result.found)
     result = rising(result)
     progress("judging what is left", 0.9)
-    asked_for = _Asked(model, [*past, *asked], given, frozen, said, stand_ins=int(not past))
     diagnosis = asked_for.judged(result)
     left = [one.reading_N - with_it for one, with_it in zip(diagnosis.series, diagnosis.extended, strict=True)]
     # what the full model explains stays explained when names are left out
     asked_for = replace(asked_for, frozen=standing(diagnosis.series, frozen, left))
     surest = confidences(diagnosis.findings)
     while True:
-        idle = needless(result, diagnosis.findings)
+        idle = needless(result, diagnosis.findings, delivered=diagnosis.model is not model)
         doubtful = idle or least_believed(result, diagnosis.findings, surest)
         if not doubtful:
             break
@@ -232,21 +241,17 @@ def _without(result: Search, names: Sequence[str]) -> Search:
     """The same search with some effects left out of what it found."""
     found = result.found
     for name in names:
+        if name in result.given:
+            found = as_given(result.chain, found, result.base, name)
+            result.statuses[name] = "kept"
+            continue
         terms, values = without(found, name)
         found = replace(found, terms=tuple(terms), point=replace(found.point, values=tuple(values)))
     back = [tone for tone in result.tones if tone.name in names]
     chain = result.chain.like(with_tones(result.chain.series, back))
     kept = [tone for tone in result.tones if tone.name not in names]
-    base = fit(chain, (), result.base.point) if back else result.base
+    base = fit(chain, result.base.terms, result.base.point) if back else result.base
     return replace(result, chain=chain, tones=kept, base=base, found=fit(chain, found.terms, found.point))
-
-
-def _given(model: Model, series: Series) -> Array:
-    """Readings that the given model expects, its offset adapted: a tare is no mismatch."""
-    operator = model.hysteresis.operator()
-    operator.run(np.array(series.path_V))
-    expected = operator.run(series.command_V)
-    return expected + float(np.mean((series.reading_N - expected)[series.counts]))
 
 
 @dataclass(frozen=True)
@@ -259,8 +264,10 @@ class _Asked:
         As it was given.
     sources
         Those of the identification first.
-    given
-        Readings that the model expects, of every series.
+    series
+        The recordings made ready, one that stands for those of the identification first where these are gone.
+    before
+        The given model in free run over the recordings.
     frozen
         Stretches of readings that stand still, by the number of their series.
     notes
@@ -271,29 +278,55 @@ class _Asked:
 
     model: Model
     sources: Sequence[Source]
-    given: list[Array]
+    series: list[Series]
+    before: GivenRuns
     frozen: dict[int, list[tuple[int, int]]]
     notes: list[str]
     stand_ins: int
 
+    @property
+    def hashes(self) -> list[str]:
+        """SHA-256 of the recording of each series; empty where it is gone."""
+        return [""] * self.stand_ins + [source.sha256 for source in self.sources]
+
+    @property
+    def given(self) -> list[Array]:
+        """Readings that the given model expects, of every series."""
+        own = [one.reading_N for one in self.series[: self.stand_ins]]  # simulated by the model itself
+        files = self.series[self.stand_ins :]
+        return own + [run.over(one) for run, one in zip(self.before.runs, files, strict=True)]
+
+    def begun(self) -> tuple[Chain, Point, tuple[Term, ...]]:
+        """Where the search begins: recordings without the given law, the base, and the given effects at their values.
+
+        A model with effects states how the command runs between samples, and is followed in that.
+        """
+        law_N = [np.zeros(1)] * self.stand_ins + self.before.law(self.series[self.stand_ins :])
+        series = [replace(one, reading_N=one.reading_N - law) for one, law in zip(self.series, law_N, strict=True)]
+        terms, values = given_effects(self.model, series, self.hashes)
+        if terms:
+            series = [replace(one, hold=self.model.hold) for one in series]
+        chain, start = chain_of(series, self.model)
+        return chain, replace(start, values=values), terms
+
     def judged(self, result: Search) -> Diagnosis:
         """What a search found, with how sure it is and what is left."""
-        chain, found = result.chain, result.found
+        chain, found, given = result.chain, result.found, self.given
         normal = Normal.at(chain, found.terms, found.point)
         modelled = normal.readings()
         residuals = [one.reading_N - simulated for one, simulated in zip(chain.series, modelled, strict=True)]
         left = explainable(chain.series, residuals, modelled)
         share, closed = remaining(result, left, motion(chain.series, residuals, modelled))
         floor, floor_from = noise_floor(chain.series, residuals, left)
-        series = with_tones(chain.series, result.tones)
-        simulated = [one.reading_N - residual for one, residual in zip(series, residuals, strict=True)]
-        base_residuals = [one.reading_N - given for one, given in zip(series, self.given, strict=True)]
-        before, after = rms_of(base_residuals, series), held_out_rms(chain, found)
-        refitted = None if result.names else min(after, before)
-        least = after if refitted is None else refitted
-        effects = with_shares(each(lambda name: finding_of(result, name), found.effects))
-        effects += [tone_finding(result, name) for name in dict.fromkeys(tone.name for tone in result.tones)]
+        series = [replace(one, reading_N=known.reading_N) for one, known in zip(chain.series, self.series, strict=True)]
+        before = tared_rms(self.before.asked)
+        effects = self._effects(result)
         effects += read_off(chain.series, self.frozen, residuals, before)
+        written, folds = self._written(result, effects)
+        runs = [free_run(written, *one) for one in self.before.places] if written is not self.model else []
+        after = tared_rms(runs) if runs else before
+        refitted = None if result.differs else min(held_out_rms(chain, found), before)
+        least = max(after, held_out_rms(chain, found)) if refitted is None else refitted
         span = span_of(series)
         above = above_noise(least, floor, span)
         if above:
@@ -307,6 +340,9 @@ class _Asked:
         chain.forget()  # what follows takes memory of its own
         if verdict == "partly_explained":
             sure = [less_sure(one, unlike_noise, closed) for one in effects]
+        simulated = [one.reading_N - residual for one, residual in zip(chain.series, residuals, strict=True)]
+        for k, run in enumerate(runs, start=len(series) - len(runs)):
+            simulated[k] = run.over(series[k])
         findings = Findings(
             verdict=verdict,
             words="",
@@ -315,15 +351,16 @@ class _Asked:
             floor_from=floor_from,
             where=tuple(
                 Place(one.axis, one.low, one.high, one.share, one.p)
-                for one in locate(series, base_residuals, self.given)
+                for one in locate(series, [one.reading_N - by for one, by in zip(series, given, strict=True)], given)
             ),
             effects=tuple(sure),
+            kept=tuple(kept_effects(result, self.model)),
             before=before,
-            after=after if refitted is None else before,
+            after=after,
             refitted=refitted,
             span=span,
-            nrmse_before=_nrmse_percent(series, self.given),
-            nrmse_after=_nrmse_percent(series, simulated if result.names else self.given),
+            nrmse_before=_nrmse_percent(series, given),
+            nrmse_after=_nrmse_percent(series, simulated if result.differs else given),
             explainable=share,
             not_testable=blind,
             notes=tuple(self.notes),
@@ -332,31 +369,42 @@ class _Asked:
                 for one in self.sources
             ),
         )
-        findings, extended = self._extended(findings, result)
+        if folds:
+            findings = _not_delivered(findings, folds)
         wording = Wording(self.model.input.unit, self.model.output.unit)
         findings = replace(findings, words=words_of(findings, wording))
-        return Diagnosis(findings, extended, series, self.given, simulated, result.attempts)
+        if written is not self.model:
+            written = with_error(written, after)
+        return Diagnosis(findings, written, series, given, simulated, result.attempts)
 
-    def _extended(self, findings: Findings, result: Search) -> tuple[Findings, Model]:
-        """The model with what was found, and the findings less sure where there can be none.
+    def _effects(self, result: Search) -> list[Finding]:
+        """What is new, has changed or is gone."""
+        named = [name for name in result.found.effects if name in result.new or result.statuses.get(name) == "changed"]
+        gone = [name for name, status in result.statuses.items() if status == "gone"]
+        effects = with_shares(each(lambda name: finding_of(result, name, self.model), named))
+        effects += [gone_finding(result, name, self.model) for name in gone]
+        return effects + [tone_finding(result, name) for name in dict.fromkeys(tone.name for tone in result.tones)]
 
-        The given one where nothing was found: a hysteresis refitted beside what is missing may be worse elsewhere.
-        """
-        if not result.names:
-            return findings, self.model
-        hashes = [""] * self.stand_ins + [source.sha256 for source in self.sources]
+    def _written(self, result: Search, effects: Sequence[Finding]) -> tuple[Model, str]:
+        """The model with what was found, and why there is none; the given one where nothing differs from it."""
+        if not result.differs:
+            return self.model, ""
         found = all_terms(result.found, result.tones_asked_about)
+        intervals = {one.name: one.parameters for one in effects}
         try:
-            return findings, extended_model(self.model, result.chain, found, hashes, findings.after)
+            return extended_model(self.model, result.chain, found, self.hashes, intervals), ""
         except ModelError as error:
-            # Plays that fold are no stack's: whatever they needed to fit is not understood yet.
-            folded = replace(
-                findings,
-                verdict="partly_explained" if findings.effects else "unexplained",
-                effects=tuple(replace(one, confidence=FOLDED * one.confidence) for one in findings.effects),
-                notes=(*findings.notes, f"no extended model, model.yaml holds the given one: {error}"),
-            )
-            return folded, self.model
+            return self.model, str(error)
+
+
+def _not_delivered(findings: Findings, why: str) -> Findings:
+    """Findings without a model: plays that fold are no stack's, and whatever they needed to fit is not understood."""
+    return replace(
+        findings,
+        verdict="partly_explained" if findings.effects else "unexplained",
+        effects=tuple(replace(one, confidence=FOLDED * one.confidence) for one in findings.effects),
+        notes=(*findings.notes, f"no extended model, model.yaml holds the given one: {why}"),
+    )
 
 
 def _nrmse_percent(series: Sequence[Series], simulated: Sequence[Array]) -> float:

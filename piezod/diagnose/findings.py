@@ -7,7 +7,8 @@ Verdict = Literal["matches", "explained", "partly_explained", "unexplained", "no
 ABOVE_NOISE = 1.3  # times it: what is left then is more; coloured noise is seen up to 1.25 times weaker in holds
 FINEST = 2e-4  # of the readings' range: nobody is asked to simulate better, whatever the noise
 NO_GAP = 0.02  # of the noise's square: so little above it is nothing
-SCHEMA = "piezod.findings/1"
+SCHEMA = "piezod.findings/2"
+Status = Literal["new", "changed", "gone"]
 
 
 def gap_closed(before: float, after: float, floor: float) -> float:
@@ -87,7 +88,7 @@ class Rival:
 
 @dataclass(frozen=True)
 class Finding:
-    """One effect that was found.
+    """One effect that is new, or has changed since the given model.
 
     Parameters
     ----------
@@ -110,6 +111,11 @@ class Finding:
     p, q
         Probability that a useless effect predicts as well, and expected share of false names up to it; None for what is
         read off the readings without a fit.
+    status
+        "new": the given model lacks it. "changed": the given model has it with other values. "gone": the given model
+        has it, and the recordings do not.
+    was
+        Parameters in the given model, by name; empty for a new effect.
     """
 
     name: str
@@ -125,20 +131,50 @@ class Finding:
     why: str = ""
     p: float | None = None
     q: float | None = None
+    status: Status = "new"
+    was: dict[str, Value] = field(default_factory=dict)
 
     def as_dict(self, unit: str) -> dict[str, Any]:
         """For JSON."""
         return {
             "name": self.name,
+            "status": self.status,
             "confidence": self.confidence,
             **({} if self.p is None or self.q is None else {"p_value": self.p, "q_value": self.q}),
             "scope": self.scope,
             "where": [place.as_dict() for place in self.where],
-            "parameters": {name: value.as_dict() for name, value in self.parameters.items()},
+            "parameters": {
+                name: value.as_dict() | ({"was": self.was[name].as_dict()} if name in self.was else {})
+                for name, value in self.parameters.items()
+            },
             "held_out": {"before": self.before, "after": self.after, "unit": unit},
             "rivals": [rival.as_dict() for rival in self.rivals],
             "handling": self.handling,
         }
+
+
+@dataclass(frozen=True)
+class Kept:
+    """An effect of the given model that has not changed, as far as the recordings tell.
+
+    Parameters
+    ----------
+    name
+        Of the catalogue.
+    parameters
+        By name, as in the given model.
+    seen
+        Whether the recordings fit worse without it; else they could not tell.
+    """
+
+    name: str
+    parameters: dict[str, Value]
+    seen: bool
+
+    def as_dict(self) -> dict[str, Any]:
+        """For JSON."""
+        parameters = {name: value.as_dict() for name, value in self.parameters.items()}
+        return {"name": self.name, "parameters": parameters, "seen": self.seen}
 
 
 @dataclass(frozen=True)
@@ -226,8 +262,8 @@ class Findings:
     effects
         What was found, the largest first.
     before, after
-        Root mean square error of given and extended model on data left out [output unit]; equal where neither an
-        effect nor an unnamed law was found, as the given model stays then.
+        Root mean square error that `piezod simulate` of the given and of the written model leaves on the recordings,
+        about its mean [output unit]; equal where the given model stays.
     nrmse_before, nrmse_after
         Fit as MATLAB's `compare` defines it [%].
     explainable
@@ -239,7 +275,9 @@ class Findings:
     span
         Widest range of readings of a recording asked about [output unit].
     refitted
-        Where nothing was found: the same error of the given model with its hysteresis refitted to the recordings.
+        Where nothing was found: error on data left out of a hysteresis that is refitted to the recordings.
+    kept
+        Effects of the given model that have not changed.
     law
         Law without a name that is in the extended model; None: there is none. `after` is then the error with it.
     held_out
@@ -264,6 +302,7 @@ class Findings:
     not_testable: tuple[str, ...] = ()
     span: float = 0.0
     refitted: float | None = None
+    kept: tuple[Kept, ...] = ()
     law: Unnamed | None = None
     held_out: tuple[HeldOut, ...] = ()
     recordings: tuple[dict[str, Any], ...] = field(default_factory=tuple)
@@ -285,7 +324,7 @@ class Findings:
         return above_noise(self.left, self.floor, self.span)
 
     def as_dict(self) -> dict[str, Any]:
-        """For `findings.json`, schema "piezod.findings/1"."""
+        """For `findings.json`, schema "piezod.findings/2"; what was in /1 has its place."""
         return {
             "schema": SCHEMA,
             "verdict": self.verdict,
@@ -293,6 +332,7 @@ class Findings:
             "noise_floor": {"value": self.floor, "unit": self.unit, "from": self.floor_from},
             "where": [place.as_dict() for place in self.where],
             "effects": [one.as_dict(self.unit) for one in self.effects],
+            "kept": [one.as_dict() for one in self.kept],
             "fit": {
                 "unit": self.unit,
                 "held_out": {

@@ -17,7 +17,7 @@ from piezod.errors import RecordingError
 from piezod.estimation.initial_state import estimate_path, remembered, start_at_zero, starts_at_rest
 from piezod.excitation import varying_triangles
 from piezod.identify.simulation import where
-from piezod.model import Model, file_sha256
+from piezod.model import Model, file_sha256, run_chain
 from piezod.recording import Hold, Recording, TextOptions, read_recording
 from piezod.recording.conversion import in_units_of
 
@@ -268,17 +268,24 @@ def _longest_stretch(recording: Recording, channel: str) -> tuple[Recording, str
 def stand_in(model: Model) -> Series:
     """A recording simulated from the model, for those it was identified on when they are gone.
 
-    It weighs as the samples behind the model's statistics do.
+    It has the effects that were there at the identification, and none that came since.
     """
     peak = model.input.high
     rate_Hz = STAND_IN_SAMPLES / 150.0
     u = varying_triangles(peak - min(model.input.low, 0.0), 0.1, 15, rate_Hz) + min(model.input.low, 0.0)
-    operator = model.operator()
-    y = operator.run(u)
-    noise = model.provenance.fit.rms_fit or 1e-3 * float(np.ptp(y))
+    time_s = np.arange(u.size) / rate_Hz
+    y = run_chain(as_identified(model), model.operator(), time_s, u, temperature_C=np.zeros(u.size))
+    errors = model.provenance.fit
+    noise = errors.rms_fit or errors.rms_held_out or 1e-3 * float(np.ptp(y))
     return Series(
-        "the model's own statistics", "identification", np.arange(u.size) / rate_Hz, u, y, np.ones(u.size, bool), noise
+        "the model's own statistics", "identification", time_s, u, y, np.ones(u.size, bool), noise, hold=model.hold
     )
+
+
+def as_identified(model: Model) -> Model:
+    """The given model without what came after its identification."""
+    then = tuple(one for one in model.effects if one.since == "identification")
+    return model.model_copy(update={"effects": then, "unnamed_law": None})
 
 
 def started(series: Series, model: Model) -> Series:
@@ -371,13 +378,16 @@ def chain_of(series: Sequence[Series], model: Model) -> tuple[Chain, Point]:
     reach = 0.995 * (max(abs(low), abs(high)) if rested else 0.5 * swing)
     law = ForceLaw(low - 0.03 * swing, high)
     spans = model.output.high - model.output.low, model.input.high - model.input.low
-    chain = Chain(series, PlayDensity.up_to(reach), law, spans[0], voltage_span_V=spans[1])
+    asked = [one for one in series if one.role == "recording"] or series
+    seen_s = model.seen_s or max(one.duration_s for one in asked)
+    chain = Chain(series, PlayDensity.up_to(reach), law, spans[0], voltage_span_V=spans[1], seen_s=seen_s)
     gain = (model.output.high - model.output.low) / (model.input.high - model.input.low)
     return chain, empty_point(chain, gain, model.output.low - gain * model.input.low)
 
 
 __all__ = [
     "Source",
+    "as_identified",
     "chain_of",
     "even",
     "made_ready",

@@ -135,18 +135,42 @@ def load_for_simulation(
     if any(factor_to(output_column, name) for name in names):
         wanted.append(output_column)
     recording, sha256, notes = _read(path, names, wanted, on_step, text)
-    bridged, breaks, bridge_notes = _bridge(recording, input_column)
+    recording, more = fit_for_simulation(recording, input_column, output_column)
+    return _loaded(recording, sha256, notes + more)
+
+
+def fit_for_simulation(recording: Recording, input_column: str, output_column: str) -> tuple[Recording, list[str]]:
+    """The recording that a model is simulated over and compared with, and notes.
+
+    Parameters
+    ----------
+    recording
+        Every row stays. It is not changed.
+    input_column, output_column
+        Their names; the output may be absent.
+
+    Raises
+    ------
+    RecordingError
+        Its input has a hole too long to interpolate.
+    """
+    bridged, breaks, notes = _bridge(recording, input_column)
+    bridged = Recording(bridged.time_s, dict(bridged.channels), bridged.metadata, bridged.source)
     u = bridged.channel(input_column)
     if not np.isfinite(u).all():
         line = describe_missing(recording, input_column)[0]
-        raise RecordingError(f"{path}: {line}; must be there in every row that is simulated, cut the file there")
-    notes += bridge_notes + [f"{_pause(recording, one)}: what the input did there is not known" for one in breaks]
+        raise RecordingError(
+            f"{recording.source}: {line}; must be there in every row that is simulated, cut the file there"
+        )
+    notes += [f"{_pause(recording, one)}: what the input did there is not known" for one in breaks]
+    if output_column in bridged.channels:
+        bridged.channels[output_column] = bridged.channel(output_column).copy()
     if output_column in bridged.channels and np.isnan(bridged.channel(output_column)).all():
         notes.append(f"{output_column} holds no number, nothing is compared")
         del bridged.channels[output_column]
     if output_column in bridged.channels:
         notes += _mask(bridged, input_column, output_column, most=1.0)
-    return _loaded(bridged, sha256, notes)
+    return bridged, notes
 
 
 def _load(

@@ -24,6 +24,8 @@ class Agreement:
         How many were compared.
     rms, max, nrmse_percent
         Of measured minus simulated [output unit], [%].
+    rms_tared
+        Rms of the same about its mean: the tare of the load cell is no error of the model [output unit].
     gain, offset
         With which the simulation would fit best: measured = gain simulated + offset [1], [output unit].
     rms_refitted, max_refitted, nrmse_percent_refitted
@@ -34,6 +36,7 @@ class Agreement:
     rms: float
     max: float
     nrmse_percent: float
+    rms_tared: float
     gain: float
     offset: float
     rms_refitted: float
@@ -50,6 +53,7 @@ class Agreement:
             rms=rms(measured - simulated),
             max=largest(measured - simulated),
             nrmse_percent=nrmse_percent(measured, simulated),
+            rms_tared=float(np.std(measured - simulated)),
             gain=float(gain),
             offset=float(offset),
             rms_refitted=rms(measured - refitted),
@@ -60,8 +64,10 @@ class Agreement:
     def words(self, unit: str) -> str:
         """In a sentence."""
         return (
-            f"over {self.samples} samples rms error {self.rms:.4g} {unit}, max {self.max:.4g} {unit}, "
-            f"fit {self.nrmse_percent:.2f} %; with gain x {self.gain:.4f} and offset {self.offset:+.4g} {unit} "
+            f"over {self.samples} samples rms error {self.rms:.4g} {unit}, "
+            f"{self.rms_tared:.4g} {unit} without its mean, "
+            f"max {self.max:.4g} {unit}, fit {self.nrmse_percent:.2f} %; "
+            f"with gain x {self.gain:.4f} and offset {self.offset:+.4g} {unit} "
             f"refitted {self.rms_refitted:.4g} {unit}, max {self.max_refitted:.4g} {unit}, "
             f"fit {self.nrmse_percent_refitted:.2f} %"
         )

@@ -14,6 +14,7 @@ from piezod.operators import EPS, PrandtlIshlinskii
 from piezod.recording.hold import Hold
 
 Numbers = Annotated[tuple[float, ...], Field(strict=False, min_length=1)]
+Interval = Annotated[tuple[float, float], Field(strict=False)]
 
 
 class Channel(Section):
@@ -148,11 +149,16 @@ class EffectValues(Section):
     """Effect of the catalogue in a model, with the values of its parameters.
 
     An effect of a single recording (a tone, a load step) names its recording by SHA-256 and acts in no other.
+    `since` is the SHA-256 of the first recording in which the effect was found, or "identification" where the
+    recordings of the identification show it too. Without it nothing is known of that. `intervals` are the 95 %
+    intervals of the parameters, as low and high.
     """
 
     name: Annotated[str, Field(min_length=1)]
     parameters: dict[str, float]
+    intervals: dict[str, Interval] | None = None
     recording: Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")] | None = None
+    since: Annotated[str, Field(pattern=r"^(identification|[0-9a-f]{64})$")] | None = None
 
     @model_validator(mode="after")
     def _is_in_the_catalogue(self) -> Self:
@@ -167,8 +173,12 @@ class EffectValues(Section):
                 raise ValueError(f"{self.name}: parameters has no {parameter.name}")
             if not low <= value <= high:
                 raise ValueError(f"{self.name}: {parameter.name} is {value:g}, must be within {low:g} and {high:g}")
-        if unknown := set(self.parameters) - {parameter.name for parameter in effect.parameters}:
+        named = {*self.parameters, *(self.intervals or {})}
+        if unknown := named - {parameter.name for parameter in effect.parameters}:
             raise ValueError(f"{self.name}: has no parameter {', '.join(sorted(unknown))}")
+        for name, (low, high) in (self.intervals or {}).items():
+            if not low <= high:
+                raise ValueError(f"{self.name}: interval of {name} is {low:g} to {high:g}, must not fall")
         return self
 
 

@@ -49,12 +49,15 @@ class Term:
         Which one, for "once".
     choices
         Values of the parameters that are not searched.
+    held
+        Whether its parameters stay at their values: an effect of the given model that has not changed.
     """
 
     effect: Effect
     scope: Scope
     series: int = -1
     choices: tuple[tuple[str, float], ...] = ()
+    held: bool = False
 
     def acts_on(self, number: int, series: Series) -> bool:
         """Whether it is in a recording."""
@@ -68,8 +71,15 @@ class Term:
         return tuple(
             one.name
             for one in self.effect.parameters
-            if not one.search.choices and (one.search.only_if is None or one.search.only_if in self.choices)
+            if not self.held
+            and not one.search.choices
+            and (one.search.only_if is None or one.search.only_if in self.choices)
         )
+
+    @property
+    def weights(self) -> tuple[str, ...]:
+        """Names of those in which the chain is linear."""
+        return () if self.held else self.effect.weights
 
 
 @dataclass(frozen=True)
@@ -132,6 +142,8 @@ class Chain:
         Of the identified range; None: of the recordings.
     most_rows
         Samples of a recording that are compared, evenly spread; the simulation always runs over all.
+    seen_s
+        Duration that the effects of the given model refer to [s]; None: that of each recording.
     """
 
     def __init__(
@@ -142,8 +154,10 @@ class Chain:
         force_span_N: float,
         most_rows: int = MOST_ROWS,
         voltage_span_V: float | None = None,
+        seen_s: float | None = None,
     ) -> None:
         self.series = list(series)
+        self.seen_s = seen_s
         self.voltage_span_V = voltage_span_V or max(float(np.ptp(one.command_V)) for one in series)
         self.density, self.law, self.force_span_N = density, law, force_span_N
         self.most_rows = most_rows
@@ -165,13 +179,14 @@ class Chain:
 
     def like(self, series: Sequence[Series], most_rows: int | None = None) -> "Chain":
         """The same operators over other series."""
-        return Chain(
-            series, self.density, self.law, self.force_span_N, most_rows or self.most_rows, self.voltage_span_V
-        )
+        return self._with(series, self.density, self.law, most_rows or self.most_rows)
 
     def with_base(self, density: PlayDensity, law: ForceLaw) -> "Chain":
         """The same with other plays and another force law."""
-        return Chain(self.series, density, law, self.force_span_N, self.most_rows, self.voltage_span_V)
+        return self._with(self.series, density, law, self.most_rows)
+
+    def _with(self, series: Sequence[Series], density: PlayDensity, law: ForceLaw, most_rows: int) -> "Chain":
+        return Chain(series, density, law, self.force_span_N, most_rows, self.voltage_span_V, self.seen_s)
 
     def forget(self) -> None:
         """Let go of what is only kept for speed: a recording's plays are a hundred bytes a sample."""
@@ -223,6 +238,7 @@ class Chain:
             one.hold,
             self.voltage_span_V,
             one.path_V,
+            self.seen_s,
         )
 
     def _step(self, number: int, here: Sequence[tuple[Term, Mapping[str, float]]]) -> int:
@@ -361,7 +377,7 @@ class Chain:
                 column = passage.through(column)
             return compared(slope * column[kept])
 
-        base, count = columns.shape[1] + splines.shape[1], sum(len(term.effect.weights) for term in terms)
+        base, count = columns.shape[1] + splines.shape[1], sum(len(term.weights) for term in terms)
         tangents = np.zeros((self.series[number].counts[self.rows[number]].size, base + count), order="F")
         for k in range(columns.shape[1]):
             tangents[:, k] = through(np.ascontiguousarray(columns[:, k]), through_stack)
@@ -369,11 +385,11 @@ class Chain:
             tangents[:, columns.shape[1] + k] = compared(np.ascontiguousarray(splines[:, k]))
         in_stack, first = [term for term, _ in here if term.effect.location == Location.STACK], base
         for term in terms:
-            if term.effect.columns is not None and term in in_stack:
+            if term.weights and term.effect.columns is not None and term in in_stack:
                 own, *later = through_stack[in_stack.index(term) :]
                 for k, column in enumerate(term.effect.columns(own.context, own.values).T, start=first):
                     tangents[:, k] = through(np.ascontiguousarray(column), later)
-            first += len(term.effect.weights)
+            first += len(term.weights)
         return tangents
 
 

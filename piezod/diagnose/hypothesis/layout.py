@@ -30,7 +30,7 @@ class Layout:
         weights = [
             place
             for place, (number, one) in enumerate(self.searched, start=self.effects)
-            if one.name in terms[number].effect.weights
+            if one.name in terms[number].weights
         ]
         self.carried = [*range(self.offsets), *weights]  # of which the chain knows the tangents
 

@@ -23,6 +23,7 @@ from piezod.diagnose.selection.acceptance import (
     worth,
 )
 from piezod.diagnose.selection.corners import sharpened
+from piezod.diagnose.selection.given_effects import freed, settle
 from piezod.diagnose.selection.replay import Attempt
 from piezod.diagnose.selection.search_state import Beside, Round, Search
 from piezod.diagnose.selection.tone_search import dominates, heard, listen, listen_again
@@ -42,7 +43,7 @@ RIVALS = 6  # of an effect, that are tried in its place at the end
 DOUBTED = 3  # of those that fit better and are not believed that are fitted from other starts
 
 
-def search(chain: Chain, start: Point, progress: OnProgress) -> Search:
+def search(chain: Chain, start: Point, progress: OnProgress, given: tuple[Term, ...] = ()) -> Search:
     """Find the effects that the recordings show.
 
     Parameters
@@ -50,19 +51,16 @@ def search(chain: Chain, start: Point, progress: OnProgress) -> Search:
     chain
         Recordings and base.
     start
-        Of the base.
+        Of the base, with the values of the given effects.
     progress
         Told what is being done, and what part of the work is behind it at least.
+    given
+        Effects of the given model, held at their values.
     """
     progress("fitting the base", 0.02)
-    chain, base = best_course(chain, (), start)
-    base = fit(chain, (), base.point)  # a base that has not arrived would take any effect for its own way
-    chain, base = started_as_usual(chain, base)
-    result = Search(chain, base, base, _past(chain, start))
-    while len(result.names) < MOST_EFFECTS:
-        progress(
-            f"looking for effect {len(result.names) + 1}", SEARCHED - (SEARCHED - 0.1) * FURTHER ** len(result.names)
-        )
+    result = _begun(chain, start, given)
+    while len(result.new) < MOST_EFFECTS:
+        progress(f"looking for effect {len(result.new) + 1}", SEARCHED - (SEARCHED - 0.1) * FURTHER ** len(result.new))
         tone = heard(result)
         if tone is not None and dominates(result, tone):
             listen(result, tone)
@@ -84,7 +82,7 @@ def search(chain: Chain, start: Point, progress: OnProgress) -> Search:
             continue
         before = _without_it(result, best)
         if before is not result.found:  # some of the gain is the other course's or the other starts'
-            result.base = fit(best[0], (), result.base.point)
+            result.base = fit(best[0], result.base.terms, result.base.point)
             if not worth(before, best[1]):
                 result.chain, result.found = best[0], before
                 continue
@@ -97,9 +95,25 @@ def search(chain: Chain, start: Point, progress: OnProgress) -> Search:
         _follow(result)
     progress("trying to swap and to drop", SEARCHED)
     swap(result)
+    result.found, result.statuses = settle(result.chain, result.found, result.base)
     _drop(result)
     _polish(result)
     return result
+
+
+def _begun(chain: Chain, start: Point, given: tuple[Term, ...]) -> Search:
+    """The search before its first round: how the command runs and what led to the starts, and what has changed.
+
+    A model with effects states how the command runs; it is found anew with the effects.
+    """
+    if given:
+        base = fit(chain, given, start)
+    else:
+        chain, base = best_course(chain, (), start)
+        base = fit(chain, (), base.point)  # a base that has not arrived would take any effect for its own way
+    chain, base = started_as_usual(chain, base)
+    other = freed(chain, base, base.effects) if given else base
+    return Search(chain, base, other if worth(base, other) else base, _past(chain, start, given))
 
 
 def _follow(result: Search) -> None:
@@ -148,7 +162,7 @@ def both(result: Search, tried: Sequence[tuple[Chain, Fitted]]) -> bool:
 
     Each must be believed beside the other, and one of them have a shape that does not bend to what is left.
     """
-    if len(result.names) + 2 > MOST_EFFECTS or result.found.loss <= NOTHING_LEFT:
+    if len(result.new) + 2 > MOST_EFFECTS or result.found.loss <= NOTHING_LEFT:
         return False
     pairs = [one for one in two_at_once(result.chain, result.found) if worth(result.found, one)]
     believed = []
@@ -167,7 +181,7 @@ def both(result: Search, tried: Sequence[tuple[Chain, Fitted]]) -> bool:
     others = tuple(one for one in alone if one.effects[-1] not in pair.effects)
     result.rounds += [Round(result.found, first, others), Round(first, pair, ())]
     if chain is not result.chain:
-        result.chain, result.base = chain, fit(chain, (), result.base.point)
+        result.chain, result.base = chain, fit(chain, result.base.terms, result.base.point)
     result.found = pair
     return True
 
@@ -200,8 +214,8 @@ def _sharper(result: Search, best: tuple[Chain, Fitted] | None) -> tuple[Chain, 
 def _sharpen(result: Search, chain: Chain, found: Fitted) -> None:
     """Go on with plays of their own width in the base."""
     result.chain, result.found = chain, found
-    result.base = fit(chain, (), replace(found.point, values=()))
-    result.past = _past(chain, result.base.point)
+    result.fit_base()
+    result.past = _past(chain, result.base.point, result.base.terms)
 
 
 def _beside_the_last_step(result: Search) -> list[tuple[Chain, Fitted]]:
@@ -237,6 +251,8 @@ def begin_anew(result: Search) -> None:
     known = fit(few, found.terms, found.point, most_steps=2)
     others = []
     for place, term in enumerate(found.terms[:-1]):
+        if term.effect.name in result.given:
+            continue
         values = found.point.values[place]
         anew = [(replace(term, choices=choices), values) for choices in _other_choices(term)]
         if term.scope != "once":
@@ -278,18 +294,18 @@ def _polish(result: Search) -> None:
     """Base and hypothesis once more on all samples."""
     result.chain = result.chain.like(result.chain.series, max(map(_length, result.chain.series)))
     result.found = fit(result.chain, result.found.terms, result.found.point)
-    result.base = fit(result.chain, (), result.base.point, most_steps=4)
+    result.base = fit(result.chain, result.base.terms, result.base.point, most_steps=4)
 
 
 def _length(series: Series) -> int:
     return int(series.time_s.size)
 
 
-def _past(chain: Chain, start: Point) -> Point:
+def _past(chain: Chain, start: Point, given: tuple[Term, ...]) -> Point:
     """The base fitted to the recordings of the identification alone, the others shifted onto it."""
     known = [k for k, one in enumerate(chain.series) if one.role == "identification"]
     alone = chain.like([chain.series[k] for k in known])
-    point = fit(alone, (), replace(start, offsets_N=start.offsets_N[known])).point
+    point = fit(alone, given, replace(start, offsets_N=start.offsets_N[known])).point
     offsets_N = np.zeros(len(chain.series))
     offsets_N[known] = point.offsets_N
     return replace(point, offsets_N=offsets_N)
@@ -299,7 +315,7 @@ def swap(result: Search) -> None:
     """Put a rival in an effect's place where the whole fits better with it, beside all that was found since."""
     if len(result.found.effects) == 1 and result.found.effects[0] not in GENERAL:
         return
-    for name in result.found.effects:
+    for name in [one for one in result.found.effects if one not in result.given]:
         rivals = _rivals(result, name)
         if not rivals:
             continue
@@ -362,7 +378,7 @@ def without(found: Fitted, name: str) -> tuple[list[Term], list[Mapping[str, flo
 
 def _drop(result: Search) -> None:
     """Leave out effects that the others, or the base as it is at the end, have made needless."""
-    left = list(result.found.effects)
+    left = [name for name in result.found.effects if name not in result.given]
     while left:
         fewer = fitted_without(result.chain, result.found, left.pop(0))
         needed = worth(fewer, result.found)
@@ -371,4 +387,4 @@ def _drop(result: Search) -> None:
         )
         if not needed:
             result.found = fewer
-            left = list(fewer.effects)
+            left = [name for name in fewer.effects if name not in result.given]

@@ -1,11 +1,12 @@
 """How far a search has come: what was found, on which way, and what was tried beside it."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from piezod.diagnose.candidates.tones import Tone
 from piezod.diagnose.hypothesis.chain import Chain, Point
-from piezod.diagnose.hypothesis.fit import Fitted
+from piezod.diagnose.hypothesis.fit import MOST_STEPS, Fitted, fit
+from piezod.diagnose.selection.given_effects import Status
 from piezod.diagnose.selection.replay import Attempt
 
 
@@ -39,7 +40,7 @@ class Search:
     chain
         Recordings, with the course between samples that fits best.
     base
-        Nothing but the base.
+        The base beside the effects of the given model, each held at its values: nothing has changed.
     found
         The hypothesis at the end.
     past
@@ -52,6 +53,8 @@ class Search:
         By effect, what was tried in its place at the end.
     attempts
         What was compared, for the replay file.
+    statuses
+        What has become of each effect of the given model, by name.
     """
 
     chain: Chain
@@ -62,6 +65,27 @@ class Search:
     tones: list[Tone] = field(default_factory=list)
     beside: dict[str, Beside] = field(default_factory=dict)
     attempts: list[Attempt] = field(default_factory=list)
+    statuses: dict[str, Status] = field(default_factory=dict)
+
+    @property
+    def given(self) -> tuple[str, ...]:
+        """Effects of the given model."""
+        return self.base.effects
+
+    @property
+    def new(self) -> tuple[str, ...]:
+        """Effects that were found and that the given model lacks, tones last."""
+        return tuple(name for name in self.names if name not in self.given)
+
+    @property
+    def differs(self) -> bool:
+        """Whether anything is new, changed or gone."""
+        return bool(self.new) or any(one in ("changed", "gone") for one in self.statuses.values())
+
+    def fit_base(self, most_steps: int = MOST_STEPS) -> None:
+        """Fit the base anew to the readings of the chain."""
+        point = replace(self.found.point, values=self.base.point.values)
+        self.base = fit(self.chain, self.base.terms, point, most_steps=most_steps)
 
     @property
     def names(self) -> tuple[str, ...]:

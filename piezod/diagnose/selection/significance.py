@@ -15,11 +15,10 @@ from numpy.typing import NDArray
 
 from piezod.diagnose.findings import Finding
 from piezod.diagnose.hypothesis.chain import Chain, Point, Term
-from piezod.diagnose.hypothesis.fit import fit
+from piezod.diagnose.hypothesis.fit import Fitted, fit
 from piezod.diagnose.hypothesis.sampling import coarse
 from piezod.diagnose.hypothesis.series import Series
 from piezod.diagnose.selection.acceptance import MOST_OF_A_BLOCK
-from piezod.diagnose.selection.search import without
 from piezod.diagnose.selection.search_state import Search
 from piezod.effects import EFFECTS
 
@@ -35,13 +34,15 @@ FEWEST, NEARLY_ALL = 5, 0.9
 """Blocks that must share nearly all of what is gained. With four, no p-value is below 2^-4 = 6 %."""
 
 
-def p_value(result: Search, name: str) -> float | None:
-    """Probability that a useless effect gains as much on blocks left out.
+def p_value(result: Search, fewer: Fitted, name: str) -> float | None:
+    """Probability that a useless effect, or a change of one that makes no difference, gains as much on blocks left out.
 
     Parameters
     ----------
     result
         Hypothesis with the effect.
+    fewer
+        The same without it, or as the given model has it.
     name
         Name of the effect.
 
@@ -51,18 +52,16 @@ def p_value(result: Search, name: str) -> float | None:
         Above 0, at most 1; None where the effect acts in so few blocks that this test cannot show it.
     """
     chain, found = coarse(result.chain), result.found
-    terms, values = without(found, name)
-    mine = [term for term in found.terms if term.effect.name == name]
-    fewer = replace(found.point, values=tuple(values))
+    mine = [term for term in (*found.terms, *fewer.terms) if term.effect.name == name]
     gains: list[float] = []
     for parity in (0, 1):
         half = chain.like([replace(one, counts=_every_other(one, parity)) for one in chain.series])
         with_it = fit(half, found.terms, found.point, most_steps=STEPS).point
-        without_it = fit(half, terms, fewer, most_steps=STEPS).point
+        without_it = fit(half, fewer.terms, fewer.point, most_steps=STEPS).point
         half.forget()
         for number, series in enumerate(chain.series):
             if any(term.acts_on(number, series) for term in mine):
-                before = _losses(chain, number, terms, without_it)
+                before = _losses(chain, number, fewer.terms, without_it)
                 after = _losses(chain, number, found.terms, with_it)
                 known = (before > 0.0) & (after > 0.0)
                 known[parity::2] = False

@@ -83,7 +83,7 @@ def _give_back(result: Search) -> None:
     fitted = fit(chain, result.found.terms, result.found.point)
     if BETTER * fitted.loss < result.found.loss:
         result.chain, result.found = chain, fitted
-        result.base = fit(chain, (), result.base.point)
+        result.base = fit(chain, result.base.terms, result.base.point)
         result.tones = others
 
 
@@ -96,4 +96,4 @@ def _without_tones(result: Search, series: Sequence[Series], heard: Sequence[Ton
             series[number] = replace(one, noise_N=noise_of(one.command_V, one.reading_N, one.counts))
     result.chain = result.chain.like(series)
     result.found = fit(result.chain, result.found.terms, result.found.point)
-    result.base = fit(result.chain, (), result.base.point)
+    result.base = fit(result.chain, result.base.terms, result.base.point)

@@ -18,13 +18,14 @@ def confidences(findings: Findings, before: Mapping[str, float] | None = None) -
     return highest
 
 
-def needless(result: Search, findings: Findings) -> list[str]:
+def needless(result: Search, findings: Findings, *, delivered: bool) -> list[str]:
     """An effect that gains nothing without plays that fold, or on all samples.
 
-    All of them where the given model says what was left out of the fit as well without them.
+    All of them where the model that is `delivered` with them leaves as much as the given one.
     """
-    if result.found.effects and findings.after**2 > BETTER * findings.before**2:
-        return list(result.found.effects)
+    unlike = [one.name for one in findings.effects if one.name in (*result.found.effects, *result.given)]
+    if unlike and delivered and findings.after**2 > BETTER * findings.before**2:
+        return unlike
     named = (one for one in findings.effects if one.name in result.names)
     return [one.name for one in named if BETTER * one.before**2 < one.after**2][:1]
 

@@ -8,11 +8,12 @@ from numpy.typing import NDArray
 
 from piezod.diagnose.candidates.direct import level_about
 from piezod.diagnose.candidates.tones import Tone
-from piezod.diagnose.findings import Finding, Place, Rival, Value
+from piezod.diagnose.findings import Finding, Kept, Place, Rival, Value
 from piezod.diagnose.hypothesis.chain import Term
 from piezod.diagnose.hypothesis.fit import Fitted
 from piezod.diagnose.hypothesis.series import Series
 from piezod.diagnose.selection.acceptance import counted
+from piezod.diagnose.selection.given_effects import as_given
 from piezod.diagnose.selection.search import fitted_without
 from piezod.diagnose.selection.search_state import Search
 from piezod.diagnose.selection.significance import p_value
@@ -20,6 +21,7 @@ from piezod.diagnose.verdict.places import place_of
 from piezod.diagnose.verdict.verdict import held_out_rms, power_of
 from piezod.effects import EFFECTS
 from piezod.effects.noncongruent_minor_loops import DEGREES
+from piezod.model import Model
 
 Array = NDArray[np.float64]
 
@@ -31,12 +33,18 @@ UNLIKE = 2.0  # noises from the model, root mean square: a reading that stands s
 COARSE = 0.5  # of the other noise: a converter's step / sqrt(12) beyond it is a finding
 
 
-def finding_of(result: Search, name: str) -> Finding:
-    """An effect that was fitted: its parameters, and the errors on blocks left out without it and with it."""
+def finding_of(result: Search, name: str, given: Model | None = None) -> Finding:
+    """An effect that was fitted: its parameters, and the errors on blocks left out without it and with it.
+
+    Of an effect that the given model has, the errors are those with its old and with its new values.
+    """
     chain, found = result.chain, result.found
     place = next(k for k, term in enumerate(found.terms) if term.effect.name == name)
     term, values = found.terms[place], found.point.values[place]
-    fewer = fitted_without(chain, found, name) if len(found.effects) > 1 else result.base
+    if name in result.given:
+        fewer = as_given(chain, found, result.base, name)
+    else:
+        fewer = fitted_without(chain, found, name) if len(found.effects) > 1 else result.base
     parameters, acts_in = {}, chain.series[term.series]
     for one in term.effect.catalogued:
         value = {**values, **dict(term.choices)}[one.name]
@@ -70,8 +78,57 @@ def finding_of(result: Search, name: str) -> Finding:
         rivals,
         term.effect.handling,
         term.effect.why,
-        p_value(result, name),
+        p_value(result, fewer, name),
+        status="changed" if name in result.given else "new",
+        was={} if given is None or name not in result.given else given_values(given, name),
     )
+
+
+def gone_finding(result: Search, name: str, given: Model) -> Finding:
+    """An effect of the given model that the recordings do not show: errors on blocks left out with it and without it.
+
+    Its parameters are those of the given model.
+    """
+    chain, found = result.chain, result.found
+    with_it = as_given(chain, found, result.base, name)
+    effect, was = EFFECTS[name], given_values(given, name)
+    return Finding(
+        name,
+        effect.title,
+        _confidence(float(np.log(with_it.loss / found.loss)), ()),
+        next(term.scope for term in result.base.terms if term.effect is effect),
+        (),
+        was,
+        held_out_rms(chain, with_it),
+        held_out_rms(chain, found),
+        (),
+        effect.handling,
+        effect.why,
+        p_value(result, with_it, name),
+        status="gone",
+        was=was,
+    )
+
+
+def given_values(given: Model, name: str) -> dict[str, Value]:
+    """Parameters of an effect of the given model, with their intervals where the model states them."""
+    entry = next(one for one in given.effects if one.name == name)
+    found = {}
+    for one in EFFECTS[name].catalogued:
+        value = entry.parameters.get(one.name, one.search.starts[0] if one.search.starts else 0.0)
+        low, high = (entry.intervals or {}).get(one.name, (value, value))
+        found[one.name] = Value(value, one.unit, low, high)
+    return found
+
+
+def kept_effects(result: Search, given: Model) -> list[Kept]:
+    """Effects of the given model that have not changed, those of other recordings too."""
+    unchanged = [
+        entry.name
+        for entry in given.effects
+        if result.statuses.get(entry.name, "not seen") in ("kept", "not seen") and entry.name not in result.new
+    ]
+    return [Kept(name, given_values(given, name), result.statuses.get(name) == "kept") for name in unchanged]
 
 
 def _with_the_course(delay_s: Value, series: Series, *, smoothed: bool) -> Value:

@@ -5,6 +5,7 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
+from piezod.diagnose.findings import Value
 from piezod.diagnose.hypothesis.chain import Chain, Term
 from piezod.diagnose.hypothesis.fit import Fitted
 from piezod.errors import ModelError
@@ -19,8 +20,12 @@ PIECES = 30  # of the force law
 BESIDE_A_KINK = 1e-2  # of the strokes' range: nearer than that to a kink no other piece begins
 
 
-def extended_model(model: Model, chain: Chain, found: Fitted, hashes: list[str], rms_held_out: float) -> Model:
+def extended_model(
+    model: Model, chain: Chain, found: Fitted, hashes: list[str], intervals: Mapping[str, Mapping[str, Value]]
+) -> Model:
     """The given model with refitted plays and force law, and the effects.
+
+    Effects that have not changed, and those of recordings that are not among these, stay as the given model has them.
 
     Parameters
     ----------
@@ -30,37 +35,58 @@ def extended_model(model: Model, chain: Chain, found: Fitted, hashes: list[str],
         What the search found.
     hashes
         SHA-256 of every recording: effects that belong to one name it.
-    rms_held_out
-        Its own error on blocks left out, instead of the given model's [unit of the output].
+    intervals
+        Parameters with their intervals, by effect.
 
     Raises
     ------
     ModelError
         The refitted operators have no inverse.
     """
-    effects = tuple(
+    asked = [one for one in chain.series if one.role == "recording"] or list(chain.series)
+    first = hashes[next((k for k, one in enumerate(chain.series) if one.role == "recording"), 0)]
+    held = {term.effect.name for term in found.terms if term.held}
+    effects = tuple(one for one in model.effects if one.name in held or one.recording not in (None, *hashes))
+    effects += tuple(
         EffectValues(
             name=term.effect.name,
             parameters=stored_parameters(term, values, chain),
+            intervals=_intervals(term, intervals.get(term.effect.name, {})),
             recording=hashes[term.series] if term.scope == "once" else None,
+            since={"already": "identification", "since": first}.get(term.scope),
         )
         for term, values in zip(found.terms, found.point.values, strict=True)
+        if not term.held
     )
-    asked = [one for one in chain.series if one.role == "recording"] or list(chain.series)
     changed = {
         "hysteresis": hysteresis_of(chain, found),
         "effects": effects,
         "sampling": asked[0].hold.sampling,
         "read_after": asked[0].hold.read_after,
-        "seen_s": max(one.duration_s for one in asked),
+        "seen_s": chain.seen_s or max(one.duration_s for one in asked),
         "sample_s": asked[0].dt_s,
         "statistics": None,
         "start": _start(model, chain),
-        "provenance": model.provenance.model_copy(update={"fit": FitFigures(rms_held_out=rms_held_out)}),
     }
     extended = model.model_copy(update=changed)
     extended.operator()
     return extended
+
+
+def with_error(model: Model, rms: float) -> Model:
+    """The model with the error that its own simulation leaves [unit of the output]."""
+    provenance = model.provenance.model_copy(update={"fit": FitFigures(rms_held_out=rms)})
+    return model.model_copy(update={"provenance": provenance})
+
+
+def _intervals(term: Term, found: Mapping[str, Value]) -> dict[str, tuple[float, float]] | None:
+    """Of the parameters that are no instants; None where none is known."""
+    known = {name: one for name, one in found.items() if not term.effect.parameter(name).instant}
+    return {name: (_short(one.low), _short(one.high)) for name, one in known.items()} or None
+
+
+def _short(value: float) -> float:
+    return float(f"{value:.8g}")
 
 
 def stored_parameters(term: Term, values: Mapping[str, float], chain: Chain) -> dict[str, float]:
@@ -68,7 +94,7 @@ def stored_parameters(term: Term, values: Mapping[str, float], chain: Chain) -> 
     skipped_s = chain.series[term.series].skipped_s if term.scope == "once" else 0.0
     found = {**values, **dict(term.choices)}
     shifted = {one.name: min(found[one.name] + skipped_s, one.high) for one in term.effect.parameters if one.instant}
-    return {key: float(f"{value:.8g}") for key, value in {**found, **shifted}.items()}
+    return {key: _short(value) for key, value in {**found, **shifted}.items()}
 
 
 def _start(model: Model, chain: Chain) -> Start:

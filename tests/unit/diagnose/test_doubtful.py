@@ -15,9 +15,9 @@ def doubted(*effects, before=2.0, after=1.0, surest=None):
     """Of effects given as name, confidence, and error without and with it."""
     names = [name for name, *_ in effects]
     found = [SimpleNamespace(name=n, confidence=c, before=b, after=a) for n, c, b, a in effects]
-    result = SimpleNamespace(names=names, found=SimpleNamespace(effects=names))
+    result = SimpleNamespace(names=names, given=(), found=SimpleNamespace(effects=names))
     findings = SimpleNamespace(effects=found, before=before, after=after)
-    return needless(result, findings) or least_believed(result, findings, confidences(findings, surest))
+    return needless(result, findings, delivered=True) or least_believed(result, findings, confidences(findings, surest))
 
 
 def test_of_two_that_are_believed_too_little_the_lesser_goes_first():

@@ -51,12 +51,12 @@ def test_values_are_adjusted_over_the_22_names_of_the_catalogue(p_values, expect
 
 
 def searched(read, name, values):
-    """A search that ended with an effect."""
+    """A search that ended with an effect, the hypothesis without it, and the effect."""
     chain, start = worked(np.random.default_rng(6), read, stairs(np.random.default_rng(7)))
     base = fit(chain, (), start)
     point = Point(base.point.density, base.point.law, base.point.offsets_N, (values,))
     found = fit(chain, (Term(EFFECTS[name], "since"),), point)
-    return Search(chain, base, found, base.point)
+    return Search(chain, base, found, base.point), base, name
 
 
 def test_an_effect_that_is_there_is_significant_and_one_that_is_not_is_not():
@@ -66,7 +66,5 @@ def test_an_effect_that_is_there_is_significant_and_one_that_is_not_is_not():
     def sound(force_N, _u, _role):
         return force_N
 
-    assert p_value(searched(late, "transport_delay", {"delay_s": 2e-3}), "transport_delay") < 1e-3
-    assert (
-        p_value(searched(sound, "output_nonlinearity", {"curvature": 0.0, "cubic": 0.0}), "output_nonlinearity") > 0.02
-    )
+    assert p_value(*searched(late, "transport_delay", {"delay_s": 2e-3})) < 1e-3
+    assert p_value(*searched(sound, "output_nonlinearity", {"curvature": 0.0, "cubic": 0.0})) > 0.02

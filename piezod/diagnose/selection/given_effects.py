@@ -1,0 +1,129 @@
+"""Effects of the given model within a search: held at their values, and what has become of each at the end.
+
+A search starts from the given model, whole. Its effects stay at their values unless that leaves clearly more than other
+values do. So a change of what is known is tried before a new effect that would imitate it.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Literal
+
+from piezod.diagnose.hypothesis.chain import Chain, Point, Scope, Term
+from piezod.diagnose.hypothesis.fit import Fitted, fit
+from piezod.diagnose.hypothesis.series import Series
+from piezod.diagnose.selection.acceptance import degenerate, worth
+from piezod.effects import EFFECTS
+from piezod.model import Model
+from piezod.model.parameters import EffectValues
+
+Status = Literal["kept", "changed", "gone", "not seen"]
+Values = Mapping[str, float]
+
+TONES = ("vibration", "mains_hum")
+"""Taken off the readings of their recording, and looked for there anew."""
+
+
+def given_effects(
+    model: Model, series: Sequence[Series], hashes: Sequence[str]
+) -> tuple[tuple[Term, ...], tuple[Values, ...]]:
+    """Effects of the given model that act in the recordings, held, and their values.
+
+    Parameters
+    ----------
+    model
+        The given model.
+    series, hashes
+        Recordings, and the SHA-256 of each.
+    """
+    terms, values = [], []
+    for entry in model.effects:
+        if entry.name in TONES or (entry.recording is not None and entry.recording not in hashes):
+            continue
+        number = -1 if entry.recording is None else hashes.index(entry.recording)
+        effect = EFFECTS[entry.name]
+        known = {one.name: entry.parameters.get(one.name, one.search.starts[0]) for one in effect.parameters}
+        if number >= 0:
+            known |= {one.name: known[one.name] - series[number].skipped_s for one in effect.parameters if one.instant}
+        chosen = [one.name for one in effect.parameters if one.search.choices]
+        choices = tuple((name, known.pop(name)) for name in chosen)
+        terms.append(Term(effect, _scope(entry), number, choices, held=True))
+        values.append(known)
+    return tuple(terms), tuple(values)
+
+
+def _scope(entry: EffectValues) -> Scope:
+    """In which recordings an effect acts; of an older file it is known only that it was found later."""
+    if entry.recording is not None:
+        return "once"
+    return "already" if entry.since == "identification" else "since"
+
+
+def freed(chain: Chain, found: Fitted, names: Sequence[str]) -> Fitted:
+    """The hypothesis with the parameters of some effects fitted too, from their values within what is possible."""
+    terms = tuple(replace(term, held=False) if term.effect.name in names else term for term in found.terms)
+    return fit(chain, terms, found.point)
+
+
+def as_given(chain: Chain, found: Fitted, given: Fitted, name: str) -> Fitted:
+    """The hypothesis with an effect as the given model has it, whatever has become of it."""
+    return fit(chain, *_with_given(found, given, name))
+
+
+def _with_given(found: Fitted, given: Fitted, name: str) -> tuple[tuple[Term, ...], Point]:
+    pairs = [one for one in _pairs(found) if one[0].effect.name != name]
+    pairs += [one for one in _pairs(given) if one[0].effect.name == name]
+    return tuple(term for term, _ in pairs), replace(found.point, values=tuple(one for _, one in pairs))
+
+
+def _pairs(fitted: Fitted) -> list[tuple[Term, Values]]:
+    return list(zip(fitted.terms, fitted.point.values, strict=True))
+
+
+def without_effect(chain: Chain, found: Fitted, name: str) -> Fitted:
+    """The hypothesis without an effect."""
+    pairs = [one for one in _pairs(found) if one[0].effect.name != name]
+    point = replace(found.point, values=tuple(one for _, one in pairs))
+    return fit(chain, tuple(term for term, _ in pairs), point)
+
+
+def settle(chain: Chain, found: Fitted, given: Fitted) -> tuple[Fitted, dict[str, Status]]:
+    """What has become of each given effect, and the hypothesis with it.
+
+    Parameters
+    ----------
+    chain
+        Recordings and base.
+    found
+        What the search found.
+    given
+        The base beside the given effects, all held.
+
+    Returns
+    -------
+    found, statuses
+        "kept" effects are held at their values, "gone" ones are left out. The recordings say nothing of one that is
+        "not seen": they fit as well without it.
+    """
+    statuses: dict[str, Status] = {}
+    for name in given.effects:
+        same, without = as_given(chain, found, given, name), without_effect(chain, found, name)
+        other = freed(chain, same, [name])
+        if name in found.effects:
+            other = min(other, _last(found, name), key=lambda one: one.loss)
+        if worth(same, other):
+            gone = degenerate(chain, other) or not worth(without, other)
+            found, statuses[name] = (without, "gone") if gone else (other, "changed")
+        else:
+            found, statuses[name] = same, "kept" if worth(without, same) else "not seen"
+    return found, statuses
+
+
+def _last(found: Fitted, name: str) -> Fitted:
+    """The same hypothesis with an effect at its end."""
+    order = sorted(range(len(found.terms)), key=lambda k: found.terms[k].effect.name == name)
+    return replace(
+        found,
+        terms=tuple(found.terms[k] for k in order),
+        point=replace(found.point, values=tuple(found.point.values[k] for k in order)),
+        spread=tuple(found.spread[k] for k in order),
+    )
