@@ -18,6 +18,7 @@ from tests.studies import (
     messy_files,
     nulls,
     overlay,
+    real_recordings,
     recorder,
     rivals,
     rules,
@@ -52,6 +53,9 @@ def main() -> None:
     lisdd.add_options(studies.add_parser("lisdd", help="LISDD on the cases of a concealed study"))
     recorder.add_options(studies.add_parser("recorder", help="the recorder under kills, power cuts and disk failures"))
     messy_files.add_options(studies.add_parser("messy_files", help="text of spreadsheets and instruments"))
+    real_recordings.add_options(
+        studies.add_parser("real_recordings", help="measured recordings of other machines, beside simulation")
+    )
     nulls.add_options(studies.add_parser("nulls", help="identified models on benches with nothing wrong in them"))
     soak.add_options(studies.add_parser("soak", help="a long run of the daemon on a busy machine, beside cyclictest"))
     options = parser.parse_args()
