@@ -69,6 +69,11 @@ class BenchConfig(Section):
         return self._path_of(self.daemon.socket, ".sock")
 
     @property
+    def stop_socket_path(self) -> Path:
+        """Path of the socket that only stops (`daemon/stop_path.py`), beside the control socket."""
+        return self.socket_path.with_name(self.socket_path.name + ".stop")
+
+    @property
     def learned_path(self) -> Path:
         """File of the learned correction: `learning.file`, or a file beside the ring log."""
         return self._path_of(None if self.learning is None else self.learning.file, ".learned.csv")

@@ -8,6 +8,8 @@ from piezod.config.checked import Section, require
 
 Positive = Annotated[float, Field(gt=0)]
 EndAction = Literal["hold", "ramp_down"]
+MOST_BYTES = 1 << 28
+"""Largest reference file [byte]: hours at 1 kHz."""
 
 
 class _LimitedReference(Section):

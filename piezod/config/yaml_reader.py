@@ -12,6 +12,7 @@ from typing import Any
 
 import yaml
 
+from piezod.config.regular_file import open_regular
 from piezod.errors import ConfigurationError
 
 MAX_BYTES = 1 << 20  # a configuration or a model has some kilobytes
@@ -104,15 +105,11 @@ def read_document(path: Path) -> Document:
     ConfigurationError
         The file is missing, unreadable, above 1 MiB, not UTF-8 or not YAML, or it has aliases or duplicate keys.
     """
-    try:
-        with path.open("rb") as file:
-            raw = file.read(MAX_BYTES + 1)
-    except OSError as error:
-        raise ConfigurationError(f"{path}: cannot be read: {error.strerror}") from error
-    except ValueError as error:
-        raise ConfigurationError(f"{path}: cannot be read: {error}; no file has such a name") from error
-    if len(raw) > MAX_BYTES:
-        raise ConfigurationError(f"{path}: larger than {MAX_BYTES} bytes, not a configuration")
+    with open_regular(path, MAX_BYTES) as file:
+        try:
+            raw = file.read(MAX_BYTES)
+        except OSError as error:
+            raise ConfigurationError(f"{path}: cannot be read: {error.strerror}") from error
     try:
         text = raw.decode("utf-8")
     except UnicodeDecodeError as error:

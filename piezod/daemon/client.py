@@ -1,5 +1,6 @@
 """Client of the daemon's socket, for `piezod status`, `arm`, `disarm`, `stop`, `reset` and `reload`."""
 
+import contextlib
 import json
 import socket
 import time
@@ -7,10 +8,14 @@ from pathlib import Path
 from typing import Any
 
 from piezod.config import load_bench
+from piezod.daemon.stop_path import COMMANDS as URGENT
+from piezod.daemon.stop_path import urge
 from piezod.errors import CheckFailedError, TemporaryError, UnreachableError, UsageError
 
 ANSWER_WITHIN_S = 15.0
 """Longest time to wait for an answer of the daemon [s]."""
+URGE_WITHIN_S = 2.0
+"""Longest time to wait for the stop socket [s]."""
 POLL_INTERVAL_S = 0.1
 """Time between two status requests while the bench arms or ramps down [s]."""
 QUEUE_INTERVAL_S = 0.01
@@ -143,6 +148,9 @@ def command_and_wait(path: Path, name: str, *, wait: bool) -> dict[str, Any]:
     wait
         Whether to wait until `arm`, `disarm` or `stop` is complete; the status then is part of the result.
     """
+    if name in URGENT:
+        with contextlib.suppress(TemporaryError):  # the answer below reports the result
+            urge(path.with_name(path.name + ".stop"), name, URGE_WITHIN_S)
     client = Client(path)
     try:
         answer = client.ask(name)

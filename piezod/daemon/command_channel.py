@@ -43,6 +43,24 @@ class CommandChannel:
         self._answers: dict[int, asyncio.Future[tuple[str, str]]] = {}
         self._lock = asyncio.Lock()
 
+    def urge(self, name: str) -> str:
+        """Command `stop` or `disarm` by a signal, without waiting; safe in every thread.
+
+        Parameters
+        ----------
+        name
+            `stop` or `disarm`.
+
+        Returns
+        -------
+        str
+            Text of the answer.
+        """
+        session = self.session
+        if session is None or not self.connected or not session.urge(name):
+            return "no control process drives"
+        return "passed to the control process"
+
     def open(self, session: Session) -> None:
         """Receive the messages of a session from now on.
 

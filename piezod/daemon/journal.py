@@ -1,14 +1,90 @@
-"""Messages of the daemon on stderr; under systemd they go to the journal."""
+"""Messages of the daemon on stderr; under systemd they go to the journal.
 
+A thread writes them from a bounded queue. A reader of stderr that stands still or has gone therefore neither delays
+nor ends the daemon: what cannot be written is dropped and counted.
+"""
+
+import os
 import sys
+import threading
+from collections import deque
+
+MOST_WAITING = 1000
+"""Lines that wait to be written; further ones are dropped."""
+FLUSH_WITHIN_S = 1.0
+"""Longest time that the end of the program waits for the last lines [s]."""
+
+
+class Journal:
+    """Writes lines to a file descriptor, in a thread of its own.
+
+    Parameters
+    ----------
+    descriptor
+        Open for writing; None: that of stderr at the time of the write.
+
+    Attributes
+    ----------
+    dropped
+        Number of lines that were not written.
+    """
+
+    def __init__(self, descriptor: int | None = None) -> None:
+        self._descriptor = descriptor
+        self._lines: deque[str] = deque()
+        self._changed = threading.Condition()
+        self._thread: threading.Thread | None = None
+        self.dropped = 0
+
+    def add(self, text: str) -> None:
+        """Add one line; it is dropped if `MOST_WAITING` lines wait."""
+        with self._changed:
+            if self._thread is None:
+                self._thread = threading.Thread(target=self._write_all, name="journal", daemon=True)
+                self._thread.start()
+            if len(self._lines) >= MOST_WAITING:
+                self.dropped += 1
+                return
+            self._lines.append(text)
+            self._changed.notify_all()
+
+    def flush(self, within_s: float = FLUSH_WITHIN_S) -> bool:
+        """Wait until all lines are written or dropped; False if that takes longer than `within_s` [s]."""
+        with self._changed:
+            return self._changed.wait_for(lambda: not self._lines, within_s)
+
+    def _write_all(self) -> None:
+        while True:
+            with self._changed:
+                self._changed.wait_for(lambda: self._lines)
+                text = self._lines[0]  # stays in the queue while it is being written, so that `flush` waits for it
+            written = self._written(text)
+            with self._changed:
+                self._lines.popleft()
+                self.dropped += not written
+                self._changed.notify_all()
+
+    def _written(self, text: str) -> bool:
+        rest = f"{text}\n".encode("utf-8", "replace")
+        try:
+            descriptor = sys.stderr.fileno() if self._descriptor is None else self._descriptor
+            while rest:
+                rest = rest[os.write(descriptor, rest) :]
+        except (OSError, ValueError, AttributeError):  # the reader has gone; stderr is closed or replaced
+            return False
+        return True
+
+
+JOURNAL = Journal()
+"""Messages of this process."""
 
 
 def log_line(text: str) -> None:
-    """Write one line to stderr.
+    """Write one line to stderr without waiting for it.
 
     Parameters
     ----------
     text
         Message. Characters that cannot be printed, such as line breaks from a device or a client, become "?".
     """
-    print("".join(c if c.isprintable() else "?" for c in text), file=sys.stderr, flush=True)
+    JOURNAL.add("".join(c if c.isprintable() else "?" for c in text))

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from piezod.config import load_bench
-from piezod.daemon.journal import log_line
+from piezod.daemon.journal import JOURNAL, log_line
 from piezod.errors import TemporaryError, system_error_text
 from piezod.session.lock import lock_bench
 from piezod.session.session import Session
@@ -95,10 +95,12 @@ def run_foreground(path: Path, *, arm: bool) -> RunResult:
     finally:
         session.close()
         lock.close()
+        JOURNAL.flush()
     _log_result(service.outcome, service.statistics.tracking)
     watch = service.model_watch
     if watch.preview is not None:
         log_line(watch.preview.message())
+    JOURNAL.flush()
     return RunResult(service.outcome, service.statistics.tracking, watch.last_drift, watch.preview)
 
 

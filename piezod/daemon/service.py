@@ -17,6 +17,7 @@ from piezod.config import BenchConfig
 from piezod.control import CAUSE_TEXT, Cause, State
 from piezod.daemon.command_channel import CommandChannel
 from piezod.daemon.control_socket import ControlSocket, Peer
+from piezod.daemon.file_reader import read_bench_files
 from piezod.daemon.journal import log_line
 from piezod.daemon.metrics import BenchMetrics, MetricsServer
 from piezod.daemon.model_watch import ModelWatch
@@ -25,11 +26,12 @@ from piezod.daemon.railed import RailedWatch
 from piezod.daemon.reload import check_armed_change, check_restart_keys, check_settled
 from piezod.daemon.statistics import TickStatistics
 from piezod.daemon.status import reference_values, status_dict
+from piezod.daemon.stop_path import COMMANDS as URGENT
+from piezod.daemon.stop_path import StopPath
 from piezod.daemon.systemd import Notifier
 from piezod.errors import PiezodError, TemporaryError
 from piezod.recorder.watch import RecorderWatch
-from piezod.session.assembly import correction_size, load_bench_and_model
-from piezod.session.files import files_digest
+from piezod.session.assembly import correction_size
 from piezod.session.lock import BenchLock
 from piezod.session.session import POLL_INTERVAL_S, Session, rebuild_error
 from piezod.session.task import Outcome
@@ -103,6 +105,9 @@ class Service:
             control_socket = ControlSocket(self._bench, self._answer, log_line)
             stack.push_async_callback(control_socket.close)
             await control_socket.open()
+            stop_path = StopPath(self._bench, self._channel.urge)
+            stack.callback(stop_path.close)
+            stop_path.open()
             if self._bench.daemon.metrics_port is not None:
                 shown = BenchMetrics(
                     self._bench.name,
@@ -137,9 +142,10 @@ class Service:
         )
 
     def _add_signal_handlers(self) -> None:
+        """Handle signals; those that end the daemon act at once, also while the event loop waits for something."""
         loop = asyncio.get_running_loop()
         for number in ENDING:
-            loop.add_signal_handler(number, self._stop)
+            signal.signal(number, lambda *_: self._stop(loop))
         loop.add_signal_handler(signal.SIGHUP, self._begin_reload)
 
     def _begin_reload(self) -> None:
@@ -147,13 +153,14 @@ class Service:
         if not self._stops_requested:
             asyncio.get_running_loop().create_task(self._reload_on_signal())
 
-    def _stop(self) -> None:
-        """Ramp down and end; each further call ramps down at the slew limit."""
+    def _stop(self, loop: asyncio.AbstractEventLoop) -> None:
+        """Ramp down and end; each further call ramps down at the slew limit. Called from a signal handler."""
         self._stops_requested += 1
-        self._notifier.stopping()
-        self._wake.set()
         if self._channel.session is not None and self._channel.connected:
             self._channel.session.stop()
+        if self._stops_requested == 1:
+            loop.call_soon_threadsafe(self._notifier.stopping)
+            loop.call_soon_threadsafe(self._wake.set)
 
     async def _run_sessions(self) -> None:
         """Run sessions; start again after a failed start and after a reload."""
@@ -299,6 +306,8 @@ class Service:
 
     async def _answer(self, command: str, peer: Peer) -> dict[str, object]:
         """Execute one command of the socket."""
+        if command in URGENT:
+            self._channel.urge(command)  # before the pipe, which may be full of other commands
         if command == "status":
             return {"ok": True, **self.status()}
         if command not in COMMANDS:
@@ -327,12 +336,11 @@ class Service:
 
         The answer comes when no control process with the former configuration can drive any more.
         """
+        if self._reload_lock.locked():
+            raise TemporaryError("reload: another reload is being executed; nothing was changed, try again")
         async with self._reload_lock:
-            bench, _ = load_bench_and_model(self._path)
-            correction_size(
-                bench, self._path.parent
-            )  # refuses a reference that the next control process could not learn
-            files = files_digest(bench, self._path)
+            read = await read_bench_files(self._path)
+            bench, files = read.bench, read.digest
             old, channel = self._bench, self._channel
             check_restart_keys(old, bench)
             if channel.session is None:
@@ -365,6 +373,6 @@ class Service:
 def _ignore_signals() -> None:
     """Ignore signals from now on: the bench is at rest, and an event loop that closes cannot take them any more."""
     loop = asyncio.get_running_loop()
+    loop.remove_signal_handler(signal.SIGHUP)
     for number in (*ENDING, signal.SIGHUP):
-        loop.remove_signal_handler(number)
         signal.signal(number, signal.SIG_IGN)

@@ -46,6 +46,17 @@ class CommandQueue:
         self._bench, self._link, self._loop = bench, link, loop
         self._pipe, self._segment = pipe, segment
         self._announced = False
+        self._urgent = ""
+        self._urged_ns = -1
+
+    def urge(self, name: str) -> None:
+        """Note `stop` or `disarm`, to be executed after this tick; called from a signal handler.
+
+        Every `arm` that was requested before expires now, whatever it waits for.
+        """
+        self._urgent = name if self._urgent != "stop" else "stop"
+        self._urged_ns = time.monotonic_ns()
+        self._announced = True
 
     def notify(self) -> None:
         """Note that a command is in the pipe; called from a signal handler."""
@@ -56,11 +67,25 @@ class CommandQueue:
         if not self._announced:
             return
         self._announced = False
+        self._serve_urgent()
         try:
             while self._pipe.poll():
                 self._serve(*self._pipe.recv())
         except (EOFError, OSError):  # the parent is gone, and its last command with it
             self._loop.request_stop()
+
+    def _serve_urgent(self) -> None:
+        name, self._urgent = self._urgent, ""
+        if name:
+            self._rest(name)
+
+    def _rest(self, name: str) -> str:
+        """Execute `stop` or `disarm`."""
+        supervisor = self._loop.supervisor
+        supervisor.stop(fast=name == "stop")
+        if name == "stop":
+            self._loop.bring_down_left_output()
+        return "ramping down" if supervisor.driving else f"{supervisor.state.name}: nothing is driven"
 
     def _serve(self, number: int, asked_ns: int, name: str, argument: Any) -> None:  # noqa: ANN401  # as in _execute
         """Execute and answer one command."""
@@ -80,19 +105,17 @@ class CommandQueue:
                 f"{name}: {age_s:.1f} s have passed since the request, must be at most {VALID_FOR_S:g} s: the device "
                 "or this machine is slow; nothing was done, try again"
             )
+        if name == "arm" and asked_ns <= self._urged_ns:
+            raise CheckFailedError(f"{name}: a stop came after the request; nothing was done")
         if self._loop.stopped:
             raise TemporaryError(f"{name}: the control process is ending; try again")
 
     def _execute(self, name: str, argument: Any, asked_ns: int) -> str:  # noqa: ANN401  # any object of the parent
-        supervisor = self._loop.supervisor
         match name:
             case "arm":
                 return self._arm(asked_ns)
             case "disarm" | "stop":
-                supervisor.stop(fast=name == "stop")
-                if name == "stop":
-                    self._loop.bring_down_left_output()
-                return "ramping down" if supervisor.driving else f"{supervisor.state.name}: nothing is driven"
+                return self._rest(name)
             case "reset":
                 return self._reset()
             case "limits":

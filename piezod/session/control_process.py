@@ -2,7 +2,8 @@
 
 SIGTERM requests a ramp down and the end, however often it comes: the kernel may send it more than once when the parent
 dies. SIGUSR2 requests the same as fast as the slew limit allows. SIGUSR1 announces a command
-(`session/command_queue.py`). Nothing that concerns the parent ends a ramp: a closed pipe only requests one.
+(`session/command_queue.py`). The signals of `task.URGENT` are the commands `disarm` and `stop` themselves.
+Nothing that concerns the parent ends a ramp: a closed pipe only requests one.
 """
 
 import contextlib
@@ -46,7 +47,7 @@ from piezod.session.device_names import device_names
 from piezod.session.files import files_digest
 from piezod.session.learned_file import LearnedFile
 from piezod.session.lock import BenchLock
-from piezod.session.task import Outcome, Ready, SegmentSpec, SharedMemory, Task
+from piezod.session.task import URGENT, Outcome, Ready, SegmentSpec, SharedMemory, Task
 from piezod.transport import ExchangeResult, Link
 
 _PR_SET_PDEATHSIG = 1  # prctl(2): the signal that the kernel sends when the parent dies
@@ -70,6 +71,8 @@ def run(task: Task, pipe: Connection, lock: BenchLock, shared: SharedMemory) -> 
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    for number in URGENT.values():
+        signal.signal(number, signal.SIG_IGN)  # nothing is driven yet
     if not _end_with_parent():
         lock.close()
         return
@@ -132,6 +135,8 @@ def _execute(task: Task, pipe: Connection, shared: SharedMemory | None = None) -
         signal.signal(signal.SIGTERM, lambda *_: loop.request_stop())
         signal.signal(signal.SIGUSR2, lambda *_: loop.request_stop(fast=True))
         signal.signal(signal.SIGUSR1, lambda *_: commands.notify())
+        for name, number in URGENT.items():
+            signal.signal(number, lambda *_, name=name: commands.urge(name))
         if not _send(pipe, ("ready", Ready(link.description, files))):
             loop.request_stop()
         with real_time(bench.real_time):

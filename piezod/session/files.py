@@ -4,7 +4,9 @@ import hashlib
 from pathlib import Path
 
 from piezod.config import BenchConfig, model_path
-from piezod.config.reference import FileReference
+from piezod.config.reference import MOST_BYTES, FileReference
+from piezod.config.regular_file import open_regular
+from piezod.errors import ConfigurationError
 
 
 def files_digest(bench: BenchConfig, path: Path) -> str:
@@ -23,8 +25,9 @@ def files_digest(bench: BenchConfig, path: Path) -> str:
         files.append(path.parent / bench.reference.path)
     for file in files:
         try:
-            content = file.read_bytes()
-        except OSError:
+            with open_regular(file, MOST_BYTES) as opened:
+                content = opened.read()
+        except (OSError, ConfigurationError):
             content = b""
         digest.update(len(content).to_bytes(8, "little") + content)
     return digest.hexdigest()

@@ -16,7 +16,7 @@ import piezod.errors
 from piezod.config import BenchConfig
 from piezod.errors import PiezodError
 from piezod.session.lock import BenchLock, lock_bench
-from piezod.session.task import Outcome, SegmentSpec, SharedMemory, Task
+from piezod.session.task import URGENT, Outcome, SegmentSpec, SharedMemory, Task
 
 if TYPE_CHECKING:
     from multiprocessing.connection import Connection
@@ -77,6 +77,7 @@ class Session:
         self._lock, self._owns_lock = lock, lock is None
         self._pipe: Connection | None = None
         self._process: Any = None
+        self._pid_descriptor = -1
         self._reader: RingReader | None = None
         context = multiprocessing.get_context("spawn")
         correction = context.RawArray("d", correction_size) if correction_size else None
@@ -106,6 +107,7 @@ class Session:
         arguments = (self._task, theirs, self._lock, self.shared)
         self._process = context.Process(target=_enter_control_process, args=arguments, daemon=False)
         self._process.start()
+        self._pid_descriptor = os.pidfd_open(self._process.pid)
         theirs.close()
 
     def start(self) -> None:
@@ -198,15 +200,33 @@ class Session:
         self._signal(signal.SIGUSR1)
         return self._commands
 
+    def urge(self, name: str) -> bool:
+        """Command `stop` or `disarm` by a signal, without waiting; safe in every thread and in a signal handler.
+
+        Parameters
+        ----------
+        name
+            `stop` or `disarm`.
+
+        Returns
+        -------
+        bool
+            Whether a control process received it. It must have sent `ready`.
+        """
+        return self._signal(URGENT[name])
+
     def stop(self) -> None:
         """Request a ramp down and the end; the second call ramps down at the slew limit."""
         self._signal(signal.SIGUSR2 if self._stop_requested else signal.SIGTERM)
         self._stop_requested = True
 
-    def _signal(self, number: int) -> None:
-        with contextlib.suppress(ProcessLookupError):
-            if self._process is not None and self._process.is_alive():
-                os.kill(self._process.pid, number)
+    def _signal(self, number: int) -> bool:
+        """Send a signal by the descriptor of the process, which never means another one; False if it has ended."""
+        try:
+            signal.pidfd_send_signal(self._pid_descriptor, number)
+        except OSError:
+            return False
+        return True
 
     @property
     def counters(self) -> tuple[int, ...]:
@@ -224,6 +244,9 @@ class Session:
             from piezod.recording.ring_log import remove_ring_log  # noqa: PLC0415  # slow import, needed at the end only
 
             remove_ring_log(self._task.bench.ring_log_path)
+            descriptor, self._pid_descriptor = self._pid_descriptor, -1
+            if descriptor >= 0:
+                os.close(descriptor)
         if self._pipe is not None:
             self._pipe.close()
         if self._lock is not None and self._owns_lock:

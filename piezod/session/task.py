@@ -3,6 +3,7 @@
 This module imports little. The control process starts first and loads its own modules while its parent loads others.
 """
 
+import signal
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -15,6 +16,9 @@ if TYPE_CHECKING:
 
     from piezod.config.reference import ReferenceConfig
     from piezod.model import Model
+
+URGENT = {"disarm": signal.SIGRTMIN + 1, "stop": signal.SIGRTMIN + 2}
+"""Signals that command the control process without the pipe."""
 
 
 @dataclass(frozen=True)

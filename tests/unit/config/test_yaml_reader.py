@@ -25,7 +25,7 @@ def refused(tmp_path, content):
         (b"- 1\n", "holds a list, must be a mapping"),
         (b"\xff\xfe\x00", "byte 0 is not UTF-8"),
         (b"a: " + b"[" * 5000, "not"),
-        (b"x: " + b"y" * (1 << 20), "larger than 1048576 bytes"),
+        (b"x: " + b"y" * (1 << 20), "must have at most 1048576"),
         (b"? {a: 1}\n: 2\n", "a key must be a single word"),
     ],
 )

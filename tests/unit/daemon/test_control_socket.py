@@ -62,7 +62,7 @@ def test_each_line_is_answered_and_the_sender_is_identified(tmp_path):
     first, second = (json.loads(line) for line in asyncio.run(ask()))
     assert (first["message"], second["message"]) == ("status", "arm")
     assert (first["uid"], first["pid"]) == (os.getuid(), os.getpid())
-    assert f"uid {os.getuid()} (" in first["peer"]
+    assert f"uid {os.getuid()}, gid {os.getgid()}, pid {os.getpid()}" in first["peer"]
 
 
 @pytest.mark.parametrize(

@@ -12,6 +12,7 @@ from piezod.config import load_bench
 from piezod.config.reference import FileReference
 from piezod.control import ROW_DTYPE
 from piezod.daemon import service as service_module
+from piezod.daemon.file_reader import load_bench_files
 from piezod.daemon.service import Service
 from piezod.errors import CheckFailedError, TemporaryError
 from piezod.session.files import files_digest
@@ -58,6 +59,10 @@ def path(tmp_path):
 
 @pytest.fixture
 def service(path, monkeypatch):
+    async def read(path):
+        return load_bench_files(path)
+
+    monkeypatch.setattr(service_module, "read_bench_files", read)
     monkeypatch.setattr(service_module, "Session", LaunchedSession)
     LaunchedSession.launched.clear()
     made = Service(path, load_bench(path), None, QuietSession(), arm=False)

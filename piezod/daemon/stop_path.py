@@ -1,0 +1,173 @@
+"""The way to a stop that waits for nothing: a socket and a thread of its own, and a signal to the control process.
+
+    -> {"command": "stop"}
+    <- {"ok": true, "message": "stop: passed to the control process"}
+
+Neither the event loop nor the log, a file, a lock or a name service takes part. The thread obeys `stop` and `disarm`
+only; the kernel checks access by the mode of the socket file. `piezod stop` and `piezod disarm` use it first.
+"""
+
+import contextlib
+import json
+import os
+import selectors
+import socket
+import struct
+import sys
+import threading
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+from piezod.config import BenchConfig
+from piezod.config.run_time_files import UnixSocket, group_id
+from piezod.errors import TemporaryError
+
+COMMANDS = ("stop", "disarm")
+LONGEST_LINE = 256
+"""Longest line of a client [byte]."""
+LINE_WITHIN_S = 1.0
+"""Longest time until a client has sent its line [s]."""
+MOST_CLIENTS = 64
+"""Clients at the same time; the one that has waited longest leaves for another."""
+BACKLOG = 64
+SWITCH_INTERVAL_S = 5e-4
+"""Longest time that another thread keeps the interpreter [s]; by default ten times as long."""
+
+Urge = Callable[[str], str]
+
+
+class StopPath:
+    """Server of the stop socket, in a thread.
+
+    Parameters
+    ----------
+    bench
+        Bench configuration; access is that of the control socket.
+    urge
+        Called in the thread with `stop` or `disarm`; returns the text of the answer. It must not wait.
+    """
+
+    def __init__(self, bench: BenchConfig, urge: Urge) -> None:
+        self._bench, self._urge = bench, urge
+        self._listener: UnixSocket | None = None
+        self._thread: threading.Thread | None = None
+        self._end_reader, self._end_writer = os.pipe()
+        self._clients: dict[socket.socket, float] = {}
+
+    def open(self) -> None:
+        """Listen, and start the thread.
+
+        Raises
+        ------
+        ConfigurationError
+            The path cannot be bound, or is another kind of file.
+        BusyError
+            Another daemon listens there.
+        """
+        sys.setswitchinterval(SWITCH_INTERVAL_S)
+        self._listener = self._bound()
+        self._thread = threading.Thread(target=self._serve, name="stop", daemon=True)
+        self._thread.start()
+
+    def _bound(self) -> UnixSocket:
+        daemon = self._bench.daemon
+        gid = group_id(daemon.socket_group, "daemon.socket_group")
+        path, mode = self._bench.stop_socket_path, int(daemon.socket_mode, 8)
+        listener = UnixSocket(socket.SOCK_STREAM, path, "daemon.socket", mode, gid)
+        listener.socket.listen(BACKLOG)
+        return listener
+
+    def close(self) -> None:
+        """End the thread and remove the socket."""
+        os.close(self._end_writer)
+        if self._thread is not None:
+            self._thread.join()
+        if self._listener is not None:
+            self._listener.close()
+        os.close(self._end_reader)
+
+    def _serve(self) -> None:
+        assert self._listener is not None
+        listener = self._listener.socket
+        with selectors.DefaultSelector() as selector:
+            selector.register(listener, selectors.EVENT_READ)
+            selector.register(self._end_reader, selectors.EVENT_READ)
+            while True:
+                for key, _ in selector.select(LINE_WITHIN_S):
+                    if key.fd == self._end_reader:
+                        self._drop(selector, list(self._clients))
+                        return
+                    if key.fileobj is listener:
+                        self._accept(selector, listener)
+                    elif isinstance(key.fileobj, socket.socket):
+                        self._answer(key.fileobj)
+                        self._drop(selector, [key.fileobj])
+                expired_s = time.monotonic() - LINE_WITHIN_S
+                self._drop(selector, [client for client, since_s in self._clients.items() if since_s < expired_s])
+
+    def _accept(self, selector: selectors.BaseSelector, listener: socket.socket) -> None:
+        try:
+            client, _ = listener.accept()
+        except OSError:  # the client has gone, or no descriptor is free: the next turn tries again
+            self._drop(selector, list(self._clients)[:1])
+            return
+        client.setblocking(False)
+        if len(self._clients) >= MOST_CLIENTS:
+            self._drop(selector, list(self._clients)[:1])
+        self._clients[client] = time.monotonic()
+        selector.register(client, selectors.EVENT_READ)
+
+    def _answer(self, client: socket.socket) -> None:
+        """Execute the line of a client; a line comes in one piece, being shorter than any buffer."""
+        with contextlib.suppress(OSError):
+            line = client.recv(LONGEST_LINE)
+            if line:
+                client.send(json.dumps(self._reply(line)).encode() + b"\n")
+
+    def _reply(self, line: bytes) -> dict[str, object]:
+        try:
+            request = json.loads(line)
+            command = request["command"]
+        except (ValueError, TypeError, KeyError, RecursionError):
+            command = None
+        if command not in COMMANDS:
+            return {"ok": False, "error": 'line must be {"command": "stop"} or {"command": "disarm"}', "code": 2}
+        return {"ok": True, "message": f"{command}: {self._urge(command)}"}
+
+    def _drop(self, selector: selectors.BaseSelector, clients: list[socket.socket]) -> None:
+        for client in clients:
+            if self._clients.pop(client, None) is not None:
+                selector.unregister(client)
+                client.close()
+
+
+def urge(path: Path, command: str, within_s: float) -> str:
+    """Send `stop` or `disarm` to the stop socket and return the text of the answer.
+
+    Parameters
+    ----------
+    path
+        Stop socket of the daemon.
+    command
+        `stop` or `disarm`.
+    within_s
+        Longest time to wait [s].
+
+    Raises
+    ------
+    TemporaryError
+        Nobody listens there, or the answer does not come in time.
+    """
+    try:
+        with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM | socket.SOCK_CLOEXEC) as connection:
+            # the kernel queues a connection that waits for a full backlog, but refuses one with Python's timeout
+            limit = struct.pack("@ll", int(within_s), round(1e6 * (within_s % 1.0)))
+            for option in (socket.SO_SNDTIMEO, socket.SO_RCVTIMEO):
+                connection.setsockopt(socket.SOL_SOCKET, option, limit)
+            connection.connect(str(path))
+            connection.sendall(json.dumps({"command": command}).encode() + b"\n")
+            answer = json.loads(connection.makefile("rb").readline())
+    except (OSError, ValueError) as error:
+        raise TemporaryError(f"{path}: {command} was not obeyed: {error}") from error
+    return str(answer.get("message") or answer.get("error"))

@@ -1,0 +1,255 @@
+"""A stop while the daemon's event loop, its log or its files stand still.
+
+    python -m tests.faults stops --times 20
+
+Each try starts a service, arms it on a constant reference, applies one blockade, and stops it by `stop`, `disarm` or
+SIGTERM in turn. The time counts from the request until the emulated amplifier reads back rest. The limit is the time of
+the ramp from the voltage at the request, and half a second.
+"""
+
+import contextlib
+import os
+import signal
+import socket
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+import yaml
+
+from piezod.daemon.client import command_and_wait
+from piezod.errors import PiezodError
+from tests.benches.daemon import LONG_LIMITS, register
+from tests.benches.emulator import bench_file, emulator
+from tests.benches.processes import Popen
+
+WAYS = ("stop", "disarm", "SIGTERM")
+MARGIN_S = 0.5
+GIVEN_UP_AFTER_S = 15.0
+REST_V = 0.5
+READBACK = 202  # register of the emulated bench
+FORCE_N = 120.0
+HUGE_BYTES = 3 << 30
+CLIENTS, LINES = 11, 200
+
+
+@dataclass
+class Try:
+    """One stop.
+
+    Parameters
+    ----------
+    blockade, way
+        What stood still, and how the stop was requested.
+    took_s, limit_s
+        Time until rest, infinite if it never came, and its limit [s].
+    """
+
+    blockade: str
+    way: str
+    took_s: float
+    limit_s: float
+
+
+class Service:
+    """A driven bench whose stderr nobody reads."""
+
+    def __init__(self, folder: Path, serves):
+        self.serves = serves
+        self.bench = bench_file(
+            folder,
+            serves,
+            rate_Hz=200.0,
+            limits=LONG_LIMITS,
+            reference={"kind": "triangle", "amplitude_N": 1.0, "offset_N": FORCE_N, "frequency_Hz": 0.5},
+            model=str(folder / "model.yaml"),
+        )
+        (folder / "model.yaml").write_bytes((Path(__file__).parents[2] / "config" / "model.yaml").read_bytes())
+        self.socket = folder / "ring.sock"
+        self.process = Popen([sys.executable, "-m", "piezod", "run", str(self.bench)], stderr=subprocess.PIPE)
+
+    def ask(self, command):
+        return command_and_wait(self.socket, command, wait=False)
+
+    def drive(self):
+        """Arm, and wait until the force is there."""
+        deadline_s = time.monotonic() + 60.0
+        while time.monotonic() < deadline_s:
+            with contextlib.suppress(PiezodError):
+                state = self.ask("status")["state"]
+                if state == "DISARMED":
+                    self.ask("arm")
+                if state == "RUNNING" and self.voltage_V() > 20.0:
+                    return
+            time.sleep(0.1)
+        raise RuntimeError("the bench was not driven within a minute")
+
+    def voltage_V(self):
+        return register(self.serves, READBACK)
+
+    def send(self, lines):
+        """Send lines on a connection of its own and leave it open; answers are not awaited."""
+        connection = socket.socket(socket.AF_UNIX)
+        connection.settimeout(1.0)
+        with contextlib.suppress(OSError):
+            connection.connect(str(self.socket))
+            connection.sendall(lines)
+        return connection
+
+    def close(self):
+        children = subprocess.run(
+            ["ps", "-o", "pid=", "--ppid", str(self.process.pid)], capture_output=True, text=True, check=False
+        ).stdout.split()
+        for pid in [*map(int, children), self.process.pid]:
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(pid, signal.SIGKILL)
+        self.process.wait()
+        self.process.stderr.close()
+
+
+def log_stands(service):
+    """The reader of stderr stands still, and refused commands fill the pipe."""
+    refused = b'{"command": "arm"}\n' * 50
+    open_ = []
+    for _ in range(30):
+        open_.append(service.send(refused))
+        time.sleep(0.02)
+    time.sleep(0.5)
+    return lambda: [one.close() for one in open_]
+
+
+def log_gone(service):
+    """The reader of stderr has gone."""
+    service.process.stderr.close()
+    connection = service.send(b'{"command": "arm"}\n' * 3)
+    time.sleep(0.3)
+    return connection.close
+
+
+def _reload(service):
+    connection = service.send(b'{"command": "reload"}\n')
+    time.sleep(0.5)
+    return connection.close
+
+
+def bench_pipe(service):
+    """The bench file is a pipe at a reload."""
+    service.bench.unlink()
+    os.mkfifo(service.bench)
+    return _reload(service)
+
+
+def model_pipe(service):
+    """The model is a pipe at a reload."""
+    model = service.bench.with_name("model.yaml")
+    model.unlink()
+    os.mkfifo(model)
+    return _reload(service)
+
+
+def huge_reference(service):
+    """A reference file of 3 GB at a reload."""
+    content = yaml.safe_load(service.bench.read_text(encoding="utf-8"))
+    content["reference"] = {"kind": "file", "path": "huge.csv"}
+    with (service.bench.parent / "huge.csv").open("wb") as file:
+        file.write(b"time_s,reference_N\n0,1\n")
+        file.truncate(HUGE_BYTES)
+    service.bench.write_text(yaml.safe_dump(content), encoding="utf-8")
+    return _reload(service)
+
+
+def many_reloads(service):
+    """Eleven clients send one reload after the other."""
+    open_ = [service.send(b'{"command": "reload"}\n' * LINES) for _ in range(CLIENTS)]
+    time.sleep(0.5)
+    return lambda: [one.close() for one in open_]
+
+
+def short_connections(service):
+    """Clients connect and close without pause, to each socket of the daemon."""
+    ends = threading.Event()
+
+    def storm(path):
+        while not ends.is_set():
+            with contextlib.suppress(OSError), socket.socket(socket.AF_UNIX) as client:
+                client.settimeout(0.5)
+                client.connect(str(path))
+
+    paths = [service.socket, service.socket, service.socket.with_name(service.socket.name + ".stop")]
+    threads = [threading.Thread(target=storm, args=(path,)) for path in paths if path.exists()]
+    for thread in threads:
+        thread.start()
+    time.sleep(0.5)
+
+    def end():
+        ends.set()
+        for thread in threads:
+            thread.join()
+
+    return end
+
+
+BLOCKADES = {
+    function.__name__: function
+    for function in (log_stands, log_gone, bench_pipe, model_pipe, huge_reference, many_reloads, short_connections)
+}
+
+
+def stop_once(blockade, way):
+    """Drive, block, stop, and measure; returns a `Try`."""
+    with tempfile.TemporaryDirectory(prefix="piezod-stops-") as name, emulator() as serves:
+        service = Service(Path(name), serves)
+        try:
+            service.drive()
+            unblock = BLOCKADES[blockade](service)
+            limits = yaml.safe_load((Path(__file__).parents[2] / "config" / "bench.yaml").read_text())["limits"]
+            per_s = limits["slew_V_per_s"] if way == "stop" else limits["ramp_down_V_per_s"]
+            limit_s = service.voltage_V() / per_s + MARGIN_S
+            begun_s = time.monotonic()
+            request = threading.Thread(target=_request, args=(service, way), daemon=True)
+            request.start()
+            took_s = _until_rest(service, begun_s)
+            unblock()
+            return Try(blockade, way, took_s, limit_s)
+        finally:
+            service.close()
+
+
+def _request(service, way):
+    with contextlib.suppress(PiezodError):
+        if way == "SIGTERM":
+            service.process.terminate()
+        else:
+            service.ask(way)
+
+
+def _until_rest(service, begun_s):
+    while (took_s := time.monotonic() - begun_s) < GIVEN_UP_AFTER_S:
+        if abs(service.voltage_V()) < REST_V:
+            return took_s
+        time.sleep(0.005)
+    return float("inf")
+
+
+HEADER = f"{'blockade':<20}{'in time':>10}{'median [s]':>12}{'worst [s]':>11}{'limit [s]':>11}"
+
+
+def line(tries):
+    """Row of the table for one blockade."""
+    took = sorted(one.took_s for one in tries)
+    good = sum(one.took_s <= one.limit_s for one in tries)
+    limit_s = max(one.limit_s for one in tries)
+    return (
+        f"{tries[0].blockade:<20}{f'{good} of {len(tries)}':>10}{took[len(took) // 2]:>12.2f}{took[-1]:>11.2f}"
+        f"{limit_s:>11.2f}"
+    )
+
+
+def study(times, names=()):
+    """Yield the tries of one blockade after the other."""
+    for blockade in names or BLOCKADES:
+        yield [stop_once(blockade, WAYS[k % len(WAYS)]) for k in range(times)]

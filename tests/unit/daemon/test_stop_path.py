@@ -1,0 +1,102 @@
+"""The stop socket: it obeys stop and disarm, whatever other clients and the event loop do."""
+
+import socket
+import threading
+import time
+
+import pytest
+
+from piezod.commissioning.shipped_files import shipped
+from piezod.config import load_bench
+from piezod.daemon.stop_path import MOST_CLIENTS, StopPath, urge
+from piezod.errors import TemporaryError
+
+
+@pytest.fixture
+def bench(tmp_path):
+    loaded = load_bench(shipped("bench.yaml"))
+    return loaded.model_copy(update={"daemon": loaded.daemon.model_copy(update={"socket": f"{tmp_path}/s.sock"})})
+
+
+@pytest.fixture
+def urged(bench):
+    names = []
+
+    def note(name):
+        names.append(name)
+        return "done"
+
+    server = StopPath(bench, note)
+    server.open()
+    yield names
+    server.close()
+    assert not bench.stop_socket_path.exists()
+
+
+@pytest.mark.parametrize("command", ["stop", "disarm"])
+def test_stop_and_disarm_are_obeyed(bench, urged, command):
+    assert urge(bench.stop_socket_path, command, 5.0) == f"{command}: done"
+    assert urged == [command]
+
+
+@pytest.mark.parametrize(
+    "line",
+    [b'{"command": "arm"}\n', b"stop\n", b"[1]\n", b"3\n", b"\xff\n", b"[" * 200 + b"\n", b'{"command": ["stop"]}\n'],
+)
+def test_everything_else_is_refused(bench, urged, line):
+    with socket.socket(socket.AF_UNIX) as client:
+        client.settimeout(5.0)
+        client.connect(str(bench.stop_socket_path))
+        client.sendall(line)
+        assert b'"ok": false' in client.makefile("rb").readline()
+    assert urged == []
+
+
+def test_clients_that_only_connect_do_not_keep_out_a_stop(bench, urged):
+    idle = [socket.socket(socket.AF_UNIX) for _ in range(2 * MOST_CLIENTS)]
+    for client in idle:
+        client.connect(str(bench.stop_socket_path))
+    assert urge(bench.stop_socket_path, "stop", 5.0) == "stop: done"
+    for client in idle:
+        client.close()
+
+
+def test_clients_that_connect_and_close_without_pause_do_not_keep_out_a_stop(bench, urged):
+    ends = threading.Event()
+
+    def storm():
+        while not ends.is_set():
+            with socket.socket(socket.AF_UNIX) as client:
+                client.connect(str(bench.stop_socket_path))
+
+    threads = [threading.Thread(target=storm) for _ in range(3)]
+    for thread in threads:
+        thread.start()
+    try:
+        for _ in range(5):
+            assert urge(bench.stop_socket_path, "stop", 5.0) == "stop: done"
+    finally:
+        ends.set()
+        for thread in threads:
+            thread.join()
+
+
+def test_a_main_thread_that_computes_without_pause_does_not_delay_a_stop(bench, urged):
+    answered_s = []
+
+    def ask():
+        begun_s = time.monotonic()
+        urge(bench.stop_socket_path, "stop", 5.0)
+        answered_s.append(time.monotonic() - begun_s)
+
+    thread = threading.Thread(target=ask)
+    thread.start()
+    while thread.is_alive():
+        sum(range(10_000))
+    thread.join()
+    assert urged == ["stop"]
+
+
+def test_without_a_daemon_a_stop_is_reported_as_failed(tmp_path):
+    with pytest.raises(TemporaryError, match="was not obeyed"):
+        urge(tmp_path / "nobody.sock.stop", "stop", 1.0)
