@@ -5,21 +5,21 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
-
 from piezod.diagnose.diagnosis import Diagnosis, diagnose
-from piezod.diagnose.findings import HeldOut
+from piezod.diagnose.findings import HeldOut, Verdict, above_noise
 from piezod.diagnose.prepare import Source, past_sources, read_source
+from piezod.diagnose.verdict.simulated import free_run, tared_rms
 from piezod.diagnose.verdict.verdict import words_of
 from piezod.diagnose.verdict.words import Wording
 from piezod.errors import ConfigurationError, UsageError
-from piezod.identify.simulation import simulate_recording
 from piezod.model import Model, load_model, save_model
 from piezod.recording import TextOptions
 
 WORSE = 1.02  # times the error of the given model on a recording held out: the noise of a minute does not do that
+LESS: dict[Verdict, Verdict] = {"explained": "partly_explained", "matches": "unexplained"}
+"""Verdicts that do not hold where more than noise is left of a recording that was held out."""
+
 MOST_DOUBTED = 0.5  # confidence of an effect that makes such a recording worse
-START_WINDOW_S = 1.0  # of a recording that does not start at rest, where its start is found
 OnStep = Callable[[str, float | None], None]
 
 
@@ -71,7 +71,7 @@ def diagnose_files(
     asked = [read_source(path, "recording", columns, condition, text) for path in recordings]
     past, notes = past_sources(model, model_path.parent, asked)
     notes = [*(note for one in (*asked, *apart) for note in one.notes), *notes]
-    before = [_tared_rms(one, model) for one in apart]  # before the search: a file that cannot be used is said at once
+    before = [_rms(one, model) for one in apart]  # before the search: a file that cannot be used is said at once
     diagnosis = diagnose(model, asked, past, notes, on_step)
     if apart:
         on_step("simulating what was held out", 0.98)
@@ -91,34 +91,44 @@ def diagnose_files(
 
 
 def checked_by(diagnosis: Diagnosis, given: Model, held_out: Sequence[HeldOut]) -> Diagnosis:
-    """The diagnosis with the recordings that were held out; where one gets worse it is less sure.
+    """The diagnosis with the recordings that were held out: its verdict holds for them too.
 
-    Then the verdict is no more than partly explained, no effect is more likely than not, and the given model stays.
+    Where one gets worse, the given model stays, no improvement is claimed, and no effect is more likely than not. Where
+    more than noise is left of one, nothing is explained and nothing matches.
 
     Parameters
     ----------
     diagnosis
         Of other recordings.
     given
-        The model as it was identified.
+        The given model.
     held_out
         Errors of both models.
     """
     findings = replace(diagnosis.findings, held_out=tuple(held_out))
+    model, unit, notes = diagnosis.model, findings.unit, list(findings.notes)
     worse = [one for one in held_out if one.after > WORSE * one.before]
-    if not worse or not (findings.effects or findings.law):
-        return replace(diagnosis, findings=findings)
-    notes = [
-        f"{one.path}, held out: the extended model is worse, {one.before:.3g} -> {one.after:.3g} {findings.unit}; "
-        "the given model stays"
-        for one in worse
-    ]
-    effects = tuple(replace(one, confidence=min(one.confidence, MOST_DOUBTED)) for one in findings.effects)
-    verdict = "partly_explained" if findings.verdict == "explained" else findings.verdict
-    findings = replace(findings, effects=effects, law=None, verdict=verdict, notes=(*findings.notes, *notes))
+    if worse and model is not given:
+        effects = tuple(replace(one, confidence=min(one.confidence, MOST_DOUBTED)) for one in findings.effects)
+        base = replace(findings.base, confidence=min(findings.base.confidence, MOST_DOUBTED))
+        findings = replace(findings, effects=effects, base=base, law=None, after=findings.before)
+        model = given
+        notes += [
+            f"{one.path}, held out: the extended model is worse, {one.before:.3g} -> {one.after:.3g} {unit}; "
+            "the given model stays"
+            for one in worse
+        ]
+    errors = {one.path: one.before if model is given else one.after for one in held_out}
+    left = {path: error for path, error in errors.items() if above_noise(error, findings.floor, findings.span)}
+    notes += [f"{path}, held out: {error:.3g} {unit} is left, more than the noise" for path, error in left.items()]
+    verdict = findings.verdict
+    if (worse or left) and verdict in LESS:
+        verdict = LESS[verdict]
+    findings = replace(findings, verdict=verdict, notes=tuple(notes))
     words = words_of(findings, Wording(given.input.unit, given.output.unit))
-    findings = replace(findings, words=f"{words}; a recording that was held out gets worse")
-    return replace(diagnosis, findings=findings, model=given)
+    words += "; a recording that was held out gets worse" if worse else ""
+    words += "; more than noise is left of a recording that was held out" if left and not worse else ""
+    return replace(diagnosis, findings=replace(findings, words=words), model=model)
 
 
 def law_checked(
@@ -143,15 +153,13 @@ def law_checked(
 def _compared(apart: Sequence[Source], before: Sequence[float], extended: Model) -> tuple[HeldOut, ...]:
     """Recordings that were held out, with the errors of the given model and of another one."""
     return tuple(
-        HeldOut(one.recording.source, one.sha256, given, _tared_rms(one, extended))
+        HeldOut(one.recording.source, one.sha256, given, _rms(one, extended))
         for one, given in zip(apart, before, strict=True)
     )
 
 
-def _tared_rms(source: Source, model: Model) -> float:
-    simulated = simulate_recording(model, source.recording, START_WINDOW_S, sha256=source.sha256).recording
-    error = source.recording.channel(model.output.channel) - simulated.channel(model.output.channel)
-    return float(np.nanstd(error))
+def _rms(source: Source, model: Model) -> float:
+    return tared_rms([free_run(model, source)])
 
 
 def _with_columns(model: Model, input_column: str | None, output_column: str | None) -> Model:

@@ -21,7 +21,7 @@ from piezod.diagnose.hypothesis.parallel import each
 from piezod.diagnose.hypothesis.series import Series
 from piezod.diagnose.localisation.locate import locate
 from piezod.diagnose.prepare import Source, chain_of, made_ready, stand_in
-from piezod.diagnose.selection.acceptance import counted, weighed
+from piezod.diagnose.selection.acceptance import BETTER, counted, weighed
 from piezod.diagnose.selection.given_effects import as_given, given_effects
 from piezod.diagnose.selection.replay import Attempt, fitted_in
 from piezod.diagnose.selection.search import OnProgress, fitted_without, instead, search, without
@@ -32,15 +32,17 @@ from piezod.diagnose.selection.unnamed import fit_unnamed
 from piezod.diagnose.verdict.doubt import confidences, least_believed, needed, needless, not_believed
 from piezod.diagnose.verdict.evidence import (
     all_terms,
+    base_of,
     finding_of,
     gone_finding,
     kept_effects,
     read_off,
+    same_tone,
     standing,
     tone_finding,
 )
 from piezod.diagnose.verdict.extended import extended_model, with_error
-from piezod.diagnose.verdict.simulated import GivenRuns, free_run, tared_rms
+from piezod.diagnose.verdict.simulated import FreeRun, GivenRuns, free_run, tared_rms
 from piezod.diagnose.verdict.verdict import (
     held_out_rms,
     less_sure,
@@ -57,6 +59,7 @@ from piezod.effects import EFFECTS
 from piezod.errors import ModelError
 from piezod.identify.scores import nrmse_percent
 from piezod.model import Model
+from piezod.model.parameters import RecordingSource
 from piezod.model.unnamed_law import LawStep
 
 Array = NDArray[np.float64]
@@ -64,6 +67,7 @@ Array = NDArray[np.float64]
 MOSTLY = 0.8  # of the catalogue: recordings that could not have shown so much of it tell nothing
 COSTS = 0.1  # of what was gained, or of what is left: what plays that do not fold may cost
 STILL_GAINS = 0.5  # of what was gained by plays that fold: what another effect must gain without
+UNLIKE_ITSELF = 3.0  # times the error that a model had when it was identified: so much larger, the stack is another
 FOLDED = 0.6  # of its confidence that an effect keeps when the plays fold that were refitted with it
 
 
@@ -166,29 +170,45 @@ def _diagnosed(
         diagnosis, surest = without_them, confidences(without_them.findings, surest)
     if diagnosis.findings.verdict in ("unexplained", "partly_explained"):
         progress("looking for a law without a name", 0.97)
-        diagnosis = with_unnamed(diagnosis, stand_ins=int(not past))
+        diagnosis = with_unnamed(diagnosis, before.places)
     return diagnosis
 
 
-def with_unnamed(diagnosis: Diagnosis, *, stand_ins: int) -> Diagnosis:
+def with_unnamed(diagnosis: Diagnosis, places: Sequence[tuple[Source, Series]]) -> Diagnosis:
     """The diagnosis with an unnamed law for what is left, if one predicts; the verdict stays.
+
+    A law of the given model stays too. One whose own simulation is no better is not written.
 
     Parameters
     ----------
     diagnosis
         With its effects.
-    stand_ins
-        How many series stand for recordings that are gone: they say nothing about the law.
+    places
+        The recordings asked about, the last of its series.
     """
     findings, model = diagnosis.findings, diagnosis.model
-    modelled = diagnosis.extended if model.effects else diagnosis.base
-    fitted = fit_unnamed(diagnosis.series[stand_ins:], modelled[stand_ins:], findings.floor)
+    if model.unnamed_law is not None:
+        return diagnosis
+    modelled = (
+        diagnosis.base if findings.after == findings.before else diagnosis.extended
+    )  # of the model that is written
+    files = slice(
+        len(diagnosis.series) - len(findings.recordings), None
+    )  # not what stands for recordings that are gone
+    fitted = fit_unnamed(diagnosis.series[files], modelled[files], findings.floor)
     if fitted is None:
+        return diagnosis
+    with_law = model.model_copy(update={"unnamed_law": fitted.law})
+    runs = [free_run(with_law, *one) for one in places]
+    after = tared_rms(runs)
+    if after >= BETTER * findings.after:
         return diagnosis
     extended = [
         readings + LawStep(fitted.law, one.dt_s).run(one.command_V, readings)
         for one, readings in zip(diagnosis.series, modelled, strict=True)
     ]
+    first = len(extended) - len(runs)
+    extended[first:] = [run.over(one) for run, one in zip(runs, diagnosis.series[first:], strict=True)]
     residuals = [one.reading_N - readings for one, readings in zip(diagnosis.series, extended, strict=True)]
     left = explainable(diagnosis.series, residuals, extended)
     moving = motion(diagnosis.series, residuals, extended)
@@ -201,15 +221,15 @@ def with_unnamed(diagnosis: Diagnosis, *, stand_ins: int) -> Diagnosis:
     findings = replace(
         findings,
         law=law,
-        after=fitted.after,
-        floor=min(findings.floor, fitted.after),
+        after=after,
+        floor=min(findings.floor, after),
         refitted=None,
         explainable=share_left(left, moving),
         nrmse_after=_nrmse_percent(diagnosis.series, extended),
     )
     findings = replace(findings, words=words_of(findings, Wording(model.input.unit, model.output.unit)))
-    extended_model = model.model_copy(update={"unnamed_law": fitted.law})
-    return replace(diagnosis, findings=findings, model=extended_model, extended=extended, without_law=diagnosis)
+    written = with_error(with_law, after)
+    return replace(diagnosis, findings=findings, model=written, extended=extended, without_law=diagnosis)
 
 
 def rising(result: Search) -> Search:
@@ -252,6 +272,28 @@ def _without(result: Search, names: Sequence[str]) -> Search:
     kept = [tone for tone in result.tones if tone.name not in names]
     base = fit(chain, result.base.terms, result.base.point) if back else result.base
     return replace(result, chain=chain, tones=kept, base=base, found=fit(chain, found.terms, found.point))
+
+
+@dataclass(frozen=True)
+class _Written:
+    """The model that a diagnosis writes.
+
+    Parameters
+    ----------
+    model
+        The model.
+    rms
+        Error that its simulation leaves on the recordings asked about [output unit].
+    runs
+        It in free run over them; empty where it is the given model.
+    why_not
+        Why no other model can be written; empty where none needs to be.
+    """
+
+    model: Model
+    rms: float
+    runs: Sequence[FreeRun] = ()
+    why_not: str = ""
 
 
 @dataclass(frozen=True)
@@ -320,20 +362,22 @@ class _Asked:
         floor, floor_from = noise_floor(chain.series, residuals, left)
         series = [replace(one, reading_N=known.reading_N) for one, known in zip(chain.series, self.series, strict=True)]
         before = tared_rms(self.before.asked)
-        effects = self._effects(result)
+        effects, tones = self._effects(result)
         effects += read_off(chain.series, self.frozen, residuals, before)
-        written, folds = self._written(result, effects)
-        runs = [free_run(written, *one) for one in self.before.places] if written is not self.model else []
-        after = tared_rms(runs) if runs else before
-        refitted = None if result.differs else min(held_out_rms(chain, found), before)
-        least = max(after, held_out_rms(chain, found)) if refitted is None else refitted
+        base, kept = base_of(result), kept_effects(result, self.model, effects, tones)
         span = span_of(series)
+        written = self._delivered(result, effects, floor, span)
+        after, runs = written.rms, written.runs
+        if runs and not result.differs and before > UNLIKE_ITSELF * max(floor, self._own_error):
+            base = replace(base, changed=True)
+        refitted = None if result.differs else after if runs else min(held_out_rms(chain, found), before)
+        least = max(after, held_out_rms(chain, found)) if runs else before
         above = above_noise(least, floor, span)
         if above:
             closed = min(closed, max(gap_closed(before, after, floor), 0.0))
         unlike_noise = no_noise(share, least, floor, above=above)
         sure = [less_sure(one, unlike_noise, 1.0) for one in effects]
-        verdict = verdict_of(share, closed, sure, above=above)
+        verdict = verdict_of(share, closed, [*sure, base] if base.changed else sure, above=above)
         blind = untestable(chain, found.terms, found.point)
         if verdict == "matches" and len(blind) > MOSTLY * (len(EFFECTS) - len(DIRECT)):
             verdict = "not_testable"
@@ -354,13 +398,14 @@ class _Asked:
                 for one in locate(series, [one.reading_N - by for one, by in zip(series, given, strict=True)], given)
             ),
             effects=tuple(sure),
-            kept=tuple(kept_effects(result, self.model)),
+            kept=tuple(kept),
+            base=base,
             before=before,
             after=after,
             refitted=refitted,
             span=span,
             nrmse_before=_nrmse_percent(series, given),
-            nrmse_after=_nrmse_percent(series, simulated if result.differs else given),
+            nrmse_after=_nrmse_percent(series, simulated if runs else given),
             explainable=share,
             not_testable=blind,
             notes=tuple(self.notes),
@@ -369,32 +414,62 @@ class _Asked:
                 for one in self.sources
             ),
         )
-        if folds:
-            findings = _not_delivered(findings, folds)
+        if written.why_not:
+            findings = _not_delivered(findings, written.why_not)
         wording = Wording(self.model.input.unit, self.model.output.unit)
         findings = replace(findings, words=words_of(findings, wording))
-        if written is not self.model:
-            written = with_error(written, after)
-        return Diagnosis(findings, written, series, given, simulated, result.attempts)
+        return Diagnosis(findings, written.model, series, given, simulated, result.attempts)
 
-    def _effects(self, result: Search) -> list[Finding]:
-        """What is new, has changed or is gone."""
+    def _effects(self, result: Search) -> tuple[list[Finding], list[str]]:
+        """What is new, has changed or is gone, and the tones of the given model that have not changed."""
         named = [name for name in result.found.effects if name in result.new or result.statuses.get(name) == "changed"]
         gone = [name for name, status in result.statuses.items() if status == "gone"]
         effects = with_shares(each(lambda name: finding_of(result, name, self.model), named))
         effects += [gone_finding(result, name, self.model) for name in gone]
-        return effects + [tone_finding(result, name) for name in dict.fromkeys(tone.name for tone in result.tones)]
+        names = dict.fromkeys(tone.name for tone in result.tones_asked_about)
+        tones = [tone_finding(result, name, self.model) for name in names]
+        return effects + [one for one in tones if not same_tone(one)], [one.name for one in tones if same_tone(one)]
 
-    def _written(self, result: Search, effects: Sequence[Finding]) -> tuple[Model, str]:
-        """The model with what was found, and why there is none; the given one where nothing differs from it."""
-        if not result.differs:
-            return self.model, ""
+    @property
+    def _own_error(self) -> float:
+        """Error of the given model on the recordings that it was made with; 0 where it is not known [output unit]."""
+        return self.model.provenance.fit.rms_held_out or 0.0
+
+    def _delivered(self, result: Search, effects: Sequence[Finding], floor: float, span: float) -> _Written:
+        """The model that is written: the given one where nothing differs from it and it leaves only noise.
+
+        Where it leaves more, and its hysteresis once refitted does not, that is written.
+        """
+        before = tared_rms(self.before.asked)
+        given = _Written(self.model, before)
+        if not result.differs and not above_noise(before, floor, span):
+            return given
         found = all_terms(result.found, result.tones_asked_about)
         intervals = {one.name: one.parameters for one in effects}
         try:
-            return extended_model(self.model, result.chain, found, self.hashes, intervals), ""
+            extended = extended_model(self.model, result.chain, found, self.hashes, intervals)
         except ModelError as error:
-            return self.model, str(error)
+            return replace(given, why_not=str(error)) if result.differs else given
+        if result.stack_changed:
+            extended = self._rebased(extended)
+        runs = [free_run(extended, *one) for one in self.before.places]
+        after = tared_rms(runs)
+        if not result.differs and (after >= BETTER * before or above_noise(after, floor, span)):
+            return given
+        return _Written(with_error(extended, after), after, runs)
+
+    def _rebased(self, extended: Model) -> Model:
+        """The model of a stack that has changed: older recordings are another stack's."""
+        asked = [source for source in self.sources if source.role == "recording"]
+        recordings = tuple(
+            RecordingSource(path=one.recording.source, sha256=one.sha256, samples=int(one.recording.time_s.size))
+            for one in asked
+        )
+        effects = tuple(
+            one if one.recording else one.model_copy(update={"since": "identification"}) for one in extended.effects
+        )
+        provenance = extended.provenance.model_copy(update={"recordings": recordings})
+        return extended.model_copy(update={"effects": effects, "provenance": provenance})
 
 
 def _not_delivered(findings: Findings, why: str) -> Findings:

@@ -178,6 +178,39 @@ class Kept:
 
 
 @dataclass(frozen=True)
+class Base:
+    """The stack itself, in parts of what it was when the model was identified.
+
+    Parameters
+    ----------
+    changed
+        Whether its gain or its loops differ.
+    gain, loops
+        Gain and width of the loops [1]; None: as they were.
+    where
+        Voltages of the recordings that show it.
+    confidence
+        Share of such findings that are right; 1 where nothing has changed.
+    """
+
+    changed: bool = False
+    gain: Value | None = None
+    loops: Value | None = None
+    where: tuple[Place, ...] = ()
+    confidence: float = 1.0
+
+    def as_dict(self) -> dict[str, Any]:
+        """For JSON."""
+        return {
+            "status": "changed" if self.changed else "kept",
+            "gain": None if self.gain is None else self.gain.as_dict(),
+            "loops": None if self.loops is None else self.loops.as_dict(),
+            "where": [place.as_dict() for place in self.where],
+            "confidence": self.confidence,
+        }
+
+
+@dataclass(frozen=True)
 class HeldOut:
     """A recording that nothing was fitted to.
 
@@ -275,9 +308,12 @@ class Findings:
     span
         Widest range of readings of a recording asked about [output unit].
     refitted
-        Where nothing was found: error on data left out of a hysteresis that is refitted to the recordings.
+        Where nothing was found: the least error with a hysteresis that is refitted to the recordings. It is `after`
+        where the written model has that hysteresis.
     kept
         Effects of the given model that have not changed.
+    base
+        The stack itself.
     law
         Law without a name that is in the extended model; None: there is none. `after` is then the error with it.
     held_out
@@ -303,6 +339,7 @@ class Findings:
     span: float = 0.0
     refitted: float | None = None
     kept: tuple[Kept, ...] = ()
+    base: Base = Base()
     law: Unnamed | None = None
     held_out: tuple[HeldOut, ...] = ()
     recordings: tuple[dict[str, Any], ...] = field(default_factory=tuple)
@@ -315,8 +352,8 @@ class Findings:
 
     @property
     def left(self) -> float:
-        """What no name and no other hysteresis takes away [output unit]."""
-        return self.after if self.refitted is None else self.refitted
+        """Error of the written model [output unit]."""
+        return self.after
 
     @property
     def above_noise(self) -> bool:
@@ -333,6 +370,7 @@ class Findings:
             "where": [place.as_dict() for place in self.where],
             "effects": [one.as_dict(self.unit) for one in self.effects],
             "kept": [one.as_dict() for one in self.kept],
+            "base": self.base.as_dict(),
             "fit": {
                 "unit": self.unit,
                 "held_out": {

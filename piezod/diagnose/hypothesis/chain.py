@@ -24,7 +24,7 @@ from piezod.recording.hold import HELD_BEFORE, Hold
 Array = NDArray[np.float64]
 
 Scope = Literal["already", "since", "once"]
-ORDER = {name: place for place, name in enumerate(EFFECTS)}
+ORDER = {name: place for place, name in enumerate(("loops", "gain", *EFFECTS))}
 FASTEST_MODE = 0.45  # of the sampling rate; a faster one is nothing but a delay
 MOST_ROWS = 25_000
 CACHED, CACHED_WHEN_LONG = 4, 1  # results of every kind that are kept a recording
@@ -102,6 +102,10 @@ class Point:
     law: Array
     offsets_N: Array
     values: tuple[Mapping[str, float], ...] = ()
+
+    def alike(self, other: "Point") -> bool:
+        """Whether another point belongs to the same base."""
+        return (self.density.size, self.law.size) == (other.density.size, other.law.size)
 
 
 @dataclass(frozen=True)
@@ -256,15 +260,18 @@ class Chain:
         context = self.context(number)
 
         def moved() -> tuple[Array, Array, Hold, dict[str, tuple[Array, Array]]]:
-            now, applied_V, factor, offset_V = context, context.command_V, None, None
+            now, applied_V, factor, offset_V, loops = context, context.command_V, None, None, 1.0
             for term, values in here:
                 if term.effect.location == Location.AMPLIFIER:
                     applied_V = term.effect.forward(applied_V, now, values)
                     now = behind(term.effect, replace(now, applied_V=applied_V, cache={}))
                 elif term.effect.location == Location.HYSTERESIS and term.effect.widening is not None:
                     factor, offset_V = term.effect.widening(now, values)
+                elif term.effect.location == Location.HYSTERESIS:
+                    loops = values["loops"]
             path_V = np.array(self.series[number].path_V)
             columns = self.density.columns(applied_V, path_V, factor, offset_V, step)
+            columns = columns if loops == 1.0 else loops * columns
             return applied_V, columns, now.hold, now.cache
 
         applied_V, columns, hold, cache = self._plays[number].get((*self._front(number, here), step), moved)

@@ -10,6 +10,7 @@ from typing import Literal
 
 from piezod.diagnose.hypothesis.chain import Chain, Point, Scope, Term
 from piezod.diagnose.hypothesis.fit import Fitted, fit
+from piezod.diagnose.hypothesis.parallel import each
 from piezod.diagnose.hypothesis.series import Series
 from piezod.diagnose.selection.acceptance import degenerate, worth
 from piezod.effects import EFFECTS
@@ -58,10 +59,23 @@ def _scope(entry: EffectValues) -> Scope:
     return "already" if entry.since == "identification" else "since"
 
 
-def freed(chain: Chain, found: Fitted, names: Sequence[str]) -> Fitted:
-    """The hypothesis with the parameters of some effects fitted too, from their values within what is possible."""
-    terms = tuple(replace(term, held=False) if term.effect.name in names else term for term in found.terms)
-    return fit(chain, terms, found.point)
+def freed(chain: Chain, found: Fitted, name: str, past: Point | None = None) -> Fitted:
+    """The hypothesis with the parameters of a held effect fitted too, from its own size, half of it and twice as much.
+
+    From its own size alone, what shapes an effect goes astray where the size has changed much. The fits begin from the
+    base as the identification alone shows it (`past`), since a change bends the base.
+    """
+    terms = tuple(replace(term, held=False) if term.effect.name == name else term for term in found.terms)
+    place = next(k for k, term in enumerate(terms) if term.effect.name == name)
+    size, values = terms[place].effect.parameters[0], found.point.values
+    known = found.point if past is None or not past.alike(found.point) else past
+    starts = [values]
+    if size.name in values[place]:
+        for factor in (0.5, 2.0):
+            scaled = {**values[place], size.name: min(max(factor * values[place][size.name], size.low), size.high)}
+            starts.append((*values[:place], scaled, *values[place + 1 :]))
+    tried = each(lambda one: fit(chain, terms, replace(known, values=one)), starts)
+    return min(tried, key=lambda one: one.loss)
 
 
 def as_given(chain: Chain, found: Fitted, given: Fitted, name: str) -> Fitted:
@@ -107,7 +121,7 @@ def settle(chain: Chain, found: Fitted, given: Fitted) -> tuple[Fitted, dict[str
     statuses: dict[str, Status] = {}
     for name in given.effects:
         same, without = as_given(chain, found, given, name), without_effect(chain, found, name)
-        other = freed(chain, same, [name])
+        other = freed(chain, same, name)
         if name in found.effects:
             other = min(other, _last(found, name), key=lambda one: one.loss)
         if worth(same, other):

@@ -13,6 +13,7 @@ from piezod.diagnose.hypothesis.fit import MOST_STEPS, Fitted, fit
 from piezod.diagnose.hypothesis.parallel import each
 from piezod.diagnose.hypothesis.sampling import best_course, coarse, settled, started_as_usual, suited_anew
 from piezod.diagnose.hypothesis.series import Series
+from piezod.diagnose.hypothesis.stack_change import NAMES, with_stack_changed
 from piezod.diagnose.selection.acceptance import (
     BETTER,
     GENERAL,
@@ -39,6 +40,7 @@ BESIDE_A_STEP = 2  # effects that a step was preferred to are tried with a step 
 SEVERAL, STARTS_ANEW = 3, 2  # parameters of an effect that is begun anew beside a new one, and its starts
 PAIRS_SETTLED = 2  # of effects, that are tried with every course of the command between samples
 NOTHING_LEFT = 1.05  # of the noise's square: nothing is looked for beside what leaves no more
+NEARLY_ALL = 0.05  # of the loss: a change of the stack that leaves no more is taken before any effect is tried
 RIVALS = 6  # of an effect, that are tried in its place at the end
 DOUBTED = 3  # of those that fit better and are not believed that are fitted from other starts
 
@@ -74,6 +76,8 @@ def search(chain: Chain, start: Point, progress: OnProgress, given: tuple[Term, 
         sharp = _sharper(result, best)
         if sharp is not None:
             _sharpen(result, *sharp)
+            continue
+        if _with_another_stack(result, best):
             continue
         if best is None:
             if not both(result, tried):
@@ -112,8 +116,39 @@ def _begun(chain: Chain, start: Point, given: tuple[Term, ...]) -> Search:
         chain, base = best_course(chain, (), start)
         base = fit(chain, (), base.point)  # a base that has not arrived would take any effect for its own way
     chain, base = started_as_usual(chain, base)
-    other = freed(chain, base, base.effects) if given else base
-    return Search(chain, base, other if worth(base, other) else base, _past(chain, start, given))
+    result = Search(chain, base, base, _past(chain, start, given))
+    while _changed(result):
+        pass
+    return result
+
+
+def _changed(result: Search) -> bool:
+    """One more change of what is known, the one that leaves least: of a given effect's values, or of the stack.
+
+    It is looked for before new effects, since it is likelier. Where no effect is given, another stack must explain
+    nearly all: a new effect may do the same.
+    """
+    names = [term.effect.name for term in result.found.terms if term.held]
+    tried = [freed(result.chain, result.found, name, result.past) for name in names]
+    stack = None if result.stack_changed else with_stack_changed(result.chain, result.found, result.past)
+    if stack is not None and (names or stack.loss < NEARLY_ALL * result.found.loss):
+        tried.append(stack)
+    best = min(tried, key=lambda one: one.loss, default=result.found)
+    if best is result.found or not worth(result.found, best):
+        return False
+    result.found = best
+    return True
+
+
+def _with_another_stack(result: Search, best: tuple[Chain, Fitted] | None) -> bool:
+    """Another gain and other loops of the stack since the identification, where no effect explains as much."""
+    if result.stack_changed or result.found.loss <= NOTHING_LEFT:
+        return False
+    other = with_stack_changed(result.chain, result.found, result.past)
+    if not worth(result.found, other) or (best is not None and BETTER * other.loss > best[1].loss):
+        return False
+    result.found = other
+    return True
 
 
 def _follow(result: Search) -> None:
@@ -222,8 +257,7 @@ def _beside_the_last_step(result: Search) -> list[tuple[Chain, Fitted]]:
     """Where a step of the load was found last: what came next to it, each with a step that suits it."""
     if not result.rounds or result.found.effects[-1:] != ("load_step",):
         return []
-    last = result.rounds[-1].accepted.point
-    if (last.density.size, last.law.size) != (result.chain.density.count, result.chain.law.count):
+    if not result.rounds[-1].accepted.point.alike(result.found.point):
         return []  # fitted before the base had sharp plays
     others = sorted(result.rounds[-1].others, key=lambda one: one.loss)
     return with_a_step(result.chain, result.found, others[:BESIDE_A_STEP])
@@ -251,7 +285,7 @@ def begin_anew(result: Search) -> None:
     known = fit(few, found.terms, found.point, most_steps=2)
     others = []
     for place, term in enumerate(found.terms[:-1]):
-        if term.effect.name in result.given:
+        if term.effect.name in (*result.given, *NAMES):
             continue
         values = found.point.values[place]
         anew = [(replace(term, choices=choices), values) for choices in _other_choices(term)]

@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
 from piezod.diagnose.candidates.tones import Tone
+from piezod.diagnose.hypothesis import stack_change
 from piezod.diagnose.hypothesis.chain import Chain, Point
 from piezod.diagnose.hypothesis.fit import MOST_STEPS, Fitted, fit
 from piezod.diagnose.selection.given_effects import Status
@@ -75,12 +76,18 @@ class Search:
     @property
     def new(self) -> tuple[str, ...]:
         """Effects that were found and that the given model lacks, tones last."""
-        return tuple(name for name in self.names if name not in self.given)
+        found = dict.fromkeys((*self.found.effects, *(tone.name for tone in self.tones_asked_about)))
+        return tuple(name for name in found if name not in (*self.given, *stack_change.NAMES))
+
+    @property
+    def stack_changed(self) -> bool:
+        """Whether the stack itself has another gain or other loops than at the identification."""
+        return any(name in self.found.effects for name in stack_change.NAMES)
 
     @property
     def differs(self) -> bool:
         """Whether anything is new, changed or gone."""
-        return bool(self.new) or any(one in ("changed", "gone") for one in self.statuses.values())
+        return bool(self.new) or self.stack_changed or any(one in ("changed", "gone") for one in self.statuses.values())
 
     def fit_base(self, most_steps: int = MOST_STEPS) -> None:
         """Fit the base anew to the readings of the chain."""

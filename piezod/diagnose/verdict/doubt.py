@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 
 from piezod.diagnose.findings import Findings
+from piezod.diagnose.hypothesis.stack_change import NAMES
 from piezod.diagnose.selection.acceptance import BETTER
 from piezod.diagnose.selection.search_state import Search
 
@@ -23,7 +24,8 @@ def needless(result: Search, findings: Findings, *, delivered: bool) -> list[str
 
     All of them where the model that is `delivered` with them leaves as much as the given one.
     """
-    unlike = [one.name for one in findings.effects if one.name in (*result.found.effects, *result.given)]
+    unlike = [*result.new, *(one.name for one in findings.effects if one.name in result.given)]
+    unlike += [name for name in NAMES if name in result.found.effects]
     if unlike and delivered and findings.after**2 > BETTER * findings.before**2:
         return unlike
     named = (one for one in findings.effects if one.name in result.names)

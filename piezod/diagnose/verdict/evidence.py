@@ -8,12 +8,13 @@ from numpy.typing import NDArray
 
 from piezod.diagnose.candidates.direct import level_about
 from piezod.diagnose.candidates.tones import Tone
-from piezod.diagnose.findings import Finding, Kept, Place, Rival, Value
+from piezod.diagnose.findings import Base, Finding, Kept, Place, Rival, Value
 from piezod.diagnose.hypothesis.chain import Term
 from piezod.diagnose.hypothesis.fit import Fitted
 from piezod.diagnose.hypothesis.series import Series
+from piezod.diagnose.hypothesis.stack_change import NAMES
 from piezod.diagnose.selection.acceptance import counted
-from piezod.diagnose.selection.given_effects import as_given
+from piezod.diagnose.selection.given_effects import as_given, without_effect
 from piezod.diagnose.selection.search import fitted_without
 from piezod.diagnose.selection.search_state import Search
 from piezod.diagnose.selection.significance import p_value
@@ -30,6 +31,7 @@ NORMAL_95 = 1.96
 MOST_SPREAD = 20.0  # of an interval on its scale: beyond it a parameter is not determined
 BENT = 1.0 / 8.0  # of a sample, by which a delay between samples may be off
 UNLIKE = 2.0  # noises from the model, root mean square: a reading that stands still while the force moves is further
+BREATHES = 0.2  # of its amplitude: so much that of a machine changes by itself
 COARSE = 0.5  # of the other noise: a converter's step / sqrt(12) beyond it is a finding
 
 
@@ -110,6 +112,24 @@ def gone_finding(result: Search, name: str, given: Model) -> Finding:
     )
 
 
+def base_of(result: Search) -> Base:
+    """What has become of the stack itself."""
+    if not result.stack_changed:
+        return Base()
+    chain, found = result.chain, result.found
+    values, before = {}, found
+    for name in NAMES:
+        place = next((k for k, term in enumerate(found.terms) if term.effect.name == name), None)
+        if place is not None:
+            before = without_effect(chain, before, name)
+            value, error = found.point.values[place][name], NORMAL_95 * found.spread[place].get(name, 0.0)
+            values[name] = Value(value, "1", value * float(np.exp(-error)), value * float(np.exp(error)))
+    asked = [one.command_V for one in chain.series if one.role == "recording"]
+    place_V = Place("voltage_V", min(float(one.min()) for one in asked), max(float(one.max()) for one in asked))
+    confidence = _confidence(float(np.log(before.loss / found.loss)), ())
+    return Base(True, values.get("gain"), values.get("loops"), (place_V,), confidence)
+
+
 def given_values(given: Model, name: str) -> dict[str, Value]:
     """Parameters of an effect of the given model, with their intervals where the model states them."""
     entry = next(one for one in given.effects if one.name == name)
@@ -121,14 +141,22 @@ def given_values(given: Model, name: str) -> dict[str, Value]:
     return found
 
 
-def kept_effects(result: Search, given: Model) -> list[Kept]:
-    """Effects of the given model that have not changed, those of other recordings too."""
-    unchanged = [
-        entry.name
-        for entry in given.effects
-        if result.statuses.get(entry.name, "not seen") in ("kept", "not seen") and entry.name not in result.new
-    ]
-    return [Kept(name, given_values(given, name), result.statuses.get(name) == "kept") for name in unchanged]
+def kept_effects(result: Search, given: Model, found: Sequence[Finding], tones: Sequence[str]) -> list[Kept]:
+    """Effects of the given model that have not changed, those of other recordings too.
+
+    Parameters
+    ----------
+    result, given
+        Search and given model.
+    found
+        What is new, changed or gone.
+    tones
+        Tones that have not changed.
+    """
+    different = {one.name for one in found}
+    names = [name for name in dict.fromkeys(entry.name for entry in given.effects) if name not in different]
+    seen = {name for name, status in result.statuses.items() if status == "kept"} | set(tones)
+    return [Kept(name, given_values(given, name), name in seen) for name in names]
 
 
 def _with_the_course(delay_s: Value, series: Series, *, smoothed: bool) -> Value:
@@ -153,9 +181,13 @@ def all_terms(found: Fitted, tones: Sequence[Tone]) -> Fitted:
     return replace(found, terms=(*found.terms, *terms), point=replace(found.point, values=values))
 
 
-def tone_finding(result: Search, name: str) -> Finding:
-    """A tone as a finding."""
+def tone_finding(result: Search, name: str, given: Model | None = None) -> Finding:
+    """A tone as a finding.
+
+    Every recording has its own phase. The tone of the given model is known by its amplitude and frequency.
+    """
     effect, after = EFFECTS[name], held_out_rms(result.chain, result.found)
+    was = {} if given is None or name not in {one.name for one in given.effects} else given_values(given, name)
     mine = [tone for tone in result.tones_asked_about if tone.name == name]
     parameters = {}
     for one in effect.catalogued:
@@ -177,7 +209,15 @@ def tone_finding(result: Search, name: str) -> Finding:
         (),
         effect.handling,
         effect.why,
+        status="changed" if was else "new",
+        was=was,
     )
+
+
+def same_tone(tone: Finding) -> bool:
+    """Whether a tone of the given model has not changed."""
+    pairs = [(tone.parameters[name], was) for name, was in tone.was.items()]
+    return bool(pairs) and all(abs(now.value / was.value - 1.0) < BREATHES for now, was in pairs)
 
 
 def _tone_error(name: str, tone: Tone, result: Search) -> float:

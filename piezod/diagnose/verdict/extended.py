@@ -8,6 +8,8 @@ from numpy.typing import NDArray
 from piezod.diagnose.findings import Value
 from piezod.diagnose.hypothesis.chain import Chain, Term
 from piezod.diagnose.hypothesis.fit import Fitted
+from piezod.diagnose.hypothesis.stack_change import factors
+from piezod.effects import EFFECTS
 from piezod.errors import ModelError
 from piezod.estimation.initial_state import starts_at_rest
 from piezod.model import Model
@@ -46,7 +48,12 @@ def extended_model(
     asked = [one for one in chain.series if one.role == "recording"] or list(chain.series)
     first = hashes[next((k for k, one in enumerate(chain.series) if one.role == "recording"), 0)]
     held = {term.effect.name for term in found.terms if term.held}
-    effects = tuple(one for one in model.effects if one.name in held or one.recording not in (None, *hashes))
+    tones = {term.effect.name for term in found.terms if term.scope == "once"}
+    effects = tuple(
+        one
+        for one in model.effects
+        if one.name in held or (one.recording not in (None, *hashes) and one.name not in tones)
+    )
     effects += tuple(
         EffectValues(
             name=term.effect.name,
@@ -56,7 +63,7 @@ def extended_model(
             since={"already": "identification", "since": first}.get(term.scope),
         )
         for term, values in zip(found.terms, found.point.values, strict=True)
-        if not term.held
+        if not term.held and term.effect.name in EFFECTS
     )
     changed = {
         "hysteresis": hysteresis_of(chain, found),
@@ -108,9 +115,10 @@ def _start(model: Model, chain: Chain) -> Start:
 
 def hysteresis_of(chain: Chain, found: Fitted) -> Hysteresis:
     """Density and splines as plays and dead zones."""
-    weights = chain.density.weights(found.point.density)
+    gain, loops = factors(found)
+    weights = chain.density.weights(loops * found.point.density)
     thresholds = np.concatenate(([0.0], chain.density.thresholds_V))
-    low_V, high_V = _stroke_range(chain, found)
+    low_V, high_V = (end * max(1.0, 1.0 / gain) for end in _stroke_range(chain, found))
     zones, slopes, offset = _pieces(chain, found, low_V, high_V)
     slopes = np.maximum(slopes, 2.0 * EPS * slopes.max())
     if np.cumsum(weights).min() < EPS:
@@ -135,13 +143,14 @@ def _pieces(chain: Chain, found: Fitted, low_V: float, high_V: float) -> tuple[A
 
     The piece around 0 has one slope; where the strokes begin above 0 the first piece is continued down to it.
     """
-    knots, kinks = np.linspace(low_V, high_V, PIECES + 1), np.sort(chain.law.kinks_V)
+    gain, _ = factors(found)
+    knots, kinks = np.linspace(low_V, high_V, PIECES + 1), np.sort(chain.law.kinks_V / gain)
     kinks = kinks[(kinks > low_V) & (kinks < high_V)]
     if kinks.size:
         beside = np.min(np.abs(knots[:, None] - kinks), axis=1) > BESIDE_A_KINK * (high_V - low_V)
         beside[[0, -1]] = True
         knots = np.sort(np.concatenate((knots[beside], kinks)))
-    values = chain.law.value(knots, found.point.law)
+    values = chain.law.value(gain * knots, found.point.law)
     rises = np.diff(values) / np.diff(knots)
     centre = int(np.clip(np.searchsorted(knots, 0.0, side="right") - 1, 0, knots.size - 2))
     below, above = np.arange(1, centre + 1), np.arange(centre + 1, knots.size - 1)

@@ -46,7 +46,7 @@ class FreeRun:
         return np.interp(series.start_s + series.time_s, self.recording.time_s, self.expected) + self.tare
 
 
-def free_run(model: Model, source: Source, series: Series) -> FreeRun:
+def free_run(model: Model, source: Source, series: Series | None = None) -> FreeRun:
     """Simulate a model over a recording as `piezod simulate` does.
 
     Parameters
@@ -57,16 +57,23 @@ def free_run(model: Model, source: Source, series: Series) -> FreeRun:
         The recording.
     series
         The same as it is diagnosed: readings that do not count there are not compared. Where the recording cannot be
-        simulated because its input is missing for long, the model runs over this part of it.
+        simulated because its input is missing for long, the model runs over this part of it. None: it was held out.
+
+    Raises
+    ------
+    RecordingError
+        A recording that was held out cannot be simulated.
     """
     try:
         recording, _ = fit_for_simulation(source.recording, model.input.channel, model.output.channel)
     except RecordingError:
+        if series is None:
+            raise
         recording = _recording_of(series, model)
     window = int(np.searchsorted(recording.time_s, recording.time_s[0] + START_WINDOW_S))
     expected, _ = simulate(model, recording, window, source.sha256)
     measured = recording.channel(model.output.channel)
-    compared = np.isfinite(measured) & _counting(series, recording.time_s)
+    compared = np.isfinite(measured) & (series is None or _counting(series, recording.time_s))
     if compared[window:].any():  # a recording of less than a second is compared whole
         compared[:window] = False
     return FreeRun(recording, expected, np.where(compared, measured - expected, np.nan))

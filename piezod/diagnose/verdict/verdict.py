@@ -9,12 +9,12 @@ from numpy.typing import NDArray
 from piezod.diagnose.adequacy.guard import Guard
 from piezod.diagnose.adequacy.remainder import Motion
 from piezod.diagnose.candidates.tones import Tone
-from piezod.diagnose.findings import Finding, Findings, Verdict
+from piezod.diagnose.findings import Base, Finding, Findings, Verdict
 from piezod.diagnose.hypothesis.chain import Chain
 from piezod.diagnose.hypothesis.fit import Fitted
 from piezod.diagnose.hypothesis.series import Series
 from piezod.diagnose.selection.search_state import Search
-from piezod.diagnose.verdict.words import Wording, effect_words, law_words
+from piezod.diagnose.verdict.words import Wording, base_words, effect_words, kept_words, law_words
 
 Array = NDArray[np.float64]
 
@@ -116,7 +116,7 @@ def span_of(series: Sequence[Series]) -> float:
     return max(float(np.ptp(one.reading_N[one.counts])) for one in series if one.role == "recording")
 
 
-def verdict_of(share: float, closed: float, effects: Sequence[Finding], *, above: bool) -> Verdict:
+def verdict_of(share: float, closed: float, effects: Sequence[Finding | Base], *, above: bool) -> Verdict:
     """From what is left to explain, how much of all that could be was explained, and how far the names are believed.
 
     `above` says that more than noise is left: then something is missing though nothing tells what it is.
@@ -143,15 +143,8 @@ def rms_of(residuals: Sequence[Array], series: Sequence[Series]) -> float:
 
 def words_of(findings: Findings, wording: Wording) -> str:
     """The verdict in a few sentences."""
-    unit = findings.unit
     parts = [effect_words(one, wording) for one in findings.effects]
-    fell = f"held-out error {findings.before:.3g} -> {findings.after:.3g} {unit}"
-    if findings.refitted is not None:
-        again = f", {findings.refitted:.3g} {unit} once refitted" if findings.refitted < findings.before else ""
-        fell = f"held-out error {findings.before:.3g} {unit}{again}"
-    fell += f", noise {findings.floor:.3g} {unit}"
-    if findings.law is not None:
-        fell += f", with {law_words(findings.law)}"
+    parts += [base_words(findings.base)] if findings.base.changed else []
     opening = {
         "matches": "The model matches the recordings",
         "explained": "; ".join(parts),
@@ -169,4 +162,16 @@ def words_of(findings: Findings, wording: Wording) -> str:
         "partly_explained": more,
         "unexplained": more,
     }.get(findings.verdict)
-    return "; ".join(one for one in (opening, fell, rest) if one)
+    return "; ".join(one for one in (opening, kept_words(findings.kept), _error_words(findings), rest) if one)
+
+
+def _error_words(findings: Findings) -> str:
+    """The error that simulation leaves, before and after."""
+    unit = findings.unit
+    told = f"error {findings.before:.3g} -> {findings.after:.3g} {unit}"
+    if findings.refitted is not None:
+        told += " with its hysteresis refitted"
+    if findings.after == findings.before:
+        told = f"error {findings.before:.3g} {unit}"
+    told += f", noise {findings.floor:.3g} {unit}"
+    return told if findings.law is None else f"{told}, with {law_words(findings.law)}"

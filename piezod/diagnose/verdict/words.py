@@ -4,7 +4,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
-from piezod.diagnose.findings import Finding, Place, Unnamed, Value
+from piezod.diagnose.findings import Base, Finding, Kept, Place, Unnamed, Value
 from piezod.effects import EFFECTS
 
 AXES = {
@@ -144,6 +144,8 @@ def place_words(place: Place, wording: Wording = VOLTS) -> str:
 
 def effect_words(finding: Finding, wording: Wording = VOLTS) -> str:
     """An effect with its first parameter and where it is seen: a part of the verdict's sentence."""
+    if finding.status != "new":
+        return change_words(finding, wording)
     said = finding.title if finding.confidence >= PROBABLE else f"perhaps {finding.title}"
     for name, value in list(finding.parameters.items())[:1]:
         middle, interval = (one.replace(NO_BREAK, " ") for one in value_words(value, name, finding.name, wording))
@@ -151,6 +153,48 @@ def effect_words(finding: Finding, wording: Wording = VOLTS) -> str:
         number = f"{middle} {label}" if label.startswith(PER) else f"{label} {middle}"
         said += f", {number}" + (f" ({interval})" if interval else "")
     return said + (f", seen at {place_words(finding.where[0], wording)}" if finding.where else "")
+
+
+def change_words(finding: Finding, wording: Wording = VOLTS) -> str:
+    """What has become of an effect of the given model: a part of the verdict's sentence."""
+    title = finding.title if finding.confidence >= PROBABLE else f"perhaps {finding.title}"
+    name, value = next(iter(finding.parameters.items()))
+    was = finding.was.get(name, value)
+    before, now = (_number(one, name, finding.name, wording) for one in (was, value))
+    if finding.status == "gone":
+        return f"{title} is gone, was {before}"
+    moved = "grew" if abs(value.value) > abs(was.value) else "fell"
+    same = abs(value.value - was.value) < SAME * abs(was.value)
+    return f"{title} {'changed its shape' if same else moved} from {before} to {now}"
+
+
+def _number(value: Value, name: str, effect: str, wording: Wording) -> str:
+    """A value with its label and interval."""
+    middle, interval = (one.replace(NO_BREAK, " ") for one in value_words(value, name, effect, wording))
+    label = label_of(name, value.unit)
+    number = f"{middle} {label}" if label.startswith(PER) else middle
+    return number + (f" ({interval})" if interval else "")
+
+
+def base_words(base: Base) -> str:
+    """What has become of the stack itself: a part of the verdict's sentence."""
+    parts = []
+    for label, value in (("gain", base.gain), ("loops", base.loops)):
+        if value is None:
+            parts.append(f"{label} as before")
+        else:
+            middle, low, high = (f"{PER_CENT * (one - 1.0):+.1f}" for one in (value.value, value.low, value.high))
+            parts.append(f"{label} {middle} % ({low} to {high})")
+    return f"the stack itself has changed: {', '.join(parts)}"
+
+
+def kept_words(kept: Sequence[Kept]) -> str:
+    """Effects of the given model that have not changed; empty: there is none."""
+    said = []
+    for seen, word in ((True, "kept"), (False, "not seen")):
+        titles = [EFFECTS[one.name].title for one in kept if one.seen == seen]
+        said += [f"{listed(titles)} {word}"] if titles else []
+    return "; ".join(said)
 
 
 def law_words(law: Unnamed) -> str:

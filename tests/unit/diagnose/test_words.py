@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import pytest
 
-from piezod.diagnose.findings import Finding, Findings, Place, Value
+from piezod.diagnose.findings import Base, Finding, Findings, Kept, Place, Value
 from piezod.diagnose.verdict import words
 from piezod.diagnose.verdict.verdict import words_of
 from piezod.effects import EFFECTS
@@ -133,7 +133,7 @@ def test_ends_that_hardly_differ_are_one_except_in_time():
 )
 def test_nobody_is_told_that_nothing_is_left_while_far_more_than_noise_is(verdict, explainable, after, said):
     findings = Findings(verdict, "", "N", 0.1, "quiet", (), (), 2.0, after, 90.0, 99.0, explainable)
-    assert words_of(findings, WORDING).endswith(f"held-out error 2 -> {after:.3g} N, noise 0.1 N; {said}")
+    assert words_of(findings, WORDING).endswith(f"error 2 -> {after:.3g} N, noise 0.1 N; {said}")
 
 
 def test_a_floor_of_nothing_is_said_too():
@@ -141,10 +141,45 @@ def test_a_floor_of_nothing_is_said_too():
     assert words_of(findings, WORDING).endswith("what is left is more than noise, and nothing tells what it is")
 
 
-@pytest.mark.parametrize(
-    ("refitted", "rest"), [(0.12, "nothing is missing"), (0.14, "what is left is more than noise")]
-)
-def test_the_error_of_the_given_model_is_told_beside_what_refitting_would_leave(refitted, rest):
-    findings = Findings("matches", "", "N", 0.1, "quiet", (), (), 0.2, 0.2, 90.0, 90.0, 0.0, refitted=refitted)
-    assert f"held-out error 0.2 N, {refitted} N once refitted, noise 0.1 N; {rest}" in words_of(findings, WORDING)
-    assert "held-out error 0.2 N, noise 0.1 N" in words_of(replace(findings, refitted=0.2), WORDING)
+def test_the_error_of_the_given_model_stays_alone_where_no_other_model_is_written():
+    findings = Findings("matches", "", "N", 0.1, "quiet", (), (), 0.12, 0.12, 90.0, 90.0, 0.0, refitted=0.11)
+    assert "error 0.12 N, noise 0.1 N; nothing is missing" in words_of(findings, WORDING)
+    refitted = replace(findings, before=0.2, after=0.11)
+    assert "error 0.2 -> 0.11 N with its hysteresis refitted, noise 0.1 N" in words_of(refitted, WORDING)
+
+
+def changed(name, now, was, status="changed"):
+    """Finding of an effect of the given model, its first parameter in the interval of 10 %."""
+    parameter = next(iter(EFFECTS[name].parameters))
+    values = [Value(one, parameter.unit, 0.9 * one, 1.1 * one) for one in (now, was)]
+    title = EFFECTS[name].title
+    return Finding(
+        name,
+        title,
+        0.99,
+        "since",
+        (),
+        {parameter.name: values[0]},
+        2.0,
+        0.1,
+        status=status,
+        was={parameter.name: values[1]},
+    )
+
+
+def test_a_change_is_told_from_and_to_and_what_is_kept_beside_it():
+    effects = changed("creep", 0.021, 0.013), changed("transport_delay", 0.0, 0.0015, "gone")
+    kept = Kept("electrical_lag", {}, seen=True), Kept("resonance", {}, seen=False)
+    findings = Findings("explained", "", "N", 0.1, "quiet", (), effects, 2.0, 0.1, 90.0, 99.0, 0.0, kept=kept)
+    said = words_of(findings, WORDING)
+    assert "creep of the stack grew from 1.30 % per decade (1.17 to 1.43) to 2.10 % per decade (1.89 to 2.31)" in said
+    assert "transport delay is gone, was 1.50 ms (1.35 to 1.65)" in said
+    assert f"{EFFECTS['electrical_lag'].title} kept; {EFFECTS['resonance'].title} not seen" in said
+
+
+def test_a_change_of_the_stack_is_told_in_per_cent():
+    base = Base(True, gain=Value(0.969, "1", 0.967, 0.971))
+    findings = Findings("explained", "", "N", 0.1, "quiet", (), (), 2.0, 0.1, 90.0, 99.0, 0.0, base=base)
+    assert words_of(findings, WORDING).startswith(
+        "the stack itself has changed: gain -3.1 % (-3.3 to -2.9), loops as before; error 2 -> 0.1 N"
+    )
