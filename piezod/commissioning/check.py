@@ -1,7 +1,7 @@
 """`piezod check`: check a bench without energising it.
 
-This module checks the configuration, its model and its reference; `check_machine.py` checks this machine, and
-`check_device.py` the device.
+This module checks the configuration and its model; `check_reference.py` the reference, `check_machine.py` this machine,
+and `check_device.py` the device.
 """
 
 from collections.abc import Callable, Iterator
@@ -11,18 +11,17 @@ from typing import TypeVar
 
 from piezod.commissioning.check_device import check_device
 from piezod.commissioning.check_machine import check_configuration_file, check_machine
+from piezod.commissioning.check_reference import check_reference
 from piezod.commissioning.check_result import Check
 from piezod.config import BenchConfig, load_bench, model_path
 from piezod.config.link import ModbusTcpLink
-from piezod.config.reference import RegisterReference, StreamReference
-from piezod.control import TableReference, check_safeguards, make_reference
+from piezod.control import check_safeguards
 from piezod.daemon.preview import missing_preview
 from piezod.effects import EFFECTS
 from piezod.errors import PiezodError
 from piezod.model import ExtendedCompensator, Model, Plant, acting_effects, load_model
 from piezod.model.unnamed_law import NAME as UNNAMED
 from piezod.session.assembly import check_effects, check_units, check_wire
-from piezod.transport import Reading
 
 WITHOUT_CONSEQUENCES = {
     "identity": "another device would not be noticed",
@@ -61,7 +60,7 @@ def check_bench(path: Path) -> list[Check]:
         check_units(model, model_path(bench, path))
         checks.extend(check_model_effects(bench, model, path))
         checks.append(_force_range(bench, model))
-        checks.extend(_reference(bench, model, path.parent))
+        checks.extend(check_reference(bench, model, path.parent))
     checks.extend(check_configuration_file(path))
     checks.extend(_arming(bench))
     checks.extend(_network(bench))
@@ -144,26 +143,6 @@ def _force_range(bench: BenchConfig, model: Model) -> Check:
     if model.input.high < bench.limits.voltage_max_V - 1e-9:
         return Check("reach", "WARN", found, "limits.voltage_max_V is above what was identified; record up to it")
     return Check("reach", "OK", found)
-
-
-def _reference(bench: BenchConfig, model: Model, folder: Path) -> Iterator[Check]:
-    """Check the forces of a reference that is known ahead; the values of a live reference are unknown."""
-    if isinstance(bench.reference, (RegisterReference, StreamReference)):
-        return
-    try:
-        table = make_reference(bench.reference, bench.rate_Hz, folder, Reading(), bench.reference_range, counted=False)
-    except PiezodError as error:
-        yield Check("reference", "FAIL", str(error))
-        return
-    assert isinstance(table, TableReference)
-    low, high = table.span()
-    bottom, top = Plant(model).steady_range()
-    found = f"{low:.1f} to {high:.1f} N, {len(table)} ticks"
-    if low < bottom or high > top:
-        remedy = f"after a reset cycle {bottom:.1f} to {top:.1f} N can be reached; beyond, the voltage is clamped"
-        yield Check("reference", "WARN", found, remedy)
-    else:
-        yield Check("reference", "OK", found)
 
 
 def _arming(bench: BenchConfig) -> Iterator[Check]:

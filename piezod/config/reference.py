@@ -8,8 +8,8 @@ from piezod.config.checked import Section, require
 
 Positive = Annotated[float, Field(gt=0)]
 EndAction = Literal["hold", "ramp_down"]
-MOST_BYTES = 1 << 28
-"""Largest reference file [byte]: hours at 1 kHz."""
+MOST_BYTES = 1 << 26
+"""Largest reference file [byte]: two million rows of four columns; reading takes up to 8 s and 0.8 GB."""
 
 
 class _LimitedReference(Section):
@@ -39,7 +39,11 @@ class WaveformReference(_LimitedReference):
 
 
 class FileReference(_LimitedReference):
-    """A column of a recording, interpolated at the ticks: `value * scale + offset_N` [N]."""
+    """A column of a CSV file, interpolated at the ticks: `value * scale + offset_N` [N]. The file is read strictly.
+
+    `longest_step_s`: longest time between two rows; None: ten times the median. `closing_row`: what the last row of a
+    loop is where it equals the first; drop: the first row of the next pass; keep: a sample of its own.
+    """
 
     kind: Literal["file"]
     path: Annotated[str, Field(min_length=1)]
@@ -47,7 +51,15 @@ class FileReference(_LimitedReference):
     scale: float = 1.0
     offset_N: float = 0.0
     loop: bool = False
+    closing_row: Literal["drop", "keep"] | None = None
+    longest_step_s: Positive | None = None
     at_end: EndAction = "ramp_down"
+
+    @model_validator(mode="after")
+    def _closing_row_needs_a_loop(self) -> Self:
+        if self.closing_row is not None and not self.loop:
+            raise ValueError(f"closing_row is {self.closing_row}, must be null where loop is false")
+        return self
 
 
 def is_looped(reference: "ReferenceConfig") -> bool:

@@ -11,6 +11,7 @@ from piezod.recording.files import (
     write_recording,
 )
 from piezod.recording.formats.csv import read_csv, write_csv
+from piezod.recording.formats.strict_csv import StrictTable, read_strict_csv
 from piezod.recording.formats.text_layout import TextOptions
 from piezod.recording.hold import HELD_ONE_SAMPLE, Hold
 from piezod.recording.recording import TIME, Recording
@@ -20,6 +21,7 @@ __all__ = [
     "TIME",
     "Hold",
     "Recording",
+    "StrictTable",
     "TextOptions",
     "check_output_path",
     "check_recording_target",
@@ -29,6 +31,7 @@ __all__ = [
     "open_stream",
     "read_csv",
     "read_recording",
+    "read_strict_csv",
     "write_csv",
     "write_recording",
 ]

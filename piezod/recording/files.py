@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from piezod.errors import ConfigurationError, RecordingError, UsageError
-from piezod.recording.formats.access import import_library, library_errors
+from piezod.recording.formats.access import import_library, library_errors, open_file
 from piezod.recording.formats.csv import is_own_csv, open_csv, write_csv
 from piezod.recording.formats.hdf5 import open_hdf5, write_hdf5
 from piezod.recording.formats.mat import open_mat, write_mat
@@ -294,7 +294,7 @@ def _format_of(path: Path, *, to_read: bool = False) -> Format:
 
 def _check_magic(path: Path, file_format: Format) -> None:
     """Refuse a file whose first bytes belong to another format."""
-    with path.open("rb") as file:
+    with open_file(path) as file:
         head = file.read(32)
     if file_format.magic and head.startswith(file_format.magic):
         return

@@ -194,14 +194,15 @@ def forged_stream(pool, fault, *, for_s=0.5):
         return _end(bench, observed)
 
 
-def absurd_file(pool, fault, *, value):
-    """Start with a reference file that has one absurd value."""
+def absurd_file(pool, fault, *, value=100.0, gap_s=0.0, cut=0):
+    """Start with a reference file that has one wrong value, a gap before its last row, or a last line cut short."""
     bench = pool.bench()
     bench.service.end()
     bench.drop()
     folder = pool.new_folder()
-    rows = [f"{k / 100},{value if k == 50 else 100.0}" for k in range(100)]
-    (folder / "reference.csv").write_text("time_s,reference_N\n" + "\n".join(rows) + "\n", encoding="utf-8")
+    rows = [f"{k / 100 + gap_s * (k == 99)},{value if k == 50 else 100.0}" for k in range(100)]
+    text = "time_s,reference_N\n" + "\n".join(rows) + "\n"
+    (folder / "reference.csv").write_text(text[: len(text) - cut], encoding="utf-8")
     content = yaml.safe_load(bench.path.read_text(encoding="utf-8"))
     content["reference"] = {"kind": "file", "path": str(folder / "reference.csv")}
     path = folder / "bench.yaml"

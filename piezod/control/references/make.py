@@ -4,10 +4,11 @@ from pathlib import Path
 
 from piezod.config.reference import FileReference, ReferenceConfig, RegisterReference, WaveformReference
 from piezod.config.reference_range import ReferenceRange
+from piezod.control.references.file_table import file_table
 from piezod.control.references.reference import Reference
 from piezod.control.references.register import RegisterValue
 from piezod.control.references.stream import DatagramStream
-from piezod.control.references.table import file_table, waveform_table
+from piezod.control.references.table import waveform_table
 from piezod.transport import Reading
 
 

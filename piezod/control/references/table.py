@@ -1,18 +1,15 @@
-"""References that are known ahead: a table of values, made from a waveform or a recording."""
+"""References that are known ahead: a table of values, and the table of a waveform."""
 
 from collections.abc import Callable
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from piezod.config.reference import FileReference, WaveformReference
-from piezod.config.reference_range import ReferenceRange
+from piezod.config.reference import WaveformReference
 from piezod.control.references.reference import Freshness
 from piezod.control.references.repeat_correction import RepeatCorrection
-from piezod.errors import ConfigurationError, RecordingError
+from piezod.errors import ConfigurationError
 from piezod.excitation import shape, whole_periods
-from piezod.recording import read_csv
 
 MOST_TICKS = 50_000_000  # 400 MB of values
 
@@ -183,49 +180,3 @@ def waveform_table(config: WaveformReference, rate_Hz: float) -> TableReference:
     unit = shape(config.kind, phase, levels=config.levels, seed=config.seed)
     values = config.offset_N + config.amplitude_N * unit
     return TableReference(values, loop=config.duration_s is None, ramp_down_on_lapse=config.at_end == "ramp_down")
-
-
-def file_table(config: FileReference, rate_Hz: float, folder: Path, allowed: ReferenceRange) -> TableReference:
-    """Table of a column of a recording, interpolated to the ticks.
-
-    Parameters
-    ----------
-    config
-        Section `reference` of the bench configuration.
-    rate_Hz
-        Tick rate [Hz].
-    folder
-        Folder that a relative path starts from.
-    allowed
-        Range of the reference [N].
-
-    Raises
-    ------
-    ConfigurationError
-        The recording cannot be read, has no such column, or a value that is not finite or beyond the range.
-    """
-    try:
-        recording = read_csv(folder / config.path)
-        column = recording.channel(config.column)
-    except RecordingError as error:
-        raise ConfigurationError(f"reference.path: {error}") from error
-    _check_values(config, recording.time_s, column * config.scale + config.offset_N, allowed)
-    time_s = recording.time_s - recording.time_s[0]
-    ticks = np.arange(int(time_s[-1] * rate_Hz) + 1) / rate_Hz
-    values = np.interp(ticks, time_s, column) * config.scale + config.offset_N
-    return TableReference(values, loop=config.loop, ramp_down_on_lapse=config.at_end == "ramp_down")
-
-
-def _check_values(
-    config: FileReference, time_s: NDArray[np.float64], force_N: NDArray[np.float64], allowed: ReferenceRange
-) -> None:
-    """Refuse a column with a value that is not finite or beyond the range; interpolation could hide it."""
-    bad = np.flatnonzero(~((force_N >= allowed.low_N) & (force_N <= allowed.high_N)))
-    if not bad.size:
-        return
-    value_N = float(force_N[bad[0]])
-    must = allowed.refusal(value_N) if np.isfinite(value_N) else "finite"
-    raise ConfigurationError(
-        f"reference.path: {config.path}: {config.column} gives {value_N:g} N at {time_s[bad[0]]:g} s, must be {must}; "
-        f"{bad.size} of {force_N.size} values are wrong: correct the file"
-    )

@@ -2,12 +2,14 @@
 
 import importlib
 import os
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
-from piezod.errors import RecordingError
+from piezod.config.regular_file import open_regular
+from piezod.errors import ConfigurationError, RecordingError
 
 MOST_ERROR_TEXT = 200
 """Characters of a library's error text that a message quotes."""
@@ -35,6 +37,27 @@ def import_library(module: str, extra: str, path: Path) -> Any:  # noqa: ANN401 
     except ImportError as error:
         package = module.partition(".")[0]
         raise RecordingError(f"{path}: needs {package}; pip install 'piezod-bench[{extra}]'") from error
+
+
+def open_file(path: Path, most_bytes: int = sys.maxsize) -> BinaryIO:
+    """Open a regular file for reading. A fifo or a device is refused: it may block for ever.
+
+    Parameters
+    ----------
+    path
+        The file.
+    most_bytes
+        Largest size [byte].
+
+    Raises
+    ------
+    RecordingError
+        The file cannot be opened, is no regular file, or is too large.
+    """
+    try:
+        return open_regular(path, most_bytes)
+    except ConfigurationError as error:
+        raise RecordingError(str(error)) from error
 
 
 @contextmanager

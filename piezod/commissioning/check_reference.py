@@ -1,0 +1,109 @@
+"""Force and voltage that a reference will ask for, computed before it drives."""
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from piezod.commissioning.check_result import Check
+from piezod.config import BenchConfig
+from piezod.config.reference import RegisterReference, StreamReference
+from piezod.control import TableReference
+from piezod.errors import PiezodError
+from piezod.model import Model, Plant, make_compensator
+from piezod.session.assembly import plan_ahead, reference_table
+
+MOST_PLANNED = 500_000
+"""Ticks whose voltage is computed. They take 2 s; a longer reference is described by its begin."""
+
+
+def check_reference(bench: BenchConfig, model: Model, folder: Path) -> Iterator[Check]:
+    """Check the forces and voltages of a reference that is known ahead; those of a live reference are unknown.
+
+    Parameters
+    ----------
+    bench
+        Bench configuration.
+    model
+        Model of the bench.
+    folder
+        Folder that relative paths start from.
+    """
+    if isinstance(bench.reference, (RegisterReference, StreamReference)):
+        return
+    try:
+        table = reference_table(bench, folder)
+        force_N = table.values()
+        voltage_V = planned_voltage_V(bench, model, table)
+    except PiezodError as error:
+        yield Check("reference", "FAIL", str(error))
+        return
+    yield _force_check(bench, model, force_N, loops=table.loops)
+    yield _voltage_check(bench, force_N.size, voltage_V)
+
+
+def planned_voltage_V(bench: BenchConfig, model: Model, table: TableReference) -> NDArray[np.float64]:
+    """Voltage that the compensation plans in each tick, from the model's start state [V].
+
+    A loop is passed twice: the first pass begins without the memory of a pass before. The states advance with the
+    voltage within the limits; the slew limit is left out. At most `MOST_PLANNED` ticks.
+
+    Parameters
+    ----------
+    bench, model
+        Bench configuration and model.
+    table
+        Reference; its values are led by delay and resonance afterwards.
+    """
+    compensator = make_compensator(bench.compensation, model, bench.dt_s, bench.compensation_without)
+    plan_ahead(table, compensator)
+    compensator.reset()
+    low_V, high_V = bench.limits.voltage_min_V, bench.limits.voltage_max_V
+    planned_N = table.planned()[:MOST_PLANNED]
+    ahead_N = np.tile(planned_N, 2 if table.loops else 1)[:MOST_PLANNED].tolist()
+    planned_V = np.empty(len(ahead_N))
+    for k, force_N in enumerate(ahead_N):
+        planned_V[k] = compensator.plan(force_N)
+        compensator.commit(min(max(float(planned_V[k]), low_V), high_V))
+    return planned_V
+
+
+def _force_check(bench: BenchConfig, model: Model, force_N: NDArray[np.float64], *, loops: bool) -> Check:
+    """Range, ends, largest rate and length of the force, against the reach of the model."""
+    bottom, top = Plant(model).steady_range()
+    ticks = f"{force_N.size} ticks, {force_N.size / bench.rate_Hz:.10g} s{', repeated' if loops else ''}"
+    found = f"{_course(force_N, bench.rate_Hz, 'N', loops=loops)}, {ticks}"
+    if force_N.min() < bottom or force_N.max() > top:
+        remedy = f"after a reset cycle {bottom:.1f} to {top:.1f} N can be reached; beyond, the voltage is clamped"
+        return Check("reference", "WARN", found, remedy)
+    return Check("reference", "OK", found)
+
+
+def _voltage_check(bench: BenchConfig, ticks: int, voltage_V: NDArray[np.float64]) -> Check:
+    """Range, ends and largest rate of the planned voltage, against the limits."""
+    limits = bench.limits
+    found = _course(voltage_V, bench.rate_Hz, "V", loops=False)
+    if voltage_V.size < ticks:
+        found += f", of the first {voltage_V.size} ticks"
+    if not (limits.voltage_min_V <= voltage_V.min() and voltage_V.max() <= limits.voltage_max_V):
+        remedy = f"is clamped to {limits.voltage_min_V:g} to {limits.voltage_max_V:g} V (limits)"
+        return Check("voltage", "WARN", found, remedy)
+    if _largest_rate(voltage_V, bench.rate_Hz, loops=False) > limits.slew_V_per_s * (1.0 + 1e-9):
+        return Check("voltage", "WARN", found, f"limits.slew_V_per_s, {limits.slew_V_per_s:g}, makes it slower")
+    return Check("voltage", "OK", found)
+
+
+def _course(values: NDArray[np.float64], rate_Hz: float, unit: str, *, loops: bool) -> str:
+    """Range, first and last value, and largest rate of a curve, as text."""
+    rate = _largest_rate(values, rate_Hz, loops=loops)
+    return (
+        f"{values.min():.6g} to {values.max():.6g} {unit}, first {values[0]:.6g}, last {values[-1]:.6g}, "
+        f"at most {rate:.4g} {unit}/s"
+    )
+
+
+def _largest_rate(values: NDArray[np.float64], rate_Hz: float, *, loops: bool) -> float:
+    """Largest rate between two ticks [1/s]; in a loop also from the last to the first."""
+    steps = np.diff(values, append=values[:1]) if loops else np.diff(values)
+    return float(np.abs(steps).max(initial=0.0)) * rate_Hz

@@ -1,0 +1,84 @@
+"""Times of a file that drives a bench, in ticks: exact number of ticks, and no gap between two rows."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from piezod.errors import ConfigurationError
+from piezod.recording import StrictTable
+
+Array = NDArray[np.float64]
+
+GAP = 10.0
+"""Longest step between two rows [median steps]. A file with a longer one lacks rows, or has two rates."""
+
+FLOAT_ERROR = 1e-6
+"""Deviation of a time from a tick that summed or stored floating-point times have [ticks]."""
+
+FEWEST_ROUNDED = 10
+"""Rows from which unequal steps of rounded times show the tick rate."""
+
+
+def tick_positions(time_s: Array, rate_Hz: float, time_unit_s: float = 0.0) -> Array:
+    """Time of each row since the first row [ticks]. A row that is meant to be on a tick gives a whole number.
+
+    A time counts as on a tick within floating-point error. Times such as 0.003333, 0.006667, 0.010000 are rounded:
+    their steps differ although every row is within the last decimal of its own tick. They count as on these ticks.
+
+    Parameters
+    ----------
+    time_s
+        Times, never falling, shape (N,) [s].
+    rate_Hz
+        Tick rate [Hz].
+    time_unit_s
+        Unit of the last written decimal [s]; 0: unknown.
+    """
+    since_s = time_s - time_s[0]
+    if _are_rounded_ticks(since_s, rate_Hz, time_unit_s):
+        return np.arange(time_s.size, dtype=np.float64)
+    positions: Array = since_s * rate_Hz
+    whole = np.rint(positions)
+    error = max(FLOAT_ERROR, 4.0 * float(np.spacing(np.abs(time_s).max())) * rate_Hz)
+    return np.where(np.abs(positions - whole) <= min(error, 0.01), whole, positions)
+
+
+def _are_rounded_ticks(since_s: Array, rate_Hz: float, time_unit_s: float) -> bool:
+    """Whether row k is at tick k, with a rounded time."""
+    if since_s.size < FEWEST_ROUNDED or not 0.0 < time_unit_s * rate_Hz <= 0.5:
+        return False
+    units = np.rint(since_s / time_unit_s)
+    ticks = np.arange(since_s.size) / rate_Hz
+    are_unequal = np.ptp(np.diff(units)) > 0.0
+    return bool(are_unequal and (np.abs(since_s - ticks) <= 1.001 * time_unit_s).all())
+
+
+def check_gaps(table: StrictTable, longest_step_s: float | None, key: str) -> None:
+    """Refuse a file with a step that is longer than stated.
+
+    Parameters
+    ----------
+    table
+        The file.
+    longest_step_s
+        Longest step [s]; None: `GAP` times the median step.
+    key
+        Key or option that states it, for the message.
+
+    Raises
+    ------
+    ConfigurationError
+        The message names both lines, the step and the limit.
+    """
+    steps_s = np.diff(table.time_s)
+    rising_s = steps_s[steps_s > 0.0]
+    if not rising_s.size:
+        return
+    longest_s = GAP * float(np.median(rising_s)) if longest_step_s is None else longest_step_s
+    gaps = np.flatnonzero(steps_s > longest_s * (1.0 + 1e-9))
+    if gaps.size:
+        k = gaps[0]
+        words = f"{GAP:g} times the median step" if longest_step_s is None else key
+        raise ConfigurationError(
+            f"{table.path}: line {table.lines[k + 1]} is {steps_s[k]:.6g} s after line {table.lines[k]}, must be at "
+            f"most {longest_s:.6g} s, {words}; add the missing rows, or set {key}"
+        )
