@@ -53,7 +53,7 @@ def stop_directly(path: Path) -> str:
     bench = load_bench_without_model(path)
     limits = bench.limits
     ramp_s = (limits.voltage_max_V - limits.voltage_min_V) / limits.ramp_down_V_per_s
-    lock = lock_bench(bench, wait_s=LOCK_WITHIN_S + ramp_s)
+    lock = lock_bench(bench, wait_s=LOCK_WITHIN_S + ramp_s, stopping=True)
     try:
         with opened_link(bench) as link:
             return bring_to_rest(bench, link)

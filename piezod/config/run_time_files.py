@@ -69,10 +69,11 @@ def is_owner(found: os.stat_result) -> bool:
 
 
 def _without_magic(path: Path, magic: bytes, head_bytes: int) -> str:
+    """Reason why a file was not made by piezod; an empty file, which a truncated one leaves, holds nothing to lose."""
     try:
         with path.open("rb") as file:
             found = file.read(head_bytes or len(magic))
-            return "" if magic in found else "exists, and was not made by piezod"
+            return "" if magic in found or not found else "exists, and was not made by piezod"
     except OSError as error:
         return f"cannot be read: {error.strerror}"
 
@@ -171,6 +172,14 @@ class UnixSocket:
         except BaseException:
             self.close()
             raise
+
+    @property
+    def is_there(self) -> bool:
+        """Whether the file of this socket still stands at its path."""
+        try:
+            return _identity(self._path) == self._identity
+        except OSError:
+            return False
 
     def close(self) -> None:
         """Close the socket and remove its file; further calls do nothing."""

@@ -138,6 +138,11 @@ class ControlLoop:
         self._stop_fast = self._stop_fast or fast
 
     @property
+    def ring_log(self) -> RingLog:
+        """Log of the ticks."""
+        return self._ring
+
+    @property
     def stopped(self) -> bool:
         """Whether a stop was requested."""
         return self._stop_requested

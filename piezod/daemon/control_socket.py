@@ -101,6 +101,22 @@ class ControlSocket:
             raise ConfigurationError(f"daemon.socket: {path} cannot be bound: {error.strerror or error}") from error
         self._listener = listener
 
+    async def restore(self) -> bool:
+        """Listen again if somebody has removed the socket; whether that was so. Clients stay connected.
+
+        Raises
+        ------
+        ConfigurationError, BusyError
+            As for `open`.
+        """
+        if self._listener is None or self._listener.is_there:
+            return False
+        former = self._server
+        await self.open()
+        if former is not None:
+            former.close()
+        return True
+
     async def close(self) -> None:
         """Close the server and every connection, and remove the socket."""
         if self._server is None or self._listener is None:

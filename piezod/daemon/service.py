@@ -42,6 +42,8 @@ CONNECTED_WITHIN_S = 120.0
 """Time for the start of a control process [s]: with an empty cache it compiles its steps before it is ready."""
 READY_WITHIN_S = 30.0
 """Time for the first tick [s]. Afterwards a control process without ticks counts as hung, and systemd restarts it."""
+FILES_INTERVAL_S = 0.5
+"""Time between two looks at lock, sockets and ring log [s]: what is removed is noticed within a second."""
 ENDING = (signal.SIGTERM, signal.SIGINT)
 COMMANDS = ("status", "arm", "disarm", "stop", "reset", "reload")
 """Commands of the socket."""
@@ -86,6 +88,9 @@ class Service:
         self._notifier = Notifier()
         self._channel = CommandChannel(session)
         self._wake = asyncio.Event()
+        self._control_socket = ControlSocket(bench, self._answer, log_line)
+        self._stop_path = StopPath(bench, self._channel.urge)
+        self._files_problem = ""
         self._stops_requested = 0
         self.outcome = Outcome()
         self.statistics = TickStatistics(self._log_transition)
@@ -102,12 +107,10 @@ class Service:
             self._add_signal_handlers()
             if self._recorder is not None:
                 stack.push_async_callback(self._recorder.close)
-            control_socket = ControlSocket(self._bench, self._answer, log_line)
-            stack.push_async_callback(control_socket.close)
-            await control_socket.open()
-            stop_path = StopPath(self._bench, self._channel.urge)
-            stack.callback(stop_path.close)
-            stop_path.open()
+            stack.push_async_callback(self._control_socket.close)
+            await self._control_socket.open()
+            stack.callback(self._stop_path.close)
+            self._stop_path.open()
             if self._bench.daemon.metrics_port is not None:
                 shown = BenchMetrics(
                     self._bench.name,
@@ -270,8 +273,11 @@ class Service:
 
     async def _follow(self, session: Session) -> None:
         """Read the ring log until the control process ends."""
-        begun_s = time.monotonic()
+        begun_s = checked_s = time.monotonic()
         while not self._channel.has_message:
+            if time.monotonic() > checked_s + FILES_INTERVAL_S:
+                checked_s = time.monotonic()
+                await self._restore_files(session)
             is_starting = self.statistics.last is None and time.monotonic() - begun_s < READY_WITHIN_S
             if self._read_rows(session) or is_starting:
                 self._notifier.alive()
@@ -286,6 +292,31 @@ class Service:
         if kind == "error":
             raise rebuild_error(*content)
         self.outcome = content
+
+    async def _restore_files(self, session: Session) -> None:
+        """Make lock, sockets and ring log again if somebody has removed them; end if another program has the bench."""
+        try:
+            if not self._lock.restore():
+                log_line(f"{self._bench.name}: its lock was removed, and another program has taken it; ramping down")
+                self._stops_requested += 1
+                session.stop()
+                return
+            made = ["socket"] if await self._control_socket.restore() else []
+            made += ["stop socket"] if self._stop_path.restore() else []
+            if session.ring_log_is_broken:
+                await self._command("ring log")
+                session.open_ring_log()
+                if self._recorder is not None:
+                    self._recorder.follow(self._bench.ring_log_path)
+                made.append("ring log")
+        except PiezodError as error:
+            if str(error) != self._files_problem:
+                log_line(f"a file of the daemon was removed and cannot be made again: {error}")
+            self._files_problem = str(error)
+            return
+        self._files_problem = ""
+        if made:
+            log_line(f"somebody has removed the {', the '.join(made)} of the daemon; made again")
 
     def _read_rows(self, session: Session) -> bool:
         """Evaluate the new rows of the ring log; return whether there were any."""

@@ -52,7 +52,7 @@ class StopPath:
         self._bench, self._urge = bench, urge
         self._listener: UnixSocket | None = None
         self._thread: threading.Thread | None = None
-        self._end_reader, self._end_writer = os.pipe()
+        self._end_reader = self._end_writer = -1
         self._clients: dict[socket.socket, float] = {}
 
     def open(self) -> None:
@@ -67,6 +67,7 @@ class StopPath:
         """
         sys.setswitchinterval(SWITCH_INTERVAL_S)
         self._listener = self._bound()
+        self._end_reader, self._end_writer = os.pipe()
         self._thread = threading.Thread(target=self._serve, name="stop", daemon=True)
         self._thread.start()
 
@@ -78,13 +79,28 @@ class StopPath:
         listener.socket.listen(BACKLOG)
         return listener
 
+    def restore(self) -> bool:
+        """Listen again if somebody has removed the socket; whether that was so.
+
+        Raises
+        ------
+        ConfigurationError, BusyError
+            As for `open`.
+        """
+        if self._listener is None or self._listener.is_there:
+            return False
+        self.close()
+        self.open()
+        return True
+
     def close(self) -> None:
         """End the thread and remove the socket."""
+        if self._thread is None or self._listener is None:
+            return
         os.close(self._end_writer)
-        if self._thread is not None:
-            self._thread.join()
-        if self._listener is not None:
-            self._listener.close()
+        self._thread.join()
+        self._thread = None
+        self._listener.close()
         os.close(self._end_reader)
 
     def _serve(self) -> None:

@@ -7,21 +7,27 @@
 The counters hold how many values of a live reference passed each result of their check. A reader may ignore them.
 
 The control loop is the only writer. It writes the row, then increases the count. A reader copies rows and reads the
-count again. Rows that were overwritten in the meantime are dropped and counted. The writer takes no lock and makes no
-system call, so no reader can delay a tick.
+count again. Rows that were overwritten in the meantime are dropped and counted. The writer takes no lock, so no reader
+can delay a tick.
+
+Both sides use the file by position (`pwrite`, `pread`) and never touch mapped memory: a file that somebody truncates
+would end each process that touches its mapping. `RingReader.is_broken` tells that it happened, and `RingLog.restore`
+makes the file again.
 """
 
 import contextlib
 import mmap
 import os
 import struct
+import weakref
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from piezod.config.regular_file import open_regular
 from piezod.config.run_time_files import FILE_MODE, NO_SPACE, group_id, is_own_file, set_access
-from piezod.errors import ConfigurationError, TemporaryError, UnreachableError
+from piezod.errors import ConfigurationError, PiezodError, TemporaryError, UnreachableError
 
 MAGIC = b"PIEZRNG1"
 _OWN = MAGIC[:-1]  # also of another version
@@ -29,7 +35,9 @@ _KEY = "daemon.ring_log"
 COUNTERS = 8
 _COUNTERS_BYTES = 8 * COUNTERS
 _HEAD = struct.Struct("<8sQQQ")
-_COUNT = slice(24, 32)
+_COUNT_AT = 24
+MOST_BYTES = 1 << 34
+"""Largest ring log [byte]; more than any memory."""
 _ROW = struct.Struct("<qqddddddqqiiii")
 
 ROW_DTYPE = np.dtype(
@@ -68,6 +76,8 @@ class RingLog:
     ----------
     counters
         Counters of the writer, shape (`COUNTERS`,).
+    lost
+        Number of rows that could not be written.
 
     Raises
     ------
@@ -78,36 +88,70 @@ class RingLog:
     """
 
     def __init__(self, path: Path | None, capacity: int, group: str | None = None) -> None:
-        self._capacity = capacity
+        self._path, self._capacity, self._group = path, capacity, group
+        self._row = bytearray(_ROW.size)
+        self._count = memoryview(bytearray(8)).cast("Q")
+        counts = bytearray(_COUNTERS_BYTES)
+        self.counters = memoryview(counts).cast("Q")
+        self._counts, self._written_counts = counts, bytes(counts)
+        self._descriptor, self._pinned = self._made()
         self._rows = 0
-        rows_end = _HEAD.size + capacity * _ROW.size
-        size = rows_end + _COUNTERS_BYTES
-        head = _HEAD.pack(MAGIC, _ROW.size, capacity, 0)
+        self.lost = 0
+
+    def _made(self) -> tuple[int, mmap.mmap]:
+        """Make the file, and a mapping that only keeps its pages in memory."""
+        size = _HEAD.size + self._capacity * _ROW.size + _COUNTERS_BYTES
+        head = _HEAD.pack(MAGIC, _ROW.size, self._capacity, 0)
         try:
-            self._memory = mmap.mmap(-1, size) if path is None else _mapped_file(path, size, head, group)
+            descriptor = _open_file(self._path, size, head, self._group)
         except OSError as error:
-            raise _file_error(path, size, error) from error
-        _HEAD.pack_into(self._memory, 0, MAGIC, _ROW.size, capacity, 0)
-        self._count = _count_of(self._memory)
-        self.counters = memoryview(self._memory)[rows_end:size].cast("Q")
+            raise _file_error(self._path, size, error) from error
+        return descriptor, mmap.mmap(descriptor, size, mmap.MAP_SHARED | mmap.MAP_POPULATE)
 
     def append(self, *row: float) -> None:
-        """Write one row.
+        """Write one row; one that cannot be written counts in `lost`.
 
         Parameters
         ----------
         *row
             Values in the order of `ROW_DTYPE`.
         """
-        _ROW.pack_into(self._memory, _HEAD.size + self._rows % self._capacity * _ROW.size, *row)
+        _ROW.pack_into(self._row, 0, *row)
+        descriptor, place = self._descriptor, _HEAD.size + self._rows % self._capacity * _ROW.size
         self._rows += 1
         self._count[0] = self._rows
+        try:
+            os.pwrite(descriptor, self._row, place)
+            os.pwrite(descriptor, self._count, _COUNT_AT)
+            if self._counts != self._written_counts:
+                self._written_counts = bytes(self._counts)
+                os.pwrite(descriptor, self._counts, _HEAD.size + self._capacity * _ROW.size)
+        except OSError:  # the file was truncated, and its file system is full
+            self.lost += 1
+
+    def restore(self) -> None:
+        """Make the file again after it was removed or truncated; its rows count from 0 again.
+
+        Raises
+        ------
+        TemporaryError, ConfigurationError
+            As for a new ring log; the former file stays in use.
+        """
+        former = self._descriptor, self._pinned
+        with contextlib.suppress(OSError):  # a truncated file has lost its mark, but is known by its number
+            if self._path is not None and os.path.samestat(os.fstat(former[0]), self._path.lstat()):
+                self._path.unlink()
+        self._descriptor, self._pinned = self._made()
+        self._rows, self._written_counts = 0, b""
+        former[1].close()
+        os.close(former[0])
 
     def close(self) -> None:
-        """Unmap the memory; the file stays for its readers. A second call has no effect."""
-        self.counters.release()
-        self._count.release()
-        self._memory.close()
+        """Close the file, which stays for its readers. A second call has no effect."""
+        descriptor, self._descriptor = self._descriptor, -1
+        if descriptor >= 0:
+            self._pinned.close()
+            os.close(descriptor)
 
 
 def remove_ring_log(path: Path) -> None:
@@ -123,22 +167,26 @@ def remove_ring_log(path: Path) -> None:
             path.unlink()
 
 
-def _mapped_file(path: Path, size: int, head: bytes, group: str | None) -> mmap.mmap:
-    """Create the file and map it; an own file at the path is replaced, and an incomplete one is removed."""
-    gid = group_id(group, "daemon.socket_group")
-    if is_own_file(path, _KEY, _OWN):
-        path.unlink()
-    descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC | os.O_NOFOLLOW, FILE_MODE)
+def _open_file(path: Path | None, size: int, head: bytes, group: str | None) -> int:
+    """Create and fill the file; an own file at the path is replaced, and an incomplete one is removed."""
+    if path is None:
+        descriptor = os.memfd_create("ring log", os.MFD_CLOEXEC)
+    else:
+        gid = group_id(group, "daemon.socket_group")
+        if is_own_file(path, _KEY, _OWN):
+            path.unlink()
+        descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC | os.O_NOFOLLOW, FILE_MODE)
     try:
         os.pwrite(descriptor, head, 0)  # first of all: the mark of an own file
-        set_access(descriptor, FILE_MODE, gid)
+        if path is not None:
+            set_access(descriptor, FILE_MODE, gid)
         os.posix_fallocate(descriptor, 0, size)
-        return mmap.mmap(descriptor, size, mmap.MAP_SHARED | mmap.MAP_POPULATE)  # all pages now, not in a tick
     except BaseException:
-        path.unlink(missing_ok=True)
-        raise
-    finally:
         os.close(descriptor)
+        if path is not None:
+            path.unlink(missing_ok=True)
+        raise
+    return descriptor
 
 
 def _file_error(path: Path | None, size: int, error: OSError) -> TemporaryError | ConfigurationError:
@@ -170,24 +218,39 @@ class RingReader:
     """
 
     def __init__(self, path: Path, first: int = 0) -> None:
+        self._path = path
         try:
-            with path.open("rb") as file:
-                self._memory = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
-        except (OSError, ValueError) as error:
+            with open_regular(path, MOST_BYTES) as file:
+                self._descriptor = os.dup(file.fileno())
+        except PiezodError as error:
             raise UnreachableError(f"{path}: no ring log to read: is the daemon running?") from error
-        magic, row_size, self._capacity, _ = _HEAD.unpack_from(self._memory, 0)
+        weakref.finalize(self, os.close, self._descriptor)
+        head = os.pread(self._descriptor, _HEAD.size, 0)
+        if len(head) < _HEAD.size:
+            raise UnreachableError(f"{path}: no ring log to read: is the daemon running?")
+        magic, row_size, self._capacity, _ = _HEAD.unpack(head)
         if magic != MAGIC or row_size != _ROW.size:
             raise UnreachableError(f"{path}: not a ring log of this version; restart the daemon")
-        self._count = _count_of(self._memory)
-        self._table = np.frombuffer(self._memory, ROW_DTYPE, self._capacity, _HEAD.size)
-        self._counters = memoryview(self._memory)[_HEAD.size + self._capacity * _ROW.size :]
         self._next = first
         self.dropped = 0
 
     @property
+    def is_broken(self) -> bool:
+        """Whether the file was removed, replaced or truncated, so that nobody else can read it any more."""
+        size = _HEAD.size + self._capacity * _ROW.size
+        try:
+            own, found = os.fstat(self._descriptor), self._path.stat()
+        except OSError:
+            return True
+        head = os.pread(self._descriptor, len(MAGIC), 0)
+        return not os.path.samestat(own, found) or own.st_size < size or head != MAGIC
+
+    @property
     def counters(self) -> tuple[int, ...]:
         """Counters of the writer; empty for a writer of an earlier version."""
-        return tuple(self._counters[:_COUNTERS_BYTES].cast("Q")) if len(self._counters) >= _COUNTERS_BYTES else ()
+        place = _HEAD.size + self._capacity * _ROW.size
+        content = os.pread(self._descriptor, _COUNTERS_BYTES, place)
+        return struct.unpack(f"<{COUNTERS}Q", content) if len(content) == _COUNTERS_BYTES else ()
 
     @property
     def next(self) -> int:
@@ -220,17 +283,26 @@ class RingReader:
         first = max(self._next, written - self._capacity + 1)
         if most is not None:
             written = min(written, first + most)
-        rows = self._table[np.arange(first, written) % self._capacity]
+        rows = self._copied(first, written)
         overwritten = min(max(0, self._written() - self._capacity + 1 - first), rows.size)
         self.dropped += first - self._next + overwritten
         self._next = written
         fresh: NDArray[np.void] = rows[overwritten:]
         return fresh
 
+    def _copied(self, first: int, end: int) -> NDArray[np.void]:
+        """Rows `first` to `end`; without those that a truncated file has lost."""
+        begin, count = first % self._capacity, max(end - first, 0)
+        parts = [(begin, min(count, self._capacity - begin)), (0, max(count - (self._capacity - begin), 0))]
+        content = b"".join(
+            os.pread(self._descriptor, size * _ROW.size, _HEAD.size + at * _ROW.size) for at, size in parts if size
+        )
+        rows = np.frombuffer(content[: len(content) // _ROW.size * _ROW.size], ROW_DTYPE)
+        if rows.size < count:
+            self.dropped += count - rows.size
+        return rows
+
     def _written(self) -> int:
-        return int(self._count[0])
-
-
-def _count_of(memory: mmap.mmap) -> memoryview:
-    """The count of rows as one machine word; `struct` would write it in two steps that another process can see."""
-    return memoryview(memory)[_COUNT].cast("Q")
+        content = os.pread(self._descriptor, 8, _COUNT_AT)
+        written = int.from_bytes(content, "little") if len(content) == 8 else 0
+        return max(written, self._next)  # a truncated file has lost its count

@@ -120,6 +120,9 @@ class CommandQueue:
                 return self._reset()
             case "limits":
                 return self._change_limits(argument)
+            case "ring log":
+                self._loop.ring_log.restore()
+                return "ring log made again"
             case "end":
                 self._require_disarmed(name)
                 self._loop.request_stop()

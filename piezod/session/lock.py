@@ -1,7 +1,10 @@
 """The locks that let only one program at a time use a bench, and a device.
 
 Two bench files may name the same device, so the lock of a bench file is not enough. Each lock is a `flock` on a file.
-The kernel releases it when the last process that holds it ends.
+The kernel releases it when the last process that holds it ends. No other user can open the files, so no other user can
+take a lock. Programs of two users on one device are detected at the device (`control/device_guard.py`).
+
+A stop needs no lock that nobody uses: it passes a file of another user, and a holder that stands still.
 """
 
 import contextlib
@@ -17,13 +20,17 @@ from pathlib import Path
 from typing import Any
 
 from piezod.config import BenchConfig
-from piezod.config.run_time_files import FILE_MODE, NO_SPACE
+from piezod.config.run_time_files import NO_SPACE
 from piezod.errors import BusyError, ConfigurationError, TemporaryError
 from piezod.session.device_names import device_names
 
-DEVICE_LOCKS = Path("/dev/shm")  # noqa: S108  # the same folder for every user and every bench file
-DEVICE_MODE = 0o644
-"""Mode of the lock file of a device: another user can open it to wait for the lock, and not change it."""
+DEVICE_LOCKS = Path("/dev/shm")  # noqa: S108  # holds the folder of each user
+MODE = 0o600
+FOLDER_MODE = 0o700
+MOST_FOLDERS = 10
+"""Names that are tried for the folder of a user, if another user has made a folder of that name."""
+STANDING = "TtZXD"
+"""States of a process that does nothing (proc_pid_stat(5)): stopped, ended, or waiting for a dead disk."""
 _RETRY_S = 0.05
 _CONTENT = re.compile(rb"[0-9]{0,10}\n?")  # process number of the holder
 
@@ -40,6 +47,8 @@ class BenchLock:
         Lock file of the bench; `close` of the process that created the object removes it.
     wait_s
         Longest time to wait for another holder [s].
+    stopping
+        Whether the bench will only be brought to rest; then a lock that nobody uses is passed.
 
     Raises
     ------
@@ -49,10 +58,11 @@ class BenchLock:
         The file cannot be opened or created, or is no lock file.
     """
 
-    def __init__(self, path: Path, wait_s: float = 0.0) -> None:
+    def __init__(self, path: Path, wait_s: float = 0.0, *, stopping: bool = False) -> None:
         self._held: dict[Path, int] = {}
         self._own: list[Path] = []
-        self._take(path, FILE_MODE, "bench", time.monotonic() + wait_s)
+        self._stopping = stopping
+        self._take(path, "bench", time.monotonic() + wait_s)
 
     def cover(self, devices: Iterable[str], wait_s: float = 0.0) -> None:
         """Lock devices too; those that are locked already stay locked.
@@ -73,15 +83,35 @@ class BenchLock:
         for name in devices:
             path = device_lock_path(name)
             if path not in self._held:
-                self._take(path, DEVICE_MODE, "device", deadline_s)
+                self._take(path, "device", deadline_s)
 
-    def _take(self, path: Path, mode: int, what: str, deadline_s: float) -> None:
-        self._held[path] = descriptor = _lock(path, mode, what, deadline_s)
-        self._own.append(path)
-        with contextlib.suppress(
-            OSError
-        ):  # on a full file system, or in the file of another user, the number is missing
-            os.fchmod(descriptor, mode)
+    def restore(self) -> bool:
+        """Make lock files again that somebody has removed; False if another program has taken one in the meantime.
+
+        Raises
+        ------
+        ConfigurationError, TemporaryError
+            A file cannot be made.
+        """
+        for path in self._own:
+            if not _is_at(self._held[path], path):
+                former = self._held[path]
+                try:
+                    self._take(path, "bench", time.monotonic())
+                except BusyError:
+                    return False
+                os.close(former)
+        return True
+
+    def _take(self, path: Path, what: str, deadline_s: float) -> None:
+        descriptor = _lock(path, what, deadline_s, stopping=self._stopping)
+        if descriptor is None:
+            return
+        self._held[path] = descriptor
+        if path not in self._own:
+            self._own.append(path)
+        with contextlib.suppress(OSError):  # on a full file system the number is missing
+            os.fchmod(descriptor, MODE)
             os.ftruncate(descriptor, 0)
             os.pwrite(descriptor, f"{os.getpid()}\n".encode("ascii"), 0)
 
@@ -99,7 +129,7 @@ class BenchLock:
         self._held.clear()
 
 
-def lock_bench(bench: BenchConfig, wait_s: float = 0.0) -> BenchLock:
+def lock_bench(bench: BenchConfig, wait_s: float = 0.0, *, stopping: bool = False) -> BenchLock:
     """Lock a bench and its device.
 
     Parameters
@@ -108,6 +138,8 @@ def lock_bench(bench: BenchConfig, wait_s: float = 0.0) -> BenchLock:
         Bench configuration.
     wait_s
         Longest time to wait for another holder of each lock [s].
+    stopping
+        As in `BenchLock`.
 
     Raises
     ------
@@ -116,7 +148,7 @@ def lock_bench(bench: BenchConfig, wait_s: float = 0.0) -> BenchLock:
     ConfigurationError
         A lock file cannot be opened or created, or is no lock file.
     """
-    lock = BenchLock(bench.lock_path, wait_s)
+    lock = BenchLock(bench.lock_path, wait_s, stopping=stopping)
     try:
         lock.cover(device_names(bench.link), wait_s)
     except BaseException:
@@ -134,20 +166,49 @@ def device_lock_path(name: str) -> Path:
         Name of the device, from `device_names`.
     """
     readable = re.sub(r"[^A-Za-z0-9.]+", "-", name)[:80]
-    return DEVICE_LOCKS / f"piezod-{readable}-{hashlib.sha256(name.encode()).hexdigest()[:8]}.lock"
+    return _own_folder() / f"{readable}-{hashlib.sha256(name.encode()).hexdigest()[:8]}.lock"
+
+
+def _own_folder() -> Path:
+    """The folder of this user for lock files, made if it is missing.
+
+    Raises
+    ------
+    ConfigurationError
+        Other users have made folders of every name that is tried.
+    """
+    user = os.geteuid()
+    for number in range(MOST_FOLDERS):
+        folder = DEVICE_LOCKS / f"piezod-{user}{f'-{number}' if number else ''}"
+        with contextlib.suppress(FileExistsError):
+            folder.mkdir(FOLDER_MODE)
+        found = folder.lstat()
+        if stat.S_ISDIR(found.st_mode) and found.st_uid == user:
+            folder.chmod(FOLDER_MODE)
+            return folder
+    raise ConfigurationError(f"{DEVICE_LOCKS}: other users have made piezod-{user} and its like; remove them")
 
 
 def _inherited(duplicates: dict[Path, Any]) -> BenchLock:
     lock = BenchLock.__new__(BenchLock)
     lock._held = {path: duplicate.detach() for path, duplicate in duplicates.items()}  # noqa: SLF001  # its own class
     lock._own = []  # noqa: SLF001
+    lock._stopping = False  # noqa: SLF001
     return lock
 
 
-def _lock(path: Path, mode: int, what: str, deadline_s: float) -> int:
-    """Open and lock the file, trying until `deadline_s`; a file that its previous holder removed is opened again."""
+def _lock(path: Path, what: str, deadline_s: float, *, stopping: bool) -> int | None:
+    """Open and lock the file, trying until `deadline_s`; a file that its previous holder removed is opened again.
+
+    None for a lock that a stop passes.
+    """
     while True:
-        descriptor = _open(path, mode)
+        try:
+            descriptor = _open(path)
+        except BusyError:
+            if stopping:
+                return None
+            raise
         if _locked(descriptor):
             if _is_at(descriptor, path):
                 return descriptor
@@ -156,9 +217,20 @@ def _lock(path: Path, mode: int, what: str, deadline_s: float) -> int:
         holder = os.pread(descriptor, 20, 0).decode("ascii", "replace").strip()
         os.close(descriptor)
         if time.monotonic() >= deadline_s:
+            if stopping and _state_of(holder) in STANDING:
+                return None
             who = f"process {holder}" if holder.isdigit() else "another process"
             raise BusyError(f"{path}: {who} drives or watches this {what}; stop it first")
         time.sleep(_RETRY_S)
+
+
+def _state_of(holder: str) -> str:
+    """State of a process, as in proc_pid_stat(5); "X" if there is none."""
+    try:
+        text = Path(f"/proc/{int(holder)}/stat").read_text(encoding="ascii", errors="replace")
+    except (OSError, ValueError):
+        return "X"
+    return text.rpartition(")")[2].split()[0]
 
 
 def _is_at(descriptor: int, path: Path) -> bool:
@@ -168,19 +240,21 @@ def _is_at(descriptor: int, path: Path) -> bool:
         return False
 
 
-def _open(path: Path, mode: int) -> int:
+def _open(path: Path) -> int:
     """Open or create the file; a link, folder, pipe or device, and a file with other content, is refused."""
-    flags = os.O_CLOEXEC | os.O_NOFOLLOW | os.O_NONBLOCK
+    flags = os.O_CLOEXEC | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_RDWR
     try:
         with contextlib.suppress(FileExistsError):
-            return os.open(path, flags | os.O_RDWR | os.O_CREAT | os.O_EXCL, mode)
-        try:
-            descriptor = os.open(path, flags | os.O_RDWR)
-        except PermissionError:  # the file of another user
-            descriptor = os.open(path, flags | os.O_RDONLY)
+            return os.open(path, flags | os.O_CREAT | os.O_EXCL, MODE)
+        found = path.lstat()
+        if stat.S_ISREG(found.st_mode) and found.st_uid != os.geteuid():
+            raise BusyError(
+                f"{path}: belongs to user {found.st_uid}, whose program may drive this bench; stop it, remove the file"
+            )
+        descriptor = os.open(path, flags)
     except FileNotFoundError as error:
         if path.parent.is_dir():  # its holder has removed it in the meantime
-            return _open(path, mode)
+            return _open(path)
         raise _open_error(path, error) from error
     except OSError as error:
         raise _open_error(path, error) from error

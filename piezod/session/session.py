@@ -152,6 +152,11 @@ class Session:
 
         self._reader = RingReader(self._task.bench.ring_log_path)
 
+    @property
+    def ring_log_is_broken(self) -> bool:
+        """Whether somebody has removed or truncated the file of the ring log."""
+        return self._reader is not None and self._reader.is_broken
+
     def read(self) -> "NDArray[np.void]":
         """Rows of the ring log since the last call, shape (N,)."""
         assert self._reader is not None

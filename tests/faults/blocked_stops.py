@@ -35,6 +35,8 @@ READBACK = 202  # register of the emulated bench
 FORCE_N = 120.0
 HUGE_BYTES = 3 << 30
 CLIENTS, LINES = 11, 200
+FILLING = 1200  # messages of 90 bytes; a pipe holds 65,536 bytes
+FILLED_WITHIN_S = 10.0
 
 
 @dataclass
@@ -112,14 +114,13 @@ class Service:
 
 
 def log_stands(service):
-    """The reader of stderr stands still, and refused commands fill the pipe."""
-    refused = b'{"command": "arm"}\n' * 50
-    open_ = []
-    for _ in range(30):
-        open_.append(service.send(refused))
-        time.sleep(0.02)
-    time.sleep(0.5)
-    return lambda: [one.close() for one in open_]
+    """The reader of stderr stands still, and clients with too long lines fill the pipe with messages."""
+    begun_s = time.monotonic()
+    for _ in range(FILLING):
+        service.send(b"x" * 5000).close()
+        if time.monotonic() > begun_s + FILLED_WITHIN_S:
+            break  # the daemon accepts nobody any more
+    return lambda: None
 
 
 def log_gone(service):
@@ -201,7 +202,7 @@ BLOCKADES = {
 
 def stop_once(blockade, way):
     """Drive, block, stop, and measure; returns a `Try`."""
-    with tempfile.TemporaryDirectory(prefix="piezod-stops-") as name, emulator() as serves:
+    with tempfile.TemporaryDirectory(prefix="piezod-stops-") as name, emulator("--port", "0") as serves:
         service = Service(Path(name), serves)
         try:
             service.drive()

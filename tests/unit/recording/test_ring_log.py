@@ -123,7 +123,7 @@ def test_a_missing_ring_and_a_foreign_file_are_refused(tmp_path):
         RingReader(tmp_path / "other")
 
 
-@pytest.mark.parametrize("content", [b"", b"precious", b"PIEZ"])
+@pytest.mark.parametrize("content", [b"precious", b"PIEZ"])
 def test_a_file_that_is_no_ring_log_is_neither_replaced_nor_removed(tmp_path, content):
     path = tmp_path / "ring"
     path.write_bytes(content)
@@ -173,6 +173,7 @@ def test_counters_reach_the_reader_and_a_log_without_a_file_holds_rows(tmp_path)
     log = RingLog(tmp_path / "ring", 10)
     reader = RingReader(tmp_path / "ring")
     log.counters[2] += 7
+    log.append(*row(0))
     assert reader.counters == (0, 0, 7, 0, 0, 0, 0, 0)
     log.close()
     memory = RingLog(None, 10)
@@ -185,3 +186,53 @@ def test_a_ring_log_of_an_earlier_version_has_no_counters(tmp_path):
     with (tmp_path / "ring").open("r+b") as file:
         file.truncate(32 + 10 * ROW_DTYPE.itemsize)
     assert RingReader(tmp_path / "ring").counters == ()
+
+
+def test_an_empty_file_that_a_truncated_ring_log_left_is_replaced(tmp_path):
+    (tmp_path / "ring").touch()
+    RingLog(tmp_path / "ring", 10).close()
+    RingReader(tmp_path / "ring")
+
+
+@pytest.mark.parametrize("size", [0, 10, 500])
+def test_writer_and_reader_survive_a_file_that_is_truncated(tmp_path, size):
+    path = tmp_path / "ring"
+    log = RingLog(path, 1000)
+    for k in range(20):
+        log.append(*row(k))
+    reader = RingReader(path, first=10)
+    assert not reader.is_broken
+    os.truncate(path, size)
+    assert reader.is_broken
+    log.append(*row(20))
+    reader.read()
+    assert reader.counters == () or len(reader.counters) == 8
+    log.restore()
+    log.append(*row(21))
+    fresh = RingReader(path)
+    assert fresh.read()["tick"].tolist() == [21]
+    log.close()
+
+
+@pytest.mark.parametrize("how", ["removed", "replaced"])
+def test_a_file_that_is_removed_or_replaced_is_noticed_and_made_again(tmp_path, how):
+    path = tmp_path / "ring"
+    log = RingLog(path, 10)
+    reader = RingReader(path)
+    path.unlink()
+    if how == "replaced":
+        path.touch()
+    assert reader.is_broken
+    log.restore()
+    assert not RingReader(path).is_broken
+    log.close()
+
+
+def test_rows_that_cannot_be_written_are_counted(tmp_path):
+    log = RingLog(tmp_path / "ring", 10)
+    descriptor, log._descriptor = log._descriptor, os.open(tmp_path / "ring", os.O_RDONLY)
+    log.append(*row(0))
+    assert log.lost == 1
+    os.close(log._descriptor)
+    log._descriptor = descriptor
+    log.close()

@@ -15,7 +15,7 @@ from piezod.config.sections import DaemonConfig
 from piezod.errors import BusyError, ConfigurationError
 from piezod.session import control_process
 from piezod.session.device_names import device_names
-from piezod.session.lock import BenchLock, lock_bench
+from piezod.session.lock import BenchLock, device_lock_path, lock_bench
 from piezod.session.task import Task
 
 
@@ -170,4 +170,67 @@ def test_a_second_bench_of_the_same_device_is_refused(tmp_path, monkeypatch):
     first.close()
     second.cover(device_names(tcp("localhost")))
     second.close()
-    assert list(tmp_path.iterdir()) == []
+    assert [path for path in tmp_path.rglob("*") if path.is_file()] == []
+
+
+@pytest.mark.parametrize("which", ["bench", "device"])
+def test_a_removed_lock_file_is_made_again(tmp_path, monkeypatch, which):
+    monkeypatch.setattr("piezod.session.lock.DEVICE_LOCKS", tmp_path)
+    lock = BenchLock(tmp_path / "a.lock")
+    lock.cover(device_names(tcp()))
+    path = list(lock._held)[which == "device"]
+    path.unlink()
+    assert lock.restore()
+    assert path.exists()
+    other = BenchLock(tmp_path / "b.lock")
+    with pytest.raises(BusyError):
+        other.cover(device_names(tcp())) if which == "device" else BenchLock(tmp_path / "a.lock")
+    other.close()
+    lock.close()
+
+
+def test_a_lock_that_another_program_took_after_its_removal_is_lost(tmp_path):
+    lock = BenchLock(tmp_path / "x.lock")
+    (tmp_path / "x.lock").unlink()
+    other = BenchLock(tmp_path / "x.lock")
+    assert not lock.restore()
+    other.close()
+    lock.close()
+
+
+def test_no_other_user_can_open_a_lock_file(tmp_path, monkeypatch):
+    monkeypatch.setattr("piezod.session.lock.DEVICE_LOCKS", tmp_path)
+    lock = BenchLock(tmp_path / "x.lock")
+    lock.cover(device_names(tcp()))
+    assert {path.stat().st_mode & 0o777 for path in lock._held} == {0o600}
+    (device,) = [path for path in lock._held if path.name != "x.lock"]
+    assert device.parent.stat().st_mode & 0o777 == 0o700
+    lock.close()
+
+
+def test_the_lock_file_of_another_user_keeps_out_a_start_and_no_stop(tmp_path, monkeypatch):
+    (tmp_path / "x.lock").touch()
+    monkeypatch.setattr(os, "geteuid", lambda: 12345)
+    with pytest.raises(BusyError, match="belongs to user 0"):
+        BenchLock(tmp_path / "x.lock")
+    BenchLock(tmp_path / "x.lock", stopping=True).close()
+    assert (tmp_path / "x.lock").exists()
+
+
+def test_a_folder_that_another_user_has_made_is_not_used(tmp_path, monkeypatch):
+    monkeypatch.setattr("piezod.session.lock.DEVICE_LOCKS", tmp_path)
+    (tmp_path / f"piezod-{os.geteuid()}").mkdir()
+    os.chown(tmp_path / f"piezod-{os.geteuid()}", 12345, -1)
+    assert device_lock_path("x").parent == tmp_path / f"piezod-{os.geteuid()}-1"
+
+
+@pytest.mark.parametrize(("state", "passed"), [("T", True), ("Z", True), ("S", False), ("R", False)])
+def test_a_stop_passes_a_holder_that_stands_still_and_no_other(tmp_path, monkeypatch, state, passed):
+    lock = BenchLock(tmp_path / "x.lock")
+    monkeypatch.setattr("piezod.session.lock._state_of", lambda holder: state)
+    if passed:
+        BenchLock(tmp_path / "x.lock", stopping=True).close()
+    else:
+        with pytest.raises(BusyError):
+            BenchLock(tmp_path / "x.lock", stopping=True)
+    lock.close()
