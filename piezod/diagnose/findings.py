@@ -351,6 +351,11 @@ class Findings:
         return None if no_gap else gap_closed(self.before, self.after, self.floor)
 
     @property
+    def least(self) -> float:
+        """The same, or that of a refitted hysteresis where nothing was found [output unit]."""
+        return self.after if self.refitted is None else self.refitted
+
+    @property
     def left(self) -> float:
         """Error of the written model [output unit]."""
         return self.after

@@ -12,11 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piezod.diagnose.candidates.screening import DIRECT, catalogue_ideas, parts_of
-from piezod.diagnose.hypothesis.chain import Chain, Point, Setting, Term
-from piezod.diagnose.hypothesis.fit import Normal, fit
+from piezod.diagnose.hypothesis.chain import Chain, Setting, Term
+from piezod.diagnose.hypothesis.fit import Fitted, Normal, fit
 from piezod.diagnose.hypothesis.parallel import each
 from piezod.diagnose.hypothesis.sampling import best_course, coarse
 from piezod.diagnose.prepare import Source, chain_of, made_ready, stand_in
+from piezod.diagnose.selection.given_effects import given_effects
 from piezod.effects import EFFECTS
 from piezod.effects.effect import Effect, Location
 from piezod.model import Model
@@ -167,15 +168,21 @@ def isolability(
     series, _, notes = made_ready([*past, *asked], model)
     if not past:
         series.insert(0, stand_in(model))
+    hashes = [""] * (not past) + [source.sha256 for source in (*past, *asked)]
     chain, start = chain_of(series, model)
-    chain, base = best_course(coarse(chain), (), start)
-    base = fit(chain, (), base.point)
+    terms, values = given_effects(model, series, hashes)
+    if terms:  # a model with effects states how the command runs between samples
+        chain = coarse(chain.like([replace(one, hold=model.hold) for one in series]))
+        base = fit(chain, terms, replace(start, values=values))
+    else:
+        chain, base = best_course(coarse(chain), (), start)
+        base = fit(chain, (), base.point)
     noises = [one.noise_N for one in series if one.role == "recording"]
     noise = float(np.sqrt(np.mean(np.square(noises))))
-    names, changes = _changes(chain, base.point, found, only)
+    names, changes = _changes(chain, base, found, only)
     if not names:
         return Isolability((), np.zeros(0), np.zeros((0, 0)), noise, tuple(notes))
-    normal = Normal.at(chain, (), base.point)
+    normal = Normal.at(chain, base.terms, base.point)
     free, _, whole = normal.projected(changes)
     samples = float(sum(np.count_nonzero(one.counts) for one in series if one.role == "recording"))
     effects = tuple(dict.fromkeys(names))
@@ -191,11 +198,15 @@ def isolability(
     return Isolability(effects, sure, separate, noise, tuple(notes))
 
 
-def _changes(chain: Chain, point: Point, found: Found, only: Collection[str] | None) -> tuple[list[str], list[Array]]:
-    """Names, and what each start of every effect changes in each recording, shape (rows, starts) [N]."""
+def _changes(chain: Chain, base: Fitted, found: Found, only: Collection[str] | None) -> tuple[list[str], list[Array]]:
+    """Names, and what each start of every effect changes in each recording, shape (rows, starts) [N].
+
+    What an effect of the given model changes is added to what it does there.
+    """
+    point = base.point
     asked = [k for k, one in enumerate(chain.series) if one.role == "recording"]
     channels = ["temperature_C"] if all(chain.series[k].temperature_C is not None for k in asked) else []
-    before = [chain.compared(k, (), point) for k in range(len(chain.series))]
+    before = [chain.compared(k, base.terms, point) for k in range(len(chain.series))]
     left_out = {*DIRECT, *found} if only is None else {*DIRECT, *found, *(set(EFFECTS) - set(only))}
     starts = [one for one in catalogue_ideas(chain, channels, {}) if one[0].name not in left_out]
     starts += [(EFFECTS[name], *start) for name, one in found.items() for start in _nearby(EFFECTS[name], one)]
@@ -206,7 +217,7 @@ def _changes(chain: Chain, point: Point, found: Found, only: Collection[str] | N
         term = Term(effect, "since", choices=choices)
         return [
             [
-                chain.compared(k, (term,), replace(point, values=(part,))) - before[k]
+                chain.compared(k, (*base.terms, term), replace(point, values=(*point.values, part))) - before[k]
                 if k in asked
                 else np.zeros(before[k].size)
                 for k in range(len(chain.series))

@@ -17,7 +17,7 @@ from piezod.diagnose.hypothesis.parallel import each
 from piezod.diagnose.prepare import Source
 from piezod.effects import EFFECTS
 from piezod.excitation import multisine, staircase, steps, triangle
-from piezod.model import Model
+from piezod.model import Model, run_chain
 from piezod.recording import Recording
 
 Array = NDArray[np.float64]
@@ -169,10 +169,10 @@ def separation(found: Isolability, first: str, second: str) -> float:
 
 def _simulated(model: Model, voltage_V: Array, dt_s: float, noise: float) -> Source:
     """What the model answers to a drive, with the noise of the recordings."""
-    operator = model.operator()
-    answer = operator.run(voltage_V) + np.random.default_rng(0).normal(0.0, noise, voltage_V.size)
-    channels = {model.input.channel: voltage_V, model.output.channel: answer}
     time_s = np.arange(voltage_V.size, dtype=np.float64) * dt_s
+    expected = run_chain(model, model.operator(), time_s, voltage_V, temperature_C=np.zeros(voltage_V.size))
+    answer = expected + np.random.default_rng(0).normal(0.0, noise, voltage_V.size)
+    channels = {model.input.channel: voltage_V, model.output.channel: answer}
     return Source(Recording(time_s, channels, {}, "experiment"), "experiment", "recording")
 
 

@@ -181,8 +181,8 @@ _GAIN = (
 _LAW = "What the law adds to the reading while its drivers keep their values, after its memories have settled."
 
 _HELD_OUT = (
-    "Held-out data: blocks of the recordings that the fit did not use. The lines below give the error over each whole "
-    "recording after the offset is adapted. The model of the second column was fitted to these recordings."
+    "Errors that piezod simulate leaves with the given and the written model, about their mean. The errors of each "
+    "effect, without and with it, are those of blocks of the recordings that the fit did not use."
 )
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 from piezod.diagnose.findings import Finding, Findings, Place
 from piezod.diagnose.hypothesis.series import Series
 from piezod.diagnose.verdict.words import Wording, label_of, percent, place_words, rounded, unit_words, value_words
-from piezod.effects import EFFECTS
+from piezod.effects import EFFECTS, Location
 from piezod.report.diagnosis import wording as words
 
 MOST_PLACES_LINE, MOST_PLACES_TABLE = 3, 6
@@ -38,8 +38,15 @@ def chain_html(findings: Findings) -> str:
     boxes = []
     for location, name in words.LOCATIONS.items():
         found = [one for one in findings.effects if EFFECTS[one.name].location == location]
-        inside = "".join(f"<b>{_escaped(one.title)}</b>" for one in found) or "<i>nothing found</i>"
-        boxes.append(f"<li class='{'hit' if found else ''}'><span>{name}</span>{inside}</li>")
+        marks = {"new": "", "changed": " changed", "gone": " gone"}
+        titles = [f"{one.title}{marks[one.status]}" for one in found]
+        titles += ["stack changed"] if findings.base.changed and location == Location.STACK else []
+        kept = [EFFECTS[one.name].title for one in findings.kept if EFFECTS[one.name].location == location]
+        inside = "".join(f"<b>{_escaped(title)}</b>" for title in titles)
+        inside += "".join(f"<i>{_escaped(title)} kept</i>" for title in kept)
+        boxes.append(
+            f"<li class='{'hit' if titles else ''}'><span>{name}</span>{inside or '<i>nothing found</i>'}</li>"
+        )
     return f"<ol class='chain' aria-label='signal chain from command to reading'>{''.join(boxes)}</ol>"
 
 
@@ -108,7 +115,7 @@ def card_html(finding: Finding, findings: Findings, wording: Wording) -> str:
         ("confidence", _confidence(finding)),
         *([] if finding.q is None else [("false-discovery rate", f"{finding.q:.1g}")]),
         ("error without → with it", _error_change(finding, findings)),
-        ("when", words.SCOPES[finding.scope]),
+        ("when", words.since_given(finding, wording)),
         ("where", "; ".join(place_words(place, wording) for place in finding.where) or "everywhere"),
         ("compensator", handling + (f": {finding.why}" if finding.why else "")),
     ]
@@ -133,9 +140,9 @@ def held_out_html(findings: Findings, rows: Sequence[tuple[str, float, float]]) 
     closed = "-" if findings.gap_closed is None else f"{100 * findings.gap_closed:.1f} %"
     unit = unit_words(findings.unit)
     first = [
-        "held-out data",
+        "simulate, all recordings",
         rounded(findings.before),
-        rounded(findings.left),
+        rounded(findings.least),
         rounded(findings.floor),
         closed,
         f"{findings.nrmse_before:.2f} → {findings.nrmse_after:.2f} %",
@@ -221,7 +228,8 @@ def _effect_row(finding: Finding, findings: Findings, header: Sequence[str], wor
     places = words.places_of(finding, wording)
     effect = (
         f"<b>{_escaped(finding.title)}</b><small>{_escaped(words.location(finding))}"
-        f"{_escaped(': ' + places) if places else ''}</small><small>{_escaped(words.SCOPES[finding.scope])}</small>"
+        f"{_escaped(': ' + places) if places else ''}</small>"
+        f"<small>{_escaped(words.since_given(finding, wording))}</small>"
     )
     cells = [
         effect,

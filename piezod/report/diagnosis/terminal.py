@@ -5,7 +5,7 @@ from pathlib import Path
 from piezod.diagnose.diagnosis import Diagnosis
 from piezod.diagnose.findings import Finding
 from piezod.diagnose.verdict.words import Wording, label_of, law_words, place_words, value_words
-from piezod.report.diagnosis.wording import SCOPES
+from piezod.report.diagnosis.wording import SCOPES, since_given
 
 
 def print_findings(diagnosis: Diagnosis, folder: Path) -> None:
@@ -23,6 +23,12 @@ def print_findings(diagnosis: Diagnosis, folder: Path) -> None:
     print(f"{findings.verdict.replace('_', ' ')}: {findings.words}")
     for finding in findings.effects:
         _print_effect(finding, wording)
+    for kept in findings.kept:
+        values = ", ".join(
+            f"{label_of(name, value.unit)} {value_words(value, name, kept.name, wording)[0]}"
+            for name, value in kept.parameters.items()
+        )
+        print(f"  {kept.name} ({'kept' if kept.seen else 'not seen: these recordings could not tell'}): {values}")
     if (law := findings.law) is not None:
         scope = SCOPES["already" if law.already else "since"]
         print(f"  {law_words(law)} (p-value {law.p:.1g}, {scope})")
@@ -42,10 +48,13 @@ def _print_effect(finding: Finding, wording: Wording) -> None:
     confidence = f"confidence {100 * finding.confidence:.0f} %"
     if finding.q is not None:
         confidence += f", false-discovery rate {finding.q:.1g}"
-    print(f"  {finding.name} ({confidence}, {SCOPES[finding.scope]}): {finding.title}")
+    when = since_given(finding, wording)
+    print(f"  {finding.name} ({confidence}, {when}): {finding.title}")
     for name, value in finding.parameters.items():
         text, interval = value_words(value, name, finding.name, wording)
-        print(f"    {label_of(name, value.unit)} {text}" + (f" ({interval})" if interval else ""))
+        told = f"    {label_of(name, value.unit)} {text}" + (f" ({interval})" if interval else "")
+        was = finding.was.get(name)
+        print(told + ("" if was is None else f", was {value_words(was, name, finding.name, wording)[0]}"))
     for place in finding.where:
         print(f"    seen at {place_words(place, wording)}")
     print(f"    held-out error {finding.before:.4g} -> {finding.after:.4g} {wording.output}")

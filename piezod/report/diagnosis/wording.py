@@ -3,7 +3,17 @@
 from collections.abc import Sequence
 
 from piezod.diagnose.findings import Finding, Findings, Place, Unnamed
-from piezod.diagnose.verdict.words import Wording, law_words, listed, percent, place_words, rounded, unit_words
+from piezod.diagnose.verdict.words import (
+    Wording,
+    change_words,
+    kept_words,
+    law_words,
+    listed,
+    percent,
+    place_words,
+    rounded,
+    unit_words,
+)
 from piezod.effects import EFFECTS, Effect, Location
 
 LOCATIONS = {
@@ -41,15 +51,24 @@ def headline(findings: Findings) -> str:
     findings
         Result of the diagnosis.
     """
-    titles = listed([hedged(finding) for finding in findings.effects])
+    titles = _missing(findings)
     matches = "these recordings do not show what causes the rest" if findings.above_noise else "no effect is missing"
     return {
         "matches": f"The model matches the recordings: {matches}",
-        "explained": f"Missing in the model: {titles}",
-        "partly_explained": f"Missing in the model: {titles}, and an unknown effect",
+        "explained": titles,
+        "partly_explained": f"{titles}, and an unknown effect",
         "unexplained": "The model lacks an effect that is not in the catalogue",
         "not_testable": "These recordings cannot show what the model lacks",
     }[findings.verdict]
+
+
+def _missing(findings: Findings) -> str:
+    """What is new, has changed or is gone."""
+    parts = []
+    for status, start in (("new", "Missing in the model"), ("changed", "Changed"), ("gone", "Gone")):
+        titles = listed([hedged(finding) for finding in findings.effects if finding.status == status])
+        parts += [f"{start}: {titles}"] if titles else []
+    return "; ".join([*parts, *(["The stack itself has changed"] if findings.base.changed else [])])
 
 
 def lead(findings: Findings) -> str:
@@ -62,15 +81,19 @@ def lead(findings: Findings) -> str:
     """
     unit = unit_words(findings.unit)
     floor = f"noise floor {rounded(findings.floor)} {unit} ({FLOORS.get(findings.floor_from, findings.floor_from)})"
-    before = f"Error on held-out data: {rounded(findings.before)} {unit}"
-    if findings.refitted is not None:
-        refitted = f", {rounded(findings.left)} {unit} after a refit" if findings.left < findings.before else ""
-        return f"{before}{refitted}; {floor}."
-    fall = f"{before} → {rounded(findings.after)} {unit}; {floor}"
+    before = f"Error that simulate leaves: {rounded(findings.before)} {unit}"
+    kept = kept_words(findings.kept)
+    kept = f" Of the given model: {kept}." if kept else ""
+    if findings.after == findings.before:
+        again = f", {rounded(findings.least)} {unit} after a refit" if findings.least < findings.before else ""
+        return f"{before}{again}; {floor}.{kept}"
+    refitted = " with its hysteresis refitted" if findings.refitted is not None else ""
+    fall = f"{before} → {rounded(findings.after)} {unit}{refitted}; {floor}"
     closed = findings.gap_closed
     if closed is not None:
         fall += f". {percent(closed)} of the error above the noise is {'described' if findings.law else 'explained'}"
-    return f"{fall}, with {law_words(findings.law)}." if findings.law else f"{fall}."
+    law = f", with {law_words(findings.law)}" if findings.law else ""
+    return f"{fall}{law}.{kept}"
 
 
 def confidence_level(confidence: float) -> str:
@@ -99,6 +122,11 @@ def hedged(finding: Finding) -> str:
         Finding of the effect.
     """
     return finding.title if finding.confidence >= MEDIUM else f"possibly {finding.title}"
+
+
+def since_given(finding: Finding, wording: Wording) -> str:
+    """What has become of an effect of the given model; when a new one appeared."""
+    return SCOPES[finding.scope] if finding.status == "new" else change_words(finding, wording)
 
 
 def location(finding: Finding) -> str:
@@ -291,8 +319,7 @@ def remaining_error(findings: Findings) -> list[str]:
     """
     unit, share = unit_words(findings.unit), percent(findings.explainable)
     error = (
-        f"The remaining error on held-out data is {rounded(findings.left)} {unit} rms; "
-        f"the noise is {rounded(findings.floor)} {unit}."
+        f"The remaining error is {rounded(findings.left)} {unit} rms; the noise is {rounded(findings.floor)} {unit}."
     )
     if findings.verdict == "not_testable":
         return [error, "The recordings do not excite the bench enough to show what is missing."]

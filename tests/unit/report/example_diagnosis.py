@@ -78,7 +78,7 @@ def diagnosis(effects=(DELAY, STEP, FROZEN), verdict="explained", recordings=Non
         where=where,
         effects=effects,
         before=2.82,
-        after=0.48 if effects else 2.82,
+        after=0.48 if effects or verdict == "matches" else 2.82,
         nrmse_before=97.0,
         nrmse_after=99.5,
         explainable=0.6 if "un" in verdict or "partly" in verdict else 0.001,

@@ -98,7 +98,7 @@ def test_each_effect_has_its_equation_rivals_and_the_experiment(page):
 def test_what_remains_has_a_section_of_its_own(tmp_path):
     page = written(tmp_path, notes=("work.csv: samples are not evenly spaced",))
     remains = page[page.index("<h2>What remains unexplained</h2>") :]
-    assert "The remaining error on held-out data is 0.480 N rms; the noise is 0.447 N." in remains
+    assert "The remaining error is 0.480 N rms; the noise is 0.447 N." in remains
     assert "could explain less than 1 % of the remaining error: no further effect is missing" in remains
     assert "Transport delay may instead be low-pass of the load cell: in these" in remains
     assert "Step of the load: cannot be compensated: nobody knows when it comes." in remains
@@ -119,7 +119,7 @@ def test_an_unexplained_error_has_its_places_and_the_error_of_a_flexible_model(t
     page = written(tmp_path, effects=(), verdict="unexplained")
     screen = first_screen(page)
     assert "The model lacks an effect that is not in the catalogue" in screen
-    assert "Error on held-out data: 2.82 N, 1.90 N after a refit" in screen
+    assert "Error that simulate leaves: 2.82 N, 1.90 N after a refit" in screen
     assert (
         "could explain 60 % of the remaining error: an effect is missing, and the catalogue does not contain it"
         in screen

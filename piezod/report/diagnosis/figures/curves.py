@@ -33,7 +33,7 @@ TEXT = "#333333"
 
 
 def error_bars(findings: Findings, extended: str) -> figure:
-    """Held-out error of the given model, without each effect and with all, beside the noise floor.
+    """Error of the given model, without each effect and with all, beside the noise floor.
 
     Parameters
     ----------
@@ -54,7 +54,7 @@ def error_bars(findings: Findings, extended: str) -> figure:
     }
     source = ColumnDataSource(columns)
     plot = figure(
-        title=f"Error on held-out data [{unit_words(findings.unit)}]",
+        title=f"Error [{unit_words(findings.unit)}]",
         x_range=Range1d(start=0.0, end=1.15 * highest),
         y_range=Range1d(start=0.4 - len(bars), end=0.75),
         height=75 + 44 * len(bars),
@@ -86,10 +86,10 @@ def held_out_errors(findings: Findings, extended: str) -> list[tuple[str, float,
     bars = [
         ("given model", findings.before, GIVEN),
         *((f"without {finding.title}", finding.before, GREY) for finding in fitted),
-        (extended, findings.left, EXTENDED),
+        (extended, findings.least, EXTENDED),
     ]
     if findings.verdict in ("partly_explained", "unexplained"):
-        flexible = findings.left * float(np.sqrt(max(1.0 - findings.explainable, 0.0)))
+        flexible = findings.least * float(np.sqrt(max(1.0 - findings.explainable, 0.0)))
         bars.append(("a flexible model without physics", flexible, FLEXIBLE))
     return [*bars, ("noise floor", findings.floor, GREEN)]
 

@@ -1,0 +1,104 @@
+"""The circle: a diagnosis starts from the given model, whole, and what it says is what simulation of its model does."""
+
+import json
+import shutil
+
+import numpy as np
+import pytest
+
+import piezod
+from piezod.diagnose.command import diagnose_files
+from piezod.model import load_model
+from tests.benches.plain_stack import NOISE_N, record, triangles, work
+
+OLD = {"creep_per_decade": 0.013, "late": 3}
+
+
+@pytest.fixture(scope="module")
+def bench(tmp_path_factory):
+    """A folder with the model of a bench that creeps and is late, and has been diagnosed."""
+    folder = tmp_path_factory.mktemp("bench")
+    peaks_V = [100, 40, 80, 60, 100, 30, 90, 70, 50, 20]
+    identified = piezod.identify(str(record(folder / "identification.csv", triangles(peaks_V), 1)))
+    identified.model.save(folder / "identified.yaml")
+    record(folder / "work.csv", work(3), 2, **OLD)
+    diagnosed(folder, folder / "identified.yaml", "work", folder / "first")
+    shutil.copy(folder / "first" / "model.yaml", folder / "model.yaml")
+    return folder
+
+
+def diagnosed(folder, model, name, out):
+    diagnose_files([folder / f"{name}.csv"], model, out, None, None, lambda *_: None)
+    return json.loads((out / "findings.json").read_text(encoding="utf-8"))
+
+
+def later(bench, tmp_path, **state):
+    """Findings of one more recording of the bench, and the written model."""
+    record(tmp_path / "later.csv", work(4), 5, **{**OLD, **state})
+    shutil.copy(bench / "model.yaml", tmp_path / "model.yaml")
+    shutil.copy(bench / "identification.csv", tmp_path / "identification.csv")
+    findings = diagnosed(tmp_path, tmp_path / "model.yaml", "later", tmp_path / "out")
+    return findings, load_model(tmp_path / "out" / "model.yaml")
+
+
+def tared_rms(path, model):
+    """Error of a simulation after its first second, about its mean."""
+    measured = piezod.read_recording(path)
+    error = measured.channel("force_N") - piezod.simulate(path, model).channel("force_N")
+    return np.std(error[measured.time_s >= 1.0])
+
+
+def names(effects):
+    return {one["name"]: one.get("status") for one in effects}
+
+
+def test_the_errors_told_are_those_of_simulating_the_given_and_the_written_model(bench):
+    findings = json.loads((bench / "first" / "findings.json").read_text(encoding="utf-8"))
+    assert names(findings["effects"]) == {"creep": "new", "transport_delay": "new"}
+    told = findings["fit"]["held_out"]
+    assert told["before"] == pytest.approx(tared_rms(bench / "work.csv", bench / "identified.yaml"), rel=1e-9)
+    assert told["after"] == pytest.approx(tared_rms(bench / "work.csv", bench / "model.yaml"), rel=1e-9)
+
+
+def test_a_model_with_effects_matches_a_bench_on_which_nothing_has_changed(bench, tmp_path):
+    findings, model = later(bench, tmp_path)
+    assert findings["verdict"] == "matches"
+    assert findings["effects"] == []
+    assert {one["name"]: one["seen"] for one in findings["kept"]} == {"creep": True, "transport_delay": True}
+    assert findings["base"]["status"] == "kept"
+    given = tared_rms(tmp_path / "later.csv", bench / "model.yaml")
+    assert findings["fit"]["held_out"]["before"] == pytest.approx(given, rel=1e-9)
+    assert model == load_model(bench / "model.yaml")
+
+
+@pytest.mark.slow
+def test_an_effect_that_has_grown_is_told_from_and_to(bench, tmp_path):
+    findings, model = later(bench, tmp_path, late=6)
+    assert names(findings["effects"]) == {"transport_delay": "changed"}
+    delay_s = findings["effects"][0]["parameters"]["delay_s"]
+    assert delay_s["was"]["value"] == pytest.approx(0.015, abs=0.0025)
+    assert delay_s["value"] == pytest.approx(0.030, abs=0.0025)
+    assert names(findings["kept"]) == {"creep": None}
+    written = {one.name: one for one in model.effects}
+    assert set(written) == {"creep", "transport_delay"}
+    assert written["creep"] == next(one for one in load_model(bench / "model.yaml").effects if one.name == "creep")
+
+
+@pytest.mark.slow
+def test_an_effect_that_is_gone_leaves_the_model(bench, tmp_path):
+    findings, model = later(bench, tmp_path, creep_per_decade=0.0)
+    assert names(findings["effects"]) == {"creep": "gone"}
+    assert [one.name for one in model.effects] == ["transport_delay"]
+    assert tared_rms(tmp_path / "later.csv", tmp_path / "out" / "model.yaml") < 1.1 * NOISE_N
+
+
+@pytest.mark.slow
+def test_a_stack_that_has_lost_gain_is_a_change_of_the_base_and_no_effect(bench, tmp_path):
+    findings, model = later(bench, tmp_path, gain=0.96)
+    assert findings["effects"] == []
+    assert findings["base"]["status"] == "changed"
+    gain = findings["base"]["gain"]
+    assert gain["low"] < gain["value"] < gain["high"]
+    assert gain["value"] == pytest.approx(0.96, abs=0.002)
+    assert {one.name for one in model.effects} == {"creep", "transport_delay"}
+    assert tared_rms(tmp_path / "later.csv", tmp_path / "out" / "model.yaml") < 1.2 * NOISE_N
