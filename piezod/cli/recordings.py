@@ -69,17 +69,20 @@ def convert(
     """Rewrite a recording in another format."""
     from piezod.recording import TextOptions
     from piezod.recording import convert as convert_file
+    from piezod.recording.formats.repairs import repair_notes
 
     converted = convert_file(recording, output, TextOptions.of(columns, rate_hz, decimal))
     names = ["time_s", *converted.channels]
-    understood = converted.metadata.get("understood", "")
+    understood, repairs = converted.metadata.get("understood", ""), repair_notes(converted.metadata)
     if as_json:
         content = {"schema": "piezod.convert/1", "file": str(output), "samples": converted.time_s.size}
-        print(json.dumps(content | {"columns": names, "understood": understood}, indent=2))
+        print(json.dumps(content | {"columns": names, "understood": understood, "notes": repairs}, indent=2))
     else:
         print(f"{output}: {converted.time_s.size} samples of {', '.join(names)}")
         if understood:
             print(f"read as: {understood}")
+        for note in repairs:
+            print(f"note: {note}")
 
 
 @app.command(epilog="Example: piezod report /var/lib/piezod/recordings/press-000007.sqlite -o run.html")

@@ -20,6 +20,7 @@ from piezod.identify.simulation import where
 from piezod.model import Model, file_sha256, run_chain
 from piezod.recording import Hold, Recording, TextOptions, read_recording
 from piezod.recording.conversion import in_units_of
+from piezod.recording.formats.repairs import repair_notes
 
 Array = NDArray[np.float64]
 
@@ -88,8 +89,7 @@ def read_source(
     recording, notes = in_units_of(read_recording(path, text), columns)
     if "understood" in recording.metadata:
         notes.insert(0, f"read as: {recording.metadata['understood']}")
-    if "time" in recording.metadata:
-        notes.append(recording.metadata["time"])
+    notes += repair_notes(recording.metadata)
     return Source(recording, file_sha256(path), role, condition, tuple(f"{path}: {note}" for note in notes))
 
 

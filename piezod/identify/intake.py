@@ -19,6 +19,7 @@ from piezod.model.parameters import RecordingSource
 from piezod.recording import TIME, Recording, TextOptions, column_names, open_stream
 from piezod.recording.conversion import factor_to, stored_column
 from piezod.recording.formats.access import library_errors
+from piezod.recording.formats.repairs import repair_notes
 from piezod.recording.quality import describe_missing, describe_stuck, describe_timing
 from piezod.recording.stretches import gaps
 from piezod.recording.stuck import find_stuck
@@ -237,7 +238,7 @@ def _read(
         channels = {column: _scaled(columns[name].values(), factor) for column, (name, factor) in stored.items()}
         notes = [f"read as: {metadata['understood']}"] if "understood" in metadata else []
         notes += [f"{column}: is {name} times {factor:g}" for column, (name, factor) in stored.items() if factor != 1.0]
-        notes += [metadata["time"]] if "time" in metadata else []
+        notes += repair_notes(metadata)
         notes += [f"damaged: {metadata['damaged']}"] if "damaged" in metadata else []
         return Recording(columns[TIME].values(), channels, {}, str(path)), sha256.result(), notes
 

@@ -40,8 +40,8 @@ def file_table(config: FileReference, rate_Hz: float, folder: Path, allowed: Ref
     Raises
     ------
     ConfigurationError
-        The file deviates from the strict format, has no such column, a value beyond the range, a gap, or content above
-        half the tick rate; or the end of a loop is ambiguous.
+        The file deviates from the strict format or has no such column. It has a value beyond the range, a gap, or
+        content above half the tick rate. The end of a loop is ambiguous.
     """
     try:
         table = read_strict_csv(folder / config.path)

@@ -1,6 +1,7 @@
 """Recordings as CSV: lines of metadata that begin with `#`, one header row, then one row per sample.
 
-The first column is `time_s`, the separator is a comma, the encoding is UTF-8. An empty cell is a missing sample.
+The first column is `time_s`, the separator is a comma, the encoding is UTF-8. An empty cell is a missing sample, and so
+is a word for one (`repairs.py`). A last line without its end is left out.
 Library: numpy; pyarrow 17 or later for large files, if installed. Limits: a line up to 4 MiB, 10,000 lines of metadata,
 2**29 numbers. A file is read in blocks of complete lines, and one block is in memory at a time.
 """
@@ -16,6 +17,7 @@ import numpy as np
 from piezod.errors import RecordingError
 from piezod.recording.formats.access import library_errors, replaced_file
 from piezod.recording.formats.csv_cells import arrow_parser, parse
+from piezod.recording.formats.repairs import CUT_LINE, ZEROS, Repairs
 from piezod.recording.formats.stream import MOST_VALUES, RecordingStream, Table, chunk_ranges, increasing, read_all
 from piezod.recording.names import TIME, channel_name, name_columns
 from piezod.recording.recording import Recording
@@ -71,8 +73,9 @@ def open_csv(path: Path) -> Iterator[RecordingStream]:
         def chunks(wanted: Sequence[str], _: int) -> Iterator[Table]:
             columns = [names.index(name) for name in wanted]
             values = 0
-            for position, block in _blocks(file, path):
-                table = parse(block, path, names, position, arrow)
+            repairs = Repairs(metadata)
+            for position, block in _blocks(file, path, repairs):
+                table = parse(block, path, names, position, arrow, repairs)
                 values += table.size
                 if values > MOST_VALUES:
                     raise RecordingError(f"{path}: has more than {MOST_VALUES:.3g} numbers; split it")
@@ -161,8 +164,8 @@ def _header(line: str, path: Path) -> tuple[str, ...]:
     return name_columns(path, [(cell, "") for cell in cells])
 
 
-def _blocks(file: BinaryIO, path: Path) -> Iterator[tuple[int, bytes]]:
-    """(position in the file [bytes], complete lines) of block after block."""
+def _blocks(file: BinaryIO, path: Path, repairs: Repairs) -> Iterator[tuple[int, bytes]]:
+    """(position in the file [bytes], complete lines) of block after block; a last line without its end is left out."""
     position = file.tell()
     rest = b""
     while read := file.read(BLOCK):
@@ -174,5 +177,5 @@ def _blocks(file: BinaryIO, path: Path) -> Iterator[tuple[int, bytes]]:
         rest = read[end:] if end else rest + read
         if len(rest) > BLOCK:
             raise RecordingError(f"{path}: has a line longer than {BLOCK} bytes, at byte {position}")
-    if rest:
-        yield position, rest + b"\n"
+    if rest.strip():
+        repairs.left_out(CUT_LINE if rest.strip(b"\0") else ZEROS, rest[:BLOCK].decode("utf-8", "replace"))

@@ -8,13 +8,14 @@ line what was understood.
 import re
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from math import inf, nan
+from math import inf, isnan, nan
 from pathlib import Path
 
 import numpy as np
 
 from piezod.errors import RecordingError
 from piezod.recording.formats.csv_cells import parse_plain
+from piezod.recording.formats.repairs import CUT_LINE, ZEROS, Repairs
 from piezod.recording.formats.stream import MOST_VALUES, Array, RecordingStream, Table, increasing
 from piezod.recording.formats.text_cells import COMMENTS, clock_s, number, split_cells, unwrapped
 from piezod.recording.formats.text_layout import Layout, TextOptions, find_layout
@@ -44,21 +45,22 @@ def open_text(path: Path, options: TextOptions = TextOptions()) -> Iterator[Reco
     layout = find_layout(path, options)
     names = (TIME, *(one.channel for k, one in enumerate(layout.columns) if k != layout.time))
 
+    metadata = layout.metadata | {"understood": layout.understood()}
+
     def chunks(wanted: Sequence[str], _: int) -> Iterator[Table]:
-        reader = _Rows(path, layout)
+        reader = _Rows(path, layout, Repairs(metadata))
         for table in reader.tables():
             columns = dict(zip(names, table, strict=True))
             yield {name: columns[name] for name in wanted}
 
-    metadata = layout.metadata | {"understood": layout.understood()}
     yield RecordingStream(path, names, lambda *asked: increasing(chunks(*asked), metadata), None, metadata)
 
 
 class _Rows:
     """Reads the rows of a file once."""
 
-    def __init__(self, path: Path, layout: Layout) -> None:
-        self._path, self._layout = path, layout
+    def __init__(self, path: Path, layout: Layout, repairs: Repairs) -> None:
+        self._path, self._layout, self._repairs = path, layout, repairs
         self._line, self._samples = layout.head_lines, 0
         self._before_s = -inf
         self._plain = layout.date_form is None and layout.separator in "\t;, |"
@@ -85,8 +87,8 @@ class _Rows:
                         yield self._columns(table)
                 elif len(rest) > BLOCK:
                     raise RecordingError(f"{self._path}: line {self._line + 1} is longer than {BLOCK} characters")
-            if rest.strip() and (table := self._parse(rest + "\n")).size:
-                yield self._columns(table)
+            if rest.strip():
+                self._repairs.left_out(CUT_LINE if rest.strip("\0") else ZEROS, rest)
 
     def _parse(self, block: str) -> Array:
         """Numbers of a block of lines, shape (rows, columns)."""
@@ -134,12 +136,15 @@ class _Rows:
                 return nan
             if k == layout.time and layout.date_form is not None:
                 return clock_s(cell, layout.date_form, layout.first_day)
-            return number(cell, layout.decimal, grouped=layout.grouped)
+            value = number(cell, layout.decimal, grouped=layout.grouped)
         except ValueError:
             what, name = ("a time" if k == layout.time else "a number"), layout.columns[k].written
             raise RecordingError(
                 f"{self._path}: line {line}: '{name}' is {cell[:40]!r}, must be {what} or empty, or give --decimal"
             ) from None
+        if isnan(value):
+            self._repairs.missing(cell)
+        return value
 
     def _columns(self, table: Array) -> list[Array]:
         layout, rows = self._layout, table.shape[0]

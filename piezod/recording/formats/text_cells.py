@@ -5,36 +5,18 @@ import re
 from datetime import datetime
 from math import inf, nan
 
+from piezod.recording.formats.repairs import MINUS, is_missing
+
 COMMENTS = ("#", "%", "//", "!")
 """What a line that holds no samples may begin with."""
 
-MISSING = {
-    "",
-    "-",
-    "--",
-    "nan",
-    "na",
-    "n/a",
-    "#n/a",
-    "#nv",
-    "#div/0!",
-    "null",
-    "none",
-    "ovld",
-    "ol",
-    "overload",
-    "inf",
-    "-inf",
-}
-"""Words for a sample that is missing, in lower case."""
-
 _NUMBER = {
-    ".": re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eEdD][+-]?\d+)?"),
-    ",": re.compile(r"[+-]?(?:\d+,?\d*|,\d+)(?:[eEdD][+-]?\d+)?"),
+    ".": re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eEdD][+-]?\d+)?", re.ASCII),
+    ",": re.compile(r"[+-]?(?:\d+,?\d*|,\d+)(?:[eEdD][+-]?\d+)?", re.ASCII),
 }
 _GROUPED = {
-    ".": re.compile(r"[+-]?[1-9]\d{0,2}(?:[,'\u2019\u00a0\u202f ]\d{3})+(?:\.\d+)?"),
-    ",": re.compile(r"[+-]?[1-9]\d{0,2}(?:[.'\u2019\u00a0\u202f ]\d{3})+(?:,\d+)?"),
+    ".": re.compile(r"[+-]?[1-9]\d{0,2}(?:[,'\u2019\u00a0\u202f ]\d{3})+(?:\.\d+)?", re.ASCII),
+    ",": re.compile(r"[+-]?[1-9]\d{0,2}(?:[.'\u2019\u00a0\u202f ]\d{3})+(?:,\d+)?", re.ASCII),
 }
 _UNDECIDED = re.compile(r"[+-]?[1-9]\d{0,2},\d{3}")
 _CLOCK = re.compile(
@@ -61,8 +43,8 @@ def number(cell: str, decimal: str, *, grouped: bool) -> float:
     ValueError
         The cell holds no number.
     """
-    text = cell.strip()
-    if text.lower() in MISSING:
+    text = _plain(cell)
+    if is_missing(text):
         return nan
     if _NUMBER[decimal].fullmatch(text):
         return float(text.replace(decimal, ".").replace("d", "e").replace("D", "e"))
@@ -75,8 +57,13 @@ def number(cell: str, decimal: str, *, grouped: bool) -> float:
 
 def is_number(cell: str, decimal: str) -> bool:
     """Whether a cell holds a number or a word for a missing sample."""
-    text = cell.strip()
-    return bool(text.lower() in MISSING or _NUMBER[decimal].fullmatch(text) or _GROUPED[decimal].fullmatch(text))
+    text = _plain(cell)
+    return bool(is_missing(text) or _NUMBER[decimal].fullmatch(text) or _GROUPED[decimal].fullmatch(text))
+
+
+def _plain(cell: str) -> str:
+    """The cell without surrounding blanks, with a plain minus."""
+    return cell.strip().replace(MINUS, "-")
 
 
 def is_grouped(cell: str, decimal: str) -> bool:
@@ -112,7 +99,7 @@ def clock_s(cell: str, form: str, first_day: int) -> float:
         The cell holds no time of this form.
     """
     text = cell.strip()
-    if text.lower() in MISSING:
+    if is_missing(text):
         return nan
     found = _CLOCK.fullmatch(text)
     if found is None:

@@ -1,0 +1,89 @@
+"""What the readers of text leave out or read as missing. It is counted, and the metadata of the recording say it."""
+
+import re
+from collections import Counter
+
+MISSING = {
+    *("", ".", "?", "*", "na", "n/a", "n.a.", "<na>", "#n/a", "#na", "#nv", "#n/v", "#value!", "#wert!", "#num!"),
+    *("#zahl!", "#ref!", "#bezug!", "#name?", "#null!", "#div/0!", "null", "none", "nil", "missing", "inf", "infinity"),
+    *("ovld", "ol", "overload", "over", "ovrflw", "bad", "error", "invalid"),
+}
+"""Words for a missing sample in lower case, of spreadsheets, databases, languages and instruments."""
+
+_MISSING_FORM = re.compile(
+    r"-+|\u2013|\u2014"  # dashes
+    r"|[+-]?(?:\d\.)?#?(?:nan|qnan|snan|ind|inf|infinity)\d*(?:\(\w*\))?"  # -1.#IND, 1.#INF00, -nan(ind), nan(0x8000)
+)
+
+MINUS = "\u2212"
+"""The typographic minus, which some programs write before numbers."""
+
+MOST_QUOTED = 40
+"""Characters of a line that a note quotes."""
+
+
+def is_missing(text: str) -> bool:
+    """Whether a cell holds a word for a missing sample.
+
+    Parameters
+    ----------
+    text
+        Cell without quotes and surrounding blanks.
+    """
+    lower = text.lower()
+    return lower in MISSING or _MISSING_FORM.fullmatch(lower) is not None
+
+
+class Repairs:
+    """Counts what is repaired in one file and keeps its metadata up to date.
+
+    Parameters
+    ----------
+    metadata
+        Metadata of the file: `missing` and `left_out` are set.
+    """
+
+    def __init__(self, metadata: dict[str, str]) -> None:
+        self._metadata = metadata
+        self._words: Counter[str] = Counter()
+        self._left_out: dict[str, tuple[int, str]] = {}
+
+    def missing(self, cell: str) -> None:
+        """Count a cell with a word for a missing sample; an empty cell and `nan` are the usual form."""
+        if cell.lower() not in ("", "nan", "-nan", "+nan"):
+            self._words[cell] += 1
+            words = ", ".join(repr(word) for word, _ in self._words.most_common(5))
+            self._metadata["missing"] = f"cells read as missing: {self._words.total()} ({words})"
+
+    def left_out(self, what: str, text: str) -> None:
+        """Count a part of the file that is left out.
+
+        Parameters
+        ----------
+        what
+            Kind of the part, such as `text behind a row`.
+        text
+            The part itself.
+        """
+        count, first = self._left_out.get(what, (0, text.strip("\0\r\n ")[:MOST_QUOTED]))
+        self._left_out[what] = count + 1, first
+        self._metadata["left_out"] = "; ".join(
+            f"left out: {what} ({'first ' if count > 1 else ''}{first!r}{f', {count} in all' if count > 1 else ''})"
+            for what, (count, first) in self._left_out.items()
+        )
+
+
+CUT_LINE = "the last line, which has no line end and may be cut short"
+ZEROS = "zero bytes, as after a power cut"
+COMMENT = "text behind a row"
+
+
+def repair_notes(metadata: dict[str, str]) -> list[str]:
+    """Lines about what was repaired.
+
+    Parameters
+    ----------
+    metadata
+        Metadata of a recording that was read completely.
+    """
+    return [metadata[key] for key in ("time", "missing", "left_out") if key in metadata]

@@ -1,0 +1,92 @@
+"""What the tolerant readers of text repair, and that the metadata say it."""
+
+import numpy as np
+import pytest
+
+from piezod.errors import RecordingError
+from piezod.recording import read_recording
+from piezod.recording.formats.repairs import is_missing, repair_notes
+
+OWN = "time_s,voltage_V,force_N\n"
+FOREIGN = "Zeit [s];Spannung [V];Kraft [N]\n"
+WORDS = (
+    *("-1.#IND", "1.#INF", "-1.#INF00", "1.#QNAN", "1.#SNAN0", "nan(ind)", "-nan(ind)", "nan(0x8000000000000)", "#N/A"),
+    *("NA", "N/A", "null", "NULL", "None", "-", "---", "NaN", "-nan", "#NUM!", "#VALUE!", "<NA>", "inf", "-Infinity"),
+)
+
+
+def read(folder, text):
+    path = folder / "rec.csv"
+    path.write_bytes(text.encode())
+    recording = read_recording(path)
+    return recording, repair_notes(recording.metadata)
+
+
+def rows(separator, word=None, count=40):
+    lines = [separator.join((f"{k / 100:.2f}", str(k), str(100 + k))) for k in range(count)]
+    if word is not None:
+        lines[7] = separator.join(("0.07", "7", word))
+    return "\n".join(lines) + "\n"
+
+
+@pytest.mark.parametrize("word", WORDS)
+@pytest.mark.parametrize(("head", "separator"), [(OWN, ","), (FOREIGN, ";")])
+def test_every_spelling_of_missing_is_missing_and_said(tmp_path, head, separator, word):
+    recording, notes = read(tmp_path, head + rows(separator, word))
+    force_N = recording.channel("force_N")
+    assert np.flatnonzero(~np.isfinite(force_N)).tolist() == [7]
+    assert np.delete(force_N, 7).tolist() == [100 + k for k in range(40) if k != 7]
+    if word not in ("NaN", "-nan", "inf", "-Infinity"):  # as piezod itself writes them
+        assert notes == [f"cells read as missing: 1 ({word!r})"]
+
+
+@pytest.mark.parametrize("text", ["-1", "1.0", "1e5", "IND", "1.#", "#1", "1 #IND", "nano", "info", "0x1"])
+def test_what_is_no_word_for_missing_is_not_missing(text):
+    assert not is_missing(text) or text == "IND"
+
+
+@pytest.mark.parametrize("cell", ["-1.#FOO", "105#bump", "1_0", "0x10", "12abc", "\u0661"])
+@pytest.mark.parametrize(("head", "separator"), [(OWN, ","), (FOREIGN, ";")])
+def test_a_cell_that_is_neither_number_nor_missing_is_refused_with_its_line(tmp_path, head, separator, cell):
+    with pytest.raises(RecordingError, match="line 9"):
+        read(tmp_path, head + rows(separator, cell))
+
+
+def test_a_comment_behind_a_whole_row_is_left_out_and_said(tmp_path):
+    recording, notes = read(tmp_path, OWN + rows(",", "107 # door opened, twice"))
+    assert recording.channel("force_N")[7] == 107.0
+    assert notes == ["left out: text behind a row ('# door opened, twice')"]
+
+
+def test_a_comment_that_hides_a_cell_is_refused(tmp_path):
+    with pytest.raises(RecordingError, match="line 9"):
+        read(tmp_path, OWN + rows(",").replace("0.07,7,107", "0.07,7 # 107"))
+
+
+def test_a_row_that_begins_with_a_word_for_missing_is_no_comment(tmp_path):
+    with pytest.raises(RecordingError, match="time_s of sample 7 is not finite"):
+        read(tmp_path, OWN + rows(",").replace("0.07,7,107", "#N/A,7,107"))
+
+
+@pytest.mark.parametrize(("head", "separator"), [(OWN, ","), (FOREIGN, ";")])
+@pytest.mark.parametrize("cut", [1, 3, 5, 9])
+def test_a_last_line_without_its_end_is_left_out_and_said(tmp_path, head, separator, cut):
+    whole = head + rows(separator)
+    recording, notes = read(tmp_path, whole[:-cut])
+    assert recording.channel("force_N").tolist() == [100 + k for k in range(39)]
+    assert notes == [
+        f"left out: the last line, which has no line end and may be cut short ({whole[:-cut].splitlines()[-1]!r})"
+    ]
+
+
+@pytest.mark.parametrize("tail", ["\0" * 300, "0.4,4\0\0\0\0", "\0" * 50 + "\n"])
+def test_zero_bytes_after_a_power_cut_are_left_out_and_said(tmp_path, tail):
+    recording, notes = read(tmp_path, OWN + rows(",") + tail)
+    assert recording.time_s.size == 40
+    assert notes[0].startswith("left out: ")
+
+
+@pytest.mark.parametrize(("head", "separator"), [(OWN, ","), (FOREIGN, ";")])
+def test_a_typographic_minus_is_a_minus(tmp_path, head, separator):
+    recording, _ = read(tmp_path, head + rows(separator, "\u22123.5"))
+    assert recording.channel("force_N")[7] == -3.5
