@@ -19,7 +19,7 @@ from piezod.errors import PiezodError
 
 ASK_EVERY_S = 0.5
 VALUES = {"FORCE": ("force_N", "N"), "REFERENCE": ("reference_N", "N"), "VOLTAGE": ("voltage_V", "V")}
-VALUES |= {"TEMPERATURE": ("temperature_C", "degC"), "MISSED": ("missed", "")}
+VALUES |= {"TEMPERATURE": ("temperature_C", "degC"), "MISSED": ("missed", ""), "AGE": ("age_s", "s")}
 TEXTS = {"STATE": "state", "CAUSE": "cause"}
 COMMANDS = ("ARM", "DISARM", "STOP", "RESET")
 
@@ -40,12 +40,14 @@ def main(bench: str, prefix: str) -> None:
         while True:
             try:
                 status = await asyncio.to_thread(command_and_wait, path, "status", wait=False)
+                stale = bool(status.get("stale"))
                 for name, (key, _) in VALUES.items():
                     value = status.get(key)
-                    severity = alarm.NO_ALARM if value is not None else alarm.INVALID_ALARM
+                    severity = alarm.NO_ALARM if value is not None and not stale else alarm.INVALID_ALARM
                     values[name].set(value or 0.0, severity=severity, alarm=alarm.READ_ALARM)
                 for name, key in TEXTS.items():
-                    texts[name].set(str(status.get(key) or "")[:39])
+                    text = f"STALE, then {status.get(key)}" if stale and name == "STATE" else str(status.get(key) or "")
+                    texts[name].set(text[:39])
             except PiezodError as error:
                 for record in (*values.values(), *texts.values()):
                     record.set(record.get(), severity=alarm.INVALID_ALARM, alarm=alarm.COMM_ALARM)

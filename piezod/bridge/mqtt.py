@@ -108,7 +108,7 @@ async def publish(
         import aiomqtt  # noqa: PLC0415  # optional
     except ImportError as error:
         raise ConfigurationError("--mqtt needs aiomqtt; pip install 'piezod-bench[mqtt]'") from error
-    online, newest, attempt = topic_of(bench.name, "online"), Newest(bench.ring_log_path), 0
+    online, newest, attempt = topic_of(bench.name, "online"), Newest(bench.ring_log_path, bench.dt_s), 0
     while True:
         try:
             async with aiomqtt.Client(
@@ -145,7 +145,9 @@ async def _publish_values(client: Any, bench: BenchConfig, newest: Newest, send_
     while True:
         values = await loop.run_in_executor(None, newest.read)
         if values is not None:
-            await client.publish(ticks, json.dumps(values))
+            await client.publish(ticks, json.dumps(values | {"stale": False}))
+        elif newest.last is not None and newest.stale and loop.time() >= next_status_s:
+            await client.publish(ticks, json.dumps(newest.last | {"stale": True, "age_s": newest.age_s}))
         if loop.time() >= next_status_s:
             next_status_s = loop.time() + STATUS_EVERY_S
             await client.publish(status, json.dumps(await loop.run_in_executor(None, asked, send_command)), retain=True)

@@ -87,16 +87,37 @@ async def serve(
         raise BusyError(f"--opcua is {port}, {ADDRESS}:{port} is taken; name another") from error
     mode = "read only" if certificates is None else f"methods for {clients} clients"
     announce(f"opc ua: opc.tcp://{ADDRESS}:{port}/piezod/  ({mode})")
-    newest, loop = Newest(bench.ring_log_path), asyncio.get_running_loop()
     try:
-        while True:
-            values = await loop.run_in_executor(None, newest.read)
-            if values is not None:
-                for name, node in nodes.items():
-                    await node.write_value(_value(values, name))
-            await asyncio.sleep(UPDATE_EVERY_S)
+        await _update(nodes, Newest(bench.ring_log_path, bench.dt_s))
     finally:
         await server.stop()
+
+
+async def _update(nodes: dict[str, Any], newest: Newest) -> None:
+    """Write the newest values to the nodes until cancelled; mark them when they are stale."""
+    loop, is_good = asyncio.get_running_loop(), True
+    while True:
+        values = await loop.run_in_executor(None, newest.read)
+        if values is not None:
+            for name, node in nodes.items():
+                await node.write_value(_value(values, name))
+            is_good = True
+        elif newest.stale:
+            if is_good:
+                await _mark_stale(nodes)
+            is_good = False
+            await nodes["age_s"].write_value(math.nan if newest.age_s is None else newest.age_s)
+        await asyncio.sleep(UPDATE_EVERY_S)
+
+
+async def _mark_stale(nodes: dict[str, Any]) -> None:
+    """Give the last values the status of a lost source, until a new tick comes."""
+    from asyncua import ua  # noqa: PLC0415  # optional
+
+    for name, node in nodes.items():
+        if name != "age_s":
+            last = await node.read_data_value(raise_on_bad_status=False)
+            await node.write_value(ua.DataValue(last.Value, ua.StatusCode(ua.StatusCodes.BadNoCommunication)))
 
 
 def _value(values: Values, name: str) -> float | int | str:

@@ -9,13 +9,14 @@ from pathlib import Path
 
 from piezod.control import CAUSE_TEXT, Cause, RingReader, State
 from piezod.errors import PiezodError
+from piezod.recording.age import age_s, is_stale
 
 Values = dict[str, float | int | str | None]
 
 MEASURED = ("reference_N", "force_N", "voltage_V", "readback_V", "temperature_C")
 """Columns of the ring log that are sent under their own names."""
 
-UNITS = {"time_s": "s", "lateness_s": "s"} | {name: name.rpartition("_")[2] for name in MEASURED}
+UNITS = {"time_s": "s", "lateness_s": "s", "age_s": "s"} | {name: name.rpartition("_")[2] for name in MEASURED}
 
 
 class Newest:
@@ -25,12 +26,32 @@ class Newest:
     ----------
     ring_log
         File of the ring log.
+    dt_s
+        Time between two ticks [s].
+
+    Attributes
+    ----------
+    last
+        Result of the last `read` that was not None; None before.
     """
 
-    def __init__(self, ring_log: Path) -> None:
+    def __init__(self, ring_log: Path, dt_s: float) -> None:
         self._path = ring_log
         self._ring: RingReader | None = None
         self._identity: tuple[int, int] | None = None
+        self._dt_s = dt_s
+        self._time_ns: int | None = None
+        self.last: Values | None = None
+
+    @property
+    def age_s(self) -> float | None:
+        """Age of the newest tick [s]; None before the first one."""
+        return None if self._time_ns is None else age_s(self._time_ns)
+
+    @property
+    def stale(self) -> bool:
+        """Whether the newest tick is so old that its values are no present values."""
+        return is_stale(self.age_s, self._dt_s)
 
     def read(self) -> Values | None:
         """The newest tick; None: none came since the last call.
@@ -38,8 +59,8 @@ class Newest:
         Returns
         -------
         dict
-            `time_s` since 1970, `tick`, `state` and `cause` in words, measured values, `lateness_s`. A value that is
-            not measured is None.
+            `time_s` since 1970, `tick`, `state` and `cause` in words, measured values, `lateness_s`, `age_s`.
+            A value that is not measured is None.
         """
         self._open()
         if self._ring is None or not self._ring.waiting:
@@ -49,6 +70,7 @@ class Newest:
         if not rows.size:
             return None
         row = rows[-1]
+        self._time_ns = int(row["time_ns"])
         since_boot_ns = time.clock_gettime_ns(time.CLOCK_BOOTTIME)
         values: Values = {
             "time_s": (time.time_ns() - since_boot_ns + int(row["time_ns"])) * 1e-9,
@@ -57,7 +79,8 @@ class Newest:
             "cause": CAUSE_TEXT[Cause(int(row["cause"]))],
         }
         values |= {name: _finite(float(row[name])) for name in MEASURED}
-        return values | {"lateness_s": int(row["lateness_ns"]) * 1e-9}
+        self.last = values | {"lateness_s": int(row["lateness_ns"]) * 1e-9, "age_s": age_s(self._time_ns)}
+        return self.last
 
     def _open(self) -> None:
         """Open the ring log, and again after a restart of the daemon, which makes a new file of the same name."""

@@ -15,12 +15,14 @@ from piezod.control import State
 from piezod.control.phase_times import PHASES
 from piezod.daemon.connections import Connections
 from piezod.daemon.drift import DriftWatch
+from piezod.daemon.journal import JOURNAL
 from piezod.daemon.learning_watch import LearningWatch
 from piezod.daemon.phase_watch import PhaseWatch
 from piezod.daemon.railed import RailedWatch
 from piezod.daemon.statistics import BOUNDS_S, DurationHistogram, TickStatistics
 from piezod.errors import BusyError
 from piezod.recorder.watch import RecorderWatch
+from piezod.recording.age import is_stale
 from piezod.transport import ExchangeResult
 
 ADDRESS = "127.0.0.1"  # only programs on this machine can read the metrics
@@ -69,6 +71,8 @@ class BenchMetrics(Collector):
         Durations of the phases of a tick; None without them.
     learning
         Function that returns the present learning of a looped reference; it returns None without one.
+    dt_s
+        Time between two ticks [s].
     """
 
     def __init__(
@@ -81,7 +85,9 @@ class BenchMetrics(Collector):
         values: Callable[[], dict[str, int] | None] = lambda: None,
         phases: PhaseWatch | None = None,
         learning: Callable[[], LearningWatch | None] = lambda: None,
+        dt_s: float = 0.0,
     ) -> None:
+        self._dt_s = dt_s
         self._labels = [name]
         self._statistics = statistics
         self._recorder = recorder
@@ -90,10 +96,23 @@ class BenchMetrics(Collector):
         self._values = values
         self._learning = learning
 
+    def _age_metrics(self) -> Iterable[Metric]:
+        age = self._statistics.age_s
+        for name, text, value in (
+            ("piezod_age_seconds", "Age of the last values; absent before the first tick", age),
+            ("piezod_stale", "1 while the values are older than a second and three ticks", is_stale(age, self._dt_s)),
+            ("piezod_log_lines_dropped", "Log lines that nobody read in time", JOURNAL.dropped),
+        ):
+            gauge = GaugeMetricFamily(name, text, labels=["bench"])
+            if value is not None:
+                gauge.add_metric(self._labels, float(value))
+            yield gauge
+
     def collect(self) -> Iterable[Metric]:
         """Yield all metrics with their present values."""
         statistics = self._statistics
         yield self._states()
+        yield from self._age_metrics()
         for field, (name, text) in _GAUGES.items():
             gauge = GaugeMetricFamily(name, text, labels=["bench"])
             if statistics.last is not None and np.isfinite(statistics.last[field]):

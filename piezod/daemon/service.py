@@ -121,6 +121,7 @@ class Service:
                     lambda: reference_values(self._bench, self._channel),
                     self.phase_watch,
                     lambda: self.model_watch.learning,
+                    self._bench.dt_s,
                 )
                 metrics = MetricsServer(shown, log_line)
                 stack.push_async_callback(metrics.close)

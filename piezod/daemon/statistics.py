@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piezod.control import CAUSE_TEXT, Cause, State
+from piezod.recording.age import age_s
 from piezod.recording.ticks import GOOD, pair_rows
 from piezod.session.history import is_tracking
 from piezod.transport import ExchangeResult
@@ -142,6 +143,11 @@ class TickStatistics:
                 name = Cause(row["cause"]).name.lower()
                 self.faults[name] = self.faults.get(name, 0) + 1
             self._on_transition(self._state, Cause(row["cause"]), row)
+
+    @property
+    def age_s(self) -> float | None:
+        """Age of the last row [s]; None before the first row of a session."""
+        return None if self.last is None else age_s(int(self.last["time_ns"]))
 
     @property
     def state(self) -> State:

@@ -7,6 +7,8 @@ from piezod import __version__
 from piezod.config import BenchConfig
 from piezod.config.reference import RegisterReference, StreamReference
 from piezod.control.references import counts_dict
+from piezod.daemon.journal import JOURNAL
+from piezod.recording.age import is_stale
 
 if TYPE_CHECKING:
     from piezod.daemon.command_channel import CommandChannel
@@ -57,7 +59,7 @@ def status_dict(
     up_s
         Time since the start of the daemon [s].
     """
-    drift, preview = model_watch.drift, model_watch.preview
+    drift, preview, age = model_watch.drift, model_watch.preview, statistics.age_s
     return {
         "schema": "piezod.status/1",
         "version": __version__,
@@ -68,6 +70,9 @@ def status_dict(
         "connected": channel.connected,
         "problem": channel.problem,
         "up_s": round(up_s, 3),
+        "age_s": None if age is None else round(age, 3),
+        "stale": is_stale(age, bench.dt_s),
+        "log_lines_dropped": JOURNAL.dropped,
         "rows_dropped": 0 if channel.session is None else channel.session.dropped,
         "reference_values": reference_values(bench, channel),
         "recorder": None if recorder is None else recorder.as_dict(),
@@ -104,7 +109,7 @@ def status_text(status: dict[str, Any]) -> str:
     status
         Status as `status_dict` makes it.
     """
-    lines = [f"{status['bench']}: {status['state']}, {status['cause']}"]
+    lines = [f"{status['bench']}: {_state_text(status)}"]
     if status["problem"]:
         lines.append(f"  {status['problem']}")
     known = [
@@ -131,6 +136,12 @@ def status_text(status: dict[str, Any]) -> str:
     if recorder := status.get("recorder"):
         lines.append(f"  {_recorder_text(recorder)}")
     return "\n".join(lines)
+
+
+def _state_text(status: dict[str, Any]) -> str:
+    if status.get("stale") and status["age_s"] is not None:
+        return f"STALE, the values are {status['age_s']:.1f} s old; then {status['state']}"
+    return f"{status['state']}, {status['cause']}"
 
 
 def _values_text(values: dict[str, int]) -> str:

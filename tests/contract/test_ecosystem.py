@@ -104,7 +104,7 @@ def asked(fields):
 
 
 def test_records_name_protocols_that_are_there():
-    assert len(records()) == 11
+    assert len(records()) == 12
     assert {asked(fields)[0] for _, _, fields in records()} == set(protocols())
     for _, name, fields in records():
         assert len(fields["DESC"]) <= 40, name
@@ -121,12 +121,14 @@ def test_what_a_record_reads_is_in_the_status_and_what_it_sends_is_a_command(kin
         assert json.dumps({"ok": True, "message": "arming"}).startswith(wanted)
         assert kind == "longout"
         return
-    line = json.dumps({"ok": True} | tally.as_dict())
-    before = re.escape(re.match(r"%\*/(.*?)/", wanted)[1].replace("$1", argument))
-    value = {"value": r"([-+0-9.eE]+)", "text": r"([^\"]{1,39})"}[protocol]
+    line = json.dumps({"ok": True, "age_s": 0.01, "stale": False} | tally.as_dict())
+    before = re.match(r"%\*/(.*?)/", wanted)[1].replace("$1", argument)
+    value = {"value": r"([-+0-9.eE]+)", "age": r"([-+0-9.eE]+)", "text": r"([^\"]{1,39})"}[protocol]
     found = re.search(before + value, line)
     assert found, (name, line)
-    assert kind == {"value": "ai", "text": "stringin"}[protocol]
+    stale = re.search(before + value, line.replace('"stale": false', '"stale": true'))
+    assert (stale is None) == (protocol == "value")
+    assert kind == {"value": "ai", "age": "ai", "text": "stringin"}[protocol]
     if argument == "force_N":
         assert float(found[1]) == 12.5
     if argument == "state":

@@ -4,6 +4,7 @@ import asyncio
 import contextlib
 import itertools
 import json
+import os
 import shutil
 import signal
 import socket
@@ -174,6 +175,42 @@ def test_a_client_reads_nodes_that_it_cannot_write_and_finds_no_methods(bench):
     assert state == "DISARMED"
     assert ticks[1] > ticks[0]
     assert methods == []
+
+
+@pytest.mark.parametrize("how", ["killed", "standing"])
+def test_values_of_a_daemon_that_is_killed_or_stands_are_bad(tmp_path, how):
+    asyncua = pytest.importorskip("asyncua")
+    port = free_port()
+
+    async def good(force):
+        return (await force.read_data_value(raise_on_bad_status=False)).StatusCode.is_good()
+
+    async def run():
+        async with asyncua.Client(f"opc.tcp://127.0.0.1:{port}/piezod/") as client:
+            index = await client.get_namespace_index("urn:piezod")
+            (folder,) = [one for one in await client.nodes.objects.get_children() if one.nodeid.NamespaceIndex == index]
+            force, age = await folder.get_child(f"{index}:force_N"), await folder.get_child(f"{index}:age_s")
+            assert await good(force)
+            control = running.control_pid()
+            os.kill(control, signal.SIGKILL if how == "killed" else signal.SIGSTOP)
+            if how == "killed":
+                running.signal(signal.SIGKILL)
+            try:
+                deadline_s = time.monotonic() + WITHIN_S
+                while await good(force):
+                    assert time.monotonic() < deadline_s
+                    await asyncio.sleep(0.05)
+                return await age.read_value()
+            finally:
+                with contextlib.suppress(ProcessLookupError):
+                    os.kill(control, signal.SIGCONT)
+
+    with emulator("--port", "0") as served:
+        path = bench_file(tmp_path, served, rate_Hz=100, limits=LONG_LIMITS)
+        with daemon(path) as running:
+            running.connected()
+            with bridge(path, "--opcua", port):
+                assert 1.0 < asyncio.run(run()) < WITHIN_S
 
 
 def certificates_in(folder):

@@ -1,9 +1,11 @@
 """Metrics: values, and limits of the server."""
 
 import asyncio
+import time
 
 import numpy as np
 import pytest
+from prometheus_client import CollectorRegistry, generate_latest
 from prometheus_client.parser import text_string_to_metric_families
 
 from piezod.control import ROW_DTYPE, Cause, State
@@ -142,3 +144,24 @@ def test_the_end_of_the_server_with_connected_clients_reports_nothing(caplog):
 
     asyncio.run(end())
     assert caplog.records == []
+
+
+@pytest.mark.parametrize(("age_s", "stale"), [(0.2, 0.0), (1.5, 1.0)])
+def test_the_age_of_the_values_is_told(age_s, stale):
+    statistics = TickStatistics(lambda *_: None)
+    statistics.add(rows(1, time_ns=time.clock_gettime_ns(time.CLOCK_BOOTTIME) - round(1e9 * age_s)))
+    body = generate_latest(registry_of(BenchMetrics("b", statistics, dt_s=0.01))).decode()
+    assert sample(body, "piezod_age_seconds") == pytest.approx(age_s, abs=0.2)
+    assert sample(body, "piezod_stale") == stale
+
+
+def test_values_are_stale_before_the_first_tick_and_have_no_age():
+    body = generate_latest(registry_of(BenchMetrics("b", TickStatistics(lambda *_: None)))).decode()
+    assert sample(body, "piezod_stale") == 1.0
+    assert "piezod_age_seconds{" not in body
+
+
+def registry_of(metrics):
+    registry = CollectorRegistry()
+    registry.register(metrics)
+    return registry
