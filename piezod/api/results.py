@@ -8,6 +8,7 @@ from piezod.api.model import Model
 from piezod.api.notebook import curves_svg, result_html
 from piezod.diagnose.diagnosis import Diagnosis
 from piezod.diagnose.verdict.words import Wording, label_of, value_words
+from piezod.effects import EFFECTS
 from piezod.identify.identification import Identification
 from piezod.identify.simulation import simulate_recording
 from piezod.recording import Recording
@@ -113,8 +114,13 @@ class Diagnosed:
 
     @property
     def effects(self) -> tuple[str, ...]:
-        """Names of the effects that were found."""
+        """Names of the effects that are new, have changed or are gone."""
         return tuple(one.name for one in self.diagnosis.findings.effects)
+
+    @property
+    def kept(self) -> tuple[str, ...]:
+        """Names of the effects of the given model that have not changed, as far as the recordings tell."""
+        return tuple(one.name for one in self.diagnosis.findings.kept)
 
     @property
     def findings(self) -> dict[str, Any]:
@@ -132,18 +138,24 @@ class Diagnosed:
     def _repr_html_(self) -> str:
         findings, model = self.diagnosis.findings, self.diagnosis.model
         wording = Wording(model.input.unit, model.output.unit)
-        rows = [("effect", "confidence", "parameters", "held-out error")]
+        rows = [("effect", "status", "confidence", "parameters", "held-out error")]
         for one in findings.effects:
             values = [
                 f"{label_of(name, value.unit)} {value_words(value, name, one.name, wording)[0]}"
                 for name, value in one.parameters.items()
             ]
             errors = f"{one.before:.3g} to {one.after:.3g} {findings.unit}"
-            rows.append((one.title, f"{100 * one.confidence:.0f} %", ", ".join(values), errors))
+            rows.append((one.title, one.status, f"{100 * one.confidence:.0f} %", ", ".join(values), errors))
         series, last = self.diagnosis.series[-1], len(self.diagnosis.series) - 1
         residuals = {
             "given model": series.reading_N - self.diagnosis.base[last],
             "with the effects": series.reading_N - self.diagnosis.extended[last],
         }
         picture = curves_svg(series.time_s, residuals, ("time_s", f"residual_{model.output.unit}"))
-        return result_html(str(self), rows if findings.effects else [], list(findings.notes), picture)
+        for kept in findings.kept:
+            values = [
+                f"{label_of(name, value.unit)} {value_words(value, name, kept.name, wording)[0]}"
+                for name, value in kept.parameters.items()
+            ]
+            rows.append((EFFECTS[kept.name].title, "kept" if kept.seen else "not seen", "", ", ".join(values), ""))
+        return result_html(str(self), rows if len(rows) > 1 else [], list(findings.notes), picture)

@@ -18,11 +18,12 @@ from piezod.diagnose.hypothesis.chain import Chain, Point, Setting, Term
 from piezod.diagnose.hypothesis.fit import Normal, fit
 from piezod.diagnose.hypothesis.monotone import rises, unfolded
 from piezod.diagnose.hypothesis.parallel import each
+from piezod.diagnose.hypothesis.sampling import coarse
 from piezod.diagnose.hypothesis.series import Series
 from piezod.diagnose.localisation.locate import locate
 from piezod.diagnose.prepare import Source, chain_of, made_ready, stand_in
 from piezod.diagnose.selection.acceptance import BETTER, counted, weighed
-from piezod.diagnose.selection.given_effects import as_given, given_effects
+from piezod.diagnose.selection.given_effects import as_given, given_effects, with_likelier_scope
 from piezod.diagnose.selection.replay import Attempt, fitted_in
 from piezod.diagnose.selection.search import OnProgress, fitted_without, instead, search, without
 from piezod.diagnose.selection.search_state import Beside, Search
@@ -144,6 +145,8 @@ def _diagnosed(
         series.insert(0, stand_in(model))
         still.insert(0, [])
     frozen = {number: stretches for number, stretches in enumerate(still) if stretches}
+    if not before.law_holds:
+        said.append("the unnamed law of the given model makes the recordings worse, and is left out")
     asked_for = _Asked(model, [*past, *asked], series, before, frozen, said, stand_ins=int(not past))
     chain, start, given = asked_for.begun()
     result = search(chain, start, progress, given)
@@ -349,7 +352,10 @@ class _Asked:
         if terms:
             series = [replace(one, hold=self.model.hold) for one in series]
         chain, start = chain_of(series, self.model)
-        return chain, replace(start, values=values), terms
+        start = replace(start, values=values)
+        if not self.stand_ins:
+            terms = with_likelier_scope(coarse(chain), start, terms, self.model)
+        return chain, start, terms
 
     def judged(self, result: Search) -> Diagnosis:
         """What a search found, with how sure it is and what is left."""
@@ -368,7 +374,7 @@ class _Asked:
         span = span_of(series)
         written = self._delivered(result, effects, floor, span)
         after, runs = written.rms, written.runs
-        if runs and not result.differs and before > UNLIKE_ITSELF * max(floor, self._own_error):
+        if self.before.law_holds and runs and not result.differs and before > self._unlike_itself(floor):
             base = replace(base, changed=True)
         refitted = None if result.differs else after if runs else min(held_out_rms(chain, found), before)
         least = max(after, held_out_rms(chain, found)) if runs else before
@@ -430,10 +436,9 @@ class _Asked:
         tones = [tone_finding(result, name, self.model) for name in names]
         return effects + [one for one in tones if not same_tone(one)], [one.name for one in tones if same_tone(one)]
 
-    @property
-    def _own_error(self) -> float:
-        """Error of the given model on the recordings that it was made with; 0 where it is not known [output unit]."""
-        return self.model.provenance.fit.rms_held_out or 0.0
+    def _unlike_itself(self, floor: float) -> float:
+        """Error from which on the stack is another than the one that the given model was made with [output unit]."""
+        return UNLIKE_ITSELF * max(floor, self.model.provenance.fit.rms_held_out or 0.0)
 
     def _delivered(self, result: Search, effects: Sequence[Finding], floor: float, span: float) -> _Written:
         """The model that is written: the given one where nothing differs from it and it leaves only noise.
@@ -446,8 +451,9 @@ class _Asked:
             return given
         found = all_terms(result.found, result.tones_asked_about)
         intervals = {one.name: one.parameters for one in effects}
+        kept = self.model if self.before.law_holds else self.model.model_copy(update={"unnamed_law": None})
         try:
-            extended = extended_model(self.model, result.chain, found, self.hashes, intervals)
+            extended = extended_model(kept, result.chain, found, self.hashes, intervals)
         except ModelError as error:
             return replace(given, why_not=str(error)) if result.differs else given
         if result.stack_changed:

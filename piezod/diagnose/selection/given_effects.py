@@ -59,6 +59,29 @@ def _scope(entry: EffectValues) -> Scope:
     return "already" if entry.since == "identification" else "since"
 
 
+def with_likelier_scope(chain: Chain, start: Point, terms: tuple[Term, ...], model: Model) -> tuple[Term, ...]:
+    """The given effects, each in the recordings of the identification too where it fits better there.
+
+    An older model file does not say since when an effect acts.
+
+    Parameters
+    ----------
+    chain, start
+        Recordings and base, with the values of the effects.
+    terms, model
+        The effects, and the given model.
+    """
+    unknown = {entry.name for entry in model.effects if entry.since is None}
+    if not unknown or not any(term.effect.name in unknown and term.scope == "since" for term in terms):
+        return terms
+    for place, term in enumerate(terms):
+        if term.effect.name in unknown and term.scope == "since":
+            other = (*terms[:place], replace(term, scope="already"), *terms[place + 1 :])
+            if fit(chain, other, start).loss < fit(chain, terms, start).loss:
+                terms = other
+    return terms
+
+
 def freed(chain: Chain, found: Fitted, name: str, past: Point | None = None) -> Fitted:
     """The hypothesis with the parameters of a held effect fitted too, from its own size, half of it and twice as much.
 

@@ -141,9 +141,15 @@ class GivenRuns:
         """Those of the recordings asked about, which are the last."""
         return self.runs[-len(self.places) :]
 
+    @property
+    def law_holds(self) -> bool:
+        """Whether the given model leaves no more with its unnamed law than without it; True where it has none."""
+        asked = slice(-len(self.places), None)
+        return not self.without_law or tared_rms(self.runs[asked]) <= tared_rms(self.without_law[asked])
+
     def law(self, series: Sequence[Series]) -> list[Array]:
-        """What the given law adds to the readings of every recording, shape (N,) or (1,) [output unit]."""
-        if not self.without_law:
+        """What the given law adds to the readings of every recording, shape (N,) or (1,) [output unit]; 0: it fails."""
+        if not self.without_law or not self.law_holds:
             return [np.zeros(1)] * len(series)
         return [
             run.over(one) - plain.over(one) - run.tare + plain.tare
