@@ -9,7 +9,6 @@
 
 import sys
 from importlib import import_module
-from importlib.metadata import version
 from types import ModuleType
 from typing import TYPE_CHECKING
 
@@ -27,7 +26,7 @@ if TYPE_CHECKING:
         simulate,
     )
 
-__version__ = version("piezod-bench")
+    __version__: str
 
 __all__ = [
     "EFFECTS",
@@ -69,6 +68,8 @@ class _Package(ModuleType):
 
     def __getattr__(self, name: str) -> object:
         """Any other name of the interface."""
+        if name == "__version__":
+            return import_module("importlib.metadata").version("piezod-bench")
         if name in __all__:
             return getattr(import_module("piezod.api"), name)
         raise AttributeError(f"module 'piezod' has no attribute {name!r}")

@@ -1,7 +1,39 @@
-"""Commands of `piezod`: each one parses its arguments, calls one function of another room and prints the result."""
+"""Commands of `piezod`: each one parses its arguments, calls one function of another room and prints the result.
 
-# In the order in which --help lists them.
-from piezod.cli import demo, setup, running, recordings, models, commissioning, diagnosis, study  # noqa: I001
-from piezod.cli.root import app, main
+This file imports no other room, so that Ctrl-C ends the command quietly from its first moment.
+"""
 
-__all__ = ["app", "commissioning", "demo", "diagnosis", "main", "models", "recordings", "running", "setup", "study"]
+import os
+import signal
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from piezod.cli.commands import app
+
+__all__ = ["app", "main"]
+
+INTERRUPTED = 130
+"""Exit code after Ctrl-C: 128 + SIGINT."""
+
+
+def main() -> None:
+    """Run the command line.
+
+    While the commands are imported, Ctrl-C ends the process at once: there is nothing to clean up, and an interrupted
+    import would print a traceback.
+    """
+    is_default = signal.getsignal(signal.SIGINT) is signal.default_int_handler  # else the shell has it ignored
+    if is_default:
+        signal.signal(signal.SIGINT, lambda *_: os._exit(INTERRUPTED))
+    from piezod.cli.commands import main as run
+
+    run(signal.default_int_handler if is_default else None)
+
+
+def __getattr__(name: str) -> Any:  # noqa: ANN401  # the app, or an error
+    """The app, imported when it is asked for."""
+    if name == "app":
+        from piezod.cli.commands import app
+
+        return app
+    raise AttributeError(f"module 'piezod.cli' has no attribute {name!r}")

@@ -9,7 +9,7 @@ import typer
 
 from piezod.cli.models import identify, validate
 from piezod.cli.recordings import record
-from piezod.cli.root import JsonOption, app
+from piezod.cli.root import ForceOption, JsonOption, app
 from piezod.errors import UsageError
 
 
@@ -23,6 +23,7 @@ def commission(
     ] = None,
     frequency: Annotated[float, typer.Option(metavar="HZ", min=1e-4, help="Frequency of a triangle.")] = 0.1,
     periods: Annotated[int, typer.Option(min=5, max=1000, help="Triangles per excitation.")] = 20,
+    force: ForceOption = False,
     as_json: JsonOption = False,
 ) -> None:
     """Record every excitation, identify a model from each and validate them side by side."""
@@ -30,9 +31,11 @@ def commission(
 
     from piezod.commissioning.emulator import virtual_time_bench
     from piezod.excitation import EXCITATIONS, IDENTIFICATION
+    from piezod.recording import check_folder
 
     if (config is None) == (emulated is None):
         raise UsageError("give CONFIG or --emulated SCENARIO, exactly one of them")
+    check_folder(output, [f"{name}.{suffix}" for name in EXCITATIONS for suffix in ("csv", "yaml")], force=force)
     output.mkdir(parents=True, exist_ok=True)
     with ExitStack() as stack:
         bench = config or stack.enter_context(virtual_time_bench(output, str(emulated)))
@@ -41,8 +44,8 @@ def commission(
             for name, model in zip(EXCITATIONS, models, strict=True):
                 print(f"\n{name}", flush=True)
                 repeats = 1 if name == IDENTIFICATION else periods
-                record(bench, name, output / f"{name}.csv", frequency=frequency, periods=repeats)
-                identify([output / f"{name}.csv"], model, output / name, name=name)
+                record(bench, name, output / f"{name}.csv", frequency=frequency, periods=repeats, force=force)
+                identify([output / f"{name}.csv"], model, output / name, name=name, force=force)
             print("\nvalidation", flush=True)
         validate(bench, models, output / "validation.html", as_json=as_json)
 
@@ -65,6 +68,7 @@ def investigate(
     drives: Annotated[int, typer.Option(min=1, max=20, help="Largest number of drives.")] = 4,
     longest: Annotated[float, typer.Option(metavar="S", min=6.0, max=600.0, help="Of a planned drive.")] = 60.0,
     yes: Annotated[bool, typer.Option("--yes", help="Do not ask before a drive.")] = False,
+    force: ForceOption = False,
     as_json: JsonOption = False,
 ) -> None:
     """Record, diagnose and plan the next experiment, until no effect has a rival; then follow references."""
@@ -72,11 +76,13 @@ def investigate(
 
     from piezod.commissioning.emulator import virtual_time_bench
     from piezod.model import load_model
+    from piezod.recording import check_folder
 
     if (config is None) == (emulated is None) or (hidden and not emulated):
         raise UsageError("give CONFIG, or --emulated SCENARIO with its --hidden effects, exactly one of them")
     if not yes and not sys.stdin.isatty():
         raise UsageError("--yes is missing: without a terminal nobody can be asked before a drive")
+    check_folder(output, ("work_1.csv", "work.csv", "diagnosis_1"), force=force)
     load_model(model)  # a wrong file is refused before the libraries are there
     from piezod.commissioning.investigate import Drive, Step, step_text
     from piezod.commissioning.investigate import investigate as steps_of

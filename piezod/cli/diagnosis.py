@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from piezod.cli.root import ColumnsOption, DecimalOption, JsonOption, RateOption, app
+from piezod.cli.root import ColumnsOption, DecimalOption, ForceOption, JsonOption, RateOption, app
 from piezod.errors import UsageError
 
 
@@ -40,11 +40,14 @@ def diagnose(
     columns: ColumnsOption = None,
     rate_hz: RateOption = None,
     decimal: DecimalOption = None,
+    force: ForceOption = False,
     as_json: JsonOption = False,
 ) -> None:
     """Find the effects that a model lacks: place, effect, confidence, and the extended model."""
-    from piezod.recording import TextOptions, column_names
+    from piezod.recording import TextOptions, check_folder, check_page, column_names
 
+    check_folder(output, ("findings.json", "model.yaml"), force=force)
+    check_page(replay)
     recordings = list(recordings or ())
     text = TextOptions.of(columns, rate_hz, decimal)
     if from_bench is not None:
@@ -95,11 +98,15 @@ def what_is_testable(
     columns: ColumnsOption = None,
     rate_hz: RateOption = None,
     decimal: DecimalOption = None,
+    force: ForceOption = False,
     as_json: JsonOption = False,
 ) -> None:
     """Tell which effects recordings could show, and which they cannot separate from each other."""
-    from piezod.recording import TextOptions, check_recording_target, column_names, write_recording
+    from piezod.recording import TextOptions, check_not_there, check_recording_target, column_names, write_recording
 
+    if next_file is not None:
+        check_recording_target(next_file, recordings)
+        check_not_there(next_file, force=force)
     text = TextOptions.of(columns, rate_hz, decimal)
     for path in recordings:
         column_names(path, text)  # a wrong file is refused before the libraries are there
@@ -110,8 +117,6 @@ def what_is_testable(
     from piezod.report.isolability import experiment_as_dict, experiment_text, isolability_as_dict, isolability_text
     from piezod.report.progress import steps
 
-    if next_file is not None:
-        check_recording_target(next_file, recordings)
     plant = load_model(model)
     with steps() as show:
         show("reading", None)

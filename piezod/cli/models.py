@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from piezod.cli.root import ColumnsOption, ConfigArgument, DecimalOption, JsonOption, RateOption, app
+from piezod.cli.root import ColumnsOption, ConfigArgument, DecimalOption, ForceOption, JsonOption, RateOption, app
 from piezod.errors import UsageError
 
 ModelOption = Annotated[Path, typer.Option("--model", metavar="MODEL", help="Model file.")]
@@ -52,14 +52,26 @@ def identify(
     columns: ColumnsOption = None,
     rate_hz: RateOption = None,
     decimal: DecimalOption = None,
+    force: ForceOption = False,
     as_json: JsonOption = False,
 ) -> None:
     """Identify a model from recordings."""
-    from piezod.recording import TextOptions, check_output_path, choose_columns, column_names
+    from piezod.recording import (
+        TextOptions,
+        check_folder,
+        check_not_there,
+        check_output_path,
+        check_page,
+        choose_columns,
+        column_names,
+    )
 
     if variant not in ("A", "B"):
         raise UsageError(f"--variant is '{variant}', must be A or B")
     check_output_path(model, recordings)
+    check_page(model)
+    check_not_there(model, force=force)
+    check_folder(report)
     text = TextOptions.of(columns, rate_hz, decimal)
     input_name, output_name, chosen = choose_columns(
         recordings[0], column_names(recordings[0], text), {"input": input_column, "output": output_column}
@@ -104,13 +116,15 @@ def simulate(
     columns: ColumnsOption = None,
     rate_hz: RateOption = None,
     decimal: DecimalOption = None,
+    force: ForceOption = False,
     as_json: JsonOption = False,
 ) -> None:
     """Simulate a model over the input of a recording, in free run; compare with its output, if it has one."""
-    from piezod.recording import TextOptions, check_recording_target, column_names, write_recording
+    from piezod.recording import TextOptions, check_not_there, check_recording_target, column_names, write_recording
 
     text = TextOptions.of(columns, rate_hz, decimal)
     check_recording_target(output, [recording])
+    check_not_there(output, force=force)
     column_names(recording, text)  # a wrong file is refused before the libraries are there
     from piezod.identify.intake import load_for_simulation
     from piezod.identify.simulation import simulate_recording, where
@@ -154,8 +168,9 @@ def compare(
     as_json: JsonOption = False,
 ) -> None:
     """Compare a measured output with simulated ones and with models in free run; fit as in MATLAB's compare."""
-    from piezod.recording import column_names
+    from piezod.recording import check_page, column_names
 
+    check_page(report)
     if len(recordings) > 1 or model:  # else there is nothing to compare, which is said first
         column_names(recordings[0])  # a wrong file is refused before the libraries are there
     from piezod.report.comparison.output_comparison import compare_files
@@ -177,8 +192,9 @@ def resid(
     as_json: JsonOption = False,
 ) -> None:
     """Test whether a model's residual is white and independent of the input, with the bounds of MATLAB's resid."""
-    from piezod.recording import column_names
+    from piezod.recording import check_page, column_names
 
+    check_page(report)
     column_names(recording)  # a wrong file is refused before the libraries are there
     from piezod.identify.intake import load_for_simulation
     from piezod.model import load_model
@@ -210,7 +226,9 @@ def validate(
 ) -> None:
     """Follow six triangular force references without and with each model; report the better model."""
     from piezod.config import load_bench
+    from piezod.recording import check_page
 
+    check_page(report)
     load_bench(config)  # a wrong file is refused before the libraries are there
     from piezod.commissioning.validate import plan_validation, run_validation
     from piezod.report.progress import progress

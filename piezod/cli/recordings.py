@@ -1,12 +1,14 @@
 """Commands for recordings: record, convert, report."""
 
 import json
+import sys
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from piezod.cli.root import ColumnsOption, ConfigArgument, DecimalOption, JsonOption, RateOption, app
+from piezod.cli import INTERRUPTED
+from piezod.cli.root import ColumnsOption, ConfigArgument, DecimalOption, ForceOption, JsonOption, RateOption, app
 
 
 @app.command(epilog="Example: piezod record config/bench.yaml --excitation varying-triangles -o varying.csv")
@@ -33,14 +35,19 @@ def record(
         typer.Option(min=1, max=1000, help="Triangles, default 5; or repetitions of a recording, default 1."),
     ] = None,
     reset_cycle: Annotated[bool, typer.Option(help="First drive 0 -> highest voltage -> 0.")] = False,
+    force: ForceOption = False,
 ) -> None:
-    """Drive an excitation through the bench and record the response."""
+    """Drive an excitation through the bench and record the response.
+
+    Ctrl-C ramps down, writes what was recorded, marked as incomplete, and ends with exit code 130.
+    """
     from piezod.commissioning.record import excitation_duration_s, record_excitation
     from piezod.excitation import default_periods
-    from piezod.recording import check_recording_target, write_recording
+    from piezod.recording import check_not_there, check_recording_target, write_recording
     from piezod.report.progress import progress
 
     check_recording_target(output)
+    check_not_there(output, force=force)
     periods = periods or default_periods(excitation)
     with progress(f"recording {excitation}", excitation_duration_s(excitation, frequency, periods)) as show:
         recording, outcome = record_excitation(
@@ -52,9 +59,15 @@ def record(
             reset_cycle=reset_cycle,
             on_rows=show,
         )
+    if outcome.stopped and not recording.time_s.size:
+        print(f"stopped before the excitation began; {output} is not written", file=sys.stderr)
+        raise typer.Exit(INTERRUPTED)
     write_recording(recording, output)
     missing = f", {outcome.missed} ticks missed" if outcome.missed else ""
     print(f"{output}: {recording.time_s.size} samples, {recording.time_s[-1]:.1f} s{missing}")
+    if outcome.stopped:
+        print(f"{output}: incomplete, {recording.metadata['incomplete']}", file=sys.stderr)
+        raise typer.Exit(INTERRUPTED)
 
 
 @app.command(epilog="Example: piezod convert varying.csv -o varying.mat")
@@ -64,13 +77,16 @@ def convert(
     columns: ColumnsOption = None,
     rate_hz: RateOption = None,
     decimal: DecimalOption = None,
+    force: ForceOption = False,
     as_json: JsonOption = False,
 ) -> None:
     """Rewrite a recording in another format."""
-    from piezod.recording import TextOptions
+    from piezod.recording import TextOptions, check_not_there, check_recording_target
     from piezod.recording import convert as convert_file
     from piezod.recording.formats.repairs import repair_notes
 
+    check_recording_target(output, [recording])
+    check_not_there(output, force=force)
     converted = convert_file(recording, output, TextOptions.of(columns, rate_hz, decimal))
     names = ["time_s", *converted.channels]
     understood, repairs = converted.metadata.get("understood", ""), repair_notes(converted.metadata)
@@ -92,9 +108,10 @@ def report(
     as_json: JsonOption = False,
 ) -> None:
     """Make the page of a run from its recording, complete or interrupted."""
-    from piezod.recording import check_output_path, read_recording
+    from piezod.recording import check_output_path, check_page, read_recording
 
     check_output_path(output, [recording])
+    check_page(output)
     run = read_recording(recording)  # a wrong file is refused before the libraries are there
     from piezod.report.run import run_figures, write_run_page
 

@@ -1,17 +1,26 @@
 """Parts that all commands share: the command `piezod`, common arguments and options, and the output of an error."""
 
 import atexit
+import errno
 import gc
+import os
 import platform
+import resource
+import signal
 import sys
+from collections.abc import Callable
 from importlib.metadata import version as version_of
 from pathlib import Path
+from types import FrameType
 from typing import Annotated
 
 import typer
 
 from piezod import __version__
-from piezod.errors import PiezodError, UsageError
+from piezod.cli import INTERRUPTED
+from piezod.errors import PiezodError, TemporaryError, UsageError
+
+Handler = Callable[[int, FrameType | None], object]
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -43,28 +52,53 @@ RateOption = Annotated[
 DecimalOption = Annotated[
     str | None, typer.Option("--decimal", metavar="MARK", help="Decimal mark of a text file, a point or a comma.")
 ]
+ForceOption = Annotated[bool, typer.Option("--force", help="Replace existing files.")]
 WaitOption = Annotated[bool, typer.Option(help="Wait for the result.")]
 
 
 _Misused = typer.BadParameter.__mro__[2]  # base class in click of all errors in arguments
 
 
-def main() -> None:
-    """Run a command; print a PiezodError as one line on stderr and end with its exit code."""
+def main(on_interrupt: "Handler | None" = None) -> None:
+    """Run a command; print a PiezodError as one line on stderr and end with its exit code.
+
+    Parameters
+    ----------
+    on_interrupt
+        Handler of Ctrl-C while the command runs; None: it stays as it is.
+    """
     atexit.register(gc.freeze)  # the end of the interpreter visits every object otherwise, which takes 0.2 s
     try:
+        if on_interrupt is not None:
+            signal.signal(signal.SIGINT, on_interrupt)
         code = app(standalone_mode=False, prog_name="piezod")
         sys.exit(code if isinstance(code, int) else 0)
     except PiezodError as error:
         print(f"piezod: {error}", file=sys.stderr)
         sys.exit(error.exit_code)
     except (KeyboardInterrupt, typer.Abort):
-        sys.exit(130)
+        sys.exit(INTERRUPTED)
     except Exception as error:
-        if not isinstance(error, _Misused):
+        if isinstance(error, _Misused):
+            print(_misuse_text(error), file=sys.stderr)
+            sys.exit(UsageError.exit_code)
+        if (shortage := _shortage(error)) is None:
             raise
-        print(_misuse_text(error), file=sys.stderr)
-        sys.exit(UsageError.exit_code)
+        print(f"piezod: {shortage}", file=sys.stderr)
+        sys.exit(TemporaryError.exit_code)
+
+
+def _shortage(error: BaseException) -> str | None:
+    """One line for an error that a lack of descriptors or memory caused; None for any other error."""
+    cause: BaseException | None = error
+    while cause is not None:
+        if isinstance(cause, MemoryError):
+            return "the memory does not suffice; free some, or raise the limit (ulimit -v)"
+        if getattr(cause, "errno", None) in (errno.EMFILE, errno.ENFILE) or os.strerror(errno.EMFILE) in str(cause):
+            limit = resource.getrlimit(resource.RLIMIT_NOFILE)[0]
+            return f"too many open files, the limit is {limit}; raise it (ulimit -n 1024)"
+        cause = cause.__cause__ or cause.__context__
+    return None
 
 
 def _misuse_text(error: Exception) -> str:

@@ -208,7 +208,7 @@ def investigate(
         drive = Drive(number, excitation, excitation_duration_s(excitation, FREQUENCY_HZ, PERIODS))
         if not agreed(drive):
             return
-        recorded, _ = record_excitation(
+        recorded, outcome = record_excitation(
             config,
             excitation,
             peak_V=None,
@@ -217,6 +217,8 @@ def investigate(
             reset_cycle=False,
             on_rows=on_rows,
         )
+        if outcome.stopped:
+            raise KeyboardInterrupt  # Ctrl-C ended the drive, and with it the investigation
         own, joint = output / f"work_{number}.csv", output / "work.csv"
         write_recording(recorded, own)
         whole = recorded if whole is None else joined(whole, recorded, rest_V)

@@ -76,7 +76,11 @@ def record_excitation(
         "rate_Hz": f"{bench.rate_Hz:g}",
         "recorded": datetime.now(UTC).isoformat(timespec="seconds"),
     }
-    return history.recording(0, metadata=metadata, follows_force=False), session.outcome
+    recording = history.recording(0, metadata=metadata, follows_force=False)
+    if session.outcome.stopped:
+        whole_s = voltages_V.size / bench.rate_Hz
+        recording.metadata["incomplete"] = f"stopped by the user after {_end_s(recording):.1f} of {whole_s:.1f} s"
+    return recording, session.outcome
 
 
 def excitation_duration_s(name: str, frequency_Hz: float, periods: int) -> float:
@@ -119,6 +123,11 @@ def _voltages(
             f"within {low:g} and {high:g} V (limits); --peak scales it"
         )
     return voltages_V
+
+
+def _end_s(recording: Recording) -> float:
+    """Time of the last sample [s]; 0 without samples."""
+    return float(recording.time_s[-1]) if recording.time_s.size else 0.0
 
 
 def _description(name: str, peak_V: float, frequency_Hz: float, periods: int) -> str:

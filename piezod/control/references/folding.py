@@ -15,7 +15,7 @@ KAISER_BETA = 5.65
 """Kaiser window for 60 dB: 0.1102 (60 - 8.7)."""
 
 WINDOW = 128
-"""Length of the stretches that are judged [ticks]: a single jump disturbs less than half of one."""
+"""Length of the stretches that are examined [ticks]: a single jump disturbs less than half of one."""
 
 SHARE = 1e-3
 """Amplitude that counts [share of the range]. Three written digits round by half of it."""
@@ -24,7 +24,7 @@ MOST_PER_TICK = 64
 """Largest number of points per tick that are examined."""
 
 FEWEST_TICKS = 8
-"""Ticks below which a file is not judged: its ends are corners, and they make up too much of it."""
+"""Ticks below which a file is not examined: its ends are corners, and they make up too much of it."""
 
 BLOCK = 2**14
 """Ticks that are filtered together."""
@@ -33,9 +33,9 @@ BLOCK = 2**14
 def folding_amplitude(positions: Array, values: Array) -> tuple[float, float]:
     """Amplitude of content above half the tick rate, and its place [ticks]; (0, 0) where there is none.
 
-    A stretch of `WINDOW` ticks holds such content if a high-pass filter passes it, and if in more than half of the
-    stretch the file differs from a line between the ticks. So jumps and corners do not count, and neither does a tone
-    below half the tick rate.
+    A stretch of `WINDOW` ticks holds such content under two conditions. A high-pass filter passes it; and in more than
+    half of the stretch the file differs from a line between the ticks. So jumps and corners do not count, and neither
+    does a tone below half the tick rate.
 
     Parameters
     ----------
