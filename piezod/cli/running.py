@@ -154,6 +154,10 @@ def watch(
         Path | None,
         typer.Option(metavar="FILE", help="File with the token for arm, disarm, stop and reset; default: read only."),
     ] = None,
+    host: Annotated[
+        list[str] | None,
+        typer.Option(metavar="NAME", help="Further name that the page is opened under, as behind a proxy; repeatable."),
+    ] = None,
 ) -> None:
     """Serve a live page of the running daemon; it reads shared memory and cannot delay a tick."""
     from piezod.config import load_bench
@@ -169,4 +173,5 @@ def watch(
         port,
         token,
         lambda line: print(line, flush=True),
+        host or (),
     )

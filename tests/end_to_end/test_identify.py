@@ -90,7 +90,7 @@ def test_the_voltage_of_a_recording_is_driven_again_scaled_and_repeated(tmp_path
         bench = bench_file(tmp_path, serves, rate_Hz=100, limits={"stale_after_ms": 20}, model="none.yaml")
         again = ["--excitation", tmp_path / "drive.csv", "--peak", 80, "--periods", 2, "-o", tmp_path / "rec.csv"]
         done = piezod("record", bench, *again)
-        too_high = piezod("record", bench, *again[:2], "--peak", 200, *again[4:])
+        too_high = piezod("record", bench, *again[:2], "--peak", 200, *again[4:-1], tmp_path / "high.csv")
     assert done.returncode == 0, done.stderr
     driven_V = read_csv(tmp_path / "rec.csv").channel("voltage_V")
     np.testing.assert_allclose(driven_V, np.tile(2.0 * drive_V, 2)[: driven_V.size], atol=1e-3)

@@ -1,6 +1,7 @@
 """The live page in a real browser, beside a running daemon and an emulated bench."""
 
 import contextlib
+import http.client
 import signal
 import socket
 import subprocess
@@ -272,3 +273,45 @@ def test_a_port_that_is_taken_is_one_line(bench):
         done = piezod("watch", bench, "--port", port)
     assert done.returncode == 75
     assert done.stderr.strip() == f"piezod: --port is {port}, 127.0.0.1:{port} is taken; name another, or 0"
+
+
+def answer(address, path="/", **headers):
+    """Status and headers of a request to the live page."""
+    port = int(address.split(":")[2].strip("/"))
+    connection = http.client.HTTPConnection("127.0.0.1", port, timeout=10)
+    connection.request("GET", path, headers=headers)
+    response = connection.getresponse()
+    response.read()
+    connection.close()
+    return response.status, response.headers
+
+
+UPGRADE = {
+    "Connection": "Upgrade",
+    "Upgrade": "websocket",
+    "Sec-WebSocket-Version": "13",
+    "Sec-WebSocket-Key": "MDEyMzQ1Njc4OWFiY2RlZg==",
+}
+
+
+def test_the_page_answers_only_under_its_names_and_to_itself(bench):
+    with watch(bench, "--host", "press.example") as (_, address):
+        port = address.split(":")[2].strip("/")
+        for host in (f"127.0.0.1:{port}", f"localhost:{port}", "localhost:8080", "press.example", "PRESS.example:443"):
+            assert answer(address, Host=host)[0] == 200, host
+        for host in ("evil.example", f"evil.example:{port}", "127.0.0.1.evil.example", "", "x@localhost", "0.0.0.0"):
+            for path in ("/", "/autoload.js?bokeh-autoload-element=1", "/ws", "/static/js/bokeh.min.js"):
+                assert answer(address, path, Host=host)[0] in (400, 403), (host, path)
+        for origin in ("http://evil.example", f"http://localhost:{int(port) + 1}", "null", f"http://127.0.0.1:{port}"):
+            status, _ = answer(address, "/ws", Host=f"localhost:{port}", Origin=origin, **UPGRADE)
+            assert status == 403, origin
+
+
+def test_no_other_page_can_show_the_page_in_a_frame_or_read_it(bench):
+    with watch(bench) as (_, address):
+        for path in ("/", "/autoload.js?bokeh-autoload-element=1", "/static/js/bokeh.min.js", "/nothing"):
+            _, headers = answer(address, path)
+            assert "frame-ancestors 'none'" in headers["Content-Security-Policy"], path
+            assert "default-src 'none'" in headers["Content-Security-Policy"]
+            assert headers["X-Frame-Options"] == "DENY"
+            assert headers["Access-Control-Allow-Origin"] is None

@@ -9,7 +9,7 @@ import errno
 import logging
 import os
 import signal
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
@@ -20,7 +20,6 @@ from bokeh.core.templates import get_env
 from bokeh.document import Document
 from bokeh.models.widgets import Div
 from bokeh.server.server import BaseServer
-from bokeh.server.tornado import BokehTornado
 from bokeh.server.util import bind_sockets
 from tornado.httpserver import HTTPServer
 from tornado.ioloop import IOLoop
@@ -28,6 +27,7 @@ from tornado.ioloop import IOLoop
 from piezod.config import BenchConfig
 from piezod.errors import BusyError, ConfigurationError, PiezodError
 from piezod.report.live.feed import Feed, SEGMENT_s
+from piezod.report.live.protection import LOCAL_NAMES, ProtectedPages
 from piezod.report.live.template import LIVE_CSS, LIVE_SCRIPT, TEMPLATE
 from piezod.report.live.viewer import Viewer, add_command_buttons
 
@@ -68,7 +68,12 @@ def read_token(path: Path) -> str:
 
 
 def serve_live_page(
-    bench: BenchConfig, send_command: SendCommand, port: int, token: str | None, announce: Callable[[str], None]
+    bench: BenchConfig,
+    send_command: SendCommand,
+    port: int,
+    token: str | None,
+    announce: Callable[[str], None],
+    hosts: Sequence[str] = (),
 ) -> None:
     """Serve the live page until SIGINT or SIGTERM.
 
@@ -84,18 +89,20 @@ def serve_live_page(
         Token that a viewer must type to send commands; None: the page is read only.
     announce
         Called once with a line that contains the address.
+    hosts
+        Host names under which the page may be opened besides 127.0.0.1 and localhost, such as that of a proxy.
 
     Raises
     ------
     BusyError
         The port is in use.
     """
-    asyncio.run(_Server(bench, send_command, token).serve(port, announce))
+    asyncio.run(_Server(bench, send_command, token, hosts).serve(port, announce))
 
 
 class _Server:
-    def __init__(self, bench: BenchConfig, send_command: SendCommand, token: str | None) -> None:
-        self._bench, self._send_command, self._token = bench, send_command, token
+    def __init__(self, bench: BenchConfig, send_command: SendCommand, token: str | None, hosts: Sequence[str]) -> None:
+        self._bench, self._send_command, self._token, self._hosts = bench, send_command, token, hosts
         self._feed = Feed(bench)
         self._status_thread = ThreadPoolExecutor(1, "status")
         self._command_thread = ThreadPoolExecutor(1, "command")
@@ -121,16 +128,16 @@ class _Server:
             pool.shutdown(wait=False, cancel_futures=True)
 
     def _listen(self, port: int) -> tuple[BaseServer, int]:
-        """Bind the port. Pages of other origins cannot open a connection."""
+        """Bind the port. Other host names and pages of other origins are refused."""
         try:
             sockets, port = bind_sockets(ADDRESS, port)
         except OSError as error:
             if error.errno != errno.EADDRINUSE:
                 raise
             raise BusyError(f"--port is {port}, {ADDRESS}:{port} is taken; name another, or 0") from error
-        pages = BokehTornado(
+        pages = ProtectedPages(
             Application(FunctionHandler(self._show)),
-            extra_websocket_origins=[f"{ADDRESS}:{port}", f"localhost:{port}"],
+            (*LOCAL_NAMES, *self._hosts),
             unused_session_lifetime_milliseconds=5000,
             check_unused_sessions_milliseconds=2000,
             websocket_max_message_size_bytes=LARGEST_MESSAGE_BYTES,
