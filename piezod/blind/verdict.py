@@ -16,7 +16,7 @@ from piezod.blind.case import SEAL
 from piezod.errors import ConfigurationError, UsageError
 
 FINDINGS, RUN, STUDY = "findings.json", "run.json", "study.json"
-SCHEMA, FINDINGS_SCHEMA = "piezod.blind/1", "piezod.findings/1"
+SCHEMA, FINDINGS_SCHEMA = "piezod.blind/1", "piezod.findings/2"
 
 MOST_REASON_TEXT = 500
 """Characters of the reason of a failure."""

@@ -140,7 +140,7 @@ def test_what_no_effect_explains_leaves_the_model_as_it_was(tmp_path):
 def test_the_cases_are_judged_without_the_truth_and_then_scored_with_it(study, judged):
     for name in names(study):
         findings, run, *_ = verdict(judged / name)
-        assert findings["schema"] == "piezod.findings/1"
+        assert findings["schema"] == "piezod.findings/2"
         assert findings["recordings"][0]["path"] == "identification.csv"
         assert run["failed"] is None
     done = piezod("blind", "score", study, judged, "--json")

@@ -19,7 +19,8 @@ from firmware_sim.concealed.plant.arrays import Array
 from firmware_sim.concealed.study.seal import SEAL
 from firmware_sim.concealed.study.truth import Place
 
-SCHEMA = "piezod.findings/1"
+SCHEMA = "piezod.findings/2"
+SCHEMAS = ("piezod.findings/1", SCHEMA)  # the second has all of the first in its place
 FINDINGS = "findings.json"
 EXTENDED, BASE = "simulated_held_out.csv", "simulated_held_out_base.csv"
 VERDICTS = ("matches", "explained", "partly_explained", "unexplained", "not_testable")
@@ -124,7 +125,7 @@ def parse_findings(fields: Mapping[str, Any], elapsed_s: float | None = None) ->
     ValueError, KeyError, TypeError
         The content breaks the schema.
     """
-    if fields["schema"] != SCHEMA:
+    if fields["schema"] not in SCHEMAS:
         raise ValueError(f"schema is {fields['schema']}")
     if fields["verdict"] not in VERDICTS:
         raise ValueError(f"verdict is {fields['verdict']}, must be one of {', '.join(VERDICTS)}")

@@ -5,7 +5,7 @@ from pathlib import Path
 from piezod.diagnose.diagnosis import Diagnosis
 from piezod.diagnose.findings import Finding
 from piezod.diagnose.verdict.words import Wording, label_of, law_words, place_words, value_words
-from piezod.report.diagnosis.wording import SCOPES, since_given
+from piezod.report.diagnosis.wording import SCOPES
 
 
 def print_findings(diagnosis: Diagnosis, folder: Path) -> None:
@@ -48,7 +48,7 @@ def _print_effect(finding: Finding, wording: Wording) -> None:
     confidence = f"confidence {100 * finding.confidence:.0f} %"
     if finding.q is not None:
         confidence += f", false-discovery rate {finding.q:.1g}"
-    when = since_given(finding, wording)
+    when = SCOPES[finding.scope] if finding.status == "new" else finding.status
     print(f"  {finding.name} ({confidence}, {when}): {finding.title}")
     for name, value in finding.parameters.items():
         text, interval = value_words(value, name, finding.name, wording)

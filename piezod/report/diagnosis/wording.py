@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from piezod.diagnose.findings import Finding, Findings, Place, Unnamed
 from piezod.diagnose.verdict.words import (
     Wording,
+    base_words,
     change_words,
     kept_words,
     law_words,
@@ -65,10 +66,11 @@ def headline(findings: Findings) -> str:
 def _missing(findings: Findings) -> str:
     """What is new, has changed or is gone."""
     parts = []
-    for status, start in (("new", "Missing in the model"), ("changed", "Changed"), ("gone", "Gone")):
+    for status, start in (("new", "missing in the model"), ("changed", "changed"), ("gone", "gone")):
         titles = listed([hedged(finding) for finding in findings.effects if finding.status == status])
         parts += [f"{start}: {titles}"] if titles else []
-    return "; ".join([*parts, *(["The stack itself has changed"] if findings.base.changed else [])])
+    told = "; ".join([*parts, *([base_words(findings.base)] if findings.base.changed else [])])
+    return told[:1].upper() + told[1:]
 
 
 def lead(findings: Findings) -> str:

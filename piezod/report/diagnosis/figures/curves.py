@@ -30,6 +30,8 @@ from piezod.report.style import GREEN, GREY
 
 FLEXIBLE = "#CC79A7"  # reddish purple of the same palette
 TEXT = "#333333"
+WITHOUT = {"new": "without {}", "changed": "{} as before", "gone": "with {}"}
+"""Name of the bar of an effect, by its status."""
 
 
 def error_bars(findings: Findings, extended: str) -> figure:
@@ -85,7 +87,7 @@ def held_out_errors(findings: Findings, extended: str) -> list[tuple[str, float,
     fitted = [finding for finding in findings.effects if not observed_directly(finding)]
     bars = [
         ("given model", findings.before, GIVEN),
-        *((f"without {finding.title}", finding.before, GREY) for finding in fitted),
+        *((WITHOUT[finding.status].format(finding.title), finding.before, GREY) for finding in fitted),
         (extended, findings.least, EXTENDED),
     ]
     if findings.verdict in ("partly_explained", "unexplained"):
