@@ -7,9 +7,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piezod.config import BenchConfig
-from piezod.errors import CheckFailedError, UsageError
+from piezod.control.references.file_times import check_gaps, tick_positions
+from piezod.errors import CheckFailedError, RecordingError, UsageError
 from piezod.excitation import EXCITATIONS, duration_s, excitation
-from piezod.recording import Recording, read_recording
+from piezod.recording import TIME, Recording, StrictTable, read_recording, read_strict_csv
+from piezod.recording.files import READ_ONLY, SPREADSHEETS
 from piezod.session.assembly import load_bench_without_model
 from piezod.session.follow import OnRows, follow_session
 from piezod.session.session import Session
@@ -109,10 +111,10 @@ def _voltages(
         highest_V = bench.limits.voltage_max_V if peak_V is None else peak_V
         _check_peak(highest_V, bench)
         return excitation(name, highest_V, frequency_Hz, periods, bench.rate_Hz)
-    recording = _read_source(name)
-    time_s = recording.time_s - recording.time_s[0]
-    ticks_s = np.arange(round(float(time_s[-1]) * bench.rate_Hz) + 1) / bench.rate_Hz
-    voltages_V = np.tile(np.interp(ticks_s, time_s, recording.channel(VOLTAGE)), periods)
+    source = _read_source(name)
+    positions = tick_positions(source.time_s, bench.rate_Hz, source.time_unit_s)
+    ticks = np.arange(int(positions[-1]) + 1, dtype=np.float64)
+    voltages_V = np.tile(np.interp(ticks, positions, source.column(VOLTAGE)), periods)
     if peak_V is not None:
         _check_peak(peak_V, bench)
         voltages_V *= peak_V / max(float(voltages_V.max()), 1e-9)
@@ -135,11 +137,30 @@ def _description(name: str, peak_V: float, frequency_Hz: float, periods: int) ->
     return f"{name}, peak {peak_V:g} V{speed}, {periods} periods"
 
 
-def _read_source(name: str) -> Recording:
-    """Read the recording to drive."""
-    if not Path(name).suffix:
+def _read_source(name: str) -> StrictTable:
+    """Read the recording to drive, strictly: nothing is repaired, and a gap is refused."""
+    path = Path(name)
+    if not path.suffix:
         raise UsageError(f"--excitation is '{name}', must be one of {', '.join(EXCITATIONS)}, or a recording")
-    return read_recording(Path(name))
+    if path.suffix.lower() in (*READ_ONLY, *SPREADSHEETS):
+        raise UsageError(
+            f"--excitation is {name}, must be a format that piezod writes: piezod convert {name} -o drive.csv"
+        )
+    source = read_strict_csv(path) if path.suffix.lower() == ".csv" else _as_table(read_recording(path), path)
+    check_gaps(source, None)
+    return source
+
+
+def _as_table(recording: Recording, path: Path) -> StrictTable:
+    """Time and voltage of a binary file; its rows count as lines."""
+    voltage_V = recording.channel(VOLTAGE)
+    bad = np.flatnonzero(~np.isfinite(voltage_V))
+    if bad.size:
+        raise RecordingError(f"{path}: sample {bad[0]}: {VOLTAGE} is missing, must be a number in a file that drives")
+    if notes := [recording.metadata[key] for key in ("time", "damaged") if key in recording.metadata]:
+        raise RecordingError(f"{path}: {notes[0]}; a file that drives must need no repair")
+    values = np.column_stack([recording.time_s, voltage_V])
+    return StrictTable(path, (TIME, VOLTAGE), values, np.arange(voltage_V.size) + 1, 0.0)
 
 
 def _check_peak(peak_V: float, bench: BenchConfig) -> None:

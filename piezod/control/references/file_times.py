@@ -52,7 +52,7 @@ def _are_rounded_ticks(since_s: Array, rate_Hz: float, time_unit_s: float) -> bo
     return bool(are_unequal and (np.abs(since_s - ticks) <= 1.001 * time_unit_s).all())
 
 
-def check_gaps(table: StrictTable, longest_step_s: float | None, key: str) -> None:
+def check_gaps(table: StrictTable, longest_step_s: float | None, key: str = "") -> None:
     """Refuse a file with a step that is longer than stated.
 
     Parameters
@@ -62,7 +62,7 @@ def check_gaps(table: StrictTable, longest_step_s: float | None, key: str) -> No
     longest_step_s
         Longest step [s]; None: `GAP` times the median step.
     key
-        Key or option that states it, for the message.
+        Key that states it, for the message; empty: there is none.
 
     Raises
     ------
@@ -78,7 +78,8 @@ def check_gaps(table: StrictTable, longest_step_s: float | None, key: str) -> No
     if gaps.size:
         k = gaps[0]
         words = f"{GAP:g} times the median step" if longest_step_s is None else key
+        remedy = f"add the missing rows, or set {key}" if key else "add the missing rows"
         raise ConfigurationError(
             f"{table.path}: line {table.lines[k + 1]} is {steps_s[k]:.6g} s after line {table.lines[k]}, must be at "
-            f"most {longest_s:.6g} s, {words}; add the missing rows, or set {key}"
+            f"most {longest_s:.6g} s, {words}; {remedy}"
         )
