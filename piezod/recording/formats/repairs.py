@@ -40,7 +40,7 @@ class Repairs:
     Parameters
     ----------
     metadata
-        Metadata of the file: `missing` and `left_out` are set.
+        Metadata of the file: `clock`, `missing` and `left_out` are set.
     """
 
     def __init__(self, metadata: dict[str, str]) -> None:
@@ -54,6 +54,17 @@ class Repairs:
             self._words[cell] += 1
             words = ", ".join(repr(word) for word, _ in self._words.most_common(5))
             self._metadata["missing"] = f"cells read as missing: {self._words.total()} ({words})"
+
+    def clock(self, notes: list[str]) -> None:
+        """Take note of clock changes.
+
+        Parameters
+        ----------
+        notes
+            A line for each.
+        """
+        if notes:
+            self._metadata["clock"] = "; ".join(notes)
 
     def left_out(self, what: str, text: str) -> None:
         """Count a part of the file that is left out.
@@ -86,4 +97,4 @@ def repair_notes(metadata: dict[str, str]) -> list[str]:
     metadata
         Metadata of a recording that was read completely.
     """
-    return [metadata[key] for key in ("time", "missing", "left_out") if key in metadata]
+    return [metadata[key] for key in ("time", "clock", "missing", "left_out") if key in metadata]

@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from piezod.errors import RecordingError
+from piezod.recording.formats.clock_change import ClockChange
 from piezod.recording.formats.csv_cells import parse_plain
 from piezod.recording.formats.repairs import CUT_LINE, ZEROS, Repairs
 from piezod.recording.formats.stream import MOST_VALUES, Array, RecordingStream, Table, increasing
@@ -63,6 +64,7 @@ class _Rows:
         self._path, self._layout, self._repairs = path, layout, repairs
         self._line, self._samples = layout.head_lines, 0
         self._before_s = -inf
+        self._clock = ClockChange(layout.first_day)
         self._plain = layout.date_form is None and layout.separator in "\t;, |"
         # Only these characters: digits, signs, exponents, the decimal mark, the separator and line ends.
         marks = re.escape(layout.separator + layout.decimal)
@@ -162,7 +164,9 @@ class _Rows:
             factor = UNITS["time"][layout.columns[layout.time].unit]
             return np.ascontiguousarray(column) if factor == 1.0 else np.round(column * factor, 12)
         times_s = column.tolist() if layout.date_form else unwrapped(column.tolist(), self._before_s)
-        if self._samples == 0:
-            self._origin_s = times_s[0]
         self._before_s = times_s[-1]
-        return np.round(np.array(times_s) - self._origin_s, 9)
+        corrected_s = self._clock.corrected(np.array(times_s))
+        self._repairs.clock(self._clock.notes)
+        if self._samples == 0:
+            self._origin_s = float(corrected_s[0])
+        return np.round(corrected_s - self._origin_s, 9)
