@@ -374,7 +374,7 @@ class _Asked:
         span = span_of(series)
         written = self._delivered(result, effects, floor, span)
         after, runs = written.rms, written.runs
-        if self.before.law_holds and runs and not result.differs and before > self._unlike_itself(floor):
+        if self.before.law_holds and runs and not result.differs and self._unlike_itself(chain, floor):
             base = replace(base, changed=True)
         refitted = None if result.differs else after if runs else min(held_out_rms(chain, found), before)
         least = max(after, held_out_rms(chain, found)) if runs else before
@@ -436,9 +436,15 @@ class _Asked:
         tones = [tone_finding(result, name, self.model) for name in names]
         return effects + [one for one in tones if not same_tone(one)], [one.name for one in tones if same_tone(one)]
 
-    def _unlike_itself(self, floor: float) -> float:
-        """Error from which on the stack is another than the one that the given model was made with [output unit]."""
-        return UNLIKE_ITSELF * max(floor, self.model.provenance.fit.rms_held_out or 0.0)
+    def _unlike_itself(self, chain: Chain, floor: float) -> bool:
+        """Whether the stack is another than the one that the given model was made with.
+
+        The recordings may have been sampled otherwise, so the model is told how the command runs in them.
+        """
+        hold = chain.series[-1].hold
+        sampled = self.model.model_copy(update={"sampling": hold.sampling, "read_after": hold.read_after})
+        error = tared_rms([free_run(sampled, *one) for one in self.before.places])
+        return error > UNLIKE_ITSELF * max(floor, self.model.provenance.fit.rms_held_out or 0.0)
 
     def _delivered(self, result: Search, effects: Sequence[Finding], floor: float, span: float) -> _Written:
         """The model that is written: the given one where nothing differs from it and it leaves only noise.

@@ -170,7 +170,7 @@ def _error_words(findings: Findings) -> str:
     unit = findings.unit
     told = f"error {findings.before:.3g} -> {findings.after:.3g} {unit}"
     if findings.refitted is not None:
-        told += " with its hysteresis refitted"
+        told += " with hysteresis and sampling refitted"
     if findings.after == findings.before:
         told = f"error {findings.before:.3g} {unit}"
     told += f", noise {findings.floor:.3g} {unit}"

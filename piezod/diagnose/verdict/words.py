@@ -178,6 +178,8 @@ def _number(value: Value, name: str, effect: str, wording: Wording) -> str:
 
 def base_words(base: Base) -> str:
     """What has become of the stack itself: a part of the verdict's sentence."""
+    if base.gain is None and base.loops is None:
+        return "the stack itself has changed: loops of another shape"
     parts = []
     for label, value in (("gain", base.gain), ("loops", base.loops)):
         if value is None:

@@ -89,7 +89,7 @@ def lead(findings: Findings) -> str:
     if findings.after == findings.before:
         again = f", {rounded(findings.least)} {unit} after a refit" if findings.least < findings.before else ""
         return f"{before}{again}; {floor}.{kept}"
-    refitted = " with its hysteresis refitted" if findings.refitted is not None else ""
+    refitted = " with hysteresis and sampling refitted" if findings.refitted is not None else ""
     fall = f"{before} → {rounded(findings.after)} {unit}{refitted}; {floor}"
     closed = findings.gap_closed
     if closed is not None:

@@ -145,7 +145,7 @@ def test_the_error_of_the_given_model_stays_alone_where_no_other_model_is_writte
     findings = Findings("matches", "", "N", 0.1, "quiet", (), (), 0.12, 0.12, 90.0, 90.0, 0.0, refitted=0.11)
     assert "error 0.12 N, noise 0.1 N; nothing is missing" in words_of(findings, WORDING)
     refitted = replace(findings, before=0.2, after=0.11)
-    assert "error 0.2 -> 0.11 N with its hysteresis refitted, noise 0.1 N" in words_of(refitted, WORDING)
+    assert "error 0.2 -> 0.11 N with hysteresis and sampling refitted, noise 0.1 N" in words_of(refitted, WORDING)
 
 
 def changed(name, now, was, status="changed"):
