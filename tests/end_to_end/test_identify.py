@@ -2,10 +2,13 @@
 
 import hashlib
 import json
+import signal
 
 import numpy as np
 import pytest
 
+from piezod.commissioning.record import record_excitation
+from piezod.control import State
 from piezod.excitation import IDENTIFICATION, duration_s
 from piezod.model import load_model
 from piezod.recording import Recording, convert, read_csv, read_recording, write_csv
@@ -127,3 +130,21 @@ def test_a_recording_that_tells_nothing_leaves_no_model_behind(recorded, tmp_pat
     assert len(done.stderr.strip().splitlines()) == 1
     assert says in done.stderr
     assert not (tmp_path / "model.yaml").exists()
+
+
+def test_ctrl_c_ramps_down_and_marks_the_recording_as_incomplete(tmp_path):
+    running = []
+
+    def interrupt(rows):
+        running.extend(rows[rows["state"] == State.RUNNING])
+        if len(running) > 100:
+            signal.raise_signal(signal.SIGINT)
+
+    with emulator("--time", "virtual", "--port", "0") as serves:
+        bench = bench_file(tmp_path, serves, rate_Hz=100, limits={"stale_after_ms": 20}, model="none.yaml")
+        about = {"peak_V": 80.0, "frequency_Hz": 0.1, "periods": 20, "reset_cycle": False, "on_rows": interrupt}
+        recording, outcome = record_excitation(bench, "constant-triangles", **about)
+    assert outcome.stopped
+    assert recording.metadata["incomplete"].startswith("stopped by the user after ")
+    assert recording.metadata["incomplete"].endswith(" of 200.0 s")
+    assert 0.5 < recording.time_s[-1] < 199.0

@@ -56,7 +56,7 @@ def file_table(config: FileReference, rate_Hz: float, folder: Path, allowed: Ref
     except ConfigurationError as error:
         raise ConfigurationError(f"reference.path: {error}") from None
     positions = tick_positions(table.time_s, rate_Hz, table.time_unit_s)
-    _check_folding(config, positions, force_N, rate_Hz)
+    _check_folding(table, positions, force_N, rate_Hz)
     ticks = _number_of_ticks(config, table, positions, force_N)
     values = np.interp(np.arange(ticks, dtype=np.float64), positions, force_N)
     return TableReference(values, loop=config.loop, ramp_down_on_lapse=config.at_end == "ramp_down")
@@ -84,14 +84,15 @@ def _check_values(config: FileReference, table: StrictTable, force_N: Array, all
         )
 
 
-def _check_folding(config: FileReference, positions: Array, force_N: Array, rate_Hz: float) -> None:
+def _check_folding(table: StrictTable, positions: Array, force_N: Array, rate_Hz: float) -> None:
     """Refuse content above half the tick rate."""
     amplitude_N, place = folding_amplitude(positions, force_N)
     if amplitude_N > 0.0:
+        line = table.lines[np.searchsorted(positions, place)]
         raise ConfigurationError(
-            f"reference.path: {config.path}: {config.column} holds {amplitude_N:.3g} N above {rate_Hz / 2:g} Hz, half "
-            f"the tick rate, {place / rate_Hz:.6g} s after its start; it would fold to a lower frequency: filter the "
-            "file, or raise rate_Hz"
+            f"reference.path: {table.path}: from line {line} on it holds {amplitude_N:.3g} N above {rate_Hz / 2:g} Hz, "
+            f"half the tick rate, {place / rate_Hz:.6g} s after its start; it would fold to a lower frequency: filter "
+            "the file, or raise rate_Hz"
         )
 
 
@@ -100,11 +101,11 @@ def _number_of_ticks(config: FileReference, table: StrictTable, positions: Array
     end = float(positions[-1])
     if end >= MOST_TICKS:
         raise ConfigurationError(
-            f"reference.path: {config.path}: has {end + 1:.0f} ticks, must have at most {MOST_TICKS}"
+            f"reference.path: {table.path}: has {end + 1:.0f} ticks, must have at most {MOST_TICKS}"
         )
     if not config.loop:
         return int(end) + 1
-    place = f"reference.path: {config.path}: line {table.lines[-1]}, the last one,"
+    place = f"reference.path: {table.path}: line {table.lines[-1]}, the last one,"
     if end != int(end):
         raise ConfigurationError(f"{place} is {end:.6g} ticks after the first; a loop must be a whole number of ticks")
     repeats = end > 0.0 and bool(abs(force_N[-1] - force_N[0]) <= EQUAL * np.ptp(force_N)) and np.ptp(force_N) > 0.0

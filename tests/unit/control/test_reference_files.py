@@ -1,7 +1,12 @@
-"""Reference files: what must be refused, with its line, and what must be exact to the sample."""
+"""Reference files: what must be refused, with its line, and what must be exact to the sample.
+
+`python -m tests.unit.control.test_reference_files` prints the files and their results.
+"""
 
 import os
+import tempfile
 from fractions import Fraction
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -66,7 +71,7 @@ REFUSED = {
     "a tone above half the tick rate": (
         sampled(lambda t: 100 + 10 * np.sin(2 * np.pi * 70.0 * t), 1000.0),
         {},
-        "holds .* N above 50 Hz, half the tick rate",
+        "from line 2 on it holds .* N above 50 Hz, half the tick rate",
     ),
     "a loop that ends between two ticks": (lines(["0,1", "0.005,2"]), {"loop": True}, "is 0.5 ticks after the first"),
     "a force in kilonewtons": (
@@ -197,3 +202,22 @@ def test_what_is_no_regular_file_is_refused_at_once(tmp_path, make):
         path.symlink_to("/dev/zero")
     with pytest.raises(ConfigurationError, match=r"must be a regular file|No such file|Is a directory"):
         file_table(FileReference(kind="file", path=path.name), 100.0, tmp_path, ANY)
+
+
+def print_table(folder):
+    """Print a line for each file: what is refused with its words, what is exact with its number of ticks."""
+    for name, (text, keys, _) in REFUSED.items():
+        try:
+            result = f"NOT REFUSED: {len(table_of(folder, text, **keys))} ticks"
+        except ConfigurationError as error:
+            result = str(error).removeprefix("reference.path: ").replace(f"{folder}/", "")
+        print(f"refused  {name:40} {result}")
+    for name, (text, rate_Hz, keys, expected) in EXACT.items():
+        values = table_of(folder, text, rate_Hz, **keys).values()
+        is_exact = values.size == len(expected) and np.abs(values - np.array(expected)).max() <= 1e-12
+        print(f"{'exact' if is_exact else 'WRONG':8} {name:52} {values.size} ticks at {rate_Hz:g} Hz")
+
+
+if __name__ == "__main__":
+    with tempfile.TemporaryDirectory() as place:
+        print_table(Path(place))
