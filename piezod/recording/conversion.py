@@ -39,7 +39,7 @@ ROLE_WORDS = {
 }
 """Words in the names of columns that tell input and output."""
 
-NO_SIGNALS = ("time", "temperature", "current", "reference")
+NO_SIGNALS = ("time", "temperature", "current", "reference", "row")
 """Quantities that are neither input nor output unless they are named."""
 
 PREFIXES = {"n": 1e-9, "u": 1e-6, "m": 1e-3, "": 1.0, "k": 1e3, "M": 1e6}

@@ -12,6 +12,9 @@ from piezod.recording.quantities import UNITS, Column, column_of, is_unit
 MOST_PREAMBLE_LINES = 1000
 """Lines before the first row of numbers."""
 
+ROW = "row"
+"""Name of a first column without a name that counts rows."""
+
 _INTERVAL = re.compile(
     r"(?i)^\W*(sample[ _]interval|sample[ _]time|sampling[ _](?:interval|period)|time[ _]?increment|increment|delta_x"
     r"|dt|abtastintervall|abtastzeit|xincr\w*|horizontal interval)\b[^0-9+\-.]*(?P<value>[0-9.,eE+\-]+)"
@@ -63,9 +66,17 @@ def columns_of(
             f"{path}: has no header for its {width} columns, the first row is {first}; name them, such as "
             "--columns time_s,voltage_V,force_N, or export numbers with decimal commas between semicolons"
         )
+    if header[0] == "" and all(header[1:]) and _counts([cells[0] for cells in rows]):
+        header = [ROW, *header[1:]]
     if not all(header):
         raise RecordingError(f"{path}: column {list(header).index('') + 1} has no name; name all with --columns")
     return tuple(column_of(name, unit) for name, unit in zip(header, units or [""] * width, strict=True))
+
+
+def _counts(cells: Sequence[str]) -> bool:
+    """Whether cells count rows from 0 or 1, as the index that pandas and R write."""
+    numbers = [int(cell) for cell in cells if cell.isdecimal() and cell.isascii()]
+    return len(numbers) == len(cells) and numbers in (list(range(len(cells))), list(range(1, len(cells) + 1)))
 
 
 def time_column(

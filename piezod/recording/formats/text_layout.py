@@ -23,6 +23,7 @@ from piezod.recording.formats.text_cells import (
 )
 from piezod.recording.formats.text_head import (
     MOST_PREAMBLE_LINES,
+    ROW,
     check_names,
     columns_of,
     head_of,
@@ -195,6 +196,8 @@ def _layout_of(path: Path, _changed_ns: int, _size: int, options: TextOptions) -
     header, units, above = head_of(lines[:first], separator, width)
     notes: list[str] = []
     columns = columns_of(path, options.columns, header, units, rows, width)
+    if columns[0].written == ROW != header[0]:
+        notes.append(f"the first column has no name and counts rows, it is called {ROW}")
     time, date_form = time_column(path, columns, rows, decimal)
     interval_s = None
     if options.rate_Hz:

@@ -90,3 +90,17 @@ def test_zero_bytes_after_a_power_cut_are_left_out_and_said(tmp_path, tail):
 def test_a_typographic_minus_is_a_minus(tmp_path, head, separator):
     recording, _ = read(tmp_path, head + rows(separator, "\u22123.5"))
     assert recording.channel("force_N")[7] == -3.5
+
+
+@pytest.mark.parametrize("first", [0, 1])
+def test_an_index_without_a_name_is_named_and_said(tmp_path, first):
+    lines = [f"{k + first},{k / 100:.2f},{k},{100 + k}" for k in range(40)]
+    recording, _ = read(tmp_path, ",time_s,voltage_V,force_N\n" + "\n".join(lines) + "\n")
+    assert recording.channel("force_N").tolist() == [100 + k for k in range(40)]
+    assert "counts rows, it is called row" in recording.metadata["understood"]
+
+
+def test_a_column_without_a_name_that_does_not_count_is_refused(tmp_path):
+    lines = [f"{2 * k},{k / 100:.2f},{k},{100 + k}" for k in range(40)]
+    with pytest.raises(RecordingError, match="column 1 has no name"):
+        read(tmp_path, ",time_s,voltage_V,force_N\n" + "\n".join(lines) + "\n")
