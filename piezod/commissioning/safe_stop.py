@@ -88,6 +88,8 @@ def bring_to_rest(bench: BenchConfig, link: Link) -> str:
         found_V = commanded_V = _wait_for_rest(bench, link)
     else:
         commanded_V = _commanded_V(link)
+    if abs(found_V) < abs(bench.limits.voltage_safe_V) and not _at_rest(bench, found_V):
+        return f"{link.description}: {found_V:.2f} V, below limits.voltage_min_V; nothing written: a stop only lowers"
     if _at_rest(bench, found_V) and _at_rest(bench, commanded_V):
         return f"{link.description}: {found_V:.2f} V, at rest"
     if _at_rest(bench, found_V):  # the readback may stand still: the ramp begins where the command stands

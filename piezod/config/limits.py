@@ -26,6 +26,8 @@ class LimitsConfig(Section):
     loss_tangent: Annotated[float, Field(gt=0, lt=1)] | None = None
     dissipation_over_s: Positive = 10.0
     temperature_trip_degC: float | None = None
+    temperature_low_degC: float = -40.0
+    temperature_frozen_s: Positive | None = None
     force_min_N: float
     force_trip_N: float
     force_debounce_samples: Annotated[int, Field(ge=1, le=100)] = 1
@@ -42,6 +44,9 @@ class LimitsConfig(Section):
     comm_loss_action: Literal["ramp_down", "hold", "zero"] = "ramp_down"
     device_watchdog_ms: Annotated[int, Field(ge=0, le=65535)] = 0
     missed_ticks_in_a_row: Annotated[int, Field(ge=1)] = 5
+    failed_exchanges: Annotated[int, Field(ge=1, le=1_000_000)] | None = None
+    output_on_in_status: bool = False
+    clamped_trip_ms: Positive | None = None
     arming_timeout_s: Annotated[float, Field(gt=0, le=3600)] = 10.0
 
     @property
@@ -130,6 +135,10 @@ _TIGHTER_DIRECTION = {
     "stale_after_ms": -1,
     "comm_loss_ms": -1,
     "missed_ticks_in_a_row": -1,
+    "failed_exchanges": -1,
+    "temperature_low_degC": 1,
+    "temperature_frozen_s": -1,
+    "clamped_trip_ms": -1,
     "arming_timeout_s": -1,
 }
 

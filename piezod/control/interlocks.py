@@ -3,20 +3,32 @@
 The supervisor calls `clear` when the bench is armed, and `check` with every good reading while voltages are written.
 `set_limits` replaces the limits and keeps everything else: a new limit discards no heat, count or time.
 The states are plain floats and integers, so a check allocates no container.
+
+A debounce counts with a leak: a wrong sample adds `WRONG`, a right one takes 1 away. Samples that are wrong in a row
+trip after the configured number of them. Those that are wrong more often than once in `WRONG + 1` trip too, later;
+a count of samples in a row would start anew with each right one.
 """
 
 from math import inf, isfinite, nan
 
 from piezod.config import LimitsConfig
 from piezod.control.states import Cause
+from piezod.transport.status import STATUS_CLAMPED, STATUS_OUTPUT_ON
+
+STRANGE_SAMPLES = 10
+"""Implausible temperatures in a row that trip: a temperature changes slowly, and a sample may be lost."""
+
+
+WRONG = 3
+"""Weight of a wrong sample: samples that are wrong more often than one in four are no spikes."""
 
 
 class ForceInterlock:
     """Force above or below its limits, or changed faster than its rate limit.
 
-    It trips after `limits.force_debounce_samples` wrong samples in a row. A sample exceeds the rate limit when it
-    differs too much from the last right sample, for the time since then. A spike ends with the next sample; a lasting
-    jump stays wrong.
+    It trips after `limits.force_debounce_samples` wrong samples, counted with a leak. A sample exceeds the rate limit
+    when it differs too much from the last right sample, for the time since then. A spike ends with the next sample; a
+    lasting jump stays wrong.
 
     Parameters
     ----------
@@ -33,7 +45,7 @@ class ForceInterlock:
 
     __slots__ = (
         "_force_N",
-        "_in_a_row",
+        "_level",
         "_max_N",
         "_min_N",
         "_needed",
@@ -52,12 +64,12 @@ class ForceInterlock:
         """Replace the limits; the earlier samples and the debounce stay."""
         self._max_N, self._min_N = limits.force_trip_N, limits.force_min_N
         self._rate_N_per_ns = inf if limits.force_rate_trip_N_per_s is None else 1e-9 * limits.force_rate_trip_N_per_s
-        self._needed = limits.force_debounce_samples
+        self._needed = WRONG * limits.force_debounce_samples
 
     def clear(self) -> None:
         """Discard the earlier samples."""
         self._force_N, self._time_ns = nan, 0
-        self._in_a_row = 0
+        self._level = 0
         self.suspect = False
 
     def check(self, force_N: float, now_ns: int) -> Cause:
@@ -79,12 +91,14 @@ class ForceInterlock:
             cause = Cause.FORCE_RATE
         if cause is Cause.NONE:
             self.spikes += self.suspect
-            self._force_N, self._time_ns, self._in_a_row = force_N, now_ns, 0
+            self._force_N, self._time_ns = force_N, now_ns
+            if self._level:
+                self._level -= 1
             self.suspect = False
             return cause
-        self._in_a_row += 1
+        self._level += WRONG
         self.suspect = True
-        return cause if self._in_a_row >= self._needed else Cause.NONE
+        return cause if self._level >= self._needed else Cause.NONE
 
 
 class StuckInterlock:
@@ -167,7 +181,7 @@ class ReadbackInterlock:
         self._begun_ns = self._outside = 0
 
     def check(self, readback_V: float, written_V: float, now_ns: int) -> Cause:
-        """Trip at the second sample in a row outside the band: a single sample can be a spike of the monitor.
+        """Trip at the second sample outside the band, counted with a leak: a single one can be a spike of the monitor.
 
         Parameters
         ----------
@@ -185,12 +199,18 @@ class ReadbackInterlock:
         self._low, self._high = min(self._low, written_V), max(self._high, written_V)
         low, high = min(self._low, self._earlier_low), max(self._high, self._earlier_high)
         inside = low - self._trip_V <= readback_V <= high + self._trip_V
-        self._outside = 0 if inside or not isfinite(readback_V) else self._outside + 1
-        return Cause.READBACK if self._outside > 1 else Cause.NONE
+        if inside or not isfinite(readback_V):
+            if self._outside:
+                self._outside -= 1
+            return Cause.NONE
+        self._outside += WRONG
+        return Cause.READBACK if self._outside > WRONG else Cause.NONE
 
 
 class TrackingInterlock:
-    """Force far from its reference for a time, although the planned voltage was written unchanged.
+    """Force far from the expected force for a time.
+
+    The time counts with a leak: time with a right force takes a third of itself away.
 
     Parameters
     ----------
@@ -198,39 +218,144 @@ class TrackingInterlock:
         Largest error [N] and its duration [ms].
     """
 
-    __slots__ = ("_duration_ns", "_expected_N", "_since_ns", "_trip_N")
+    __slots__ = ("_duration_ns", "_expected_N", "_last_ns", "_trip_N", "_wrong_ns")
 
     def __init__(self, limits: LimitsConfig) -> None:
         self.clear()
         self.set_limits(limits)
 
     def set_limits(self, limits: LimitsConfig) -> None:
-        """Replace the limits; the time since which the error lasts stays."""
+        """Replace the limits; the time for which the error has lasted stays."""
         self._trip_N = inf if limits.tracking_trip_N is None else limits.tracking_trip_N
         self._duration_ns = round(1e6 * limits.tracking_trip_ms)
 
     def clear(self) -> None:
         """Discard the earlier error."""
-        self._expected_N, self._since_ns = nan, -1
+        self._expected_N, self._last_ns, self._wrong_ns = nan, 0, 0
 
-    def check(self, force_N: float, reference_N: float, now_ns: int) -> Cause:
-        """Compare the force with the reference of the exchange before.
+    def check(self, force_N: float, expected_N: float, now_ns: int) -> Cause:
+        """Compare the force with the one that was expected at the exchange before.
 
         Parameters
         ----------
         force_N
             Force read [N].
-        reference_N
-            Reference of this exchange [N]; nan where the voltage could not be written as planned.
+        expected_N
+            Force that the voltage of this exchange should give [N]; nan where none is expected.
         now_ns
             Monotonic time of the reading [ns].
         """
-        expected_N, self._expected_N = self._expected_N, reference_N
-        if not isfinite(expected_N):
+        before_N, self._expected_N = self._expected_N, expected_N
+        since_ns, self._last_ns = now_ns - self._last_ns, now_ns
+        if not isfinite(before_N):
             return Cause.NONE
-        if abs(force_N - expected_N) <= self._trip_N:
+        if abs(force_N - before_N) <= self._trip_N:
+            if self._wrong_ns:
+                self._wrong_ns = max(self._wrong_ns - since_ns // WRONG, 0)
+            return Cause.NONE
+        lasted_ns = self._wrong_ns
+        self._wrong_ns += since_ns
+        return Cause.TRACKING if lasted_ns >= self._duration_ns else Cause.NONE
+
+
+class DeviceInterlock:
+    """Output that the device reports as off, or as clamped for a time, although voltages are written.
+
+    Parameters
+    ----------
+    limits
+        Which bits of the status register the device has, and the longest time of a clamped output [ms].
+    """
+
+    __slots__ = ("_clamped_ns", "_has_output_bit", "_off", "_since_ns", "_was_on")
+
+    def __init__(self, limits: LimitsConfig) -> None:
+        self.clear()
+        self.set_limits(limits)
+
+    def set_limits(self, limits: LimitsConfig) -> None:
+        """Replace the limits; the earlier samples stay."""
+        self._has_output_bit = limits.output_on_in_status
+        self._clamped_ns = inf if limits.clamped_trip_ms is None else 1e6 * limits.clamped_trip_ms
+
+    def clear(self) -> None:
+        """Discard the earlier samples; the output may be off until it was on once."""
+        self._off, self._since_ns, self._was_on = 0, -1, False
+
+    def check(self, status: int, now_ns: int) -> Cause:
+        """Trip at the second sample with the output off, and after `clamped_trip_ms` with the output clamped.
+
+        Parameters
+        ----------
+        status
+            Status bits of the device.
+        now_ns
+            Monotonic time of the reading [ns].
+        """
+        if not status & STATUS_CLAMPED:
             self._since_ns = -1
-            return Cause.NONE
-        if self._since_ns < 0:
+        elif self._since_ns < 0:
             self._since_ns = now_ns
-        return Cause.TRACKING if now_ns - self._since_ns >= self._duration_ns else Cause.NONE
+        elif now_ns - self._since_ns >= self._clamped_ns:
+            return Cause.CLAMPED
+        if not self._has_output_bit:
+            return Cause.NONE
+        if status & STATUS_OUTPUT_ON:
+            self._was_on = True
+            if self._off:
+                self._off -= 1
+        elif self._was_on:
+            self._off += WRONG
+        return Cause.OUTPUT_OFF if self._off > WRONG else Cause.NONE
+
+
+class TemperatureInterlock:
+    """Temperature above its limit, or one that no sensor of a bench gives: too low, missing, or the same for long.
+
+    Parameters
+    ----------
+    limits
+        Highest temperature [degC]; null: nothing is checked. Lowest plausible one [degC]; longest time without a
+        change [s].
+    """
+
+    __slots__ = ("_frozen_ns", "_high_C", "_last_C", "_low_C", "_since_ns", "_strange")
+
+    def __init__(self, limits: LimitsConfig) -> None:
+        self.clear()
+        self.set_limits(limits)
+
+    def set_limits(self, limits: LimitsConfig) -> None:
+        """Replace the limits; the earlier samples stay."""
+        self._high_C = inf if limits.temperature_trip_degC is None else limits.temperature_trip_degC
+        self._low_C = -inf if limits.temperature_trip_degC is None else limits.temperature_low_degC
+        self._frozen_ns = inf if limits.temperature_frozen_s is None else 1e9 * limits.temperature_frozen_s
+
+    def clear(self) -> None:
+        """Discard the earlier samples."""
+        self._strange, self._last_C, self._since_ns = 0, nan, 0
+
+    def check(self, temperature_C: float, now_ns: int) -> Cause:
+        """Trip above the limit, and after `STRANGE_SAMPLES` implausible samples, counted with a leak.
+
+        Parameters
+        ----------
+        temperature_C
+            Temperature read [degC]; nan: the device gives none.
+        now_ns
+            Monotonic time of the reading [ns].
+        """
+        if self._high_C == inf:
+            return Cause.NONE
+        if temperature_C > self._high_C:
+            return Cause.TEMPERATURE
+        if temperature_C != self._last_C:
+            self._last_C, self._since_ns = temperature_C, now_ns
+        elif now_ns - self._since_ns >= self._frozen_ns:
+            return Cause.TEMPERATURE_SENSOR
+        if temperature_C >= self._low_C:
+            if self._strange:
+                self._strange -= 1
+            return Cause.NONE
+        self._strange += WRONG
+        return Cause.TEMPERATURE_SENSOR if self._strange >= WRONG * STRANGE_SAMPLES else Cause.NONE

@@ -123,6 +123,7 @@ class ControlLoop:
     def _set_own_limits(self, limits: LimitsConfig) -> None:
         self._ramp_V = limits.ramp_down_V_per_s * self._dt_s
         self._safe_V = limits.voltage_safe_V
+        self._low_V, self._high_V = limits.voltage_min_V, limits.voltage_max_V
         self._as_planned_V = max(limits.voltage_step_V, AS_PLANNED_V)
         self._comm_loss_ns = round(1e6 * limits.comm_loss_ms)
 
@@ -151,6 +152,11 @@ class ControlLoop:
     def at_rest(self) -> bool:
         """Whether the last readback is the safe voltage; True for a device without readback."""
         return self._is_safe(self._link.reading.voltage_readback_V)
+
+    @property
+    def _is_below_rest(self) -> bool:
+        """Whether the output is nearer to zero than the safe voltage: a stop would raise it."""
+        return abs(self._link.reading.voltage_readback_V) <= abs(self._safe_V)
 
     def begin(self, segment: Segment) -> None:
         """Select `segment`; it starts when the loop is armed."""
@@ -185,11 +191,12 @@ class ControlLoop:
         """Ramp down an output that stands while nothing is driven, such as one that ignored the last ramp.
 
         No effect while voltages are written, at rest, without a readback, or while the watchdog of the device acts.
+        No effect on an output nearer to zero than the safe voltage, which a stop would raise.
         """
         if self.supervisor.driving or self._link.poll() is not ExchangeResult.OK:
             return
         reading = self._link.reading
-        left = isfinite(reading.voltage_readback_V) and not self.at_rest
+        left = isfinite(reading.voltage_readback_V) and not self.at_rest and not self._is_below_rest
         if left and not reading.status & STATUS_WATCHDOG:
             self._begin_ramp_down(reading.voltage_readback_V)
 
@@ -329,8 +336,7 @@ class ControlLoop:
         supervisor.check_exchange(good, now_ns, answered=answered, ahead_ns=self._dt_ns // 2)
         if good and supervisor.driving:
             applied_V = self.limiter.applied_V
-            as_planned = abs(planned_V - applied_V) <= self._as_planned_V
-            expected_N = planner.expected_force_N if as_planned else nan
+            expected_N = self._expected_N(planned_V, reading.force_N)
             supervisor.check_reading(reading.force_N, reading.status, now_ns, reading.temperature_C)
             supervisor.check_response(reading, applied_V, expected_N, now_ns)
             if not planner.sign_is_right(reading.force_N):
@@ -341,6 +347,25 @@ class ControlLoop:
         else:
             self._settling_ns = -1
         supervisor.check_arming(now_ns)  # last: the ring log shows its cause even where the output is at rest already
+
+    def _expected_N(self, planned_V: float, force_N: float) -> float:
+        """Force that the tracking interlock compares with [N]; nan where none is expected.
+
+        The reference, where its voltage was written as planned. Else what the written voltage should give; where the
+        voltage is at an end of its range, the farther of both, so that a reference out of reach does not pass.
+        """
+        planner, state = self._planner, self.supervisor.state
+        applied_V = self.limiter.applied_V
+        if abs(planned_V - applied_V) <= self._as_planned_V and state is not State.HOLD:
+            return planner.expected_force_N
+        segment = planner.segment
+        if segment is None or not segment.follows_force or state not in (State.RUNNING, State.HOLD):
+            return nan
+        produced_N = segment.compensator.produced_N()
+        railed = self._low_V < self._high_V and not self._low_V < planned_V < self._high_V
+        if railed and abs(force_N - planner.reference) > abs(force_N - produced_N):
+            return planner.reference
+        return produced_N
 
     def _check_rest(self, good: bool, readback_V: float, now_ns: int) -> None:
         """End the ramp down when the safe voltage is written and read back; trip when the readback stays away."""

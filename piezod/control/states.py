@@ -53,6 +53,11 @@ class Cause(IntEnum):
     WRONG_DEVICE = 31
     WRONG_LOAD_CELL = 32
     SETTING_CHANGED = 33
+    OUTPUT_OFF = 34
+    CLAMPED = 35
+    TEMPERATURE_SENSOR = 36
+    BAD_EXCHANGES = 37
+    FOREIGN_COMMAND = 38
 
 
 CAUSE_TEXT = {
@@ -75,8 +80,8 @@ CAUSE_TEXT = {
     "converter range and heartbeat",
     Cause.FORCE_RATE: "force changed faster than limits.force_rate_trip_N_per_s; check load cell, cable and specimen",
     Cause.SENSOR_STUCK: "limits.stuck_samples equal force readings while the voltage moved; check load cell and cable",
-    Cause.TRACKING: "force differs from its reference by more than limits.tracking_trip_N; check load cell, specimen "
-    "and model",
+    Cause.TRACKING: "force differs from its reference by more than limits.tracking_trip_N, or from what the written "
+    "voltage gives; check load cell, specimen and model",
     Cause.READBACK: "the voltage read back is not the voltage written; look for a second master or a broken monitor",
     Cause.OVERHEATED: "the stack dissipates more than limits.dissipation_max_W; lower frequency or amplitude",
     Cause.TEMPERATURE: "temperature above limits.temperature_trip_degC; let it cool",
@@ -93,6 +98,12 @@ CAUSE_TEXT = {
     Cause.WRONG_LOAD_CELL: "another device answers in place of the load cell; check its address, cable and adapter",
     Cause.SETTING_CHANGED: "the watchdog of the device was changed or cannot be read any more; look for a second "
     "master or a restart",
+    Cause.OUTPUT_OFF: "the device reports its output as off while it is driven; check its enable input and supply",
+    Cause.CLAMPED: "the device reports a clamped output for limits.clamped_trip_ms; compare its range with limits",
+    Cause.TEMPERATURE_SENSOR: "the temperature is missing, below limits.temperature_low_degC, or frozen; check its "
+    "sensor and cable",
+    Cause.BAD_EXCHANGES: "too many failed exchanges (limits.failed_exchanges); check cable, device and timeout_s",
+    Cause.FOREIGN_COMMAND: "the device received commands of another program; end it, then arm again",
 }
 
 DEVICE_HAS_TAKEN_OVER = frozenset({Cause.DEVICE_WATCHDOG, Cause.DEVICE_RESTARTED, Cause.WRONG_DEVICE})

@@ -7,14 +7,17 @@ In DISARMED and FAULT the loop only reads. Only an operator arms the bench or re
 output by itself (its watchdog tripped, it restarted) leads straight to FAULT: a voltage written then would be a jump.
 """
 
-from math import inf, nan
+from math import ceil, inf, nan
 
 from piezod.config import LimitsConfig
 from piezod.control.heat_interlock import HeatInterlock
 from piezod.control.interlocks import (
+    WRONG,
+    DeviceInterlock,
     ForceInterlock,
     ReadbackInterlock,
     StuckInterlock,
+    TemperatureInterlock,
     TrackingInterlock,
 )
 from piezod.control.states import CAUSE_TEXT, DEVICE_HAS_TAKEN_OVER, Cause, State
@@ -23,6 +26,8 @@ from piezod.transport.status import STATUS_FAULTS, STATUS_MAINS_LOST, STATUS_OVE
 
 __all__ = ["CAUSE_TEXT", "Cause", "State", "Supervisor"]
 
+SILENCES = 5.0
+"""Failed exchanges that trip where no number is set, as multiple of those of a silence of `comm_loss_ms`."""
 _FOLLOWING = (State.ARMING, State.RUNNING, State.HOLD)
 
 
@@ -61,7 +66,12 @@ class Supervisor:
         self._stuck = StuckInterlock(limits)
         self._readback = ReadbackInterlock(limits)
         self._tracking = TrackingInterlock(limits)
+        self._device = DeviceInterlock(limits)
+        self._temperature = TemperatureInterlock(limits)
+        self._missed = self._failed = 0
+        self._cleared = self._force, self._stuck, self._readback, self._tracking, self._device, self._temperature
         self._heat = HeatInterlock(limits, dt_s)
+        self._dt_s = dt_s
         self.set_limits(limits)
 
     def set_limits(self, limits: LimitsConfig) -> None:
@@ -74,7 +84,10 @@ class Supervisor:
         self._arming_timeout_ns = round(limits.arming_timeout_s * 1e9)
         self._holds_on_comm_loss = limits.comm_loss_action == "hold"
         self._watchdog_ns = round(limits.device_watchdog_ms * 1e6)
-        for interlock in (self._force, self._stuck, self._readback, self._tracking, self._heat):
+        self._most_missed = limits.missed_ticks_in_a_row
+        in_silence = ceil(1e-3 * SILENCES * limits.comm_loss_ms / self._dt_s)
+        self._most_failed = WRONG * (limits.failed_exchanges or in_silence)
+        for interlock in (*self._cleared, self._heat):
             interlock.set_limits(limits)
 
     @property
@@ -137,7 +150,8 @@ class Supervisor:
             self._bad_in_a_row = 0
             self._fast_stop = self.readings_stale = self.amplifier_tripped = False
             self._watchdog_clear = False  # a watchdog that tripped earlier is cleared by the first command
-            for interlock in (self._force, self._stuck, self._readback, self._tracking):
+            self._missed = self._failed = 0
+            for interlock in self._cleared:
                 interlock.clear()
             self._go(State.ARMING, Cause.ARMED)
 
@@ -254,7 +268,12 @@ class Supervisor:
             self._last_good_ns = now_ns
             self._bad_in_a_row = 0
             self.readings_stale = False
+            if self._failed:
+                self._failed -= 1
             return
+        self._failed += WRONG
+        if self._failed >= self._most_failed:
+            self.trip(Cause.BAD_EXCHANGES)
         silent_ns = now_ns - self._last_good_ns
         self._bad_in_a_row += 1
         if silent_ns > self._stale_ns:
@@ -291,8 +310,8 @@ class Supervisor:
             self.trip(_device_fault(status))
         elif status & STATUS_WATCHDOG and (self._watchdog_clear or self.state is not State.ARMING):
             self.trip(Cause.DEVICE_WATCHDOG)
-        elif self._limits.temperature_trip_degC is not None and temperature_C > self._limits.temperature_trip_degC:
-            self.trip(Cause.TEMPERATURE)
+        else:
+            self.trip_on(self._device.check(status, now_ns) or self._temperature.check(temperature_C, now_ns))
 
     def check_response(self, reading: Reading, written_V: float, reference_N: float, now_ns: int) -> None:
         """Trip when the readings do not follow the written voltages, or the stack gets too hot.
@@ -318,9 +337,18 @@ class Supervisor:
             self.trip(cause)
 
     def check_rate(self, missed_in_a_row: int) -> None:
-        """Trip when the loop misses too many ticks in a row: `missed_in_a_row`."""
-        if missed_in_a_row >= self._limits.missed_ticks_in_a_row:
+        """Trip when the loop misses too many ticks: `missed_in_a_row`, or as many counted with a leak."""
+        if missed_in_a_row:
+            self._missed += WRONG
+        elif self._missed:
+            self._missed -= 1
+        if missed_in_a_row >= self._most_missed or self._missed >= WRONG * self._most_missed:
             self.trip(Cause.MISSED_TICKS)
+
+    def trip_on(self, cause: Cause) -> None:
+        """Trip unless the cause is `Cause.NONE`."""
+        if cause:
+            self.trip(cause)
 
     def _go(self, state: State, cause: Cause) -> None:
         self.state = state

@@ -14,6 +14,9 @@ from piezod.control.supervisor import Supervisor
 from piezod.transport import ACKNOWLEDGED, ExchangeResult, Link
 from piezod.transport.status import STATUS_WATCHDOG
 
+READ_FIRST_S = 0.05
+"""Tick period from which each tick reads before it writes [s]: a device may restart between two ticks."""
+
 
 class VoltageWriter:
     """Limits the planned voltages, writes them, and keeps account of what the device has acknowledged.
@@ -58,6 +61,7 @@ class VoltageWriter:
         self._link, self._limiter = link, limiter
         self._supervisor, self._clock = supervisor, rate_keeper
         self._dt_ns = round(dt_s * 1e9)
+        self._reads_first = dt_s >= READ_FIRST_S
         self._readback_within_V = readback_within_V
         self._watchdog_in_status = watchdog_in_status
         self._acknowledged_ns = 0
@@ -95,7 +99,14 @@ class VoltageWriter:
         """
         if self.output_uncertain or begun_ns - self._acknowledged_ns >= self._verify_after_ns:
             return self._verify_and_write(planned_V, begun_ns, change_V)
-        return self._write(planned_V, begun_ns, change_V)
+        if self._reads_first:
+            result = self._verify()
+            if result != ExchangeResult.OK or not self._supervisor.driving:
+                return result
+        result = self._write(planned_V, begun_ns, change_V)
+        if self._reads_first and result == ExchangeResult.HEARTBEAT_STOOD:
+            return ExchangeResult.OK  # no new sample since `_verify`, whose reading is good
+        return result
 
     def _write(self, planned_V: float, begun_ns: int, change_V: float) -> ExchangeResult:
         """Limit and write, unless the process has paused since the tick began: the device may have taken over."""

@@ -1,14 +1,17 @@
 """Compensators: they plan a voltage for a reference without a change of state, then commit the voltage written."""
 
+import math
 from collections.abc import Collection
 from typing import Protocol
+
+import numpy as np
 
 from piezod.model.compensated import acting_effects
 from piezod.model.extended_compensator import ExtendedCompensator
 from piezod.model.parameters import Model
 from piezod.model.plant import Plant
 from piezod.operators import ImplicitInverse
-from piezod.operators.prandtl_ishlinskii import commit_step, plan_step
+from piezod.operators.prandtl_ishlinskii import commit_step, output_of, plan_step
 
 
 class Compensator(Protocol):
@@ -24,6 +27,10 @@ class Compensator(Protocol):
 
     def commit(self, voltage_V: float) -> None:
         """Advance every state with the voltage `voltage_V` [V] that was written."""
+        ...
+
+    def produced_N(self) -> float:
+        """Force that the voltages written give by the model [N]; nan without a model of it."""
         ...
 
 
@@ -44,6 +51,7 @@ class InverseCompensator:
     def __init__(self, model: Model) -> None:
         self._model = model
         self._packed = ImplicitInverse(model.operator()).packed
+        self._zones = np.concatenate(model.operator().dead_zones)
 
     def reset(self) -> None:
         """Return to the model's start state."""
@@ -56,6 +64,10 @@ class InverseCompensator:
     def commit(self, voltage_V: float) -> None:
         """Advance the plays with the voltage `voltage_V` [V] that was written."""
         commit_step(self._packed, voltage_V)
+
+    def produced_N(self) -> float:
+        """Force that the voltages written give by the model [N]."""
+        return output_of(self._packed, self._zones)
 
 
 class GainCompensator:
@@ -71,16 +83,23 @@ class GainCompensator:
         bottom, top = Plant(model).steady_range()
         self._slope = (model.input.high - model.input.low) / (top - bottom)
         self._offset = model.input.low - self._slope * bottom
+        self._voltage_V = math.nan
 
     def reset(self) -> None:
-        """No effect: there is no state."""
+        """Forget the voltage written."""
+        self._voltage_V = math.nan
 
     def plan(self, reference: float) -> float:
         """Voltage [V] for a reference [N]."""
         return self._offset + self._slope * reference
 
     def commit(self, voltage_V: float) -> None:
-        """No effect: there is no state."""
+        """Keep the voltage `voltage_V` [V] that was written, for `produced_N`."""
+        self._voltage_V = voltage_V
+
+    def produced_N(self) -> float:
+        """Force on the chord at the voltage written [N]; nan before the first."""
+        return (self._voltage_V - self._offset) / self._slope
 
 
 class DirectDrive:
@@ -95,6 +114,10 @@ class DirectDrive:
 
     def commit(self, voltage_V: float) -> None:
         """No effect: there is no state."""
+
+    def produced_N(self) -> float:
+        """nan: a direct drive has no model."""
+        return math.nan
 
 
 def make_compensator(kind: str, model: Model, dt_s: float, without: Collection[str] = ()) -> Compensator:

@@ -11,7 +11,7 @@ from piezod import effects
 from piezod.effects.kernels import second_order_matrices
 from piezod.model.chain_array import STATE, chain_array
 from piezod.model.compensated import ActingEffects, acting_effects, refuse_uncompensated
-from piezod.model.inverse_chain import commit_chain_step, plan_chain_step, start_chain
+from piezod.model.inverse_chain import commit_chain_step, force_of, plan_chain_step, start_chain
 from piezod.model.law_inverse import law_inverse
 from piezod.model.parameters import Model
 from piezod.operators import ImplicitInverse
@@ -64,6 +64,7 @@ class ExtendedCompensator:
         lag_s = thermal.get("lag_s", 0.0)
         self._temperature_gain = -math.expm1(-dt_s / lag_s) if lag_s > 0.0 else 1.0
         self._first_C = self._temperature_C = math.nan
+        self._zones = np.concatenate(model.operator().dead_zones)
         self.dt_s = dt_s
         self._law = law_inverse(model, dt_s, self._packed, self._chain, without)
         start_chain(self._packed, self._chain)
@@ -88,6 +89,11 @@ class ExtendedCompensator:
             self._law.commit(voltage_V)
         else:
             commit_chain_step(self._packed, self._chain, voltage_V)
+
+    def produced_N(self) -> float:
+        """Force that the voltages written give by the model, before the resonance [N]."""
+        added_N = 0.0 if self._law is None else self._law.added_N
+        return force_of(self._packed, self._chain, self._zones) + added_N
 
     def update_temperature(self, temperature_C: float) -> None:
         """Update the thermal drift with a temperature [degC]; an invalid temperature is ignored."""

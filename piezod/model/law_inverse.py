@@ -92,6 +92,11 @@ class LawInverse:
         self._state[:] = 0.0
         self._memo[ADDED], self._memo[TARGET], self._memo[PLANNED] = 0.0, 0.0, np.nan  # no voltage is planned yet
 
+    @property
+    def added_N(self) -> float:
+        """What the law adds to the force at the tick committed last [N]."""
+        return float(self._memo[ADDED])
+
     def plan(self, reference: float) -> float:
         """Voltage [V] for a reading of `reference` [N] at the end of the tick; changes no state."""
         return _plan(self._packed, self._chain, self._state, self._scratch, *self._tables, self._memo, reference)

@@ -6,6 +6,8 @@ from piezod.model.parameters import Model
 
 MOST_BEYOND = 0.1
 """Share of the measured range by which a model that drives a bench may leave it."""
+LEAST_REACHED = 0.5
+"""Share of the measured range that such a model must reach. What it leaves out, as a gap or a drift, is far smaller."""
 
 
 def output_reach(model: Model) -> tuple[float, float]:
@@ -35,3 +37,15 @@ def beyond_measured(model: Model) -> float:
     least, largest = output_reach(model)
     span = model.output.high - model.output.low
     return max(0.0, model.output.low - least, largest - model.output.high) / span
+
+
+def reached_share(model: Model) -> float:
+    """Share of the measured range that the model reaches, by the spans of its forces.
+
+    Parameters
+    ----------
+    model
+        As in `output_reach`.
+    """
+    least, largest = output_reach(model)
+    return (largest - least) / (model.output.high - model.output.low)

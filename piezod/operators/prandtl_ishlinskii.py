@@ -21,6 +21,7 @@ from piezod.operators.play import (
     play_run,
     play_solve,
     play_step,
+    play_value,
 )
 
 Array = NDArray[np.float64]
@@ -91,6 +92,22 @@ def commit_step(packed: Array, u: float) -> None:
         Applied input [unit of a play threshold].
     """
     play_step(packed, HEADER, int(packed[0]), u)
+
+
+@numba.njit(cache=True)
+def output_of(packed: Array, zones: Array) -> float:
+    """Output at the present states of the plays; moves no state.
+
+    Parameters
+    ----------
+    packed
+        Packed array of an `ImplicitInverse`.
+    zones
+        Thresholds, then weights, of the direct dead zones, shape (2 n,).
+    """
+    v = play_value(packed, HEADER, int(packed[0]))
+    y: float = dead_zone_step(zones, 0, zones.size // 2, v) + packed[2]
+    return y
 
 
 @numba.njit(cache=True)

@@ -36,7 +36,7 @@ from piezod.model import (
     make_compensator,
     refuse_uncompensated,
 )
-from piezod.model.reach import MOST_BEYOND, beyond_measured, output_reach
+from piezod.model.reach import LEAST_REACHED, MOST_BEYOND, beyond_measured, output_reach, reached_share
 from piezod.model.unnamed_law import NAME as UNNAMED
 from piezod.session.task import SegmentSpec
 from piezod.transport import (
@@ -114,6 +114,12 @@ def load_drivable_model(path: Path) -> Model:
             f"{path}: forces go from {least:.4g} to {largest:.4g} {model.output.unit} within the range of the input, "
             f"{100.0 * beyond:.0f} % beyond those measured ({model.output.low:.4g} to {model.output.high:.4g}), "
             f"may be {100.0 * MOST_BEYOND:.0f} %; record over the whole range and identify again"
+        )
+    if (reached := reached_share(model)) < LEAST_REACHED:
+        raise ModelError(
+            f"{path}: its forces span {100.0 * reached:.0f} % of those measured ({model.output.low:.4g} to "
+            f"{model.output.high:.4g} {model.output.unit}), must be at least {100.0 * LEAST_REACHED:.0f} %; the "
+            "file was changed, or belongs to another bench: identify again"
         )
     return model
 

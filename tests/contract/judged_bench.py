@@ -16,6 +16,7 @@ from piezod.transport.frames import classify
 
 MS = 1_000_000
 FORCE_AT = 9  # first byte of register 200 in a reply that begins there
+STATUS_AT = FORCE_AT + 12  # registers 200 and 206
 
 
 class HandClock:
@@ -111,7 +112,7 @@ class FaultyWire:
         self.unit = ModbusUnit(device)
         self.framer = FramerSocket(self.unit.decoder)
         self.faults = []
-        self.lie = None
+        self.lie = self.status = None
         self.buffer = bytearray(512)
         self.payload = memoryview(self.buffer)
 
@@ -157,6 +158,8 @@ class FaultyWire:
             return classify(self.buffer, request, len(reply))[0]
         if self.lie is not None and request.reads and len(reply) > 30:
             self.buffer[FORCE_AT : FORCE_AT + 4] = struct.pack(">f", self.lie(self.force_N()))
+        if self.status is not None and request.reads and len(reply) > 30:
+            self.buffer[STATUS_AT : STATUS_AT + 2] = struct.pack(">H", self.status)
         return ExchangeResult.OK
 
     def force_N(self):

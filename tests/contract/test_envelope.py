@@ -49,7 +49,10 @@ class Wild:
         return (nan, float("inf"), -1e9, 1e9)[wild]
 
     def commit(self, voltage_V):
-        pass
+        self.voltage_V = voltage_V
+
+    def produced_N(self):
+        return 2.0 * self.voltage_V
 
 
 class Envelope(RuleBasedStateMachine):

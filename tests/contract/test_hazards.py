@@ -35,6 +35,10 @@ TRIPPING = {  # text of the latched cause
     "comm_loss_ms": "no good exchange for limits.comm_loss_ms",
     "stale_after_ms": "no good exchange for limits.comm_loss_ms",
     "device_watchdog_ms": "the watchdog of the device was changed",
+    "temperature_low_degC": "the temperature is missing, below limits.temperature_low_degC",
+    "output_on_in_status": "the device reports its output as off",
+    "clamped_trip_ms": "the device reports a clamped output",
+    "failed_exchanges": "too many failed exchanges",
     "missed_ticks_in_a_row": "too many ticks missed in a row",
 }
 

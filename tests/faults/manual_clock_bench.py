@@ -3,7 +3,6 @@
 A fault takes milliseconds of real time, and its time limits are exact to one tick.
 """
 
-import contextlib
 import tempfile
 from pathlib import Path
 
@@ -29,7 +28,10 @@ class Linear:
         return reference / 2.0
 
     def commit(self, voltage_V):
-        pass
+        self.voltage_V = voltage_V
+
+    def produced_N(self):
+        return 2.0 * self.voltage_V
 
 
 class ManualClockBench:
@@ -128,7 +130,4 @@ class ManualClockBench:
 
     def close(self):
         self._ring.close()
-        self.reader._table = None
-        with contextlib.suppress(BufferError):
-            self.reader._memory.close()
         self._folder.cleanup()

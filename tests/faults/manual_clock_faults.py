@@ -2,6 +2,7 @@
 
 import contextlib
 import gc
+import itertools
 from math import nan
 
 import numpy as np
@@ -88,6 +89,67 @@ def loop_reading(pool, fault, *, forces_N=(), creep_N_per_s=0.0, samples=0, limi
     return worst
 
 
+def loop_pattern(pool, fault, *, force_N, wrong, right, limits=None, most_ms=10_000):
+    """Replace `wrong` readings of the load cell in a row by `force_N`, then leave `right` readings, and so on."""
+    with _manual_clock_bench(limits=limits) as bench:
+        bench.arm()
+        begun_ns, count = bench.clock.time_ns, itertools.count()
+        bench.wire.lie = lambda true_N: float(force_N) if next(count) % (wrong + right) < wrong else true_N
+        return _observe(bench, fault, most_ms=most_ms, begun_ns=begun_ns)
+
+
+def loop_status(pool, fault, *, status, limits, most_ms=3000):
+    """The status register of the device changes to other bits."""
+    with _manual_clock_bench(limits=limits) as bench:
+        bench.arm()
+        begun_ns = bench.clock.time_ns
+        bench.wire.status = status
+        return _observe(bench, fault, most_ms=most_ms, begun_ns=begun_ns)
+
+
+def loop_refused(pool, fault, *, refused, kept, limits=None, most_ms=10_000):
+    """The device refuses `refused` requests in a row, then takes `kept`, and so on."""
+    with _manual_clock_bench(limits=limits) as bench:
+        bench.arm()
+        begun_ns = bench.clock.time_ns
+        bench.wire.faults = ([("refused", 0)] * refused + [("", 0)] * kept) * most_ms
+        return _observe(bench, fault, most_ms=most_ms, begun_ns=begun_ns)
+
+
+class Gain:
+    """Compensator of a model with another gain than that of the bench."""
+
+    def __init__(self, gain_N_per_V):
+        self._gain, self._voltage_V = gain_N_per_V, nan
+
+    def reset(self):
+        self._voltage_V = nan
+
+    def plan(self, reference):
+        return reference / self._gain
+
+    def commit(self, voltage_V):
+        self._voltage_V = voltage_V
+
+    def produced_N(self):
+        return self._gain * self._voltage_V
+
+
+def loop_out_of_reach(pool, fault, *, reference_N, gain_N_per_V=2.0, falls_N=0.0, most_ms=5000):
+    """Follow a reference that needs more than the highest voltage; then the reading falls by `falls_N`."""
+    rise_N = np.linspace(20.0, reference_N, 500)
+    table = np.concatenate((rise_N, np.full(60_000, float(reference_N))))
+    limits = {"tracking_trip_N": 100.0, "tracking_trip_ms": 100.0, "force_rate_trip_N_per_s": None}
+    with _manual_clock_bench(limits=limits, reference=table, compensator=Gain(gain_N_per_V)) as bench:
+        bench.arm(0)
+        begun_ns = bench.clock.time_ns
+        if falls_N:
+            bench.run(2000)
+            begun_ns = bench.clock.time_ns
+            bench.wire.lie = lambda true_N: true_N - falls_N
+        return _observe(bench, fault, most_ms=most_ms, begun_ns=begun_ns)
+
+
 def _creeping(bench, rate_N_per_s):
     """Function that adds an offset which grows from now on."""
     begun_ns = bench.clock.time_ns
@@ -113,7 +175,10 @@ class FailingCompensator:
         return float(value)
 
     def commit(self, voltage_V):
-        pass
+        self.voltage_V = voltage_V
+
+    def produced_N(self):
+        return 2.0 * self.voltage_V
 
 
 def loop_model(pool, fault, *, planned, most_ms=1000):
@@ -179,6 +244,10 @@ INJECTORS = {
     "loop_overruns": loop_overruns,
     "loop_pause": loop_pause,
     "loop_reading": loop_reading,
+    "loop_pattern": loop_pattern,
+    "loop_status": loop_status,
+    "loop_refused": loop_refused,
+    "loop_out_of_reach": loop_out_of_reach,
     "loop_model": loop_model,
     "loop_reference": loop_reference,
     "loop_windup": loop_windup,

@@ -1,5 +1,7 @@
 """Control loops on a fake link, with a compensator that halves."""
 
+from math import nan
+
 import numpy as np
 
 from piezod.control import ControlLoop, RingReader, Segment, TableReference
@@ -23,6 +25,9 @@ class Halving:
 
     def commit(self, voltage_V):
         self.committed.append(voltage_V)
+
+    def produced_N(self):
+        return 2.0 * self.committed[-1] if self.committed else nan
 
 
 def make_loop(link, ring_log, **changes):

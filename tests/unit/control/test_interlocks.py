@@ -9,9 +9,11 @@ from hypothesis import strategies as st
 
 from piezod.control.heat_interlock import HeatInterlock
 from piezod.control.interlocks import (
+    DeviceInterlock,
     ForceInterlock,
     ReadbackInterlock,
     StuckInterlock,
+    TemperatureInterlock,
     TrackingInterlock,
 )
 from piezod.control.states import Cause
@@ -26,7 +28,8 @@ def check_all(interlock, forces_N):
 
 def test_a_single_spike_is_counted_and_trips_nothing():
     interlock = ForceInterlock(limits(force_debounce_samples=2, force_rate_trip_N_per_s=1e4))
-    causes = check_all(interlock, [10.0, 10.1, 900.0, 10.2, -300.0, 10.1, 45.0, 10.0])
+    rest = [10.0] * 3
+    causes = check_all(interlock, [*rest, 900.0, *rest, -300.0, *rest, 45.0, *rest])
     assert set(causes) == {Cause.NONE}
     assert interlock.spikes == 3
 
@@ -248,3 +251,69 @@ def test_new_limits_keep_the_time_of_a_tracking_error_and_the_readback_outside_i
     output.check(20.0, 50.0, MS)
     output.set_limits(limits(readback_trip_V=1.9, readback_trip_ms=20.0))
     assert output.check(20.0, 50.0, 2 * MS) is Cause.READBACK
+
+
+@pytest.mark.parametrize("debounce", [1, 2, 5])
+@pytest.mark.parametrize(("right", "trips"), [(0, True), (1, True), (2, True), (3, False), (4, False)])
+def test_forces_that_are_wrong_more_often_than_one_in_four_trip_whatever_the_debounce(debounce, right, trips):
+    interlock = ForceInterlock(limits(force_debounce_samples=debounce))
+    causes = check_all(interlock, [361.0, *[100.0] * right] * 200)
+    assert (Cause.OVER_FORCE in causes) == (trips or debounce == 1)
+
+
+@pytest.mark.parametrize(("right", "trips"), [(1, True), (2, True), (3, False)])
+def test_a_readback_that_is_wrong_more_often_than_one_in_four_trips(right, trips):
+    interlock = ReadbackInterlock(limits(readback_trip_V=3.0))
+    causes = [interlock.check(voltage_V, 50.0, k * MS) for k, voltage_V in enumerate([90.0, *[50.0] * right] * 100)]
+    assert (Cause.READBACK in causes) == trips
+
+
+@pytest.mark.parametrize(("right", "trips"), [(0, True), (1, True), (2, True), (3, False)])
+def test_a_tracking_error_in_more_than_a_quarter_of_the_time_trips(right, trips):
+    interlock = TrackingInterlock(limits(tracking_trip_N=10.0, tracking_trip_ms=20.0))
+    causes = [interlock.check(force_N, 100.0, k * MS) for k, force_N in enumerate([50.0, *[100.0] * right] * 200)]
+    assert (Cause.TRACKING in causes) == trips
+
+
+def test_an_output_that_the_device_switches_off_trips_at_the_second_sample():
+    interlock = DeviceInterlock(limits(output_on_in_status=True))
+    assert [interlock.check(status, k * MS) for k, status in enumerate([0, 0, 1, 0, 0])] == [
+        *[Cause.NONE] * 4, Cause.OUTPUT_OFF,
+    ]  # fmt: skip
+
+
+def test_a_device_without_the_bit_of_its_output_trips_nothing():
+    interlock = DeviceInterlock(limits(output_on_in_status=False))
+    assert {interlock.check(status, 0) for status in [1, 0, 0, 0]} == {Cause.NONE}
+
+
+@pytest.mark.parametrize(("lasts_ms", "cause"), [(99, Cause.NONE), (100, Cause.CLAMPED)])
+def test_a_clamped_output_trips_after_its_time(lasts_ms, cause):
+    interlock = DeviceInterlock(limits(clamped_trip_ms=100.0))
+    assert interlock.check(4, 0) is Cause.NONE
+    assert interlock.check(4, lasts_ms * MS) is cause
+
+
+@pytest.mark.parametrize("strange_C", [-242.0, nan, -40.1])
+def test_a_temperature_that_no_bench_has_trips(strange_C):
+    interlock = TemperatureInterlock(limits(temperature_trip_degC=70.0))
+    causes = [interlock.check(strange_C, k * MS) for k in range(20)]
+    assert causes.index(Cause.TEMPERATURE_SENSOR) == 9
+
+
+def test_a_temperature_that_alternates_with_an_impossible_one_trips():
+    interlock = TemperatureInterlock(limits(temperature_trip_degC=70.0))
+    assert Cause.TEMPERATURE_SENSOR in [interlock.check(value, 0) for value in [25.0, -242.0] * 30]
+
+
+def test_without_a_limit_no_temperature_trips():
+    interlock = TemperatureInterlock(limits(temperature_trip_degC=None))
+    assert {interlock.check(value, 0) for value in [25.0, -242.0, nan] * 30} == {Cause.NONE}
+
+
+@pytest.mark.parametrize(("frozen_s", "cause"), [(10.0, Cause.TEMPERATURE_SENSOR), (None, Cause.NONE)])
+def test_a_temperature_that_never_changes_is_that_of_a_broken_sensor(frozen_s, cause):
+    interlock = TemperatureInterlock(limits(temperature_trip_degC=70.0, temperature_frozen_s=frozen_s))
+    assert interlock.check(25.0, 0) is Cause.NONE
+    assert interlock.check(25.0, 9_900 * MS) is Cause.NONE
+    assert interlock.check(25.0, 10_000 * MS) is cause

@@ -229,3 +229,19 @@ def test_a_stop_ramps_down_from_every_state_that_drives():
         assert supervisor.driving
         supervisor.stop()
         assert (supervisor.state, supervisor.cause) == (State.RAMP_DOWN, Cause.STOPPED)
+
+
+@pytest.mark.parametrize(("right", "trips"), [(1, True), (2, True), (3, False)])
+def test_exchanges_that_fail_more_often_than_one_in_four_trip(right, trips):
+    supervisor = running(failed_exchanges=10)
+    for k in range(200):
+        supervisor.check_exchange(k % (right + 1) > 0, k * 1_000_000)
+    assert (supervisor.fault is Cause.BAD_EXCHANGES) == trips
+
+
+@pytest.mark.parametrize(("right", "trips"), [(1, True), (2, True), (3, False)])
+def test_ticks_that_are_missed_more_often_than_one_in_four_trip(right, trips):
+    supervisor = running(missed_ticks_in_a_row=5)
+    for k in range(200):
+        supervisor.check_rate(int(k % (right + 1) == 0))
+    assert (supervisor.fault is Cause.MISSED_TICKS) == trips
