@@ -83,7 +83,8 @@ def read_all(stream: RecordingStream) -> Recording:
     """
     parts = list(stream.chunks(stream.names, WHOLE_CHUNK))
     if not parts:
-        raise RecordingError(f"{stream.path}: has a header but no samples")
+        more = f"; {stream.metadata['left_out']}" if "left_out" in stream.metadata else ""
+        raise RecordingError(f"{stream.path}: has a header but no samples{more}")
     # Column by column, and each part is freed at once: the samples are never in memory twice.
     columns = {name: np.concatenate([part.pop(name) for part in parts]) for name in stream.names}
     return Recording(columns.pop(TIME), columns, stream.metadata, str(stream.path))

@@ -104,3 +104,8 @@ def test_a_column_without_a_name_that_does_not_count_is_refused(tmp_path):
     lines = [f"{2 * k},{k / 100:.2f},{k},{100 + k}" for k in range(40)]
     with pytest.raises(RecordingError, match="column 1 has no name"):
         read(tmp_path, ",time_s,voltage_V,force_N\n" + "\n".join(lines) + "\n")
+
+
+def test_a_file_whose_only_row_is_cut_says_so(tmp_path):
+    with pytest.raises(RecordingError, match="has a header but no samples; left out: the last line"):
+        read(tmp_path, OWN + "0.0,1,2")
