@@ -25,6 +25,7 @@ MEGABYTE = 2**20
 Parser = Callable[[bytes], Array]
 
 _NUMBER = re.compile(rf"[+\-{MINUS}]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+\-{MINUS}]?[0-9]+)?")
+_EMPTY_CELL = re.compile(rb"(?m)(?<=,)[ \t]*(?=,|\r?$)|^[ \t]*(?=,)")
 _COMMENT = re.compile(r"\s#")
 # Characters of the blocks that pyarrow parses.
 _PLAIN = b"0123456789abcdefghijklmnopqrstuvwxyzABCDEFGHIJKLMNOPQRSTUVWXYZ+-.,\r\n"
@@ -51,7 +52,7 @@ def parse(
     RecordingError
         A cell holds no number, or a row has another number of cells than the header. The message names the first.
     """
-    for parser in (arrow, _by_numpy):
+    for parser in (arrow, _by_numpy, _with_empty_cells):
         try:
             table = None if parser is None else parser(block)
         except ValueError:
@@ -120,6 +121,10 @@ def _by_numpy(block: bytes) -> Array:
         return np.loadtxt(io.StringIO(block.decode("latin-1")), delimiter=",", comments=None, ndmin=2)
 
 
+def _with_empty_cells(block: bytes) -> Array:
+    return _by_numpy(_EMPTY_CELL.sub(b"nan", block))
+
+
 def _by_cells(block: bytes, path: Path, names: Sequence[str], position: int, repairs: Repairs) -> Array:
     rows = []
     for at, line in enumerate(block.decode("utf-8", "replace").split("\n")):
@@ -133,6 +138,7 @@ def _by_cells(block: bytes, path: Path, names: Sequence[str], position: int, rep
         if row is None:
             _raise_wrong_row(text, path, names, _line_number(path, position) + at + 1)
         rows.append(row)
+    repairs.end_block()
     return np.array(rows, dtype=np.float64).reshape(-1, len(names))
 
 

@@ -52,6 +52,10 @@ class Repairs:
         """Count a cell with a word for a missing sample; an empty cell and `nan` are the usual form."""
         if cell.lower() not in ("", "nan", "-nan", "+nan"):
             self._words[cell] += 1
+
+    def end_block(self) -> None:
+        """Write the count of missing samples into the metadata; done once a block, because cells are many."""
+        if self._words:
             words = ", ".join(repr(word) for word, _ in self._words.most_common(5))
             self._metadata["missing"] = f"cells read as missing: {self._words.total()} ({words})"
 

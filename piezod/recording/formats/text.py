@@ -129,6 +129,7 @@ class _Rows:
                     f"{self._path}: line {at} has {len(cells)} cells, the first row has {self._widths}"
                 )
             rows.append([self._value(k, cell, at) for k, cell in enumerate(cells)])
+        self._repairs.end_block()
         return np.array(rows, dtype=np.float64).reshape(-1, self._widths)
 
     def _value(self, k: int, cell: str, line: int) -> float:
