@@ -52,9 +52,9 @@ def _print_effect(finding: Finding, wording: Wording) -> None:
     print(f"  {finding.name} ({confidence}, {when}): {finding.title}")
     for name, value in finding.parameters.items():
         text, interval = value_words(value, name, finding.name, wording)
-        told = f"    {label_of(name, value.unit)} {text}" + (f" ({interval})" if interval else "")
+        line = f"    {label_of(name, value.unit)} {text}" + (f" ({interval})" if interval else "")
         was = finding.was.get(name)
-        print(told + ("" if was is None else f", was {value_words(was, name, finding.name, wording)[0]}"))
+        print(line + ("" if was is None else f", was {value_words(was, name, finding.name, wording)[0]}"))
     for place in finding.where:
         print(f"    seen at {place_words(place, wording)}")
     print(f"    held-out error {finding.before:.4g} -> {finding.after:.4g} {wording.output}")

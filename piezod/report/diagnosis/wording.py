@@ -69,8 +69,8 @@ def _missing(findings: Findings) -> str:
     for status, start in (("new", "missing in the model"), ("changed", "changed"), ("gone", "gone")):
         titles = listed([hedged(finding) for finding in findings.effects if finding.status == status])
         parts += [f"{start}: {titles}"] if titles else []
-    told = "; ".join([*parts, *([base_words(findings.base)] if findings.base.changed else [])])
-    return told[:1].upper() + told[1:]
+    sentence = "; ".join([*parts, *([base_words(findings.base)] if findings.base.changed else [])])
+    return sentence[:1].upper() + sentence[1:]
 
 
 def lead(findings: Findings) -> str:
