@@ -159,11 +159,11 @@ def loosened_limit(old: LimitsConfig, new: LimitsConfig) -> str:
             continue
         direction = _TIGHTER_DIRECTION.get(name)
         if direction is None:
-            return f"limits.{name} would change from {before} to {after}; disarm first"
+            return f"limits.{name} would change from {before} to {after}"
         # null switches the limit off: the loosest value
         if after is None or (before is not None and (after - before) * direction < 0):
             change = f"from {_limit_text(before)} to {_limit_text(after)}"
-            return f"limits.{name} would go {change}, which is looser; disarm first"
+            return f"limits.{name} would go {change}, which is looser"
     return ""
 
 

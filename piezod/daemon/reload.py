@@ -68,7 +68,8 @@ def check_armed_change(old: BenchConfig, new: BenchConfig, state: State, *, is_o
     CheckFailedError
         More than the limits has changed, or a limit is looser than before.
     """
+    first = "piezod reset first" if state is State.FAULT else "disarm first"
     if new.model_copy(update={"limits": old.limits}) != old or is_other_file:
-        raise CheckFailedError(f"reload: while {state.name} only limits may change; disarm first")
+        raise CheckFailedError(f"reload: while {state.name} only limits may change; {first}")
     if looser := loosened_limit(old.limits, new.limits):
-        raise CheckFailedError(f"reload: {looser}")
+        raise CheckFailedError(f"reload: while {state.name} {looser}; {first}")

@@ -1,6 +1,7 @@
 """A stop while the daemon's event loop, its log or its files stand still.
 
     python -m tests.faults stops --times 20
+    PIEZOD_UNDER_TEST=CHECKOUT python -m tests.faults stops     the daemon of another checkout
 
 Each try starts a service, arms it on a constant reference, applies one blockade, and stops it by `stop`, `disarm` or
 SIGTERM in turn. The time counts from the request until the emulated amplifier reads back rest. The limit is the time of
@@ -26,6 +27,7 @@ from piezod.errors import PiezodError
 from tests.benches.daemon import LONG_LIMITS, register
 from tests.benches.emulator import bench_file, emulator
 from tests.benches.processes import Popen
+from tests.faults.live_bench import DAEMON_ROOT
 
 WAYS = ("stop", "disarm", "SIGTERM")
 MARGIN_S = 0.5
@@ -35,6 +37,7 @@ READBACK = 202  # register of the emulated bench
 FORCE_N = 120.0
 HUGE_BYTES = 3 << 30
 CLIENTS, LINES = 11, 200
+SILENT = 300  # more than both sockets serve
 FILLING = 1200  # messages of 90 bytes; a pipe holds 65,536 bytes
 FILLED_WITHIN_S = 10.0
 
@@ -70,9 +73,10 @@ class Service:
             reference={"kind": "triangle", "amplitude_N": 1.0, "offset_N": FORCE_N, "frequency_Hz": 0.5},
             model=str(folder / "model.yaml"),
         )
-        (folder / "model.yaml").write_bytes((Path(__file__).parents[2] / "config" / "model.yaml").read_bytes())
+        (folder / "model.yaml").write_bytes((DAEMON_ROOT / "config" / "model.yaml").read_bytes())
         self.socket = folder / "ring.sock"
-        self.process = Popen([sys.executable, "-m", "piezod", "run", str(self.bench)], stderr=subprocess.PIPE)
+        command = [sys.executable, "-m", "piezod", "run", str(self.bench)]
+        self.process = Popen(command, stderr=subprocess.PIPE, cwd=DAEMON_ROOT)
 
     def ask(self, command):
         return command_and_wait(self.socket, command, wait=False)
@@ -163,6 +167,43 @@ def huge_reference(service):
     return _reload(service)
 
 
+def bench_device(service):
+    """The bench file is a device that never ends."""
+    service.bench.unlink()
+    service.bench.symlink_to("/dev/zero")
+    return _reload(service)
+
+
+def signal_storm(service):
+    """SIGHUP, 300 times a second."""
+    ends = threading.Event()
+
+    def storm():
+        while not ends.wait(1 / 300):
+            service.process.send_signal(signal.SIGHUP)
+
+    thread = threading.Thread(target=storm)
+    thread.start()
+    time.sleep(0.5)
+
+    def end():
+        ends.set()
+        thread.join()
+
+    return end
+
+
+def silent_clients(service):
+    """Clients that send nothing hold both sockets of the daemon."""
+    paths = [service.socket, service.socket.with_name(service.socket.name + ".stop")]
+    clients = [socket.socket(socket.AF_UNIX) for _ in range(SILENT)]
+    for k, client in enumerate(clients):
+        client.setblocking(False)
+        with contextlib.suppress(OSError):
+            client.connect(str(paths[k % 2]))
+    return lambda: [client.close() for client in clients]
+
+
 def many_reloads(service):
     """Eleven clients send one reload after the other."""
     open_ = [service.send(b'{"command": "reload"}\n' * LINES) for _ in range(CLIENTS)]
@@ -196,7 +237,18 @@ def short_connections(service):
 
 BLOCKADES = {
     function.__name__: function
-    for function in (log_stands, log_gone, bench_pipe, model_pipe, huge_reference, many_reloads, short_connections)
+    for function in (
+        log_stands,
+        log_gone,
+        bench_pipe,
+        bench_device,
+        model_pipe,
+        huge_reference,
+        many_reloads,
+        short_connections,
+        silent_clients,
+        signal_storm,
+    )
 }
 
 
