@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 from tests.faults import (
     access_faults,
+    blocked_faults,
     device_faults,
     disk_faults,
     input_faults,
@@ -33,6 +34,7 @@ INJECTORS: dict[str, Callable] = {
     **disk_faults.INJECTORS,
     **access_faults.INJECTORS,
     **stream_faults.INJECTORS,
+    **blocked_faults.INJECTORS,
 }
 INPUTS_OF_A_BENCH = {"another_model", "metrics", "control_socket", "hostile_clients", "secrets"}
 IN_PROCESS = {*manual_clock_faults.INJECTORS, *device_faults.INJECTORS, *input_faults.INJECTORS} - INPUTS_OF_A_BENCH

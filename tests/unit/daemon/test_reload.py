@@ -10,9 +10,10 @@ import pytest
 from piezod.commissioning.shipped_files import shipped
 from piezod.config import load_bench
 from piezod.config.reference import FileReference
-from piezod.control import ROW_DTYPE
+from piezod.control import ROW_DTYPE, State
 from piezod.daemon import service as service_module
 from piezod.daemon.file_reader import load_bench_files
+from piezod.daemon.reload import check_armed_change
 from piezod.daemon.service import Service
 from piezod.errors import CheckFailedError, TemporaryError
 from piezod.session.files import files_digest
@@ -153,3 +154,12 @@ def test_another_model_or_reference_file_counts_as_a_change(service, path):
     before = files_digest(followed, path)
     table.write_text("time_s,reference_N\n0,2\n", encoding="utf-8")
     assert files_digest(followed, path) != before
+
+
+@pytest.mark.parametrize(("state", "advice"), [(State.FAULT, "piezod reset first"), (State.RUNNING, "disarm first")])
+@pytest.mark.parametrize("change", [{"force_trip_N": 1e6}, None], ids=["looser", "rate"])
+def test_a_refused_change_says_what_comes_first_in_this_state(path, state, advice, change):
+    bench = load_bench(path)
+    changed = {"rate_Hz": 100.0} if change is None else {"limits": bench.limits.model_copy(update=change)}
+    with pytest.raises(CheckFailedError, match=f"while {state.name} .*; {advice}$"):
+        check_armed_change(bench, bench.model_copy(update=changed), state, is_other_file=False)
