@@ -4,6 +4,7 @@ Each step arms the bench with every precondition, drives `PROOF_SHARE` of the vo
 
     level       the force rises, and the voltage read back is the voltage written.
     force       the force trip lies between the forces at rest and at this level.
+    minimum     the least force lies between the forces at rest and at this level.
     readback    the voltage read back is shifted before it is checked.
     watchdog    the commands are withheld; the device must bring its output to rest by itself.
     stop        a stop is requested.
@@ -122,13 +123,23 @@ def _level(proof: ProofBench) -> ProofStep:
 
 def _force(proof: ProofBench) -> ProofStep:
     """The force trip, set between the forces at rest and at the level."""
-    trip_N = 0.5 * (proof.rest_N + proof.level_N)
-    run = proof.hold_level(force_trip_N=trip_N)
+    trip_N = min(0.5 * (proof.rest_N + proof.level_N), proof.bench.limits.force_trip_N)
+    run = proof.hold_level(tightened={"force_trip_N": trip_N})
     samples = proof.bench.limits.force_debounce_samples + TICKS_TO_REACT
     limit_ms = 1e3 * samples * proof.bench.dt_s
     time_ms = run.time_to_fault_ms(run.rows["force_N"] > trip_N)
     right = run.fault is Cause.OVER_FORCE and time_ms <= limit_ms
     return ProofStep("force", _word(right), run.highest_N, trip_N, "N", time_ms, run.outcome(limit_ms))
+
+
+def _minimum(proof: ProofBench) -> ProofStep:
+    """The least force, set between the forces at rest and at the level: the force is below it from the begin."""
+    least_N = max(0.5 * (proof.rest_N + proof.level_N), proof.bench.limits.force_min_N)
+    run = proof.hold_level(tightened={"force_min_N": least_N})
+    limit_ms = 1e3 * (proof.bench.limits.force_debounce_samples + TICKS_TO_REACT) * proof.bench.dt_s
+    time_ms = run.time_to_fault_ms(run.rows["force_N"] < least_N)
+    right = run.fault is Cause.UNDER_FORCE and time_ms <= limit_ms
+    return ProofStep("minimum", _word(right), run.lowest_N, least_N, "N", time_ms, run.outcome(limit_ms))
 
 
 def _readback(proof: ProofBench) -> ProofStep:
@@ -178,6 +189,7 @@ def _word(right: bool) -> Any:  # noqa: ANN401  # one of the literals of ProofSt
 STEPS: dict[str, Callable[[ProofBench], ProofStep]] = {
     "level": _level,
     "force": _force,
+    "minimum": _minimum,
     "readback": _readback,
     "watchdog": _watchdog,
     "stop": _stop,

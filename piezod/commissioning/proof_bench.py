@@ -57,6 +57,11 @@ class Run:
         return float(self.rows["force_N"].max()) if self.rows.size else nan
 
     @property
+    def lowest_N(self) -> float:
+        """Lowest force [N]."""
+        return float(self.rows["force_N"].min()) if self.rows.size else nan
+
+    @property
     def readback_V(self) -> float:
         """Mean voltage read back at the level [V]; nan without read-back."""
         return float(self.at_level["readback_V"].mean()) if self.at_level.size else nan
@@ -200,14 +205,14 @@ class ProofBench:
         raise UnreachableError(f"proof: {self.link.description}: {result.name.lower()}: check cable and device")
 
     def hold_level(
-        self, *, force_trip_N: float | None = None, link: ShiftedReadback | None = None, stops: bool = False
+        self, *, tightened: dict[str, float] | None = None, link: ShiftedReadback | None = None, stops: bool = False
     ) -> Run:
         """Arm, hold the level for `HOLD_S` and ramp down.
 
         Parameters
         ----------
-        force_trip_N
-            Force trip in place of the configured one [N]; never above it.
+        tightened
+            Limits in place of the configured ones, by their keys; the caller makes each tighter, never looser.
         link
             Link in place of the link of the bench.
         stops
@@ -219,9 +224,8 @@ class ProofBench:
             A precondition of arming fails, or the test was interrupted.
         """
         bench = self.bench
-        if force_trip_N is not None:
-            lower_N = min(force_trip_N, bench.limits.force_trip_N)
-            bench = bench.model_copy(update={"limits": bench.limits.model_copy(update={"force_trip_N": lower_N})})
+        if tightened:
+            bench = bench.model_copy(update={"limits": bench.limits.model_copy(update=tightened)})
         ring_log, loop = self._armed(bench, cast("Link", link) if link is not None else self.link)
         held = 0
         try:

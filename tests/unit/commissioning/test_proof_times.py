@@ -15,22 +15,24 @@ BENCH = load_bench(Path(__file__).parents[3] / "config" / "bench.yaml")
 ROW = [("time_ns", "i8"), ("state", "i4"), ("force_N", "f8")]
 
 
-def result_of_force_step(ticks, jitter):
-    """Result of the step whose force trip acts this many ticks after the first force above its limit."""
+def result_of_step(name, ticks, jitter):
+    """Result of the step whose trip acts this many ticks after the first force beyond its limit."""
     times = np.arange(ticks + 2) * BENCH.dt_s
     times[-1] += jitter * BENCH.dt_s
     rows = np.zeros(times.size, ROW)
     rows["time_ns"] = np.rint(1e9 * times)
-    rows["force_N"][1:] = 10.0
+    rows["force_N"] = 10.0 if name == "minimum" else 0.0
+    rows["force_N"][1:] = 0.0 if name == "minimum" else 10.0
     rows["state"] = State.RUNNING
     rows["state"][-1] = State.RAMP_DOWN
-    run = Run(rows, Cause.OVER_FORCE)
-    proof = SimpleNamespace(bench=BENCH, rest_N=0.0, level_N=10.0, hold_level=lambda force_trip_N: run)
-    return STEPS["force"](proof).result
+    run = Run(rows, Cause.UNDER_FORCE if name == "minimum" else Cause.OVER_FORCE)
+    proof = SimpleNamespace(bench=BENCH, rest_N=0.0, level_N=10.0, hold_level=lambda tightened: run)
+    return STEPS[name](proof).result
 
 
+@pytest.mark.parametrize("name", ["force", "minimum"])
 @pytest.mark.parametrize("jitter", [-0.3, 0.0, 0.003, 0.3])
-def test_the_last_allowed_tick_passes_whatever_its_jitter_and_the_next_one_fails(jitter):
+def test_the_last_allowed_tick_passes_whatever_its_jitter_and_the_next_one_fails(name, jitter):
     allowed = BENCH.limits.force_debounce_samples + 2
-    assert result_of_force_step(allowed, jitter) == "pass"
-    assert result_of_force_step(allowed + 1, jitter) == "fail"
+    assert result_of_step(name, allowed, jitter) == "pass"
+    assert result_of_step(name, allowed + 1, jitter) == "fail"
