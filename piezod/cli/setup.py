@@ -20,14 +20,17 @@ def check(
     output: Annotated[
         Path | None, typer.Option("-o", metavar="FILE", help="With --proof: record to write; default: NAME-proof-DATE.")
     ] = None,
+    tester: Annotated[str, typer.Option(metavar="NAME", help="With --proof: who tests; default: the user.")] = "",
     as_json: JsonOption = False,
 ) -> None:
     """Check configuration, model, link, device, clock and rights; writes no voltage unless --proof is given."""
     if proof:
-        _prove(config, output, as_json)
+        _prove(config, output, tester, as_json)
         return
     if output is not None:
         raise UsageError("-o is given without --proof, which alone writes a record")
+    if tester:
+        raise UsageError("--tester is given without --proof, which alone writes a record")
     from piezod.commissioning.check import check_bench
 
     checks = check_bench(config)
@@ -41,12 +44,12 @@ def check(
     raise typer.Exit(1 if any(result.level == "FAIL" for result in checks) else 0)
 
 
-def _prove(config: Path, output: Path | None, as_json: bool) -> None:
+def _prove(config: Path, output: Path | None, tester: str, as_json: bool) -> None:
     """Run the proof test, print its steps and end with 1 unless all have passed."""
     from piezod.commissioning.proof import prove
     from piezod.commissioning.proof_record import text_lines
 
-    record, path = prove(config, output)
+    record, path = prove(config, output, tester)
     if as_json:
         print(json.dumps(record, indent=2))
     else:

@@ -33,7 +33,7 @@ TICKS_TO_REACT = 2.5  # from a debounce's last sample to the command that it cha
 SETTLE_S = 0.1  # of the last millivolts, beyond the time of a ramp
 
 
-def prove(path: Path, output: Path | None = None) -> tuple[dict[str, Any], Path]:
+def prove(path: Path, output: Path | None = None, tester: str = "") -> tuple[dict[str, Any], Path]:
     """Run the proof test and write its record.
 
     Parameters
@@ -42,6 +42,8 @@ def prove(path: Path, output: Path | None = None) -> tuple[dict[str, Any], Path]
         Bench configuration.
     output
         Record to write; None: NAME-proof-DATE.json in the present folder.
+    tester
+        Name of the person who tests; empty: the user of this process.
 
     Returns
     -------
@@ -64,7 +66,7 @@ def prove(path: Path, output: Path | None = None) -> tuple[dict[str, Any], Path]
     try:
         with opened_link(bench) as link, warnings.catch_warnings(action="ignore"), real_time(bench.real_time):
             end = _run_steps(bench, link)
-            record = make_record(bench, link, end, now, tuple(STEPS))
+            record = make_record(bench, link, end, now, tuple(STEPS), tester)
     finally:
         lock.close()
     write_record(record, target)

@@ -2,6 +2,7 @@
 
 import json
 import os
+import pwd
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
@@ -91,7 +92,7 @@ def utc_now() -> datetime:
 
 
 def make_record(
-    bench: BenchConfig, link: Link, end: ProofEnd, now: datetime, planned: tuple[str, ...]
+    bench: BenchConfig, link: Link, end: ProofEnd, now: datetime, planned: tuple[str, ...], tester: str = ""
 ) -> dict[str, Any]:
     """Make the record; it has passed when every planned step was done, none failed, and the bench is at rest.
 
@@ -105,6 +106,8 @@ def make_record(
         Time of the begin, UTC.
     planned
         Names of the steps that belong to a complete test.
+    tester
+        Name of the person who tests; empty: the user of this process.
     """
     complete = tuple(step.name for step in end.steps) == planned and not end.interrupted
     passed = complete and not end.left and all(step.result != "fail" for step in end.steps)
@@ -114,6 +117,7 @@ def make_record(
         "device": link.description,
         "identity": _identity(link),
         "version": __version__,
+        "tester": tester or _user(),
         "date_utc": f"{now:%Y-%m-%dT%H:%M:%SZ}",
         "steps": [_finite(asdict(step)) for step in end.steps],
         "left_at_rest": not end.left,
@@ -149,6 +153,14 @@ def text_lines(record: dict[str, Any]) -> Iterator[str]:
         yield f"{step['result'].upper():8}{step['name']}:{value}{time}; {step['detail']}"
     if record["remark"]:
         yield f"FAIL    end: {record['remark']}"
+
+
+def _user() -> str:
+    """Name of the user of this process; the number of one without a name."""
+    try:
+        return pwd.getpwuid(os.getuid()).pw_name
+    except KeyError:
+        return str(os.getuid())
 
 
 def _finite(step: dict[str, Any]) -> dict[str, Any]:

@@ -1,6 +1,8 @@
 """The record of a proof test."""
 
 import json
+import os
+import pwd
 from datetime import UTC, datetime
 from math import inf, nan
 from pathlib import Path
@@ -28,6 +30,13 @@ def test_a_complete_test_without_a_failure_has_passed():
     assert made["passed"] is True
     assert made["date_utc"] == "2026-11-25T04:05:06Z"
     assert made["identity"] == {"identity": 20570.0}
+
+
+@pytest.mark.parametrize(("given", "recorded"), [("A. Tester", "A. Tester"), ("", pwd.getpwuid(os.getuid()).pw_name)])
+def test_the_record_names_the_tester_and_by_default_the_user(given, recorded):
+    link = InProcessLink(None, {"identity": 20570.0})
+    made = make_record(BENCH, link, ProofEnd(list(PASSED), "", interrupted=False), NOW, PLANNED, given)
+    assert made["tester"] == recorded
 
 
 @pytest.mark.parametrize(
