@@ -1,7 +1,6 @@
 """A stop while the daemon's event loop, its log or its files stand still.
 
     python -m tests.faults stops --times 20
-    PIEZOD_UNDER_TEST=CHECKOUT python -m tests.faults stops     the daemon of another checkout
 
 Each try starts a service, arms it on a constant reference, applies one blockade, and stops it by `stop`, `disarm` or
 SIGTERM in turn. The time counts from the request until the emulated amplifier reads back rest. The limit is the time of
