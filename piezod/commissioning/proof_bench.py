@@ -80,7 +80,8 @@ class Run:
 
     def time_to_fault_ms(self, wrong: NDArray[np.bool_]) -> float:
         """Time from the first wrong row while RUNNING, or in the approach, to the latched fault [ms]; inf: none."""
-        first, last = np.flatnonzero(wrong), np.flatnonzero(self.rows["state"] == State.RAMP_DOWN)
+        tripped = np.isin(self.rows["state"], (State.RAMP_DOWN, State.FAULT))  # at rest there is nothing to ramp down
+        first, last = np.flatnonzero(wrong), np.flatnonzero(tripped)
         if not (first.size and last.size) or self.fault is Cause.NONE:
             return inf
         return max(0.0, float(self.rows["time_ns"][last[0]] - self.rows["time_ns"][first[0]]) / 1e6)
