@@ -3,7 +3,7 @@
     -> {"command": "stop"}
     <- {"ok": true, "message": "stop: passed to the control process"}
 
-Neither the event loop nor the log, a file, a lock or a name service takes part. The thread obeys `stop` and `disarm`
+Neither the event loop nor the log, a file, a lock or a name service takes part. The thread executes `stop` and `disarm`
 only; the kernel checks access by the mode of the socket file. `piezod stop` and `piezod disarm` use it first.
 """
 
@@ -185,5 +185,5 @@ def urge(path: Path, command: str, within_s: float) -> str:
             connection.sendall(json.dumps({"command": command}).encode() + b"\n")
             answer = json.loads(connection.makefile("rb").readline())
     except (OSError, ValueError) as error:
-        raise TemporaryError(f"{path}: {command} was not obeyed: {error}") from error
+        raise TemporaryError(f"{path}: {command} was not executed: {error}") from error
     return str(answer.get("message") or answer.get("error"))

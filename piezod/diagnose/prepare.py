@@ -30,6 +30,7 @@ MOST_MISSED = 1.5  # ticks a sample, beyond which the steps are no clock that sk
 STAND_IN_SAMPLES = 6000  # of the excitation that stands for recordings which are no longer there
 START_LOOKED_AT_S = 20.0
 APART = 3.0  # noises between what may have been, above which it is not known
+COPY = 0.9999  # correlation from which a column is another one in another unit
 MOST_UNKNOWN = 0.75  # of a recording, that may be left out for what came before it
 
 
@@ -197,9 +198,7 @@ def even(source: Source, model: Model) -> tuple[Series, list[str]]:
                 f"{recording.source}: {model.input.channel} has {u.size} samples in its longest stretch without a "
                 f"missing one, needs at least {FEWEST_SAMPLES} to be diagnosed"
             )
-    temperature = next(
-        (recording.channels[n] for n in ("temperature_C", "temperature_degC") if n in recording.channels), None
-    )
+    temperature = _temperature_of(recording, model, notes)
     time_s = recording.time_s - recording.time_s[0]
     good = np.isfinite(y)
     if source.condition is not None:
@@ -224,6 +223,24 @@ def even(source: Source, model: Model) -> tuple[Series, list[str]]:
         recorded_hold=Hold.from_metadata(recording.metadata),
     )
     return series, notes
+
+
+def _temperature_of(recording: Recording, model: Model, notes: list[str]) -> Array | None:
+    """Temperature of the bench; None without one. The input, the output and a copy of them explain nothing."""
+    own = (model.input.channel, model.output.channel)
+    names = [name for name in ("temperature_C", "temperature_degC") if name in recording.channels and name not in own]
+    for name in names:
+        values = recording.channels[name]
+        known = np.isfinite(values)
+        for other in own:
+            compared = known & np.isfinite(recording.channel(other))
+            pair = values[compared], recording.channel(other)[compared]
+            if compared.any() and min(map(np.ptp, pair)) > 0.0 and abs(np.corrcoef(*pair)[0, 1]) > COPY:
+                notes.append(f"{recording.source}: {name} is a copy of {other}, no temperature; it is not used")
+                break
+        else:
+            return np.asarray(values, dtype=np.float64)
+    return None
 
 
 def _ticks(time_s: Array, dt_s: float) -> NDArray[np.int64] | None:

@@ -11,6 +11,7 @@ TIME = "time_s"
 
 _BRACKETED = re.compile(r"^(?P<name>.*\S)\s*[\[(](?P<unit>[^\[\]()]*)[\])]$")
 _UNIT = re.compile(r"._(?P<unit>[^_]+(?:_per_[^_]+)?)$")
+_RATE = re.compile(r"._(?P<above>[numck]?m|in|deg|rad|rev)_(?P<below>s2?|min|h)$")  # velocity_cm_s
 # Characters of units and their replacement in a name. Unicode has mu and ohm twice: as a letter and as a sign.
 _SPELT = {"µ": "u", "\u03bc": "u", "°": "deg", "\u03a9": "ohm", "\u2126": "ohm", "%": "percent"}
 _SPELT |= {"²": "2", "³": "3", "/": "_per_"}
@@ -41,11 +42,15 @@ def channel_name(name: str, unit: str = "") -> str:
 def unit_of(name: str) -> str:
     """Unit at the end of a channel name: `slew_V_per_s` -> `V_per_s`; empty for a name without unit.
 
+    A way or an angle over a time needs no `per`: `velocity_cm_s` -> `cm_per_s`.
+
     Parameters
     ----------
     name
         Channel name.
     """
+    if rate := _RATE.search(name):
+        return f"{rate['above']}_per_{rate['below']}"
     found = _UNIT.search(name)
     return found["unit"] if found else ""
 

@@ -1,12 +1,7 @@
 """The life of a concealed bench: five recordings, with one change of the bench between the third and the fourth.
 
-| step | recording | state of the bench |
-|---|---|---|
-| 0 | identification | no hidden effect acts |
-| 1 | work | the hidden effects act |
-| 2 | work | unchanged |
-| 3 | work | one thing has changed |
-| 4 | work | unchanged since |
+No hidden effect acts in the identification (step 0). The hidden effects act in the work of step 1, and step 2 repeats
+it unchanged. One thing has changed in step 3, and step 4 repeats that.
 
 The change is one of `CHANGES`. A draw whose change shows by less than `LEAST_SHOWN` noises is repeated.
 """

@@ -98,5 +98,5 @@ def test_a_main_thread_that_computes_without_pause_does_not_delay_a_stop(bench, 
 
 
 def test_without_a_daemon_a_stop_is_reported_as_failed(tmp_path):
-    with pytest.raises(TemporaryError, match="was not obeyed"):
+    with pytest.raises(TemporaryError, match="was not executed"):
         urge(tmp_path / "nobody.sock.stop", "stop", 1.0)
