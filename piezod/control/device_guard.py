@@ -28,6 +28,7 @@ CAUSES = {
     ExchangeResult.WRONG_DEVICE: Cause.WRONG_DEVICE,
     ExchangeResult.WRONG_LOAD_CELL: Cause.WRONG_LOAD_CELL,
     ExchangeResult.SETTING_CHANGED: Cause.SETTING_CHANGED,
+    ExchangeResult.FOREIGN_COMMAND: Cause.FOREIGN_COMMAND,
 }
 
 

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 from piezod.config import load_bench
 from piezod.daemon.journal import JOURNAL, log_line
 from piezod.errors import TemporaryError, system_error_text
+from piezod.session.heat_file import HeatFile
 from piezod.session.lock import lock_bench
 from piezod.session.session import Session
 from piezod.session.task import Outcome
@@ -77,7 +78,9 @@ def run_foreground(path: Path, *, arm: bool) -> RunResult:
 
         size = correction_size(bench, path.parent)
     lock = lock_bench(bench)
-    session = Session(bench, None, path.parent, [], serves=path, lock=lock, correction_size=size)
+    heat_file = HeatFile(bench)
+    heat_W = heat_file.take()
+    session = Session(bench, None, path.parent, [], serves=path, lock=lock, heat_W=heat_W, correction_size=size)
     try:
         session.launch()
         from piezod.daemon.drift import drift_file  # noqa: PLC0415  # slow import, while the control process starts
@@ -89,7 +92,9 @@ def run_foreground(path: Path, *, arm: bool) -> RunResult:
         if bench.learning is not None:
             learned_file(bench).check()
         service = Service(path, bench, lock, session, arm=arm)
+        service.outcome.heat_W = heat_W
         asyncio.run(service.run())
+        heat_file.keep(service.outcome.heat_W)
     except OSError as error:
         raise TemporaryError(f"{path}: {system_error_text(error)}") from error
     finally:

@@ -26,6 +26,7 @@ class ExchangeResult(IntEnum):
     WRONG_DEVICE = 15  # identity, map version or byte order differs from the configuration; nothing was written
     WRONG_LOAD_CELL = 16  # the same for the load cell of a pair; the amplifier took the voltage
     SETTING_CHANGED = 17  # a register that was written in set-up has another value; it was written again
+    FOREIGN_COMMAND = 18  # the device has received a command of another program
 
 
 # The device confirmed the last request and applied its voltage; in the last three, the values read are invalid.
@@ -155,7 +156,7 @@ class Link(Protocol):
         Returns
         -------
         ExchangeResult
-            OK, WRONG_DEVICE, WRONG_LOAD_CELL, SETTING_CHANGED, or the failure of the exchange.
+            OK, WRONG_DEVICE, WRONG_LOAD_CELL, SETTING_CHANGED, FOREIGN_COMMAND, or the failure of the exchange.
         """
         ...
 

@@ -1,5 +1,6 @@
 """Link to one Modbus device: the blocks of the tick, and single registers for set-up."""
 
+from functools import partial
 from math import inf
 from time import monotonic, sleep
 from typing import NoReturn
@@ -67,7 +68,9 @@ class ModbusLink:
         writes, reads = config.registers.tick_writes(), config.registers.tick_reads()
         self._plausibility = Plausibility(frozenset(reads), config.heartbeat_within_s)
         self.reading: Reading = self._plausibility.reading
-        self._set_point = SetPoint(writes) if "voltage_setpoint" in writes else None
+        self._set_point = set_point = SetPoint(writes) if "voltage_setpoint" in writes else None
+        if set_point is not None and set_point.has_sequence and "command_echo" in reads:
+            self._guard.note_command(reads["command_echo"], partial(getattr, set_point, "sequence"))
         self._block = ReadBlock(reads) if reads else None
         self._read = self._read_template(reads)
         self._write = self._write_template(writes)

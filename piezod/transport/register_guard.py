@@ -5,6 +5,7 @@ device may answer. While voltages are written, identity and settings are read ag
 that was written in set-up, such as the watchdog of the device.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from time import monotonic
 
@@ -50,6 +51,20 @@ class _Setting:
         return _OK if wire.payload[at : at + len(self.raw)] == self.raw else ExchangeResult.SETTING_CHANGED
 
 
+@dataclass(frozen=True)
+class _Command:
+    """The number of the last command that the device has received, and the number of the last one sent."""
+
+    request: Request
+    codec: RegisterCodec
+    sent: Callable[[], int]
+
+    def compare(self, wire: Wire) -> ExchangeResult:
+        """Compare the reply to `request` with the number sent, modulo 16 bits."""
+        found = self.codec.unpack_from(wire.payload, self.request.payload_at)
+        return _OK if (int(found) - self.sent()) % 0x10000 == 0 else ExchangeResult.FOREIGN_COMMAND
+
+
 class RegisterGuard:
     """Compares the registers that must not change, at each connection and in turn while driving.
 
@@ -63,19 +78,30 @@ class RegisterGuard:
         Register map.
     """
 
-    __slots__ = ("_blocks", "_compared", "_next", "_reading_generation", "_settings", "_unit", "_verified", "_wire")
+    __slots__ = (
+        "_blocks",
+        "_command",
+        "_compared",
+        "_next",
+        "_reading_generation",
+        "_settings",
+        "_unit",
+        "_verified",
+        "_wire",
+    )
 
     def __init__(self, wire: Wire, unit_id: int, registers: Registers) -> None:
         self._wire, self._unit = wire, unit_id
         self._blocks = [_block(wire, unit_id, members) for members in _neighbours(registers)]
         self._settings: dict[str, _Setting] = {}
+        self._command: list[_Command] = []
         self._verified = self._reading_generation = -1
         self._compared = self._next = 0
 
     @property
     def count(self) -> int:
         """Number of reads in one turn over all registers."""
-        return len(self._blocks) + len(self._settings)
+        return len(self._blocks) + len(self._settings) + len(self._command)
 
     def is_verified(self) -> bool:
         """Whether the identity was compared on the present connection."""
@@ -84,6 +110,21 @@ class RegisterGuard:
     def mark_verified(self, generation: int) -> None:
         """Note that the identity was compared on the connection with this number."""
         self._verified = generation
+
+    def note_command(self, register: Register, sent: Callable[[], int]) -> None:
+        """Compare the number of the last command in the device too: another program may write to it.
+
+        Parameters
+        ----------
+        register
+            Register in which the device echoes the number.
+        sent
+            Returns the number of the last command sent.
+        """
+        request = read_request(
+            self._wire.framing, self._unit, 4 if register.function == 4 else 3, register.address, register.words
+        )
+        self._command = [_Command(request, RegisterCodec(register), sent)]
 
     def note_setting(self, role: str, register: Register, written: Request) -> None:
         """Keep the value of a set-up register that the device has confirmed.
@@ -131,11 +172,12 @@ class RegisterGuard:
         -------
         ExchangeResult
             OK: as expected. WRONG_DEVICE: nothing more is written on this connection before `verify` succeeds.
-            SETTING_CHANGED. Otherwise the failure. Unless it is OK, the next call reads the same register.
+            SETTING_CHANGED. FOREIGN_COMMAND. Otherwise the failure. Unless it is OK, the next call reads the same
+            register.
         """
         if not self.is_verified():
             return ExchangeResult.UNVERIFIED
-        entries: list[_Setting | _IdentityBlock] = [*self._settings.values(), *self._blocks]
+        entries: list[_Setting | _IdentityBlock | _Command] = [*self._settings.values(), *self._blocks, *self._command]
         if not entries:
             return _OK
         entry = entries[self._next % len(entries)]
@@ -147,7 +189,7 @@ class RegisterGuard:
             self._next += 1
         elif isinstance(entry, _Setting):
             self._wire.transact(entry.again, deadline_s)  # whether it was written, the next call reads
-        else:
+        elif isinstance(entry, _IdentityBlock):
             self._verified = self._reading_generation = -1
         return result
 

@@ -1,5 +1,6 @@
 """The values of a tick: encoded into the request, decoded from the reply, and checked."""
 
+import secrets
 import struct
 import sys
 from math import isfinite, nan
@@ -53,6 +54,7 @@ class SetPoint:
             self._sequence = RegisterCodec(counter)
             self._sequence_at = 2 * (counter.address - first)
             self._modulus = _HALF if counter.type == "int16" else _COUNTS
+            self.sequence = secrets.randbelow(self._modulus)  # two programs that start together do not count alike
 
     def encode_into(self, request: Request, voltage_V: float) -> float:
         """Encode voltage [V] and next command number into `request`.

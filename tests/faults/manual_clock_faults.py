@@ -9,6 +9,8 @@ import numpy as np
 
 from piezod.config import RealTimeConfig
 from piezod.control import State, real_time
+from piezod.transport.modbus import ModbusLink
+from tests.contract.judged_bench import FaultyWire
 from tests.faults.bench_pool import Observation
 from tests.faults.manual_clock_bench import TICK_MS, ManualClockBench
 
@@ -114,6 +116,22 @@ def loop_refused(pool, fault, *, refused, kept, limits=None, most_ms=10_000):
         begun_ns = bench.clock.time_ns
         bench.wire.faults = ([("refused", 0)] * refused + [("", 0)] * kept) * most_ms
         return _observe(bench, fault, most_ms=most_ms, begun_ns=begun_ns)
+
+
+def loop_second_master(pool, fault):
+    """Another program writes the present voltage in the rest of each tick, as a second daemon would."""
+    with _manual_clock_bench() as bench:
+        bench.arm()
+        config = bench.config.link.model_copy(update={"heartbeat_within_s": 10.0})
+        other = ModbusLink(config, FaultyWire(bench.device, bench.clock, timeout_ms=3))
+
+        def write_too(true_N):
+            other.exchange(bench.link.written_V)
+            return true_N
+
+        begun_ns = bench.clock.time_ns
+        bench.wire.lie = write_too  # called when the reply of each tick has arrived
+        return _observe(bench, fault, most_ms=3000, begun_ns=begun_ns)
 
 
 class Gain:
@@ -245,6 +263,7 @@ INJECTORS = {
     "loop_pause": loop_pause,
     "loop_reading": loop_reading,
     "loop_pattern": loop_pattern,
+    "loop_second_master": loop_second_master,
     "loop_status": loop_status,
     "loop_refused": loop_refused,
     "loop_out_of_reach": loop_out_of_reach,

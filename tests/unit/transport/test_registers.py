@@ -146,6 +146,10 @@ def test_a_command_number_in_front_of_the_voltage_keeps_both_in_their_places():
         "voltage_setpoint": register("float32", "ABCD", address=31),
     }
     request = write_request("tcp", 1, 16, 30, 3)
-    assert SetPoint(writes).encode_into(request, 12.5) == 12.5
+    set_point = SetPoint(writes)
+    assert set_point.encode_into(request, 12.5) == 12.5
     at = request.values_at
-    assert struct.unpack(">Hf", bytes(request.frame[at : at + 6])) == (1, 12.5)
+    assert struct.unpack(">Hf", bytes(request.frame[at : at + 6])) == (set_point.sequence, 12.5)
+    before = set_point.sequence
+    set_point.encode_into(request, 13.0)
+    assert struct.unpack(">Hf", bytes(request.frame[at : at + 6])) == ((before + 1) % 65536, 13.0)
