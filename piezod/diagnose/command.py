@@ -14,6 +14,7 @@ from piezod.diagnose.verdict.words import Wording
 from piezod.errors import ConfigurationError, UsageError
 from piezod.model import Model, load_model, save_model
 from piezod.recording import TextOptions
+from piezod.recording.names import unit_of
 
 WORSE = 1.02  # times the error of the given model on a recording held out: the noise of a minute does not do that
 LESS: dict[Verdict, Verdict] = {"explained": "partly_explained", "matches": "unexplained"}
@@ -163,10 +164,12 @@ def _rms(source: Source, model: Model) -> float:
 
 
 def _with_columns(model: Model, input_column: str | None, output_column: str | None) -> Model:
-    """The model for other columns, where they were named."""
+    """The model for other columns, where they were named; a model of negated readings stays one."""
     changes = {}
     for side, column in (("input", input_column), ("output", output_column)):
         if column is not None:
             channel = getattr(model, side)
-            changes[side] = channel.model_copy(update={"channel": column, "unit": column.rpartition("_")[2] or column})
+            sign = "-" if channel.channel.startswith("-") else ""
+            named = f"{sign}{column.removeprefix('-')}"
+            changes[side] = channel.model_copy(update={"channel": named, "unit": unit_of(column) or column})
     return model.model_copy(update=changes)

@@ -27,6 +27,7 @@ from piezod.model import Model, file_sha256
 from piezod.model.parameters import Channel, FitFigures, Provenance, RecordingSource, Start
 from piezod.operators import EPS, PrandtlIshlinskii
 from piezod.recording import Recording
+from piezod.recording.names import unit_of
 
 Array = NDArray[np.float64]
 
@@ -375,7 +376,7 @@ def _channel(name: str, values: Sequence[Array]) -> Channel:
 
 
 def _unit(column: str) -> str:
-    return column.rpartition("_")[2] or column
+    return unit_of(column) or column
 
 
 def _undetermined(chosen: Candidate) -> list[str]:
