@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from piezod.diagnose.candidates.clipped import clipped_note, clipped_stretches
 from piezod.diagnose.candidates.direct import noise_of
 from piezod.diagnose.candidates.frozen import frozen_stretches, still_stretches
 from piezod.diagnose.candidates.rounding import lattice_step_N
@@ -154,10 +155,11 @@ def made_ready(sources: Sequence[Source], model: Model) -> tuple[list[Series], l
     for source in sources:
         one, more = even(source, model)
         one, unknown = without_unknown(started(one, model), model)
+        one, clipped = without_clipped(one, model)
         one, stretches = without_frozen(one, model)
         series.append(one)
         frozen.append(stretches)
-        notes += more + unknown
+        notes += more + unknown + clipped
     return series, frozen, notes
 
 
@@ -361,6 +363,22 @@ def without_unknown(series: Series, model: Model) -> tuple[Series, list[str]]:
     ), [said]
 
 
+def without_clipped(series: Series, model: Model) -> tuple[Series, list[str]]:
+    """The same without readings at the end of a converter's range, and a note on each end."""
+    operator = model.hysteresis.operator()
+    operator.run(np.array(series.path_V))
+    expected = operator.run(series.command_V)
+    expected += float(np.median((series.reading_N - expected)[series.counts]))  # a tare is no mismatch
+    found = clipped_stretches(series, expected, frozen_stretches(series, expected))
+    counts = series.counts.copy()
+    for first, end in (stretch for stretches in found.values() for stretch in stretches):
+        counts[first:end] = False
+    if not counts.any():
+        return series, []
+    notes = [clipped_note(series, limit_N, stretches, model.output.unit) for limit_N, stretches in found.items()]
+    return replace(series, counts=counts), notes
+
+
 def without_frozen(series: Series, model: Model) -> tuple[Series, list[tuple[int, int]]]:
     """The same without readings that are frozen, and where they are.
 
@@ -373,6 +391,7 @@ def without_frozen(series: Series, model: Model) -> tuple[Series, list[tuple[int
     operator.run(np.array(series.path_V))
     expected = operator.run(series.command_V)
     stretches = frozen_stretches(series, expected) or still_stretches(series, expected)
+    stretches = [(first, end) for first, end in stretches if series.counts[first:end].any()]
     counts = series.counts.copy()
     for first, end in stretches:
         counts[first:end] = False  # the first one too: at a rail it is no reading
