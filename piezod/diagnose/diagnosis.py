@@ -13,7 +13,7 @@ from piezod.diagnose.candidates.rounding import unrounded
 from piezod.diagnose.candidates.screening import DIRECT
 from piezod.diagnose.candidates.tones import with_tones
 from piezod.diagnose.experiment.testable import untestable
-from piezod.diagnose.findings import Finding, Findings, Place, Unnamed, above_noise, gap_closed
+from piezod.diagnose.findings import Finding, Findings, Place, Unnamed, Verdict, above_noise, gap_closed
 from piezod.diagnose.hypothesis.chain import Chain, Point, Setting, Term
 from piezod.diagnose.hypothesis.fit import Normal, fit
 from piezod.diagnose.hypothesis.monotone import rises, unfolded
@@ -45,6 +45,7 @@ from piezod.diagnose.verdict.evidence import (
 from piezod.diagnose.verdict.extended import extended_model, with_error
 from piezod.diagnose.verdict.simulated import FreeRun, GivenRuns, free_run, tared_rms
 from piezod.diagnose.verdict.verdict import (
+    RECORD_NOISE,
     held_out_rms,
     less_sure,
     no_noise,
@@ -65,6 +66,8 @@ from piezod.model.unnamed_law import LawStep
 
 Array = NDArray[np.float64]
 
+WITHOUT_NOISE: dict[Verdict, Verdict] = {"matches": "not_testable", "explained": "partly_explained"}
+"""Verdicts where the noise is unknown: nobody can say then that nothing else is left."""
 MOSTLY = 0.8  # of the catalogue: recordings that could not have shown so much of it tell nothing
 COSTS = 0.1  # of what was gained, or of what is left: what plays that do not fold may cost
 STILL_GAINS = 0.5  # of what was gained by plays that fold: what another effect must gain without
@@ -174,7 +177,16 @@ def _diagnosed(
     if diagnosis.findings.verdict in ("unexplained", "partly_explained"):
         progress("looking for a law without a name", 0.97)
         diagnosis = with_unnamed(diagnosis, before.places)
-    return diagnosis
+    return diagnosis if diagnosis.findings.noise_is_known else _with_unknown_noise(diagnosis)
+
+
+def _with_unknown_noise(diagnosis: Diagnosis) -> Diagnosis:
+    """The diagnosis without a verdict that would need the noise."""
+    findings, model = diagnosis.findings, diagnosis.model
+    verdict = WITHOUT_NOISE.get(findings.verdict, findings.verdict)
+    findings = replace(findings, verdict=verdict, notes=(*findings.notes, RECORD_NOISE))
+    findings = replace(findings, words=words_of(findings, Wording(model.input.unit, model.output.unit)))
+    return replace(diagnosis, findings=findings)
 
 
 def with_unnamed(diagnosis: Diagnosis, places: Sequence[tuple[Source, Series]]) -> Diagnosis:
@@ -365,7 +377,7 @@ class _Asked:
         residuals = [one.reading_N - simulated for one, simulated in zip(chain.series, modelled, strict=True)]
         left = explainable(chain.series, residuals, modelled)
         share, closed = remaining(result, left, motion(chain.series, residuals, modelled))
-        floor, floor_from = noise_floor(chain.series, residuals, left)
+        floor, floor_from = noise_floor(chain.series, residuals, left, self.stand_ins)
         series = [replace(one, reading_N=known.reading_N) for one, known in zip(chain.series, self.series, strict=True)]
         before = tared_rms(self.before.asked)
         effects, tones = self._effects(result)

@@ -7,6 +7,8 @@ Verdict = Literal["matches", "explained", "partly_explained", "unexplained", "no
 ABOVE_NOISE = 1.3  # times it: what is left then is more; coloured noise is seen up to 1.25 times weaker in holds
 FINEST = 2e-4  # of the readings' range: nobody is asked to simulate better, whatever the noise
 NO_GAP = 0.02  # of the noise's square: so little above it is nothing
+UNKNOWN = "unknown"
+"""Origin of a noise that shows nowhere in the recordings."""
 SCHEMA = "piezod.findings/2"
 Status = Literal["new", "changed", "gone"]
 
@@ -289,7 +291,7 @@ class Findings:
     unit
         Of the output.
     floor, floor_from
-        Noise [output unit], and what it was read from: repeats, quiet or spectrum.
+        Noise [output unit], and where it shows: quiet (rests) or repeats; `UNKNOWN`: `floor` is an upper bound.
     where
         Where the given model is wrong.
     effects
@@ -365,13 +367,29 @@ class Findings:
         """Whether more than noise is left, though it may be that nothing tells what it is."""
         return above_noise(self.left, self.floor, self.span)
 
+    @property
+    def noise_is_known(self) -> bool:
+        """Whether the noise shows in the recordings; otherwise `floor` is an upper bound."""
+        return self.floor_from != UNKNOWN
+
+    @property
+    def noise_text(self) -> str:
+        """The noise with its unit, or what is known of it."""
+        text = f"{self.floor:.3g} {self.unit}"
+        return text if self.noise_is_known else f"unknown, at most {text}"
+
+    def _noise_as_dict(self) -> dict[str, Any]:
+        if self.noise_is_known:
+            return {"value": self.floor, "unit": self.unit, "from": self.floor_from}
+        return {"value": None, "unit": self.unit, "from": None, "at_most": self.floor}
+
     def as_dict(self) -> dict[str, Any]:
         """For `findings.json`, schema "piezod.findings/2"; what was in /1 has its place."""
         return {
             "schema": SCHEMA,
             "verdict": self.verdict,
             "words": self.words,
-            "noise_floor": {"value": self.floor, "unit": self.unit, "from": self.floor_from},
+            "noise_floor": self._noise_as_dict(),
             "where": [place.as_dict() for place in self.where],
             "effects": [one.as_dict(self.unit) for one in self.effects],
             "kept": [one.as_dict() for one in self.kept],

@@ -9,12 +9,13 @@ from numpy.typing import NDArray
 from piezod.diagnose.adequacy.guard import Guard
 from piezod.diagnose.adequacy.remainder import Motion
 from piezod.diagnose.candidates.tones import Tone
-from piezod.diagnose.findings import Base, Finding, Findings, Verdict
+from piezod.diagnose.findings import UNKNOWN, Base, Finding, Findings, Verdict
 from piezod.diagnose.hypothesis.chain import Chain
 from piezod.diagnose.hypothesis.fit import Fitted
 from piezod.diagnose.hypothesis.series import Series
 from piezod.diagnose.selection.search_state import Search
 from piezod.diagnose.verdict.words import Wording, base_words, effect_words, kept_words, law_words
+from piezod.estimation.noise import noise_of
 
 Array = NDArray[np.float64]
 
@@ -25,6 +26,10 @@ SURE = 0.01  # p below which that share is believed
 CLOSED = 0.97  # part of what could be explained, from which it counts as explained
 BELIEVED = 0.5  # confidence that one of the names must have where something is left
 FEWEST_HOLDS = 3
+RECORD_NOISE = (
+    "the noise is unknown, since the command neither rests nor repeats: record three holds of half a second at "
+    "different levels, or drive the same course three times"
+)
 HOLD_S, SHORT_HOLD_S = 0.5, 0.15  # of the rests that tell the noise
 SLOWER = 1.5  # times the noise in short rests that all noise has at most: where half of its power is slower, 1.41
 PARTLY = 0.9  # most that a name is believed whose effect leaves much to explain
@@ -42,22 +47,49 @@ def held_out_rms(chain: Chain, fitted: Fitted) -> float:
     return float(np.sqrt(powers / samples))
 
 
-def noise_floor(series: Sequence[Series], residuals: Sequence[Array], left: Guard) -> tuple[float, str]:
-    """What no model could explain: quiet holds where there are some, else the spectrum's high end or the absorber's.
+def noise_floor(series: Sequence[Series], residuals: Sequence[Array], left: Guard, stand_ins: int) -> tuple[float, str]:
+    """Noise of the readings [output unit], and where it shows; "unknown" with an upper bound where it shows nowhere.
 
-    No less than a converter's rounding: a coarse one hides all noise at rest, not while the force moves.
+    It shows where the command rests, else where it repeats, first in the recordings asked about, then in those of the
+    identification. A misfit that repeats is no noise. What a flexible model leaves is the upper bound. The noise is no
+    less than a converter's rounding: a coarse one hides all noise at rest, not while the force moves.
+
+    Parameters
+    ----------
+    series, residuals
+        The recordings, and what the found model leaves of their readings, shape (N,) each [output unit].
+    left
+        What a flexible model could still explain.
+    stand_ins
+        How many series stand for recordings that are gone; they have no noise of their own.
     """
-    asked = [(one, r) for one, r in zip(series, residuals, strict=True) if one.role == "recording"]
+    files = list(zip(series, residuals, strict=True))[stand_ins:]
+    asked = [one for one in files if one[0].role == "recording"]
     rms = rms_of(residuals, series)
     rounding_N = max(one.lattice_N for one, _ in asked) / float(np.sqrt(12.0))
     unexplained_N = rms * float(np.sqrt(max(1.0 - left.share, 0.0)))
+    for some in (asked, [one for one in files if one[0].role != "recording"]):
+        for found, where in ((_at_rest(some, unexplained_N), "quiet"), (_in_repeats(some), "repeats")):
+            if found is not None:
+                return min(max(found, rounding_N), rms), where
+    return min(max(unexplained_N, rounding_N), rms), UNKNOWN
+
+
+def _at_rest(files: Sequence[tuple[Series, Array]], unexplained_N: float) -> float | None:
+    """Noise in rests of the command; short ones hide slow noise, so up to 1.5 times theirs, if so much is left."""
     for hold_s, most in ((HOLD_S, 1.0), (SHORT_HOLD_S, SLOWER)):
-        quiet = [value for one, r in asked for value in _holds(one, r, hold_s)]
+        quiet = [value for one, residual in files for value in _holds(one, residual, hold_s)]
         if len(quiet) >= FEWEST_HOLDS:
-            value = most * float(np.sqrt(np.mean(np.square(quiet))))
-            if most == 1.0 or value < unexplained_N:
-                return min(max(value, rounding_N), rms), "quiet"
-    return min(max(unexplained_N, rounding_N), rms), "spectrum"
+            value = float(np.sqrt(np.mean(np.square(quiet))))
+            return max(value, min(most * value, unexplained_N))
+    return None
+
+
+def _in_repeats(files: Sequence[tuple[Series, Array]]) -> float | None:
+    """Noise from the differences of the residual between periods of the command."""
+    seen = [noise_of(one.command_V, residual, one.counts, one.dt_s) for one, residual in files]
+    values = [noise.rms for noise in seen if noise is not None and noise.seen_in == "repeats"]
+    return float(np.sqrt(np.mean(np.square(values)))) if values else None
 
 
 def _holds(series: Series, residual: Array, hold_s: float) -> list[float]:
@@ -173,5 +205,5 @@ def _error_words(findings: Findings) -> str:
         told += " with hysteresis and sampling refitted"
     if findings.after == findings.before:
         told = f"error {findings.before:.3g} {unit}"
-    told += f", noise {findings.floor:.3g} {unit}"
+    told += f", noise {findings.noise_text}"
     return told if findings.law is None else f"{told}, with {law_words(findings.law)}"

@@ -38,7 +38,7 @@ HANDLINGS = {
 FLOORS = {
     "quiet": "measured while the command is constant",
     "repeats": "from repeated periods of the excitation",
-    "spectrum": "the part that no flexible model explains",
+    "unknown": "an upper bound: the part that no flexible model explains",
 }
 NEAR = 0.15  # rivals whose predictions differ by less are hardly distinguishable [rms of the noise]
 HIGH, MEDIUM = 0.9, 0.7  # lowest confidence of each level
@@ -82,7 +82,8 @@ def lead(findings: Findings) -> str:
         Result of the diagnosis.
     """
     unit = unit_words(findings.unit)
-    floor = f"noise floor {rounded(findings.floor)} {unit} ({FLOORS.get(findings.floor_from, findings.floor_from)})"
+    known = "noise floor" if findings.noise_is_known else "noise unknown, at most"
+    floor = f"{known} {rounded(findings.floor)} {unit} ({FLOORS.get(findings.floor_from, findings.floor_from)})"
     before = f"Error that simulate leaves: {rounded(findings.before)} {unit}"
     kept = kept_words(findings.kept)
     kept = f" Of the given model: {kept}." if kept else ""
