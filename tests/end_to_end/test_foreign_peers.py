@@ -32,6 +32,8 @@ SLEW_V_PER_TICK = 4000.0 / 100.0  # limits.slew_V_per_s of config/bench.yaml at 
 BAUDRATE = 115200
 MAPS = {"one exchange": (23, 23), "two exchanges": (16, 3)}
 
+WITHOUT_OUTPUT_BIT = {"stale_after_ms": 500, "output_on_in_status": False}  # the device of another maker
+
 
 @contextlib.contextmanager
 def program(source, *arguments):
@@ -149,7 +151,7 @@ def floating(two):
 
 def foreign_bench(folder, serves, write=23, read=23, **changes):
     """A bench file for a device of plain registers: no emulator's time, no PLC's reference."""
-    path = bench_file(folder, serves, rate_Hz=100, limits=PATIENT | {"stale_after_ms": 500}, **changes)
+    path = bench_file(folder, serves, rate_Hz=100, limits=PATIENT | WITHOUT_OUTPUT_BIT, **changes)
     content = yaml.safe_load(path.read_text(encoding="utf-8"))
     registers = content["link"]["registers"]
     for role in ("virtual_time", "virtual_tick_us", "reference", "reference_counter"):

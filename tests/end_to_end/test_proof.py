@@ -134,7 +134,10 @@ def test_ctrl_c_leaves_the_bench_at_rest_and_writes_a_record_that_did_not_pass(
     step = STEPS[name]
 
     def interrupted(proof):
-        threading.Timer(0.05, lambda: os.kill(os.getpid(), signal.SIGINT)).start()
+        if name == "minimum":  # it trips in its first ticks
+            os.kill(os.getpid(), signal.SIGINT)
+        else:
+            threading.Timer(0.05, lambda: os.kill(os.getpid(), signal.SIGINT)).start()
         return step(proof)
 
     def attempt(number):

@@ -179,7 +179,7 @@ def test_while_armed_only_tighter_limits_are_taken(bench):
         change(bench, "force_trip_N: 360.0", "force_trip_N: 361.0")
         service.refuses("reload", "limits.force_trip_N would go from 360 to 361, which is looser")
         service.signal(signal.SIGHUP)
-        service.wait_for("reload refused, the old configuration stays: reload: limits.force_trip_N")
+        service.wait_for("reload refused, the old configuration stays: reload: while RUNNING limits.force_trip_N")
         bench.write_text("rate_Hz: [", encoding="utf-8")
         service.signal(signal.SIGHUP)
         service.wait_for("not valid YAML")

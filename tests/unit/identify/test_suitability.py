@@ -147,7 +147,7 @@ def test_what_tells_no_model_is_refused_in_one_line_and_leaves_the_model_file_as
     assert says in err
     assert not (tmp_path / "model.yaml").exists()
     (tmp_path / "model.yaml").write_text("precious", encoding="utf-8")
-    assert identify(text)[0] == 78
+    assert identify(text, "--force")[0] == 78
     assert (tmp_path / "model.yaml").read_text(encoding="utf-8") == "precious"
     assert sorted(path.name for path in tmp_path.iterdir()) == ["model.yaml", "rec.csv"]
 
