@@ -6,7 +6,7 @@ from typing import Any
 
 from piezod.api.model import Model
 from piezod.api.notebook import curves_svg, result_html
-from piezod.diagnose.diagnosis import Diagnosis
+from piezod.diagnose.judgement import Diagnosis
 from piezod.diagnose.verdict.words import Wording, label_of, value_words
 from piezod.effects import EFFECTS
 from piezod.identify.identification import Identification

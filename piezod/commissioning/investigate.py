@@ -11,10 +11,10 @@ import numpy as np
 
 from piezod.commissioning.record import excitation_duration_s, record_excitation
 from piezod.diagnose.command import diagnose_files
-from piezod.diagnose.diagnosis import Diagnosis
 from piezod.diagnose.experiment.isolability import Isolability, isolability
 from piezod.diagnose.experiment.planning import Experiment, next_experiment, separation
 from piezod.diagnose.findings import Findings
+from piezod.diagnose.judgement import Diagnosis
 from piezod.diagnose.prepare import past_sources, read_source
 from piezod.model import load_model
 from piezod.recording import Recording, write_recording

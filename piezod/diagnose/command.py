@@ -5,8 +5,9 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from piezod.diagnose.diagnosis import Diagnosis, diagnose
+from piezod.diagnose.diagnosis import diagnose
 from piezod.diagnose.findings import HeldOut, Verdict, above_noise
+from piezod.diagnose.judgement import Diagnosis
 from piezod.diagnose.prepare import Source, past_sources, read_source
 from piezod.diagnose.verdict.simulated import free_run, tared_rms
 from piezod.diagnose.verdict.verdict import words_of

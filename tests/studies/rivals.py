@@ -31,9 +31,9 @@ from piezod.blind.case import Description
 from piezod.blind.diagnose_case import MODEL, identified
 from piezod.commissioning.investigate import open_pairs
 from piezod.diagnose.command import diagnose_files
-from piezod.diagnose.diagnosis import Diagnosis
 from piezod.diagnose.experiment.isolability import isolability
 from piezod.diagnose.experiment.planning import next_experiment, separation
+from piezod.diagnose.judgement import Diagnosis
 from piezod.diagnose.prepare import past_sources, read_source
 from piezod.model import save_model
 

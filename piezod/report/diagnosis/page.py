@@ -11,8 +11,8 @@ from bokeh.plotting import figure
 from numpy.typing import NDArray
 
 from piezod import __version__
-from piezod.diagnose.diagnosis import Diagnosis
 from piezod.diagnose.findings import Place
+from piezod.diagnose.judgement import Diagnosis
 from piezod.diagnose.localisation.locate import locate
 from piezod.diagnose.verdict.words import Wording, unit_words
 from piezod.report.diagnosis import sections

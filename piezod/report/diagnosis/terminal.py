@@ -2,8 +2,8 @@
 
 from pathlib import Path
 
-from piezod.diagnose.diagnosis import Diagnosis
 from piezod.diagnose.findings import Finding
+from piezod.diagnose.judgement import Diagnosis
 from piezod.diagnose.verdict.words import Wording, label_of, law_words, place_words, value_words
 from piezod.report.diagnosis.wording import SCOPES
 

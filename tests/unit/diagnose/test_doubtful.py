@@ -6,8 +6,8 @@ import pytest
 
 import piezod
 from piezod.diagnose.command import checked_by, law_checked
-from piezod.diagnose.diagnosis import Diagnosis
 from piezod.diagnose.findings import Finding, Findings, HeldOut
+from piezod.diagnose.judgement import Diagnosis
 from piezod.diagnose.verdict.doubt import confidences, least_believed, needed, needless
 
 
