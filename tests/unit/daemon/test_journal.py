@@ -34,7 +34,7 @@ def test_a_reader_that_stands_still_delays_nobody_and_lines_are_dropped_and_coun
         journal.add("x" * 99)
     assert time.monotonic() - begun_s < 5.0  # a write to a full pipe never returns
     assert not journal.flush(0.1)
-    assert lines - MOST_WAITING - 700 < journal.dropped < lines - MOST_WAITING
+    assert lines - MOST_WAITING - 700 < journal.dropped <= lines - MOST_WAITING
 
 
 def test_without_a_reader_lines_are_dropped_and_the_program_goes_on(pipe):
