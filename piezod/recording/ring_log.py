@@ -1,7 +1,8 @@
 """The ring log: a file in shared memory that holds the latest ticks; one process writes, any number of processes read.
 
-    file       = header | capacity rows | counters
-    header     = magic, 8 bytes | row size | capacity | number of rows written so far, each uint64
+    file       = header | capacity places | counters
+    header     = magic, 8 bytes | size of a place | capacity | number of rows written so far, each uint64
+    place      = row | number of the row, from 1, uint64
     counters   = 8 counts of the writer, each uint64
 
 The counters hold how many values of a live reference passed each result of their check. A reader may ignore them.
@@ -12,7 +13,7 @@ can delay a tick.
 
 Both sides use the file by position (`pwrite`, `pread`) and never touch mapped memory: a file that somebody truncates
 would end each process that touches its mapping. `RingReader.is_broken` tells that it happened, and `RingLog.restore`
-makes the file again.
+makes the file again. A place that lost its row, or a part of it, does not end with the number of that row.
 """
 
 import contextlib
@@ -38,7 +39,7 @@ _HEAD = struct.Struct("<8sQQQ")
 _COUNT_AT = 24
 MOST_BYTES = 1 << 34
 """Largest ring log [byte]; more than any memory."""
-_ROW = struct.Struct("<qqddddddqqiiii")
+_PLACE = struct.Struct("<qqddddddqqiiiiQ")
 
 ROW_DTYPE = np.dtype(
     [
@@ -58,6 +59,7 @@ ROW_DTYPE = np.dtype(
         ("cause", "<i4"),
     ]
 )
+_PLACE_DTYPE = np.dtype([("row", ROW_DTYPE), ("number", "<u8")])
 
 
 class RingLog:
@@ -89,7 +91,7 @@ class RingLog:
 
     def __init__(self, path: Path | None, capacity: int, group: str | None = None) -> None:
         self._path, self._capacity, self._group = path, capacity, group
-        self._row = bytearray(_ROW.size)
+        self._row = bytearray(_PLACE.size)
         self._count = memoryview(bytearray(8)).cast("Q")
         counts = bytearray(_COUNTERS_BYTES)
         self.counters = memoryview(counts).cast("Q")
@@ -100,8 +102,8 @@ class RingLog:
 
     def _made(self) -> tuple[int, mmap.mmap]:
         """Make the file, and a mapping that only keeps its pages in memory."""
-        size = _HEAD.size + self._capacity * _ROW.size + _COUNTERS_BYTES
-        head = _HEAD.pack(MAGIC, _ROW.size, self._capacity, 0)
+        size = _HEAD.size + self._capacity * _PLACE.size + _COUNTERS_BYTES
+        head = _HEAD.pack(MAGIC, _PLACE.size, self._capacity, 0)
         try:
             descriptor = _open_file(self._path, size, head, self._group)
         except OSError as error:
@@ -116,16 +118,16 @@ class RingLog:
         *row
             Values in the order of `ROW_DTYPE`.
         """
-        _ROW.pack_into(self._row, 0, *row)
-        descriptor, place = self._descriptor, _HEAD.size + self._rows % self._capacity * _ROW.size
+        descriptor, place = self._descriptor, _HEAD.size + self._rows % self._capacity * _PLACE.size
         self._rows += 1
+        _PLACE.pack_into(self._row, 0, *row, self._rows)
         self._count[0] = self._rows
         try:
             os.pwrite(descriptor, self._row, place)
             os.pwrite(descriptor, self._count, _COUNT_AT)
             if self._counts != self._written_counts:
                 self._written_counts = bytes(self._counts)
-                os.pwrite(descriptor, self._counts, _HEAD.size + self._capacity * _ROW.size)
+                os.pwrite(descriptor, self._counts, _HEAD.size + self._capacity * _PLACE.size)
         except OSError:  # the file was truncated, and its file system is full
             self.lost += 1
 
@@ -209,7 +211,7 @@ class RingReader:
     Attributes
     ----------
     dropped
-        Number of rows that were overwritten before they were read.
+        Number of rows that were overwritten or lost before they were read.
 
     Raises
     ------
@@ -229,7 +231,7 @@ class RingReader:
         if len(head) < _HEAD.size:
             raise UnreachableError(f"{path}: no ring log to read: is the daemon running?")
         magic, row_size, self._capacity, _ = _HEAD.unpack(head)
-        if magic != MAGIC or row_size != _ROW.size:
+        if magic != MAGIC or row_size != _PLACE.size:
             raise UnreachableError(f"{path}: not a ring log of this version; restart the daemon")
         self._next = first
         self.dropped = 0
@@ -237,7 +239,7 @@ class RingReader:
     @property
     def is_broken(self) -> bool:
         """Whether the file was removed, replaced or truncated, so that nobody else can read it any more."""
-        size = _HEAD.size + self._capacity * _ROW.size
+        size = _HEAD.size + self._capacity * _PLACE.size
         try:
             own, found = os.fstat(self._descriptor), self._path.stat()
         except OSError:
@@ -248,7 +250,7 @@ class RingReader:
     @property
     def counters(self) -> tuple[int, ...]:
         """Counters of the writer; empty for a writer of an earlier version."""
-        place = _HEAD.size + self._capacity * _ROW.size
+        place = _HEAD.size + self._capacity * _PLACE.size
         content = os.pread(self._descriptor, _COUNTERS_BYTES, place)
         return struct.unpack(f"<{COUNTERS}Q", content) if len(content) == _COUNTERS_BYTES else ()
 
@@ -283,24 +285,23 @@ class RingReader:
         first = max(self._next, written - self._capacity + 1)
         if most is not None:
             written = min(written, first + most)
-        rows = self._copied(first, written)
-        overwritten = min(max(0, self._written() - self._capacity + 1 - first), rows.size)
-        self.dropped += first - self._next + overwritten
+        places = self._copied(first, written)
+        numbers = first + 1 + np.arange(places.size, dtype=np.uint64)
+        # what the writer may have begun to overwrite, and what a truncated file has lost
+        good = (numbers + self._capacity > self._written() + 1) & (places["number"] == numbers)
+        fresh: NDArray[np.void] = places["row"][good]
+        self.dropped += max(written - self._next, 0) - fresh.size
         self._next = written
-        fresh: NDArray[np.void] = rows[overwritten:]
         return fresh
 
     def _copied(self, first: int, end: int) -> NDArray[np.void]:
-        """Rows `first` to `end`; without those that a truncated file has lost."""
+        """Places of the rows `first` to `end`, as far as the file has them."""
         begin, count = first % self._capacity, max(end - first, 0)
         parts = [(begin, min(count, self._capacity - begin)), (0, max(count - (self._capacity - begin), 0))]
         content = b"".join(
-            os.pread(self._descriptor, size * _ROW.size, _HEAD.size + at * _ROW.size) for at, size in parts if size
+            os.pread(self._descriptor, size * _PLACE.size, _HEAD.size + at * _PLACE.size) for at, size in parts if size
         )
-        rows = np.frombuffer(content[: len(content) // _ROW.size * _ROW.size], ROW_DTYPE)
-        if rows.size < count:
-            self.dropped += count - rows.size
-        return rows
+        return np.frombuffer(content[: len(content) // _PLACE.size * _PLACE.size], _PLACE_DTYPE)
 
     def _written(self) -> int:
         content = os.pread(self._descriptor, 8, _COUNT_AT)

@@ -4,10 +4,14 @@ import errno
 import os
 import subprocess
 import sys
+import tempfile
 import threading
+from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from piezod.errors import ConfigurationError, TemporaryError, UnreachableError
 from piezod.recording.ring_log import ROW_DTYPE, RingLog, RingReader, remove_ring_log
@@ -111,10 +115,6 @@ def test_a_reader_in_another_process_never_sees_an_incomplete_count(tmp_path):
     assert (out, err) == ("0\n", "")
 
 
-def test_a_row_has_96_bytes():
-    assert ROW_DTYPE.itemsize == 96
-
-
 def test_a_missing_ring_and_a_foreign_file_are_refused(tmp_path):
     (tmp_path / "other").write_bytes(b"x" * 200)
     with pytest.raises(UnreachableError, match="is the daemon running"):
@@ -184,7 +184,7 @@ def test_counters_reach_the_reader_and_a_log_without_a_file_holds_rows(tmp_path)
 def test_a_ring_log_of_an_earlier_version_has_no_counters(tmp_path):
     RingLog(tmp_path / "ring", 10).close()
     with (tmp_path / "ring").open("r+b") as file:
-        file.truncate(32 + 10 * ROW_DTYPE.itemsize)
+        file.truncate(32 + 10 * (ROW_DTYPE.itemsize + 8))
     assert RingReader(tmp_path / "ring").counters == ()
 
 
@@ -212,6 +212,25 @@ def test_writer_and_reader_survive_a_file_that_is_truncated(tmp_path, size):
     fresh = RingReader(path)
     assert fresh.read()["tick"].tolist() == [21]
     log.close()
+
+
+@given(size=st.integers(0, 32 + 20 * 104), later=st.integers(1, 25))
+def test_a_reader_gives_only_whole_rows_of_a_file_that_was_cut_anywhere_and_written_on(size, later):
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "ring"
+        log = RingLog(path, 20)
+        for k in range(1, 16):
+            log.append(*row(k))
+        reader = RingReader(path)
+        os.truncate(path, size)
+        for k in range(16, 16 + later):
+            log.append(*row(k))
+        rows = reader.read()
+        log.close()
+    assert [tuple(found) for found in rows] == [row(k) for k in rows["tick"]]
+    lost = 15 + later - rows.size
+    assert reader.dropped == lost
+    assert rows["tick"][-1] == 15 + later
 
 
 @pytest.mark.parametrize("how", ["removed", "replaced"])
