@@ -1,6 +1,7 @@
-"""A probe for standstills of this machine: a process of the highest priority that measures its late wake-ups.
+"""A probe for standstills of this machine: on each core a thread of the highest priority measures its late wake-ups.
 
 `python -m tests.faults.probe` writes a line for each wake-up that was more than `STILL_MS` late, until it is killed.
+A core of a virtual machine may stand still alone.
 """
 
 import contextlib
@@ -14,8 +15,9 @@ STILL_MS = 4.0
 SLEEP_S = 0.001
 
 
-def watch():
-    """Sleep repeatedly for 1 ms and print each late wake-up."""
+def watch(core):
+    """Sleep repeatedly for 1 ms on one core and print each late wake-up."""
+    os.sched_setaffinity(0, {core})
     with contextlib.suppress(PermissionError):
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(99))
     before_ns = time.monotonic_ns()
@@ -77,4 +79,5 @@ def repeated_after_standstills(probe, attempt, most=4):
 
 
 if __name__ == "__main__":
-    watch()
+    for core in os.sched_getaffinity(0):
+        threading.Thread(target=watch, args=(core,)).start()
