@@ -44,6 +44,7 @@ def _make(options: argparse.Namespace) -> None:
         effect=options.effect,
         strength=options.strength,
         families=tuple(FAMILIES) if options.family == "each" else (options.family,),
+        amid_s=options.amid,
         jobs=options.jobs,
         progress=_show if sys.stderr.isatty() else None,
     )
@@ -80,6 +81,13 @@ def _parser() -> argparse.ArgumentParser:
         choices=(*FAMILIES, "each"),
         default="",
         help="plants of one family, or of each in turn (default: laws drawn for each case)",
+    )
+    maker.add_argument(
+        "--amid",
+        type=float,
+        default=0.0,
+        metavar="S",
+        help="seconds missing at the begin of the recordings of every third case (default: 0)",
     )
     maker.add_argument("--jobs", type=int, default=1, help="number of processes")
     scorer = verbs.add_parser("score", help="open the sealed truth and score the findings")

@@ -29,7 +29,7 @@ def make_study(directory: Path, cases: int, options: Mapping[str, object], on_ca
     cases
         Number of cases, at least 1.
     options
-        Values of `seed`, `kind`, `effect`, `strength`, `family` and `jobs`; None: the default of the command.
+        Values of `seed`, `kind`, `effect`, `strength`, `family`, `amid` and `jobs`; None: the default of the command.
     on_cases
         Called repeatedly with the number of cases drawn so far.
 

@@ -36,6 +36,10 @@ def blind_make(
             metavar="NAME", help="Laws of the plants: preisach, bouc_wen, plays, interpolated, or each in turn."
         ),
     ] = None,
+    amid: Annotated[
+        float | None,
+        typer.Option(min=0.0, metavar="S", help="Seconds missing at the begin of the work of every third case."),
+    ] = None,
     jobs: Annotated[int | None, typer.Option(min=1, help="Number of processes; default: one per core.")] = None,
 ) -> None:
     """Draw cases from a simulated plant that shares no code with this program, and seal the truth."""
@@ -49,6 +53,7 @@ def blind_make(
         "effect": effect,
         "strength": strength,
         "family": family,
+        "amid": amid,
         "jobs": jobs or core_count(),
     }
     with steps() as show:

@@ -23,10 +23,16 @@ from piezod.diagnose.selection.search import OnProgress, fitted_without, instead
 from piezod.diagnose.selection.search_state import Beside, Search
 from piezod.diagnose.selection.stated_hold import as_told
 from piezod.diagnose.selection.unnamed import fit_unnamed
-from piezod.diagnose.verdict.doubt import confidences, least_believed, needed, needless, not_believed
-from piezod.diagnose.verdict.evidence import (
-    standing,
+from piezod.diagnose.verdict.doubt import (
+    confidences,
+    experiments_for,
+    least_believed,
+    needed,
+    needless,
+    not_believed,
+    not_determined,
 )
+from piezod.diagnose.verdict.evidence import standing
 from piezod.diagnose.verdict.extended import with_error
 from piezod.diagnose.verdict.simulated import GivenRuns, free_run, tared_rms
 from piezod.diagnose.verdict.verdict import (
@@ -100,14 +106,16 @@ def _diagnosed(
     surest = confidences(diagnosis.findings)
     while True:
         idle = needless(result, diagnosis.findings, delivered=diagnosis.model is not model)
-        doubtful = idle or least_believed(result, diagnosis.findings, surest)
+        open_sizes = [] if idle else not_determined(diagnosis.findings)
+        doubtful = idle or open_sizes or least_believed(result, diagnosis.findings, surest)
         if not doubtful:
             break
         progress("leaving out what is doubtful", 0.95)
-        said += not_believed(diagnosis.findings, doubtful)
+        wording = Wording(model.input.unit, model.output.unit)
+        said += experiments_for(diagnosis.findings, open_sizes, wording) or not_believed(diagnosis.findings, doubtful)
         result = rising(_without(result, doubtful))
         without_them = asked_for.judged(result)
-        if not idle and needed(diagnosis.findings, without_them.findings):
+        if not (idle or open_sizes) and needed(diagnosis.findings, without_them.findings):
             break
         diagnosis, surest = without_them, confidences(without_them.findings, surest)
     if diagnosis.findings.verdict in ("unexplained", "partly_explained"):

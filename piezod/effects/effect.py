@@ -252,6 +252,11 @@ class Effect:
         self._by_name.update({one.name: one for one in self.parameters})
 
     @property
+    def size(self) -> Parameter:
+        """Parameter that says how strong the effect is, or where it acts: the first one."""
+        return self.parameters[0]
+
+    @property
     def catalogued(self) -> tuple[Parameter, ...]:
         """Parameters that a finding reports."""
         return tuple(one for one in self.parameters if not one.search.nuisance)

@@ -29,6 +29,7 @@ def make(
     effect: str | None = None,
     strength: float | None = None,
     families: Sequence[str] = ("",),
+    amid_s: float = 0.0,
     jobs: int = 1,
     progress: Callable[[int, int], None] | None = None,
 ) -> None:
@@ -44,6 +45,9 @@ def make(
         Seed of the study; None draws one from the operating system.
     kind, effect, strength, families
         See `plan.case_specs`.
+    amid_s
+        Time that is missing at the begin of the recordings of work of every third case [s]; they then begin somewhere
+        in the range, with an unknown past.
     jobs
         Number of processes.
     progress
@@ -62,7 +66,8 @@ def make(
     (directory / "sealed").mkdir(parents=True, exist_ok=True)
     names = [f"case_{k:04d}" for k in range(1, cases + 1)]
     truths = {}
-    for done, truth in enumerate(_made(directory, names, planned, children, jobs), 1):
+    begins_s = [amid_s if k % 3 == 0 else 0.0 for k in range(1, cases + 1)]
+    for done, truth in enumerate(_made(directory, names, planned, children, begins_s, jobs), 1):
         truths[names[done - 1]] = truth
         if progress:
             progress(done, cases)
@@ -76,16 +81,19 @@ def _made(
     names: Sequence[str],
     planned: Sequence[CaseSpec],
     seeds: Sequence[np.random.SeedSequence],
+    begins_s: Sequence[float],
     jobs: int,
 ) -> Iterator[dict[str, object]]:
     if jobs <= 1:
-        yield from map(make_case, repeat(directory), names, planned, seeds)
+        yield from map(make_case, repeat(directory), names, planned, seeds, begins_s)
         return
     with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
-        yield from pool.map(make_case, repeat(directory), names, planned, seeds)
+        yield from pool.map(make_case, repeat(directory), names, planned, seeds, begins_s)
 
 
-def make_case(directory: Path, name: str, spec: CaseSpec, seed: np.random.SeedSequence) -> dict[str, object]:
+def make_case(
+    directory: Path, name: str, spec: CaseSpec, seed: np.random.SeedSequence, begin_s: float
+) -> dict[str, object]:
     """Draw and write one case; return its truth.
 
     Parameters
@@ -98,6 +106,8 @@ def make_case(directory: Path, name: str, spec: CaseSpec, seed: np.random.SeedSe
         Kind of the case and names of its effects.
     seed
         Seed of the case.
+    begin_s
+        Time of the first sample that is written of its recordings of work [s]; 0: at rest.
 
     Raises
     ------
@@ -108,17 +118,20 @@ def make_case(directory: Path, name: str, spec: CaseSpec, seed: np.random.SeedSe
     folder = directory / name
     folder.mkdir(exist_ok=True)
     for record in case.records:
-        write_record(folder / record.name, case, record)
-    described = json.dumps(_description(case), indent=1) + "\n"
+        is_work = record.name.startswith("recording")
+        write_record(folder / record.name, case, record, begin_s if is_work else 0.0)
+    described = json.dumps(_description(case, begin_s), indent=1) + "\n"
     (folder / "case.json").write_text(described, encoding="utf-8")
     held_out = case.records[-1]
     sealed_arrays(directory, name).write_bytes(pack_arrays({"held_out_true_N": case.repeatable_N(held_out)}))
-    return case.truth
+    return {**case.truth, "begin_s": begin_s}
 
 
-def _description(case: Case) -> dict[str, object]:
+def _description(case: Case, begin_s: float) -> dict[str, object]:
     """Content of `case.json`: what the diagnosis may know."""
     names = [record.name for record in case.records]
+    at_rest = "every record starts at rest, depoled, at 0 V"
+    amid = "recordings start somewhere in the range; the other records start at rest, depoled, at 0 V"
     return {
         "schema": CASE_SCHEMA,
         "identification": names[0],
@@ -126,11 +139,11 @@ def _description(case: Case) -> dict[str, object]:
         "held_out": names[-1],
         "input": "voltage_V",
         "output": "force_N",
-        "start": "every record starts at rest, depoled, at 0 V",
+        "start": amid if begin_s else at_rest,
     }
 
 
-def write_record(path: Path, case: Case, record: Record) -> None:
+def write_record(path: Path, case: Case, record: Record, begin_s: float = 0.0) -> None:
     """Write the readings of a record of a case.
 
     Parameters
@@ -141,6 +154,8 @@ def write_record(path: Path, case: Case, record: Record) -> None:
         The case.
     record
         One of its records, or one with another drive.
+    begin_s
+        Time of the first sample that is written [s].
     """
     columns = {
         "time_s": (record.drive.time_s, "%.6f"),
@@ -150,7 +165,7 @@ def write_record(path: Path, case: Case, record: Record) -> None:
     if case.shows_temperature:
         columns["temperature_C"] = (case.temperature_C(record), "%.3f")
     row = ",".join(form for _, form in columns.values()) + "\n"
-    table = np.column_stack([values for values, _ in columns.values()])
+    table = np.column_stack([values for values, _ in columns.values()])[record.drive.time_s >= begin_s]
     with path.open("w", encoding="utf-8") as file:
         file.write(",".join(columns) + "\n")
         for start in range(0, len(table), ROWS):

@@ -90,7 +90,7 @@ def freed(chain: Chain, found: Fitted, name: str, past: Point | None = None) -> 
     """
     terms = tuple(replace(term, held=False) if term.effect.name == name else term for term in found.terms)
     place = next(k for k, term in enumerate(terms) if term.effect.name == name)
-    size, values = terms[place].effect.parameters[0], found.point.values
+    size, values = terms[place].effect.size, found.point.values
     known = found.point if past is None or not past.alike(found.point) else past
     starts = [values]
     if size.name in values[place]:

@@ -44,6 +44,17 @@ def test_the_same_seed_makes_the_same_study(study, tmp_path):
             assert path.read_bytes() == (tmp_path / path.relative_to(study)).read_bytes(), path
 
 
+def test_every_third_case_may_begin_amid_its_work(study, tmp_path):
+    make(tmp_path, 3, seed=3, amid_s=8.0)
+    make(tmp_path / "whole", 3, seed=3)
+    for name, begin_s in (("case_0001", 0.0), ("case_0003", 8.0)):
+        for path in sorted((tmp_path / name).glob("*.csv")):
+            whole, found = read(tmp_path / "whole" / name / path.name), read(path)
+            kept = whole["time_s"] >= (begin_s if path.name.startswith("recording") else 0.0)
+            assert found["force_N"].tolist() == whole["force_N"][kept].tolist()
+    assert "somewhere in the range" in (tmp_path / "case_0003" / "case.json").read_text(encoding="utf-8")
+
+
 def test_no_seed_makes_another_study_every_time(tmp_path):
     for name in "ab":
         make(tmp_path / name, 1, kind="null")
