@@ -10,12 +10,16 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from piezod.estimation.initial_state import settled_from
+
 Array = NDArray[np.float64]
 
-TOP = 0.02  # of the input's range, below its maximum, within which a peak is a peak of every period
-STEADY = 0.005  # of a period, by which periods may differ
 SAME_INPUT = 0.3  # of the differences of the output, that differences of the input may make up
-FEWEST_PERIODS = 3  # the first one tells what came before
+COMPARED = 0.2  # of a recording, that must come again: two periods are enough, without the start of the first one
+MOVING = 0.5  # of the input's range, that what comes again must cover
+AS_GOOD = 4.0  # times the smallest squared difference of the input: of the lags below it the shortest is the period
+RAN_APART = 0.25  # of the input's mean square: beyond it the input is another, and what comes later may be a repeat
+COARSE = 1 << 18  # samples of the input in which a period is looked for; of a longer recording every so many
 REST_S, FEWEST_SAMPLES, FEWEST_RESTS = 0.5, 20, 3
 
 
@@ -55,26 +59,52 @@ def noise_of(u: Array, y: Array, counts: NDArray[np.bool_], dt_s: float) -> Nois
 
 
 def _in_repeats(u: Array, y: Array, counts: NDArray[np.bool_]) -> float | None:
-    """From the differences of each sample to the one a period before, without the first period."""
-    span = float(np.ptp(u))
-    top = np.concatenate(([False], u > u.max() - TOP * span, [False]))
-    edges = np.flatnonzero(np.diff(top.astype(np.int8)))
-    peaks = 0.5 * (edges[::2] + edges[1::2] - 1)
-    if peaks.size < FEWEST_PERIODS:
+    """From the differences of each sample to the one a period before.
+
+    They count from where the start is forgotten, from half a period on at the latest.
+    """
+    lag = _period(u)
+    if lag is None:
         return None
-    period = float(peaks[-1] - peaks[0]) / (peaks.size - 1)
-    if np.abs(np.diff(peaks) - period).max() > max(STEADY * period, 1.0):
-        return None
-    lag, first = round(period), int(peaks[0])
+    first = min(settled_from(u), lag // 2)
     both = counts[first + lag :] & counts[first:-lag]
     moved, changed = ((one[first + lag :] - one[first:-lag])[both] for one in (u, y))
-    if changed.size < FEWEST_SAMPLES:
+    again = u[first + lag :][both]
+    if changed.size < max(FEWEST_SAMPLES, 0.5 * COMPARED * u.size) or np.ptp(again) < MOVING * np.ptp(u):
         return None
-    gain = float(np.ptp(y[counts])) / span
+    gain = float(np.ptp(y[counts])) / float(np.ptp(u))
     changed = changed - changed.mean()
-    if gain * float(np.std(moved)) > SAME_INPUT * float(np.std(changed)):
+    if gain * float(np.sqrt(np.mean(moved**2))) > SAME_INPUT * float(np.std(changed)):
         return None
     return float(np.std(changed) / np.sqrt(2.0))
+
+
+def _period(u: Array) -> int | None:
+    """Shortest lag after which the input comes again best [samples]; None: it never runs away from where it was."""
+    step = -(-u.size // COARSE)
+    differences = _squared_differences(u[::step])
+    apart = np.flatnonzero(differences > RAN_APART * np.var(u))
+    if not apart.size or apart[0] + 1 >= differences.size:
+        return None
+    first = int(apart[0])
+    least = AS_GOOD * float(differences[first:].min()) + np.finfo(np.float64).eps * float(np.var(u))
+    coarse = first + int(np.argmax(differences[first:] <= least))
+    while coarse + 1 < differences.size and differences[coarse + 1] < differences[coarse]:
+        coarse += 1
+    near = range(max((coarse - 1) * step, 1) + 1, min((coarse + 1) * step, u.size - 1)) if step > 1 else (coarse,)
+    return min(near, key=lambda lag: float(np.mean(np.square(u[lag:] - u[:-lag]))))
+
+
+def _squared_differences(u: Array) -> Array:
+    """Mean square of u[k + lag] - u[k] for each lag that leaves enough to compare, shape (lags,), from lag 0."""
+    u = u - u.mean()
+    size = u.size
+    spectrum = np.fft.rfft(u, 2 * size)
+    products = np.fft.irfft(spectrum * spectrum.conj())[:size]
+    power = np.concatenate(([0.0], np.cumsum(u**2)))
+    lags = np.arange(max(int((1.0 - COMPARED) * size), 1))
+    found: Array = (power[size - lags] + power[size] - power[lags] - 2.0 * products[lags]) / (size - lags)
+    return np.maximum(found, 0.0)
 
 
 def _in_rests(u: Array, y: Array, counts: NDArray[np.bool_], size: int) -> list[float]:

@@ -41,6 +41,7 @@ LEFT = 1.02
 LEAST_EXPLAINED = 0.5
 """Share of the output's variance below which a model leaves more than it explains."""
 
+REPEATS = 3.0  # times the noise: an error of so much is hardly an output that has nothing to do with the input
 NOTHING_LEFT = 1.1
 """Times the noise up to which an error is noise: it has 5 % of uncertainty, and the model some of its own."""
 
@@ -143,8 +144,14 @@ class Identification:
             return f"{words}; noise {self.noise.rms:.3g} {unit}, seen in {self.noise.seen_in}; {rest}"
         if self.useful:
             return words
+        needs = f"not usable: {words}, must explain more than {100.0 * LEAST_EXPLAINED:.0f} %"
+        if self.noise is not None and error > REPEATS * self.noise.rms:
+            return (
+                f"{needs}; noise {self.noise.rms:.3g} {unit}, seen in {self.noise.seen_in}: what is left follows the "
+                "input through modes, filters or delays, which no hysteresis has; piezod diagnose finds them"
+            )
         return (
-            f"not usable: {words}, must explain more than {100.0 * LEAST_EXPLAINED:.0f} %; check that both columns "
+            f"{needs}; check that both columns "
             "belong together, or record triangles over the whole range (piezod record --excitation varying-triangles)"
         )
 

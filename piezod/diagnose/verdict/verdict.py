@@ -28,7 +28,7 @@ BELIEVED = 0.5  # confidence that one of the names must have where something is 
 FEWEST_HOLDS = 3
 RECORD_NOISE = (
     "the noise is unknown, since the command neither rests nor repeats: record three holds of half a second at "
-    "different levels, or drive the same course three times"
+    "different levels, or drive the same course twice"
 )
 HOLD_S, SHORT_HOLD_S = 0.5, 0.15  # of the rests that tell the noise
 SLOWER = 1.5  # times the noise in short rests that all noise has at most: where half of its power is slower, 1.41

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from piezod.estimation.noise import noise_of
+from piezod.estimation.noise import COARSE, _period, noise_of
 
 RATE_HZ = 500.0
 TIME_S = np.arange(20_000) / RATE_HZ
@@ -22,6 +22,47 @@ def test_repeats_tell_the_noise_to_5_percent_whatever_the_law_of_the_output(nois
     noise = found(TRIANGLES, noise_N)
     assert noise.seen_in == "repeats"
     assert noise.rms == pytest.approx(noise_N, rel=0.05)
+
+
+def multisine(rng, periods, ratio=1.0):
+    """Exact periods of sines of 1 to 60 Hz with random phases, and their driven part of the next one [V]."""
+    period = np.arange(round(2000 * ratio)) / RATE_HZ
+    lines = np.arange(4, 240) / (period.size / RATE_HZ)
+    one = sum(np.cos(2 * np.pi * (line * period + rng.uniform())) for line in lines)
+    return np.resize(50.0 + 2.0 * one, round(periods * period.size))
+
+
+def ringing(u):
+    """A mode of 7 Hz, hardly damped, behind a play: it remembers its start for seconds [N]."""
+    play, spring, out = 0.0, np.zeros(2), np.empty(u.size)
+    for k, now in enumerate(u):
+        play = min(max(play, now - 5.0), now + 5.0)
+        spring[1] += (44.0**2 * (0.1 * play - spring[0]) - 2.0 * spring[1]) / RATE_HZ
+        spring[0] += spring[1] / RATE_HZ
+        out[k] = 0.6 * now + 0.2 * play + spring[0]
+    return out
+
+
+@pytest.mark.parametrize("noise_N", [0.03, 1.0])
+@pytest.mark.parametrize("periods", [2.0, 2.5, 7.0])
+def test_two_exact_periods_tell_the_noise_though_modes_ring(periods, noise_N):
+    u = multisine(np.random.default_rng(2), periods)
+    y = ringing(np.concatenate((np.resize(u[:2000], 10_000), u)))[10_000:]
+    noise = found(u, noise_N, y)
+    assert noise.seen_in == "repeats"
+    assert noise.rms == pytest.approx(noise_N, rel=0.1)
+
+
+def test_a_period_is_found_in_a_long_recording_to_the_sample():
+    u = multisine(np.random.default_rng(4), 2.0, ratio=150.0037)
+    assert u.size > 2 * COARSE
+    assert _period(u) == u.size // 2
+
+
+def test_a_measured_voltage_has_noise_of_its_own_and_repeats_still():
+    rng = np.random.default_rng(5)
+    u = multisine(rng, 2.0)
+    assert found(u + 0.01 * rng.normal(size=u.size), 0.5, 0.6 * u).rms == pytest.approx(0.5, rel=0.1)
 
 
 def test_rests_tell_the_noise_where_nothing_repeats():
@@ -43,8 +84,11 @@ def test_samples_that_do_not_count_tell_nothing():
         TRIANGLES * (1.0 + 0.02 * TIME_S),
         50.0 + 50.0 * np.sin(2.0 * np.pi * 0.02 * TIME_S**1.6),
         np.cumsum(np.random.default_rng(3).normal(size=TIME_S.size)),
+        np.interp(TIME_S, np.arange(40), np.random.default_rng(4).uniform(0.0, 100.0, 40)),
+        multisine(np.random.default_rng(6), 1.0, ratio=10.0),
+        100.0 * TIME_S / TIME_S[-1],
     ],
-    ids=["growing", "chirp", "random"],
+    ids=["growing", "chirp", "random", "ramps", "one period", "one ramp"],
 )
 def test_an_input_that_neither_repeats_nor_rests_tells_none(u):
     assert found(u, 0.3) is None
