@@ -15,6 +15,7 @@ from piezod.estimation.initial_state import settled_from
 Array = NDArray[np.float64]
 
 SAME_INPUT = 0.3  # of the differences of the output, that differences of the input may make up
+SAME_COURSE = 0.01  # of the input's range, root mean square: beyond it the input is another one, whatever the output
 COMPARED = 0.2  # of a recording, that must come again: two periods are enough, without the start of the first one
 MOVING = 0.5  # of the input's range, that what comes again must cover
 AS_GOOD = 4.0  # times the smallest squared difference of the input: of the lags below it the shortest is the period
@@ -72,9 +73,9 @@ def _in_repeats(u: Array, y: Array, counts: NDArray[np.bool_]) -> float | None:
     again = u[first + lag :][both]
     if changed.size < max(FEWEST_SAMPLES, 0.5 * COMPARED * u.size) or np.ptp(again) < MOVING * np.ptp(u):
         return None
-    gain = float(np.ptp(y[counts])) / float(np.ptp(u))
+    span, other = float(np.ptp(u)), float(np.sqrt(np.mean(moved**2)))
     changed = changed - changed.mean()
-    if gain * float(np.sqrt(np.mean(moved**2))) > SAME_INPUT * float(np.std(changed)):
+    if other > min(SAME_COURSE, SAME_INPUT * float(np.std(changed)) / float(np.ptp(y[counts]))) * span:
         return None
     return float(np.std(changed) / np.sqrt(2.0))
 

@@ -59,6 +59,12 @@ def test_a_period_is_found_in_a_long_recording_to_the_sample():
     assert _period(u) == u.size // 2
 
 
+def test_a_course_that_nearly_comes_again_tells_none_though_the_output_is_only_a_remainder():
+    peaks = np.array([0, 100, 0, 40, 0, 80, 0, 60, 0, 100, 0, 30, 0], dtype=float)
+    u = np.interp(np.arange(2400), np.linspace(0, 2399, peaks.size), peaks)
+    assert found(u, 0.05, 0.0 * u) is None
+
+
 def test_a_measured_voltage_has_noise_of_its_own_and_repeats_still():
     rng = np.random.default_rng(5)
     u = multisine(rng, 2.0)
