@@ -47,7 +47,7 @@ def check(
 def _prove(config: Path, output: Path | None, tester: str, as_json: bool) -> None:
     """Run the proof test, print its steps and end with 1 unless all have passed."""
     from piezod.commissioning.proof import prove
-    from piezod.commissioning.proof_record import text_lines
+    from piezod.commissioning.proof.record import text_lines
 
     record, path = prove(config, output, tester)
     if as_json:

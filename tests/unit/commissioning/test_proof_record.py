@@ -9,7 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from piezod.commissioning.proof_record import ProofEnd, ProofStep, make_record, record_path, text_lines, write_record
+from piezod.commissioning.proof.coverage import coverage
+from piezod.commissioning.proof.record import ProofEnd, ProofStep, make_record, record_path, text_lines, write_record
 from piezod.config import load_bench
 from piezod.errors import ConfigurationError, UsageError
 from tests.benches.in_process_link import InProcessLink
@@ -81,4 +82,35 @@ def test_a_folder_that_does_not_exist_is_one_line_before_and_after_the_test(tmp_
 
 def test_the_text_has_a_line_for_each_step_and_for_a_bad_end():
     lines = list(text_lines(record(left="still at 7 V")))
-    assert [line.split()[0] for line in lines[1:]] == ["PASS", "PASS", "FAIL"]
+    assert [line.split()[0] for line in lines[1:4]] == ["PASS", "PASS", "coverage:"]
+    assert all(line.startswith("NOT PROVEN") for line in lines[4:-1])
+    assert lines[-1].split()[0] == "FAIL"
+
+
+def test_a_step_that_the_bench_cannot_do_is_printed_as_not_proven_with_its_reason():
+    lines = list(text_lines(record([PASSED[0], ProofStep("force", "skipped", detail="no such limit")])))
+    assert "NOT PROVEN  force: no such limit" in lines
+
+
+def test_the_coverage_counts_a_trip_as_proven_only_where_its_step_has_passed():
+    found = coverage(BENCH, {"level": "pass", "force": "fail", "minimum": "skipped"})
+    assert found["proven"] == 1  # the sign check
+    assert found["not_proven"]["force_trip_N"] == "step force: fail"
+    assert found["not_proven"]["tracking_trip_N"] == "step tracking: not done"
+    assert found["configured"] == 1 + len(found["not_proven"])
+    assert found["text"] == f"coverage: 1 of {found['configured']} configured trips proven"
+
+
+@pytest.mark.parametrize(
+    ("changes", "key"),
+    [
+        ({"force_rate_trip_N_per_s": None}, "force_rate_trip_N_per_s"),
+        ({"temperature_trip_degC": None}, "temperature_low_degC"),
+        ({"device_watchdog_ms": 0}, "device_watchdog_ms"),
+        ({"output_on_in_status": False}, "output_on_in_status"),
+    ],
+)
+def test_a_trip_that_is_off_does_not_count(changes, key):
+    bench = BENCH.model_copy(update={"limits": BENCH.limits.model_copy(update=changes)})
+    assert key in coverage(BENCH, {})["not_proven"]
+    assert key not in coverage(bench, {})["not_proven"]

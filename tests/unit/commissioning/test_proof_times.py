@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from piezod.commissioning.proof import STEPS
-from piezod.commissioning.proof_bench import Run
+from piezod.commissioning.proof.bench import ProofBench, Run
 from piezod.config import load_bench
 from piezod.control import Cause, State
 
@@ -27,6 +27,7 @@ def result_of_step(name, ticks, jitter):
     rows["state"][-1] = State.RAMP_DOWN
     run = Run(rows, Cause.UNDER_FORCE if name == "minimum" else Cause.OVER_FORCE)
     proof = SimpleNamespace(bench=BENCH, rest_N=0.0, level_N=10.0, hold_level=lambda tightened: run)
+    proof.reaction_ms = lambda samples: ProofBench.reaction_ms(proof, samples)
     return STEPS[name](proof).result
 
 

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from piezod import __version__
+from piezod.commissioning.proof.coverage import coverage
 from piezod.config import BenchConfig
 from piezod.errors import ConfigurationError, UsageError
 from piezod.transport import Link
@@ -68,6 +69,16 @@ class ProofEnd:
     interrupted: bool
 
 
+def word(right: bool) -> Result:
+    """Result of a step that was done."""
+    return "pass" if right else "fail"
+
+
+def skipped(name: str, reason: str) -> ProofStep:
+    """Result of a step that this bench cannot prove, with the reason."""
+    return ProofStep(name, "skipped", detail=reason)
+
+
 def record_path(bench: BenchConfig, output: Path | None, now: datetime) -> Path:
     """Path of the record: `output`, or NAME-proof-DATE.json in the present folder.
 
@@ -119,6 +130,7 @@ def make_record(
         "version": __version__,
         "tester": tester or _user(),
         "date_utc": f"{now:%Y-%m-%dT%H:%M:%SZ}",
+        "coverage": coverage(bench, {step.name: step.result for step in end.steps}),
         "steps": [_finite(asdict(step)) for step in end.steps],
         "left_at_rest": not end.left,
         "remark": end.left or ("interrupted" if end.interrupted else ""),
@@ -146,11 +158,17 @@ def text_lines(record: dict[str, Any]) -> Iterator[str]:
     """The record as lines for a terminal."""
     yield f"{record['bench']}: {record['device']}, {record['date_utc']}, piezod {record['version']}"
     for step in record["steps"]:
+        if step["result"] == "skipped":
+            yield f"NOT PROVEN  {step['name']}: {step['detail']}"
+            continue
         value = ""
         if step["measured"] is not None:
             value = f" {step['measured']:.4g} {step['unit']}, limit {step['limit']:.4g} {step['unit']}"
         time = "" if step["time_ms"] is None else f", {step['time_ms']:.1f} ms"
         yield f"{step['result'].upper():8}{step['name']}:{value}{time}; {step['detail']}"
+    yield record["coverage"]["text"]
+    for name, reason in record["coverage"]["not_proven"].items():
+        yield f"NOT PROVEN  {name}: {reason}"
     if record["remark"]:
         yield f"FAIL    end: {record['remark']}"
 

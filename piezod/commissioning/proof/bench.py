@@ -1,28 +1,34 @@
 """The bench of a proof test: hold a low voltage with the ordinary control loop, and measure the reaction."""
 
 import tempfile
-from collections.abc import Callable
+import time
 from dataclasses import dataclass
 from math import inf, isfinite, nan
 from pathlib import Path
-from typing import Any, Self, cast
+from typing import Self, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
+from piezod.commissioning.proof.links import ChangedLink
 from piezod.config import BenchConfig
 from piezod.control import CAUSE_TEXT, Cause, ControlLoop, RingLog, RingReader, Segment, State, TableReference
 from piezod.control import check_ready as check_ready_to_arm
+from piezod.control.rate_keeper import VirtualRateKeeper
 from piezod.errors import CheckFailedError, UnreachableError
 from piezod.model import DirectDrive
 from piezod.session.assembly import make_loop, make_rate_keeper
-from piezod.transport import ExchangeResult, Link, Reading
+from piezod.transport import ExchangeResult, Link
 
 PROOF_SHARE = 0.05  # of the voltage range: the level of the test
 LEAST_STEPS = 2.5  # level in units of arming.sign_check.step_V, so that the sign check stays below the force trip
 HOLD_S = 0.5  # time at the level
+LEAST_TICKS = 40  # at the level, whatever the rate: each trip needs some samples
+FALLEN = 0.2  # of the level: end of a hold that falls
 TRY_S = 1.0  # of the watchdog, beyond its time: a slow amplifier falls that long
 POLLS = 5
+TICKS_TO_REACT = 2.5  # from a debounce's last sample to the command that it changes, two; half a tick is jitter
+LATE_TICKS = 0.1  # of a tick that is made to miss its deadline
 
 
 @dataclass(frozen=True)
@@ -39,6 +45,22 @@ class Run:
 
     rows: NDArray[np.void]
     fault: Cause
+
+    @property
+    def tripped(self) -> NDArray[np.bool_]:
+        """Whether a row belongs to the ramp down or to the fault, shape (N,)."""
+        return np.isin(self.rows["state"], (State.RAMP_DOWN, State.FAULT))
+
+    @property
+    def reached(self) -> NDArray[np.bool_]:
+        """Whether a row is RUNNING, shape (N,): the level is reached."""
+        found: NDArray[np.bool_] = self.rows["state"] == State.RUNNING
+        return found
+
+    @property
+    def skipped_ticks(self) -> NDArray[np.bool_]:
+        """Whether a row comes after a skipped tick, shape (N,)."""
+        return np.diff(self.rows["tick"], prepend=self.rows["tick"][:1]) > 1
 
     @property
     def at_level(self) -> NDArray[np.void]:
@@ -80,8 +102,7 @@ class Run:
 
     def time_to_fault_ms(self, wrong: NDArray[np.bool_]) -> float:
         """Time from the first wrong row while RUNNING, or in the approach, to the latched fault [ms]; inf: none."""
-        tripped = np.isin(self.rows["state"], (State.RAMP_DOWN, State.FAULT))  # at rest there is nothing to ramp down
-        first, last = np.flatnonzero(wrong), np.flatnonzero(tripped)
+        first, last = np.flatnonzero(wrong), np.flatnonzero(self.tripped)  # at rest there is nothing to ramp down
         if not (first.size and last.size) or self.fault is Cause.NONE:
             return inf
         return max(0.0, float(self.rows["time_ns"][last[0]] - self.rows["time_ns"][first[0]]) / 1e6)
@@ -99,49 +120,25 @@ class Run:
         return f"{text}; time limit {limit_ms:.1f} ms"
 
 
-class _ShiftedReading:
-    """A reading whose voltage read back is shifted while `active`."""
+class _LevelDrive:
+    """The level of the test, whatever force is asked for."""
 
-    def __init__(self, reading: Reading, shift_V: float, active: Callable[[], bool]) -> None:
-        self._reading, self._shift_V, self._active = reading, shift_V, active
+    def __init__(self, level_V: float) -> None:
+        self._level_V = level_V
 
-    def __getattr__(self, name: str) -> Any:  # noqa: ANN401  # every other value is the device's own
-        return getattr(self._reading, name)
+    def reset(self) -> None:
+        """No effect: there is no state."""
 
-    @property
-    def voltage_readback_V(self) -> float:
-        """Voltage read back [V], shifted."""
-        return self._reading.voltage_readback_V + (self._shift_V if self._active() else 0.0)
+    def plan(self, reference: float) -> float:  # noqa: ARG002  # the signature of a compensator
+        """Voltage of the level [V]."""
+        return self._level_V
 
+    def commit(self, voltage_V: float) -> None:
+        """No effect: there is no state."""
 
-class ShiftedReadback:
-    """A link whose voltage read-back is shifted while the level is held; it passes on everything else.
-
-    Parameters
-    ----------
-    link
-        Link of the bench.
-    shift_V
-        Shift of the reading [V].
-    active
-        Whether to shift now.
-    """
-
-    def __init__(self, link: Link, shift_V: float, active: Callable[[], bool]) -> None:
-        self._link = link
-        self.reading = _ShiftedReading(link.reading, shift_V, active)
-
-    def __getattr__(self, name: str) -> Any:  # noqa: ANN401  # everything else is the link's own
-        return getattr(self._link, name)
-
-    @property
-    def time_limit_s(self) -> float:
-        """Longest duration of the next exchange [s]."""
-        return self._link.time_limit_s
-
-    @time_limit_s.setter
-    def time_limit_s(self, value: float) -> None:
-        self._link.time_limit_s = value
+    def produced_N(self) -> float:
+        """nan: there is no model."""
+        return nan
 
 
 class ProofBench:
@@ -205,10 +202,37 @@ class ProofBench:
             self._clock.wait()
         raise UnreachableError(f"proof: {self.link.description}: {result.name.lower()}: check cable and device")
 
+    def reaction_ms(self, samples: float) -> float:
+        """Longest time from the first of `samples` wrong samples to the reaction [ms]."""
+        return 1e3 * (samples + TICKS_TO_REACT) * self.bench.dt_s
+
+    @property
+    def ticks_of_hold(self) -> int:
+        """Length of an ordinary hold [ticks]."""
+        return self._ticks(HOLD_S)
+
+    @property
+    def has_deadlines(self) -> bool:
+        """Whether a tick can be late: virtual time waits for it."""
+        return not isinstance(self._clock, VirtualRateKeeper)
+
+    @property
+    def in_odd_tick(self) -> bool:
+        """Whether the number of this tick is odd."""
+        return bool(self._clock.tick % 2)
+
     def hold_level(
-        self, *, tightened: dict[str, float] | None = None, link: ShiftedReadback | None = None, stops: bool = False
+        self,
+        *,
+        tightened: dict[str, float] | None = None,
+        link: ChangedLink | None = None,
+        stops: bool = False,
+        late: bool = False,
+        lasts_s: float = HOLD_S,
+        falls: bool = False,
+        expected_N: float | None = None,
     ) -> Run:
-        """Arm, hold the level for `HOLD_S` and ramp down.
+        """Arm, hold the level and ramp down.
 
         Parameters
         ----------
@@ -218,6 +242,14 @@ class ProofBench:
             Link in place of the link of the bench.
         stops
             Whether a stop is requested in the middle of the hold.
+        late
+            Whether each tick at the level misses its deadline.
+        lasts_s
+            Duration of the hold [s].
+        falls
+            Whether the voltage falls to `FALLEN` of the level in the second half of the hold.
+        expected_N
+            Force that the level is said to give [N]; None: no force is expected.
 
         Raises
         ------
@@ -227,18 +259,39 @@ class ProofBench:
         bench = self.bench
         if tightened:
             bench = bench.model_copy(update={"limits": bench.limits.model_copy(update=tightened)})
-        ring_log, loop = self._armed(bench, cast("Link", link) if link is not None else self.link)
-        held = 0
+        segment = self._segment(lasts_s, falls, expected_N)
+        ring_log, loop = self._armed(bench, cast("Link", link) if link is not None else self.link, segment)
+        held, half = 0, self._ticks(lasts_s) // 2
         try:
             while loop.supervisor.driving:
                 loop.run_tick()
                 held += self.level_reached()
-                if stops and held == round(0.5 * HOLD_S * bench.rate_Hz):
+                if stops and held == half:
                     loop.request_stop()
+                if late and self.level_reached():
+                    time.sleep(max(0.0, 1e-9 * self._clock.time_left_ns()) + LATE_TICKS * bench.dt_s)
                 self._clock.wait()
             return Run(RingReader(self._ring_path).read(), loop.supervisor.fault)
         finally:
             ring_log.close()
+
+    def _ticks(self, lasts_s: float) -> int:
+        """Length of a hold [ticks]."""
+        return max(LEAST_TICKS, round(lasts_s * self.bench.rate_Hz))
+
+    def _segment(self, lasts_s: float = HOLD_S, falls: bool = False, expected_N: float | None = None) -> Segment:
+        """Segment of one hold."""
+        ticks = self._ticks(lasts_s)
+        if expected_N is not None:
+            drive = _LevelDrive(self.level_V)
+            return Segment("proof", TableReference(np.full(ticks, expected_N)), drive, None)
+        values = np.full(ticks, self.level_V)
+        if falls:
+            safe_V = self.bench.limits.voltage_safe_V
+            values[ticks // 2 :] = np.linspace(
+                self.level_V, safe_V + FALLEN * (self.level_V - safe_V), ticks - ticks // 2
+            )
+        return Segment("proof", TableReference(values), DirectDrive(), None, follows_force=False)
 
     def withhold_commands(self) -> tuple[float, float, float]:
         """Hold the level, then only read, until the device has brought its output to rest.
@@ -253,10 +306,10 @@ class ProofBench:
         CheckFailedError
             A precondition of arming fails, the level is not reached, or the test was interrupted.
         """
-        ring_log, loop = self._armed(self.bench, self.link)
+        ring_log, loop = self._armed(self.bench, self.link, self._segment())
         try:
             held = 0
-            while loop.supervisor.driving and held < round(0.5 * HOLD_S * self.bench.rate_Hz):
+            while loop.supervisor.driving and held < self._ticks(HOLD_S) // 2:
                 loop.run_tick()
                 held += self.level_reached()
                 self._clock.wait()
@@ -286,14 +339,13 @@ class ProofBench:
     def _ring_path(self) -> Path:
         return Path(self._folder.name) / "ring"
 
-    def _armed(self, bench: BenchConfig, link: Link) -> tuple[RingLog, ControlLoop]:
-        """Check every precondition, then arm a new loop that holds the level."""
+    def _armed(self, bench: BenchConfig, link: Link, segment: Segment) -> tuple[RingLog, ControlLoop]:
+        """Check every precondition, then arm a new loop with the segment."""
         if self.interrupted:
             raise CheckFailedError("proof: interrupted")
         check_ready_to_arm(self.bench, self.link)
         self._ring_path.unlink(missing_ok=True)
         ring_log = RingLog(self._ring_path, round(60 * bench.rate_Hz))
         loop = self._loop = make_loop(bench, link, self._clock, ring_log)
-        values = np.full(max(2, round(HOLD_S * bench.rate_Hz)), self.level_V)
-        loop.arm(Segment("proof", TableReference(values), DirectDrive(), None, follows_force=False))
+        loop.arm(segment)
         return ring_log, loop

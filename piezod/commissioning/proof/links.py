@@ -1,0 +1,110 @@
+"""Links of the proof test: the link of the bench, with one reading or the result of an exchange changed."""
+
+from collections.abc import Callable
+from typing import Any
+
+from piezod.transport import ExchangeResult, Link, Reading
+
+Change = Callable[[Any], Any]
+
+
+class _ChangedReading:
+    """A reading with changed values while `active`."""
+
+    def __init__(self, reading: Reading, changes: dict[str, Change], active: Callable[[], bool]) -> None:
+        self._reading, self._changes, self._active = reading, changes, active
+
+    def __getattr__(self, name: str) -> Any:  # noqa: ANN401  # a value of the device
+        value = getattr(self._reading, name)
+        return self._changes[name](value) if name in self._changes and self._active() else value
+
+
+class ChangedLink:
+    """A link that changes readings, or the results of exchanges, while `active`; it passes on everything else.
+
+    Parameters
+    ----------
+    link
+        Link of the bench.
+    active
+        Whether to change now.
+    changes
+        Function of the value for each attribute of the reading that is changed.
+    result
+        Result in place of OK; None: the result of the exchange.
+    silent
+        Whether nothing is sent; the result is then TIMEOUT.
+    """
+
+    def __init__(
+        self,
+        link: Link,
+        active: Callable[[], bool],
+        changes: dict[str, Change] | None = None,
+        *,
+        result: ExchangeResult | None = None,
+        silent: bool = False,
+    ) -> None:
+        self._link, self._active, self._result, self._silent = link, active, result, silent
+        self._silenced = False
+        self.reading = _ChangedReading(link.reading, changes or {}, active)
+
+    def __getattr__(self, name: str) -> Any:  # noqa: ANN401  # everything else is the link's own
+        return getattr(self._link, name)
+
+    @property
+    def time_limit_s(self) -> float:
+        """Longest duration of the next exchange [s]."""
+        return self._link.time_limit_s
+
+    @time_limit_s.setter
+    def time_limit_s(self, value: float) -> None:
+        self._link.time_limit_s = value
+
+    @property
+    def output_confirmed(self) -> bool:
+        """Whether the amplifier took the last voltage although the exchange failed."""
+        return not self._silenced and self._link.output_confirmed
+
+    def exchange(self, voltage_V: float) -> ExchangeResult:
+        """Write the voltage [V] and read, unless the link is silent."""
+        return self._changed(lambda: self._link.exchange(voltage_V))
+
+    def poll(self) -> ExchangeResult:
+        """Read without writing, unless the link is silent."""
+        return self._changed(self._link.poll)
+
+    def _changed(self, call: Callable[[], ExchangeResult]) -> ExchangeResult:
+        active = self._active()
+        self._silenced = self._silent and active
+        if self._silenced:
+            return ExchangeResult.TIMEOUT
+        found = call()
+        return self._result if active and self._result is not None and found == ExchangeResult.OK else found
+
+
+def frozen() -> Change:
+    """Change of a reading that keeps its first value."""
+    kept: list[Any] = []
+
+    def keep(value: Any) -> Any:  # noqa: ANN401  # any quantity
+        if not kept:
+            kept.append(value)
+        return kept[0]
+
+    return keep
+
+
+def shifted(by: float) -> Change:
+    """Change of a reading that is `by` too high, in the unit of the reading."""
+    return lambda value: value + by
+
+
+def with_bits(bits: int) -> Change:
+    """Change of status bits that are set in addition."""
+    return lambda value: value | bits
+
+
+def without_bits(bits: int) -> Change:
+    """Change of status bits that are cleared."""
+    return lambda value: value & ~bits
