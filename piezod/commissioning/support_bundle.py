@@ -26,8 +26,9 @@ from piezod import __version__
 from piezod.config import BenchConfig, all_values, effective_text, load_bench, model_path, read_document
 from piezod.control import CAUSE_TEXT, ROW_DTYPE, Cause, RingReader, State
 from piezod.daemon.client import Client
-from piezod.errors import ConfigurationError, PiezodError, UsageError
+from piezod.errors import ConfigurationError, PiezodError
 from piezod.model import file_sha256, load_model
+from piezod.recording import check_not_there, check_page
 
 REMOVED = "REMOVED"
 LAST_TICKS = 20_000
@@ -60,9 +61,9 @@ def write_bundle(config: Path, output: Path, *, force: bool = False) -> dict[str
     ConfigurationError
         The configuration is invalid, or the file cannot be written.
     """
+    check_not_there(output, force=force)
+    check_page(output)
     bench = load_bench(config)
-    if output.exists() and not force:
-        raise UsageError(f"{output} is there already; name another with -o, or replace it with --force")
     left_out: dict[str, str] = {}
     parts = {"bench.yaml": redacted_configuration(bench, read_document(config).content)}
     for name, make in (("status.json", _status), ("ticks.csv", _ticks), ("transitions.txt", _transitions)):

@@ -90,11 +90,29 @@ def record_path(bench: BenchConfig, output: Path | None, now: datetime) -> Path:
         The folder does not exist, or cannot be written.
     """
     path = output or Path(f"{bench.name}-proof-{now:%Y%m%dT%H%M%SZ}.json")
-    if path.exists():
+    check_target(path)
+    return path
+
+
+def check_target(path: Path) -> None:
+    """Check that a record can be written, before anything else is done.
+
+    Parameters
+    ----------
+    path
+        File to write.
+
+    Raises
+    ------
+    UsageError
+        The file exists already; a record is never replaced.
+    ConfigurationError
+        The folder does not exist, or cannot be written.
+    """
+    if os.path.lexists(path):
         raise UsageError(f"{path} already exists, and a record is never replaced; name another file with -o")
     if not (path.parent.is_dir() and os.access(path.parent, os.W_OK)):
         raise ConfigurationError(f"{path.parent}: no folder that this user can write; name another file with -o")
-    return path
 
 
 def utc_now() -> datetime:

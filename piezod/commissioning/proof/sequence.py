@@ -16,7 +16,15 @@ from typing import Any
 
 from piezod.commissioning.proof import device_steps, reading_steps
 from piezod.commissioning.proof.bench import ProofBench
-from piezod.commissioning.proof.record import ProofEnd, ProofStep, make_record, record_path, utc_now, write_record
+from piezod.commissioning.proof.record import (
+    ProofEnd,
+    ProofStep,
+    check_target,
+    make_record,
+    record_path,
+    utc_now,
+    write_record,
+)
 from piezod.commissioning.safe_stop import bring_to_rest
 from piezod.config import BenchConfig
 from piezod.control import real_time
@@ -52,6 +60,8 @@ def prove(path: Path, output: Path | None = None, tester: str = "") -> tuple[dic
     ConfigurationError, TemporaryError
         The bench file is invalid, the device is another one, or it does not answer.
     """
+    if output is not None:
+        check_target(output)
     bench = load_bench_without_model(path)
     now = utc_now()
     target = record_path(bench, output, now)

@@ -94,7 +94,7 @@ def test_a_bundle_can_be_made_for_a_bench_that_never_ran(tmp_path):
 
 def test_an_existing_bundle_is_not_replaced(config, tmp_path):
     (tmp_path / "out.zip").write_text("mine", encoding="utf-8")
-    with pytest.raises(UsageError, match="is there already"):
+    with pytest.raises(UsageError, match="already exists"):
         write_bundle(config, tmp_path / "out.zip")
     with pytest.raises(ConfigurationError, match="cannot be written"):
         write_bundle(config, tmp_path / "nowhere" / "out.zip")
