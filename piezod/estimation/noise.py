@@ -84,10 +84,10 @@ def _period(u: Array) -> int | None:
     """Shortest lag after which the input comes again best [samples]; None: it never runs away from where it was."""
     step = -(-u.size // COARSE)
     differences = _squared_differences(u[::step])
-    apart = np.flatnonzero(differences > RAN_APART * np.var(u))
-    if not apart.size or apart[0] + 1 >= differences.size:
+    away = np.flatnonzero(differences > RAN_APART * np.var(u))
+    if not away.size or away[0] + 1 >= differences.size:
         return None
-    first = int(apart[0])
+    first = int(away[0])
     least = AS_GOOD * float(differences[first:].min()) + np.finfo(np.float64).eps * float(np.var(u))
     coarse = first + int(np.argmax(differences[first:] <= least))
     while coarse + 1 < differences.size and differences[coarse + 1] < differences[coarse]:
