@@ -22,6 +22,7 @@ from piezod.model import Model, file_sha256, run_chain
 from piezod.recording import Hold, Recording, TextOptions, read_recording
 from piezod.recording.conversion import in_units_of
 from piezod.recording.formats.repairs import repair_notes
+from piezod.recording.strays import without_strays
 
 Array = NDArray[np.float64]
 
@@ -173,7 +174,8 @@ def even(source: Source, model: Model) -> tuple[Series, list[str]]:
     UsageError
         The condition is none.
     """
-    recording, notes = source.recording, []
+    recording, strays = without_strays(source.recording, model.input.channel, model.output.channel)
+    notes = [f"{source.name}: {line}" for line in strays]
     u, y = recording.channel(model.input.channel), recording.channel(model.output.channel)
     if u.size < FEWEST_SAMPLES:
         raise RecordingError(

@@ -21,6 +21,7 @@ from piezod.recording.conversion import factor_to, stored_column
 from piezod.recording.formats.access import library_errors
 from piezod.recording.formats.repairs import repair_notes
 from piezod.recording.quality import describe_missing, describe_stuck, describe_timing
+from piezod.recording.strays import LARGEST, without_strays
 from piezod.recording.stretches import gaps
 from piezod.recording.stuck import find_stuck
 
@@ -35,9 +36,6 @@ GROWTH = 1.25
 
 TEMPERATURES = ("temperature_C", "temperature_degC")
 """Columns that hold the temperature [degree Celsius], kept as the first of them."""
-
-LARGEST = 1e30
-"""What is beyond is infinite, or stands for a missing sample: 9.97e36, 3.4e38."""
 
 UNSEEN = 0.01
 """Share of its swing that the input may move unseen while samples are missing."""
@@ -155,7 +153,9 @@ def fit_for_simulation(recording: Recording, input_column: str, output_column: s
     RecordingError
         Its input has a hole too long to interpolate.
     """
+    recording, strays = without_strays(recording, input_column, output_column)
     bridged, breaks, notes = _bridge(recording, input_column)
+    notes = [*strays, *notes]
     bridged = Recording(bridged.time_s, dict(bridged.channels), bridged.metadata, bridged.source)
     u = bridged.channel(input_column)
     if not np.isfinite(u).all():
@@ -203,7 +203,8 @@ def usable(
     RecordingError
         Most of its output is frozen or clipped, or its input has no stretch of some length.
     """
-    notes = list(notes)
+    recording, strays = without_strays(recording, input_column, output_column)
+    notes = [*notes, *strays]
     recording, breaks, bridge_notes = _bridge(recording, input_column)
     recording, cut = _longest(recording, input_column, breaks)
     notes += bridge_notes + cut
@@ -235,7 +236,10 @@ def _read(
             on_step(f"reading {path.name}, {1e-6 * columns[TIME].size:.1f} million samples", None)
         if not columns[TIME].size:
             raise RecordingError(f"{path}: has no samples")
-        channels = {column: _scaled(columns[name].values(), factor) for column, (name, factor) in stored.items()}
+        channels = {
+            column: _scaled(columns[name].values(), factor, keep=column in wanted)
+            for column, (name, factor) in stored.items()
+        }
         notes = [f"read as: {metadata['understood']}"] if "understood" in metadata else []
         notes += [f"{column}: is {name} times {factor:g}" for column, (name, factor) in stored.items() if factor != 1.0]
         notes += repair_notes(metadata)
@@ -264,11 +268,12 @@ class _Column:
         return self._values
 
 
-def _scaled(values: Array, factor: float) -> Array:
-    """In the unit that is wanted; what is larger than any measurement is missing."""
+def _scaled(values: Array, factor: float, *, keep: bool) -> Array:
+    """In the unit that is wanted; unless they are kept for a note, values beyond any measurement are missing."""
     if factor != 1.0:
         values = values * factor
-    values[(values > LARGEST) | (values < -LARGEST)] = np.nan
+    if not keep:
+        values[(values > LARGEST) | (values < -LARGEST)] = np.nan
     return values
 
 

@@ -35,7 +35,8 @@ def frozen_stretches(series: Series, model_N: Array) -> list[tuple[int, int]]:
     by a step of the lattice. Nor those through which the model rests until shortly before their end: the force went on
     then, and its reading was late.
     """
-    same = np.concatenate(([False], np.diff(series.reading_N) == 0.0, [False]))
+    counts = series.counts
+    same = np.concatenate(([False], (np.diff(series.reading_N) == 0.0) & counts[1:] & counts[:-1], [False]))
     edges = np.flatnonzero(np.diff(same.astype(np.int8)))
     stretches = [(int(a), int(b) + 1) for a, b in zip(edges[::2], edges[1::2], strict=True)]
     shortest = max(FROZEN_SAMPLES, 4 * _usual_run(stretches))

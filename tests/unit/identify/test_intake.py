@@ -138,6 +138,7 @@ def test_missing_infinite_clipped_and_frozen_outputs_are_not_fitted_and_each_is_
     expected[np.r_[100:110, 200, 2300:2400]] = True
     assert np.count_nonzero(np.isnan(one.recording.channel("force_N")) != expected) <= 8  # a lone 300 at a rail's edge
     assert [note.removeprefix(f"{tmp_path}/rec.csv: force_N: ")[:15] for note in one.notes] == [
+        "1 sample, stray",
         "11 samples miss",
         "clipped at its ",
         "constant while ",

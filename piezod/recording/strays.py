@@ -1,0 +1,229 @@
+"""Search for stray samples: wild cells, spikes and lost frames, which leave their neighbours and come back at once.
+
+A run of a few samples is stray if it leaps away from the samples on both sides, and these agree with each other. The
+other channel must not move. The leap must be far above the noise, the usual steps, and a share of the usual range.
+These come from quantiles, which a few samples do not change. Values beyond 1e30 are no numbers in any place. Strays that
+share one value outside the range of all others are lost frames: then that value is lost wherever it stands.
+
+The method and its limits are derived here.
+"""
+
+from collections import Counter
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from piezod.recording.recording import Recording
+from piezod.recording.stretches import BLOCK, Array
+
+Mask = NDArray[np.bool_]
+
+LARGEST = 1e30
+"""Magnitude beyond which a value is infinite, or stands for a missing sample: 9.97e36, 3.4e38."""
+
+LONGEST = 4
+"""Longest run of strays [samples]; a longer one may be a pulse or a frozen reading."""
+
+NOISES, STEPS, RANGES = 20.0, 4.0, 0.05
+"""Least leap: in standard deviations of the noise, in usual steps, and as share of the usual range."""
+
+USUAL_STEP = 0.9
+"""Quantile of the steps other than 0 that is the usual step."""
+
+COMES_BACK = 0.25
+"""Largest difference of the samples on both sides, and largest answer of the other channel [share of the leap]."""
+
+ANSWERS_WITHIN = 64
+"""Samples before a reading, or behind a command, in which the other channel may have caused or answered a leap."""
+
+MOST = 0.05
+"""Share of the samples above which leaps belong to the signal."""
+
+FEWEST_LOST, MOST_NAMED = 3, 3
+"""Strays of one value that are lost frames; strays that a note names one by one."""
+
+
+@dataclass(frozen=True)
+class Strays:
+    """Stray samples of one channel.
+
+    Parameters
+    ----------
+    channel
+        Name of the channel.
+    rows
+        Sample numbers from 0, increasing, shape (n,).
+    values
+        Values that stand there, shape (n,).
+    times_s
+        Times of these samples, shape (n,) [s].
+    """
+
+    channel: str
+    rows: NDArray[np.intp]
+    values: Array
+    times_s: Array
+
+    def notes(self, consequence: str) -> list[str]:
+        """One line for each kind of strays.
+
+        Parameters
+        ----------
+        consequence
+            What happens to them, such as `left out`.
+        """
+        counts = Counter(self.values.tolist())
+        lost = [value for value, count in counts.items() if count >= FEWEST_LOST]
+        lines = [self._line(self.values == value, f"lost frames at {value:.6g}", consequence) for value in lost]
+        spikes = ~np.isin(self.values, lost)
+        return [*lines, self._line(spikes, "stray", consequence)] if spikes.any() else lines
+
+    def _line(self, chosen: Mask, kind: str, consequence: str) -> str:
+        rows, values, times_s = self.rows[chosen], self.values[chosen], self.times_s[chosen]
+        named = ", ".join(
+            f"row {row + 1} ({value:.6g} at {at_s:.6g} s)"
+            for row, value, at_s in zip(rows[:MOST_NAMED], values, times_s, strict=False)
+        )
+        count = f"{rows.size} {'sample' if rows.size == 1 else 'samples'}"
+        more = f" ... to {times_s[-1]:.6g} s" if rows.size > MOST_NAMED else ""
+        return f"{self.channel}: {count}, {kind}: {named}{more}; far from the samples on both sides; {consequence}"
+
+
+def without_strays(recording: Recording, input_column: str, output_column: str) -> tuple[Recording, list[str]]:
+    """The recording without the stray samples of its two channels, and notes.
+
+    Parameters
+    ----------
+    recording
+        It is not changed; rows stay.
+    input_column, output_column
+        Command and reading; the reading may be absent. A stray reading becomes nan, a stray command is interpolated.
+    """
+    u = recording.channel(input_column)
+    y = recording.channels.get(output_column)
+    stray_u = find_strays(u, y, answers_later=True)
+    stray_y = None if y is None else find_strays(y, u, answers_later=False)
+    channels, notes = dict(recording.channels), []
+    if stray_u.any():
+        there = np.isfinite(u) & ~stray_u
+        short = stray_u & ~_longer_than(stray_u, LONGEST)
+        channels[input_column] = np.where(stray_u, np.nan, u)
+        if there.any():
+            filled = np.interp(recording.time_s[short], recording.time_s[there], u[there], left=np.nan, right=np.nan)
+            channels[input_column][short] = filled
+        notes += _strays(recording, input_column, stray_u).notes("interpolated where they are few in a row")
+    if stray_y is not None and y is not None and stray_y.any():
+        channels[output_column] = np.where(stray_y, np.nan, y)
+        notes += _strays(recording, output_column, stray_y).notes("left out")
+    return Recording(recording.time_s, channels, recording.metadata, recording.source) if notes else recording, notes
+
+
+def find_strays(values: Array, other: Array | None, *, answers_later: bool) -> Mask:
+    """Which samples of a channel are stray.
+
+    Parameters
+    ----------
+    values
+        Channel, shape (N,); nan: missing sample.
+    other
+        Channel that causes its leaps or answers them, shape (N,); None: there is none.
+    answers_later
+        Whether the other channel answers (`values` is a command) or causes (it is a reading).
+
+    Returns
+    -------
+    Mask
+        Shape (N,).
+    """
+    strays: Mask = np.abs(values) > LARGEST
+    there = np.flatnonzero(np.isfinite(values) & ~strays)
+    if there.size < 100:
+        return strays
+    known = values[there]
+    span, least = _usual(known)
+    if not least > 0.0:
+        return strays
+    leaps = _leaping_runs(known, least)
+    if other is not None and leaps:
+        usual_other = _usual(other[np.isfinite(other) & (np.abs(other) < LARGEST)])[0]
+        ratio = span / usual_other if usual_other > 0.0 else 0.0
+        leaps = [run for run in leaps if not _explained(known, other[there], run, ratio, answers_later=answers_later)]
+    if sum(end - first for first, end in leaps) > MOST * there.size:
+        return strays
+    found = np.zeros(there.size, bool)
+    for first, end in leaps:
+        found[first:end] = True
+    return _and_lost(strays, found, there, known)
+
+
+def _and_lost(strays: Mask, found: Mask, there: NDArray[np.intp], known: Array) -> Mask:
+    """All strays; a value that several share is one wherever it stands, if it lies outside the range of the others."""
+    if found.any() and not found.all():
+        low, high = known[~found].min(), known[~found].max()
+        for value, count in Counter(known[found].tolist()).items():
+            same = known == value
+            rest = known[~found & ~same]
+            if count >= FEWEST_LOST and rest.size:
+                low, high = rest.min(), rest.max()
+                if not low <= value <= high and same.sum() <= MOST * known.size:
+                    found |= same
+    strays[there[found]] = True
+    return strays
+
+
+def _usual(values: Array) -> tuple[float, float]:
+    """Usual range, and least leap of a stray; of a long channel from samples at equal distances."""
+    every = max(1, values.size // BLOCK)
+    low, high = np.quantile(values[::every], [0.01, 0.99]) if values.size else (0.0, 0.0)
+    near = values[: 4 * BLOCK]
+    steps, bends = np.abs(np.diff(near)), np.abs(np.diff(near, 2))
+    moving = steps[steps > 0.0]
+    step = float(np.quantile(moving, USUAL_STEP)) if moving.size else 0.0
+    noise = float(np.median(bends)) / (0.6745 * np.sqrt(6.0)) if bends.size else 0.0
+    span = float(high - low)
+    return span, max(NOISES * noise, STEPS * step, RANGES * span)
+
+
+def _leaping_runs(values: Array, least: float) -> list[tuple[int, int]]:
+    """Runs (first, end) of at most `LONGEST` samples that leap away from both sides by more than a least leap."""
+    edges = np.flatnonzero(np.abs(np.diff(values)) > least) + 1
+    runs: list[tuple[int, int]] = []
+    for place, first in enumerate(edges.tolist()):
+        if runs and first <= runs[-1][1]:  # the samples between two strays are none
+            continue
+        for end in edges[place + 1 : place + 1 + LONGEST].tolist():
+            if end - first > LONGEST:
+                break
+            leap = np.abs(values[first:end] - values[first - 1]).min()
+            if leap > least and abs(values[end] - values[first - 1]) < COMES_BACK * leap:
+                runs.append((first, end))
+                break
+    return runs
+
+
+def _explained(values: Array, other: Array, run: tuple[int, int], ratio: float, *, answers_later: bool) -> bool:
+    """Whether the other channel moves as fast, before a reading that leaps or behind a command that does."""
+    first, end = run
+    size = end - first
+    leap = np.abs(values[first:end] - values[first - 1]).min()
+    begin, stop = (first - 1, end + ANSWERS_WITHIN) if answers_later else (first - ANSWERS_WITHIN, end + 1)
+    near = other[max(begin, 0) : stop]
+    moves = np.abs(near[size:] - near[:-size])
+    moves = moves[np.isfinite(moves) & (moves < LARGEST)]
+    # one move of the other channel that is wild itself explains nothing: its own search names it
+    return bool(moves.size and COMES_BACK * leap < ratio * np.sort(moves)[-min(2, moves.size)])
+
+
+def _longer_than(mask: Mask, samples: int) -> Mask:
+    """Which samples lie in runs longer than this."""
+    result = np.zeros(mask.size, bool)
+    edges = np.flatnonzero(np.diff(np.concatenate(([False], mask, [False])).astype(np.int8)))
+    for first, end in zip(edges[::2], edges[1::2], strict=True):
+        result[first:end] = end - first > samples
+    return result
+
+
+def _strays(recording: Recording, name: str, mask: Mask) -> Strays:
+    rows = np.flatnonzero(mask)
+    return Strays(name, rows, recording.channel(name)[rows], recording.time_s[rows])
