@@ -2,8 +2,8 @@
 
 A run of a few samples is stray if it leaps away from the samples on both sides, and these agree with each other. The
 other channel must not move. The leap must be far above the noise, the usual steps, and a share of the usual range.
-These come from quantiles, which a few samples do not change. Values beyond 1e30 are no numbers in any place. Strays that
-share one value outside the range of all others are lost frames: then that value is lost wherever it stands.
+These come from quantiles, which a few samples do not change. Values beyond 1e30 are no numbers in any place. Strays
+that share one value outside the range of all others are lost frames: then that value is lost wherever it stands.
 
 The method and its limits are derived here.
 """
