@@ -15,6 +15,7 @@ from piezod.config.sections import (
     DaemonConfig,
     DriftConfig,
     LearningConfig,
+    ProofConfig,
     RealTimeConfig,
     RecorderConfig,
 )
@@ -47,6 +48,7 @@ class BenchConfig(Section):
     recorder: RecorderConfig | None = None
     drift: DriftConfig | None = DriftConfig()
     learning: LearningConfig | None = None
+    proof: ProofConfig | None = None
 
     @property
     def dt_s(self) -> float:

@@ -90,6 +90,17 @@ class DriftConfig(Section):
     file: str | None = None
 
 
+class ProofConfig(Section):
+    """Date on which the proof test of the interlocks is due again.
+
+    `interval_days` is the time from one proof test to the next [day]. `folder` holds the records; None: the folder of
+    the bench file.
+    """
+
+    interval_days: Annotated[float, Field(gt=0, le=36500)] = 365.0
+    folder: Annotated[str, Field(min_length=1)] | None = None
+
+
 class LearningConfig(Section):
     """Learning of a looped reference from one repeat to the next.
 

@@ -18,6 +18,7 @@ from piezod.daemon.drift import DriftWatch
 from piezod.daemon.journal import JOURNAL
 from piezod.daemon.learning_watch import LearningWatch
 from piezod.daemon.phase_watch import PhaseWatch
+from piezod.daemon.proof_date import ProofDate
 from piezod.daemon.railed import RailedWatch
 from piezod.daemon.statistics import BOUNDS_S, DurationHistogram, TickStatistics
 from piezod.errors import BusyError
@@ -73,6 +74,8 @@ class BenchMetrics(Collector):
         Function that returns the present learning of a looped reference; it returns None without one.
     dt_s
         Time between two ticks [s].
+    proof
+        Last proof test; None: it is not watched.
     """
 
     def __init__(
@@ -86,7 +89,9 @@ class BenchMetrics(Collector):
         phases: PhaseWatch | None = None,
         learning: Callable[[], LearningWatch | None] = lambda: None,
         dt_s: float = 0.0,
+        proof: ProofDate | None = None,
     ) -> None:
+        self._proof = proof
         self._dt_s = dt_s
         self._labels = [name]
         self._statistics = statistics
@@ -98,9 +103,11 @@ class BenchMetrics(Collector):
 
     def _age_metrics(self) -> Iterable[Metric]:
         age = self._statistics.age_s
+        proof_s = None if self._proof is None else self._proof.age_s
         for name, text, value in (
             ("piezod_age_seconds", "Age of the last values; absent before the first tick", age),
             ("piezod_stale", "1 while the values are older than a second and three ticks", is_stale(age, self._dt_s)),
+            ("piezod_proof_age_seconds", "Time since the last proof test that was passed; absent without one", proof_s),
             ("piezod_log_lines_dropped", "Log lines that nobody read in time", JOURNAL.dropped),
         ):
             gauge = GaugeMetricFamily(name, text, labels=["bench"])

@@ -22,6 +22,7 @@ from piezod.daemon.journal import log_line
 from piezod.daemon.metrics import BenchMetrics, MetricsServer
 from piezod.daemon.model_watch import ModelWatch
 from piezod.daemon.phase_watch import PhaseWatch
+from piezod.daemon.proof_date import last_proof
 from piezod.daemon.railed import RailedWatch
 from piezod.daemon.reload import check_armed_change, check_restart_keys, check_settled
 from piezod.daemon.statistics import TickStatistics
@@ -97,6 +98,7 @@ class Service:
         self._recorder = None if bench.recorder is None else RecorderWatch(bench, log_line)
         self.model_watch = ModelWatch(path)
         self.railed_watch = RailedWatch(log_line)
+        self.proof = last_proof(bench, path)
         self.phase_watch = PhaseWatch(log_line)
 
     async def run(self) -> None:
@@ -122,6 +124,7 @@ class Service:
                     self.phase_watch,
                     lambda: self.model_watch.learning,
                     self._bench.dt_s,
+                    self.proof,
                 )
                 metrics = MetricsServer(shown, log_line)
                 stack.push_async_callback(metrics.close)
@@ -142,6 +145,7 @@ class Service:
             self.model_watch,
             self.railed_watch,
             self.phase_watch,
+            self.proof,
             up_s,
         )
 

@@ -8,12 +8,14 @@ from piezod.config import BenchConfig
 from piezod.config.reference import RegisterReference, StreamReference
 from piezod.control.references import counts_dict
 from piezod.daemon.journal import JOURNAL
+from piezod.daemon.proof_date import proof_text
 from piezod.recording.age import is_stale
 
 if TYPE_CHECKING:
     from piezod.daemon.command_channel import CommandChannel
     from piezod.daemon.model_watch import ModelWatch
     from piezod.daemon.phase_watch import PhaseWatch
+    from piezod.daemon.proof_date import ProofDate
     from piezod.daemon.railed import RailedWatch
     from piezod.daemon.statistics import TickStatistics
     from piezod.recorder.watch import RecorderWatch
@@ -36,6 +38,7 @@ def status_dict(
     model_watch: "ModelWatch",
     railed_watch: "RailedWatch",
     phase_watch: "PhaseWatch",
+    proof: "ProofDate | None",
     up_s: float,
 ) -> dict[str, object]:
     """Make the status; runs in the daemon.
@@ -56,6 +59,8 @@ def status_dict(
         Watch for a reference out of reach.
     phase_watch
         Durations of the phases of a tick.
+    proof
+        Last proof test; None: it is not watched.
     up_s
         Time since the start of the daemon [s].
     """
@@ -79,6 +84,7 @@ def status_dict(
         "drift": None if drift is None else drift.as_dict(),
         "learning": None if model_watch.learning is None else model_watch.learning.as_dict(),
         "rail": railed_watch.as_dict(),
+        "proof": None if proof is None else proof.as_dict(),
         "phases": phase_watch.as_dict(),
         "preview": None if preview is None else preview.as_dict(),
         "corrected_force_N": None if drift is None else drift.corrected(),
@@ -133,6 +139,8 @@ def status_text(status: dict[str, Any]) -> str:
     rail = status.get("rail")
     if rail and rail["railed"]:
         lines.append(f"  reference: RAILED; not reachable, the voltage is at a limit for {rail['lasted_s']:.1f} s")
+    if (proof := status.get("proof")) and (due := proof_text(proof)):
+        lines.append(f"  {due}")
     if recorder := status.get("recorder"):
         lines.append(f"  {_recorder_text(recorder)}")
     return "\n".join(lines)
