@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from piezod.cli.root import ColumnsOption, DecimalOption, ForceOption, JsonOption, RateOption, app
+from piezod.cli.root import ColumnsOption, DecimalOption, ForceOption, JsonOption, RateOption, app, check_readable
 from piezod.errors import UsageError
 
 
@@ -44,7 +44,7 @@ def diagnose(
     as_json: JsonOption = False,
 ) -> None:
     """Find the effects that a model lacks: place, effect, confidence, and the extended model."""
-    from piezod.recording import TextOptions, check_folder, check_page, column_names
+    from piezod.recording import TextOptions, check_folder, check_page
 
     check_folder(output, ("findings.json", "model.yaml"), force=force)
     check_page(replay)
@@ -60,7 +60,7 @@ def diagnose(
     if model is None or not recordings:
         raise UsageError("REC... or --model is missing: give both, or --from-bench CONFIG")
     for path in (*recordings, *(hold_out or ())):
-        column_names(path, text)  # a wrong file is refused before the libraries are there
+        check_readable(path, model, text)  # a wrong file is refused before the libraries are there
     from piezod.diagnose.command import diagnose_files
     from piezod.report.progress import steps
 
@@ -102,17 +102,18 @@ def what_is_testable(
     as_json: JsonOption = False,
 ) -> None:
     """Tell which effects recordings could show, and which they cannot separate from each other."""
-    from piezod.recording import TextOptions, check_not_there, check_recording_target, column_names, write_recording
+    from piezod.recording import TextOptions, check_not_there, check_recording_target, write_recording
 
     if next_file is not None:
         check_recording_target(next_file, recordings)
         check_not_there(next_file, force=force)
     text = TextOptions.of(columns, rate_hz, decimal)
     for path in recordings:
-        column_names(path, text)  # a wrong file is refused before the libraries are there
+        check_readable(path, model, text)  # a wrong file is refused before the libraries are there
     from piezod.diagnose.experiment.isolability import isolability
     from piezod.diagnose.experiment.planning import next_experiment
     from piezod.diagnose.prepare import past_sources, read_source
+    from piezod.identify.layout import layout_of
     from piezod.model import load_model
     from piezod.report.isolability import experiment_as_dict, experiment_text, isolability_as_dict, isolability_text
     from piezod.report.progress import steps
@@ -121,7 +122,7 @@ def what_is_testable(
     with steps() as show:
         show("reading", None)
         names = plant.input.channel, plant.output.channel
-        asked = [read_source(path, "recording", names, text=text) for path in recordings]
+        asked = [read_source(path, "recording", names, text=layout_of(path, plant, text)) for path in recordings]
         past, notes = past_sources(plant, model.parent, asked)
         show("comparing effects", None)
         found = isolability(plant, asked, past)

@@ -7,7 +7,16 @@ from typing import Annotated
 
 import typer
 
-from piezod.cli.root import ColumnsOption, ConfigArgument, DecimalOption, ForceOption, JsonOption, RateOption, app
+from piezod.cli.root import (
+    ColumnsOption,
+    ConfigArgument,
+    DecimalOption,
+    ForceOption,
+    JsonOption,
+    RateOption,
+    app,
+    check_readable,
+)
 from piezod.errors import UsageError
 
 ModelOption = Annotated[Path, typer.Option("--model", metavar="MODEL", help="Model file.")]
@@ -120,22 +129,24 @@ def simulate(
     as_json: JsonOption = False,
 ) -> None:
     """Simulate a model over the input of a recording, in free run; compare with its output, if it has one."""
-    from piezod.recording import TextOptions, check_not_there, check_recording_target, column_names, write_recording
+    from piezod.recording import TextOptions, check_not_there, check_recording_target, write_recording
 
     text = TextOptions.of(columns, rate_hz, decimal)
     check_recording_target(output, [recording])
     check_not_there(output, force=force)
-    column_names(recording, text)  # a wrong file is refused before the libraries are there
+    check_readable(recording, model, text)  # a wrong file is refused before the libraries are there
     from piezod.identify.intake import load_for_simulation
+    from piezod.identify.layout import layout_of
     from piezod.identify.simulation import simulate_recording, where
     from piezod.model import load_model
     from piezod.report.progress import steps
 
     plant = load_model(model)
+    layout = layout_of(recording, plant, text)
     column, equals, _ = (condition or "").partition("=")
     with steps() as show:
         loaded = load_for_simulation(
-            recording, plant.input.channel, plant.output.channel, [column] if equals else [], show, text
+            recording, plant.input.channel, plant.output.channel, [column] if equals else [], show, layout
         )
     chosen = where(loaded.recording, condition) if condition else None
     simulation = simulate_recording(plant, loaded.recording, start_window, chosen, loaded.sha256)

@@ -12,13 +12,16 @@ from collections.abc import Callable
 from importlib.metadata import version as version_of
 from pathlib import Path
 from types import FrameType
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from piezod import __version__
 from piezod.cli import INTERRUPTED
-from piezod.errors import PiezodError, TemporaryError, UsageError
+from piezod.errors import PiezodError, RecordingError, TemporaryError, UsageError
+
+if TYPE_CHECKING:
+    from piezod.recording import TextOptions
 
 Handler = Callable[[int, FrameType | None], object]
 
@@ -132,3 +135,29 @@ def _root(
     ] = False,
 ) -> None:
     pass
+
+
+def check_readable(path: Path, model: Path, text: "TextOptions") -> None:
+    """Refuse a recording that can be read neither as the user says nor as those of the model were.
+
+    Parameters
+    ----------
+    path, model
+        Files of the recording and of the model.
+    text
+        What the user says about a text file.
+
+    Raises
+    ------
+    RecordingError, ModelError
+        A file cannot be read.
+    """
+    from piezod.recording import column_names
+
+    try:
+        column_names(path, text)
+    except RecordingError:
+        from piezod.identify.layout import layout_of
+        from piezod.model import load_model
+
+        layout_of(path, load_model(model), text)

@@ -13,6 +13,7 @@ from piezod.diagnose.verdict.simulated import free_run, tared_rms
 from piezod.diagnose.verdict.verdict import words_of
 from piezod.diagnose.verdict.words import Wording
 from piezod.errors import ConfigurationError, UsageError
+from piezod.identify.layout import layout_of
 from piezod.model import Model, load_model, save_model
 from piezod.recording import TextOptions
 from piezod.recording.names import unit_of
@@ -69,8 +70,8 @@ def diagnose_files(
     if len({path.resolve() for path in files}) < len(files):
         raise UsageError(f"REC is {', '.join(map(str, files))}: one stands twice, must be different files")
     columns = (model.input.channel, model.output.channel)
-    apart = [read_source(path, "recording", columns, text=text) for path in hold_out]
-    asked = [read_source(path, "recording", columns, condition, text) for path in recordings]
+    apart = [read_source(path, "recording", columns, text=layout_of(path, model, text)) for path in hold_out]
+    asked = [read_source(path, "recording", columns, condition, layout_of(path, model, text)) for path in recordings]
     past, notes = past_sources(model, model_path.parent, asked)
     notes = [*(note for one in (*asked, *apart) for note in one.notes), *notes]
     before = [_rms(one, model) for one in apart]  # before the search: a file that cannot be used is said at once

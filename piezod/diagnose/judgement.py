@@ -48,9 +48,9 @@ from piezod.diagnose.verdict.verdict import (
 from piezod.diagnose.verdict.words import Wording
 from piezod.effects import EFFECTS
 from piezod.errors import ModelError
+from piezod.identify.layout import entry_of
 from piezod.identify.scores import nrmse_percent
 from piezod.model import Model
-from piezod.model.parameters import RecordingSource
 
 Array = NDArray[np.float64]
 
@@ -290,10 +290,7 @@ class Judgement:
     def _rebased(self, extended: Model) -> Model:
         """The model of a stack that has changed: older recordings are another stack's."""
         asked = [source for source in self.sources if source.role == "recording"]
-        recordings = tuple(
-            RecordingSource(path=one.recording.source, sha256=one.sha256, samples=int(one.recording.time_s.size))
-            for one in asked
-        )
+        recordings = tuple(entry_of(one.recording, one.sha256, one.text) for one in asked)
         effects = tuple(
             one if one.recording else one.model_copy(update={"since": "identification"}) for one in extended.effects
         )

@@ -17,6 +17,7 @@ from piezod.diagnose.hypothesis.series import Role, Series
 from piezod.errors import RecordingError
 from piezod.estimation.initial_state import estimate_path, remembered, start_at_zero, starts_at_rest
 from piezod.excitation import varying_triangles
+from piezod.identify.layout import told_of
 from piezod.identify.simulation import where
 from piezod.model import Model, file_sha256, run_chain
 from piezod.recording import Hold, Recording, TextOptions, read_recording
@@ -52,6 +53,8 @@ class Source:
         COLUMN=VALUE at which its readings count; None: everywhere.
     notes
         What was understood of its file, and each channel that was converted.
+    text
+        What the user says about a text file; None: nothing.
     """
 
     recording: Recording
@@ -59,6 +62,7 @@ class Source:
     role: Role
     condition: str | None = None
     notes: tuple[str, ...] = ()
+    text: TextOptions | None = None
 
     @property
     def name(self) -> str:
@@ -93,7 +97,7 @@ def read_source(
     if "understood" in recording.metadata:
         notes.insert(0, f"read as: {recording.metadata['understood']}")
     notes += repair_notes(recording.metadata)
-    return Source(recording, file_sha256(path), role, condition, tuple(f"{path}: {note}" for note in notes))
+    return Source(recording, file_sha256(path), role, condition, tuple(f"{path}: {note}" for note in notes), text)
 
 
 def past_sources(model: Model, folder: Path, given: Sequence[Source]) -> tuple[list[Source], list[str]]:
@@ -123,7 +127,8 @@ def past_sources(model: Model, folder: Path, given: Sequence[Source]) -> tuple[l
         if path is None:
             notes.append(f"{source.path}, which the model was identified on, is not there or not the same any more")
         else:
-            found.append(read_source(path, "identification", (model.input.channel, model.output.channel)))
+            columns = (model.input.channel, model.output.channel)
+            found.append(read_source(path, "identification", columns, text=told_of(source)))
     return found, notes
 
 

@@ -6,13 +6,14 @@ sample says the same wherever it lies in time, and interpolation would take down
 
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from piezod.errors import RecordingError, UsageError
+from piezod.identify.layout import entry_of
 from piezod.identify.suitability import FEWEST_SAMPLES
 from piezod.model import file_sha256
 from piezod.model.parameters import RecordingSource
@@ -60,16 +61,19 @@ class LoadedRecording:
         Hash of the file's bytes, as hexadecimal text.
     notes
         One line for each property of the file that matters and for each change made to its samples.
+    text
+        What the user says about the text file; None: nothing.
     """
 
     recording: Recording
     sha256: str
     notes: list[str]
+    text: TextOptions | None = None
 
     @property
     def source(self) -> RecordingSource:
         """Entry for the provenance of a model."""
-        return RecordingSource(path=self.recording.source, sha256=self.sha256, samples=int(self.recording.time_s.size))
+        return entry_of(self.recording, self.sha256, self.text)
 
 
 def load_recordings(
@@ -179,7 +183,7 @@ def _load(
 ) -> LoadedRecording:
     names = column_names(path, text)
     recording, sha256, notes = _read(path, names, [input_column, output_column], on_step, text)
-    return usable(recording, input_column, output_column, sha256, notes)
+    return replace(usable(recording, input_column, output_column, sha256, notes), text=text)
 
 
 def usable(

@@ -81,12 +81,21 @@ class Start(Section):
         return self
 
 
+class TextLayout(Section):
+    """What the user said about a text file: names of its columns, samples per second, decimal mark."""
+
+    columns: Annotated[tuple[str, ...], Field(strict=False)] = ()
+    rate_Hz: Annotated[float, Field(gt=0)] | None = None
+    decimal: Literal["", ".", ","] = ""
+
+
 class RecordingSource(Section):
-    """Recording that the model was identified on."""
+    """Recording that the model was identified on; `read_as` is how its text file had to be read."""
 
     path: str
     sha256: Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
     samples: Annotated[int, Field(ge=1)]
+    read_as: TextLayout | None = None
 
 
 class FitFigures(Section):
