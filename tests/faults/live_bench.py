@@ -253,6 +253,8 @@ class LiveBench:
             content[section] = content[section] | value if merged else value
         path = self.folder / "bench.yaml"
         path.write_text(yaml.safe_dump(content), encoding="utf-8")
+        cold = {"power_W": 0.0, "time_s": time.time()}  # the emulated stack is; of a stack unknown the limit is assumed
+        (self.folder / "ring.heat").write_text(json.dumps(cold), encoding="ascii")
         return path
 
     # the daemon ----------------------------------------------------------------------------------------------------

