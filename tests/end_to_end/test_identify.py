@@ -65,6 +65,7 @@ def test_every_format_goes_in_and_comes_out(recorded, tmp_path, suffix, back):
         "path": str(copy),
         "sha256": hashlib.sha256(copy.read_bytes()).hexdigest(),
         "samples": 15_000,
+        "read_as": None,
     }
     simulated, measured = read_recording(out), read_recording(recorded)
     assert list(simulated.channels) == ["force_N"]

@@ -58,6 +58,11 @@ class Run:
         return found
 
     @property
+    def since_level(self) -> NDArray[np.bool_]:
+        """Whether a row is at the level or after it, shape (N,): what a step changes is changed from there."""
+        return self.reached | self.tripped
+
+    @property
     def skipped_ticks(self) -> NDArray[np.bool_]:
         """Whether a row comes after a skipped tick, shape (N,)."""
         return np.diff(self.rows["tick"], prepend=self.rows["tick"][:1]) > 1

@@ -20,7 +20,7 @@ def prove_stale(proof: ProofBench) -> ProofStep:
     link = ChangedLink(proof.link, proof.level_reached, result=ExchangeResult.HEARTBEAT_STOOD)
     run = proof.hold_level(link=link, lasts_s=max(HOLD_S, 4e-3 * limits.stale_after_ms))
     limit_ms = limits.stale_after_ms + proof.reaction_ms(2)
-    time_ms = run.time_to_fault_ms(run.rows["result"] == ExchangeResult.HEARTBEAT_STOOD)
+    time_ms = run.time_to_fault_ms(run.since_level & (run.rows["result"] == ExchangeResult.HEARTBEAT_STOOD))
     right = run.fault in (Cause.BAD_READING, Cause.COMM_LOSS) and time_ms <= limit_ms
     return ProofStep("stale", word(right), time_ms, limit_ms, "ms", time_ms, run.outcome(limit_ms))
 
@@ -31,7 +31,7 @@ def prove_silence(proof: ProofBench) -> ProofStep:
     link = ChangedLink(proof.link, proof.level_reached, silent=True)
     run = proof.hold_level(link=link, lasts_s=max(HOLD_S, 4e-3 * limits.comm_loss_ms))
     limit_ms = limits.comm_loss_ms + proof.reaction_ms(1)
-    time_ms = run.time_to_fault_ms(run.rows["result"] == ExchangeResult.TIMEOUT)
+    time_ms = run.time_to_fault_ms(run.since_level & (run.rows["result"] == ExchangeResult.TIMEOUT))
     right = run.fault is Cause.COMM_LOSS and time_ms <= limit_ms
     return ProofStep("silence", word(right), time_ms, limit_ms, "ms", time_ms, run.outcome(limit_ms))
 
@@ -42,7 +42,7 @@ def prove_exchanges(proof: ProofBench) -> ProofStep:
     result = ExchangeResult.HEARTBEAT_STOOD
     link = ChangedLink(proof.link, lambda: proof.level_reached() and proof.in_odd_tick, result=result)
     run = proof.hold_level(tightened={"failed_exchanges": most}, link=link)
-    failed = run.rows["result"] == result
+    failed = run.since_level & (run.rows["result"] == result)
     limit_ms = proof.reaction_ms(3 * most)  # a failure adds 3 to the count, a good exchange takes 1 away
     time_ms = run.time_to_fault_ms(failed)
     right = run.fault is Cause.BAD_EXCHANGES and time_ms <= limit_ms
@@ -60,7 +60,7 @@ def prove_missed(proof: ProofBench) -> ProofStep:
             return skipped("missed", f"limits.{key} is {value:g}, below {least_ms:g}: late ticks would trip it before")
     most = min(limits.missed_ticks_in_a_row, MISSED)
     run = proof.hold_level(tightened={"missed_ticks_in_a_row": most}, late=True)
-    missed = run.skipped_ticks
+    missed = run.since_level & run.skipped_ticks
     limit_ms = 2.0 * proof.reaction_ms(most)
     time_ms = run.time_to_fault_ms(missed)
     right = run.fault is Cause.MISSED_TICKS and time_ms <= limit_ms
@@ -102,7 +102,7 @@ def _status_step(
         return skipped(name, "the bench reads no status")
     run = proof.hold_level(tightened=tightened, link=ChangedLink(proof.link, proof.level_reached, {"status": change}))
     limit_ms = after_ms + proof.reaction_ms(1)
-    time_ms = run.time_to_fault_ms(run.reached | run.tripped)
+    time_ms = run.time_to_fault_ms(run.since_level)
     right = run.fault is cause and time_ms <= limit_ms
     return ProofStep(name, word(right), time_ms, limit_ms, "ms", time_ms, run.outcome(limit_ms))
 

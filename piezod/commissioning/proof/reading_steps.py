@@ -60,7 +60,7 @@ def prove_rate(proof: ProofBench) -> ProofStep:
     link = ChangedLink(proof.link, proof.level_reached, {"force_N": shifted(jump_N)})
     run = proof.hold_level(tightened={"force_rate_trip_N_per_s": rate}, link=link)
     limit_ms = proof.reaction_ms(samples)
-    time_ms = run.time_to_fault_ms(run.rows["force_N"] > proof.level_N + 0.5 * jump_N)
+    time_ms = run.time_to_fault_ms(run.since_level & (run.rows["force_N"] > proof.level_N + 0.5 * jump_N))
     right = run.fault is Cause.FORCE_RATE and time_ms <= limit_ms
     measured = jump_N / proof.bench.dt_s
     return ProofStep("rate", word(right), measured, rate, "N/s", time_ms, run.outcome(limit_ms))
@@ -96,7 +96,7 @@ def prove_stuck(proof: ProofBench) -> ProofStep:
     run = proof.hold_level(tightened=tightened, link=link, falls=True)
     limit_ms = proof.reaction_ms(1)
     moved_V = level_V - run.rows["voltage_V"]
-    time_ms = run.time_to_fault_ms((run.reached | run.tripped) & (moved_V >= travel_V))
+    time_ms = run.time_to_fault_ms(run.since_level & (moved_V >= travel_V))
     right = run.fault is Cause.SENSOR_STUCK and time_ms <= limit_ms
     at_trip_V = float(moved_V[np.argmax(run.tripped)]) if run.tripped.any() else float("nan")
     return ProofStep("stuck", word(right), at_trip_V, travel_V, "V", time_ms, run.outcome(limit_ms))
@@ -111,7 +111,8 @@ def prove_readback(proof: ProofBench) -> ProofStep:
     link = ChangedLink(proof.link, proof.level_reached, {"voltage_readback_V": shifted(shift_V)})
     run = proof.hold_level(link=link)
     limit_ms = 2.0 * limits.readback_trip_ms + proof.reaction_ms(0)
-    time_ms = run.time_to_fault_ms(abs(run.rows["readback_V"] - run.rows["voltage_V"]) > limits.readback_trip_V)
+    apart = abs(run.rows["readback_V"] - run.rows["voltage_V"]) > limits.readback_trip_V
+    time_ms = run.time_to_fault_ms(run.since_level & apart)
     right = run.fault is Cause.READBACK and time_ms <= limit_ms
     return ProofStep("readback", word(right), shift_V, limits.readback_trip_V, "V", time_ms, run.outcome(limit_ms))
 
