@@ -4,23 +4,21 @@ The supervisor calls `clear` when the bench is armed, and `check` with every goo
 `set_limits` replaces the limits and keeps everything else: a new limit discards no heat, count or time.
 The states are plain floats and integers, so a check allocates no container.
 
-A debounce counts with a leak: a wrong sample adds `WRONG`, a right one takes 1 away. Samples that are wrong in a row
-trip after the configured number of them. Those that are wrong more often than once in `WRONG + 1` trip too, later;
-a count of samples in a row would start anew with each right one.
+A debounce counts with a leak; see `leaky_count.py`.
 """
 
 from math import inf, isfinite, nan
 
 from piezod.config import LimitsConfig
+from piezod.control.leaky_count import WRONG, LeakyCount
 from piezod.control.states import Cause
 from piezod.transport.status import STATUS_CLAMPED, STATUS_OUTPUT_ON
 
 STRANGE_SAMPLES = 10
 """Implausible temperatures in a row that trip: a temperature changes slowly, and a sample may be lost."""
 
-
-WRONG = 3
-"""Weight of a wrong sample: samples that are wrong more often than one in four are no spikes."""
+SECOND_SAMPLE = WRONG + 1
+"""Level of a second wrong sample, unless so many right ones lie between that the first has leaked away."""
 
 
 class ForceInterlock:
@@ -41,22 +39,15 @@ class ForceInterlock:
         True after a wrong sample, until the next sample decides. The voltage must not rise meanwhile.
     spikes
         Number of wrong samples that the next sample did not confirm.
+    count
+        Leaky count of wrong samples.
     """
 
-    __slots__ = (
-        "_force_N",
-        "_level",
-        "_max_N",
-        "_min_N",
-        "_needed",
-        "_rate_N_per_ns",
-        "_time_ns",
-        "spikes",
-        "suspect",
-    )
+    __slots__ = ("_force_N", "_max_N", "_min_N", "_rate_N_per_ns", "_time_ns", "count", "spikes", "suspect")
 
     def __init__(self, limits: LimitsConfig) -> None:
         self.spikes = 0
+        self.count = LeakyCount()
         self.clear()
         self.set_limits(limits)
 
@@ -64,12 +55,12 @@ class ForceInterlock:
         """Replace the limits; the earlier samples and the debounce stay."""
         self._max_N, self._min_N = limits.force_trip_N, limits.force_min_N
         self._rate_N_per_ns = inf if limits.force_rate_trip_N_per_s is None else 1e-9 * limits.force_rate_trip_N_per_s
-        self._needed = WRONG * limits.force_debounce_samples
+        self.count.trips_at = WRONG * limits.force_debounce_samples
 
     def clear(self) -> None:
         """Discard the earlier samples."""
         self._force_N, self._time_ns = nan, 0
-        self._level = 0
+        self.count.clear()
         self.suspect = False
 
     def check(self, force_N: float, now_ns: int) -> Cause:
@@ -92,13 +83,12 @@ class ForceInterlock:
         if cause is Cause.NONE:
             self.spikes += self.suspect
             self._force_N, self._time_ns = force_N, now_ns
-            if self._level:
-                self._level -= 1
+            if self.count.level:
+                self.count.leak()
             self.suspect = False
             return cause
-        self._level += WRONG
         self.suspect = True
-        return cause if self._level >= self._needed else Cause.NONE
+        return cause if self.count.add() else Cause.NONE
 
 
 class StuckInterlock:
@@ -161,11 +151,17 @@ class ReadbackInterlock:
     ----------
     limits
         Margin of the band [V] and length of a window [ms].
+
+    Attributes
+    ----------
+    count
+        Leaky count of the samples outside the band; the second one trips.
     """
 
-    __slots__ = ("_begun_ns", "_earlier_high", "_earlier_low", "_high", "_low", "_outside", "_trip_V", "_window_ns")
+    __slots__ = ("_begun_ns", "_earlier_high", "_earlier_low", "_high", "_low", "_trip_V", "_window_ns", "count")
 
     def __init__(self, limits: LimitsConfig) -> None:
+        self.count = LeakyCount(SECOND_SAMPLE)
         self.clear()
         self.set_limits(limits)
 
@@ -178,7 +174,8 @@ class ReadbackInterlock:
         """Discard the voltages written earlier."""
         self._low = self._earlier_low = inf
         self._high = self._earlier_high = -inf
-        self._begun_ns = self._outside = 0
+        self._begun_ns = 0
+        self.count.clear()
 
     def check(self, readback_V: float, written_V: float, now_ns: int) -> Cause:
         """Trip at the second sample outside the band, counted with a leak: a single one can be a spike of the monitor.
@@ -200,11 +197,10 @@ class ReadbackInterlock:
         low, high = min(self._low, self._earlier_low), max(self._high, self._earlier_high)
         inside = low - self._trip_V <= readback_V <= high + self._trip_V
         if inside or not isfinite(readback_V):
-            if self._outside:
-                self._outside -= 1
+            if self.count.level:
+                self.count.leak()
             return Cause.NONE
-        self._outside += WRONG
-        return Cause.READBACK if self._outside > WRONG else Cause.NONE
+        return Cause.READBACK if self.count.add() else Cause.NONE
 
 
 class TrackingInterlock:
@@ -216,22 +212,29 @@ class TrackingInterlock:
     ----------
     limits
         Largest error [N] and its duration [ms].
+
+    Attributes
+    ----------
+    count
+        Time with a wrong force [ns], with a leak.
     """
 
-    __slots__ = ("_duration_ns", "_expected_N", "_last_ns", "_trip_N", "_wrong_ns")
+    __slots__ = ("_expected_N", "_last_ns", "_trip_N", "count")
 
     def __init__(self, limits: LimitsConfig) -> None:
+        self.count = LeakyCount()
         self.clear()
         self.set_limits(limits)
 
     def set_limits(self, limits: LimitsConfig) -> None:
         """Replace the limits; the time for which the error has lasted stays."""
         self._trip_N = inf if limits.tracking_trip_N is None else limits.tracking_trip_N
-        self._duration_ns = round(1e6 * limits.tracking_trip_ms)
+        self.count.trips_at = round(1e6 * limits.tracking_trip_ms)
 
     def clear(self) -> None:
         """Discard the earlier error."""
-        self._expected_N, self._last_ns, self._wrong_ns = nan, 0, 0
+        self._expected_N, self._last_ns = nan, 0
+        self.count.clear()
 
     def check(self, force_N: float, expected_N: float, now_ns: int) -> Cause:
         """Compare the force with the one that was expected at the exchange before.
@@ -250,12 +253,12 @@ class TrackingInterlock:
         if not isfinite(before_N):
             return Cause.NONE
         if abs(force_N - before_N) <= self._trip_N:
-            if self._wrong_ns:
-                self._wrong_ns = max(self._wrong_ns - since_ns // WRONG, 0)
+            if self.count.level:
+                self.count.leak(since_ns // WRONG)
             return Cause.NONE
-        lasted_ns = self._wrong_ns
-        self._wrong_ns += since_ns
-        return Cause.TRACKING if lasted_ns >= self._duration_ns else Cause.NONE
+        lasted_ns = self.count.level
+        self.count.add(since_ns)
+        return Cause.TRACKING if lasted_ns >= self.count.trips_at else Cause.NONE
 
 
 class DeviceInterlock:
@@ -265,11 +268,17 @@ class DeviceInterlock:
     ----------
     limits
         Which bits of the status register the device has, and the longest time of a clamped output [ms].
+
+    Attributes
+    ----------
+    count
+        Leaky count of the samples with the output off; the second one trips.
     """
 
-    __slots__ = ("_clamped_ns", "_has_output_bit", "_off", "_since_ns", "_was_on")
+    __slots__ = ("_clamped_ns", "_has_output_bit", "_since_ns", "_was_on", "count")
 
     def __init__(self, limits: LimitsConfig) -> None:
+        self.count = LeakyCount(SECOND_SAMPLE)
         self.clear()
         self.set_limits(limits)
 
@@ -280,7 +289,8 @@ class DeviceInterlock:
 
     def clear(self) -> None:
         """Discard the earlier samples; the output may be off until it was on once."""
-        self._off, self._since_ns, self._was_on = 0, -1, False
+        self._since_ns, self._was_on = -1, False
+        self.count.clear()
 
     def check(self, status: int, now_ns: int) -> Cause:
         """Trip at the second sample with the output off, and after `clamped_trip_ms` with the output clamped.
@@ -302,11 +312,11 @@ class DeviceInterlock:
             return Cause.NONE
         if status & STATUS_OUTPUT_ON:
             self._was_on = True
-            if self._off:
-                self._off -= 1
+            if self.count.level:
+                self.count.leak()
         elif self._was_on:
-            self._off += WRONG
-        return Cause.OUTPUT_OFF if self._off > WRONG else Cause.NONE
+            self.count.add()
+        return Cause.OUTPUT_OFF if self.count.level >= SECOND_SAMPLE else Cause.NONE
 
 
 class TemperatureInterlock:
@@ -317,11 +327,17 @@ class TemperatureInterlock:
     limits
         Highest temperature [degC]; null: nothing is checked. Lowest plausible one [degC]; longest time without a
         change [s].
+
+    Attributes
+    ----------
+    count
+        Leaky count of implausible samples.
     """
 
-    __slots__ = ("_frozen_ns", "_high_C", "_last_C", "_low_C", "_since_ns", "_strange")
+    __slots__ = ("_frozen_ns", "_high_C", "_last_C", "_low_C", "_since_ns", "count")
 
     def __init__(self, limits: LimitsConfig) -> None:
+        self.count = LeakyCount(WRONG * STRANGE_SAMPLES)
         self.clear()
         self.set_limits(limits)
 
@@ -333,7 +349,8 @@ class TemperatureInterlock:
 
     def clear(self) -> None:
         """Discard the earlier samples."""
-        self._strange, self._last_C, self._since_ns = 0, nan, 0
+        self._last_C, self._since_ns = nan, 0
+        self.count.clear()
 
     def check(self, temperature_C: float, now_ns: int) -> Cause:
         """Trip above the limit, and after `STRANGE_SAMPLES` implausible samples, counted with a leak.
@@ -354,8 +371,7 @@ class TemperatureInterlock:
         elif now_ns - self._since_ns >= self._frozen_ns:
             return Cause.TEMPERATURE_SENSOR
         if temperature_C >= self._low_C:
-            if self._strange:
-                self._strange -= 1
+            if self.count.level:
+                self.count.leak()
             return Cause.NONE
-        self._strange += WRONG
-        return Cause.TEMPERATURE_SENSOR if self._strange >= WRONG * STRANGE_SAMPLES else Cause.NONE
+        return Cause.TEMPERATURE_SENSOR if self.count.add() else Cause.NONE

@@ -97,6 +97,7 @@ class ControlLoop:
         self._settling_ns = -1
         self.limiter, self.supervisor = Limiter(limits, dt_s), Supervisor(limits, dt_s)
         check = None if sign_check is None else SignCheck(sign_check, dt_s, limits.voltage_step_V)
+        self.supervisor.show_counts(ring_log.counters)
         self._planner = SegmentPlanner(self.limiter, self.supervisor, check, approach_V_per_s * dt_s)
         self._guard = DeviceGuard(link, self.supervisor, rate_keeper)
         self._writer = VoltageWriter(

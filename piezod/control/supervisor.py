@@ -12,7 +12,6 @@ from math import ceil, inf, nan
 from piezod.config import LimitsConfig
 from piezod.control.heat_interlock import HeatInterlock
 from piezod.control.interlocks import (
-    WRONG,
     DeviceInterlock,
     ForceInterlock,
     ReadbackInterlock,
@@ -20,6 +19,7 @@ from piezod.control.interlocks import (
     TemperatureInterlock,
     TrackingInterlock,
 )
+from piezod.control.leaky_count import WRONG, CountedInterlock, LeakyCount, cells_of
 from piezod.control.states import CAUSE_TEXT, DEVICE_HAS_TAKEN_OVER, Cause, State
 from piezod.transport import Reading
 from piezod.transport.status import STATUS_FAULTS, STATUS_MAINS_LOST, STATUS_OVER_TEMPERATURE, STATUS_WATCHDOG
@@ -68,7 +68,7 @@ class Supervisor:
         self._tracking = TrackingInterlock(limits)
         self._device = DeviceInterlock(limits)
         self._temperature = TemperatureInterlock(limits)
-        self._missed = self._failed = 0
+        self._missed, self._failed = LeakyCount(), LeakyCount()
         self._cleared = self._force, self._stuck, self._readback, self._tracking, self._device, self._temperature
         self._heat = HeatInterlock(limits, dt_s)
         self._dt_s = dt_s
@@ -86,9 +86,30 @@ class Supervisor:
         self._watchdog_ns = round(limits.device_watchdog_ms * 1e6)
         self._most_missed = limits.missed_ticks_in_a_row
         in_silence = ceil(1e-3 * SILENCES * limits.comm_loss_ms / self._dt_s)
-        self._most_failed = WRONG * (limits.failed_exchanges or in_silence)
+        self._failed.trips_at = WRONG * (limits.failed_exchanges or in_silence)
+        self._missed.trips_at = WRONG * self._most_missed
         for interlock in (*self._cleared, self._heat):
             interlock.set_limits(limits)
+
+    def show_counts(self, counters: "memoryview[int]") -> None:
+        """Keep the leaky counts of the interlocks in counters from now on.
+
+        Parameters
+        ----------
+        counters
+            Counters of the ring log.
+        """
+        counts = {
+            CountedInterlock.FORCE: self._force.count,
+            CountedInterlock.READBACK: self._readback.count,
+            CountedInterlock.TRACKING: self._tracking.count,
+            CountedInterlock.OUTPUT: self._device.count,
+            CountedInterlock.THERMOMETER: self._temperature.count,
+            CountedInterlock.EXCHANGES: self._failed,
+            CountedInterlock.MISSED_TICKS: self._missed,
+        }
+        for interlock, count in counts.items():
+            count.show_in(cells_of(counters, interlock))
 
     @property
     def heat_W(self) -> float:
@@ -150,7 +171,8 @@ class Supervisor:
             self._bad_in_a_row = 0
             self._fast_stop = self.readings_stale = self.amplifier_tripped = False
             self._watchdog_clear = False  # a watchdog that tripped earlier is cleared by the first command
-            self._missed = self._failed = 0
+            for count in (self._missed, self._failed):
+                count.clear()
             for interlock in self._cleared:
                 interlock.clear()
             self._go(State.ARMING, Cause.ARMED)
@@ -268,11 +290,10 @@ class Supervisor:
             self._last_good_ns = now_ns
             self._bad_in_a_row = 0
             self.readings_stale = False
-            if self._failed:
-                self._failed -= 1
+            if self._failed.level:
+                self._failed.leak()
             return
-        self._failed += WRONG
-        if self._failed >= self._most_failed:
+        if self.driving and self._failed.add():
             self.trip(Cause.BAD_EXCHANGES)
         silent_ns = now_ns - self._last_good_ns
         self._bad_in_a_row += 1
@@ -338,11 +359,10 @@ class Supervisor:
 
     def check_rate(self, missed_in_a_row: int) -> None:
         """Trip when the loop misses too many ticks: `missed_in_a_row`, or as many counted with a leak."""
-        if missed_in_a_row:
-            self._missed += WRONG
-        elif self._missed:
-            self._missed -= 1
-        if missed_in_a_row >= self._most_missed or self._missed >= WRONG * self._most_missed:
+        if not missed_in_a_row:
+            if self._missed.level:
+                self._missed.leak()
+        elif self.driving and (self._missed.add() or missed_in_a_row >= self._most_missed):
             self.trip(Cause.MISSED_TICKS)
 
     def trip_on(self, cause: Cause) -> None:

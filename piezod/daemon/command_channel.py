@@ -61,6 +61,11 @@ class CommandChannel:
             return "no control process drives"
         return "passed to the control process"
 
+    @property
+    def counters(self) -> tuple[int, ...]:
+        """Counters of the present control process in the ring log; empty without one."""
+        return () if self.session is None else self.session.counters
+
     def open(self, session: Session) -> None:
         """Receive the messages of a session from now on.
 

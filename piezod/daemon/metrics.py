@@ -2,7 +2,7 @@
 
 import asyncio
 import contextlib
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from math import inf
 
 import numpy as np
@@ -12,6 +12,7 @@ from prometheus_client.exposition import CONTENT_TYPE_LATEST, generate_latest
 from prometheus_client.registry import Collector
 
 from piezod.control import State
+from piezod.control.leaky_count import interlock_counts
 from piezod.control.phase_times import PHASES
 from piezod.daemon.connections import Connections
 from piezod.daemon.drift import DriftWatch
@@ -76,6 +77,8 @@ class BenchMetrics(Collector):
         Time between two ticks [s].
     proof
         Last proof test; None: it is not watched.
+    counters
+        Function that returns the counters of the ring log; it returns none without a control process.
     """
 
     def __init__(
@@ -90,7 +93,9 @@ class BenchMetrics(Collector):
         learning: Callable[[], LearningWatch | None] = lambda: None,
         dt_s: float = 0.0,
         proof: ProofDate | None = None,
+        counters: Callable[[], Sequence[int]] = lambda: (),
     ) -> None:
+        self._counters = counters
         self._proof = proof
         self._dt_s = dt_s
         self._labels = [name]
@@ -138,6 +143,7 @@ class BenchMetrics(Collector):
         yield faults
         yield self._histogram("piezod_tick_lateness_seconds", "Wake-up after the deadline", statistics.lateness)
         yield self._histogram("piezod_tick_duration_seconds", "From wake-up to evaluated reading", statistics.exchange)
+        yield from self._interlock_metrics()
         if self._recorder is not None:
             yield from self._recorder_metrics(self._recorder)
         yield from self._drift_metrics()
@@ -162,6 +168,17 @@ class BenchMetrics(Collector):
         for name, durations in zip(PHASES, phases.histograms, strict=True):
             histogram.add_metric([*self._labels, name], _buckets(durations), durations.sum_s)
         return histogram
+
+    def _interlock_metrics(self) -> Iterable[Metric]:
+        labels, share = ["bench", "interlock"], "as share of the level that trips"
+        wrong = CounterMetricFamily("piezod_wrong_samples", "Wrong samples of a debounced interlock", labels=labels)
+        level = GaugeMetricFamily("piezod_interlock_level", f"Leaky count of wrong samples, {share}", labels=labels)
+        highest = GaugeMetricFamily("piezod_interlock_highest", f"Highest level since arming, {share}", labels=labels)
+        for name, count in interlock_counts(self._counters()).items():
+            wrong.add_metric([*self._labels, name], count["wrong"])
+            level.add_metric([*self._labels, name], count["level"])
+            highest.add_metric([*self._labels, name], count["highest"])
+        return wrong, level, highest
 
     def _drift_metrics(self) -> Iterable[Metric]:
         watch = self._drift()

@@ -125,6 +125,7 @@ class Service:
                     lambda: self.model_watch.learning,
                     self._bench.dt_s,
                     self.proof,
+                    lambda: self._channel.counters,
                 )
                 metrics = MetricsServer(shown, log_line)
                 stack.push_async_callback(metrics.close)

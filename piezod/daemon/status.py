@@ -6,12 +6,15 @@ from typing import TYPE_CHECKING, Any
 from piezod import __version__
 from piezod.config import BenchConfig
 from piezod.config.reference import RegisterReference, StreamReference
+from piezod.control.leaky_count import interlock_counts
 from piezod.control.references import counts_dict
 from piezod.daemon.journal import JOURNAL
 from piezod.daemon.proof_date import proof_text
 from piezod.recording.age import is_stale
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from piezod.daemon.command_channel import CommandChannel
     from piezod.daemon.model_watch import ModelWatch
     from piezod.daemon.phase_watch import PhaseWatch
@@ -80,6 +83,7 @@ def status_dict(
         "log_lines_dropped": JOURNAL.dropped,
         "rows_dropped": 0 if channel.session is None else channel.session.dropped,
         "reference_values": reference_values(bench, channel),
+        "interlocks": interlock_counts(channel.counters),
         "recorder": None if recorder is None else recorder.as_dict(),
         "drift": None if drift is None else drift.as_dict(),
         "learning": None if model_watch.learning is None else model_watch.learning.as_dict(),
@@ -104,7 +108,7 @@ def reference_values(bench: BenchConfig, channel: "CommandChannel") -> dict[str,
     """
     if not isinstance(bench.reference, (RegisterReference, StreamReference)):
         return None
-    return counts_dict(() if channel.session is None else channel.session.counters)
+    return counts_dict(channel.counters)
 
 
 def status_text(status: dict[str, Any]) -> str:
@@ -130,12 +134,14 @@ def status_text(status: dict[str, Any]) -> str:
     if status.get("corrected_force_N") is not None and status["force_N"] is not None:
         corrected = f"corrected for the load cell {status['corrected_force_N']:.2f} N"
         lines.append(f"  {corrected}; limits apply to the uncorrected reading")
-    if values := status.get("reference_values"):
-        lines.append(f"  {_values_text(values)}")
-    if drift := status.get("drift"):
-        lines.append(f"  {_drift_text(drift)}")
-    if learning := status.get("learning"):
-        lines.append(f"  {_learning_text(learning)}")
+    sections: dict[str, Callable[[Any], str]] = {
+        "reference_values": _values_text,
+        "interlocks": _counts_text,
+        "drift": _drift_text,
+        "learning": _learning_text,
+    }
+    texts = [text_of(status[name]) for name, text_of in sections.items() if status.get(name)]
+    lines += [f"  {text}" for text in texts if text]
     rail = status.get("rail")
     if rail and rail["railed"]:
         lines.append(f"  reference: RAILED; not reachable, the voltage is at a limit for {rail['lasted_s']:.1f} s")
@@ -158,6 +164,16 @@ def _values_text(values: dict[str, int]) -> str:
     return f"reference: {values['accepted']} values accepted, {sum(refused.values())} refused" + (
         f" ({reasons})" if reasons else ""
     )
+
+
+def _counts_text(interlocks: dict[str, dict[str, float]]) -> str:
+    """Leaky counts of the interlocks that saw a wrong sample; empty where none did."""
+    seen = ", ".join(
+        f"{name.replace('_', ' ')} {count['wrong']:.0f} ({100 * count['level']:.0f} %, {100 * count['highest']:.0f} %)"
+        for name, count in interlocks.items()
+        if count["wrong"]
+    )
+    return f"interlocks, wrong samples (share of a trip now, highest since arming): {seen}" if seen else ""
 
 
 def _learning_text(learning: dict[str, Any]) -> str:

@@ -3,9 +3,10 @@
     file       = header | capacity places | counters
     header     = magic, 8 bytes | size of a place | capacity | number of rows written so far, each uint64
     place      = row | number of the row, from 1, uint64
-    counters   = 8 counts of the writer, each uint64
+    counters   = 64 counts of the writer, each uint64
 
-The counters hold how many values of a live reference passed each result of their check. A reader may ignore them.
+The first 8 counters hold how many values of a live reference passed each result of their check; those behind them hold
+the leaky counts of the interlocks (`piezod/control/leaky_count.py`). A reader may ignore them.
 
 The control loop is the only writer. It writes the row, then increases the count. A reader copies rows and reads the
 count again. Rows that were overwritten in the meantime are dropped and counted. The writer takes no lock, so no reader
@@ -33,7 +34,7 @@ from piezod.errors import ConfigurationError, PiezodError, TemporaryError, Unrea
 MAGIC = b"PIEZRNG1"
 _OWN = MAGIC[:-1]  # also of another version
 _KEY = "daemon.ring_log"
-COUNTERS = 8
+COUNTERS = 64
 _COUNTERS_BYTES = 8 * COUNTERS
 _HEAD = struct.Struct("<8sQQQ")
 _COUNT_AT = 24

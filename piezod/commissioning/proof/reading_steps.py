@@ -111,8 +111,8 @@ def prove_readback(proof: ProofBench) -> ProofStep:
     link = ChangedLink(proof.link, proof.level_reached, {"voltage_readback_V": shifted(shift_V)})
     run = proof.hold_level(link=link)
     limit_ms = 2.0 * limits.readback_trip_ms + proof.reaction_ms(0)
-    apart = abs(run.rows["readback_V"] - run.rows["voltage_V"]) > limits.readback_trip_V
-    time_ms = run.time_to_fault_ms(run.since_level & apart)
+    deviating = abs(run.rows["readback_V"] - run.rows["voltage_V"]) > limits.readback_trip_V
+    time_ms = run.time_to_fault_ms(run.since_level & deviating)
     right = run.fault is Cause.READBACK and time_ms <= limit_ms
     return ProofStep("readback", word(right), shift_V, limits.readback_trip_V, "V", time_ms, run.outcome(limit_ms))
 

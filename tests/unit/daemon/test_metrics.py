@@ -129,6 +129,18 @@ def test_counts_of_a_live_reference_are_shown_by_result():
     assert {one.labels["result"]: one.value for one in family.samples} == values
 
 
+def test_the_leaky_counts_of_the_interlocks_are_shown():
+    counters = [0] * 64
+    counters[8:12] = 951, 6, 9, 12  # force: wrong samples, level, highest, level that trips
+    registry = CollectorRegistry(auto_describe=False)
+    registry.register(BenchMetrics("b", make_statistics(), counters=lambda: counters))
+    body = generate_latest(registry).decode()
+    assert sample(body, "piezod_wrong_samples_total", interlock="force") == 951
+    assert sample(body, "piezod_interlock_level", interlock="force") == 0.5
+    assert sample(body, "piezod_interlock_highest", interlock="force") == 0.75
+    assert sample(body, "piezod_wrong_samples_total", interlock="missed_ticks") == 0
+
+
 def test_the_end_of_the_server_with_connected_clients_reports_nothing(caplog):
     async def end():
         log = []

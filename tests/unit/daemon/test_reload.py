@@ -22,6 +22,8 @@ from piezod.session.files import files_digest
 class Channel:
     """A channel that answers every command with "ok" and lists it."""
 
+    counters = ()
+
     def __init__(self, session):
         self.session, self.connected, self.ended, self.problem = session, True, False, ""
         self.sent = []
