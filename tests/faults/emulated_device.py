@@ -33,6 +33,7 @@ from tests.contract.judged_bench import Judge, JudgedBench, restart
 from tests.faults.proxy import PtyProxy, Rule, TcpProxy
 
 IN_FLIGHT_TURNS = 3  # turns of the event loop until forwarded frames reach the device; a reconnection takes longer
+SLIDE_N_PER_S = 1000.0  # slower than the force rate trip of the bench
 REST_V = 0.5  # largest output that counts as rest [V]
 
 
@@ -210,6 +211,11 @@ _FALSE_READINGS: dict[str, Callable[[Sample, float, dict[str, Any]], Sample]] = 
     "readback_stuck": lambda sample, _value, memory: replace(
         sample, voltage_readback_V=memory["first"].voltage_readback_V
     ),
+    "slides": lambda sample, value, memory: replace(
+        sample, force_N=max(value, sample.force_N - SLIDE_N_PER_S * 1e-9 * (time.monotonic_ns() - memory["begun_ns"]))
+    ),
+    "every_2": lambda sample, value, memory: sample if memory["n"] % 2 else replace(sample, force_N=value),
+    "every_3": lambda sample, value, memory: sample if memory["n"] % 3 else replace(sample, force_N=value),
     "temperature": lambda sample, value, _: replace(sample, temperature_C=value),
     "readback": lambda sample, value, _: replace(sample, voltage_readback_V=value),
 }

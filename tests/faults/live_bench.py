@@ -97,6 +97,8 @@ class Service:
     def __init__(self, path, *arguments, environment=None, prefix=()):
         self.path = path
         self.log_lines, self.notifications = [], []
+        self.reads = threading.Event()  # cleared: nobody reads stderr
+        self.reads.set()
         self.listener = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
         name = f"piezod-faults-{os.getpid()}-{id(self)}"
         self.listener.bind("\0" + name)
@@ -119,6 +121,7 @@ class Service:
 
     def _read(self):
         for line in self.process.stderr:
+            self.reads.wait()
             self.log_lines.append((time.monotonic(), line.rstrip("\n")))
 
     def log(self, since=0):
@@ -178,6 +181,7 @@ class Service:
         return self.process.wait(timeout=within_s)
 
     def close(self):
+        self.reads.set()
         if self.alive:
             children = [pid for pid, line in self.children().items() if "spawn_main" in line]
             for pid in children:

@@ -17,10 +17,14 @@ ANSWER_WITHIN_S = {
     "status": 3.0,
     "stop": 3.0,
     "disarm": 3.0,
+    "stop socket": 0.5,  # whatever the event loop, the log and the files do
 }  # with a thousand idle clients, 0.4 to 0.8 s were measured
 TRIP_MARGIN_N = 25.0  # noise of the reading, and the force that is left on the stack at 0 V
 TRIPPED_WITHIN_S = 0.5
 STATUS_S = 0.5
+MOST_ERROR_N = 125.0  # tracking_trip_N, and the noise of the reading
+ERROR_WITHIN_S = 1.0  # tracking_trip_ms, with time right between
+COMMANDED_WITHIN_S = 3.0  # age of the last set point of a service that shows fresh values of a driven bench
 
 
 class ViolationError(AssertionError):
@@ -57,7 +61,7 @@ class Judge:
         self.trip_N = 360.0
         self.excused = set()
         self._armed_s, self._steady, self._disturbed = 0.0, None, False
-        self._above_since_s = None
+        self._above_since_s = self._far_since_s = None
         self.new_service(len(self.bench.service.log_lines))
         self._last_ns = time.monotonic_ns()
         self.report()
@@ -112,8 +116,16 @@ class Judge:
         """Whether the output has yet to come to rest."""
         return self.rest_due is not None
 
-    def judge(self, state):
-        """Judge the time since the last call; `state` is the state that the service reports, None if unknown."""
+    def judge(self, state, status=None):
+        """Judge the time since the last call.
+
+        Parameters
+        ----------
+        state
+            State that the service reports; None if unknown.
+        status
+            Its whole status; None without an answer.
+        """
         report = self.report()
         self.bench.device.ask("mark")
         wrong, self._wrong = self._wrong, []
@@ -132,6 +144,9 @@ class Judge:
             self.excused.discard("foreign")
         self._judge_rest(report, at_rest, state)
         self._judge_trip(report, state)
+        if status is not None and not status["stale"]:
+            self._judge_error(status)
+            self._judge_age(report, state)
         if "Traceback (most recent call last)" in self.bench.service.log(self._log_start):
             raise ViolationError("a traceback in the log: " + self.bench.service.log(self._log_start)[-1500:])
 
@@ -176,6 +191,25 @@ class Judge:
             raise ViolationError(
                 f"{report['force_N']:.0f} N in state {state}, with an acknowledged trip at {self.trip_N:g} N"
             )
+
+    def _judge_error(self, status):
+        """A service that drives must not show a force far from its reference for long."""
+        force_N, reference_N = status["force_N"], status["reference_N"]
+        known = status["state"] == "RUNNING" and None not in (force_N, reference_N)
+        if not known or abs(force_N - reference_N) <= MOST_ERROR_N:
+            self._far_since_s = None
+            return
+        self._far_since_s = self._far_since_s or time.monotonic()
+        if time.monotonic() - self._far_since_s > ERROR_WITHIN_S and not self._stood_still():
+            raise ViolationError(
+                f"RUNNING with a force of {force_N:.0f} N at a reference of {reference_N:.0f} N for {ERROR_WITHIN_S} s"
+            )
+
+    def _judge_age(self, report, state):
+        """Values that are shown as fresh while the bench is driven are not older than the last set point."""
+        age_s = 1e-9 * (report["now_ns"] - report["command_ns"])
+        if state in ("RUNNING", "HOLD") and age_s > COMMANDED_WITHIN_S and not self._stood_still():
+            raise ViolationError(f"state {state} is shown as fresh, and the last set point is {age_s:.1f} s old")
 
     def _stood_still(self):
         return self.probe.worst_ms(self._last_ns) > STILL_MS

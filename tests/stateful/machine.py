@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from hypothesis.stateful import rule
 
 from tests.faults.stream_faults import Sender
-from tests.stateful.device_rules import DeviceRules
+from tests.stateful.hazard_rules import HazardRules
 from tests.stateful.judge import ViolationError
 from tests.stateful.sequence import DRIVEN
 
@@ -18,8 +18,8 @@ JUNK = (b"", b"x", bytes(24), b"\xff" * 24, bytes(40), b"\xff" * 65000)
 EXTREME_N = (0.0, -50.0, 1e300, -1e300, float("nan"), float("inf"))
 
 
-class ServiceMachine(DeviceRules):
-    """Commands, signals and references, and the faults of the device."""
+class ServiceMachine(HazardRules):
+    """Commands, signals and references, the faults of the device, and the hazards that were found from outside."""
 
     # commands ---------------------------------------------------------------------------------------------------
 

@@ -35,7 +35,7 @@ class Sequence(RuleBasedStateMachine):
         self.sender, self.clients = Sender(self.service.stream, session=self.service.sequences), []
         self.trip_in_file_N = self.judge.trip_N
         self.judge.begin()
-        self.state, self.tripped, self.steps = "DISARMED", False, []
+        self.state, self.status, self.tripped, self.steps = "DISARMED", None, False, []
         if idle_clients:
             self._connect(idle_clients, b"")
         if value_N is not None:
@@ -159,14 +159,16 @@ class Sequence(RuleBasedStateMachine):
     def nothing_wrong_at_the_amplifier(self):
         if not hasattr(self, "judge"):
             return
+        self.status = None
         if not self._alive():
             self.state = GONE
         else:
             try:
-                self.state = self.bench.status()["state"]
+                self.status = self.bench.status()
+                self.state = self.status["state"]
             except PiezodError:  # its places are taken
                 self.state = None
-        self.judge.judge(self.state)
+        self.judge.judge(self.state, self.status)
         if self.steps and self.steps[-1] != f"-> {self.state}":
             self.steps.append(f"-> {self.state}")
 

@@ -3,6 +3,9 @@
 import contextlib
 import time
 from collections import Counter
+from pathlib import Path
+
+import yaml
 
 from piezod.control import RingReader
 from piezod.errors import PiezodError
@@ -25,11 +28,27 @@ class LiveService:
         stream = folder / "stream"
         self.bench = LiveBench(folder, None, BENCH | {"reference": BENCH["reference"] | {"listen": str(stream)}})
         self.text = self.bench.path.read_text(encoding="utf-8")
+        self.sound_path = folder / "sound.yaml"  # stays as it is, for the paths of the bench
+        self.sound_path.write_text(self.text, encoding="utf-8")
+        self.text_with_tenth = self._text_with_tenth(folder)
+        self.has_foreign_model = False
         self.stream = stream
         self.bench.restore()
         self.judge = Judge(self.bench, self.probe)
         self.done, self.sequences, self.control_killed = Counter(), 0, False
         self.before = []  # steps of the sequence before
+
+    def _text_with_tenth(self, folder):
+        """Bench file with a model of a tenth of the gain, which claims to have measured as little."""
+        content = yaml.safe_load(self.text)
+        model = yaml.safe_load(Path(content["model"]).read_text(encoding="utf-8"))
+        zones, output = model["hysteresis"]["dead_zones"], model["output"]
+        zones["weights"] = [0.1 * weight for weight in zones["weights"]]
+        model["hysteresis"]["offset"] *= 0.1
+        output["low"], output["high"] = 0.1 * output["low"], 0.1 * output["high"]
+        path = folder / "tenth.yaml"
+        path.write_text(yaml.safe_dump(model), encoding="utf-8")
+        return yaml.safe_dump(content | {"model": str(path)})
 
     def anew(self):
         """Restore bench and file; a service that was killed is started again when the device is free.
@@ -39,6 +58,9 @@ class LiveService:
         if self.control_killed:
             self.bench.service.process.wait(timeout=RELEASE_WITHIN_S)
             self.control_killed = False
+        if self.has_foreign_model and self.bench.service is not None and self.bench.service.alive:
+            self.bench.service.end()
+        self.has_foreign_model = False
         self.bench.path.write_text(self.text, encoding="utf-8")
         self.bench.device.ask("idle", closes_after_s=0.0)
         deadline_s = time.monotonic() + RELEASE_WITHIN_S
