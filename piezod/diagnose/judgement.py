@@ -165,7 +165,7 @@ class Judgement:
         """
         law_N = [np.zeros(1)] * self.stand_ins + self.before.law(self.series[self.stand_ins :])
         series = [replace(one, reading_N=one.reading_N - law) for one, law in zip(self.series, law_N, strict=True)]
-        terms, values = given_effects(self.model, series, self.hashes)
+        terms, values = given_effects(self.model, self.hashes)
         if terms:
             series = [replace(one, hold=self.model.hold) for one in series]
         chain, start = chain_of(series, self.model)
@@ -180,8 +180,9 @@ class Judgement:
         normal = Normal.at(chain, found.terms, found.point)
         modelled = normal.readings()
         residuals = [one.reading_N - simulated for one, simulated in zip(chain.series, modelled, strict=True)]
-        left = explainable(chain.series, residuals, modelled)
-        share, closed = remaining(result, left, motion(chain.series, residuals, modelled))
+        judging = [one.as_judged() for one in chain.series]
+        left = explainable(judging, residuals, modelled)
+        share, closed = remaining(result, left, motion(judging, residuals, modelled))
         floor, floor_from = noise_floor(chain.series, residuals, left, self.stand_ins)
         series = [replace(one, reading_N=known.reading_N) for one, known in zip(chain.series, self.series, strict=True)]
         before = tared_rms(self.before.asked)
@@ -218,7 +219,11 @@ class Judgement:
             floor_from=floor_from,
             where=tuple(
                 Place(one.axis, one.low, one.high, one.share, one.p)
-                for one in locate(series, [one.reading_N - by for one, by in zip(series, given, strict=True)], given)
+                for one in locate(
+                    [one.as_judged() for one in series],
+                    [one.reading_N - by for one, by in zip(series, given, strict=True)],
+                    given,
+                )
             ),
             effects=tuple(sure),
             kept=tuple(kept),
@@ -233,8 +238,13 @@ class Judgement:
             not_testable=blind,
             notes=tuple(self.notes),
             recordings=tuple(
-                {"path": one.recording.source, "sha256": one.sha256, "samples": int(one.recording.time_s.size)}
-                for one in self.sources
+                {
+                    "path": one.recording.source,
+                    "sha256": one.sha256,
+                    "samples": int(one.recording.time_s.size),
+                    "left_out_s": [list(stretch) for stretch in run.left_out_s],
+                }
+                for one, run in zip(self.sources, self.before.runs, strict=True)
             ),
         )
         if written.why_not:

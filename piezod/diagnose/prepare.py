@@ -15,7 +15,8 @@ from piezod.diagnose.hypothesis.basis import ForceLaw, PlayDensity
 from piezod.diagnose.hypothesis.chain import Chain, Point, empty_point
 from piezod.diagnose.hypothesis.series import Role, Series
 from piezod.errors import RecordingError
-from piezod.estimation.initial_state import estimate_path, remembered, start_at_zero, starts_at_rest
+from piezod.estimation.initial_state import estimate_path, start_at_zero, starts_at_rest
+from piezod.estimation.unknown_past import forgotten_at, swept_columns
 from piezod.excitation import varying_triangles
 from piezod.identify.layout import told_of
 from piezod.identify.simulation import where
@@ -34,7 +35,6 @@ STAND_IN_SAMPLES = 6000  # of the excitation that stands for recordings which ar
 START_LOOKED_AT_S = 20.0
 APART = 3.0  # noises between what may have been, above which it is not known
 COPY = 0.9999  # correlation from which a column is another one in another unit
-MOST_UNKNOWN = 0.75  # of a recording, that may be left out for what came before it
 
 
 @dataclass(frozen=True)
@@ -136,7 +136,7 @@ Stretches = list[tuple[int, int]]
 
 
 def made_ready(sources: Sequence[Source], model: Model) -> tuple[list[Series], list[Stretches], list[str]]:
-    """Recordings on equal steps, from where their past no longer matters, without frozen readings.
+    """Recordings on equal steps, with columns for what an unknown past leaves, without frozen readings.
 
     Parameters
     ----------
@@ -160,7 +160,7 @@ def made_ready(sources: Sequence[Source], model: Model) -> tuple[list[Series], l
     notes: list[str] = []
     for source in sources:
         one, more = even(source, model)
-        one, unknown = without_unknown(started(one, model), model)
+        one, unknown = with_unknown_start(started(one, model), model)
         one, clipped = without_clipped(one, model)
         one, stretches = without_frozen(one, model)
         series.append(one)
@@ -333,41 +333,18 @@ def started(series: Series, model: Model) -> Series:
     return replace(series, path_V=estimate_path(operator, u, known - np.nanmedian(known - operator.run(u)), window))
 
 
-def without_unknown(series: Series, model: Model) -> tuple[Series, list[str]]:
-    """The same from where it no longer depends on what was driven before a start amid the range, and what is said.
-
-    Whatever came before, the force lies between those after the ends of the range, reached first or one by the other;
-    it does not depend on it where these stay as far apart as at the last sample, within some noises.
-    """
+def with_unknown_start(series: Series, model: Model) -> tuple[Series, list[str]]:
+    """The same with columns for what was driven before a start amid the range, and what is said."""
     u = series.command_V
     if starts_at_rest(u):
         return series, []
-    low, high = min(model.input.low, float(u.min())), max(model.input.high, float(u.max()))
-    courses = []
-    for path in ((low,), (high,), (low, high), (high, low)):
-        operator = model.hysteresis.operator()
-        operator.run(np.array(path))
-        course_N = operator.run(u)
-        courses.append(course_N - course_N[-1])  # a play that never moves again is a shift of the zero: that is fitted
-    apart_N = np.ptp(courses, axis=0)
-    never_N = float(apart_N[int(MOST_UNKNOWN * u.size) :].max())  # what no part of the recording tells
-    unknown = np.flatnonzero(apart_N > max(APART * series.noise_N, never_N))
-    first = int(unknown[-1]) + 1 if unknown.size else 0
-    if not first:
-        return series, []
-    known = slice(first, None)
-    said = f"{series.name}: its first {first * series.dt_s:.3g} s depend on what came before and are left out"
-    return replace(
-        series,
-        time_s=series.time_s[known] - series.time_s[first],
-        command_V=u[known],
-        reading_N=series.reading_N[known],
-        counts=series.counts[known],
-        temperature_C=None if series.temperature_C is None else series.temperature_C[known],
-        start_s=series.start_s + float(series.time_s[first]),
-        skipped_s=series.skipped_s + float(series.time_s[first]),
-        path_V=(*series.path_V, *remembered(u[:first])),
-    ), [said]
+    ends = model.input.low, model.input.high
+    forgotten = forgotten_at(u, model.hysteresis.operator, ends, APART * series.noise_N)
+    if not forgotten:
+        return replace(series, past_matters_until=0), []
+    columns, last = swept_columns(u, forgotten)
+    said = f"its first {last * series.dt_s:.3g} s depend on what came before, which is fitted"
+    return replace(series, start_columns=columns, past_matters_until=last), [f"{series.name}: {said}"]
 
 
 def without_clipped(series: Series, model: Model) -> tuple[Series, list[str]]:
@@ -439,6 +416,6 @@ __all__ = [
     "read_source",
     "stand_in",
     "started",
+    "with_unknown_start",
     "without_frozen",
-    "without_unknown",
 ]

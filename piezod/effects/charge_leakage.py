@@ -10,7 +10,9 @@ Source     Kistler Instrumente AG, Basics of Piezoelectric Measuring Technology,
            piezod/effects/README.md, "Charge leakage".
 """
 
-from piezod.effects.effect import Array, Checks, Context, Effect, Location, Parameter, Search, Values
+import numpy as np
+
+from piezod.effects.effect import Array, Checks, Context, Effect, Location, Parameter, Past, Search, Values
 from piezod.effects.kernels import first_order_run
 
 
@@ -24,6 +26,12 @@ def forward(signal: Array, context: Context, values: Values) -> Array:
     return out
 
 
+def _decay(context: Context, values: Values) -> Array:
+    """Decay of the charge that was there at the first sample, shape (N, 1) [1]."""
+    decay: Array = np.exp(-context.time_s[:, None] / values["time_constant_s"])
+    return decay
+
+
 EFFECT = Effect(
     name="charge_leakage",
     title="leakage of the charge amplifier",
@@ -31,6 +39,7 @@ EFFECT = Effect(
     form="linear",
     parameters=(Parameter("time_constant_s", "s", 0.5, 1e4, Search((10.0, 100.0, 1000.0), logarithmic=True)),),
     forward=forward,
+    past=Past(1, _decay),
     handling="corrected in the reading",
     docstring=__doc__,
     why="the true force has not changed: driving against the reading would move the stack by the lost mean",

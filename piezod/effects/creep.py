@@ -17,12 +17,13 @@ import math
 
 import numpy as np
 
-from piezod.effects.effect import Array, Checks, Context, Effect, Location, Parameter, Search, Values
+from piezod.effects.effect import Array, Checks, Context, Effect, Location, Parameter, Past, Search, Values
 from piezod.effects.kernels import chain_run
 
 PER_DECADE = 4  # elements per decade of time
 NARROWEST = 3.0  # smallest ratio of to_s to from_s
 FIRST_EXTRA, LAST_EXTRA = 0.596, 1.260  # added weight of the first and of the last element; see `spectrum`
+DECAYS = 3  # columns of an unknown past: 0.01, 0.14 and 2 times the duration
 PLAYS, VOLTAGE = 0, 1  # values of `driven_by`
 
 
@@ -82,6 +83,16 @@ def _scaled_to(signal: Array, voltage_V: Array) -> Array:
     return scaled
 
 
+def _decays(context: Context, values: Values) -> Array:
+    """Decays of the elements that a recording can separate, shape (N, DECAYS) [1].
+
+    They lie between a hundredth of the recording and twice it: faster ones are gone, slower ones a drift of the zero.
+    """
+    shown_s = np.geomspace(0.01 * context.duration_s, 2.0 * context.duration_s, DECAYS)
+    decays: Array = np.exp(-context.time_s[:, None] / np.clip(shown_s, values["from_s"], values["to_s"]))
+    return decays
+
+
 EFFECT = Effect(
     name="creep",
     title="creep of the stack",
@@ -95,6 +106,7 @@ EFFECT = Effect(
         Parameter("driven_by", "1", 0.0, 1.0, Search((0.0,), nuisance=True, choices=(0.0, 1.0))),
     ),
     forward=forward,
+    past=Past(DECAYS, _decays),
     handling="compensated",
     docstring=__doc__,
     separate_by="a staircase with holds of three decades of time, up and down",

@@ -157,6 +157,22 @@ Columns = Callable[[Context, Values], Array]
 """Function from context and values, as in `Forward`, to derivatives of the output, shape (N, weights)."""
 
 
+@dataclass(frozen=True)
+class Past:
+    """Free decay of an effect, for recordings that begin amid the range.
+
+    Parameters
+    ----------
+    count
+        Number of columns.
+    columns
+        Function from context and values, as in `Forward`, to the decays, shape (N, count) [1].
+    """
+
+    count: int
+    columns: Columns
+
+
 def never(values: Values) -> bool:  # noqa: ARG001  # see `Checks.anticipates`
     """No values: the effect is causal.
 
@@ -222,6 +238,8 @@ class Effect:
         STACK only: derivatives of the output by the weights, shape (N, weights).
     smooths
         Whether the output runs straight between samples when the input is held.
+    past
+        What a past that is not known adds to the readings; None: the state is forgotten within seconds.
     needs
         Channel that a recording must have; None: no further channel.
     separate_by
@@ -243,6 +261,7 @@ class Effect:
     weights: tuple[str, ...] = ()
     columns: Columns | None = None
     smooths: bool = False
+    past: Past | None = None
     needs: str | None = None
     separate_by: str = ""
     checks: Checks = field(default_factory=Checks)

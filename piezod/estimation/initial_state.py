@@ -59,23 +59,6 @@ def clipped_mean_square(error: Array, y: Array) -> float:
     return float(np.mean(np.minimum(size, most) ** 2))
 
 
-def remembered(u: Array) -> Path:
-    """What plays remember of a course: its largest reversals, each within the one before, and where it ends.
-
-    Parameters
-    ----------
-    u
-        Input, shape (N,).
-    """
-    path: list[float] = []
-    first = 0
-    while first < u.size:
-        ends = sorted(u.size - 1 - int(find(u[first:][::-1])) for find in (np.argmax, np.argmin))
-        path += [float(u[end]) for end in ends]
-        first = ends[-1] + 1
-    return tuple(path)
-
-
 def settled_from(u: Array) -> int:
     """First sample after which the start no longer matters to plays up to half the swing.
 

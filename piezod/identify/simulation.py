@@ -1,17 +1,23 @@
 """A model in free run over a recording: only the input is looked at, and where needed a stated first stretch."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from piezod.errors import UsageError
-from piezod.estimation.initial_state import start_found
+from piezod.estimation.initial_state import start_found, starts_at_rest
+from piezod.estimation.unknown_past import fitted_past, forgotten_at, swept_columns
 from piezod.identify.scores import largest, nrmse_percent, rms
-from piezod.model import Model, run_chain
+from piezod.model import Model, decays_of, run_chain
 from piezod.recording import Recording
 
 Array = NDArray[np.float64]
+
+SLOPE_OVER = 0.01  # of the input's range, to both sides: the straight pieces of a force law are not much shorter
+FORGOTTEN = 1e-3
+"""Of the output's range: pasts that are no farther apart are one, since a load cell of class 0.1 tells no more."""
 
 
 @dataclass(frozen=True)
@@ -173,7 +179,56 @@ def simulate(model: Model, recording: Recording, window: int, sha256: str | None
             operator.run(np.array(path))
     temperature_C = recording.channels.get("temperature_C")
     readings = run_chain(model, operator, recording.time_s, u, temperature_C=temperature_C, sha256=sha256, path_V=path)
+    if y is not None and window > 0 and not starts_at_rest(u):
+        past = _past_of(model, recording, path, y - readings, sha256)
+        if past is not None:
+            readings, start = readings + past, f"{start}; what came before is fitted"
     return readings, start
+
+
+def _past_of(
+    model: Model, recording: Recording, path: tuple[float, ...], error: Array, sha256: str | None
+) -> Array | None:
+    """What came before a start amid the range adds to the readings, shape (N,) [output unit]; None: nothing."""
+    u = recording.channel(model.input.channel)
+    within = FORGOTTEN * (model.output.high - model.output.low)
+    forgotten = forgotten_at(u, model.hysteresis.operator, (model.input.low, model.input.high), within)
+    columns = []
+    if forgotten:
+        swept, _ = swept_columns(u, forgotten)
+        columns.append(_slope_of(model, path, u)[:, None] * swept[:, swept[-1] == 0.0])  # a shift for good is a tare
+    columns += decays_of(model, recording.time_s, sha256)
+    return fitted_past(error, np.hstack(columns)) if columns else None
+
+
+def _slope_of(model: Model, path: tuple[float, ...], u: Array) -> Array:
+    """Slope of the force law along a course, shape (N,) [output unit per input unit]."""
+    operator, half = model.hysteresis.operator(), SLOPE_OVER * (model.input.high - model.input.low)
+    operator.run(np.array(path))
+    stroke = operator.stroke(u)
+    slope: Array = (operator.output(stroke + half) - operator.output(stroke - half)) / (2.0 * half)
+    return slope
+
+
+def outside(recording: Recording, stretches: Sequence[str]) -> NDArray[np.bool_]:
+    """Samples outside of stretches `FROM:TO` of the recording's time, both ends included, shape (N,).
+
+    Raises
+    ------
+    UsageError
+        One of them is no such stretch.
+    """
+    result = np.ones(recording.time_s.size, bool)
+    for stretch in stretches:
+        first, _, last = stretch.partition(":")
+        try:
+            ends = float(first), float(last)
+        except ValueError:
+            raise UsageError(f"--leave-out is '{stretch}', must be FROM:TO in seconds, such as 12.5:14") from None
+        if not ends[0] <= ends[1]:
+            raise UsageError(f"--leave-out is '{stretch}': must begin before it ends")
+        result &= (recording.time_s < ends[0]) | (recording.time_s > ends[1])
+    return result
 
 
 def where(recording: Recording, condition: str) -> NDArray[np.bool_]:

@@ -8,7 +8,7 @@ from piezod.model.compensator import Compensator, DirectDrive, make_compensator
 from piezod.model.extended_compensator import ExtendedCompensator
 from piezod.model.model_file import dump_model, file_sha256, load_model, save_model
 from piezod.model.parameters import Model
-from piezod.model.plant import Plant, run_chain
+from piezod.model.plant import Plant, decays_of, run_chain
 
 __all__ = [
     "COMPENSATED",
@@ -18,6 +18,7 @@ __all__ = [
     "Model",
     "Plant",
     "acting_effects",
+    "decays_of",
     "dump_model",
     "file_sha256",
     "load_model",

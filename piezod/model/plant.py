@@ -102,6 +102,35 @@ def run_chain(
     return readings
 
 
+def decays_of(model: Model, time_s: Array, sha256: str | None = None) -> list[Array]:
+    """What a past that is not known adds to the readings through each effect, each shape (N, columns) [1].
+
+    Parameters
+    ----------
+    model
+        Model with its effects.
+    time_s
+        Times of the recording, shape (N,) [s].
+    sha256
+        SHA-256 of the recording's file.
+    """
+    seconds = time_s - time_s[0]
+    force_span, voltage_span = model.output.high - model.output.low, model.input.high - model.input.low
+    context = Context(
+        _spacing_s(seconds),
+        seconds,
+        seconds,  # the decays depend on no voltage
+        seconds,
+        float(seconds[-1]),
+        force_span,
+        None,
+        model.hold,
+        voltage_span,
+    )
+    acting = [(effect.past, values) for effect, values in _acting_in(model, sha256)]
+    return [past.columns(context, values) for past, values in acting if past is not None]
+
+
 def _spacing_s(time_s: Array) -> float:
     return float(np.median(np.diff(time_s)))
 

@@ -123,17 +123,25 @@ def since(chain: Chain, terms: Sequence[Term], past: Point, lost_N: float) -> li
         effect, values, choices = one
         term = Term(effect, "since", choices=choices)
         point = replace(past, values=(*past.values, values))
-        shifts_N, losses = np.zeros(len(chain.series)), [0.0, 0.0]
+        shifts_N, losses, starts = np.zeros(len(chain.series)), [0.0, 0.0], list(past.starts)
         for number, series in enumerate(chain.series):
             if series.role == "recording":
                 rows = chain.rows[number]
                 error, told = series.residual(rows, chain.compared(number, (*terms, term), point))
+                columns, stroke = _past_columns(chain, number, (*terms, term), point)
+                if columns.shape[1]:
+                    sizes = np.linalg.lstsq(columns[told > 0.0], error[told > 0.0], rcond=1e-9)[0]
+                    error -= columns @ sizes
+                    starts[number] = series.noise_N * sizes / stroke
+                    starts[number][: past.starts[number].size] += past.starts[number][: sizes.size]
                 error = error[told > 0.0]
                 losses[0] += float(error @ error)
                 losses[1] += float(error.var()) * error.size
                 shifts_N[number] = float(error.mean()) * series.noise_N
         shifted = losses[1] < SHIFTED * losses[0]
-        start = replace(past, offsets_N=past.offsets_N + shifts_N) if shifted else past
+        start = replace(past, starts=tuple(starts))
+        if shifted:
+            start = replace(start, offsets_N=past.offsets_N + shifts_N)
         return Idea(term, values, -losses[shifted]), start
 
     best: dict[str, tuple[Idea, Point]] = {}
@@ -143,6 +151,17 @@ def since(chain: Chain, terms: Sequence[Term], past: Point, lost_N: float) -> li
         if name not in best or idea.gain > best[name][0].gain:
             best[name] = idea, point
     return sorted(best.values(), key=lambda one: -one[0].gain)
+
+
+def _past_columns(chain: Chain, number: int, terms: tuple[Term, ...], point: Point) -> tuple[Array, Array]:
+    """Columns for the unknown past of a recording, less their means, and what one volt of each gives [N/V or 1]."""
+    rows = chain.rows[number]
+    of_stroke = chain.series[number].start_columns
+    decays = chain.decays(number, terms, point, rows)
+    columns = np.hstack((of_stroke[rows], decays)) if of_stroke.size else decays
+    stroke = np.ones(columns.shape[1])
+    stroke[: of_stroke.shape[1]] = chain.force_span_N / chain.voltage_span_V
+    return columns - columns.mean(axis=0), stroke
 
 
 def _skews(chain: Chain, terms: Sequence[Term], point: Point) -> dict[str, tuple[float, ...]]:

@@ -170,7 +170,7 @@ def isolability(
         series.insert(0, stand_in(model))
     hashes = [""] * (not past) + [source.sha256 for source in (*past, *asked)]
     chain, start = chain_of(series, model)
-    terms, values = given_effects(model, series, hashes)
+    terms, values = given_effects(model, hashes)
     if terms:  # a model with effects states how the command runs between samples
         chain = coarse(chain.like([replace(one, hold=model.hold) for one in series]))
         base = fit(chain, terms, replace(start, values=values))

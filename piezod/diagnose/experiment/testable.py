@@ -1,6 +1,7 @@
 """Which effects a recording could not have shown: it lacks their rates, holds or levels, or the base swallows them."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -43,7 +44,7 @@ def untestable(chain: Chain, terms: Sequence[Term], point: Point) -> tuple[str, 
         term = Term(effect, "since", choices=choices)
         energies = []
         for part in parts_of(effect, values).values():
-            given = Point(point.density, point.law, point.offsets_N, (*point.values, part))
+            given = replace(point, values=(*point.values, part))
             change = [
                 coarse.compared(k, (*terms, term), given) - normal.compared[k] if k in asked else None
                 for k in range(len(coarse.series))

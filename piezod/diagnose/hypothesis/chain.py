@@ -17,7 +17,7 @@ from piezod.diagnose.hypothesis.cache import Kept, Key
 from piezod.diagnose.hypothesis.sensitivities import Passage, passages, unlike_signal
 from piezod.diagnose.hypothesis.series import Series
 from piezod.effects import EFFECTS
-from piezod.effects.effect import Context, Effect, Location, Parameter
+from piezod.effects.effect import Context, Effect, Location, Parameter, Past
 from piezod.model.plant import behind
 from piezod.recording.hold import HELD_BEFORE, Hold
 
@@ -96,12 +96,21 @@ class Point:
         Of every recording, shape (R,); the first is 0.
     values
         Of every term.
+    starts
+        Of the columns that stand for an unknown past, one array a recording, of the stroke [V] and then of the readings
+        [N]; empty: nothing.
     """
 
     density: Array
     law: Array
     offsets_N: Array
     values: tuple[Mapping[str, float], ...] = ()
+    starts: tuple[Array, ...] = ()
+
+    def of(self, recordings: Sequence[int]) -> "Point":
+        """The same over some of the recordings."""
+        starts = tuple(self.starts[k] for k in recordings) if self.starts else ()
+        return replace(self, offsets_N=self.offsets_N[list(recordings)], starts=starts)
 
     def alike(self, other: "Point") -> bool:
         """Whether another point belongs to the same base."""
@@ -288,11 +297,12 @@ class Chain:
         """What stands in front of the force law of a recording at every `step`-th sample, shape (rows,) [V]."""
         applied_V, columns, context = self.played(number, here, step)
         stack = [(term, values) for term, values in here if term.effect.location == Location.STACK]
-        of_plays = (self._front(number, here), step, point.density.tobytes())
+        start_V = self._started_V(number, point, step)
+        of_plays = (self._front(number, here), step, point.density.tobytes(), start_V.tobytes())
         key = (*of_plays, _named(stack))
 
         def strained() -> tuple[Array, Hold]:
-            stroke_V = self._sums[number].get(of_plays, lambda: applied_V[::step] + columns @ point.density)
+            stroke_V = self._sums[number].get(of_plays, lambda: applied_V[::step] + columns @ point.density + start_V)
             now = context
             for term, values in stack:
                 if term.effect.form == "scaling":
@@ -305,6 +315,47 @@ class Chain:
         stroke_V, hold = self._strokes[number].get(key, strained)
         return stroke_V, replace(context, hold=hold)
 
+    def _started_V(self, number: int, point: Point, step: int) -> Array:
+        """What the unknown past of a recording adds to its stroke, shape (rows,) [V]; shape () where it is known."""
+        columns = self.series[number].start_columns
+        if not columns.shape[1] or not point.starts:
+            return np.zeros(())
+        started_V: Array = columns[::step] @ point.starts[number][: columns.shape[1]]
+        return started_V
+
+    def decays(self, number: int, terms: Sequence[Term], point: Point, rows: slice) -> Array:
+        """What the unknown past of a recording can add to its readings through effects, shape (rows, columns) [1]."""
+        context = self.context(number)
+        context = replace(context, time_s=context.time_s[rows])
+        columns = [np.empty((context.time_s.size, 0))]
+        for place, past in self._pasts(number, terms):
+            columns.append(past.columns(context, point.values[place]))
+        return np.hstack(columns)
+
+    def _pasts(self, number: int, terms: Sequence[Term]) -> list[tuple[int, Past]]:
+        """Terms through which the unknown past of a recording reaches its readings, by their places."""
+        one = self.series[number]
+        if one.past_matters_until is None:
+            return []
+        return [(k, t.effect.past) for k, t in enumerate(terms) if t.effect.past is not None and t.acts_on(number, one)]
+
+    def start_counts(self, terms: Sequence[Term]) -> list[int]:
+        """How many columns stand for the unknown past of each recording: of the stroke, then decays of the readings."""
+        return [
+            one.start_columns.shape[1] + sum(past.count for _, past in self._pasts(number, terms))
+            for number, one in enumerate(self.series)
+        ]
+
+    def _decayed_N(self, number: int, terms: Sequence[Term], point: Point, rows: slice) -> Array:
+        """What the unknown past of a recording adds to its readings, shape (rows,) [N]; shape () where it is known."""
+        first = self.series[number].start_columns.shape[1]
+        if not point.starts or point.starts[number].size <= first or not self._pasts(number, terms):
+            return np.zeros(())
+        columns, sizes = self.decays(number, terms, point, rows), point.starts[number][first:]
+        known = min(sizes.size, columns.shape[1])  # an effect that comes or goes changes the columns
+        decayed_N: Array = columns[:, :known] @ sizes[:known]
+        return decayed_N
+
     def run(self, number: int, terms: Sequence[Term], point: Point) -> Trace:
         """Simulate a recording."""
         here = self.terms_of(number, terms, point)
@@ -314,7 +365,11 @@ class Chain:
             if term.effect.location >= Location.MECHANICS:
                 signal_N = term.effect.forward(signal_N, context, values)
                 context = behind(term.effect, context)
-        return Trace(self.played(number, here)[1], stroke_V, signal_N + point.offsets_N[number])
+        return Trace(
+            self.played(number, here)[1],
+            stroke_V,
+            signal_N + point.offsets_N[number] + self._decayed_N(number, terms, point, slice(None)),
+        )
 
     def compared(self, number: int, terms: Sequence[Term], point: Point) -> Array:
         """Simulated readings of the samples that are compared, shape (rows,) [N].
@@ -339,7 +394,7 @@ class Chain:
                 else:
                     signal_N = term.effect.forward(signal_N, context, values)
                 context = behind(term.effect, context)
-        result: Array = signal_N + point.offsets_N[number]
+        result: Array = signal_N + point.offsets_N[number] + self._decayed_N(number, terms, point, rows)
         return result
 
     def _unlike_signal(
@@ -355,7 +410,7 @@ class Chain:
         return self._additions[number].get(key, lambda: unlike_signal(term.effect, values, context))
 
     def tangents(self, number: int, terms: Sequence[Term], point: Point) -> Array:
-        """How the readings that are compared change with density, force law and effects' weights, shape (rows, all).
+        """How the readings that are compared change with density, law, starts and weights, shape (rows, all).
 
         Carried through the chain column by column: those of a long recording are most of what a diagnosis holds.
         """
@@ -363,7 +418,7 @@ class Chain:
         step = self._step(number, here)
         applied_V, columns, context = self.played(number, here, step)
         stack = [(term.effect, values) for term, values in here if term.effect.location == Location.STACK]
-        stroke_V = applied_V[::step] + columns @ point.density
+        stroke_V = applied_V[::step] + columns @ point.density + self._started_V(number, point, step)
         through_stack, stroke_V, context = passages(stack, stroke_V, context, step)
         after = [(term.effect, values) for term, values in here if term.effect.location >= Location.MECHANICS]
         through_rest, _, _ = passages(after, self.law.value(stroke_V, point.law), context, step)
@@ -379,23 +434,32 @@ class Chain:
                 column = passage.through(column, kept)
             return column[rows] if remembers else column
 
-        def through(column: Array, stack: Sequence[Passage]) -> Array:
-            for passage in stack:
-                column = passage.through(column)
-            return compared(slope * column[kept])
-
-        base, count = columns.shape[1] + splines.shape[1], sum(len(term.weights) for term in terms)
+        starts = self.start_counts(terms)
+        base = columns.shape[1] + splines.shape[1]
+        count = sum(starts) + sum(len(term.weights) for term in terms)
         tangents = np.zeros((self.series[number].counts[self.rows[number]].size, base + count), order="F")
-        for k in range(columns.shape[1]):
-            tangents[:, k] = through(np.ascontiguousarray(columns[:, k]), through_stack)
+
+        def carry(first: int, columns: Array, stack: Sequence[Passage]) -> None:
+            for place, column in enumerate(columns.T, start=first):
+                carried = np.ascontiguousarray(column)
+                for passage in stack:
+                    carried = passage.through(carried)
+                tangents[:, place] = compared(slope * carried[kept])
+
+        carry(0, columns, through_stack)
         for k in range(splines.shape[1]):
             tangents[:, columns.shape[1] + k] = compared(np.ascontiguousarray(splines[:, k]))
-        in_stack, first = [term for term, _ in here if term.effect.location == Location.STACK], base
+        one, first = self.series[number], base + sum(starts[:number])
+        carry(first, one.start_columns[::step], through_stack)
+        first += one.start_columns.shape[1]
+        decays = self.decays(number, terms, point, self.rows[number])
+        tangents[:, first : first + decays.shape[1]] = decays
+        in_stack = [term for term, _ in here if term.effect.location == Location.STACK]
+        first = base + sum(starts)
         for term in terms:
             if term.weights and term.effect.columns is not None and term in in_stack:
                 own, *later = through_stack[in_stack.index(term) :]
-                for k, column in enumerate(term.effect.columns(own.context, own.values).T, start=first):
-                    tangents[:, k] = through(np.ascontiguousarray(column), later)
+                carry(first, term.effect.columns(own.context, own.values), later)
             first += len(term.weights)
         return tangents
 
@@ -412,7 +476,9 @@ def _rates(series: Sequence[Series]) -> tuple[float, float, float, float]:
 
 def empty_point(chain: Chain, gain: float, offset_N: float) -> Point:
     """A straight law without hysteresis: where a fit of the base begins."""
-    return Point(np.zeros(chain.density.count), chain.law.straight(offset_N, gain), np.zeros(len(chain.series)))
+    starts = tuple(np.zeros(count) for count in chain.start_counts(()))
+    law = chain.law.straight(offset_N, gain)
+    return Point(np.zeros(chain.density.count), law, np.zeros(len(chain.series)), starts=starts)
 
 
 __all__ = ["HATS", "SPLINES", "Chain", "Point", "Scope", "Term", "Trace", "empty_point"]

@@ -126,6 +126,7 @@ class Normal:
     gradient: Array  # (B, P)
     squares: Array  # (B,) plain squares
     samples: Array  # (B,)
+    judged: NDArray[np.bool_]  # (B,) whether the block tells of a hypothesis
     loss: float  # robust
     scales: list[float]
     stiff: Array  # curvature that draws stiff parameters to zero
@@ -152,13 +153,14 @@ class Normal:
             none,
             none,
             none,
+            np.empty(0, bool),
             0.0,
             [],
             none,
             none,
             none,
         )
-        hessian, gradient, squares, samples = [], [], [], []
+        hessian, gradient, squares, samples, judged = [], [], [], [], []
         for number, series in enumerate(chain.series):
             tangents = chain.tangents(number, terms, point) if near is None else near.tangents[number]
             reading, jacobian = _jacobian(chain, terms, point, layout, number, tangents)
@@ -176,14 +178,15 @@ class Normal:
             made.tangents.append(tangents)
             made.weighted.append(weight * residual)
             made.weights.append(weight)
-            for block in _thinned(series.blocks, rows.step):
+            for whole, block in zip(series.blocks, _thinned(series.blocks, rows.step), strict=True):
                 part = jacobian[block]
                 hessian.append(_weighted_square(part, weight[block]))
                 gradient.append(part.T @ made.weighted[-1][block])
                 squares.append(float(residual[block] @ residual[block]))
                 samples.append(float(trusted[block] @ trusted[block]))
+                judged.append(series.judges(whole))
         made.hessian, made.gradient = np.array(hessian), np.array(gradient)
-        made.squares, made.samples = np.array(squares), np.array(samples)
+        made.squares, made.samples, made.judged = np.array(squares), np.array(samples), np.array(judged)
         made.stiff, vector = layout.stiffness(float(made.samples.sum())), layout.vector(point)
         made.ridge, made.pull = _ridge(made.hessian, layout) + np.diag(made.stiff), -made.stiff * vector
         made.loss += float(made.stiff @ vector**2)
@@ -294,9 +297,10 @@ class Normal:
         spread: tuple[dict[str, float], ...] = tuple({} for _ in self.terms)
         for place, (term, one) in enumerate(self.layout.searched, start=self.layout.effects):
             spread[term][one.name] = float(jackknife[place])
+        counted = np.where(self.judged, self.samples, 0.0)
         samples = np.maximum(self.samples, 1.0)
-        left_out = np.maximum(losses, 1e-12) / samples
-        return Fitted(self.terms, point, left_out, self.squares / samples, self.samples, spread)
+        left_out = np.where(self.judged, np.maximum(losses, 1e-12), 1e-12) / samples
+        return Fitted(self.terms, point, left_out, self.judged * self.squares / samples, counted, spread)
 
 
 def _jacobian(

@@ -1,5 +1,6 @@
 """Where the parameters of a hypothesis stand in the vector that is fitted, and on which scale."""
 
+import itertools
 from collections.abc import Sequence
 
 import numpy as np
@@ -16,7 +17,7 @@ FACTOR = 0.3  # of a parameter on a logarithmic scale, or of a column's part
 
 
 class Layout:
-    """Where the parameters of a hypothesis stand in the vector: density, law, offsets, effects."""
+    """Where the parameters of a hypothesis stand in the vector: density, law, offsets, starts, effects."""
 
     def __init__(self, chain: Chain, terms: Sequence[Term]) -> None:
         self.plays = chain.density.count
@@ -25,19 +26,25 @@ class Layout:
         self.searched: list[tuple[int, Parameter]] = [
             (number, chain.parameter(term.effect, name)) for number, term in enumerate(terms) for name in term.searched
         ]
-        self.effects = self.offsets + self.recordings - 1
+        self.starts = self.offsets + self.recordings - 1
+        self.start_edges = np.cumsum([self.starts, *chain.start_counts(terms)])
+        self.effects = int(self.start_edges[-1])
         self.size = self.effects + len(self.searched)
         weights = [
             place
             for place, (number, one) in enumerate(self.searched, start=self.effects)
             if one.name in terms[number].weights
         ]
-        self.carried = [*range(self.offsets), *weights]  # of which the chain knows the tangents
+        # those of which the chain knows the tangents
+        self.carried = [*range(self.offsets), *range(self.starts, self.effects), *weights]
 
     def vector(self, point: Point) -> Array:
         """All parameters of a point."""
         searched = [scaled(one, point.values[number][one.name]) for number, one in self.searched]
-        return np.concatenate((point.density, point.law, point.offsets_N[1:], searched))
+        starts = [np.zeros(count) for count in np.diff(self.start_edges)]
+        for now, known in zip(starts, point.starts, strict=False):  # without decays where nothing remembers long
+            now[: known.size] = known[: now.size]
+        return np.concatenate((point.density, point.law, point.offsets_N[1:], *starts, searched))
 
     def point(self, vector: Array, like: Point) -> Point:
         """The point of a vector, with what is not searched as in another."""
@@ -47,8 +54,9 @@ class Layout:
         return Point(
             vector[: self.plays],
             vector[self.plays : self.offsets],
-            np.concatenate(([0.0], vector[self.offsets : self.effects])),
+            np.concatenate(([0.0], vector[self.offsets : self.starts])),
             tuple(values),
+            tuple(vector[first:end] for first, end in itertools.pairwise(self.start_edges)),
         )
 
     def stiffness(self, samples: float) -> Array:
@@ -66,7 +74,10 @@ class Layout:
         span_N, sample_s = chain.force_span_N, max(one.dt_s for one in chain.series)
         wide = np.empty(self.size)
         wide[: self.plays] = max(float(np.abs(point.density[:HATS]).max()), 0.1)
-        wide[self.plays : self.effects] = LAW_WITHIN * span_N
+        wide[self.plays : self.starts] = LAW_WITHIN * span_N
+        for (first, end), series in zip(itertools.pairwise(self.start_edges), chain.series, strict=True):
+            wide[first:end] = LAW_WITHIN * span_N
+            wide[first : first + series.start_columns.shape[1]] = LAW_WITHIN * chain.voltage_span_V
         wide[HATS : self.plays] = wide[self.plays + SPLINES : self.offsets] = FACTOR
         for place, (number, one) in enumerate(self.searched, start=self.effects):
             if one.search.logarithmic:

@@ -1,7 +1,7 @@
 """A recording made ready to be fitted: equal steps, what is believed, how it starts, and its blocks."""
 
 import itertools
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
@@ -39,8 +39,10 @@ class Series:
         Shape (N,), or None.
     start_s
         Time of the first sample in the recording's own time [s].
-    skipped_s
-        Time from the recording's first sample to that one [s].
+    start_columns
+        What an unknown past can have added to the stroke, shape (N, columns) [1]; no columns where it is known.
+    past_matters_until
+        Sample up to which the unknown past matters; blocks before it are fitted, but not judged. None: it is known.
     hold
         How the command runs between samples.
     recorded_hold
@@ -68,13 +70,14 @@ class Series:
     path_V: tuple[float, ...] = ()
     temperature_C: Array | None = None
     start_s: float = 0.0
-    skipped_s: float = 0.0
     hold: Hold = STRAIGHT
     recorded_hold: Hold | None = None
     lattice_N: float = 0.0
     rounding_N: Array | None = None
     trust: Array | None = None
     within_N: Array | None = None
+    start_columns: Array = field(default_factory=lambda: np.empty((0, 0)))
+    past_matters_until: int | None = None
     blocks: tuple[slice, ...] = field(init=False)
 
     def __post_init__(self) -> None:
@@ -114,6 +117,16 @@ class Series:
             beyond_N = error_N - np.clip(error_N, -self.within_N[rows], self.within_N[rows])
             error_N, told = beyond_N, told * (beyond_N != 0.0)
         return np.where(told > 0.0, told * error_N, 0.0) / self.noise_N, told
+
+    def as_judged(self) -> "Series":
+        """The same without readings that an unknown past still matters for: straight pieces leave a little of it."""
+        if not self.past_matters_until:
+            return self
+        return replace(self, counts=self.counts & (np.arange(self.counts.size) > self.past_matters_until))
+
+    def judges(self, block: slice) -> bool:
+        """Whether a block tells of a hypothesis: one before which nothing is known fits any."""
+        return self.past_matters_until is None or block.start > self.past_matters_until
 
     @property
     def dt_s(self) -> float:

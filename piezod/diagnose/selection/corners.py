@@ -80,7 +80,7 @@ def sharpened(chain: Chain, found: Fitted, *, by_all: bool) -> tuple[Chain, Fitt
     if not known:
         return None
     now = coarse(chain.like([chain.series[k] for k in known]))
-    point = replace(found.point, offsets_N=found.point.offsets_N[known])
+    point = found.point.of(known)
     for _ in range(ROUNDS):
         normal = Normal.at(now, found.terms, fit(now, found.terms, point, most_steps=3).point)
         more = _with_corners(now, normal)
@@ -91,7 +91,8 @@ def sharpened(chain: Chain, found: Fitted, *, by_all: bool) -> tuple[Chain, Fitt
     if now.density is chain.density:
         return None
     sharp = chain.with_base(now.density, now.law)
-    return sharp, fit(sharp, found.terms, replace(point, offsets_N=found.point.offsets_N))
+    there = replace(found.point, density=point.density, law=point.law)
+    return sharp, fit(sharp, found.terms, there)
 
 
 def _with_corners(chain: Chain, normal: Normal) -> tuple[Chain, Point] | None:

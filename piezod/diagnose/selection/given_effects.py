@@ -11,7 +11,6 @@ from typing import Literal
 from piezod.diagnose.hypothesis.chain import Chain, Point, Scope, Term
 from piezod.diagnose.hypothesis.fit import Fitted, fit
 from piezod.diagnose.hypothesis.parallel import each
-from piezod.diagnose.hypothesis.series import Series
 from piezod.diagnose.selection.acceptance import degenerate, worth
 from piezod.effects import EFFECTS
 from piezod.model import Model
@@ -24,17 +23,15 @@ TONES = ("vibration", "mains_hum")
 """Taken off the readings of their recording, and looked for there anew."""
 
 
-def given_effects(
-    model: Model, series: Sequence[Series], hashes: Sequence[str]
-) -> tuple[tuple[Term, ...], tuple[Values, ...]]:
+def given_effects(model: Model, hashes: Sequence[str]) -> tuple[tuple[Term, ...], tuple[Values, ...]]:
     """Effects of the given model that act in the recordings, held, and their values.
 
     Parameters
     ----------
     model
         The given model.
-    series, hashes
-        Recordings, and the SHA-256 of each.
+    hashes
+        SHA-256 of each recording.
     """
     terms, values = [], []
     for entry in model.effects:
@@ -43,8 +40,6 @@ def given_effects(
         number = -1 if entry.recording is None else hashes.index(entry.recording)
         effect = EFFECTS[entry.name]
         known = {one.name: entry.parameters.get(one.name, one.search.starts[0]) for one in effect.parameters}
-        if number >= 0:
-            known |= {one.name: known[one.name] - series[number].skipped_s for one in effect.parameters if one.instant}
         chosen = [one.name for one in effect.parameters if one.search.choices]
         choices = tuple((name, known.pop(name)) for name in chosen)
         terms.append(Term(effect, _scope(entry), number, choices, held=True))

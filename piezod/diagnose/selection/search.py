@@ -339,10 +339,12 @@ def _past(chain: Chain, start: Point, given: tuple[Term, ...]) -> Point:
     """The base fitted to the recordings of the identification alone, the others shifted onto it."""
     known = [k for k, one in enumerate(chain.series) if one.role == "identification"]
     alone = chain.like([chain.series[k] for k in known])
-    point = fit(alone, given, replace(start, offsets_N=start.offsets_N[known])).point
-    offsets_N = np.zeros(len(chain.series))
+    point = fit(alone, given, start.of(known)).point
+    offsets_N, starts = np.zeros(len(chain.series)), list(start.starts)
     offsets_N[known] = point.offsets_N
-    return replace(point, offsets_N=offsets_N)
+    for k, one in zip(known, point.starts, strict=True):
+        starts[k] = one
+    return replace(point, offsets_N=offsets_N, starts=tuple(starts))
 
 
 def swap(result: Search) -> None:

@@ -57,7 +57,7 @@ def extended_model(
     effects += tuple(
         EffectValues(
             name=term.effect.name,
-            parameters=stored_parameters(term, values, chain),
+            parameters=stored_parameters(term, values),
             intervals=_intervals(term, intervals.get(term.effect.name, {})),
             recording=hashes[term.series] if term.scope == "once" else None,
             since={"already": "identification", "since": first}.get(term.scope),
@@ -96,12 +96,9 @@ def _short(value: float) -> float:
     return float(f"{value:.8g}")
 
 
-def stored_parameters(term: Term, values: Mapping[str, float], chain: Chain) -> dict[str, float]:
-    """Of a fitted effect, for a model file; instants count from the recording's first sample."""
-    skipped_s = chain.series[term.series].skipped_s if term.scope == "once" else 0.0
-    found = {**values, **dict(term.choices)}
-    shifted = {one.name: min(found[one.name] + skipped_s, one.high) for one in term.effect.parameters if one.instant}
-    return {key: _short(value) for key, value in {**found, **shifted}.items()}
+def stored_parameters(term: Term, values: Mapping[str, float]) -> dict[str, float]:
+    """Of a fitted effect, for a model file."""
+    return {key: _short(value) for key, value in {**values, **dict(term.choices)}.items()}
 
 
 def _start(model: Model, chain: Chain) -> Start:

@@ -28,11 +28,14 @@ class FreeRun:
     ----------
     recording
         As it is simulated.
+    left_out_s
+        First and last time of each stretch whose readings were taken for no force, and are not compared [s].
     expected, error
         Expected readings, and measured less expected where it is compared, else nan, shape (N,) [output unit].
     """
 
     recording: Recording
+    left_out_s: tuple[tuple[float, float], ...]
     expected: Array
     error: Array
 
@@ -73,10 +76,18 @@ def free_run(model: Model, source: Source, series: Series | None = None) -> Free
     window = int(np.searchsorted(recording.time_s, recording.time_s[0] + START_WINDOW_S))
     expected, _ = simulate(model, recording, window, source.sha256)
     measured = recording.channel(model.output.channel)
-    compared = np.isfinite(measured) & (series is None or _counting(series, recording.time_s))
+    compared = np.isfinite(measured)
+    doubted = np.zeros(compared.size, bool) if series is None else compared & ~_counting(series, recording.time_s)
+    compared &= ~doubted
     if compared[window:].any():  # a recording of less than a second is compared whole
         compared[:window] = False
-    return FreeRun(recording, expected, np.where(compared, measured - expected, np.nan))
+    left_out_s = tuple((float(recording.time_s[a]), float(recording.time_s[b - 1])) for a, b in _runs(doubted))
+    return FreeRun(recording, left_out_s, expected, np.where(compared, measured - expected, np.nan))
+
+
+def _runs(mask: NDArray[np.bool_]) -> list[tuple[int, int]]:
+    edges = np.flatnonzero(np.diff(mask, prepend=False, append=False))
+    return list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))
 
 
 def _counting(series: Series, time_s: Array) -> NDArray[np.bool_]:

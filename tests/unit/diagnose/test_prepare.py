@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from piezod.diagnose.hypothesis.basis import PlayDensity
-from piezod.diagnose.prepare import Source, chain_of, even, started, without_frozen, without_unknown
+from piezod.diagnose.prepare import Source, chain_of, even, started, with_unknown_start, without_frozen
 from piezod.errors import RecordingError
-from piezod.estimation.initial_state import remembered
+from piezod.estimation.unknown_past import fitted_past
 from piezod.model import load_model
 from piezod.recording import Recording
 from tests.unit.diagnose.residuals import mixed_work, series, time
@@ -74,40 +74,46 @@ def test_a_recording_whose_reading_never_moves_is_refused_in_one_line(model):
     assert np.count_nonzero(left.counts) == 500
 
 
-def test_what_came_before_a_start_amid_the_range_is_left_out_and_what_followed_is_remembered(model):
+@pytest.mark.parametrize("history_V", [(140.0,), (140.0, 0.0), (90.0, 40.0), (120.0, 20.0, 100.0)])
+def test_what_came_before_a_start_amid_the_range_lies_in_its_columns(model, history_V):
+    """The columns alone turn the course after one past into that after another, but for a shift."""
     time_s = np.arange(6000) / RATE_Hz
     u = 60.0 + np.minimum(time_s, 10.0) * 5.8 * np.sin(2.0 * np.pi * 0.31 * time_s)
-    readings_N = []
-    for history_V in ((140.0,), (140.0, 0.0), (90.0, 40.0)):
-        operator = model.hysteresis.operator()
-        operator.run(np.array(history_V))
-        readings_N.append(operator.run(u))
     noise_N = 0.1 * np.random.default_rng(5).standard_normal(u.size)
     source = a_recording(time_s, model)
     source.recording.channels[model.input.channel][:] = u
-    source.recording.channels[model.output.channel][:] = readings_N[0] + noise_N
-    series, said = without_unknown(started(even(source, model)[0], model), model)
-    first = u.size - series.time_s.size
-    assert 0 < first < 0.75 * u.size
+    source.recording.channels[model.output.channel][:] = driven(model, history_V, u) + noise_N
+    series, said = with_unknown_start(started(even(source, model)[0], model), model)
+    assert series.time_s.size == u.size
+    first = series.past_matters_until
     assert f"its first {first / RATE_Hz:.3g} s depend on what came before" in said[0]
-    apart_N = np.ptp([one - one[-1] for one in readings_N], axis=0)
-    assert apart_N[first:].max() < 0.03 * apart_N.max()
+    assert 0 < first < 0.75 * u.size
+    apart_N = driven(model, history_V, u) - driven(model, (0.0,), u)
     operator = model.hysteresis.operator()
-    operator.run(np.array(series.path_V))
-    simulated_N = operator.run(series.command_V)
-    shift_N = readings_N[0][-1] - simulated_N[-1]
-    np.testing.assert_allclose(simulated_N + shift_N, readings_N[0][first:], atol=0.03 * apart_N.max())
-    assert series.start_s == pytest.approx(first / RATE_Hz)
+    stroke_V = operator.stroke(u)
+    slope = (operator.output(stroke_V + 0.5) - operator.output(stroke_V - 0.5))[:, None]
+    left_N = apart_N - fitted_past(apart_N, slope * series.start_columns)
+    assert left_N.std() < 0.05 * apart_N.std()
+    assert not np.ptp(series.start_columns[first:], axis=0).any()
 
 
-def test_the_largest_reversals_are_all_that_plays_remember():
-    rng, density = np.random.default_rng(0), PlayDensity.up_to(60.0)
-    for samples in (1, 2, 3, 17, 300):
-        for _ in range(20):
-            u = np.clip(np.cumsum(rng.normal(0.0, 8.0, samples)) + 40.0, 0.0, 120.0)
-            then = u[-1] + rng.normal(0.0, 20.0, 50)
-            short = density.columns(then, np.array([5.0, *remembered(u)]))
-            np.testing.assert_allclose(short, density.columns(then, np.array([5.0, *u])), atol=1e-9)
+def driven(model, history_V, u):
+    operator = model.hysteresis.operator()
+    operator.run(np.array(history_V))
+    return operator.run(u)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_the_memory_of_a_past_depends_on_the_swept_range_alone(seed):
+    """By the definition of the play, for any past and any course: where no more is swept, nothing changes."""
+    rng, density = np.random.default_rng(seed), PlayDensity.up_to(60.0)
+    u = np.clip(60.0 + np.cumsum(rng.normal(0.0, 4.0, 400)), 0.0, 120.0)
+    one, other = ([5.0, *rng.uniform(0.0, 120.0, 4), u[0]] for _ in range(2))
+    apart_V = density.columns(u, np.array(one)) - density.columns(u, np.array(other))
+    swept_V = np.maximum.accumulate(u) - np.minimum.accumulate(u)
+    still = np.diff(swept_V) == 0.0
+    assert 0 < np.count_nonzero(still) < still.size
+    np.testing.assert_allclose(np.diff(apart_V, axis=0)[still], 0.0, atol=1e-9)
 
 
 @pytest.mark.parametrize(("first_V", "reach_V"), [(0.0, 0.995 * 90.0), (10.0, 0.995 * 40.0)])
