@@ -122,6 +122,10 @@ def simulate(
     condition: Annotated[
         str | None, typer.Option("--where", metavar="COLUMN=VALUE", help="Compare only the samples with this value.")
     ] = None,
+    leave_out: Annotated[
+        list[str] | None,
+        typer.Option("--leave-out", metavar="FROM:TO", help="Seconds that are not compared; repeatable."),
+    ] = None,
     columns: ColumnsOption = None,
     rate_hz: RateOption = None,
     decimal: DecimalOption = None,
@@ -137,7 +141,7 @@ def simulate(
     check_readable(recording, model, text)  # a wrong file is refused before the libraries are there
     from piezod.identify.intake import load_for_simulation
     from piezod.identify.layout import layout_of
-    from piezod.identify.simulation import simulate_recording, where
+    from piezod.identify.simulation import outside, simulate_recording, where
     from piezod.model import load_model
     from piezod.report.progress import steps
 
@@ -148,7 +152,9 @@ def simulate(
         loaded = load_for_simulation(
             recording, plant.input.channel, plant.output.channel, [column] if equals else [], show, layout
         )
-    chosen = where(loaded.recording, condition) if condition else None
+    chosen = outside(loaded.recording, leave_out or ())
+    if condition:
+        chosen &= where(loaded.recording, condition)
     simulation = simulate_recording(plant, loaded.recording, start_window, chosen, loaded.sha256)
     write_recording(simulation.recording, output)
     figures = simulation.agreement

@@ -5,7 +5,7 @@ simulates both models as `piezod simulate` does. Errors are compared without the
 """
 
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -13,13 +13,14 @@ from typing import Any
 import numpy as np
 
 from piezod.identify.intake import load_for_simulation
-from piezod.identify.simulation import simulate_recording
+from piezod.identify.simulation import outside, simulate_recording
 from piezod.model import Model, load_model
 
 START_WINDOW_S = 1.0  # default of `piezod simulate`
 AGREES = 0.01  # largest relative difference of two errors of one model on one recording
 ABOVE_NOISE = 1.3  # largest error of an explained recording [noise], as the README of `diagnose` promises
 GROWS = 1.02  # from this factor on, a held-out recording counts as worse
+OF_THE_READINGS = ("sensor_dropout", "quantisation")  # of one recording's device: they change no model
 SURE = 0.6  # confidence of a name without "perhaps"
 
 
@@ -56,7 +57,7 @@ class Result:
         return self.output / "model.yaml"
 
 
-def simulated_rms(model: Model, paths: Sequence[Path]) -> float:
+def simulated_rms(model: Model, paths: Sequence[Path], left_out: Mapping[str, Sequence[str]] | None = None) -> float:
     """Rms error of a free run over recordings, each without its mean and its start window [output unit].
 
     Parameters
@@ -65,15 +66,19 @@ def simulated_rms(model: Model, paths: Sequence[Path]) -> float:
         The model.
     paths
         Files of the recordings.
+    left_out
+        By their names, the stretches that the findings name as left out, as `simulate --leave-out` takes them.
     """
-    return float(np.sqrt(np.mean(np.concatenate([_squares(model, path) for path in paths]))))
+    apart = left_out or {}
+    return float(np.sqrt(np.mean(np.concatenate([_squares(model, path, apart.get(path.name, ())) for path in paths]))))
 
 
-def _squares(model: Model, path: Path) -> np.ndarray:
+def _squares(model: Model, path: Path, left_out: Sequence[str]) -> np.ndarray:
     loaded = load_for_simulation(path, model.input.channel, model.output.channel)
     simulated = simulate_recording(model, loaded.recording, START_WINDOW_S, sha256=loaded.sha256).recording
     error = loaded.recording.channel(model.output.channel) - simulated.channel(model.output.channel)
-    error = error[loaded.recording.time_s >= loaded.recording.time_s[0] + START_WINDOW_S]
+    started = loaded.recording.time_s >= loaded.recording.time_s[0] + START_WINDOW_S
+    error = error[started & outside(loaded.recording, left_out)]
     error = error[np.isfinite(error)]
     return (error - error.mean()) ** 2
 
@@ -92,7 +97,11 @@ def contradictions(result: Result) -> list[str]:
 def _contradictions(result: Result) -> Iterator[str]:
     findings = result.findings
     given, written = load_model(result.given), load_model(result.written)
-    before, after = simulated_rms(given, result.recordings), simulated_rms(written, result.recordings)
+    left_out = {
+        Path(one["path"]).name: [f"{first!r}:{last!r}" for first, last in one["left_out_s"]]
+        for one in findings["recordings"]
+    }
+    before, after = (simulated_rms(model, result.recordings, left_out) for model in (given, written))
     told = findings["fit"]["held_out"]
     for name, value, simulated in (("before", told["before"], before), ("after", told["after"], after)):
         if abs(value - simulated) > AGREES * simulated:
@@ -109,7 +118,8 @@ def _contradictions(result: Result) -> Iterator[str]:
 
 def _held_out(result: Result, given: Model, written: Model, floor: float | None) -> Iterator[str]:
     findings = result.findings
-    sure = [one["name"] for one in findings["effects"] if one["confidence"] >= SURE]
+    modelled = [one for one in findings["effects"] if one["name"] not in OF_THE_READINGS]
+    sure = [one["name"] for one in modelled if one["confidence"] >= SURE]
     for path in result.held_out:
         first, second = simulated_rms(given, [path]), simulated_rms(written, [path])
         if sure and second > GROWS * first:
