@@ -9,6 +9,7 @@ from threadpoolctl import threadpool_limits
 
 from piezod.diagnose.adequacy.guard import explainable
 from piezod.diagnose.adequacy.remainder import motion
+from piezod.diagnose.adequacy.unrecorded import unrecorded_input
 from piezod.diagnose.candidates.rounding import unrounded
 from piezod.diagnose.candidates.tones import with_tones
 from piezod.diagnose.findings import Unnamed, Verdict
@@ -120,7 +121,7 @@ def _diagnosed(
         diagnosis, surest = without_them, confidences(without_them.findings, surest)
     if diagnosis.findings.verdict in ("unexplained", "partly_explained"):
         progress("looking for a law without a name", 0.97)
-        diagnosis = with_unnamed(diagnosis, before.places)
+        diagnosis = with_unrecorded(with_unnamed(diagnosis, before.places))
     return diagnosis if diagnosis.findings.noise_is_known else _with_unknown_noise(diagnosis)
 
 
@@ -129,6 +130,19 @@ def _with_unknown_noise(diagnosis: Diagnosis) -> Diagnosis:
     findings, model = diagnosis.findings, diagnosis.model
     verdict = WITHOUT_NOISE.get(findings.verdict, findings.verdict)
     findings = replace(findings, verdict=verdict, notes=(*findings.notes, RECORD_NOISE))
+    findings = replace(findings, words=words_of(findings, Wording(model.input.unit, model.output.unit)))
+    return replace(diagnosis, findings=findings)
+
+
+def with_unrecorded(diagnosis: Diagnosis) -> Diagnosis:
+    """The diagnosis with an input that is not recorded, where what is left speaks for one and no law was found."""
+    findings, model = diagnosis.findings, diagnosis.model
+    if findings.law is not None:
+        return diagnosis
+    left = [one.reading_N - by for one, by in zip(diagnosis.series, diagnosis.extended, strict=True)]
+    judging = [one.as_judged() for one in diagnosis.series]
+    unrecorded = unrecorded_input(judging, left, diagnosis.extended, findings.explainable)
+    findings = replace(findings, unrecorded=unrecorded)
     findings = replace(findings, words=words_of(findings, Wording(model.input.unit, model.output.unit)))
     return replace(diagnosis, findings=findings)
 
@@ -169,8 +183,9 @@ def with_unnamed(diagnosis: Diagnosis, places: Sequence[tuple[Source, Series]]) 
     first = len(extended) - len(runs)
     extended[first:] = [run.over(one) for run, one in zip(runs, diagnosis.series[first:], strict=True)]
     residuals = [one.reading_N - readings for one, readings in zip(diagnosis.series, extended, strict=True)]
-    left = explainable(diagnosis.series, residuals, extended)
-    moving = motion(diagnosis.series, residuals, extended)
+    judging = [one.as_judged() for one in diagnosis.series]
+    left = explainable(judging, residuals, extended)
+    moving = motion(judging, residuals, extended)
     drivers = tuple(axis.driver for axis in fitted.law.drivers)
     short = fitted.formula
     said = "" if short is None else short.text(model.input.unit, model.output.unit, gain=fitted.law.gain)

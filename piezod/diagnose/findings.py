@@ -279,6 +279,30 @@ class Unnamed:
 
 
 @dataclass(frozen=True)
+class Unrecorded:
+    """An input that is not recorded, as what is left shows it.
+
+    Parameters
+    ----------
+    size
+        Root mean square, as a gain [1], else added to the reading [output unit].
+    gain
+        Whether it multiplies.
+    keeps_s
+        How long it keeps its value [s].
+    """
+
+    size: float
+    gain: bool
+    keeps_s: float
+
+    def as_dict(self, unit: str) -> dict[str, Any]:
+        """For JSON."""
+        size = {"value": self.size, "unit": "1" if self.gain else unit}
+        return {"size": size, "form": "gain" if self.gain else "added", "keeps_s": self.keeps_s}
+
+
+@dataclass(frozen=True)
 class Findings:
     """The whole verdict.
 
@@ -345,6 +369,7 @@ class Findings:
     law: Unnamed | None = None
     held_out: tuple[HeldOut, ...] = ()
     recordings: tuple[dict[str, Any], ...] = field(default_factory=tuple)
+    unrecorded: Unrecorded | None = None
 
     @property
     def gap_closed(self) -> float | None:
@@ -405,7 +430,10 @@ class Findings:
                 "held_out_recordings": [one.as_dict() for one in self.held_out],
                 "nrmse_percent": {"before": self.nrmse_before, "after": self.nrmse_after},
             },
-            "unexplained": {"explainable_share": self.explainable},
+            "unexplained": {
+                "explainable_share": self.explainable,
+                "unrecorded_input": None if self.unrecorded is None else self.unrecorded.as_dict(self.unit),
+            },
             "unnamed_law": None if self.law is None else self.law.as_dict(self.unit),
             "not_testable": list(self.not_testable),
             "notes": list(self.notes),

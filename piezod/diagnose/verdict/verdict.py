@@ -14,7 +14,7 @@ from piezod.diagnose.hypothesis.chain import Chain
 from piezod.diagnose.hypothesis.fit import Fitted
 from piezod.diagnose.hypothesis.series import Series
 from piezod.diagnose.selection.search_state import Search
-from piezod.diagnose.verdict.words import Wording, base_words, effect_words, kept_words, law_words
+from piezod.diagnose.verdict.words import Wording, base_words, effect_words, kept_words, law_words, unrecorded_words
 from piezod.estimation.noise import noise_of
 
 Array = NDArray[np.float64]
@@ -188,6 +188,8 @@ def words_of(findings: Findings, wording: Wording) -> str:
     if findings.explainable <= STILL_EXPLAINABLE and findings.above_noise:
         more = "what is left is more than noise, and nothing tells what it is"
     done = findings.explainable <= STILL_EXPLAINABLE and not findings.above_noise
+    if findings.unrecorded is not None:
+        more = unrecorded_words(findings.unrecorded, findings.unit)
     rest = {
         "matches": "nothing is missing" if done else more,
         "explained": "nothing else is left" if done else more,

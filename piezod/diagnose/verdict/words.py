@@ -4,7 +4,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
-from piezod.diagnose.findings import Base, Finding, Kept, Place, Unnamed, Value
+from piezod.diagnose.findings import Base, Finding, Kept, Place, Unnamed, Unrecorded, Value
 from piezod.effects import EFFECTS
 
 AXES = {
@@ -210,6 +210,13 @@ def law_words(law: Unnamed) -> str:
     form = "gain that depends on" if law.gain else "law of"
     formula = f", nearly {law.formula}" if law.formula else ""
     return f"an unnamed {form} {drivers}, {memory}{formula}"
+
+
+def unrecorded_words(unrecorded: Unrecorded, unit: str) -> str:
+    """An input that is not recorded: a part of the verdict's sentence."""
+    size = f"a gain of {percent(unrecorded.size)} rms" if unrecorded.gain else f"{rounded(unrecorded.size)} {unit} rms"
+    kept = f"keeps its value for about {rounded(unrecorded.keeps_s, 2)} s"
+    return f"what is left follows no function of the drive: an input that is not recorded, {size}, which {kept}"
 
 
 def listed(words: Sequence[str], last: str = "and") -> str:
