@@ -31,6 +31,8 @@ LINE_WITHIN_S = 1.0
 MOST_CLIENTS = 64
 """Clients at the same time; the one that has waited longest leaves for another."""
 BACKLOG = 64
+RETRY_S = 0.05
+"""Pause after a connection that cannot be accepted while no client can leave for it [s]."""
 SWITCH_INTERVAL_S = 5e-4
 """Longest time that another thread keeps the interpreter [s]; by default ten times as long."""
 
@@ -52,7 +54,7 @@ class StopPath:
         self._bench, self._urge = bench, urge
         self._listener: UnixSocket | None = None
         self._thread: threading.Thread | None = None
-        self._end_reader = self._end_writer = -1
+        self._end_reader = self._end_writer = self._reserve = -1
         self._clients: dict[socket.socket, float] = {}
 
     def open(self) -> None:
@@ -68,6 +70,7 @@ class StopPath:
         sys.setswitchinterval(SWITCH_INTERVAL_S)
         self._listener = self._bound()
         self._end_reader, self._end_writer = os.pipe()
+        self._take_reserve()
         self._thread = threading.Thread(target=self._serve, name="stop", daemon=True)
         self._thread.start()
 
@@ -102,6 +105,9 @@ class StopPath:
         self._thread = None
         self._listener.close()
         os.close(self._end_reader)
+        if self._reserve >= 0:
+            os.close(self._reserve)
+            self._reserve = -1
 
     def _serve(self) -> None:
         assert self._listener is not None
@@ -125,8 +131,14 @@ class StopPath:
     def _accept(self, selector: selectors.BaseSelector, listener: socket.socket) -> None:
         try:
             client, _ = listener.accept()
-        except OSError:  # the client has gone, or no descriptor is free: the next turn tries again
-            self._drop(selector, list(self._clients)[:1])
+        except OSError:  # the client has gone, or no descriptor is free: one is freed, and the next turn tries again
+            if self._clients:
+                self._drop(selector, list(self._clients)[:1])
+            elif self._reserve >= 0:
+                os.close(self._reserve)
+                self._reserve = -1
+            else:
+                time.sleep(RETRY_S)  # the listener stays readable, and the loop would spin
             return
         client.setblocking(False)
         if len(self._clients) >= MOST_CLIENTS:
@@ -156,6 +168,13 @@ class StopPath:
             if self._clients.pop(client, None) is not None:
                 selector.unregister(client)
                 client.close()
+                if self._reserve < 0:
+                    self._take_reserve()
+
+    def _take_reserve(self) -> None:
+        """Keep a descriptor for the client that comes when no other one is free."""
+        with contextlib.suppress(OSError):
+            self._reserve = os.open(os.devnull, os.O_RDONLY | os.O_CLOEXEC)
 
 
 def urge(path: Path, command: str, within_s: float) -> str:

@@ -16,6 +16,7 @@ from hypothesis import strategies as st
 from hypothesis.stateful import rule
 
 from piezod.config import load_bench
+from piezod.control import CAUSE_TEXT, Cause
 from piezod.daemon.stop_path import urge
 from piezod.errors import BusyError, PiezodError
 from piezod.session.lock import lock_bench
@@ -31,6 +32,7 @@ MADE_AGAIN_WITHIN_S = 2.5  # the daemon looks once a second
 STARTED_WITHIN_S = 10.0
 BEYOND_REACH_N = 340.0  # 140 V give 300 N
 MADE_STALE_S = 1.6  # stale after 1 s
+FORCE_CAUSES = [CAUSE_TEXT[cause] for cause in (Cause.OVER_FORCE, Cause.UNDER_FORCE, Cause.FORCE_RATE)]
 SHOWN_S = 0.3  # of it, for the answer
 
 
@@ -212,7 +214,7 @@ class HazardRules(DeviceRules):
         if was_running and self.state in ("RUNNING", "HOLD"):
             raise ViolationError(f"state {self.state} after a second with every {every}. force at {value_N} N")
         counts = (self.status or {}).get("interlocks", {}).get("force")
-        if counts and self.status["cause"].startswith("force") and not counts["wrong"]:
+        if counts and self.status["cause"] in FORCE_CAUSES and not counts["wrong"]:
             raise ViolationError(f"{self.status['cause']}, and no wrong sample is counted: {counts}")
 
     # values that get old ------------------------------------------------------------------------------------------

@@ -1,6 +1,8 @@
 """The stop socket: it obeys stop and disarm, whatever other clients and the event loop do."""
 
 import socket
+import subprocess
+import sys
 import threading
 import time
 
@@ -95,6 +97,54 @@ def test_a_main_thread_that_computes_without_pause_does_not_delay_a_stop(bench, 
         sum(range(10_000))
     thread.join()
     assert urged == ["stop"]
+
+
+WITHOUT_DESCRIPTORS = """
+import contextlib, os, resource, socket, sys, time
+from pathlib import Path
+from types import SimpleNamespace
+from piezod.daemon.stop_path import StopPath
+
+path = Path(sys.argv[1])
+daemon = SimpleNamespace(socket_group=None, socket_mode="0660")
+server = StopPath(SimpleNamespace(daemon=daemon, stop_socket_path=path), lambda name: "done")
+server.open()
+time.sleep(0.5)  # the thread has its selector
+client, second = socket.socket(socket.AF_UNIX), socket.socket(socket.AF_UNIX)
+resource.setrlimit(resource.RLIMIT_NOFILE, (64, 64))
+taken = []
+with contextlib.suppress(OSError):
+    while True:
+        taken.append(os.open(os.devnull, os.O_RDONLY))
+client.settimeout(5.0)
+client.connect(str(path))
+client.sendall(b'{"command": "stop"}\\n')
+answer = client.recv(100)
+held = sys.argv[2] == "held"
+if held:  # another thread takes the descriptor that was kept
+    client.close()
+    time.sleep(0.2)
+    os.close(server._reserve)
+    server._reserve = -1
+    taken.append(os.open(os.devnull, os.O_RDONLY))
+    second.connect(str(path))
+    begun = time.process_time()
+    time.sleep(1.0)
+    print(time.process_time() - begun)
+else:
+    print(answer.decode())
+"""
+
+
+@pytest.mark.parametrize("what", ["free", "held"])
+def test_without_a_free_descriptor_a_stop_is_obeyed_and_nothing_spins(tmp_path, what):
+    command = [sys.executable, "-c", WITHOUT_DESCRIPTORS, str(tmp_path / "s.sock"), what]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+    assert done.returncode == 0, done.stderr
+    if what == "free":
+        assert "stop: done" in done.stdout
+    else:
+        assert float(done.stdout) < 0.3  # of a second in which a client waits
 
 
 def test_without_a_daemon_a_stop_is_reported_as_failed(tmp_path):
