@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from piezod import __version__
+from piezod.commissioning.proof.comparison import change_text
 from piezod.commissioning.proof.coverage import coverage
 from piezod.config import BenchConfig
 from piezod.errors import ConfigurationError, UsageError
@@ -175,20 +176,33 @@ def write_record(record: dict[str, Any], path: Path) -> None:
 def text_lines(record: dict[str, Any]) -> Iterator[str]:
     """The record as lines for a terminal."""
     yield f"{record['bench']}: {record['device']}, {record['date_utc']}, piezod {record['version']}"
+    changes = record.get("changes") or {}
+    if earlier := record.get("compared_with"):
+        result = "passed" if earlier["passed"] else "not passed"
+        yield f"tested by {record['tester']}; compared with {earlier['date_utc']} by {earlier['tester']}, {result}"
     for step in record["steps"]:
         if step["result"] == "skipped":
             yield f"NOT PROVEN  {step['name']}: {step['detail']}"
+            yield from _change_lines(changes, step)
             continue
         value = ""
         if step["measured"] is not None:
             value = f" {step['measured']:.4g} {step['unit']}, limit {step['limit']:.4g} {step['unit']}"
         time = "" if step["time_ms"] is None else f", {step['time_ms']:.1f} ms"
         yield f"{step['result'].upper():8}{step['name']}:{value}{time}; {step['detail']}"
+        yield from _change_lines(changes, step)
     yield record["coverage"]["text"]
     for name, reason in record["coverage"]["not_proven"].items():
         yield f"NOT PROVEN  {name}: {reason}"
     if record["remark"]:
         yield f"FAIL    end: {record['remark']}"
+
+
+def _change_lines(changes: dict[str, Any], step: dict[str, Any]) -> Iterator[str]:
+    """Line on the same step of the earlier record."""
+    change = changes.get(step["name"])
+    if change is not None and not change["before"] == change["now"] == "skipped":
+        yield f"        before: {change_text(change)}"
 
 
 def _user() -> str:

@@ -16,6 +16,7 @@ from typing import Any
 
 from piezod.commissioning.proof import device_steps, reading_steps
 from piezod.commissioning.proof.bench import ProofBench
+from piezod.commissioning.proof.comparison import compare, earlier_records
 from piezod.commissioning.proof.record import (
     ProofEnd,
     ProofStep,
@@ -72,6 +73,8 @@ def prove(path: Path, output: Path | None = None, tester: str = "") -> tuple[dic
             record = make_record(bench, link, end, now, tuple(STEPS), tester)
     finally:
         lock.close()
+    folder = target.parent if bench.proof is None else path.parent / (bench.proof.folder or "")
+    record |= compare(record, earlier_records(bench, folder, now))
     write_record(record, target)
     return record, target
 
