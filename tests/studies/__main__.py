@@ -15,6 +15,7 @@ from tests.studies import (
     learning_concealed,
     lisdd,
     lives,
+    load,
     messy_files,
     nulls,
     overlay,
@@ -58,6 +59,9 @@ def main() -> None:
     )
     nulls.add_options(studies.add_parser("nulls", help="identified models on benches with nothing wrong in them"))
     soak.add_options(studies.add_parser("soak", help="a long run of the daemon on a busy machine, beside cyclictest"))
+    load.add_options(
+        studies.add_parser("load", help="the daemon with clients, live page, recorder and MQTT, and alone")
+    )
     options = parser.parse_args()
     options.run(options, parser)
 
