@@ -30,6 +30,9 @@ QUIET = 10.0
 ONE_WAY = 0.1
 """Share of its swing that the input must turn back by."""
 
+SLOW = 0.1
+"""Share of the drive's power: of triangles it is in their fundamental, of a broadband drive in its slowest tenth."""
+
 LEADS = 0.01
 """Mean opening of a clockwise loop, as share of the output's range, from which on the output leads the input."""
 
@@ -220,7 +223,8 @@ def _wrong_way(pair: _Pair) -> Iterator[str]:
     units = {unit_of(pair.input), unit_of(pair.output)}
     if "V" not in units or not units & ({"N"} | set(UNITS["displacement"])):
         return
-    opening = _opening(pair.u, pair.y)
+    # beyond a resonance an output lags by more than half a turn; a cause leads however slowly it moves
+    opening = _opening(*(_slow_part(one, pair.u) for one in (pair.u, pair.y)))
     if opening >= -LEADS:
         return
     line = (
@@ -282,6 +286,15 @@ def _travel(u: Array) -> tuple[float, float]:
         rise += float(steps[steps > 0.0].sum())
         fall -= float(steps[steps < 0.0].sum())
     return rise, fall
+
+
+def _slow_part(values: Array, drive: Array) -> Array:
+    """The same without what is faster than the slowest `SLOW` of the drive's power, shape (N,)."""
+    spectrum = np.fft.rfft(np.nan_to_num(values - np.nanmean(values)))
+    power = np.abs(np.fft.rfft(np.nan_to_num(drive - np.nanmean(drive)))) ** 2
+    slowest = int(np.searchsorted(np.cumsum(power), SLOW * power.sum())) + 1
+    spectrum[slowest + 1 :] = 0.0
+    return np.fft.irfft(spectrum, values.size)
 
 
 def _opening(u: Array, y: Array) -> float:
