@@ -20,6 +20,7 @@ from piezod.estimation.unknown_past import forgotten_at, swept_columns
 from piezod.excitation import varying_triangles
 from piezod.identify.layout import told_of
 from piezod.identify.simulation import where
+from piezod.identify.suitability import falls
 from piezod.model import Model, file_sha256, run_chain
 from piezod.recording import Hold, Recording, TextOptions, read_recording
 from piezod.recording.conversion import in_units_of
@@ -185,6 +186,11 @@ def even(source: Source, model: Model) -> tuple[Series, list[str]]:
     if u.size < FEWEST_SAMPLES:
         raise RecordingError(
             f"{recording.source}: has {u.size} samples, needs at least {FEWEST_SAMPLES} to be diagnosed"
+        )
+    if falls(recording, model.input.channel, model.output.channel):
+        raise RecordingError(
+            f"{recording.source}: {model.output.channel} falls where {model.input.channel} rises, in the model it "
+            "rises: turn the sign of the load cell (registers.force.scale, or the column), or identify the bench anew"
         )
     steps = np.diff(recording.time_s)
     dt_s = float(np.median(steps))

@@ -82,12 +82,15 @@ class _Pair:
 
 
 def falls(recording: Recording, input_column: str, output_column: str) -> bool:
-    """Whether the output falls where the input rises; parameters as for `check_suitable`."""
+    """Whether the output falls where the input rises, slowly too; parameters as for `check_suitable`."""
     u, y = recording.channel(input_column), recording.channel(output_column)
     there = np.isfinite(y)
     if not there.any() or np.ptp(u) == 0.0 or np.ptp(y[there]) == 0.0:
         return False
-    return bool(np.corrcoef(u[there], y[there])[0, 1] < OPPOSITE)
+    if np.corrcoef(u[there], y[there])[0, 1] >= OPPOSITE:
+        return False
+    slow = [_slow_part(np.where(there, one, np.nan), u) for one in (u, y)]  # beyond a resonance a reading is opposite
+    return bool(np.corrcoef(slow[0], slow[1])[0, 1] < OPPOSITE)
 
 
 def check_suitable(recording: Recording, input_column: str, output_column: str) -> list[str]:
@@ -290,7 +293,8 @@ def _travel(u: Array) -> tuple[float, float]:
 
 def _slow_part(values: Array, drive: Array) -> Array:
     """The same without what is faster than the slowest `SLOW` of the drive's power, shape (N,)."""
-    spectrum = np.fft.rfft(np.nan_to_num(values - np.nanmean(values)))
+    known = np.isfinite(values)
+    spectrum = np.fft.rfft(np.where(known, values - values[known].mean(), 0.0))
     power = np.abs(np.fft.rfft(np.nan_to_num(drive - np.nanmean(drive)))) ** 2
     slowest = int(np.searchsorted(np.cumsum(power), SLOW * power.sum())) + 1
     spectrum[slowest + 1 :] = 0.0

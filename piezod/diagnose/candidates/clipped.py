@@ -19,7 +19,7 @@ def clipped_stretches(
     """Those of the stretches of equal readings that a limit makes, by the limit [N].
 
     They stand at the highest or the lowest reading of the recording, at least `FEWEST` times, and the model is beyond
-    that limit for most of the time.
+    that limit for most of the time. Then every run of readings at it counts, while the command rests too.
 
     Parameters
     ----------
@@ -33,14 +33,17 @@ def clipped_stretches(
     readings = series.reading_N[series.counts]
     found: dict[float, list[tuple[int, int]]] = {}
     for limit_N, side in ((float(readings.max()), 1.0), (float(readings.min()), -1.0)):
-        there = [
-            (first, end)
-            for first, end in stretches
-            if series.reading_N[first] == limit_N and np.mean(side * model_N[first:end] > side * limit_N) > 0.5
-        ]
-        if len(there) >= FEWEST:
-            found[limit_N] = there
+        standing = [one for one in stretches if series.reading_N[one[0]] == limit_N]
+        if len(_beyond(standing, side * model_N, side * limit_N)) >= FEWEST:
+            at_limit = np.flatnonzero(np.diff(series.reading_N == limit_N, prepend=False, append=False))
+            runs = zip(at_limit[::2].tolist(), at_limit[1::2].tolist(), strict=True)
+            found[limit_N] = _beyond(list(runs), side * model_N, side * limit_N)
     return found
+
+
+def _beyond(stretches: Sequence[tuple[int, int]], model_N: Array, limit_N: float) -> list[tuple[int, int]]:
+    """Those in which the model is beyond a limit for most of the time."""
+    return [(first, end) for first, end in stretches if np.mean(model_N[first:end] > limit_N) > 0.5]
 
 
 def clipped_note(series: Series, limit_N: float, stretches: Sequence[tuple[int, int]], unit: str) -> str:
