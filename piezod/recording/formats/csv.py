@@ -20,6 +20,7 @@ from piezod.recording.formats.csv_cells import arrow_parser, parse
 from piezod.recording.formats.repairs import CUT_LINE, ZEROS, Repairs
 from piezod.recording.formats.stream import MOST_VALUES, RecordingStream, Table, chunk_ranges, increasing, read_all
 from piezod.recording.names import TIME, channel_name, name_columns
+from piezod.recording.quantities import is_unit
 from piezod.recording.recording import Recording
 
 BLOCK = 2**22
@@ -97,7 +98,8 @@ def is_own_csv(path: Path) -> bool:
         for _ in range(MOST_HEAD_LINES):
             line = file.readline(BLOCK)
             if not line or (line.strip() and not line.lstrip(b"\xef\xbb\xbf").startswith(b"#")):
-                if b'"' in file.readline(BLOCK):
+                following = file.readline(BLOCK).decode("latin-1")
+                if '"' in following or all(is_unit(cell) for cell in following.split(",")):
                     return False
                 cells = line.removeprefix(b"\xef\xbb\xbf").decode("latin-1").split(",")
                 return len(cells) > 1 and cells[0].strip() == TIME and all(cell.strip() for cell in cells)

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from piezod.errors import RecordingError
 from piezod.recording.formats.text_cells import COMMENTS, date_forms, is_clock, is_number, split_cells
-from piezod.recording.names import TIME
+from piezod.recording.names import TIME, unit_of
 from piezod.recording.quantities import UNITS, Column, column_of, is_unit
 
 MOST_PREAMBLE_LINES = 1000
@@ -70,7 +70,17 @@ def columns_of(
         header = [ROW, *header[1:]]
     if not all(header):
         raise RecordingError(f"{path}: column {list(header).index('') + 1} has no name; name all with --columns")
-    return tuple(column_of(name, unit) for name, unit in zip(header, units or [""] * width, strict=True))
+    if not units:
+        return tuple(map(column_of, header))
+    return tuple(column_of(name, _further_unit(path, name, unit)) for name, unit in zip(header, units, strict=True))
+
+
+def _further_unit(path: Path, name: str, unit: str) -> str:
+    """Unit from the row of units; empty where the name has it already."""
+    known, said = unit_of(name.strip()), column_of("x", unit).unit
+    if known and said and known != said:
+        raise RecordingError(f"{path}: column {name} is in {known}, in {said} by the row of units; correct one of them")
+    return "" if known else unit
 
 
 def _counts(cells: Sequence[str]) -> bool:
