@@ -52,6 +52,7 @@ class SerialLineDevice:
         "_port",
         "_set_up",
         "_set_up_generation",
+        "_set_up_line",
         "_set_voltage",
         "_terminator",
         "_watchdog",
@@ -77,6 +78,7 @@ class SerialLineDevice:
         self._plausibility = Plausibility(self._fields.roles - {"command_echo"}, config.heartbeat_within_s)
         self.reading: Reading = self._plausibility.reading
         self._set_up_generation = -1
+        self._set_up_line = 0
         self._guard = LineGuard(self._exchange_line, self._identity, (self._watchdog, self._watchdog_reply))
         self.counts = [0] * len(ExchangeResult)
         self.written_V = nan
@@ -100,8 +102,10 @@ class SerialLineDevice:
         result = self._ensure_set_up(monotonic() + max(SET_UP_TIMEOUT_S, self._config.timeout_s))
         if result is not _OK:
             self.close()
+            sent = self._config.setup[self._set_up_line].send
             raise UnreachableError(
-                f"{self.description}: a line of setup ended in {result.name.lower()}: check terminator and baudrate"
+                f"{self.description}: link.setup[{self._set_up_line}], {sent!r}, ended in {result.name.lower()}: "
+                "check its reply, terminator and baudrate"
             )
 
     def close(self) -> None:
@@ -155,7 +159,8 @@ class SerialLineDevice:
         result = self._port.ensure_open()
         if result is not _OK or self._set_up_generation == self._port.generation:
             return result
-        for line, pattern in self._set_up:
+        for number, (line, pattern) in enumerate(self._set_up):
+            self._set_up_line = number
             result, _ = self._exchange_line(line, pattern, deadline_s)
             if result is not _OK:
                 return result

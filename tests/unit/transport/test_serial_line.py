@@ -1,9 +1,11 @@
 """A link by ASCII lines: invalid and late lines, set-up, patterns and templates."""
 
 import time
+from pathlib import Path
 
 import pytest
 
+from piezod.config import load_bench
 from piezod.config.link import SerialLineLink
 from piezod.errors import CheckFailedError, ConfigurationError, IdentityError, UnreachableError
 from piezod.transport import ExchangeResult, make_link, verify_identity
@@ -91,8 +93,29 @@ def test_set_up_lines_are_sent_at_open_and_after_every_reopening(line):
 def test_a_set_up_line_without_its_acknowledgement_is_an_error_of_open():
     with ScriptedLine() as server:
         link = make_link(line_config(server.port, setup=[{"send": "INIT", "reply": "ready"}]))
-        with pytest.raises(UnreachableError, match="a line of setup ended in malformed"):
+        with pytest.raises(UnreachableError, match=r"link\.setup\[0\], 'INIT', ended in malformed: check its reply"):
             link.open()
+
+
+@pytest.mark.parametrize(("answer", "opens"), [(b"0\n", True), (b"A=0\n", True), (b"1\n", False), (b"A=1\n", False)])
+def test_a_servo_that_is_still_on_is_read_back_and_refused(answer, opens):
+    profile = load_bench(Path(__file__).parents[3] / "config" / "pi_e625.yaml").link.setup
+    with ScriptedLine() as server:
+        asked = []
+
+        def replies(frame, _number):
+            asked.append(frame)
+            return [answer] if frame.startswith(b"SVO?") else []
+
+        server.answer = replies
+        link = make_link(line_config(server.port, setup=[one.model_dump() for one in profile]))
+        if opens:
+            link.open()
+            link.close()
+        else:
+            with pytest.raises(UnreachableError, match=r"link\.setup\[1\], 'SVO\? A', ended in malformed"):
+                link.open()
+        assert asked[:2] == [b"SVO A 0\n", b"SVO? A\n"]
 
 
 def test_a_configured_acknowledgement_is_awaited():
