@@ -358,7 +358,10 @@ def without_clipped(series: Series, model: Model) -> tuple[Series, list[str]]:
     operator = model.hysteresis.operator()
     operator.run(np.array(series.path_V))
     expected = operator.run(series.command_V)
-    expected += float(np.median((series.reading_N - expected)[series.counts]))  # a tare is no mismatch
+    readings = series.reading_N[series.counts]
+    within = series.counts & (series.reading_N > readings.min()) & (series.reading_N < readings.max())
+    tared = within if within.any() else series.counts  # what is clipped tells no tare
+    expected += float(np.median((series.reading_N - expected)[tared]))
     found = clipped_stretches(series, expected, frozen_stretches(series, expected))
     counts = series.counts.copy()
     for first, end in (stretch for stretches in found.values() for stretch in stretches):

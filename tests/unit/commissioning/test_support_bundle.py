@@ -54,7 +54,7 @@ def test_lines_of_a_protocol_are_removed_and_numbers_stay(tmp_path):
     write_bundle(shipped("pi_e625.yaml"), tmp_path / "out.zip")
     shown = yaml.safe_load(contents(tmp_path / "out.zip")["bench.yaml"])
     assert shown["link"]["set_voltage"]["send"] == "REMOVED"
-    assert shown["link"]["setup"] == [{"reply": None, "send": "REMOVED"}]
+    assert shown["link"]["setup"] == [{"reply": None, "send": "REMOVED"}, {"reply": "REMOVED", "send": "REMOVED"}]
     assert shown["link"]["baudrate"] == 115200
     assert shown["load_cell_link"]["host"].startswith("192.168.")
 
