@@ -26,7 +26,7 @@ def reloaded_while_starting(pool, fault, *, old, first, second, for_s):
     """Reload twice; the second time while the control process starts with the configuration of the first."""
     bench = pool.bench()
     text = bench.path.read_text(encoding="utf-8")
-    observed, refused = Observation(), 0
+    observed = Observation()
     try:
         _write(bench, text, old, first)
         bench.send_command("reload")
@@ -38,7 +38,6 @@ def reloaded_while_starting(pool, fault, *, old, first, second, for_s):
                 break
             except TemporaryError as error:
                 observed.text += f"{error}\n"
-                refused += 1
                 time.sleep(POLL_S)
         _wait(lambda: bench.status()["connected"])
         time.sleep(0.2)
@@ -49,7 +48,6 @@ def reloaded_while_starting(pool, fault, *, old, first, second, for_s):
         said = observed.text
         watch.finish(observed)
         observed.text += said
-        observed.figures["refused"] = refused
     finally:
         bench.path.write_text(text, encoding="utf-8")
     _start_anew(bench)
