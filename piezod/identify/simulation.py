@@ -1,4 +1,8 @@
-"""A model in free run over a recording: only the input is looked at, and where needed a stated first stretch."""
+"""A model in free run over a recording.
+
+The input drives the model. The measured output tells the start alone. A stated first stretch is looked at. Where the
+recording begins amid the range, what its unknown past leaves is fitted over all of it (`estimation/unknown_past.py`).
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -156,7 +160,8 @@ def simulate(model: Model, recording: Recording, window: int, sha256: str | None
         An identified model, with or without effects.
     recording
         Holds the model's input column. If it also holds the output column, the start is found from its first `window`
-        samples. For a recording that starts at rest, it replaces the model's start only if it fits far better.
+        samples. For a recording that starts at rest, it replaces the model's start only if it fits far better. For one
+        that begins amid the range, what came before is fitted over all samples and added.
     window
         Number of samples that may be used to find the start, 0 or more; 0: none.
     sha256

@@ -118,6 +118,18 @@ def interpolated(time_s: Array, values: Array, at_s: Array, longest_s: float) ->
     return np.asarray(result, dtype=np.float64)
 
 
+def stretches_of(mask: NDArray[np.bool_]) -> list[Stretch]:
+    """Stretches (first, end) in which a mask is true.
+
+    Parameters
+    ----------
+    mask
+        Shape (N,).
+    """
+    edges = np.flatnonzero(np.diff(mask, prepend=False, append=False))
+    return pairs(edges[::2], edges[1::2])
+
+
 def pairs(starts: NDArray[np.intp], stops: NDArray[np.intp]) -> list[Stretch]:
     """List of (start, stop) from their arrays, each shape (n,).
 

@@ -1,7 +1,7 @@
 """The daemon with everything that may look at it at once, beside the same bench alone.
 
-Fifty clients of the socket, each of which asks for the status once a second, three viewers of the live page, the
-recorder, and the MQTT bridge to a broker of this machine. Everything is on the loopback interface and ends afterwards.
+Fifty clients of the socket ask for the status, each once a second. Three viewers have the live page open. The recorder
+runs, and the MQTT bridge to a broker of this machine. Everything is on the loopback interface and ends afterwards.
 """
 
 import argparse

@@ -1,8 +1,8 @@
 """An input that is not recorded: what is left is no fast noise, and follows no function of the drive.
 
-A disturbance that keeps its value from sample to sample, such as a setting that somebody turns, leaves residuals whose
-neighbours are alike. The drive predicts them where a law of the stack is missing, and does not where another input is.
-Where their power goes with the distance of the force from some level, the input acts as a gain. Derived here.
+A disturbance that keeps its value for some samples leaves residuals whose neighbours are alike. Where a law of the
+stack is missing, the drive predicts them. Where another input acts, the drive does not. Where their power grows with
+the distance of the force from some level, the input acts as a gain. Derived here.
 """
 
 from collections.abc import Sequence
@@ -38,7 +38,7 @@ def unrecorded_input(
         Share of what is left that the drive predicts.
     """
     told = [
-        (one.counts, np.where(one.counts, left, 0.0) - left[one.counts].mean(), by, one.dt_s)
+        (one.counts, np.where(one.counts, left - left[one.counts].mean(), 0.0), by, one.dt_s)
         for one, left, by in zip(series, residuals, modelled, strict=True)
         if one.role == "recording"
     ]

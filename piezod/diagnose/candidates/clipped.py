@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piezod.diagnose.hypothesis.series import Series
+from piezod.recording.stretches import stretches_of
 
 Array = NDArray[np.float64]
 
@@ -35,9 +36,7 @@ def clipped_stretches(
     for limit_N, side in ((float(readings.max()), 1.0), (float(readings.min()), -1.0)):
         standing = [one for one in stretches if series.reading_N[one[0]] == limit_N]
         if len(_beyond(standing, side * model_N, side * limit_N)) >= FEWEST:
-            at_limit = np.flatnonzero(np.diff(series.reading_N == limit_N, prepend=False, append=False))
-            runs = zip(at_limit[::2].tolist(), at_limit[1::2].tolist(), strict=True)
-            found[limit_N] = _beyond(list(runs), side * model_N, side * limit_N)
+            found[limit_N] = _beyond(stretches_of(series.reading_N == limit_N), side * model_N, side * limit_N)
     return found
 
 

@@ -13,6 +13,7 @@ from piezod.identify.intake import fit_for_simulation
 from piezod.identify.simulation import simulate
 from piezod.model import Model
 from piezod.recording import Recording
+from piezod.recording.stretches import stretches_of
 
 Array = NDArray[np.float64]
 
@@ -81,13 +82,8 @@ def free_run(model: Model, source: Source, series: Series | None = None) -> Free
     compared &= ~doubted
     if compared[window:].any():  # a recording of less than a second is compared whole
         compared[:window] = False
-    left_out_s = tuple((float(recording.time_s[a]), float(recording.time_s[b - 1])) for a, b in _runs(doubted))
+    left_out_s = tuple((float(recording.time_s[a]), float(recording.time_s[b - 1])) for a, b in stretches_of(doubted))
     return FreeRun(recording, left_out_s, expected, np.where(compared, measured - expected, np.nan))
-
-
-def _runs(mask: NDArray[np.bool_]) -> list[tuple[int, int]]:
-    edges = np.flatnonzero(np.diff(mask, prepend=False, append=False))
-    return list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))
 
 
 def _counting(series: Series, time_s: Array) -> NDArray[np.bool_]:
