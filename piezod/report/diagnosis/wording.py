@@ -14,6 +14,7 @@ from piezod.diagnose.verdict.words import (
     place_words,
     rounded,
     unit_words,
+    unrecorded_words,
 )
 from piezod.effects import EFFECTS, Effect, Location
 
@@ -326,6 +327,9 @@ def remaining_error(findings: Findings) -> list[str]:
     )
     if findings.verdict == "not_testable":
         return [error, "The recordings do not excite the bench enough to show what is missing."]
+    if findings.unrecorded is not None:
+        said = unrecorded_words(findings.unrecorded, unit)
+        return [error, f"{said[0].upper()}{said[1:]}. Record beside the reading what else changes at the bench."]
     above = "More than noise remains. " if findings.above_noise else ""
     consequence = {
         "matches": "no effect is missing",

@@ -4,6 +4,10 @@ import numpy as np
 import pytest
 
 from piezod.diagnose.adequacy.unrecorded import unrecorded_input
+from piezod.diagnose.findings import Findings, Unrecorded
+from piezod.diagnose.verdict.verdict import words_of
+from piezod.diagnose.verdict.words import Wording
+from piezod.report.diagnosis.wording import remaining_error
 from tests.unit.diagnose.residuals import mixed_work, series, time
 
 SAMPLES = 6000
@@ -59,3 +63,25 @@ def test_recordings_of_the_identification_are_not_asked(work_N, rng):
     shown = series(time(SAMPLES), work_N / 2.0, work_N + quiet_N, NOISE_N)
     given = series(time(SAMPLES), work_N / 2.0, work_N + left_N, NOISE_N, role="identification")
     assert unrecorded_input([given, shown], [left_N, quiet_N], [work_N, work_N], 0.05) is None
+
+
+def test_verdict_page_and_json_say_it():
+    findings = Findings(
+        verdict="unexplained",
+        words="",
+        unit="N",
+        floor=2.0,
+        floor_from="quiet",
+        where=(),
+        effects=(),
+        before=98.0,
+        after=98.0,
+        nrmse_before=10.0,
+        nrmse_after=10.0,
+        explainable=0.1,
+        unrecorded=Unrecorded(0.34, gain=True, keeps_s=0.05),
+    )
+    for said in (words_of(findings, Wording("V", "N")), remaining_error(findings)[-1]):
+        assert "input that is not recorded, a gain of 34 % rms, which keeps its value for about 0.050 s" in said
+    told = findings.as_dict()["unexplained"]["unrecorded_input"]
+    assert told == {"size": {"value": 0.34, "unit": "1"}, "form": "gain", "keeps_s": 0.05}
