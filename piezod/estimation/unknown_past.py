@@ -7,6 +7,7 @@ shift of the zero is left. Effects that remember for longer add their decays.
 Derived here from the definition of the play: M. Brokate and J. Sprekels (1996), Hysteresis and Phase Transitions, 2.1.
 """
 
+import itertools
 from collections.abc import Callable
 
 import numpy as np
@@ -16,7 +17,8 @@ from piezod.operators import PrandtlIshlinskii
 
 Array = NDArray[np.float64]
 
-PIECES = 8  # over the swept range
+PIECES = 12  # at least, over the swept range; a piece ends where the other end of the range begins to grow
+SHORTEST = 0.25  # of an equal piece: switches that lie closer share a piece
 GROWN = 0.99  # of the whole swept range: equal cycles, sampled, still widen it a little
 
 
@@ -61,10 +63,28 @@ def swept_columns(u: Array, forgotten: int) -> tuple[Array, int]:
     swept = np.maximum.accumulate(u) - np.minimum.accumulate(u)
     grown = int(np.searchsorted(swept, GROWN * swept[-1]))
     last = min(forgotten, max(grown, 1))
-    knots = np.unique(np.quantile(swept[: last + 1], np.linspace(0.0, 1.0, PIECES + 1)))
+    knots = _knots(u[: last + 1], swept[: last + 1])
     within = np.minimum(swept, knots[-1])
     hats = np.eye(knots.size) if forgotten > grown else np.eye(knots.size)[:-1]
     return np.array([np.interp(within, knots, hat) for hat in hats]).reshape(-1, u.size).T, last
+
+
+def _knots(u: Array, swept: Array) -> Array:
+    """Swept ranges at which a piece ends, all of them seen, rising, shape (K,) [input unit].
+
+    The slope of what the past adds changes its sign where the other end of the range begins to grow.
+    """
+    above, below = np.diff(np.maximum.accumulate(u)) > 0.0, np.diff(np.minimum.accumulate(u)) < 0.0
+    grows = np.flatnonzero(above | below)
+    switches = swept[grows[1:][above[grows[1:]] != above[grows[:-1]]]]
+    piece = swept[-1] / PIECES
+    ends = [0.0]
+    for switch in switches:
+        if switch - ends[-1] > SHORTEST * piece and swept[-1] - switch > SHORTEST * piece:
+            ends.append(float(switch))
+    ends.append(float(swept[-1]))
+    wanted = [np.linspace(a, b, 1 + max(int(np.ceil((b - a) / piece)), 1)) for a, b in itertools.pairwise(ends)]
+    return np.unique(swept[np.searchsorted(swept, np.concatenate(wanted))])
 
 
 def fitted_past(error: Array, columns: Array) -> Array:
