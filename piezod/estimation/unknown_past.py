@@ -17,7 +17,7 @@ from piezod.operators import PrandtlIshlinskii
 
 Array = NDArray[np.float64]
 
-PIECES = 12  # at least, over the swept range; a piece ends where the other end of the range begins to grow
+PIECES = 8  # at least, over the swept range; a piece ends where the other end of the range begins to grow
 SHORTEST = 0.25  # of an equal piece: switches that lie closer share a piece
 GROWN = 0.99  # of the whole swept range: equal cycles, sampled, still widen it a little
 

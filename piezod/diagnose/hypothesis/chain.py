@@ -320,7 +320,10 @@ class Chain:
         columns = self.series[number].start_columns
         if not columns.shape[1] or not point.starts:
             return np.zeros(())
-        started_V: Array = columns[::step] @ point.starts[number][: columns.shape[1]]
+        last = -(-(self.series[number].past_matters_until or 0) // step) + 1  # the rows behind it are equal
+        moving = columns[::step][:last] @ point.starts[number][: columns.shape[1]]
+        rows = -(-columns.shape[0] // step)
+        started_V: Array = np.concatenate((moving, np.full(rows - moving.size, moving[-1])))
         return started_V
 
     def decays(self, number: int, terms: Sequence[Term], point: Point, rows: slice) -> Array:

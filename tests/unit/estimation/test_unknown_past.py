@@ -46,7 +46,7 @@ def test_what_two_pasts_differ_by_lies_in_the_columns(model, course, seed):
     forgotten = forgotten_at(u, model.hysteresis.operator, (0.0, 120.0), 1e-3 * np.ptp(u))
     columns, last = swept_columns(u, forgotten)
     left_V = apart_V - fitted_past(apart_V, columns)
-    assert left_V[: last + 1].std() < 0.02 * apart_V[: last + 1].std()
+    assert left_V[: last + 1].std() < 0.04 * apart_V[: last + 1].std()
     assert np.ptp(left_V[last + 1 :]) < 2e-3 * np.ptp(u)
     assert columns.shape[1] < 40
 
