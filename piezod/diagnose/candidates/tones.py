@@ -28,6 +28,8 @@ TURNS = 4  # in which harmonics that appear near each other are told apart
 RIDGE = 0.02  # of an amplitude, where carrier and conjugate cannot be told apart
 SWINGS = 0.5  # of its amplitude, that it loses or gains where the command is lowest: no tone from outside,
 BAND = 0.99  # nor are its neighbours within the band that has so much of the command's power
+BREATHED = 0.8  # of the course of an amplitude, that one period must tell
+BREATHS, LONGEST_BREATH, DEEPEST = 60, 1.5, 0.9  # periods that are looked at, up to so many recordings long; of a depth
 MULTIPLES, MULTIPLE_HZ = 20, 0.3  # of the mains: none of them is another machine
 
 
@@ -206,6 +208,7 @@ def _hum(number: int, series: Series, residual_N: Array, frequency_Hz: float) ->
 def _vibration(number: int, series: Series, residual_N: Array, frequency_Hz: float) -> Tone:
     envelope, carrier = _followed(series, residual_N, frequency_Hz)
     values = _steady("vibration", series, envelope, frequency_Hz)
+    values |= _breathing(series, 2.0 * np.abs(envelope))
     return Tone("vibration", number, _inside("vibration", values), 2.0 * (envelope * carrier).real)
 
 
@@ -251,6 +254,31 @@ def _steady(name: str, series: Series, envelope: Complex, frequency_Hz: float) -
     values["amplitude_N"] = 2.0 * float(np.mean(weight))
     values["phase_rad"] = (float(start) + 0.5 * np.pi) % (2.0 * np.pi)  # a cosine's as a sine's
     return values
+
+
+def _breathing(series: Series, swell_N: Array) -> dict[str, float]:
+    """How an amplitude breathes, as the effect counts it; empty where no one period tells most of its course."""
+    time_s, swell_N = series.time_s[series.counts], swell_N[series.counts]
+    few = slice(None, None, max(int(0.1 * FOLLOWED_S / series.dt_s), 1))
+    time_s, swell_N = time_s[few], swell_N[few]
+    best: tuple[float, dict[str, float]] = (1.0 - BREATHED, {})
+    for period_s in np.geomspace(FOLLOWED_S, LONGEST_BREATH * series.duration_s, BREATHS):
+        turn = 2.0 * np.pi * time_s / period_s
+        columns = np.column_stack((np.ones(turn.size), np.sin(turn), np.cos(turn)))
+        mean_N, sine, cosine = np.linalg.lstsq(columns, swell_N, rcond=None)[0]
+        left = float(np.var(swell_N - columns @ (mean_N, sine, cosine)) / np.var(swell_N))
+        depth = float(np.hypot(sine, cosine) / mean_N)
+        if left < best[0] and 0.0 < depth < DEEPEST:
+            best = (
+                left,
+                {
+                    "amplitude_N": float(mean_N),
+                    "breathing_depth": depth,
+                    "breathing_period_s": float(period_s),
+                    "breathing_phase_rad": float(np.arctan2(cosine, sine)),
+                },
+            )
+    return best[1]
 
 
 def _inside(name: str, values: dict[str, float]) -> dict[str, float]:

@@ -57,6 +57,25 @@ def test_a_tone_of_the_identification_goes_with_the_recordings_and_never_alone(m
     assert not tones(made, residuals_N, [group[0] for group in groups])
 
 
+@pytest.mark.parametrize(("depth", "period_s"), [(0.0, 20.0), (0.09, 50.0), (0.2, 30.0), (0.4, 12.0)])
+def test_the_written_vibration_breathes_as_the_heard_one(depth, period_s):
+    time_s = np.arange(0.0, 52.0, 2e-3)
+    swell = 1.0 + depth * np.sin(2.0 * np.pi * time_s / period_s + 0.9)
+    white_N = NOISE_N * noise(time_s.size, 0.0, np.random.default_rng(3))
+    residual_N = white_N + 9.0 * swell * np.sin(2.0 * np.pi * 28.1451 * time_s + 0.4)
+    u = mixed_work(time_s)
+    one = Series("by hand", "recording", time_s, u, model_of(u) + residual_N, np.ones(time_s.size, bool), NOISE_N)
+    ((tone,),) = tones([one], [residual_N], ())
+    turns = 2.0 * np.pi * time_s
+    written = 1.0 + tone.values["breathing_depth"] * np.sin(
+        turns / tone.values["breathing_period_s"] + tone.values["breathing_phase_rad"]
+    )
+    carrier = np.sin(tone.values["frequency_Hz"] * turns + tone.values["phase_rad"])
+    left_N = residual_N - tone.values["amplitude_N"] * written * carrier
+    assert float(np.std(left_N)) < 1.1 * NOISE_N
+    assert (tone.values["breathing_depth"] > 0.0) == (depth > 0.0)
+
+
 @pytest.mark.parametrize("swing", [0.0, 0.15, 0.55, 1.0, 3.0, 30.0])
 def test_a_tone_that_swings_with_the_command_is_no_vibration(swing):
     time_s = np.arange(0.0, 40.0, 1e-3)
