@@ -1,6 +1,7 @@
 """After a step the stack continues to move, in proportion to the logarithm of time.
 
 Forward    x + sum_j c_j y_j, tau_j y_j' = x - x(0) - y_j. This is a Kelvin-Voigt chain with 4 elements per decade.
+           Driven by the voltage u, it has W (u - u(0)) in place of x - x(0). W is the sum of the weights of the plays.
 Inverse    Subtract the predicted states, then advance them. Exact when the stroke drives the creep (derived here).
 Signature  A hold continues in the direction of the last step, straight in log t, in proportion to the step. Loops open
            equally at every frequency, so that plays absorb it. Look-alikes: thermal_drift does not follow steps,
@@ -17,7 +18,7 @@ import math
 
 import numpy as np
 
-from piezod.effects.effect import Array, Checks, Context, Effect, Location, Parameter, Past, Search, Values
+from piezod.effects.effect import Array, Context, Effect, Location, Parameter, Past, Search, Values
 from piezod.effects.kernels import chain_run
 
 PER_DECADE = 4  # elements per decade of time
@@ -69,18 +70,10 @@ def forward(signal: Array, context: Context, values: Values) -> Array:
     tau_s, weights = spectrum(values["from_s"], values["to_s"], values.get("slope", 0.0), seen_s)
     driver = signal
     if round(values.get("driven_by", PLAYS)) == VOLTAGE:
-        driver = _scaled_to(signal, context.applied_V)
+        driver = context.stroke_per_V * context.applied_V
     crept = chain_run(driver, tau_s, values["per_decade"] * weights, context.dt_s, context.hold.number)
     out: Array = signal + crept
     return out
-
-
-def _scaled_to(signal: Array, voltage_V: Array) -> Array:
-    """Voltage scaled to the signal by least squares; both count from their first sample. It is linear in the signal."""
-    voltage = voltage_V - voltage_V[0]
-    power = float(voltage @ voltage)
-    scaled: Array = voltage * (float(voltage @ (signal - signal[0])) / power if power > 0.0 else 0.0)
-    return scaled
 
 
 def _decays(context: Context, values: Values) -> Array:
@@ -110,7 +103,4 @@ EFFECT = Effect(
     handling="compensated",
     docstring=__doc__,
     separate_by="a staircase with holds of three decades of time, up and down",
-    checks=Checks(
-        anticipates=lambda values: values["driven_by"] == VOLTAGE,  # scaled over the whole record
-    ),
 )

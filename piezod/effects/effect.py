@@ -125,6 +125,8 @@ class Context:
         Voltages from the de-energised state to the first sample [V].
     seen_s
         Duration of the recording in which the effect was found [s]; None: of this recording.
+    stroke_per_V
+        Sum of the weights of the plays: stroke per volt where all of them move [1]. 0: nothing that the voltage drives.
     cache
         Last results of an effect for this `applied_V`: name to (key, result).
     """
@@ -140,6 +142,7 @@ class Context:
     voltage_span_V: float = 100.0
     path_V: tuple[float, ...] = ()
     seen_s: float | None = None
+    stroke_per_V: float = 1.0
     cache: dict[str, tuple[Array, Array]] = field(default_factory=dict)
 
 

@@ -88,7 +88,7 @@ def widening(context: Context, values: Values) -> tuple[Array, Array]:
     rates = _rates(u, context.dt_s, values.get("rate_way_V", USUAL_DISTANCE_V), memory_s)
     decay = np.log1p(rates / values["reference_V_per_s"])
     if kind == OFFSET:
-        return np.ones(u.size), OFFSET_SHARE * float(np.ptp(u)) * growth * decay
+        return np.ones(u.size), OFFSET_SHARE * context.voltage_span_V * growth * decay
     factor: Array = np.exp(growth * decay) if kind == POWER else 1.0 + growth * decay
     return factor, np.zeros(u.size)
 
@@ -125,8 +125,5 @@ EFFECT = Effect(
     handling="compensated",
     docstring=__doc__,
     separate_by="triangles of one amplitude over three decades of frequency, with a hold behind each corner",
-    checks=Checks(
-        values={"growth": 0.1, "rate_way_V": 8.0},
-        anticipates=lambda values: values["kind"] == OFFSET,  # measured by the voltage range of the whole record
-    ),
+    checks=Checks(values={"growth": 0.1, "rate_way_V": 8.0}),
 )

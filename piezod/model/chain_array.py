@@ -121,7 +121,7 @@ def _constants(model: Model, acting: ActingEffects, dt_s: float) -> ChainConstan
         law_span_N=model.output.high - model.output.low if law else 0.0,
         gap_N=gap.get("gap_N", 0.0),
         gap_softness_N=gap.get("softness_N", 0.0),
-        creep_drive_per_V=_stroke_per_volt(model) if by_voltage else 0.0,
+        creep_drive_per_V=model.hysteresis.stroke_per_V if by_voltage else 0.0,
     )
 
 
@@ -138,11 +138,3 @@ def _creep_elements(acting: ActingEffects, dt_s: float, seen_s: float) -> tuple[
     hold = STRAIGHT if "electrical_lag" in acting or "slew_limit" in acting else HELD_ONE_SAMPLE
     keep, ramp = np.array([first_order_coefficients(element_s, dt_s, hold.number) for element_s in tau_s]).T
     return keep, ramp, creep["per_decade"] * weights
-
-
-def _stroke_per_volt(model: Model) -> float:
-    """Slope of the chord of the plays' steady major loop: the scale of a voltage that drives a creep."""
-    operator = model.operator()
-    low, high = model.input.low, model.input.high
-    _, _, top, bottom = operator.stroke([low, high, high, low])
-    return float((top - bottom) / (high - low))

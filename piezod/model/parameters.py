@@ -47,6 +47,11 @@ class Hysteresis(Section):
     offset: float = 0.0
     eps: Annotated[float, Field(gt=0, lt=1)] = EPS
 
+    @property
+    def stroke_per_V(self) -> float:
+        """Sum of the weights of the plays [1]: stroke per volt where all of them move."""
+        return float(sum(self.plays.weights))
+
     def operator(self) -> PrandtlIshlinskii:
         """Build the operator in its de-energised state.
 

@@ -163,6 +163,7 @@ def _with_effects(
         model.input.high - model.input.low,
         path_V,
         model.seen_s,
+        model.hysteresis.stroke_per_V,
     )
     signal = command_V
     for effect, values in _located(effects, Location.AMPLIFIER, Location.AMPLIFIER):

@@ -1,7 +1,7 @@
 """How a small change of the signal passes through the effects that lie behind it."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,7 +37,7 @@ class Passage:
     def through(self, change: Array, kept: slice = slice(None)) -> Array:  # a slice is not mutable
         """The change behind the effect; `kept` are the samples that it has of the signal's."""
         if self.linear:
-            return self.effect.forward(change, self.context, self.values)
+            return self.effect.forward(change, replace(self.context, stroke_per_V=0.0), self.values)
         return change if self.slope is None else change * self.slope[kept]
 
 

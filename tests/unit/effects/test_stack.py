@@ -31,7 +31,7 @@ def test_thresholds_grow_with_a_power_of_the_rate_or_by_an_offset_when_kind_sele
     assert not offset.any()
     factor, offset = widening(u, kind=2.0)
     assert (factor == 1.0).all()
-    assert offset[-1] == pytest.approx(0.08 * 0.1 * 20.0 * np.log(5.0), rel=1e-9)
+    assert offset[-1] == pytest.approx(0.08 * 0.1 * 100.0 * np.log(5.0), rel=1e-9)  # of the range of the model, 100 V
 
 
 @pytest.mark.parametrize("kind", [0.0, 1.0, 2.0])
@@ -116,12 +116,12 @@ def test_creep_opens_a_loop_equally_at_every_frequency_inside_its_time_span():
     np.testing.assert_allclose(openings, 0.77, atol=0.02)
 
 
-def test_creep_driven_by_the_voltage_is_scaled_to_the_signal():
+def test_creep_driven_by_the_voltage_is_scaled_by_the_weights_of_the_plays():
     rng = np.random.default_rng(1)
     u = np.cumsum(rng.normal(size=500))
     values = {"per_decade": 0.02, "from_s": 0.01, "to_s": 10.0}
     by_plays = forward("creep", 0.6 * u, DT_s, values)
-    by_voltage = forward("creep", 0.6 * u, DT_s, values | {"driven_by": 1.0}, applied_V=u)
+    by_voltage = forward("creep", 0.6 * u, DT_s, values | {"driven_by": 1.0}, applied_V=u, stroke_per_V=0.6)
     np.testing.assert_allclose(by_voltage, by_plays, atol=1e-12)
 
 
