@@ -16,7 +16,7 @@ from piezod.diagnose.hypothesis.chain import Chain, Point, empty_point
 from piezod.diagnose.hypothesis.series import Role, Series
 from piezod.errors import RecordingError
 from piezod.estimation.initial_state import estimate_path, start_at_zero, starts_at_rest
-from piezod.estimation.unknown_past import forgotten_at, swept_columns
+from piezod.estimation.unknown_past import unknown_past
 from piezod.excitation import varying_triangles
 from piezod.identify.layout import told_of
 from piezod.identify.simulation import where
@@ -345,12 +345,17 @@ def with_unknown_start(series: Series, model: Model) -> tuple[Series, list[str]]
     if starts_at_rest(u):
         return series, []
     ends = model.input.low, model.input.high
-    forgotten = forgotten_at(u, model.hysteresis.operator, ends, APART * series.noise_N)
-    if not forgotten:
-        return replace(series, past_matters_until=0), []
-    columns, last = swept_columns(u, forgotten)
-    said = f"its first {last * series.dt_s:.3g} s depend on what came before, which is fitted"
-    return replace(series, start_columns=columns, past_matters_until=last), [f"{series.name}: {said}"]
+    gain = (model.output.high - model.output.low) / (ends[1] - ends[0])
+    longest = max(block.stop - block.start for block in series.blocks)
+    past = unknown_past(u, model.hysteresis.operator, ends, APART * series.noise_N / gain, 2 * longest)
+    if past is None:
+        return replace(series, past_known=np.ones(u.size, bool)), []
+    said = f"its first {past.until * series.dt_s:.3g} s depend on what came before, which is fitted"
+    notes, known = [f"{series.name}: {said}"], past.known
+    if not any(known[block].all() for block in series.blocks):
+        notes.append(f"{series.name}: what came before matters to its end; drive the whole range once, then record")
+        known = np.ones(u.size, bool)
+    return replace(series, start_columns=past.columns, past_matters_until=past.until, past_known=known), notes
 
 
 def without_clipped(series: Series, model: Model) -> tuple[Series, list[str]]:

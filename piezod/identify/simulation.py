@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from piezod.errors import UsageError
 from piezod.estimation.initial_state import start_found, starts_at_rest
-from piezod.estimation.unknown_past import fitted_past, forgotten_at, swept_columns
+from piezod.estimation.unknown_past import fitted_past, unknown_past
 from piezod.identify.scores import largest, nrmse_percent, rms
 from piezod.model import Model, decays_of, run_chain
 from piezod.recording import Recording
@@ -21,7 +21,7 @@ Array = NDArray[np.float64]
 
 SLOPE_OVER = 0.01  # of the input's range, to both sides: the straight pieces of a force law are not much shorter
 FORGOTTEN = 1e-3
-"""Of the output's range: pasts that are no farther apart are one, since a load cell of class 0.1 tells no more."""
+"""Of the input's range: pasts that are no farther apart are one, since a load cell of class 0.1 tells no more."""
 
 
 @dataclass(frozen=True)
@@ -196,12 +196,12 @@ def _past_of(
 ) -> Array | None:
     """What came before a start amid the range adds to the readings, shape (N,) [output unit]; None: nothing."""
     u = recording.channel(model.input.channel)
-    within = FORGOTTEN * (model.output.high - model.output.low)
-    forgotten = forgotten_at(u, model.hysteresis.operator, (model.input.low, model.input.high), within)
+    within = FORGOTTEN * (model.input.high - model.input.low)
+    past = unknown_past(u, model.hysteresis.operator, (model.input.low, model.input.high), within)
     columns = []
-    if forgotten:
-        swept, _ = swept_columns(u, forgotten)
-        columns.append(_slope_of(model, path, u)[:, None] * swept[:, swept[-1] == 0.0])  # a shift for good is a tare
+    if past is not None:
+        steady = past.columns[-1] == 0.0  # a shift for good is a tare
+        columns.append(_slope_of(model, path, u)[:, None] * past.columns[:, steady])
     columns += decays_of(model, recording.time_s, sha256)
     return fitted_past(error, np.hstack(columns)) if columns else None
 

@@ -320,7 +320,7 @@ class Chain:
         columns = self.series[number].start_columns
         if not columns.shape[1] or not point.starts:
             return np.zeros(())
-        last = -(-(self.series[number].past_matters_until or 0) // step) + 1  # the rows behind it are equal
+        last = -(-self.series[number].past_matters_until // step) + 1  # the rows behind it are equal
         moving = columns[::step][:last] @ point.starts[number][: columns.shape[1]]
         rows = -(-columns.shape[0] // step)
         started_V: Array = np.concatenate((moving, np.full(rows - moving.size, moving[-1])))
@@ -338,7 +338,7 @@ class Chain:
     def _pasts(self, number: int, terms: Sequence[Term]) -> list[tuple[int, Past]]:
         """Terms through which the unknown past of a recording reaches its readings, by their places."""
         one = self.series[number]
-        if one.past_matters_until is None:
+        if one.past_known is None:
             return []
         return [(k, t.effect.past) for k, t in enumerate(terms) if t.effect.past is not None and t.acts_on(number, one)]
 

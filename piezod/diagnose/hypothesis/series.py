@@ -42,7 +42,9 @@ class Series:
     start_columns
         What an unknown past can have added to the stroke, shape (N, columns) [1]; no columns where it is known.
     past_matters_until
-        Sample up to which the unknown past matters; blocks before it are fitted, but not judged. None: it is known.
+        Sample from which the start columns stay as they are.
+    past_known
+        Where what is fitted for an unknown past can be judged by, shape (N,). None: the past is known.
     hold
         How the command runs between samples.
     recorded_hold
@@ -77,7 +79,8 @@ class Series:
     trust: Array | None = None
     within_N: Array | None = None
     start_columns: Array = field(default_factory=lambda: np.empty((0, 0)))
-    past_matters_until: int | None = None
+    past_matters_until: int = 0
+    past_known: NDArray[np.bool_] | None = None
     blocks: tuple[slice, ...] = field(init=False)
 
     def __post_init__(self) -> None:
@@ -120,13 +123,13 @@ class Series:
 
     def as_judged(self) -> "Series":
         """The same without readings that an unknown past still matters for: straight pieces leave a little of it."""
-        if not self.past_matters_until:
+        if self.past_known is None:
             return self
-        return replace(self, counts=self.counts & (np.arange(self.counts.size) > self.past_matters_until))
+        return replace(self, counts=self.counts & self.past_known)
 
     def judges(self, block: slice) -> bool:
         """Whether a block tells of a hypothesis: one before which nothing is known fits any."""
-        return self.past_matters_until is None or block.start > self.past_matters_until
+        return self.past_known is None or bool(self.past_known[block].all())
 
     @property
     def dt_s(self) -> float:

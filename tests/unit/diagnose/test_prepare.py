@@ -93,7 +93,7 @@ def test_what_came_before_a_start_amid_the_range_lies_in_its_columns(model, hist
     stroke_V = operator.stroke(u)
     slope = (operator.output(stroke_V + 0.5) - operator.output(stroke_V - 0.5))[:, None]
     left_N = apart_N - fitted_past(apart_N, slope * series.start_columns)
-    assert left_N.std() < 0.05 * apart_N.std()
+    assert left_N.std() < 0.3  # three noises
     assert not np.ptp(series.start_columns[first:], axis=0).any()
 
 
