@@ -8,6 +8,7 @@ from piezod import __version__
 from piezod.blind.case import Description, read_description
 from piezod.diagnose.command import diagnose_files
 from piezod.diagnose.selection.replay import write_replay
+from piezod.effects import EFFECTS
 from piezod.identify.identification import Options, identify
 from piezod.identify.intake import load_recordings
 from piezod.identify.simulation import simulate_recording
@@ -25,9 +26,6 @@ REPLAY = "replay.json"
 
 EXTENDED, BASE = "simulated_held_out.csv", "simulated_held_out_base.csv"
 """Files of the held-out simulations with the extended and with the identified model."""
-
-UNREPEATED = frozenset({"vibration", "mains_hum", "load_step", "sensor_dropout", "quantisation"})
-"""Effects left out of the held-out simulation: another recording does not repeat tones, events and quantisation."""
 
 
 @dataclass(frozen=True)
@@ -108,8 +106,8 @@ def _held_out_input(description: Description) -> Recording:
 
 
 def _repeatable(model: Model) -> Model:
-    """Model without the effects in `UNREPEATED`."""
-    effects = tuple(effect for effect in model.effects if effect.name not in UNREPEATED)
+    """Model without the effects that another recording does not repeat: tones, events and quantisation."""
+    effects = tuple(effect for effect in model.effects if EFFECTS[effect.name].repeats)
     return model.model_copy(update={"effects": effects})
 
 

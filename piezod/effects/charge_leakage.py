@@ -15,6 +15,8 @@ import numpy as np
 from piezod.effects.effect import Array, Checks, Context, Effect, Location, Parameter, Past, Search, Values
 from piezod.effects.kernels import first_order_run
 
+NO_LONGER = 0.99  # of the range: a leak as slow as the recordings can show is a drift
+
 
 def forward(signal: Array, context: Context, values: Values) -> Array:
     """Signal of the charge amplifier, at rest at the first sample, shape (N,) [N].
@@ -44,5 +46,7 @@ EFFECT = Effect(
     docstring=__doc__,
     why="the true force has not changed: driving against the reading would move the stack by the lost mean",
     separate_by="a dead weight left on the load cell, or triangles of ever lower frequency",
+    place=lambda values, record: ("history_s", values["time_constant_s"], record.longest_s),
+    plausible=lambda values, record: values["time_constant_s"] <= NO_LONGER * record.highest["time_constant_s"],
     checks=Checks(values={"time_constant_s": 1.0}),
 )

@@ -10,7 +10,18 @@ Source     Derived here; piezod/effects/README.md, "Clock skew".
 
 import numpy as np
 
-from piezod.effects.effect import Array, Checks, Context, Effect, Location, Parameter, Search, Values
+from piezod.effects.effect import (
+    LATE,
+    Array,
+    Checks,
+    Context,
+    Effect,
+    Location,
+    Parameter,
+    Search,
+    Values,
+    all_the_time,
+)
 
 
 def forward(signal: Array, context: Context, values: Values) -> Array:
@@ -32,6 +43,8 @@ EFFECT = Effect(
     docstring=__doc__,
     why="only the time stamps are wrong, not the true force; take them from one clock",
     separate_by="abrupt edges at the beginning and at the end of a long record",
+    place=all_the_time,
+    plausible=lambda values, record: 1e-6 * abs(values["skew_ppm"]) * record.longest_s >= LATE * record.dt_s,
     checks=Checks(
         values={"skew_ppm": -10_000.0},
         anticipates=lambda values: values["skew_ppm"] > 0.0,  # the clock of the reading runs ahead

@@ -65,5 +65,7 @@ EFFECT = Effect(
     handling="compensated",
     docstring=__doc__,
     separate_by="a slow ramp from zero voltage, and again with more preload",
+    place=lambda values, _record: ("force_N", 0.0, values["gap_N"]),
+    soft=True,
     checks=Checks(values={"gap_N": 20.0, "softness_N": 10.0}, constant="shifted"),
 )

@@ -103,4 +103,6 @@ EFFECT = Effect(
     handling="compensated",
     docstring=__doc__,
     separate_by="a staircase with holds of three decades of time, up and down",
+    place=lambda values, record: ("history_s", values["from_s"], record.longest_s),
+    bends=True,
 )

@@ -208,6 +208,62 @@ class Checks:
 
 
 @dataclass(frozen=True)
+class Record:
+    """What recordings tell about the place and the sense of an effect that was found in them.
+
+    Parameters
+    ----------
+    start_s, end_s
+        First and last time of the recording that the effect acts in, in that recording's own time [s].
+    longest_s
+        Duration of the longest recording asked about [s].
+    dt_s
+        Shortest spacing of the samples of any recording [s].
+    nyquist_Hz
+        Half the sampling rate of the recording asked about [Hz].
+    highest_V, fastest_V_per_s
+        Highest command and its highest rate in the recordings asked about [V], [V/s].
+    highest
+        Upper end of the range of each parameter in these recordings, by name.
+    """
+
+    start_s: float
+    end_s: float
+    longest_s: float
+    dt_s: float
+    nyquist_Hz: float
+    highest_V: float
+    fastest_V_per_s: float
+    highest: Values
+
+
+Where = tuple[str, float, float]
+"""Axis of a place, and its low and high end [unit of the axis]."""
+
+LATE = 0.05  # of a sample: a shift of less is the moment of reading
+
+
+def everywhere(values: Values, record: Record) -> Where | None:  # noqa: ARG001  # see `Effect.place`
+    """No place: the effect acts wherever the bench moves."""
+    return None
+
+
+def at_its_frequency(values: Values, record: Record) -> Where | None:  # noqa: ARG001  # see `Effect.place`
+    """The line of its parameter `frequency_Hz`."""
+    return "frequency_Hz", values["frequency_Hz"], values["frequency_Hz"]
+
+
+def all_the_time(values: Values, record: Record) -> Where | None:  # noqa: ARG001  # see `Effect.place`
+    """From the first to the last sample of its recording."""
+    return "time_s", record.start_s, record.end_s
+
+
+def always(values: Values, record: Record) -> bool:  # noqa: ARG001  # see `Effect.plausible`
+    """Any values within the ranges of the parameters are what the name says."""
+    return True
+
+
+@dataclass(frozen=True)
 class Effect:
     """One entry of the catalogue.
 
@@ -247,6 +303,20 @@ class Effect:
         Channel that a recording must have; None: no further channel.
     separate_by
         Experiment that separates the effect from its look-alikes.
+    place
+        Function from values and `Record` to where the effect acts; None: everywhere.
+    plausible
+        Function from values and `Record` to whether fitted values are what the name of the effect says.
+    bends
+        Whether it bends to nearly whatever is left, so that it must gain in many blocks of time.
+    soft
+        Whether it bends to whatever is left at low force.
+    general
+        Whether it bends to nearly whatever is a hysteresis: one with a shape of its own goes before it.
+    found_by
+        "search": hypotheses that are fitted. "test": a test of its own on what is left.
+    repeats
+        Whether another recording of the same drive shows it again.
     checks
         Properties that the contract test checks.
     """
@@ -267,6 +337,13 @@ class Effect:
     past: Past | None = None
     needs: str | None = None
     separate_by: str = ""
+    place: Callable[[Values, Record], Where | None] = everywhere
+    plausible: Callable[[Values, Record], bool] = always
+    bends: bool = False
+    soft: bool = False
+    general: bool = False
+    found_by: Literal["search", "test"] = "search"
+    repeats: bool = True
     checks: Checks = field(default_factory=Checks)
     _by_name: dict[str, Parameter] = field(init=False, repr=False, compare=False, default_factory=dict)
 

@@ -11,7 +11,7 @@ Source     Derived here, for R of 10 to 1000 ohm and C of 0.1 to 10 uF. The line
            piezod/effects/README.md, "Electrical lag".
 """
 
-from piezod.effects.effect import Array, Checks, Context, Effect, Location, Parameter, Search, Values
+from piezod.effects.effect import LATE, Array, Checks, Context, Effect, Location, Parameter, Search, Values
 from piezod.effects.kernels import first_order_run, voltage_dependent_lag_run
 
 
@@ -41,5 +41,6 @@ EFFECT = Effect(
     smooths=True,
     docstring=__doc__,
     separate_by="the amplifier's monitor output recorded as well, or triangles at 1 and 10 Hz about two biases",
+    plausible=lambda values, record: values["time_constant_s"] >= LATE * record.dt_s,
     checks=Checks(values={"time_constant_s": 0.05}),
 )

@@ -21,6 +21,9 @@ from piezod.effects.kernels import bouc_wen
 NO_PATH = np.empty(0)
 
 
+SLIDES = 0.16  # of the range of the force: friction with a longer presliding hardly slides, the stack remembers
+
+
 def forward(signal: Array, context: Context, values: Values) -> Array:  # noqa: ARG001  # a `Forward`
     """Force behind the guide, shape (N,) [N].
 
@@ -50,4 +53,6 @@ EFFECT = Effect(
         " error; dither, or a flexure instead of a guide, removes it"
     ),
     separate_by="loop width against amplitude on logarithmic axes (friction 0 to 1, plays 2), and another preload",
+    plausible=lambda values, record: values["presliding_N"] <= SLIDES * record.highest["presliding_N"],
+    bends=True,
 )

@@ -18,7 +18,7 @@ import math
 import numba
 import numpy as np
 
-from piezod.effects.effect import Array, Checks, Context, Effect, Location, Parameter, Search, Values
+from piezod.effects.effect import Array, Checks, Context, Effect, Location, Parameter, Search, Values, all_the_time
 
 SMALLEST_BEND = 1e-3  # a smaller bend counts as 0
 
@@ -74,5 +74,7 @@ EFFECT = Effect(
     handling="compensated",
     docstring=__doc__,
     separate_by="the same reset cycle at the beginning and at the end, at one temperature",
+    place=all_the_time,
+    bends=True,
     checks=Checks(constant="varies"),
 )

@@ -45,5 +45,12 @@ EFFECT = Effect(
     docstring=__doc__,
     why="no reference predicts its instant; find the cause; if the load stays, identify again",
     separate_by="the same record once more: the edge does not return at the same instant",
+    place=lambda values, record: (
+        "time_s",
+        record.start_s + values["on_s"],
+        min(record.start_s + values["off_s"], record.end_s),
+    ),
+    found_by="test",
+    repeats=False,
     checks=Checks(values={"on_s": 0.512, "off_s": 1.024, "rise_s": 0.128}, constant="varies"),
 )

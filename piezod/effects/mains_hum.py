@@ -15,7 +15,7 @@ import math
 
 import numpy as np
 
-from piezod.effects.effect import Array, Checks, Context, Effect, Location, Parameter, Search, Values
+from piezod.effects.effect import Array, Checks, Context, Effect, Location, Parameter, Search, Values, at_its_frequency
 
 TURN = 2.0 * math.pi
 HARMONICS = (2, 3, 4, 5, 6, 7)
@@ -58,5 +58,8 @@ EFFECT = Effect(
     docstring=__doc__,
     why="it is no force: driving against it would make one",
     separate_by="a record at rest with the amplifier off, then with the cable of the load cell moved",
+    place=at_its_frequency,
+    found_by="test",
+    repeats=False,
     checks=Checks(values={"sine_2": 0.3, "cosine_3": 0.2, "sine_5": 0.1}, constant="varies"),
 )

@@ -91,5 +91,6 @@ EFFECT = Effect(
     handling="compensated",
     docstring=__doc__,
     separate_by="slow triangles about several biases, and again with another preload",
+    bends=True,
     checks=Checks(constant="shifted"),
 )

@@ -64,5 +64,7 @@ EFFECT = Effect(
     docstring=__doc__,
     why="information inside a step is lost; use a finer range, or average over noise wider than a step",
     separate_by="a slow ramp over several steps, and a count of the distinct values",
+    found_by="test",
+    repeats=False,
     checks=Checks(constant="shifted"),
 )

@@ -10,8 +10,10 @@ Source     H. J. M. T. S. Adriaens, W. L. de Koning and R. Banning (2000), Model
            Transactions on Mechatronics 5(4); piezod/effects/README.md, "Resonance".
 """
 
-from piezod.effects.effect import Array, Checks, Context, Effect, Location, Parameter, Search, Values
+from piezod.effects.effect import Array, Checks, Context, Effect, Location, Parameter, Search, Values, at_its_frequency
 from piezod.effects.kernels import second_order
+
+RINGS = 0.6  # damping ratio beyond which nothing is seen to ring: it is a lag
 
 
 def forward(signal: Array, context: Context, values: Values) -> Array:
@@ -36,5 +38,7 @@ EFFECT = Effect(
     smooths=True,
     docstring=__doc__,
     separate_by="steps or triangles with abrupt corners, sampled at ten times the mode's frequency",
+    place=at_its_frequency,
+    plausible=lambda values, _record: values["damping_ratio"] <= RINGS,
     checks=Checks(values={"frequency_Hz": 8.0, "damping_ratio": 0.1}),
 )

@@ -42,5 +42,7 @@ EFFECT = Effect(
     docstring=__doc__,
     why="the device measured nothing there; the stretch counts neither in a fit nor in a score",
     separate_by="the device's own sample counter recorded beside the reading",
+    found_by="test",
+    repeats=False,
     checks=Checks(values={"from_s": 0.512, "to_s": 0.768}),
 )

@@ -15,7 +15,7 @@ Source     Derived here. r follows from the definition of the cutoff, |H(f_c)|^2
 
 import math
 
-from piezod.effects.effect import Array, Checks, Context, Effect, Location, Parameter, Search, Values
+from piezod.effects.effect import LATE, Array, Checks, Context, Effect, Location, Parameter, Search, Values
 from piezod.effects.kernels import first_order_run, second_order
 
 BUTTERWORTH = math.sqrt(0.5)
@@ -63,5 +63,7 @@ EFFECT = Effect(
     docstring=__doc__,
     why="only the reading is late, not the true force: driving against it would overshoot",
     separate_by="a tap on the load cell, or its noise spectrum at rest: a filter in it shapes both",
+    place=lambda values, record: ("frequency_Hz", values["cutoff_Hz"], record.nyquist_Hz),
+    plausible=lambda values, record: 1.0 / (math.tau * values["cutoff_Hz"]) >= LATE * record.dt_s,
     checks=Checks(values={"cutoff_Hz": 3.0}),
 )

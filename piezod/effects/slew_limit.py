@@ -73,5 +73,6 @@ EFFECT = Effect(
     smooths=True,
     docstring=__doc__,
     separate_by="steps of three sizes: a limit takes longer for a longer step, a lag does not",
+    place=lambda values, record: ("rate_V_per_s", values["limit_V_per_s"], record.fastest_V_per_s),
     checks=Checks(values={"limit_V_per_s": 150.0}),
 )

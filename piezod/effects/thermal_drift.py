@@ -10,7 +10,7 @@ Source     Derived here. 0.5 to 30 N/K follow from 5 to 50 N/um, 20 to 40 mm and
            piezod/effects/README.md, "Thermal drift".
 """
 
-from piezod.effects.effect import Array, Context, Effect, Location, Parameter, Search, Values
+from piezod.effects.effect import Array, Context, Effect, Location, Parameter, Search, Values, all_the_time
 from piezod.effects.kernels import first_order_run
 
 
@@ -42,4 +42,5 @@ EFFECT = Effect(
     needs="temperature_C",
     docstring=__doc__,
     separate_by="a hold at zero voltage after a reset cycle while the room temperature changes by several kelvin",
+    place=all_the_time,
 )

@@ -13,7 +13,7 @@ Source     T. I. Laakso, V. Valimaki, M. Karjalainen and U. K. Laine (1996), Spl
 import numba
 import numpy as np
 
-from piezod.effects.effect import Array, Checks, Context, Effect, Location, Parameter, Search, Values
+from piezod.effects.effect import LATE, Array, Checks, Context, Effect, Location, Parameter, Search, Values
 
 
 @numba.njit(cache=True, nogil=True)
@@ -63,5 +63,6 @@ EFFECT = Effect(
     handling="compensated",
     docstring=__doc__,
     separate_by="the edge of a step at the highest sampling rate, or the phase of a chirp: straight in frequency",
+    plausible=lambda values, record: values["delay_s"] >= LATE * record.dt_s,
     checks=Checks(values={"delay_s": 0.0305}),
 )

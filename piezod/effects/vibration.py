@@ -13,7 +13,7 @@ import math
 
 import numpy as np
 
-from piezod.effects.effect import Array, Checks, Context, Effect, Location, Parameter, Search, Values
+from piezod.effects.effect import Array, Checks, Context, Effect, Location, Parameter, Search, Values, at_its_frequency
 
 TURN = 2.0 * math.pi
 PHASES = (0.0, 1.57, 3.14, 4.71)
@@ -53,5 +53,8 @@ EFFECT = Effect(
     docstring=__doc__,
     why="no reference predicts its phase; isolate the bench or stop the machine",
     separate_by="a record at rest with the amplifier off: the line stays",
+    place=at_its_frequency,
+    found_by="test",
+    repeats=False,
     checks=Checks(values={"breathing_depth": 0.5}, constant="varies"),
 )

@@ -62,5 +62,6 @@ EFFECT = Effect(
     handling="compensated",
     docstring=__doc__,
     separate_by="two slow triangles with tops below and above the limit, with the amplifier's monitor output recorded",
+    place=lambda values, record: ("voltage_V", values["limit_V"], record.highest_V),
     checks=Checks(values={"limit_V": 70.0, "knee_V": 5.0}, constant="shifted"),
 )

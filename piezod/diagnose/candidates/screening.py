@@ -20,7 +20,7 @@ SHIFTED = 0.5  # of the squares: what a shift must bring for a recording to be s
 SEEN = 1e-6  # of a change's square: what is fitted already must leave so much of it,
 APART = 1e-4  # and another one beside it
 TOGETHER = 1.1  # times the best gain alone, that two must promise
-DIRECT = ("sensor_dropout", "quantisation", "load_step", "vibration", "mains_hum")  # found by tests of their own
+DIRECT = tuple(name for name, effect in EFFECTS.items() if effect.found_by == "test")
 
 
 @dataclass(frozen=True)

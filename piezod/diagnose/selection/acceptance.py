@@ -9,6 +9,8 @@ from numpy.typing import NDArray
 from piezod.diagnose.candidates.steps import Step, sharp, shown_late_s
 from piezod.diagnose.hypothesis.chain import Chain
 from piezod.diagnose.hypothesis.fit import Fitted
+from piezod.diagnose.hypothesis.record import record_of
+from piezod.effects import EFFECTS
 
 Array = NDArray[np.float64]
 
@@ -16,29 +18,14 @@ WORTH, STEADILY = 0.22, 5.0
 """An effect must gain WORTH exp(-steadiness / STEADILY) of the loss that it leaves. Both were chosen by 921 decisions
 in 422 replay files of four families, the same with each family left out (`python -m tests.studies rules`)."""
 
-LOOSE = (
-    "friction",
-    "rate_dependent_hysteresis",
-    "noncongruent_minor_loops",
-    "gain_drift",
-    "creep",
-    "output_nonlinearity",
-)
-"""Effects that bend to nearly whatever is left: they must gain steadily, however much they gain."""
-
 STEADY = 3.0  # on the same files it loses no hidden effect, and keeps out five of 25 false ones in foreign cases
 BETTER = 0.98  # of the loss: below it a hypothesis is preferred to another one
 ALONE = 10.0  # times the loss within the fit: 99.9 % of all blocks stay below it
 MOST_OF_A_BLOCK = 3.0  # times the median gain
-LATE = 0.05  # of a sample
-RINGS = 0.6  # damping ratio beyond which nothing is seen to ring
-SLIDES = 0.16  # of the force's range: friction with a longer presliding hardly slides, the stack remembers
 BEGIN = 0.02  # of a recording: a step within it is what an unknown start leaves
-NO_LONGER = 0.99  # of the range
 PLAINER = 0.01  # of the loss, that a parameter must bring,
 MOST_COUNTED = 8  # if not so many count already: of many that are stiff few are used
-GENERAL = ("noncongruent_minor_loops",)  # bend to nearly whatever is a hysteresis: friction, a law of the output
-MORE, LEAVES = 0.1, 0.5  # of its gain, though no more of its loss, that it must be better than one with a shape
+MORE, LEAVES = 0.1, 0.5  # of its gain, though no more of its loss, that a general effect must be better than another
 
 
 def worth(before: Fitted, after: Fitted) -> bool:
@@ -49,7 +36,7 @@ def worth(before: Fitted, after: Fitted) -> bool:
 
 def steady_enough(before: Fitted, after: Fitted) -> bool:
     """Whether the last effect has a shape of its own, or gains in so many blocks that it is no chance."""
-    return after.effects[-1] not in LOOSE or steadiness(*comparable(before, after)) > STEADY
+    return not after.terms[-1].effect.bends or steadiness(*comparable(before, after)) > STEADY
 
 
 def comparable(before: Fitted, after: Fitted) -> tuple[Fitted, Fitted]:
@@ -79,7 +66,7 @@ def weighed(fitted: Fitted) -> float:
 
 def counted(name: str, without_it: float, with_it: float) -> float:
     """The loss that an effect is compared with others by in its place: less of what a general one gains counts."""
-    if name not in GENERAL:
+    if not EFFECTS[name].general:
         return with_it
     return with_it + min(MORE * max(without_it - with_it, 0.0), LEAVES * with_it)
 
@@ -102,26 +89,12 @@ def steadiness(before: Fitted, after: Fitted) -> float:
 def degenerate(chain: Chain, fitted: Fitted) -> bool:
     """Whether the last effect is not what its name says.
 
-    A leak as slow as the catalogue knows is a drift. Friction that hardly slides is a memory of the stack. A resonance
-    that does not ring is a lag. A step without edges is a drift, and one at the begin is what an unknown start leaves.
-    A delay of next to nothing of a sample is the moment of reading.
+    A step without edges is a drift, and one at the begin is what an unknown start leaves.
     """
     term, values = fitted.terms[-1], fitted.point.values[-1]
-    if term.effect.name == "friction":
-        return values["presliding_N"] > SLIDES * chain.parameter(term.effect, "presliding_N").high
-    if term.effect.name == "resonance":
-        return values["damping_ratio"] > RINGS
-    if term.effect.name == "charge_leakage":
-        return values["time_constant_s"] > NO_LONGER * chain.parameter(term.effect, "time_constant_s").high
-    late_s = {
-        "electrical_lag": values.get("time_constant_s", 0.0),
-        "transport_delay": values.get("delay_s", 0.0),
-        "sensor_filter": 1.0 / (2.0 * np.pi * values.get("cutoff_Hz", np.inf)),
-        "clock_skew": 1e-6 * abs(values.get("skew_ppm", 0.0)) * max(one.duration_s for one in chain.series),
-    }.get(term.effect.name)
-    if late_s is not None:
-        return late_s < LATE * min(one.dt_s for one in chain.series)
-    return term.effect.name == "load_step" and not _is_a_step(chain, fitted)
+    if not term.effect.plausible(values, record_of(term, chain)):
+        return True
+    return any(one.instant for one in term.effect.parameters) and not _is_a_step(chain, fitted)
 
 
 def _is_a_step(chain: Chain, fitted: Fitted) -> bool:

@@ -16,7 +16,6 @@ from piezod.diagnose.hypothesis.series import Series
 from piezod.diagnose.hypothesis.stack_change import NAMES, with_stack_changed
 from piezod.diagnose.selection.acceptance import (
     BETTER,
-    GENERAL,
     counted,
     degenerate,
     steady_enough,
@@ -29,6 +28,7 @@ from piezod.diagnose.selection.replay import Attempt
 from piezod.diagnose.selection.search_state import Beside, Round, Search
 from piezod.diagnose.selection.tone_search import dominates, heard, listen, listen_again
 from piezod.diagnose.selection.trials import on_each_course, two_at_once, with_a_step
+from piezod.effects import EFFECTS
 
 Array = NDArray[np.float64]
 OnProgress = Callable[[str, float], None]
@@ -349,7 +349,7 @@ def _past(chain: Chain, start: Point, given: tuple[Term, ...]) -> Point:
 
 def swap(result: Search) -> None:
     """Put a rival in an effect's place where the whole fits better with it, beside all that was found since."""
-    if len(result.found.effects) == 1 and result.found.effects[0] not in GENERAL:
+    if len(result.found.effects) == 1 and not EFFECTS[result.found.effects[0]].general:
         return
     for name in [one for one in result.found.effects if one not in result.given]:
         rivals = _rivals(result, name)

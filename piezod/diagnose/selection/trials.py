@@ -13,7 +13,6 @@ from piezod.diagnose.hypothesis.chain import Chain, Point, Scope, Term
 from piezod.diagnose.hypothesis.fit import MOST_STEPS, Fitted, Normal, fit
 from piezod.diagnose.hypothesis.parallel import each
 from piezod.diagnose.hypothesis.sampling import coarse, started_alike
-from piezod.diagnose.selection.acceptance import LOOSE
 from piezod.effects import EFFECTS
 from piezod.recording.hold import STRAIGHT
 
@@ -89,8 +88,9 @@ def two_at_once(chain: Chain, found: Fitted) -> list[Fitted]:
 
 
 def _has_a_shape(idea: Idea) -> bool:
-    """Whether an effect bends to few things; a gap, with its softness, bends to whatever is left at low force."""
-    return idea.term.effect.name not in (*LOOSE, "contact_gap")
+    """Whether an effect bends to few things; one that is soft bends to whatever is left at low force."""
+    effect = idea.term.effect
+    return not effect.bends and not effect.soft
 
 
 def _coupled_late(chain: Chain, found: Fitted) -> list[Fitted]:
