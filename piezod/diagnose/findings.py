@@ -53,12 +53,23 @@ class Place:
 
 @dataclass(frozen=True)
 class Value:
-    """A parameter with its interval (95 %)."""
+    """A parameter with its interval (95 %).
+
+    Parameters
+    ----------
+    value, unit
+        As it was fitted, and its unit.
+    low, high
+        Ends of the interval [unit].
+    in_fit
+        Ends of what the fit alone leaves open, without what the form of the model is off by; None: the same.
+    """
 
     value: float
     unit: str
     low: float
     high: float
+    in_fit: tuple[float, float] | None = None
 
     def as_dict(self) -> dict[str, Any]:
         """For JSON."""

@@ -48,9 +48,10 @@ def not_determined(findings: Findings) -> list[str]:
 def _is_determined(finding: Finding) -> bool:
     size = EFFECTS[finding.name].size
     value = finding.parameters[size.name]
-    ends = sorted((abs(value.low), abs(value.high)))
+    low, high = value.in_fit or (value.low, value.high)
+    ends = sorted((abs(low), abs(high)))
     is_within = bool(size.search.choices) or size.low < value.value < size.high
-    return value.low * value.high > 0.0 and ends[1] <= DECADE * ends[0] and is_within
+    return low * high > 0.0 and ends[1] <= DECADE * ends[0] and is_within
 
 
 def experiments_for(findings: Findings, names: Sequence[str], wording: Wording) -> list[str]:
