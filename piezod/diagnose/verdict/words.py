@@ -142,11 +142,16 @@ def place_words(place: Place, wording: Wording = VOLTS) -> str:
     return f"{name} {_between(place.low, place.high)} {unit}{within}"
 
 
+def hedged(finding: Finding) -> str:
+    """Title of an effect, behind "perhaps" where it is not believed."""
+    return finding.title if finding.confidence >= PROBABLE else f"perhaps {finding.title}"
+
+
 def effect_words(finding: Finding, wording: Wording = VOLTS) -> str:
     """An effect with its first parameter and where it is seen: a part of the verdict's sentence."""
     if finding.status != "new":
         return change_words(finding, wording)
-    said = finding.title if finding.confidence >= PROBABLE else f"perhaps {finding.title}"
+    said = hedged(finding)
     for name, value in list(finding.parameters.items())[:1]:
         middle, interval = (one.replace(NO_BREAK, " ") for one in value_words(value, name, finding.name, wording))
         label = label_of(name, value.unit)
@@ -157,7 +162,7 @@ def effect_words(finding: Finding, wording: Wording = VOLTS) -> str:
 
 def change_words(finding: Finding, wording: Wording = VOLTS) -> str:
     """What has become of an effect of the given model: a part of the verdict's sentence."""
-    title = finding.title if finding.confidence >= PROBABLE else f"perhaps {finding.title}"
+    title = hedged(finding)
     name, value = next(iter(finding.parameters.items()))
     was = finding.was.get(name, value)
     before, now = (_number(one, name, finding.name, wording) for one in (was, value))

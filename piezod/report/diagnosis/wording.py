@@ -4,9 +4,11 @@ from collections.abc import Sequence
 
 from piezod.diagnose.findings import Finding, Findings, Place, Unnamed
 from piezod.diagnose.verdict.words import (
+    PROBABLE,
     Wording,
     base_words,
     change_words,
+    hedged,
     kept_words,
     law_words,
     listed,
@@ -42,7 +44,7 @@ FLOORS = {
     "unknown": "an upper bound: the part that no flexible model explains",
 }
 NEAR = 0.15  # rivals whose predictions differ by less are hardly distinguishable [rms of the noise]
-HIGH, MEDIUM = 0.9, 0.7  # lowest confidence of each level
+HIGH, MEDIUM = 0.9, PROBABLE  # lowest confidence of each level
 
 
 def headline(findings: Findings) -> str:
@@ -115,17 +117,6 @@ def confidence_level(confidence: float) -> str:
     if confidence >= HIGH:
         return "high"
     return "medium" if confidence >= MEDIUM else "low"
-
-
-def hedged(finding: Finding) -> str:
-    """Title of an effect, after "possibly" if its confidence is low.
-
-    Parameters
-    ----------
-    finding
-        Finding of the effect.
-    """
-    return finding.title if finding.confidence >= MEDIUM else f"possibly {finding.title}"
 
 
 def since_given(finding: Finding, wording: Wording) -> str:

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from piezod.diagnose.findings import HeldOut
+from piezod.diagnose.verdict.words import effect_words
 from piezod.report.diagnosis.page import write_diagnosis_page
 from tests.unit.report.example_diagnosis import DELAY, REFITTED, STEP, diagnosis, series
 
@@ -168,9 +169,12 @@ def test_names_of_recordings_are_escaped(tmp_path):
     assert "<b>.csv" not in page
 
 
-def test_an_effect_of_low_confidence_is_only_possible_in_the_title(tmp_path):
-    screen = first_screen(written(tmp_path, effects=(replace(DELAY, confidence=0.45), STEP)))
-    assert "Missing in the model: possibly transport delay and step of the load" in screen
+@pytest.mark.parametrize(("confidence", "title"), [(0.45, "perhaps transport delay"), (0.65, "transport delay")])
+def test_the_title_doubts_an_effect_where_the_words_do(tmp_path, confidence, title):
+    doubted = replace(DELAY, confidence=confidence)
+    screen = first_screen(written(tmp_path, effects=(doubted, STEP)))
+    assert f"Missing in the model: {title} and step of the load" in screen
+    assert effect_words(doubted).startswith(title)
 
 
 def test_held_out_recordings_and_effects_that_were_not_tested_are_listed(tmp_path):
