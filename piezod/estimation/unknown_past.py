@@ -37,7 +37,8 @@ class UnknownPast:
     until
         Sample from which all columns stay as they are.
     known
-        Where a fit of the columns leaves little of any past, and other samples tell the same size, shape (N,).
+        Where a fit of the columns leaves little of any past, and other samples tell the same size, shape (N,). From
+        `until` on everywhere.
     """
 
     columns: Array
@@ -89,7 +90,9 @@ def unknown_past(
         if float(np.sqrt(np.mean(np.repeat(left, lasts)[: until + 1] ** 2))) < within:
             break
     bins = np.floor(swept / (EQUAL * max(swept[-1], 1e-12))).astype(int)
-    return UnknownPast(columns, until, (np.repeat(left, lasts) < within) & (np.bincount(bins)[bins] >= least))
+    known = (np.repeat(left, lasts) < within) & (np.bincount(bins)[bins] >= least)
+    known[until:] = True
+    return UnknownPast(columns, until, known)
 
 
 def _fitted(values: Array, columns: Array, times: NDArray[np.int64]) -> Array:

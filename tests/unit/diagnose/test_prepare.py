@@ -97,6 +97,20 @@ def test_what_came_before_a_start_amid_the_range_lies_in_its_columns(model, hist
     assert not np.ptp(series.start_columns[first:], axis=0).any()
 
 
+def test_without_noise_the_later_cycles_judge(model):
+    """What pieces leave of a past is never below no noise; where the range has stopped to grow it does not matter."""
+    time_s = np.arange(6000) / RATE_Hz
+    source = a_recording(time_s, model)
+    u = source.recording.channels[model.input.channel]
+    u[:] = 50.0 + 40.0 * (1.0 + 2e-4 * time_s) * np.sin(2.0 * time_s)  # it never stops to grow by a little
+    source.recording.channels[model.output.channel][:] = driven(model, (140.0, 0.0), u)
+    series, said = with_unknown_start(started(even(source, model)[0], model), model)
+    assert "drive the whole range" not in " ".join(said)
+    judged = [series.judges(block) for block in series.blocks]
+    assert judged[-1]
+    assert sum(judged) > len(judged) // 2
+
+
 def driven(model, history_V, u):
     operator = model.hysteresis.operator()
     operator.run(np.array(history_V))
