@@ -68,9 +68,7 @@ def unknown_past(
         Samples with the same swept range that make the size of a column known, 1 or more.
     """
     swept = np.maximum.accumulate(u) - np.minimum.accumulate(u)
-    grows = np.concatenate(
-        ([0], np.flatnonzero(np.diff(swept) > 0.0) + 1)
-    )  # between these no past changes what it adds
+    grows = np.concatenate(([0], np.flatnonzero(np.diff(swept) > 0.0) + 1))  # what a past adds changes there alone
     lasts = np.diff(np.append(grows, u.size))
     low, high = min(ends[0], float(u.min())), max(ends[1], float(u.max()))
     courses = np.array([_stroke(operator(), low + (high - low) * past, u[grows]) for past in _pasts()])
