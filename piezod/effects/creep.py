@@ -104,5 +104,5 @@ EFFECT = Effect(
     docstring=__doc__,
     separate_by="a staircase with holds of three decades of time, up and down",
     place=lambda values, record: ("history_s", values["from_s"], record.longest_s),
-    bends=True,
+    flexible=True,
 )

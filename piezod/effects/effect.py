@@ -307,7 +307,7 @@ class Effect:
         Function from values and `Record` to where the effect acts; None: everywhere.
     plausible
         Function from values and `Record` to whether fitted values are what the name of the effect says.
-    bends
+    flexible
         Whether it bends to nearly whatever is left, so that it must gain in many blocks of time.
     soft
         Whether it bends to whatever is left at low force.
@@ -339,7 +339,7 @@ class Effect:
     separate_by: str = ""
     place: Callable[[Values, Record], Where | None] = everywhere
     plausible: Callable[[Values, Record], bool] = always
-    bends: bool = False
+    flexible: bool = False
     soft: bool = False
     general: bool = False
     found_by: Literal["search", "test"] = "search"

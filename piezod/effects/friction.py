@@ -54,5 +54,5 @@ EFFECT = Effect(
     ),
     separate_by="loop width against amplitude on logarithmic axes (friction 0 to 1, plays 2), and another preload",
     plausible=lambda values, record: values["presliding_N"] <= SLIDES * record.highest["presliding_N"],
-    bends=True,
+    flexible=True,
 )

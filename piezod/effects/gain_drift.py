@@ -75,6 +75,6 @@ EFFECT = Effect(
     docstring=__doc__,
     separate_by="the same reset cycle at the beginning and at the end, at one temperature",
     place=all_the_time,
-    bends=True,
+    flexible=True,
     checks=Checks(constant="varies"),
 )

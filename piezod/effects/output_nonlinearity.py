@@ -91,6 +91,6 @@ EFFECT = Effect(
     handling="compensated",
     docstring=__doc__,
     separate_by="slow triangles about several biases, and again with another preload",
-    bends=True,
+    flexible=True,
     checks=Checks(constant="shifted"),
 )

@@ -125,6 +125,6 @@ EFFECT = Effect(
     handling="compensated",
     docstring=__doc__,
     separate_by="triangles of one amplitude over three decades of frequency, with a hold behind each corner",
-    bends=True,
+    flexible=True,
     checks=Checks(values={"growth": 0.1, "rate_way_V": 8.0}),
 )

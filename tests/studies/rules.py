@@ -88,7 +88,7 @@ class Decision:
     def error(self, rule: Rule) -> str:
         """What a rule does wrong here; empty: nothing."""
         worth = [one for one in self.candidates if one.gain > least_gain(one.steadiness, *rule)]
-        taken = [one for one in worth if not EFFECTS[one.name].bends or one.steadiness > STEADY]
+        taken = [one for one in worth if not EFFECTS[one.name].flexible or one.steadiness > STEADY]
         if taken:
             right = min(taken, key=lambda one: one.weighed).name in self.left
             kinds = {"null": "false in a null", "foreign": "false in a foreign case"}

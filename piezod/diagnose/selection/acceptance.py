@@ -36,7 +36,7 @@ def worth(before: Fitted, after: Fitted) -> bool:
 
 def steady_enough(before: Fitted, after: Fitted) -> bool:
     """Whether the last effect has a shape of its own, or gains in so many blocks that it is no chance."""
-    return not after.terms[-1].effect.bends or steadiness(*comparable(before, after)) > STEADY
+    return not after.terms[-1].effect.flexible or steadiness(*comparable(before, after)) > STEADY
 
 
 def comparable(before: Fitted, after: Fitted) -> tuple[Fitted, Fitted]:

@@ -90,7 +90,7 @@ def two_at_once(chain: Chain, found: Fitted) -> list[Fitted]:
 def _has_a_shape(idea: Idea) -> bool:
     """Whether an effect bends to few things; one that is soft bends to whatever is left at low force."""
     effect = idea.term.effect
-    return not effect.bends and not effect.soft
+    return not effect.flexible and not effect.soft
 
 
 def _coupled_late(chain: Chain, found: Fitted) -> list[Fitted]:
