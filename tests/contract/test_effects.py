@@ -126,6 +126,40 @@ def test_every_effect_has_a_file_of_its_own_that_imports_no_other():
         }
 
 
+NAMING = {
+    "commissioning/demo_hidden_effects.py",
+    "diagnose/candidates/screening.py",
+    "diagnose/candidates/tones.py",
+    "diagnose/selection/given_effects.py",
+    "diagnose/selection/search.py",
+    "diagnose/selection/stated_hold.py",
+    "diagnose/selection/tone_search.py",
+    "diagnose/selection/trials.py",
+    "diagnose/verdict/evidence.py",
+    "model/chain_array.py",
+    "model/compensated.py",
+    "model/expected.py",
+    "model/extended_compensator.py",
+    "model/load_cell.py",
+}
+"""Modules that still name an effect: those of the compensator's steps, and of tests that find an effect by itself."""
+
+
+def test_no_further_module_names_an_effect():
+    package = Path(piezod.__file__).parent
+    names = {
+        path.relative_to(package).as_posix()
+        for path in package.rglob("*.py")
+        if path.parent.name != "effects" and _names_an_effect(path)
+    }
+    assert names == NAMING
+
+
+def _names_an_effect(path):
+    tree = ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+    return any(isinstance(node, ast.Constant) and node.value in tuple(EFFECTS) for node in tree)
+
+
 def test_a_compiled_step_of_another_file_is_the_play_step_and_its_caller_removes_an_outdated_cache():
     for path in sources():
         module = import_module(f"piezod.effects.{path.stem}")
