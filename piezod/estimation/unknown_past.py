@@ -51,8 +51,8 @@ def unknown_past(
 ) -> UnknownPast | None:
     """Columns for the past of a recording that begins amid the range; None where no past matters, but for a shift.
 
-    Where the past matters for longer than the range grows, plays that never move shift the stroke for good: a last
-    column is 1 from there on.
+    Plays that never move shift the stroke for good: a last column is 1 from there on. Behind a curved force law such a
+    shift is no tare.
 
     Parameters
     ----------
@@ -72,6 +72,7 @@ def unknown_past(
     lasts = np.diff(np.append(grows, u.size))
     low, high = min(ends[0], float(u.min())), max(ends[1], float(u.max()))
     courses = np.array([_stroke(operator(), low + (high - low) * past, u[grows]) for past in _pasts()])
+    stays = float(np.ptp(courses[:, -1])) > within
     courses -= courses[:, -1:]
     unknown = np.flatnonzero(np.ptp(courses, axis=0) > within)
     if not unknown.size:
@@ -82,7 +83,7 @@ def unknown_past(
     different = (courses - courses.mean(axis=0)).T
     for pieces in (PIECES, MOST_PIECES):
         knots = _knots(u[: until + 1], swept[: until + 1], pieces)
-        hats = np.eye(knots.size) if forgotten > grown else np.eye(knots.size)[:-1]
+        hats = np.eye(knots.size) if stays else np.eye(knots.size)[:-1]
         columns = np.array([np.interp(np.minimum(swept, knots[-1]), knots, hat) for hat in hats]).reshape(-1, u.size).T
         left = np.abs(different - _fitted(different, columns[grows], lasts)).max(axis=1)
         if float(np.sqrt(np.mean(np.repeat(left, lasts)[: until + 1] ** 2))) < within:

@@ -261,12 +261,15 @@ def _breathing(series: Series, swell_N: Array) -> dict[str, float]:
     time_s, swell_N = series.time_s[series.counts], swell_N[series.counts]
     few = slice(None, None, max(int(0.1 * FOLLOWED_S / series.dt_s), 1))
     time_s, swell_N = time_s[few], swell_N[few]
+    power = float(np.var(swell_N))
+    if power == 0.0:
+        return {}
     best: tuple[float, dict[str, float]] = (1.0 - BREATHED, {})
     for period_s in np.geomspace(FOLLOWED_S, LONGEST_BREATH * series.duration_s, BREATHS):
         turn = 2.0 * np.pi * time_s / period_s
         columns = np.column_stack((np.ones(turn.size), np.sin(turn), np.cos(turn)))
         mean_N, sine, cosine = np.linalg.lstsq(columns, swell_N, rcond=None)[0]
-        left = float(np.var(swell_N - columns @ (mean_N, sine, cosine)) / np.var(swell_N))
+        left = float(np.var(swell_N - columns @ (mean_N, sine, cosine))) / power
         depth = float(np.hypot(sine, cosine) / mean_N)
         if left < best[0] and 0.0 < depth < DEEPEST:
             best = (

@@ -117,7 +117,10 @@ def value_words(value: Value, name: str, effect: str, wording: Wording = VOLTS) 
         return f"{rounded(middle)}{unit}", "not determined by these recordings"
     decimals = max(1 - math.floor(math.log10(high - low)), 0)
     if high - low > WIDE * abs(middle) or decimals > 6:
-        return f"{rounded(middle)}{unit}", f"{rounded(low)} to {rounded(high)}"
+        ends = rounded(low), rounded(high)
+        if ends[0] == ends[1]:
+            return f"{rounded(middle, 4)}{unit}", ""
+        return f"{rounded(middle)}{unit}", " to ".join(ends)
     return f"{middle:.{decimals}f}{unit}", f"{low:.{decimals}f} to {high:.{decimals}f}"
 
 

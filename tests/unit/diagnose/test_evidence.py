@@ -40,6 +40,6 @@ def test_an_interval_holds_what_the_form_of_the_model_is_off_by(effect, name, va
     one = EFFECTS[effect].parameter(name)
     in_fit = max(value - half, one.low), min(value + half, one.high)
     low, high = _with_the_form(one, value, in_fit)
-    assert (low, high) == pytest.approx(expected, rel=0.01, abs=2e-3)
+    assert (low, high) == pytest.approx(expected, rel=1e-3)
     assert one.low <= low <= in_fit[0]
     assert in_fit[1] <= high <= one.high

@@ -109,6 +109,18 @@ def test_a_share_is_said_in_per_cent():
 
 
 @pytest.mark.parametrize(
+    ("size", "half", "said"),
+    [
+        (28.145109, 3e-6, ("28.15\N{NO-BREAK SPACE}Hz", "")),
+        (2.5e-7, 1e-8, ("2.50e-07\N{NO-BREAK SPACE}Hz", "2.40e-07 to 2.60e-07")),
+    ],
+)
+def test_an_interval_whose_ends_are_said_alike_is_not_said(size, half, said):
+    told = words.value_words(Value(size, "Hz", size - half, size + half), "frequency_Hz", "vibration", WORDING)
+    assert told == said
+
+
+@pytest.mark.parametrize(
     ("titles", "said"), [([], ""), (["a"], "a"), (["a", "b"], "a and b"), (list("abc"), "a, b and c")]
 )
 def test_things_are_listed(titles, said):
