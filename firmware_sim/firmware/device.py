@@ -12,7 +12,8 @@ Register map (big-endian words; of float32 and int32 the most significant word c
 In real time, every request and a background task advance the physics to the present, in whole steps.
 
 In virtual time, every write of the set point advances the physics by one tick, under the set point before it. A second
-reading without a command in between also advances it by one tick. A client that only reads therefore sees time pass.
+reading without a command in between also advances it by one tick. A client that only reads therefore sees time pass. A
+read of the command echo alone is no reading: a client may check it at the end of a tick.
 """
 
 import math
@@ -90,11 +91,12 @@ class Device:
         self.bench.advance_steps(behind)
         self._done_steps += behind
 
-    def sample(self) -> Sample:
+    def sample(self, *, measures: bool = True) -> Sample:
         """Return the present sample; in virtual time, a repeated reading first advances by one tick."""
-        if self.virtual and self._was_read:
-            self._pass_tick()
-        self._was_read = True
+        if measures:
+            if self.virtual and self._was_read:
+                self._pass_tick()
+            self._was_read = True
         self.catch_up()
         return self.bench.sample()
 
@@ -128,7 +130,7 @@ class Device:
         """
         _require(address, count, _READABLE)
         if address + count > 200:
-            self._refresh()
+            self._refresh(measures=(address, count) != (205, 1))
         return self._words[address : address + count]
 
     def write(self, address: int, values: Sequence[int]) -> None:
@@ -187,8 +189,8 @@ class Device:
         firmware = self._firmware
         self.bench.set_watchdog(1e-3 * timeout_ms, safe_V=firmware.safe_V, ramp_V_per_s=firmware.watchdog_ramp_V_per_s)
 
-    def _refresh(self) -> None:
-        sample = self.sample()
+    def _refresh(self, *, measures: bool) -> None:
+        sample = self.sample(measures=measures)
         measured = struct.pack(
             ">ffHHHf",
             sample.force_N,

@@ -192,6 +192,14 @@ def test_virtual_time_passes_a_tick_a_reading_for_who_only_watches():
     assert heartbeats == [8, 12, 16]
 
 
+def test_a_check_of_the_echo_takes_no_virtual_time():
+    checked, unchecked = virtual_device(), virtual_device()
+    for sequence in range(1, 6):
+        readings = exchange(checked, 10.0 * sequence, sequence), exchange(unchecked, 10.0 * sequence, sequence)
+        assert checked.read(205, 1) == [sequence]
+        assert readings[0] == readings[1]
+
+
 def test_the_virtual_tick_can_be_set_and_its_range_is_guarded():
     device = virtual_device()
     device.write(112, words(">i", 250))
