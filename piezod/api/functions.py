@@ -45,7 +45,7 @@ def read_recording(
     Raises
     ------
     RecordingError
-        It cannot be read, or a question is open that one of the parameters settles; the message names it.
+        The file cannot be read, or needs a parameter, which the message names.
     """
     return recording_from(Path(path), TextOptions.of(columns, rate_Hz, decimal))
 
@@ -67,7 +67,7 @@ def identify(
     recordings
         One or several: paths, `Recording` objects or pandas frames.
     input, output
-        Names of their channels; None: voltage and force in any unit, else what the names tell.
+        Names of their channels; None: voltage and force in any unit, else guessed from the names.
     plays, dead_zones
         Numbers of operators, 1 to 100 and 0 to 30; None: the fewest that fit to the noise.
     name
@@ -90,37 +90,35 @@ def identify(
 def identified(
     some: Sequence[Given], options: Options, notes: Sequence[str], on_step: OnStep, text: TextOptions | None = None
 ) -> Identified:
-    """Read recordings, make them fit for use, and identify a model: what `identify` and the command share.
+    """Read recordings, make them fit for use, and identify a model; both `identify` and the command call it.
 
     Parameters
     ----------
     some
         Paths, `Recording` objects or pandas frames. A file is read in pieces.
-    options
-        Columns, orders and others.
     notes
-        What is known so far.
+        Lines that stand before the other notes.
     on_step
         As for `identify`.
     text
-        What the user says about text files; None: everything is found from the files.
+        Layout of text files as the user states it; None: inferred from the files.
 
     Raises
     ------
     RecordingError
         A recording cannot be used.
     """
-    loaded = [loaded_of(one, options.input, options.output, on_step, text) for one in some]
-    prepared = [one.recording for one in loaded]
+    loaded = [loaded_of(given, options.input, options.output, on_step, text) for given in some]
+    recordings = [part.recording for part in loaded]
     identification = identification_of(
-        prepared,
+        recordings,
         options,
         f"piezod {__version__}",
-        sources=[one.source for one in loaded],
-        notes=[*notes, *(note for one in loaded for note in one.notes)],
+        sources=[part.source for part in loaded],
+        notes=[*notes, *(note for part in loaded for note in part.notes)],
         on_step=on_step,
     )
-    return Identified(identification, tuple(prepared))
+    return Identified(identification, tuple(recordings))
 
 
 def simulate(recording: Given, model: Model | str | os.PathLike[str], *, start_window_s: float = 1.0) -> Recording:
@@ -129,7 +127,7 @@ def simulate(recording: Given, model: Model | str | os.PathLike[str], *, start_w
     Parameters
     ----------
     recording
-        A path, a `Recording` or a pandas frame. An output that it holds is looked at in its first seconds only.
+        A path, a `Recording` or a pandas frame. Its measured output serves only to estimate the start.
     model
         A model, or the path of its file.
     start_window_s
@@ -163,12 +161,12 @@ def diagnose(
     Parameters
     ----------
     recordings
-        What to explain, one or several: paths, `Recording` objects or pandas frames.
+        One or several recordings to explain: paths, `Recording` objects or pandas frames.
     model
-        A model or the path of its file; or the result of `identify`, whose recordings are then compared too, wherever
-        they came from.
+        A model or the path of its file, or a result of `identify`. The recordings of the identification are compared
+        too; with a result of `identify` they need no file.
     where
-        `COLUMN=VALUE` at which the readings count; None: everywhere.
+        Condition `COLUMN=VALUE` for the readings that count; None: all count.
     on_step
         Called with the current step in words, and the share done.
 
@@ -181,22 +179,23 @@ def diagnose(
     """
     plant = model.model if isinstance(model, Identified) else _model(model)
     columns = plant.input.channel, plant.output.channel
-    asked = []
-    for one in each_of(recordings):
-        recording, sha256 = recording_of(one)
+    sources = []
+    for given in each_of(recordings):
+        recording, sha256 = recording_of(given)
         converted, notes = in_units_of(recording, columns)
-        asked.append(Source(converted, sha256, "recording", where, tuple(notes)))
-    if len({one.sha256 for one in asked}) < len(asked):
+        sources.append(Source(converted, sha256, "recording", where, tuple(notes)))
+    hashes = {source.sha256 for source in sources}
+    if len(hashes) < len(sources):
         raise UsageError("a recording is given twice, must be different ones")
     if isinstance(model, Identified):
         known = zip(model.recordings, plant.provenance.recordings, strict=True)
-        past = [Source(recording, source.sha256, "identification") for recording, source in known]
-        past, notes = [one for one in past if one.sha256 not in {other.sha256 for other in asked}], []
+        past = [Source(r, entry.sha256, "identification") for r, entry in known if entry.sha256 not in hashes]
+        notes = []
     else:
         folder = Path() if isinstance(model, Model) else Path(model).parent
-        past, notes = past_sources(plant, folder, asked)
-    notes = [*(note for one in asked for note in one.notes), *notes]
-    return Diagnosed(diagnosis_of(plant, asked, past, notes, on_step))
+        past, notes = past_sources(plant, folder, sources)
+    notes = [*(note for source in sources for note in source.notes), *notes]
+    return Diagnosed(diagnosis_of(plant, sources, past, notes, on_step))
 
 
 def _model(model: Model | str | os.PathLike[str]) -> Model:

@@ -1,4 +1,4 @@
-"""What a caller may give for a recording: a file, a `Recording`, or a pandas frame."""
+"""Recordings as arguments: the path of a file, a `Recording`, or a pandas frame."""
 
 import hashlib
 import os
@@ -18,16 +18,16 @@ Given = str | os.PathLike[str] | Recording | Any
 """A path, a `Recording`, or a pandas frame as `Recording.from_frame` takes it."""
 
 Some = Given | Sequence[Given]
-"""One or several of them."""
+"""A recording, or a sequence of recordings."""
 
 
 def each_of(given: Some) -> list[Given]:
-    """One or several recordings as a list.
+    """Recordings as a list.
 
     Raises
     ------
     UsageError
-        There is none.
+        The list is empty.
     """
     some = list(given) if isinstance(given, list | tuple) else [given]
     if not some:
@@ -36,62 +36,38 @@ def each_of(given: Some) -> list[Given]:
 
 
 def source_of(given: Given) -> str:
-    """Where a recording comes from, for messages."""
+    """Path or name of a recording, for messages."""
     return os.fspath(given) if isinstance(given, str | os.PathLike) else getattr(given, "source", "frame")
 
 
 def names_of(given: Given) -> list[str]:
-    """Names of the channels of a recording.
-
-    Raises
-    ------
-    RecordingError, UsageError
-        As `recording_of`.
-    """
+    """Names of the channels of a recording; errors as for `recording_of`."""
     if isinstance(given, str | os.PathLike):
         return list(column_names(Path(given)))
-    return list(_own(given).channels)
+    return list(_recording(given).channels)
 
 
 def recording_of(given: Given) -> tuple[Recording, str]:
     """A recording, and the hash of its file or of its samples.
-
-    Parameters
-    ----------
-    given
-        A path, a `Recording`, or a pandas frame.
 
     Raises
     ------
     RecordingError
         The file cannot be read.
     UsageError
-        It is none of these.
+        The argument is neither a path, nor a `Recording`, nor a pandas frame.
     """
     if isinstance(given, str | os.PathLike):
         return read_recording(Path(given)), file_sha256(Path(given))
-    recording = _own(given)
-    own = {name: values.copy() for name, values in recording.channels.items()}  # what is frozen or clipped is masked
-    return Recording(recording.time_s, own, recording.metadata, recording.source), _samples_sha256(recording)
+    recording = _recording(given)
+    copies = {name: values.copy() for name, values in recording.channels.items()}  # frozen samples are masked later
+    return Recording(recording.time_s, copies, recording.metadata, recording.source), _samples_sha256(recording)
 
 
 def loaded_of(
     given: Given, input_column: str, output_column: str, on_step: OnStep, text: TextOptions | None
 ) -> LoadedRecording:
-    """A recording that is fit for identification.
-
-    Parameters
-    ----------
-    given
-        A path, a `Recording`, or a pandas frame.
-    input_column, output_column, on_step, text
-        As for `piezod.identify.intake.load_recordings`.
-
-    Raises
-    ------
-    RecordingError, UsageError
-        As `recording_of`, or it is of no use.
-    """
+    """A recording made fit for identification; parameters and errors as for `intake.load_recordings`."""
     if isinstance(given, str | os.PathLike):
         return load_recordings([Path(given)], input_column, output_column, on_step, text)[0]
     recording, sha256 = recording_of(given)
@@ -99,7 +75,7 @@ def loaded_of(
     return usable(converted, input_column, output_column, sha256, notes)
 
 
-def _own(given: Given) -> Recording:
+def _recording(given: Given) -> Recording:
     if hasattr(given, "columns") and hasattr(given, "to_numpy"):
         given = Recording.from_frame(given)
     if not isinstance(given, Recording):

@@ -21,7 +21,7 @@ class Model(room.Model):
 
     @classmethod
     def of(cls, model: room.Model) -> Self:
-        """The same model with these methods."""
+        """Convert a model of the room `model`."""
         return cls.model_construct(
             model.model_fields_set, **{name: getattr(model, name) for name in type(model).model_fields}
         )
@@ -50,20 +50,7 @@ class Model(room.Model):
         room.save_model(self, Path(path))
 
     def inverse(self, rate_Hz: float = 1000.0) -> "Inverse":
-        """The compensator that the daemon runs, to be tried without a bench.
-
-        Parameters
-        ----------
-        rate_Hz
-            Ticks per second, above 0 [Hz].
-
-        Raises
-        ------
-        ModelError
-            The model, or one of its effects, has no inverse.
-        UsageError
-            The rate is not above 0.
-        """
+        """The compensator that the daemon runs, for use without a bench; parameters and errors as for `Inverse`."""
         return Inverse(self, rate_Hz)
 
 
@@ -72,15 +59,13 @@ class Inverse:
 
     Parameters
     ----------
-    model
-        Identified or diagnosed model.
     rate_Hz
         Ticks per second, above 0 [Hz].
 
     Raises
     ------
     ModelError
-        The model, or one of its effects, has no inverse.
+        The model or an effect has no inverse.
     UsageError
         The rate is not above 0.
     """
@@ -100,22 +85,11 @@ class Inverse:
         return self._compensator.plan(reference)
 
     def commit(self, voltage_V: float) -> None:
-        """Move every state with the voltage that was applied."""
+        """Update every state with the applied voltage [input unit]."""
         self._compensator.commit(voltage_V)
 
     def voltages(self, reference: ArrayLike) -> Array:
-        """Voltages for a sequence of references, each limited to the identified range and committed.
-
-        Parameters
-        ----------
-        reference
-            One a tick, shape (N,) [output unit].
-
-        Returns
-        -------
-        Array
-            Shape (N,) [input unit].
-        """
+        """Voltages for references, both shape (N,); each is limited to the identified range and committed."""
         wanted = np.asarray(reference, dtype=np.float64)
         applied = np.empty(wanted.size)
         for tick, force in enumerate(wanted):

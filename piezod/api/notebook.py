@@ -17,19 +17,7 @@ TICKS = 5
 
 
 def result_html(verdict: str, rows: Sequence[Sequence[str]], notes: Sequence[str], picture: str) -> str:
-    """Verdict, table, picture and notes.
-
-    Parameters
-    ----------
-    verdict
-        In a sentence.
-    rows
-        Of the table, the header first; empty: no table.
-    notes
-        One line each.
-    picture
-        SVG.
-    """
+    """Verdict, table, picture (SVG) and notes; `rows` begins with the header, without rows there is no table."""
     words = html.escape(f"{verdict[:1].upper()}{verdict[1:]}.")
     parts = [f"<p><strong>{words}</strong></p>"]
     if rows:
@@ -45,14 +33,12 @@ def result_html(verdict: str, rows: Sequence[Sequence[str]], notes: Sequence[str
 
 
 def curves_svg(x: Array, curves: Mapping[str, Array], labels: tuple[str, str]) -> str:
-    """A picture of up to two curves over one axis.
+    """A picture of up to two curves over x.
 
     Parameters
     ----------
-    x
-        Shape (N,).
-    curves
-        By name, each shape (N,); nan leaves a gap.
+    x, curves
+        Abscissa and named curves, each shape (N,); nan makes a gap.
     labels
         Names of both axes with their units, such as `voltage_V`.
     """
@@ -89,7 +75,7 @@ def curves_svg(x: Array, curves: Mapping[str, Array], labels: tuple[str, str]) -
 
 
 def _limits(some: Sequence[Array]) -> tuple[float, float]:
-    """Smallest and largest finite value, never the same."""
+    """Smallest and largest finite value, made different if they are equal."""
     known = np.concatenate([values[np.isfinite(values)] for values in some])
     low, high = (float(known.min()), float(known.max())) if known.size else (0.0, 1.0)
     return (low, high) if high > low else (low - 0.5, high + 0.5)

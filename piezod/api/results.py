@@ -1,4 +1,4 @@
-"""Results of `piezod.identify` and `piezod.diagnose`, which show themselves in a notebook."""
+"""Results of `piezod.identify` and `piezod.diagnose`, with a display for notebooks."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -6,6 +6,7 @@ from typing import Any
 
 from piezod.api.model import Model
 from piezod.api.notebook import curves_svg, result_html
+from piezod.diagnose.findings import Finding, Kept
 from piezod.diagnose.judgement import Diagnosis
 from piezod.diagnose.verdict.words import Wording, label_of, value_words
 from piezod.effects import EFFECTS
@@ -22,15 +23,7 @@ from piezod.report.identification import (
 
 @dataclass(frozen=True)
 class Identified:
-    """A model and how well it fits.
-
-    Parameters
-    ----------
-    identification
-        All that is known of it.
-    recordings
-        What it was identified on, as it was used.
-    """
+    """Result of `piezod.identify`; `recordings` are the recordings as the identification used them."""
 
     identification: Identification
     recordings: tuple[Recording, ...]
@@ -42,12 +35,12 @@ class Identified:
 
     @property
     def verdict(self) -> str:
-        """In a sentence, how good the model is."""
+        """Quality of the model in a sentence."""
         return self.identification.verdict
 
     @property
     def useful(self) -> bool:
-        """Whether the model explains more than it leaves."""
+        """Whether the model explains more than half of the variance."""
         return self.identification.useful
 
     @property
@@ -57,7 +50,7 @@ class Identified:
 
     @property
     def notes(self) -> list[str]:
-        """What was noticed in the recordings."""
+        """Notes on the recordings."""
         return self.identification.notes
 
     def as_dict(self) -> dict[str, Any]:
@@ -87,40 +80,34 @@ class Identified:
 
 @dataclass(frozen=True)
 class Diagnosed:
-    """What a model lacks.
-
-    Parameters
-    ----------
-    diagnosis
-        All that is known of it.
-    """
+    """Result of `piezod.diagnose`."""
 
     diagnosis: Diagnosis
 
     @property
     def model(self) -> Model:
-        """The model with the effects that were found; the given one where none was."""
+        """The extended model; without new, changed or absent effects the given model."""
         return Model.of(self.diagnosis.model)
 
     @property
     def verdict(self) -> str:
-        """One of `matches`, `explained`, `partly_explained`, `unexplained`, `not_testable`."""
+        """Either `matches`, `explained`, `partly_explained`, `unexplained` or `not_testable`."""
         return self.diagnosis.findings.verdict
 
     @property
     def words(self) -> str:
-        """What was found, in a sentence."""
+        """The findings in a sentence."""
         return self.diagnosis.findings.words
 
     @property
     def effects(self) -> tuple[str, ...]:
         """Names of the effects that are new, have changed or are gone."""
-        return tuple(one.name for one in self.diagnosis.findings.effects)
+        return tuple(effect.name for effect in self.diagnosis.findings.effects)
 
     @property
     def kept(self) -> tuple[str, ...]:
-        """Names of the effects of the given model that have not changed, as far as the recordings tell."""
-        return tuple(one.name for one in self.diagnosis.findings.kept)
+        """Names of the effects of the given model without a detected change."""
+        return tuple(effect.name for effect in self.diagnosis.findings.kept)
 
     @property
     def findings(self) -> dict[str, Any]:
@@ -139,23 +126,25 @@ class Diagnosed:
         findings, model = self.diagnosis.findings, self.diagnosis.model
         wording = Wording(model.input.unit, model.output.unit)
         rows = [("effect", "status", "confidence", "parameters", "held-out error")]
-        for one in findings.effects:
-            values = [
-                f"{label_of(name, value.unit)} {value_words(value, name, one.name, wording)[0]}"
-                for name, value in one.parameters.items()
-            ]
-            errors = f"{one.before:.3g} to {one.after:.3g} {findings.unit}"
-            rows.append((one.title, one.status, f"{100 * one.confidence:.0f} %", ", ".join(values), errors))
+        for effect in findings.effects:
+            errors = f"{effect.before:.3g} to {effect.after:.3g} {findings.unit}"
+            confidence = f"{100 * effect.confidence:.0f} %"
+            rows.append((effect.title, effect.status, confidence, _values(effect, wording), errors))
+        for old in findings.kept:
+            status = "kept" if old.seen else "not seen"
+            rows.append((EFFECTS[old.name].title, status, "", _values(old, wording), ""))
         series, last = self.diagnosis.series[-1], len(self.diagnosis.series) - 1
         residuals = {
             "given model": series.reading_N - self.diagnosis.base[last],
             "with the effects": series.reading_N - self.diagnosis.extended[last],
         }
         picture = curves_svg(series.time_s, residuals, ("time_s", f"residual_{model.output.unit}"))
-        for kept in findings.kept:
-            values = [
-                f"{label_of(name, value.unit)} {value_words(value, name, kept.name, wording)[0]}"
-                for name, value in kept.parameters.items()
-            ]
-            rows.append((EFFECTS[kept.name].title, "kept" if kept.seen else "not seen", "", ", ".join(values), ""))
         return result_html(str(self), rows if len(rows) > 1 else [], list(findings.notes), picture)
+
+
+def _values(effect: Finding | Kept, wording: Wording) -> str:
+    """Parameters of an effect with their values."""
+    return ", ".join(
+        f"{label_of(name, value.unit)} {value_words(value, name, effect.name, wording)[0]}"
+        for name, value in effect.parameters.items()
+    )
