@@ -18,7 +18,7 @@ from piezod.errors import RecordingError
 from piezod.estimation.initial_state import estimate_path, start_at_zero, starts_at_rest
 from piezod.estimation.unknown_past import unknown_past
 from piezod.excitation import varying_triangles
-from piezod.identify.layout import told_of
+from piezod.identify.layout import stated_layout
 from piezod.identify.simulation import where
 from piezod.identify.suitability import falls
 from piezod.model import Model, file_sha256, run_chain
@@ -129,7 +129,7 @@ def past_sources(model: Model, folder: Path, given: Sequence[Source]) -> tuple[l
             notes.append(f"{source.path}, which the model was identified on, is not there or not the same any more")
         else:
             columns = (model.input.channel, model.output.channel)
-            found.append(read_source(path, "identification", columns, text=told_of(source)))
+            found.append(read_source(path, "identification", columns, text=stated_layout(source)))
     return found, notes
 
 

@@ -1,1 +1,1 @@
-"""One estimator: recordings in, a smooth base with the noise, the start and the errors that belong to it."""
+"""Estimation from recordings: the smooth base, the noise, the initial state and the normal equations."""

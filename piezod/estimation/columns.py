@@ -6,10 +6,9 @@ Its column is the part of the input that lies between them:
 
     H(u) = sum_i s_i (z_i - z_{i+1}),   S'(y) = sum_j s'_j (S_j(y) - S_{j+1}(y)),   the last columns: z_n, S_m
 
-It is the same operator. But the conditions "every partial sum at least eps" become bounds, and the columns are nearly
-orthogonal: their condition number is 10 to 35 for 7 to 30 plays, where that of the weights' columns is 100 to
-5600.
-A recording of any length passes through once; only matrices as large as the number of slopes are kept.
+The operator does not change. But the conditions "every partial sum at least eps" become bounds, and the columns are
+nearly orthogonal: for 7 to 30 plays their condition number is 10 to 35, against 100 to 5600 for the columns of the
+weights. A recording of any length passes through once; only matrices as large as the number of slopes stay in memory.
 """
 
 from collections.abc import Iterator, Sequence
@@ -28,14 +27,14 @@ CHUNK = 16_384  # samples; a chunk's columns stay in the cache of a small machin
 
 @dataclass(frozen=True)
 class Structure:
-    """Which operators are identified.
+    """Thresholds of the operators that are identified.
 
     Parameters
     ----------
     play_thresholds
         r_i [input unit], shape (n + 1,), from 0.
     zone_thresholds
-        r'_j [output unit above `origin`], shape (m + 1,) or (2m + 1,), one of them 0.
+        r'_j [output unit above `origin`], shape (m + 1,) or (2m + 1,), with a 0.
     origin
         Output where the dead zones start [output unit].
     u_max
@@ -52,18 +51,18 @@ class Structure:
 
     @property
     def plays(self) -> int:
-        """Plays, the linear part included."""
+        """Number of plays, with the linear part."""
         return int(self.play_thresholds.size)
 
     @property
     def zones(self) -> int:
-        """Dead zones on the side that has more, besides the linear part."""
+        """Number of dead zones on the side with more of them, without the linear part."""
         centre = int(np.flatnonzero(self.zone_thresholds == 0.0)[0])
         return max(centre, int(self.zone_thresholds.size) - 1 - centre)
 
     @property
     def columns(self) -> int:
-        """Plays, one constant, dead zones."""
+        """Number of columns: plays, a constant, dead zones."""
         return int(self.play_thresholds.size + 1 + self.zone_thresholds.size)
 
 
@@ -78,13 +77,13 @@ def weights_of(slopes: Array) -> Array:
 
 
 def zone_slopes_of(thresholds: Array, weights: Array) -> Array:
-    """Partial sums from the centre outwards, at each threshold's own place."""
+    """Partial sums of the weights from the zero threshold outwards, in the order of the thresholds."""
     centre = int(np.flatnonzero(thresholds == 0.0)[0])
     return np.concatenate((np.cumsum(weights[centre::-1])[:0:-1], np.cumsum(weights[centre:])))
 
 
 def zone_weights_of(thresholds: Array, slopes: Array) -> Array:
-    """The weights that have these outward partial sums."""
+    """Weights from their outward partial sums; inverse of `zone_slopes_of`."""
     centre = int(np.flatnonzero(thresholds == 0.0)[0])
     lower = np.diff(slopes[centre::-1])[::-1]
     return np.concatenate((lower, [slopes[centre]], np.diff(slopes[centre:])))
@@ -126,19 +125,19 @@ class PlaySegments:
 
 @dataclass(frozen=True)
 class Samples:
-    """One stretch of a recording: input and output, and which samples count.
+    """A stretch of a recording with a mask of the samples that count.
 
     Parameters
     ----------
     u, y
         Input and output, shape (N,).
     counts
-        Which outputs are used, shape (N,); the plays see every sample all the same.
+        Mask of the outputs that are used, shape (N,); the plays always follow every sample.
     clock
-        Linear time, 0 where the fitted part ends, shape (N,): a drift of the output is fitted and taken out. None: it
-        is not. On a record from rest a drift and the first rise of wide plays look alike.
+        Linear time with 0 at the end of the fitted part, shape (N,), for a fitted drift of the output. None: no drift;
+        on a record from rest it could not be distinguished from the first rise of wide plays.
     path
-        Inputs that led to the start from the de-energised state, before the first sample [input unit].
+        Inputs from the de-energised state up to the first sample [input unit].
     """
 
     u: Array
@@ -162,12 +161,12 @@ class Samples:
 
 
 def clocks_of(recordings: Sequence[Samples]) -> int:
-    """How many recordings have a drift to be taken out."""
+    """Number of recordings with a fitted drift."""
     return sum(samples.clock is not None for samples in recordings)
 
 
 def chunks_of(structure: Structure, recordings: Sequence[Samples]) -> Iterator[tuple[Array, Array, Array]]:
-    """Play columns, output, and the clock of each recording that has one, of all samples that count, chunk by chunk."""
+    """Play columns, output and clock columns of all samples that count, chunk by chunk."""
     count, number = clocks_of(recordings), 0
     for samples in recordings:
         for plays, y, clock in samples.chunks(structure):

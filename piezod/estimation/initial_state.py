@@ -1,8 +1,8 @@
-"""The memory that a recording starts with: whatever happened before, what matters of it is a sequence of reversals.
+"""Initial state of the plays in a recording, as a sequence of earlier reversals.
 
-A drive that starts at zero is de-energised, or it was driven to some peak and back. Which of them shows in the first
-rise: below the old peak it runs on a branch inside the loop, above it on the virgin curve. One that starts elsewhere
-has come from an end of its range by one more reversal.
+A drive that starts at zero is de-energised, or was driven to a peak and back. The first rise decides: below an old peak
+it is a branch inside the loop, above it the virgin curve. A drive that starts elsewhere came from an end of its range,
+by one more reversal.
 """
 
 from collections.abc import Callable
@@ -20,36 +20,35 @@ Path = tuple[float, ...]
 
 AT_REST = 0.02  # share of the input's swing around zero that counts as a drive at zero
 REVERSALS_TRIED = 41
-PEAKS_TRIED = (0.15, 0.3, 0.45, 0.6, 0.75, 0.9, 1.0)  # of the largest input, old peaks before a start at zero
-REFINEMENTS = 5  # of the old peak, each halves the distance between two that are tried
-CLEARLY = 0.8  # share of the squared error below which a used stack is taken rather than a virgin one
+PEAKS_TRIED = (0.15, 0.3, 0.45, 0.6, 0.75, 0.9, 1.0)  # old peaks before a start at zero, as shares of the largest input
+REFINEMENTS = 5  # bisections of the distance between tried peaks
+CLEARLY = 0.8  # ratio of the squared errors with and without an old peak, below which the stack was driven before
 
-SHAKEN = (1.0, 0.8, 0.6, 0.4, 0.2)  # of the way to both ends, a course that leaves the stack without a memory
+DECAYING_SWINGS = (1.0, 0.8, 0.6, 0.4, 0.2)  # shares of the way to both ends of the range; they erase the memory
 TURNS_TRIED = 7  # last reversals between the ends of the range, before a start amid it
 
 CLIPPED_AT, LEAST_CLIPPED = 10.0, 0.01
-"""Median errors, and at least a share of the output's swing, at which an error is clipped.
+"""Limits at which an error is clipped: multiples of the median error, and share of the output's swing.
 
-A bench that still follows a jump at the begin says nothing of its past. Without noise the median error is zero.
+While a bench follows a jump at the beginning, its errors carry no information on the past. The second limit serves for
+records without noise, whose median error is zero.
 """
 
-FAR_BETTER = 0.25  # share of a given start's squared error below which another is taken for a model that stays
+FAR_BETTER = 0.25  # ratio of the squared errors below which an estimated start replaces the model's start
 
 
 def starts_at_rest(u: Array) -> bool:
-    """Whether the first input is near enough to zero for a drive that was off."""
+    """Whether the first input is near zero, as of a drive that was off."""
     return bool(abs(u[0]) <= AT_REST * np.ptp(u))
 
 
 def clipped_mean_square(error: Array, y: Array) -> float:
-    """Mean square of errors, the largest of them clipped; 0 where nothing is known.
+    """Mean square error with the largest errors clipped; 0 without a finite error.
 
     Parameters
     ----------
-    error
-        Shape (N,) [output unit]; nan where nothing is known.
-    y
-        The output, shape (N,) [output unit].
+    error, y
+        Errors, nan where unknown, and measured output, shape (N,) [output unit].
     """
     known = np.isfinite(error)
     if not known.any():
@@ -59,10 +58,10 @@ def clipped_mean_square(error: Array, y: Array) -> float:
     return float(np.mean(np.minimum(size, most) ** 2))
 
 
-def settled_from(u: Array) -> int:
-    """First sample after which the start no longer matters to plays up to half the swing.
+def wipe_out_sample(u: Array) -> int:
+    """First sample at which the input has reached both ends of its range.
 
-    That is when the input has reached both ends of its range.
+    From there on the start has no effect on plays up to half the swing (wiping-out property).
     """
     low, high = u.min() + 0.01 * np.ptp(u), u.max() - 0.01 * np.ptp(u)
     return int(max(np.argmax(u <= low), np.argmax(u >= high)))
@@ -70,14 +69,14 @@ def settled_from(u: Array) -> int:
 
 @dataclass(frozen=True)
 class Start:
-    """How a drive came to a recording's first sample.
+    """Initial state of a recording.
 
     Parameters
     ----------
     path
-        Inputs since the de-energised state, before the first sample; empty: it starts de-energised.
+        Inputs from the de-energised state up to the first sample [input unit]; empty: it starts de-energised.
     words
-        The same for people.
+        The path in words.
     """
 
     path: Path
@@ -85,31 +84,23 @@ class Start:
 
 
 def start_at_zero(u: Array, unit: str, loss: Callable[[Path], float], reach: float = 0.0) -> Start:
-    """De-energised, or driven to a peak and back before: whichever a fit prefers clearly.
+    """Start of a drive from zero: driven to a peak before if that fits clearly better, else de-energised.
 
     Parameters
     ----------
     u
-        Input, shape (N,), from zero.
+        Input from zero, shape (N,).
     unit
-        Of the input.
+        Unit of the input.
     loss
-        Mean square error of a fit whose recording starts after these inputs; raises `RecordingError` where there is
-        none.
+        Mean square error as a function of the path; raises `RecordingError` or `ModelError` if a fit fails.
     reach
-        How large an old peak may have been where that is more than the largest input.
+        Largest old peak, if above the largest input [input unit].
     """
-
-    def tried(path: Path) -> float:
-        try:
-            return loss(path)
-        except (RecordingError, ModelError):
-            return float("inf")
-
     extreme = max(float(u.max()), -float(u.min()), abs(reach), key=abs)
     sign = 1.0 if u.max() >= -u.min() else -1.0
-    losses = {share: tried((sign * share * extreme, 0.0)) for share in PEAKS_TRIED}
-    virgin = tried(())
+    losses = {share: _loss_or_inf(loss, (sign * share * extreme, 0.0)) for share in PEAKS_TRIED}
+    virgin = _loss_or_inf(loss, ())
     if min(losses.values()) >= virgin:
         return Start((), "de-energised")
     distance = 0.15
@@ -117,7 +108,7 @@ def start_at_zero(u: Array, unit: str, loss: Callable[[Path], float], reach: flo
         best, distance = min(losses, key=losses.__getitem__), 0.5 * distance
         for share in (best - distance, best + distance):
             if 0.0 < share <= 1.0 and share not in losses:
-                losses[share] = tried((sign * share * extreme, 0.0))
+                losses[share] = _loss_or_inf(loss, (sign * share * extreme, 0.0))
     best = min(losses, key=losses.__getitem__)
     if losses[best] >= CLEARLY * virgin:
         return Start((), "de-energised")
@@ -126,20 +117,10 @@ def start_at_zero(u: Array, unit: str, loss: Callable[[Path], float], reach: flo
 
 
 def start_amid(u: Array, unit: str, loss: Callable[[Path], float]) -> Start:
-    """What led to a start amid the range: whichever course a fit likes best.
-
-    Parameters
-    ----------
-    u
-        Input, shape (N,).
-    unit
-        Of the input.
-    loss
-        As for `start_at_zero`.
-    """
+    """Start amid the range: the path with the least loss; parameters as for `start_at_zero`."""
     low, high, begin = float(u.min()), float(u.max()), float(u[0])
-    shrinking = [begin + share * (end - begin) for share in SHAKEN for end in (high, low)]
-    courses: dict[Path, str] = {
+    shrinking = [begin + share * (end - begin) for share in DECAYING_SWINGS for end in (high, low)]
+    paths: dict[Path, str] = {
         (begin,): f"driven from rest to {begin:.3g} {unit}",
         (high, begin): f"driven down to {begin:.3g} {unit}",
         (low, begin): f"driven up to {begin:.3g} {unit}",
@@ -149,32 +130,35 @@ def start_amid(u: Array, unit: str, loss: Callable[[Path], float]) -> Start:
     }
     for turn in np.linspace(low, high, TURNS_TRIED + 2)[1:-1].tolist():
         for end in (low, high):
-            courses[end, turn, begin] = f"driven to about {turn:.3g} {unit} and back to {begin:.3g} {unit}"
-    losses = {}
-    for path in courses:
-        try:
-            losses[path] = loss(path)
-        except (RecordingError, ModelError):
-            losses[path] = float("inf")
-    best = min(losses, key=losses.__getitem__)
-    return Start(best, f"{courses[best]} before")
+            paths[end, turn, begin] = f"driven to about {turn:.3g} {unit} and back to {begin:.3g} {unit}"
+    best = min(paths, key=lambda path: _loss_or_inf(loss, path))
+    return Start(best, f"{paths[best]} before")
 
 
-def start_found(operator: PrandtlIshlinskii, u: Array, y: Array, window: int, unit: str, reach: float) -> Start | None:
-    """What led to the start of a recording, as its first samples tell; None where the operator's own start does.
+def _loss_or_inf(loss: Callable[[Path], float], path: Path) -> float:
+    try:
+        return loss(path)
+    except (RecordingError, ModelError):
+        return float("inf")
+
+
+def estimate_start(
+    operator: PrandtlIshlinskii, u: Array, y: Array, window: int, unit: str, reach: float
+) -> Start | None:
+    """Start of a recording, estimated from its first samples; None: the operator's present state fits as well.
 
     Parameters
     ----------
     operator
-        As its model starts; it is moved.
+        In the start state of its model; its states change.
     u, y
         Input and output, shape (N,).
     window
-        How many samples are looked at.
+        Number of samples that are used, above 0.
     unit
-        Of the input.
+        Unit of the input.
     reach
-        The model's largest input.
+        Largest input of the model.
     """
     if not starts_at_rest(u):
         return Start(estimate_path(operator, u, y, window), f"start found from the first {window} samples")
@@ -186,24 +170,24 @@ def start_found(operator: PrandtlIshlinskii, u: Array, y: Array, window: int, un
 
     if not np.isfinite(y[:window]).any():
         return None
-    own = float(np.nanvar(operator.run(u[:window]) - y[:window]))  # a tare is no old peak
-    found = start_at_zero(u, unit, loss, reach)
-    if loss(found.path) >= FAR_BETTER * own:
+    present = float(np.nanvar(operator.run(u[:window]) - y[:window]))  # variance: a tare is no old peak
+    estimate = start_at_zero(u, unit, loss, reach)
+    if loss(estimate.path) >= FAR_BETTER * present:
         return None
-    return Start(found.path, f"{found.words}, found from the first {window} samples")
+    return Start(estimate.path, f"{estimate.words}, found from the first {window} samples")
 
 
 def estimate_path(operator: PrandtlIshlinskii, u: Array, y: Array, window: int) -> Path:
-    """Inputs that lead to the start under which `operator` fits the first `window` samples best.
+    """Path before the first sample with which `operator` fits the first `window` samples best.
 
     Parameters
     ----------
     operator
-        Any start state; it is moved.
+        In any state; its states change.
     u, y
         Input and output, shape (N,).
     window
-        How many samples are looked at.
+        Number of samples that are used, above 0.
     """
     low, high = float(u.min()), float(u.max())
     reversals = np.linspace(low, high, REVERSALS_TRIED).tolist()

@@ -1,6 +1,6 @@
-"""Noise of a recording, from its samples alone: a misfit of a model that repeats is no noise.
+"""Noise of a recording, from its samples without a model, because a repeatable misfit of a model is no noise.
 
-The spread of the output where the input and its past come again, else where the input rests.
+It is the spread of the output between repetitions of a periodic input, else while the input rests.
 """
 
 import itertools
@@ -10,45 +10,37 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from piezod.estimation.initial_state import settled_from
+from piezod.estimation.initial_state import wipe_out_sample
 
 Array = NDArray[np.float64]
 
-SAME_INPUT = 0.3  # of the differences of the output, that differences of the input may make up
-SAME_COURSE = 0.01  # of the input's range, root mean square: beyond it the input is another one, whatever the output
-COMPARED = 0.2  # of a recording, that must come again: two periods are enough, without the start of the first one
-MOVING = 0.5  # of the input's range, that what comes again must cover
-AS_GOOD = 4.0  # times the smallest squared difference of the input: of the lags below it the shortest is the period
-RAN_APART = 0.25  # of the input's mean square: beyond it the input is another, and what comes later may be a repeat
-COARSE = 1 << 18  # samples of the input in which a period is looked for; of a longer recording every so many
-REST_S, FEWEST_SAMPLES, FEWEST_RESTS = 0.5, 20, 3
+SAME_INPUT = 0.3  # largest share of the output's differences that may come from differences of the input
+SAME_COURSE = 0.01  # largest rms difference of the input between repetitions, as share of its range
+COMPARED = 0.2  # share of a recording that must repeat: two periods suffice, without the start of the first
+MOVING = 0.5  # share of the input's range that the repeated part must cover
+AS_GOOD = 4.0  # the period is the shortest lag whose squared difference is below this multiple of the smallest
+DIFFERENT_INPUT = (
+    0.25  # a period is longer than the first lag whose squared difference exceeds this share of the variance
+)
+COARSE = 1 << 18  # samples in which a period is searched; a longer recording is thinned to so many
+REST_S, FEWEST_SAMPLES, FEWEST_RESTS = 0.5, 20, 3  # duration of a rest [s], samples and rests that are needed
 
 
 @dataclass(frozen=True)
 class Noise:
-    """Noise of an output.
-
-    Parameters
-    ----------
-    rms
-        Standard deviation [output unit].
-    seen_in
-        Where it was seen.
-    """
+    """Noise of an output: standard deviation [output unit] and its origin."""
 
     rms: float
     seen_in: Literal["repeats", "rests"]
 
 
 def noise_of(u: Array, y: Array, counts: NDArray[np.bool_], dt_s: float) -> Noise | None:
-    """Noise of a recording; None where the input neither repeats nor rests.
+    """Noise of a recording; None if the input neither repeats nor rests.
 
     Parameters
     ----------
-    u, y
-        Input and output, shape (N,).
-    counts
-        Samples that count, shape (N,).
+    u, y, counts
+        Input, output, and mask of the samples that count, shape (N,).
     dt_s
         Sample period [s].
     """
@@ -60,18 +52,15 @@ def noise_of(u: Array, y: Array, counts: NDArray[np.bool_], dt_s: float) -> Nois
 
 
 def _in_repeats(u: Array, y: Array, counts: NDArray[np.bool_]) -> float | None:
-    """From the differences of each sample to the one a period before.
-
-    They count from where the start is forgotten, from half a period on at the latest.
-    """
+    """Noise from the difference of each sample to that of the period before, after the start of the recording."""
     lag = _period(u)
     if lag is None:
         return None
-    first = min(settled_from(u), lag // 2)
+    first = min(wipe_out_sample(u), lag // 2)
     both = counts[first + lag :] & counts[first:-lag]
-    moved, changed = ((one[first + lag :] - one[first:-lag])[both] for one in (u, y))
-    again = u[first + lag :][both]
-    if changed.size < max(FEWEST_SAMPLES, 0.5 * COMPARED * u.size) or np.ptp(again) < MOVING * np.ptp(u):
+    moved, changed = ((values[first + lag :] - values[first:-lag])[both] for values in (u, y))
+    repeated = u[first + lag :][both]
+    if changed.size < max(FEWEST_SAMPLES, 0.5 * COMPARED * u.size) or np.ptp(repeated) < MOVING * np.ptp(u):
         return None
     span, other = float(np.ptp(u)), float(np.sqrt(np.mean(moved**2)))
     changed = changed - changed.mean()
@@ -81,10 +70,10 @@ def _in_repeats(u: Array, y: Array, counts: NDArray[np.bool_]) -> float | None:
 
 
 def _period(u: Array) -> int | None:
-    """Shortest lag after which the input comes again best [samples]; None: it never runs away from where it was."""
+    """Shortest lag after which the input repeats [samples]; None: the input hardly changes."""
     step = -(-u.size // COARSE)
     differences = _squared_differences(u[::step])
-    away = np.flatnonzero(differences > RAN_APART * np.var(u))
+    away = np.flatnonzero(differences > DIFFERENT_INPUT * np.var(u))
     if not away.size or away[0] + 1 >= differences.size:
         return None
     first = int(away[0])
@@ -97,19 +86,19 @@ def _period(u: Array) -> int | None:
 
 
 def _squared_differences(u: Array) -> Array:
-    """Mean square of u[k + lag] - u[k] for each lag that leaves enough to compare, shape (lags,), from lag 0."""
+    """Mean square of u[k + lag] - u[k] for lags from 0 to the longest with enough samples, shape (lags,)."""
     u = u - u.mean()
     size = u.size
     spectrum = np.fft.rfft(u, 2 * size)
     products = np.fft.irfft(spectrum * spectrum.conj())[:size]
     power = np.concatenate(([0.0], np.cumsum(u**2)))
     lags = np.arange(max(int((1.0 - COMPARED) * size), 1))
-    found: Array = (power[size - lags] + power[size] - power[lags] - 2.0 * products[lags]) / (size - lags)
-    return np.maximum(found, 0.0)
+    result: Array = (power[size - lags] + power[size] - power[lags] - 2.0 * products[lags]) / (size - lags)
+    return np.maximum(result, 0.0)
 
 
 def _in_rests(u: Array, y: Array, counts: NDArray[np.bool_], size: int) -> list[float]:
-    """Standard deviation in every stretch in which the input rests."""
+    """Standard deviations of stretches in which the input rests, each of `size` samples."""
     moves = np.concatenate(([True], np.diff(u) != 0.0, [True]))
     starts = np.flatnonzero(moves)
     return [

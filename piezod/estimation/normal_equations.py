@@ -1,11 +1,11 @@
-"""Normal equations of the error in the output, added up piece by piece, a sum for each group of held-out bands.
+"""Normal equations of the output error, summed piece by piece, separately for each group of input bands.
 
     e = y - F(v),   v = sum_i s_i (z_i - z_{i+1}) + c,   F = origin + sum_j s'_j (S_j(v) - S_{j+1}(v))
 
 The parameters are p = [play slopes, c, a drift for each recording with a clock, dead-zone slopes]. The range of the
-input is cut into bands that are dealt to the groups in turn. A band is held out in every period: where work repeats,
-the same loop is in every stretch of time, and a stretch that is held out hides nothing. The error of a fit that has
-not seen a group follows from these sums without the samples.
+input is cut into bands, which are assigned to the groups in turn. Bands of the input are held out, not stretches of
+time: in periodic work every stretch of time repeats the loops of the others. The error of a fit without a group follows
+from these sums without the samples.
 """
 
 from collections import defaultdict
@@ -23,18 +23,18 @@ GROUPS = 8
 """Groups of bands; each is held out once."""
 
 BANDS = 16
-"""Bands of the input's range. Of 8, 16, 24 and 32 these gave the smallest errors on other work, on concealed plants."""
+"""Bands of the input's range. On concealed plants 16 gave smaller errors on new recordings than 8, 24 and 32."""
 
 STILL_OVER = 64 * CHUNK
-"""First samples, from which the speed of the input is taken."""
+"""Number of first samples from which the mean speed of the input is computed."""
 
 STILL = 0.005
-"""Share of the input's swing that it may move within samples that are averaged."""
+"""Share of its swing that the input may move within samples that are averaged."""
 
 
 @dataclass(frozen=True)
 class Piece:
-    """Samples, or means over successive ones, of one group, in their order.
+    """Successive samples of a group, or means over them.
 
     Parameters
     ----------
@@ -45,9 +45,9 @@ class Piece:
     drifts
         Clock of the recording in its own column, shape (R, clocks) [1].
     group
-        Which group it belongs to.
+        Group number, from 0.
     samples
-        How many samples a row stands for.
+        Number of samples per row.
     """
 
     segments: Array
@@ -59,7 +59,7 @@ class Piece:
 
 @dataclass(frozen=True)
 class Sums:
-    """Squared error as a function of the parameters near one place, for each group.
+    """Squared error of each group as a function of the parameters p + d near p.
 
         loss(p + d) = loss - 2 gradient' d + d' hessian d
 
@@ -86,7 +86,7 @@ class Sums:
         return float(np.sqrt(self.loss.sum() / self.samples.sum()))
 
     def expected_loss(self, step: Array) -> float:
-        """Squared error after a step, shape (q,), as far as the error is linear in the parameters."""
+        """Squared error after a step, shape (q,), in the linear approximation [output unit^2]."""
         hessian, gradient = self.hessian.sum(axis=0), self.gradient.sum(axis=0)
         return float(self.loss.sum() - 2.0 * step @ gradient + step @ hessian @ step)
 
@@ -102,12 +102,8 @@ def pieces_of(structure: Structure, recordings: Sequence[Samples], every: int = 
 
     Parameters
     ----------
-    structure
-        Which plays.
-    recordings
-        Input, output and start of each.
     every
-        Samples for one row: their mean where the input hardly moves meanwhile, else the first of them.
+        Samples per row, at least 1. A row is their mean if the input hardly moves within them, else the first sample.
     """
     clocks, number = clocks_of(recordings), 0
     for samples in recordings:
@@ -125,23 +121,25 @@ def pieces_of(structure: Structure, recordings: Sequence[Samples], every: int = 
             if samples.clock is not None:
                 drifts[:, number] = samples.clock[part]
             rows = _rows(np.hstack((segments, drifts, samples.y[part, None]))[counts], every, averaged)
-            its = groups[part][counts][::every][: rows.shape[0]]
-            for group in np.unique(its).tolist():
-                mine = rows[its == group]
-                yield Piece(mine[:, : structure.plays], mine[:, -1], mine[:, structure.plays : -1], group, every)
+            numbers = groups[part][counts][::every][: rows.shape[0]]
+            for group in np.unique(numbers).tolist():
+                members = rows[numbers == group]
+                yield Piece(
+                    members[:, : structure.plays], members[:, -1], members[:, structure.plays : -1], group, every
+                )
         number += samples.clock is not None
 
 
 def merged(pieces: Iterable[Piece]) -> list[Piece]:
-    """One piece for each group, of pieces with as many samples for a row: faster where the sums are wanted again."""
+    """Join the pieces of each group, all with equal `samples`; repeated sums are then faster."""
     groups: dict[int, list[Piece]] = defaultdict(list)
     for piece in pieces:
         groups[piece.group].append(piece)
     return [
         Piece(
-            np.concatenate([one.segments for one in group]),
-            np.concatenate([one.y for one in group]),
-            np.concatenate([one.drifts for one in group]),
+            np.concatenate([piece.segments for piece in group]),
+            np.concatenate([piece.y for piece in group]),
+            np.concatenate([piece.drifts for piece in group]),
             number,
             group[0].samples,
         )
@@ -150,11 +148,11 @@ def merged(pieces: Iterable[Piece]) -> list[Piece]:
 
 
 def _rows(rows: Array, every: int, averaged: bool) -> Array:
-    """Means over so many rows each, or the first of them."""
-    whole = rows.shape[0] - rows.shape[0] % every
-    if every == 1 or not averaged or not whole:
+    """Means over `every` rows, or every so many rows."""
+    used = rows.shape[0] - rows.shape[0] % every
+    if every == 1 or not averaged or not used:
         return rows[::every]
-    result: Array = rows[:whole].reshape(-1, every, rows.shape[1]).mean(axis=1)
+    result: Array = rows[:used].reshape(-1, every, rows.shape[1]).mean(axis=1)
     return result
 
 
@@ -164,13 +162,9 @@ def sums_of(pieces: Iterable[Piece], structure: Structure, zones: Array, paramet
     Parameters
     ----------
     pieces
-        Such as `pieces_of` gives.
-    structure
-        Their plays, and the output where the dead zones start.
-    zones
-        Thresholds of the direct dead zones, shape (m + 1,) [input unit].
-    parameters
-        p, shape (q,).
+        As returned by `pieces_of` for the structure.
+    zones, parameters
+        Thresholds of the direct dead zones, shape (m + 1,) [input unit], and p, shape (q,).
     """
     size, plays, law = parameters.size, structure.plays, parameters.size - zones.size
     hessian, gradient = np.zeros((GROUPS, size, size)), np.zeros((GROUPS, size))
@@ -191,7 +185,7 @@ def sums_of(pieces: Iterable[Piece], structure: Structure, zones: Array, paramet
 
 
 def slope_at(zones: Array, slopes: Array, v: Array) -> Array:
-    """Slope of the force law at v, shape (N,): that of the outermost threshold passed."""
+    """Slope of the force law at v, shape (N,); it changes at each threshold."""
     centre = int(np.flatnonzero(zones == 0.0)[0])
     passed = np.searchsorted(zones, v, side="right") - 1
     inner = np.where(v >= 0.0, passed, np.minimum(passed + 1, centre))

@@ -4,8 +4,7 @@
     s = [play slopes, a constant, a drift for each recording, inverse dead-zone slopes],   G = sum of phi phi'
 
 The error is linear in the direct play slopes and in the inverse dead-zone slopes, so the program is convex. Columns are
-scaled to equal length and the Hessian to a mean diagonal of 1; without that ProxQP's tolerance says nothing about the
-slopes.
+scaled to equal length and the Hessian to a mean diagonal of 1, so that ProxQP's tolerance applies to every slope.
 """
 
 from dataclasses import dataclass, replace
@@ -21,16 +20,16 @@ from piezod.estimation.columns import Structure
 Array = NDArray[np.float64]
 Variant = Literal["A", "B"]
 
-MOST_ITERATIONS = 60  # it converges within some tens, or rounding keeps it from the tolerance
+MOST_ITERATIONS = 60  # ProxQP converges within some tens of steps, or rounding prevents the tolerance
 PROXIMAL = 1e-10
 """Regularisation of ProxQP's outer steps, on the scaled program: a slope whose curvature is far below it takes hundreds
 of steps (10,000 inner ones at ProxQP's own 1e-6), and rounding leaves 1e-14."""
-TOLERANCES = (1e-12, 1e-10, 1e-9)  # absolute, on the scaled program; the first that rounding lets it reach
+TOLERANCES = (1e-12, 1e-10, 1e-9)  # absolute, on the scaled program, tried in turn
 
 
 @dataclass(frozen=True)
 class Constraints:
-    """What the slopes must satisfy: `rows @ s >= low` (3.16, 3.18-3.21), and `equality @ s = 1` (3.17 over u_max)."""
+    """Constraints of the slopes: `rows @ s >= low` (3.16, 3.18-3.21), and `equality @ s = 1` (3.17 over u_max)."""
 
     rows: Array
     low: Array
@@ -42,12 +41,10 @@ class Constraints:
 
         Parameters
         ----------
-        structure
-            Which operators.
         clocks
-            Free columns after the constant.
+            Number of free columns after the constant.
         variant
-            "A": no play weight negative (the thesis'); "B": no partial sum below eps (necessary and sufficient).
+            "A": no play weight negative (the thesis); "B": no partial sum below eps (necessary and sufficient).
         eps
             Smallest slope; of the inverse dead zones as a fraction of input range over output range.
         """
@@ -66,7 +63,7 @@ class Constraints:
         return cls(rows, low, equality)
 
     def for_direct(self, zones: int, steepest: float) -> Self:
-        """The same for direct dead-zone slopes [output unit per input unit], kept above a fraction of `steepest`."""
+        """Constraints for direct dead-zone slopes instead, at least `steepest` [output unit per input unit]."""
         low = self.low.copy()
         low[-zones:] = steepest
         return replace(self, low=low)
@@ -92,9 +89,9 @@ def solve_step(hessian: Array, gradient: Array, constraints: Constraints, start:
     hessian, gradient
         A, shape (q, q), and g, shape (q,).
     constraints
-        Of the slopes, not of the step.
+        Constraints of start + d.
     start
-        Slopes that the step starts from.
+        Slopes before the step, shape (q,).
 
     Raises
     ------
@@ -108,10 +105,10 @@ def solve_step(hessian: Array, gradient: Array, constraints: Constraints, start:
     equalities = np.empty((0, size)) if constraints.equality is None else constraints.equality[None, :]
     equality, rows = equalities * scale, constraints.rows * scale
     length, span = np.linalg.norm(rows, axis=1), np.linalg.norm(equality, axis=1)
-    length[length == 0.0] = 1.0  # a row of nothing constrains nothing
+    length[length == 0.0] = 1.0  # an empty row is no constraint
     linear, value = -factor * scale * gradient, (1.0 - equalities @ start) / span
     low = (constraints.low - constraints.rows @ start) / length
-    largest = max(float(np.abs(one).max(initial=0.0)) for one in (linear, value, low))
+    largest = max(float(np.abs(terms).max(initial=0.0)) for terms in (linear, value, low))
     for unit in (1.0, largest):  # in a unit that makes numbers huge, rounding exceeds the tolerances
         try:
             step = _proxqp(

@@ -1,8 +1,8 @@
-"""The fewest operators that fit as well: neighbouring slopes are made equal as long as the noise hides it.
+"""Reduction to the fewest operators that fit as well: neighbouring slopes are made equal while the error hardly grows.
 
-Two neighbouring slopes that are equal are one operator less. What that costs is read off the normal equations (Wald's
-statistic), so nothing is fitted again. Two slopes that a recording hardly distinguishes may matter elsewhere; so the
-change on drawn work over the whole range counts too.
+Making two neighbouring slopes equal removes an operator. The normal equations give the cost (Wald's statistic) without
+a new fit. Slopes that a recording hardly distinguishes may matter for another input. Therefore the change of the output
+over random inputs in the full range is limited too.
 """
 
 from collections.abc import Sequence
@@ -19,65 +19,66 @@ from piezod.estimation.smooth_base import Base, base_at
 Array = NDArray[np.float64]
 
 WORSE = 0.001
-"""Share of the root mean square error that fewer operators may cost, on the recording and on drawn work. With 0.005 the
-error on other work grew by 15 and 30 % on two of nine concealed plants, with 0.001 by at most 4 % on one."""
+"""Growth of the rms error by which the reduction is limited, on the recordings and on random inputs.
+
+With 0.005 the error on new recordings grew by 15 and 30 % on two of nine concealed plants, with 0.001 by at most 4 %.
+"""
 
 PARTS, REVERSALS, SAMPLES_OF_A_MOVE = 10, 40, 20
-"""Drawn work: de-energised stacks are moved between levels that are drawn over a tenth to all of the range."""
+"""Random inputs: each starts de-energised and moves between random levels, within 10 to 100 % of the range."""
 
 
 def reduced(base: Base, recordings: Sequence[Samples], loss: float) -> Base:
-    """The same fit with the fewest operators.
+    """Reduce a fit to the fewest operators.
 
     Parameters
     ----------
     base
-        With fine tables.
-    recordings
-        What it was fitted to.
+        Fit with fine tables to the recordings.
     loss
         Squared error of the fit over every sample [output unit^2].
     """
     allowed = ((1.0 + WORSE) ** 2 - 1.0) * loss
-    elsewhere = _elsewhere(base, recordings)
-    together = np.eye(base.parameters.size)
+    elsewhere = _random_input_curvature(base, recordings)
+    merging = np.eye(base.parameters.size)  # row: slope, column: group of equal slopes
     plays, between = base.structure.plays, base.parameters.size - base.structure.plays - base.zones.size
-    slopes, covariance = _solved(base, together, elsewhere)
+    slopes, covariance = _solved(base, merging, elsewhere)
     while True:
         costs = np.diff(slopes) ** 2 / np.maximum(_variances(covariance), np.finfo(float).tiny)
-        costs[plays - 1 : plays + between] = np.inf  # the constant and drifts, between the plays and the force law
+        costs[plays - 1 : plays + between] = np.inf  # the constant and the drifts stay
         place = int(np.argmin(costs))
         if not np.isfinite(costs[place]):
             break
-        fewer = np.delete(together, place + 1, axis=1)
-        fewer[:, place] += together[:, place + 1]
+        fewer = np.delete(merging, place + 1, axis=1)
+        fewer[:, place] += merging[:, place + 1]
         slopes, covariance = _solved(base, fewer, elsewhere)
         step = fewer @ slopes - base.parameters
-        here = base.sums.expected_loss(step) - float(base.sums.loss.sum())
-        if max(here, float(step @ elsewhere @ step)) > allowed:
+        growth = base.sums.expected_loss(step) - float(base.sums.loss.sum())
+        if max(growth, float(step @ elsewhere @ step)) > allowed:
             break
-        together, plays = fewer, plays - (place < plays)
-    first = np.argmax(together != 0.0, axis=0)  # a group keeps the threshold where it begins
-    kept_zones = first[plays + between :] - base.structure.plays - between
+        merging, plays = fewer, plays - (place < plays)
+    first = np.argmax(merging != 0.0, axis=0)  # a group gets the threshold of its first slope
+    zones = first[plays + between :] - base.structure.plays - between
     structure = replace(
         base.structure,
         play_thresholds=base.structure.play_thresholds[first[:plays]],
-        zone_thresholds=base.structure.zone_thresholds[kept_zones],
+        zone_thresholds=base.structure.zone_thresholds[zones],
     )
-    curvature, slope = _quadratic(base, together, elsewhere)
+    curvature, slope = _quadratic(base, merging, elsewhere)
     steepest = float(base.parameters[-base.zones.size :].max())
-    bounds = Constraints.of(structure, between - 1, variant="B", eps=base.eps)
-    means: Array = (together.T @ base.parameters) / together.sum(axis=0)  # of what was made equal
-    start = solve_step(
-        curvature, slope - curvature @ means, bounds.for_direct(kept_zones.size, base.eps * steepest), means
+    bounds = Constraints.of(structure, between - 1, variant="B", eps=base.eps).for_direct(
+        zones.size, base.eps * steepest
     )
-    penalty = together.T @ base.penalty @ together
-    return base_at(structure, base.zones[kept_zones], recordings, base.eps, start, penalty)
+    means: Array = (merging.T @ base.parameters) / merging.sum(axis=0)  # of each group
+    start = solve_step(curvature, slope - curvature @ means, bounds, means)
+    penalty = merging.T @ base.penalty @ merging
+    return base_at(structure, base.zones[zones], recordings, base.eps, start, penalty)
 
 
-def _elsewhere(base: Base, recordings: Sequence[Samples]) -> Array:
-    """Curvature of the squared change of the output over as many samples of drawn work, shape (q, q)."""
-    low, high = min(float(one.u.min()) for one in recordings), max(float(one.u.max()) for one in recordings)
+def _random_input_curvature(base: Base, recordings: Sequence[Samples]) -> Array:
+    """Curvature of the squared change of the output over random inputs, per as many samples, shape (q, q)."""
+    low = min(float(samples.u.min()) for samples in recordings)
+    high = max(float(samples.u.max()) for samples in recordings)
     rng, drawn = np.random.default_rng(REVERSALS), []
     moves = np.arange(REVERSALS * SAMPLES_OF_A_MOVE) / SAMPLES_OF_A_MOVE
     for share in np.arange(1, PARTS + 1) / PARTS:
@@ -89,19 +90,19 @@ def _elsewhere(base: Base, recordings: Sequence[Samples]) -> Array:
     return result
 
 
-def _quadratic(base: Base, together: Array, elsewhere: Array) -> tuple[Array, Array]:
+def _quadratic(base: Base, merging: Array, elsewhere: Array) -> tuple[Array, Array]:
     """C, shape (k, k), and b, shape (k,), in the cost x' C x - 2 b' x of the groups' slopes."""
     hessian, gradient = base.sums.hessian.sum(axis=0) + elsewhere, base.sums.gradient.sum(axis=0)
-    curvature = together.T @ (hessian + base.penalty) @ together
-    return curvature, together.T @ (gradient + hessian @ base.parameters)
+    curvature = merging.T @ (hessian + base.penalty) @ merging
+    return curvature, merging.T @ (gradient + hessian @ base.parameters)
 
 
-def _solved(base: Base, together: Array, elsewhere: Array) -> tuple[Array, Array]:
-    """Slopes of the groups that fit best, shape (k,), and their covariance times the noise's power, shape (k, k)."""
+def _solved(base: Base, merging: Array, elsewhere: Array) -> tuple[Array, Array]:
+    """Best slopes of the groups, shape (k,), and their covariance over the noise variance, shape (k, k)."""
     equality = base.constraints.equality
     assert equality is not None
-    curvature, slope = _quadratic(base, together, elsewhere)
-    row = equality @ together
+    curvature, slope = _quadratic(base, merging, elsewhere)
+    row = equality @ merging
     free = np.linalg.svd(row[None, :])[2][1:].T
     fixed = row / (row @ row)
     covariance = free @ np.linalg.inv(free.T @ curvature @ free) @ free.T
@@ -110,7 +111,7 @@ def _solved(base: Base, together: Array, elsewhere: Array) -> tuple[Array, Array
 
 
 def _variances(covariance: Array) -> Array:
-    """Of the differences of neighbours, shape (k - 1,)."""
-    own = np.diag(covariance)
-    result: Array = own[:-1] + own[1:] - 2.0 * np.diag(covariance, 1)
+    """Variances of the differences between neighbouring slopes, shape (k - 1,)."""
+    diagonal = np.diag(covariance)
+    result: Array = diagonal[:-1] + diagonal[1:] - 2.0 * np.diag(covariance, 1)
     return result

@@ -1,10 +1,10 @@
-"""The smooth base: a fine grid of plays before a fine force law, both as smooth as the data ask.
+"""The smooth base: a fine grid of plays before a fine force law, with penalties for roughness.
 
     minimise e'e + a |D2 play slopes|^2 + b |D2 force slopes|^2   subject to   slopes >= eps,   H(u_max) = u_max
 
-D2 are second differences from threshold to threshold. The weights a and b are those under which bands of the input
-that were held out are predicted best. Slopes that no sample tells continue those beside them; none is free. Each
-Gauss-Newton step is a quadratic program, solved by ProxQP.
+D2 are second differences from threshold to threshold. The weights a and b minimise the error on held-out bands of the
+input. A slope that no sample determines equals its neighbours. Each Gauss-Newton step is a quadratic program, solved by
+ProxQP.
 
 Source of the penalty: Eilers and Marx (1996), Flexible smoothing with B-splines and penalties, Statistical Science
 11(2), 89-121.
@@ -23,20 +23,20 @@ from piezod.estimation.quadratic_program import Constraints, solve_step
 Array = NDArray[np.float64]
 
 WEIGHTS = 10.0 ** np.arange(-9.0, 2.0)
-"""Weights of the penalties that are tried, times the trace of the data's own part."""
+"""Tried weights of the penalties, relative to the trace of the Hessian of the data."""
 
 FIRST_WEIGHTS = (1e-4, 1e-2)
-"""Of plays and force law, before the data choose: the middle of what they chose on concealed plants."""
+"""Weights of plays and force law for the first fit: the middle of the selected ones on concealed plants."""
 
 CONTINUES = 1e-9
-"""Weight of first differences: below all that data tell, above rounding; it continues slopes that no sample tells."""
+"""Weight of first differences, which fixes the undetermined slopes: below the data's part, above rounding."""
 
 MOST_STEPS = 15
 ENOUGH = 1e-6
-"""Share of the squared error that a further step must promise: half a millionth of the rms error, which nobody sees."""
+"""Share of the squared error by which a further step must be expected to lower it."""
 
 MOST_ROWS = 100_000
-"""Rows that the steps look at; a longer recording is averaged to so many, and the last step sees every sample."""
+"""Rows in the sums of the steps. A longer recording is averaged to so many; the last step sums over every sample."""
 
 
 @dataclass(frozen=True)
@@ -45,18 +45,14 @@ class Base:
 
     Parameters
     ----------
-    structure
-        Plays, and where the force law starts.
     zones
         Thresholds of the force law, shape (m + 1,), from 0 [input unit].
     parameters
-        Play slopes, a constant, drifts, slopes of the force law, shape (q,).
+        p: play slopes, a constant, drifts, slopes of the force law, shape (q,).
     sums
-        At the parameters, over every sample.
+        Normal equations at the parameters, over every sample.
     penalty
         Shape (q, q) [output unit^2]; the fit minimises loss + p' penalty p.
-    constraints
-        Bounds of the parameters.
     eps
         Smallest slope, see `fit_smooth_base`.
     """
@@ -70,7 +66,7 @@ class Base:
     eps: float
 
     def without(self, group: int) -> Array:
-        """Parameters of the fit that has not seen a group of bands, shape (q,); within the bounds."""
+        """Parameters of the fit without a group of bands, shape (q,), within the bounds."""
         rest = np.arange(GROUPS) != group
         hessian = self.sums.hessian[rest].sum(axis=0) + self.penalty
         gradient = self.sums.gradient[rest].sum(axis=0) - self.penalty @ self.parameters
@@ -78,18 +74,14 @@ class Base:
 
 
 def fit_smooth_base(structure: Structure, zones: Array, recordings: Sequence[Samples], eps: float) -> Base:
-    """Fit recordings by the smooth base; of long ones, the sums are those of means (`MOST_ROWS`).
+    """Fit recordings by the smooth base; long recordings are averaged to `MOST_ROWS` rows.
 
     Parameters
     ----------
-    structure
-        Thresholds of the plays, fine.
-    zones
-        Thresholds of the force law, fine, from 0 [input unit].
-    recordings
-        Input, output and start of each.
+    structure, zones
+        Fine thresholds of the plays, and of the force law from 0, shape (m + 1,) [input unit].
     eps
-        Smallest slope, as a fraction of the mean one of the plays, and of the steepest one of the force law.
+        Smallest slope, as a fraction of the mean slope of the plays and of the steepest slope of the force law.
 
     Raises
     ------
@@ -101,7 +93,7 @@ def fit_smooth_base(structure: Structure, zones: Array, recordings: Sequence[Sam
 
 
 def fit_roughly(structure: Structure, zones: Array, recordings: Sequence[Samples], eps: float, every: int) -> Base:
-    """The same with one row for `every` samples, under a penalty that the data do not choose: to compare starts."""
+    """Fit with a row for `every` samples and a fixed penalty, to compare starts; else as `fit_smooth_base`."""
     pieces = merged(pieces_of(structure, recordings, every))
     solver, start = _Solver(structure, zones, clocks_of(recordings), eps), straight_line(structure, zones, recordings)
     return solver.fit(pieces, start, solver.penalty(start, pieces, FIRST_WEIGHTS))
@@ -110,7 +102,7 @@ def fit_roughly(structure: Structure, zones: Array, recordings: Sequence[Samples
 def refit(
     structure: Structure, zones: Array, recordings: Sequence[Samples], eps: float, start: Array, penalty: Array
 ) -> Base:
-    """Fit from a start, shape (q,), under a penalty, shape (q, q), to every sample; else as `fit_smooth_base`."""
+    """Fit to every sample with a penalty, shape (q, q), from a start, shape (q,); else as `fit_smooth_base`."""
     base, solver, every = _fitted(structure, zones, recordings, eps, start, penalty)
     return base if every == 1 else solver.over_all(lambda: pieces_of(structure, recordings), base)
 
@@ -131,8 +123,8 @@ def _fitted(
     start: Array,
     penalty: Array | None,
 ) -> "tuple[Base, _Solver, int]":
-    """The fit, its solver, and the samples of a row."""
-    count = sum(int(np.count_nonzero(one.counts)) for one in recordings)
+    """The fit, its solver, and the number of samples per row."""
+    count = sum(int(np.count_nonzero(samples.counts)) for samples in recordings)
     every = max(1, -(-count // MOST_ROWS))
     pieces = merged(pieces_of(structure, recordings, every))
     solver = _Solver(structure, zones, clocks_of(recordings), eps)
@@ -144,8 +136,9 @@ def _fitted(
 
 def straight_line(structure: Structure, zones: Array, recordings: Sequence[Samples]) -> Array:
     """Parameters of a straight line without hysteresis from the lowest to the highest output, shape (q,)."""
-    low_V, high_V = min(float(one.u.min()) for one in recordings), max(float(one.u.max()) for one in recordings)
-    known = [one.y[one.counts] for one in recordings]
+    low_V = min(float(samples.u.min()) for samples in recordings)
+    high_V = max(float(samples.u.max()) for samples in recordings)
+    known = [samples.y[samples.counts] for samples in recordings]
     low, high = min(float(y.min()) for y in known), max(float(y.max()) for y in known)
     gain = (high - low) / (high_V - low_V)
     drifts = np.zeros(clocks_of(recordings))
@@ -162,16 +155,16 @@ class _Solver:
         self._tables = slice(0, structure.plays), slice(self._count - zones.size, self._count)
 
     def fit(self, pieces: Sequence[Piece], start: Array, penalty: Array) -> Base:
-        """Steps until none promises anything; one that makes the error larger is shortened."""
+        """Step until the expected decrease is negligible; a step that raises the error is shortened."""
         best, best_cost, sums = start, np.inf, None
         step, length, parameters = np.zeros(start.size), 1.0, start
         for _ in range(MOST_STEPS):
-            tried = sums_of(pieces, self._structure, self._zones, parameters)
-            cost = float(tried.loss.sum() + parameters @ penalty @ parameters)
+            trial = sums_of(pieces, self._structure, self._zones, parameters)
+            cost = float(trial.loss.sum() + parameters @ penalty @ parameters)
             if cost < best_cost:
-                best, best_cost, sums, length = parameters, cost, tried, 1.0
+                best, best_cost, sums, length = parameters, cost, trial, 1.0
                 step = self._step(sums, penalty, best)
-                if self._promise(sums, penalty, best, step) <= ENOUGH * best_cost:
+                if self._expected_decrease(sums, penalty, best, step) <= ENOUGH * best_cost:
                     break
             else:
                 length *= 0.25
@@ -180,13 +173,13 @@ class _Solver:
         return self.base(best, sums, penalty)
 
     def over_all(self, pieces: Callable[[], Iterable[Piece]], base: Base) -> Base:
-        """One more step with the sums over every sample, and the sums after it."""
+        """The base after another step with the sums over every sample."""
         sums = sums_of(pieces(), self._structure, self._zones, base.parameters)
         better = base.parameters + self._step(sums, base.penalty, base.parameters)
         return self.base(better, sums_of(pieces(), self._structure, self._zones, better), base.penalty)
 
     def base(self, parameters: Array, sums: Sums, penalty: Array) -> Base:
-        """The base with these sums at its parameters."""
+        """A base from parameters and their sums."""
         return Base(self._structure, self._zones, parameters, sums, penalty, self._bounds(parameters), self._eps)
 
     def _bounds(self, parameters: Array) -> Constraints:
@@ -197,12 +190,12 @@ class _Solver:
         hessian, gradient = sums.hessian.sum(axis=0) + penalty, sums.gradient.sum(axis=0) - penalty @ at
         return solve_step(hessian, gradient, self._bounds(at), at) - at
 
-    def _promise(self, sums: Sums, penalty: Array, at: Array, step: Array) -> float:
+    def _expected_decrease(self, sums: Sums, penalty: Array, at: Array, step: Array) -> float:
         before = float(sums.loss.sum() + at @ penalty @ at)
         return before - sums.expected_loss(step) - float((at + step) @ penalty @ (at + step))
 
     def penalty(self, at: Array, pieces: Sequence[Piece], weights: tuple[float, float]) -> Array:
-        """Penalty of the given weights, relative to the data's own part at a place."""
+        """Penalty with weights relative to the Hessian of the data at the parameters `at`, shape (q,)."""
         sums = sums_of(pieces, self._structure, self._zones, at)
         return self._weighted(sums, weights)
 
@@ -218,7 +211,7 @@ class _Solver:
         return result
 
     def chosen_penalty(self, base: Base) -> Array:
-        """Penalty under which each group of bands is predicted best by a fit of the others."""
+        """Penalty with the least held-out error over all groups of bands."""
         weights = [FIRST_WEIGHTS[0], FIRST_WEIGHTS[1]]
         for table in (0, 1, 0, 1):
             losses = []
@@ -229,7 +222,7 @@ class _Solver:
         return self._weighted(base.sums, (weights[0], weights[1]))
 
     def held_out_loss(self, base: Base, penalty: Array) -> float:
-        """Squared error over all groups, each predicted by the fit of the others; without the bounds."""
+        """Squared error over all groups, each predicted by a fit of the other groups without the bounds."""
         sums, at = base.sums, base.parameters
         equality = self._constraints.equality
         assert equality is not None

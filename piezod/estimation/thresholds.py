@@ -1,4 +1,4 @@
-"""Where plays and dead zones begin (3.25-3.27), denser where a stack's memory changes most."""
+"""Thresholds of plays and dead zones (3.25-3.27); those of the plays are denser near zero."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -9,20 +9,20 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 FINER_NEAR_ZERO = 1.5  # exponent of the play thresholds; 1 would be (3.25)
-INSIDE = 0.995  # share of the outermost place: the play there would move in a single sample
-TWO_SIDED_FROM = 0.1  # share of the output's range below its start from which dead zones are laid on both sides
+INSIDE = 0.995  # largest threshold as share of the limit, where a play would move in a single sample only
+TWO_SIDED_FROM = 0.1  # dead zones lie on both sides if the output goes below its start by this share of its range
 
 
 @dataclass(frozen=True)
 class Reach:
-    """Which plays an input tells anything about.
+    """Range of the thresholds that an input determines.
 
     Parameters
     ----------
     end
         Largest threshold of the dense grid [input unit].
     beyond
-        One more threshold above it, or None [input unit].
+        Another threshold above it, or None [input unit].
     """
 
     end: float
@@ -35,13 +35,13 @@ def play_thresholds(count: int, reach: float, *, beyond: float | None = None, gr
     Parameters
     ----------
     count
-        n, the plays besides the linear part.
+        n, the number of plays without the linear part.
     reach
-        Where the thresholds end [input unit].
+        Upper limit of the thresholds [input unit].
     beyond
-        The last threshold instead, where one above `reach` is wanted [input unit].
+        Last threshold, above `reach` [input unit]; None: below `reach` like the others.
     growth
-        1: equally spaced (3.25); above 1: finer near zero.
+        1: equally spaced (3.25); above 1: denser near zero.
     """
     if beyond is None or count < 1:
         return reach * (np.arange(count + 1) / (count + 1)) ** growth
@@ -49,19 +49,17 @@ def play_thresholds(count: int, reach: float, *, beyond: float | None = None, gr
 
 
 def play_reach(u: Array, path: Sequence[float], *, at_rest: bool) -> Reach:
-    """Which plays this input tells anything about, from the start that it had.
+    """Range of the play thresholds that an input determines.
 
-    A play follows after its input has moved by twice its threshold, so half the swing is the end. A first rise from the
-    de-energised state shows the wider ones too, up to the peak; without one they stand still for ever
-    (piezod/operators/README.md, "Limits of validity").
-    Of a rise that passes an old peak the part above shows the sum of the wider ones: one threshold stands for all.
+    A play follows after its input has moved by twice its threshold, so half the swing is the limit. A first rise from
+    the de-energised state also moves wider plays, up to the peak; otherwise they never move
+    (piezod/operators/README.md, "Limits of validity"). A rise beyond an old peak determines only the summed weight of
+    the wider plays, so a single threshold represents them.
 
     Parameters
     ----------
-    u
-        Input, shape (N,).
-    path
-        Inputs before its first sample since the de-energised state.
+    u, path
+        Input, shape (N,), and the inputs from the de-energised state up to its first sample [input unit].
     at_rest
         Whether the record starts at zero.
     """
@@ -75,7 +73,7 @@ def play_reach(u: Array, path: Sequence[float], *, at_rest: bool) -> Reach:
 
 
 def widest(reaches: Sequence[Reach]) -> Reach:
-    """What several recordings tell together."""
+    """Union of the ranges of several recordings."""
     end = max(reach.end for reach in reaches)
     beyond = [reach.beyond for reach in reaches if reach.beyond is not None and reach.beyond > end]
     return Reach(end, max(beyond, default=None))
@@ -84,14 +82,14 @@ def widest(reaches: Sequence[Reach]) -> Reach:
 def dead_zone_thresholds(count: int, low: float, high: float) -> Array:
     """Thresholds of the inverse dead zones [output unit]: i/(m+1) of the largest output (3.26).
 
-    Where `low` lies below zero by more than a tenth of `high`, as many on the other side (3.27): the two-sided variant.
+    If `low` is below zero by more than a tenth of `high`, there are as many on the other side (3.27).
 
     Parameters
     ----------
     count
-        m, the dead zones beside the linear part, on each side.
+        m, the number of dead zones on each side, without the linear part.
     low, high
-        Range of the output measured from the point where the dead zones start.
+        Range of the output, relative to its value where the dead zones start [output unit].
     """
     upper = high * np.arange(count + 1) / (count + 1)
     if low >= -TWO_SIDED_FROM * high:

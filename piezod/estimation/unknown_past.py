@@ -1,9 +1,9 @@
-"""Columns for what was driven before a recording that begins amid the range.
+"""Columns for the unknown past of a recording that begins amid the range.
 
-A play of half-width r that was at z when the recording began is at clip(z, M - r, m + r) later. M and m are the highest
-and the lowest input since. So an unknown past adds a function of M and m to the stroke. They change one at a time, so
-that it is a function of the swept range M - m, fitted as straight pieces. When the plays have forgotten their past, a
-shift of the zero is left. Effects that remember for longer add their decays.
+A play of half-width r that starts the recording at z is at clip(z, M - r, m + r) later. M and m are the highest and the
+lowest input since then. So an unknown past adds a function of M and m to the stroke. Only M or m changes at a time, so
+it is a function of the swept range M - m, fitted as straight pieces. When the plays have forgotten their past, a shift
+of the zero remains. Effects with a longer memory add their decays.
 Derived here from the definition of the play: M. Brokate and J. Sprekels (1996), Hysteresis and Phase Transitions, 2.1.
 """
 
@@ -18,27 +18,26 @@ from piezod.operators import PrandtlIshlinskii
 
 Array = NDArray[np.float64]
 
-PIECES = 8  # at least, over the swept range; a piece ends where the other end of the range begins to grow
-MOST_PIECES = 16
-SHORTEST = 0.25  # of an equal piece: switches that lie closer share a piece
-GROWN = 0.99  # of the whole swept range: equal cycles, sampled, still widen it a little
-EQUAL = 0.01  # of the whole swept range, within which what the past adds counts as the same
-PASTS = 24  # that are tried: any lies between four extreme ones; the others turn within the range
+PIECES, MOST_PIECES = 8, 16  # straight pieces over the swept range; they also end where its other end begins to grow
+SHORTEST = 0.25  # shortest piece, as share of an equal piece
+GROWN = 0.99  # share of the final swept range at which it counts as complete; sampled equal cycles still widen it
+EQUAL = 0.01  # share of the final swept range within which the contribution of the past counts as equal
+PASTS = 24  # number of tried pasts: four extreme ones, between which any past lies, and random ones
 
 
 @dataclass(frozen=True)
 class UnknownPast:
-    """What an unknown past can have added to a stroke.
+    """Possible contributions of an unknown past to a stroke.
 
     Parameters
     ----------
     columns
-        Straight pieces over the range swept so far, shape (N, K) [1].
+        Straight pieces over the swept range, shape (N, K) [1].
     until
-        Sample from which all columns stay as they are.
+        Sample from which all columns are constant.
     known
-        Where a fit of the columns leaves little of any past, and other samples tell the same size, shape (N,). From
-        `until` on everywhere.
+        Samples at which a fit of the columns removes any past, shape (N,). Before `until`, a sample counts only if
+        enough others have its swept range.
     """
 
     columns: Array
@@ -49,53 +48,53 @@ class UnknownPast:
 def unknown_past(
     u: Array, operator: Callable[[], PrandtlIshlinskii], ends: tuple[float, float], within: float, least: int = 1
 ) -> UnknownPast | None:
-    """Columns for the past of a recording that begins amid the range; None where no past matters, but for a shift.
+    """Columns for the past of a recording that begins amid the range; None: the past has no effect besides a shift.
 
-    Plays that never move shift the stroke for good: a last column is 1 from there on. Behind a curved force law such a
-    shift is no tare.
+    Plays that never move shift the stroke permanently: a last column is 1 from `until` on. With a curved force law such
+    a shift is no tare.
 
     Parameters
     ----------
     u
         Input, shape (N,).
     operator
-        Makes the operator, de-energised.
+        Returns a de-energised operator.
     ends
-        Lowest and highest input that may have come before.
+        Lowest and highest possible input of the past.
     within
-        Difference of the strokes after two pasts that does not matter, above 0 [input unit].
+        Negligible difference of the strokes after two pasts, above 0 [input unit].
     least
-        Samples with the same swept range that make the size of a column known, 1 or more.
+        Number of samples with an equal swept range that determine the size of a column, 1 or more.
     """
     swept = np.maximum.accumulate(u) - np.minimum.accumulate(u)
-    grows = np.concatenate(([0], np.flatnonzero(np.diff(swept) > 0.0) + 1))  # what a past adds changes there alone
+    grows = np.concatenate(([0], np.flatnonzero(np.diff(swept) > 0.0) + 1))  # the contribution changes only there
     lasts = np.diff(np.append(grows, u.size))
     low, high = min(ends[0], float(u.min())), max(ends[1], float(u.max()))
-    courses = np.array([_stroke(operator(), low + (high - low) * past, u[grows]) for past in _pasts()])
-    stays = float(np.ptp(courses[:, -1])) > within
-    courses -= courses[:, -1:]
-    unknown = np.flatnonzero(np.ptp(courses, axis=0) > within)
+    strokes = np.array([_stroke(operator(), low + (high - low) * past, u[grows]) for past in _pasts()])
+    lasting = float(np.ptp(strokes[:, -1])) > within
+    strokes -= strokes[:, -1:]
+    unknown = np.flatnonzero(np.ptp(strokes, axis=0) > within)
     if not unknown.size:
         return None
     forgotten = int(lasts[: unknown[-1] + 1].sum())
     grown = int(np.searchsorted(swept, GROWN * swept[-1]))
     until = min(forgotten, max(grown, 1), u.size - 1)
-    different = (courses - courses.mean(axis=0)).T
+    different = (strokes - strokes.mean(axis=0)).T
     for pieces in (PIECES, MOST_PIECES):
         knots = _knots(u[: until + 1], swept[: until + 1], pieces)
-        hats = np.eye(knots.size) if stays else np.eye(knots.size)[:-1]
+        hats = np.eye(knots.size) if lasting else np.eye(knots.size)[:-1]
         columns = np.array([np.interp(np.minimum(swept, knots[-1]), knots, hat) for hat in hats]).reshape(-1, u.size).T
-        left = np.abs(different - _fitted(different, columns[grows], lasts)).max(axis=1)
-        if float(np.sqrt(np.mean(np.repeat(left, lasts)[: until + 1] ** 2))) < within:
+        residual = np.abs(different - _fitted(different, columns[grows], lasts)).max(axis=1)
+        if float(np.sqrt(np.mean(np.repeat(residual, lasts)[: until + 1] ** 2))) < within:
             break
     bins = np.floor(swept / (EQUAL * max(swept[-1], 1e-12))).astype(int)
-    known = (np.repeat(left, lasts) < within) & (np.bincount(bins)[bins] >= least)
+    known = (np.repeat(residual, lasts) < within) & (np.bincount(bins)[bins] >= least)
     known[until:] = True
     return UnknownPast(columns, until, known)
 
 
 def _fitted(values: Array, columns: Array, times: NDArray[np.int64]) -> Array:
-    """What columns and a constant tell of values, by least squares; each row counts so many times."""
+    """Least-squares fit of the values by columns and a constant; `times` is the weight of each row."""
     rows = np.hstack((columns, np.ones((times.size, 1))))
     weights = np.sqrt(times)[:, None]
     fitted: Array = rows @ np.linalg.lstsq(weights * rows, weights * values, rcond=1e-9)[0]
@@ -103,7 +102,7 @@ def _fitted(values: Array, columns: Array, times: NDArray[np.int64]) -> Array:
 
 
 def _pasts() -> list[Array]:
-    """Pasts in parts of the range; the same at every call."""
+    """Pasts as shares of the range, equal at every call."""
     rng = np.random.default_rng(0)
     extreme = [np.array(path) for path in ((0.0,), (1.0,), (0.0, 1.0), (1.0, 0.0))]
     return extreme + [rng.uniform(size=rng.integers(1, 6)) for _ in range(PASTS - len(extreme))]
@@ -115,9 +114,9 @@ def _stroke(operator: PrandtlIshlinskii, past: Array, u: Array) -> Array:
 
 
 def _knots(u: Array, swept: Array, pieces: int) -> Array:
-    """Swept ranges at which a piece ends, all of them seen, rising, shape (K,) [input unit].
+    """Ends of the straight pieces among the swept ranges, rising, shape (K,) [input unit].
 
-    The slope of what the past adds changes its sign where the other end of the range begins to grow.
+    The slope of the contribution changes its sign where the other end of the range begins to grow.
     """
     above, below = np.diff(np.maximum.accumulate(u)) > 0.0, np.diff(np.minimum.accumulate(u)) < 0.0
     grows = np.flatnonzero(above | below)
@@ -133,14 +132,14 @@ def _knots(u: Array, swept: Array, pieces: int) -> Array:
 
 
 def fitted_past(error: Array, columns: Array) -> Array:
-    """What an unknown past adds, as an error tells, shape (N,) [output unit].
+    """Contribution of an unknown past, fitted to an error, shape (N,) [output unit].
 
     Parameters
     ----------
     error
-        Measured less simulated, shape (N,); nan where nothing is known. Its mean is no part of the past.
+        Measured minus simulated, shape (N,), nan where unknown; its mean is not attributed to the past.
     columns
-        Those of `unknown_past` and decays of effects, shape (N, K) [1].
+        Columns of `unknown_past` and decays of effects, shape (N, K) [1].
     """
     known = np.isfinite(error)
     constant = np.ones((np.count_nonzero(known), 1))

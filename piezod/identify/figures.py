@@ -1,4 +1,4 @@
-"""Figures of a fit on what it was fitted to and on what was held out, side by side."""
+"""Figures of a fit on the fitted and on the held-out samples."""
 
 import contextlib
 from collections.abc import Sequence
@@ -15,13 +15,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Run:
-    """Samples of a recording, measured and simulated.
-
-    Parameters
-    ----------
-    u, y, error
-        Input, output, and measured less simulated output, shape (N,).
-    """
+    """Input, measured output, and measured minus simulated output of a recording, each shape (N,)."""
 
     u: Array
     y: Array
@@ -29,27 +23,19 @@ class Run:
 
 
 def fit_figures(fitted: Sequence[Run], held_out: Sequence[Run]) -> FitFigures:
-    """Figures of both.
-
-    Parameters
-    ----------
-    fitted, held_out
-        One run for each recording.
-    """
+    """Figures of the fitted and the held-out runs, one run for each recording."""
     figures: dict[str, float | None] = {}
-    loops: dict[
-        tuple[int, ...], float | None
-    ] = {}  # of what was measured: the same where every sample is held out once
+    loops: dict[tuple[int, ...], float | None] = {}  # by the identity of the measured arrays, which both may share
     for name, runs in (("fit", fitted), ("held_out", held_out)):
         measured, error = _joined([run.y for run in runs]), _joined([run.error for run in runs])
         inputs, outputs = [run.u for run in runs], [run.y for run in runs]
         figures[f"rms_{name}"] = rms(error)
         figures[f"max_{name}"] = largest(error)
         figures[f"nrmse_percent_{name}"] = nrmse_percent(measured, measured - error)
-        same = tuple(map(id, (*inputs, *outputs)))
-        if same not in loops:
-            loops[same] = _widest_loop(inputs, outputs)
-        figures[f"max_hysteresis_percent_{name}"] = loops[same]
+        key = tuple(map(id, (*inputs, *outputs)))
+        if key not in loops:
+            loops[key] = _widest_loop(inputs, outputs)
+        figures[f"max_hysteresis_percent_{name}"] = loops[key]
         modelled = [run.y - run.error for run in runs]
         figures[f"remaining_hysteresis_percent_{name}"] = _widest_loop(modelled, outputs)
     return FitFigures(**{key: value if value is None else float(f"{value:.6g}") for key, value in figures.items()})
@@ -60,7 +46,7 @@ def _joined(parts: Sequence[Array]) -> Array:
 
 
 def _widest_loop(drives: Sequence[Array], responses: Sequence[Array]) -> float | None:
-    """Max hysteresis of the recordings, None where none of them closes a loop."""
+    """Largest hysteresis of the recordings [%]; None if no recording closes a loop."""
     openings = []
     for drive, response in zip(drives, responses, strict=True):
         with contextlib.suppress(ValueError):

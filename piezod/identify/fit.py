@@ -1,4 +1,4 @@
-"""One fit of one structure: the quadratic program first, then the error in the output itself is minimised."""
+"""Fit of one structure: first the quadratic program, then Gauss-Newton steps on the output error."""
 
 import functools
 from collections.abc import Callable, Iterable, Sequence
@@ -27,26 +27,24 @@ Array = NDArray[np.float64]
 
 MOST_STEPS = 12
 MOST_RESCALED = 3
-MOST_KEPT = 100_000  # samples whose play segments are kept from step to step
-SMALLEST_GAIN = 1e-8  # share of the squared error that a further step must promise
+MOST_CACHED = 100_000  # samples up to which the play segments are stored between the steps
+SMALLEST_GAIN = 1e-8  # share of the squared error by which a further step must be expected to lower it
 
 
 @dataclass(frozen=True)
 class Fit:
-    """What one fit found.
+    """Result of one fit.
 
     Parameters
     ----------
-    structure
-        Which operators.
-    hysteresis
-        The direct operator.
+    structure, hysteresis
+        Thresholds of the fit, and the direct operator.
     gram
-        Gram matrix of the quadratic program, shape (q, q): what a later refit needs.
+        Gram matrix of the quadratic program, shape (q, q), for a later refit.
     condition
         Condition number of the columns, each scaled to length 1, without the direction that the normalisation fixes.
     statistics
-        What a later refit needs instead of the samples.
+        Normal equations, from which a later refit needs no samples.
     """
 
     structure: Structure
@@ -63,19 +61,15 @@ def fit_hysteresis(
 
     Parameters
     ----------
-    structure
-        Which operators.
-    recordings
-        Input and output of each.
     variant
-        Constraint variant of the quadratic program, "A" or "B".
+        Constraints of the quadratic program, see `Constraints.of`.
     eps
-        Smallest partial sum of weights.
+        Smallest partial sum of weights, as a share of the steepest one.
 
     Raises
     ------
     RecordingError
-        The recording does not determine the model.
+        The recordings do not determine the model.
     """
     constraints = Constraints.of(structure, clocks_of(recordings), variant=variant, eps=eps)
     gram = accumulate_gram(structure, recordings)
@@ -85,7 +79,7 @@ def fit_hysteresis(
     zones, zone_weights = inverse_dead_zone(structure.zone_thresholds, inverse_weights)
     parameters = np.concatenate((slopes[:free], zone_slopes_of(zones, zone_weights)))
     pieces = _pieces(structure, recordings)
-    for _ in range(MOST_RESCALED):  # the smallest slope is a part of the steepest, which the fit may raise
+    for _ in range(MOST_RESCALED):  # the bound is a share of the steepest slope, which the fit may raise
         steepest = float(parameters[free:].max())
         direct = constraints.for_direct(zones.size, eps * steepest)
         parameters[free:] = np.maximum(parameters[free:], eps * steepest)
@@ -97,22 +91,22 @@ def fit_hysteresis(
 
 
 def _pieces(structure: Structure, recordings: Sequence[Samples]) -> Callable[[], Iterable[Piece]]:
-    """Pieces for each step: kept where they are few, else made again."""
-    if sum(one.u.size for one in recordings) > MOST_KEPT:
+    """Pieces for each step: stored for up to `MOST_CACHED` samples, else computed at each step."""
+    if sum(samples.u.size for samples in recordings) > MOST_CACHED:
         return functools.partial(pieces_of, structure, recordings)
-    kept = merged(pieces_of(structure, recordings))
-    return lambda: kept
+    cache = merged(pieces_of(structure, recordings))
+    return lambda: cache
 
 
 def fit_of_base(base: Base) -> Fit:
-    """A fit by the smooth base, as what a model is made of."""
+    """The smooth base as a `Fit`, from which a model is made."""
     return _fit(base.structure, base.zones, base.parameters, base.sums, base.sums.hessian.sum(axis=0), base.eps)
 
 
 def _fit(structure: Structure, zones: Array, parameters: Array, sums: Sums, gram: Array, eps: float) -> Fit:
     bounded, law = parameters.copy(), slice(parameters.size - zones.size, None)
     bounded[law] = np.maximum(bounded[law], (1.0 + 1e-9) * eps * bounded[law].max())
-    # a solver keeps a bound to its tolerance only
+    # the solver satisfies a bound within its tolerance only
     bounded[: structure.plays] = np.maximum(bounded[: structure.plays], (1.0 + 1e-9) * eps)
     return Fit(
         structure,
@@ -124,13 +118,13 @@ def _fit(structure: Structure, zones: Array, parameters: Array, sums: Sums, gram
 
 
 def _statistics(structure: Structure, zones: Array, parameters: Array, sums: Sums) -> Statistics:
-    """Normal equations at the solution; drifts of the recordings are eliminated from them."""
+    """Normal equations at the solution, with the drifts of the recordings eliminated."""
     normal = sums.hessian.sum(axis=0)
     first, count = structure.plays + 1, parameters.size - structure.plays - 1 - zones.size
-    kept = np.delete(np.arange(parameters.size), np.arange(first, first + count))
+    stationary = np.delete(np.arange(parameters.size), np.arange(first, first + count))
     drifts = normal[first : first + count, first : first + count]
-    across = normal[kept][:, first : first + count]
-    normal = normal[np.ix_(kept, kept)] - across @ np.linalg.pinv(drifts) @ across.T
+    across = normal[stationary][:, first : first + count]
+    normal = normal[np.ix_(stationary, stationary)] - across @ np.linalg.pinv(drifts) @ across.T
     return Statistics(
         samples=int(sums.samples.sum()),
         rms=sums.rms,
@@ -139,12 +133,12 @@ def _statistics(structure: Structure, zones: Array, parameters: Array, sums: Sum
         zone_thresholds=tuple(zones.tolist()),
         zone_slopes=tuple(parameters[-zones.size :].tolist()),
         origin=structure.origin,
-        normal=tuple(float(f"{value:.9g}") for value in normal[np.tril_indices(kept.size)]),
+        normal=tuple(float(f"{value:.9g}") for value in normal[np.tril_indices(stationary.size)]),
     )
 
 
 def _as_hysteresis(structure: Structure, zones: Array, parameters: Array, eps: float) -> Hysteresis:
-    """The constant inside the dead zones moves into their thresholds and the offset."""
+    """The direct operator: the constant inside the dead zones moves into their thresholds and the offset."""
     plays = structure.plays
     zone_weights = zone_weights_of(zones, parameters[-zones.size :])
     thresholds, weights, constant = shifted(zones, zone_weights, float(parameters[plays]))
@@ -159,7 +153,7 @@ def _as_hysteresis(structure: Structure, zones: Array, parameters: Array, eps: f
 
 
 def _condition(gram: Array) -> float:
-    """From the eigenvalues of the scaled Gram matrix, as far as rounding tells; the smallest is the solution's own."""
+    """From the eigenvalues of the scaled Gram matrix, within rounding; the smallest belongs to the solution itself."""
     scale = 1.0 / np.sqrt(np.maximum(np.diag(gram), np.finfo(float).tiny))
     values = np.linalg.eigvalsh(gram * np.outer(scale, scale))
     return float(np.sqrt(values[-1] / max(values[1], np.finfo(float).eps * values[-1])))
@@ -174,8 +168,8 @@ def _refine(
 ) -> Array:
     """Gauss-Newton on the output error; each step is a quadratic program, halved until the error falls.
 
-    The first program's error is in the input's unit and has the noisy output among its regressors, which biases the
-    dead-zone slopes; the error in the output has not.
+    The error of the first program is in the input's unit. Its regressors contain the noisy output, which biases the
+    dead-zone slopes; the regressors of the output error do not.
     """
     best, step, damping = start, np.zeros_like(start), 1.0
     best_loss = np.inf

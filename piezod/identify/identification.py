@@ -1,4 +1,4 @@
-"""From recordings to a model: prepare, judge the orders, fit, and say how good it is."""
+"""From recordings to a model: split the samples, select the orders, fit, and compute the figures of the fit."""
 
 import itertools
 from collections.abc import Sequence
@@ -19,9 +19,9 @@ from piezod.estimation.smooth_base import Base, fit_smooth_base, refit
 from piezod.identify.figures import Run, fit_figures
 from piezod.identify.fit import Fit, fit_of_base
 from piezod.identify.intake import OnStep
-from piezod.identify.order import PLAYS, ZONES, Candidate, best_of, choose, judge_orders, prune, residual
+from piezod.identify.order import PLAYS, ZONES, Candidate, best_of, choose, fit_orders, prune, residual
 from piezod.identify.scores import rms
-from piezod.identify.stretches import Stretch, Structures, leading_share, whole
+from piezod.identify.stretches import Stretch, Structures, split_stretch, unsplit_stretch
 from piezod.identify.suitability import check_suitable, falls
 from piezod.model import Model, file_sha256
 from piezod.model.parameters import Channel, FitFigures, Provenance, RecordingSource, Start
@@ -32,47 +32,48 @@ from piezod.recording.names import unit_of
 Array = NDArray[np.float64]
 
 FINE_PLAYS, FINE_ZONES = 40, 20
-"""Tables of the smooth base. Twice as fine, the error on other work of three concealed plants with coloured noise falls
-from 1.04, 1.08 and 1.11 of the noise to 1.03, 1.07 and 1.10; a tick takes twice as long."""
+"""Tables of the smooth base. Twice as fine, the error on new recordings of three concealed plants with coloured noise
+falls from 1.04, 1.08 and 1.11 of the noise to 1.03, 1.07 and 1.10; a tick takes twice as long."""
 
-LEFT = 1.02
-"""Ratio of squared errors on the other groups above which a single step has left their fit: they are fitted anew."""
+MOST_GROWTH = 1.02
+"""Growth of the squared error on the other groups above which a single step is too inexact and a full refit follows."""
 
 LEAST_EXPLAINED = 0.5
-"""Share of the output's variance below which a model leaves more than it explains."""
+"""Share of the output's variance that a useful model must explain."""
 
-REPEATS = 3.0  # times the noise: an error of so much is hardly an output that has nothing to do with the input
-NOTHING_LEFT = 1.1
-"""Times the noise up to which an error is noise: it has 5 % of uncertainty, and the model some of its own."""
+STRUCTURED = 3.0
+"""Error, in multiples of the noise, above which an unusable model still has structured residuals."""
+
+AT_THE_NOISE = 1.1
+"""Error, in multiples of the noise, up to which no effect is missing: the noise is known to 5 %."""
 
 WORSE_START = 1.5
-"""Times the error of the rest that the first samples may show before they are left out."""
+"""Largest error of the first samples, in multiples of the error of the other samples, before they are excluded."""
 
 
 @dataclass(frozen=True)
 class Options:
-    """How to identify.
+    """Options of the identification.
 
     Parameters
     ----------
     input, output
         Columns of the recordings.
     plays, zones
-        n and m; None: the fewest that fit as well as the smooth base, or with `orders` the pair with the least
-        held-out error.
+        Orders n and m; None: the fewest operators that fit as well as the smooth base. With `orders`: the pair with
+        the least held-out error.
     orders
-        Whether every pair of orders is judged, as in the thesis. So it is too where only one of n and m is given, or
-        variant A.
+        Whether every pair of orders is fitted and compared, as in the thesis. A given n or m, or variant A, implies it.
     variant
         "A": no play weight negative; "B": no partial sum below eps.
     eps
         Smallest partial sum.
     prune
-        Whether operators that hardly matter are dropped.
+        Whether operators with negligible weights are removed after a comparison of orders.
     fit_share
-        With given or judged orders: leading share of each recording that is fitted; the rest is held out.
+        After a comparison of orders: leading share of each recording that is fitted, 0.1 to 0.95; the rest is held out.
     name
-        Of the model.
+        Name of the model.
     """
 
     input: str = "voltage_V"
@@ -89,45 +90,41 @@ class Options:
 
 @dataclass(frozen=True)
 class Identification:
-    """A model and how it was come by.
+    """A model with the steps that led to it.
 
     Parameters
     ----------
-    model
-        The chosen one.
     candidates
-        Every pair of orders that was judged.
-    taken
-        The pair of orders that was taken.
-    chosen
-        The same after pruning: what the model was made of.
+        Compared orders; empty after a fit of the smooth base.
+    before_pruning, chosen
+        Selected order, and the order of the model after pruning.
     notes
-        What the recordings cannot determine, and what was noticed in them.
+        Properties that the recordings do not determine, and properties of the recordings.
     noise
-        Noise of the recordings; None: they do not tell it.
+        Noise of the recordings; None: unknown.
     """
 
     model: Model
     candidates: list[Candidate]
-    taken: Candidate
+    before_pruning: Candidate
     chosen: Candidate
     notes: list[str]
     noise: Noise | None = None
 
     @property
     def explained(self) -> float:
-        """Share of the output's variance that the model predicts where it is held out; below 0 where it harms."""
+        """Explained share of the variance on held-out data, at most 1; below 0: worse than the mean."""
         fit = self.model.provenance.fit
         return 1.0 - (1.0 - 0.01 * (fit.nrmse_percent_held_out or 0.0)) ** 2
 
     @property
     def useful(self) -> bool:
-        """Whether the model explains more than it leaves."""
+        """Whether the model explains more than half of the variance."""
         return self.explained > LEAST_EXPLAINED
 
     @property
     def verdict(self) -> str:
-        """In a sentence, how good the model is."""
+        """Quality of the model in a sentence."""
         unit = self.model.output.unit
         error = self.chosen.rms_held_out
         share = 100.0 * error / (self.model.output.high - self.model.output.low)
@@ -138,14 +135,14 @@ class Identification:
         if self.useful and self.noise is not None:
             rest = (
                 "nothing else is left"
-                if error < NOTHING_LEFT * self.noise.rms
+                if error < AT_THE_NOISE * self.noise.rms
                 else "piezod diagnose tells what is left"
             )
             return f"{words}; noise {self.noise.rms:.3g} {unit}, seen in {self.noise.seen_in}; {rest}"
         if self.useful:
             return words
         needs = f"not usable: {words}, must explain more than {100.0 * LEAST_EXPLAINED:.0f} %"
-        if self.noise is not None and error > REPEATS * self.noise.rms:
+        if self.noise is not None and error > STRUCTURED * self.noise.rms:
             return (
                 f"{needs}; noise {self.noise.rms:.3g} {unit}, seen in {self.noise.seen_in}: what is left follows the "
                 "input through modes, filters or delays, which no hysteresis has; piezod diagnose finds them"
@@ -170,64 +167,66 @@ def identify(
     Parameters
     ----------
     recordings
-        At least one, all with the same input and output columns; such as `load_recordings` gives.
-    options
-        Columns, orders, constraints.
+        At least one, as returned by `load_recordings`; all hold both columns of the options.
     by
         Program and version, for the provenance.
-    sources, notes
-        What taking them in found; without sources the recordings' files are hashed here.
+    sources
+        Entries for the provenance; empty: computed from the recordings' files.
+    notes
+        Notes on the recordings, which precede those of the identification.
     on_step
-        Called with what is done and the share of the pairs of orders that is judged.
+        Called with the current step in words, and the share of the orders that is done; None: unknown.
 
     Raises
     ------
     RecordingError
-        A recording determines no model; the message says what to record instead.
+        A recording determines no model; the message names a suitable recording.
+    UsageError
+        `fit_share` is out of range.
     """
-    said = list(notes)
+    lines = list(notes)
     if all(falls(recording, options.input, options.output) for recording in recordings):
-        said.append(
+        lines.append(
             f"{recordings[0].source}: {options.output} falls where {options.input} rises: the model is of the negative "
             f"-{options.output}; to drive the bench, turn the sign of the load cell (registers.force.scale) and record "
             "again"
         )
         options = replace(options, output=f"-{options.output}")
     pairs = [(r.channel(options.input), r.channel(options.output)) for r in recordings]
-    said += [w for one in recordings for w in check_suitable(one, options.input, options.output)]
+    lines += [warning for r in recordings for warning in check_suitable(r, options.input, options.output)]
     if not 0.1 <= options.fit_share <= 0.95:
         raise UsageError(f"the fitted share is {options.fit_share:g}, must be within 0.1 and 0.95")
     by_orders = options.orders or options.plays is not None or options.zones is not None or options.variant == "A"
     on_step("fitting", 0.0 if by_orders else None)
     if not by_orders:
-        return _smooth(recordings, pairs, options, by, sources, said)
+        return _smooth(recordings, pairs, options, by, sources, lines)
     stretches = [
-        leading_share(recording, u, y, options.input, options.fit_share, options.eps)
+        split_stretch(recording, u, y, options.input, options.fit_share, options.eps)
         for recording, (u, y) in zip(recordings, pairs, strict=True)
     ]
-    fitted, held_out = [one.fitted for one in stretches], [one.held_out for one in stretches]
+    fitted, held_out = [stretch.fitted for stretch in stretches], [stretch.held_out for stretch in stretches]
     orders = [
         (n, m)
         for n in ((options.plays,) if options.plays is not None else PLAYS)
         for m in ((options.zones,) if options.zones is not None else ZONES)
     ]
     structures = Structures(stretches)
-    judged = itertools.count()
+    done = itertools.count()
 
     def structure_of(plays: int, zones: int) -> Structure:
-        on_step("fitting", next(judged) / len(orders))
+        on_step("fitting", next(done) / len(orders))
         return structures.of(plays, zones)
 
-    candidates = judge_orders(structure_of, fitted, held_out, orders=orders, variant=options.variant, eps=options.eps)
-    taken = chosen = choose(candidates)
+    candidates = fit_orders(structure_of, fitted, held_out, orders=orders, variant=options.variant, eps=options.eps)
+    before_pruning = chosen = choose(candidates)
     if options.prune:
-        chosen = prune(taken, best_of(candidates), fitted, held_out, variant=options.variant, eps=options.eps)
+        chosen = prune(chosen, best_of(candidates), fitted, held_out, variant=options.variant, eps=options.eps)
     assert chosen.fit is not None
     operator = chosen.fit.hysteresis.operator()
     figures = fit_figures(*([_run(operator, samples) for samples in part] for part in (fitted, held_out)))
-    model = _model(recordings, pairs, options, chosen.fit, stretches[0], figures, by, sources, said)
-    said += [note for one in stretches for note in one.notes]
-    return Identification(model, candidates, taken, chosen, said + _undetermined(chosen), _noise(recordings, fitted))
+    model = _model(recordings, pairs, options, chosen.fit, stretches[0], figures, by, sources, lines)
+    lines += [note for stretch in stretches for note in stretch.notes] + _undetermined(chosen)
+    return Identification(model, candidates, before_pruning, chosen, lines, _noise(recordings, fitted))
 
 
 def _smooth(
@@ -236,36 +235,37 @@ def _smooth(
     options: Options,
     by: str,
     sources: Sequence[RecordingSource],
-    said: list[str],
+    lines: list[str],
 ) -> Identification:
     """The fewest operators that fit as well as the smooth base; every sample counts."""
     stretches = [
-        whole(recording, u, y, options.input, options.eps) for recording, (u, y) in zip(recordings, pairs, strict=True)
+        unsplit_stretch(recording, u, y, options.input, options.eps)
+        for recording, (u, y) in zip(recordings, pairs, strict=True)
     ]
     base = _base(stretches, options.eps)
-    unsettled = [_without_unsettled(recording, one, base) for recording, one in zip(recordings, stretches, strict=True)]
-    if any(new is not old for new, old in zip(unsettled, stretches, strict=True)):
-        stretches = unsettled
+    trimmed = [_without_uncertain(recording, s, base) for recording, s in zip(recordings, stretches, strict=True)]
+    if any(new is not old for new, old in zip(trimmed, stretches, strict=True)):
+        stretches = trimmed
         base = _base(stretches, options.eps)
-    fitted = [one.fitted for one in stretches]
-    loss = sum(float(np.sum(_run(fit_of_base(base).hysteresis.operator(), one).error ** 2)) for one in fitted)
+    fitted = [stretch.fitted for stretch in stretches]
+    loss = sum(float(np.sum(_run(fit_of_base(base).hysteresis.operator(), samples).error ** 2)) for samples in fitted)
     fewest = reduced(base, fitted, loss)
     fit = fit_of_base(fewest)
-    figures = fit_figures([_run(fit.hysteresis.operator(), one) for one in fitted], _held_out(fewest, fitted))
+    figures = fit_figures([_run(fit.hysteresis.operator(), samples) for samples in fitted], _held_out(fewest, fitted))
     plays, zones = fit.structure.plays - 1, fit.structure.zones
     chosen = Candidate(
         plays, zones, fit, figures.rms_fit or 0.0, figures.rms_held_out or 0.0, np.array([figures.rms_held_out or 0.0])
     )
-    said += [note for one in stretches for note in one.notes]
-    model = _model(recordings, pairs, options, fit, stretches[0], figures, by, sources, said)
+    lines += [note for stretch in stretches for note in stretch.notes]
+    model = _model(recordings, pairs, options, fit, stretches[0], figures, by, sources, lines)
     noise = _noise(recordings, fitted)
-    return Identification(model, [], chosen, chosen, said + _undetermined(chosen), noise)
+    return Identification(model, [], chosen, chosen, lines + _undetermined(chosen), noise)
 
 
 def _noise(recordings: Sequence[Recording], fitted: Sequence[Samples]) -> Noise | None:
-    """Noise of all recordings that tell it, by rms."""
-    told = [noise_of(one.u, one.y, one.counts, rec.dt_s) for rec, one in zip(recordings, fitted, strict=True)]
-    known = [(noise, one.u.size) for noise, one in zip(told, fitted, strict=True) if noise is not None]
+    """Rms noise over the recordings whose noise is known."""
+    noises = [noise_of(s.u, s.y, s.counts, recording.dt_s) for recording, s in zip(recordings, fitted, strict=True)]
+    known = [(noise, samples.u.size) for noise, samples in zip(noises, fitted, strict=True) if noise is not None]
     if not known:
         return None
     power = sum(noise.rms**2 * size for noise, size in known) / sum(size for _, size in known)
@@ -274,12 +274,12 @@ def _noise(recordings: Sequence[Recording], fitted: Sequence[Samples]) -> Noise 
 
 def _base(stretches: Sequence[Stretch], eps: float) -> Base:
     tables = Structures(stretches).smooth(FINE_PLAYS, FINE_ZONES)
-    return fit_smooth_base(*tables, [one.fitted for one in stretches], eps)
+    return fit_smooth_base(*tables, [stretch.fitted for stretch in stretches], eps)
 
 
-def _without_unsettled(recording: Recording, stretch: Stretch, base: Base) -> Stretch:
-    """The same without its first samples, where these fit worse than the rest: no start that was tried is theirs."""
-    first, samples = stretch.unsettled, stretch.fitted
+def _without_uncertain(recording: Recording, stretch: Stretch, base: Base) -> Stretch:
+    """Exclude the first samples if they fit worse than the others: then no tried start fits them."""
+    first, samples = stretch.uncertain, stretch.fitted
     counts = samples.counts.copy()
     counts[:first] = False
     if not samples.counts[:first].any() or counts.sum() < 0.5 * samples.counts.sum():
@@ -291,31 +291,33 @@ def _without_unsettled(recording: Recording, stretch: Stretch, base: Base) -> St
         f"{recording.source}: its first {recording.time_s[first] - recording.time_s[0]:.3g} s depend on what came "
         "before and are not used"
     )
-    kept = replace(samples, counts=counts)
-    return Stretch(kept, kept, stretch.at_rest, 0, (*stretch.notes, note))
+    trimmed = replace(samples, counts=counts)
+    return Stretch(trimmed, trimmed, stretch.at_rest, 0, (*stretch.notes, note))
 
 
 def _held_out(base: Base, recordings: Sequence[Samples]) -> list[Run]:
-    """Every group of bands as the fit of the others simulates it; start and penalty have seen all groups."""
-    groups = [group_of(one.u).astype(np.int8) for one in recordings]
+    """Each group of bands, simulated by a fit of the other groups; start and penalty come from all groups."""
+    groups = [group_of(samples.u).astype(np.int8) for samples in recordings]
     powers = sum(map(_powers, _errors(base, base.parameters, recordings), recordings, groups))
-    held_out = [np.zeros(one.u.size) for one in recordings]
+    held_out = [np.zeros(samples.u.size) for samples in recordings]
     for group in range(GROUPS):
         rest = np.arange(GROUPS) != group
         errors = _errors(base, base.without(group), recordings)
-        if not np.sum(sum(map(_powers, errors, recordings, groups)), where=rest) <= LEFT * np.sum(powers, where=rest):
+        power = np.sum(sum(map(_powers, errors, recordings, groups)), where=rest)
+        if not power <= MOST_GROWTH * np.sum(powers, where=rest):
             others = [
-                replace(one, counts=one.counts & (its != group)) for one, its in zip(recordings, groups, strict=True)
+                replace(samples, counts=samples.counts & (numbers != group))
+                for samples, numbers in zip(recordings, groups, strict=True)
             ]
-            again = refit(base.structure, base.zones, others, base.eps, base.parameters, base.penalty)
-            errors = _errors(base, again.parameters, recordings)
-        for kept, error, its in zip(held_out, errors, groups, strict=True):
-            np.copyto(kept, error, where=its == group)
-    return [_counted(one, error) for one, error in zip(recordings, held_out, strict=True)]
+            full = refit(base.structure, base.zones, others, base.eps, base.parameters, base.penalty)
+            errors = _errors(base, full.parameters, recordings)
+        for result, error, numbers in zip(held_out, errors, groups, strict=True):
+            np.copyto(result, error, where=numbers == group)
+    return [_counted(samples, error) for samples, error in zip(recordings, held_out, strict=True)]
 
 
 def _errors(base: Base, parameters: Array, recordings: Sequence[Samples]) -> list[Array]:
-    """Of a fit with other parameters, over every sample of each recording [output unit]."""
+    """Errors of the base with other parameters, over every sample of each recording [output unit]."""
     operator = fit_of_base(replace(base, parameters=parameters)).hysteresis.operator()
     return [residual(operator, samples) for samples in recordings]
 
@@ -370,7 +372,7 @@ def _model(
 
 
 def _start(path: tuple[float, ...], *, at_rest: bool) -> Start:
-    """What a drive from zero starts with, when it starts as the first recording did."""
+    """Start state of the model: the state in which the first recording starts, if it starts from zero."""
     if at_rest and path:
         return Start(kind="reset", peak=float(f"{path[0]:.6g}"))
     return Start()
@@ -387,7 +389,7 @@ def _unit(column: str) -> str:
 
 
 def _undetermined(chosen: Candidate) -> list[str]:
-    """Slopes whose column is nearly empty: the recording hardly reaches there."""
+    """Note on plays whose columns are nearly zero: the recordings hardly move them."""
     assert chosen.fit is not None
     gram, structure = chosen.fit.gram, chosen.fit.structure
     lengths = np.sqrt(np.diag(gram)[: structure.plays])

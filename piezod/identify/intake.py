@@ -1,7 +1,7 @@
-"""What identification and simulation need from recording files: read once, in pieces, and made fit for use.
+"""Read recordings for identification and simulation, and make them fit for use.
 
-A file may be larger than memory by the columns that are not wanted. Nothing is resampled: the model knows no rate, a
-sample says the same wherever it lies in time, and interpolation would take down the noise that errors are judged by.
+A file is read once, in pieces: only the requested columns must fit in memory. Nothing is resampled. The model is
+independent of the rate, and interpolation would lower the noise with which errors are compared.
 """
 
 from collections.abc import Callable, Sequence
@@ -33,16 +33,16 @@ CHUNK = 2**20
 """Samples read at once."""
 
 GROWTH = 1.25
-"""How much room is made for more samples when there is none left."""
+"""Factor by which a full buffer grows."""
 
 TEMPERATURES = ("temperature_C", "temperature_degC")
-"""Columns that hold the temperature [degree Celsius], kept as the first of them."""
+"""Names of temperature columns [degree Celsius]; the recording gets the first name."""
 
 UNSEEN = 0.01
-"""Share of its swing that the input may move unseen while samples are missing."""
+"""Share of its swing that the input may move while samples are missing."""
 
 FASTEST = 0.99
-"""Share of the input's slews that are no faster than what is taken for its fastest."""
+"""Quantile of the slew rates that stands for the input's fastest one."""
 
 MOST_STUCK = 0.5
 """Share of the output's samples that may be frozen or clipped."""
@@ -62,7 +62,7 @@ class LoadedRecording:
     notes
         One line for each property of the file that matters and for each change made to its samples.
     text
-        What the user says about the text file; None: nothing.
+        Layout of the text file as the user states it; None: not stated.
     """
 
     recording: Recording
@@ -97,7 +97,7 @@ def load_recordings(
     on_step
         Called repeatedly with the current step in words, and None because the share done is unknown.
     text
-        What the user says about text files; None: everything is found from the files.
+        Layout of text files as the user states it; None: inferred from the files.
 
     Raises
     ------
@@ -143,19 +143,14 @@ def load_for_simulation(
 
 
 def fit_for_simulation(recording: Recording, input_column: str, output_column: str) -> tuple[Recording, list[str]]:
-    """The recording that a model is simulated over and compared with, and notes.
+    """The recording as simulation needs it, and notes.
 
-    Parameters
-    ----------
-    recording
-        Every row stays. It is not changed.
-    input_column, output_column
-        Their names; the output may be absent.
+    Every row stays, and the output may be absent. The argument is not changed.
 
     Raises
     ------
     RecordingError
-        Its input has a hole too long to interpolate.
+        The input has a hole too long to interpolate.
     """
     recording, strays = without_strays(recording, input_column, output_column)
     bridged, breaks, notes = _bridge(recording, input_column)
@@ -167,7 +162,7 @@ def fit_for_simulation(recording: Recording, input_column: str, output_column: s
         raise RecordingError(
             f"{recording.source}: {line}; must be there in every row that is simulated, cut the file there"
         )
-    notes += [f"{_pause(recording, one)}: what the input did there is not known" for one in breaks]
+    notes += [f"{_pause(recording, hole)}: what the input did there is not known" for hole in breaks]
     if output_column in bridged.channels:
         bridged.channels[output_column] = bridged.channel(output_column).copy()
     if output_column in bridged.channels and np.isnan(bridged.channel(output_column)).all():
@@ -189,23 +184,19 @@ def _load(
 def usable(
     recording: Recording, input_column: str, output_column: str, sha256: str, notes: Sequence[str] = ()
 ) -> LoadedRecording:
-    """Make a recording fit for identification, as `load_recordings` does.
+    """Make a recording fit for identification, as `load_recordings` does. The argument is not changed.
 
     Parameters
     ----------
-    recording
-        With both columns; it is not changed.
-    input_column, output_column
-        Their names.
     sha256
-        Hash of its file or its samples.
+        Hash of the recording's file or samples, as hexadecimal text.
     notes
-        What is known of it.
+        Lines that stand before the new ones.
 
     Raises
     ------
     RecordingError
-        Most of its output is frozen or clipped, or its input has no stretch of some length.
+        Most of the output is frozen or clipped, or no stretch of the input has 100 samples.
     """
     recording, strays = without_strays(recording, input_column, output_column)
     notes = [*notes, *strays]
@@ -224,12 +215,12 @@ def _loaded(recording: Recording, sha256: str, notes: list[str]) -> LoadedRecord
 def _read(
     path: Path, names: Sequence[str], wanted: Sequence[str], on_step: OnStep, text: TextOptions | None
 ) -> tuple[Recording, str, list[str]]:
-    """The wanted columns and the temperature, in their units; hash and notes."""
+    """Requested columns and temperature, converted to their units; hash and notes."""
     stored = {column: stored_column(path, names, column) for column in wanted}
     for name in [name for name in TEMPERATURES if name in names][:1]:
         stored[TEMPERATURES[0]] = (name, 1.0)
     with ThreadPoolExecutor(1) as pool, library_errors(path, "read"):
-        sha256 = pool.submit(file_sha256, path)  # beside the reading: the file comes from the disk once
+        sha256 = pool.submit(file_sha256, path)  # in parallel: the disk reads the file once
         columns = {name: _Column() for name in (TIME, *(name for name, _ in stored.values()))}
         metadata: dict[str, str] = {}
         for piece in open_stream(path, list(columns), CHUNK, text):
@@ -252,14 +243,14 @@ def _read(
 
 
 class _Column:
-    """Samples that come in pieces: at no time are they there twice, as when pieces are joined at the end."""
+    """Buffer for samples that arrive in pieces; joining the pieces at the end would need twice the memory."""
 
     def __init__(self) -> None:
         self._values = np.empty(0)
         self.size = 0
 
     def add(self, piece: Array) -> None:
-        """Keep more of them."""
+        """Append a piece."""
         size = self.size + piece.size
         if size > self._values.size:
             self._values.resize(int(GROWTH * size), refcheck=False)  # the system moves pages, not numbers
@@ -267,13 +258,13 @@ class _Column:
         self.size = size
 
     def values(self) -> Array:
-        """All of them, shape (size,)."""
+        """All samples, shape (size,)."""
         self._values.resize(self.size, refcheck=False)
         return self._values
 
 
 def _scaled(values: Array, factor: float, *, keep: bool) -> Array:
-    """In the unit that is wanted; unless they are kept for a note, values beyond any measurement are missing."""
+    """Values times a factor. Values beyond any measurement become nan, except with `keep`: they get a note later."""
     if factor != 1.0:
         values = values * factor
     if not keep:
@@ -282,16 +273,16 @@ def _scaled(values: Array, factor: float, *, keep: bool) -> Array:
 
 
 def _bridge(recording: Recording, column: str) -> tuple[Recording, list[tuple[int, int]], list[str]]:
-    """Interpolate the input over short holes; the long ones as (last sample before, first after), and notes."""
+    """Interpolate the input over short holes; long holes as (last sample before, first sample after), and notes."""
     u, time_s = recording.channel(column), recording.time_s
     absent = np.isnan(u)
     if absent.all():
         raise RecordingError(f"{recording.source}: {column} holds no number at all; record again")
     if not absent.any():
         return recording, _holes(time_s, u), []
-    there = np.flatnonzero(~absent)
-    holes = [(int(there[k]), int(there[m])) for k, m in _holes(time_s[there], u[there])]
-    filled = np.interp(time_s, time_s[there], u[there], left=np.nan, right=np.nan)
+    present = np.flatnonzero(~absent)
+    holes = [(int(present[k]), int(present[m])) for k, m in _holes(time_s[present], u[present])]
+    filled = np.interp(time_s, time_s[present], u[present], left=np.nan, right=np.nan)
     for before, after in holes:
         filled[before + 1 : after] = np.nan
     bridged = np.isfinite(filled) & absent
@@ -302,7 +293,7 @@ def _bridge(recording: Recording, column: str) -> tuple[Recording, list[tuple[in
 
 
 def _holes(time_s: Array, u: Array) -> list[tuple[int, int]]:
-    """Neighbouring samples between which the input may have moved unseen."""
+    """Pairs of neighbouring samples between which the input may have moved by more than `UNSEEN`."""
     long = gaps(time_s)
     if not long:
         return []
@@ -313,13 +304,13 @@ def _holes(time_s: Array, u: Array) -> list[tuple[int, int]]:
 
 
 def _longest(recording: Recording, column: str, holes: Sequence[tuple[int, int]]) -> tuple[Recording, list[str]]:
-    """The longest stretch without a hole in the input, and what was cut."""
+    """The longest stretch without a hole in the input, and notes on the rows that are cut."""
     u = recording.channel(column)
     starts = [0, *(after for _, after in holes)]
     stops = [*(before + 1 for before, _ in holes), int(u.size)]
     start, stop = max(zip(starts, stops, strict=True), key=lambda part: part[1] - part[0])
-    there = np.isfinite(u[start:stop])
-    start, stop = start + int(np.argmax(there)), stop - int(np.argmax(there[::-1]))
+    present = np.isfinite(u[start:stop])
+    start, stop = start + int(np.argmax(present)), stop - int(np.argmax(present[::-1]))
     if (start, stop) == (0, u.size):
         return recording, []
     part = slice(start, stop)
@@ -330,11 +321,11 @@ def _longest(recording: Recording, column: str, holes: Sequence[tuple[int, int]]
             f"{recording.source}: {column} is there for {stop - start} samples at a stretch, must be for "
             f"{FEWEST_SAMPLES}{why}{more}; record without pauses"
         )
-    kept = Recording(
+    longest = Recording(
         recording.time_s[part], {k: values[part] for k, values in recording.channels.items()}, {}, recording.source
     )
-    where = f"{kept.time_s[0]:.6g} to {kept.time_s[-1]:.6g} s, {stop - start} of {u.size} samples"
-    return kept, [f"{column}: only {where}, are used: the memory cannot be followed where it is missing{why}{more}"]
+    where = f"{longest.time_s[0]:.6g} to {longest.time_s[-1]:.6g} s, {stop - start} of {u.size} samples"
+    return longest, [f"{column}: only {where}, are used: the memory cannot be followed where it is missing{why}{more}"]
 
 
 def _pause(recording: Recording, hole: tuple[int, int]) -> str:
@@ -347,14 +338,14 @@ def _mask(recording: Recording, input_column: str, output_column: str, *, most: 
     notes = [f"{line}; not fitted" for line in describe_missing(recording, output_column)]
     y = recording.channel(output_column)
     present = np.count_nonzero(np.isfinite(y))
-    found = find_stuck(y, recording.channel(input_column))
-    lines = describe_stuck(recording, output_column, found)
-    share = sum(stop - start for start, stop in found.stretches) / max(int(present), 1)
+    stuck = find_stuck(y, recording.channel(input_column))
+    lines = describe_stuck(recording, output_column, stuck)
+    share = sum(stop - start for start, stop in stuck.stretches) / max(int(present), 1)
     if share > most:
         raise RecordingError(
             f"{recording.source}: {lines[0]}; {100 * share:.0f} % of its samples are frozen or clipped, may be "
             f"{100 * most:.0f} %; give the sensor a larger range, or lower the peak"
         )
-    for start, stop in found.stretches:
+    for start, stop in stuck.stretches:
         y[start:stop] = np.nan
     return notes + [f"{line}; not fitted" for line in lines]

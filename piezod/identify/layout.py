@@ -1,6 +1,6 @@
-"""How a text file is read that does not say everything itself.
+"""Layout of a text file that does not state it itself.
 
-It is read as the user says, else as the recordings of the model were.
+The user's options come first, then the layouts of the model's recordings.
 """
 
 from dataclasses import asdict
@@ -13,61 +13,38 @@ from piezod.recording import Recording, TextOptions, column_names
 
 
 def entry_of(recording: Recording, sha256: str, text: TextOptions | None) -> RecordingSource:
-    """Entry of a recording in the provenance of a model.
-
-    Parameters
-    ----------
-    recording, sha256
-        The recording, and the hash of its file.
-    text
-        What the user said about its text file; None: nothing.
-    """
-    told = None if text is None or text == TextOptions() else TextLayout(**asdict(text))
-    return RecordingSource(path=recording.source, sha256=sha256, samples=int(recording.time_s.size), read_as=told)
+    """Entry of a recording in the provenance of a model; `text`: layout stated by the user, or None."""
+    layout = None if text is None or text == TextOptions() else TextLayout(**asdict(text))
+    return RecordingSource(path=recording.source, sha256=sha256, samples=int(recording.time_s.size), read_as=layout)
 
 
-def told_of(source: RecordingSource) -> TextOptions | None:
-    """What the user said about a recording of the identification; None: nothing.
-
-    Parameters
-    ----------
-    source
-        Its entry in the model.
-    """
-    if source.read_as is None:
-        return None
-    told = source.read_as
-    return TextOptions(told.columns, told.rate_Hz, told.decimal)
+def stated_layout(source: RecordingSource) -> TextOptions | None:
+    """Layout that the user stated when a recording was identified; None: not stated."""
+    layout = source.read_as
+    return None if layout is None else TextOptions(layout.columns, layout.rate_Hz, layout.decimal)
 
 
 def layout_of(path: Path, model: Model, text: TextOptions | None) -> TextOptions | None:
-    """What is known about a text file.
+    """Layout with which a file can be read; None: it needs no statement.
 
     Parameters
     ----------
-    path
-        Recording of any format.
     model
-        Its recordings may have been read in a way that the user had to name.
+        The layouts of its recordings are tried in turn if `text` does not fit the file.
     text
-        What the user says; None: nothing.
-
-    Returns
-    -------
-    TextOptions or None
-        What the user says, where the file can be read so; else that of a recording of the model with which it can be.
+        Layout stated by the user, tried first; None: not stated.
 
     Raises
     ------
     RecordingError
-        The file can be read in none of these ways.
+        The file cannot be read with any of the layouts.
     """
     try:
         column_names(path, text)
     except RecordingError:
-        for told in map(told_of, model.provenance.recordings):
-            if told is not None and _is_readable(path, told):
-                return told
+        for layout in map(stated_layout, model.provenance.recordings):
+            if layout is not None and _is_readable(path, layout):
+                return layout
         raise
     return text
 

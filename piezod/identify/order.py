@@ -1,4 +1,7 @@
-"""How many operators: grow both tables, judge each in free run on data held out, take the smallest that will do."""
+"""Selection of the orders: fit every pair, compare the held-out errors in free run, take the smallest sufficient pair.
+
+A pair is sufficient if its held-out error is within a standard error of the best one.
+"""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -17,25 +20,25 @@ Array = NDArray[np.float64]
 
 PLAYS = (2, 4, 6, 8, 11, 14, 18, 23, 29)
 ZONES = (0, 1, 2, 3, 4, 6, 8)
-NEGLIGIBLE = 0.02  # share of the held-out power, one percent of rms error
-SMALLEST_SHARE_PRUNED = 0.1  # of the operators that hardly matter; below it pruning ends
-BLOCKS = 8  # of each held-out stretch; their scatter is the standard error
+NEGLIGIBLE = 0.02  # share of the held-out mean square error, 1 % of the rms error
+SMALLEST_SHARE_PRUNED = 0.1  # pruning ends below this share of the negligible operators
+BLOCKS = 8  # blocks of each held-out stretch; their scatter gives the standard error
 
 
 @dataclass(frozen=True)
 class Candidate:
-    """One pair of orders and its errors, in the output's unit.
+    """A pair of orders with its fit and errors.
 
     Parameters
     ----------
     plays, zones
-        n and m.
+        Orders n and m.
     fit
-        What was found; None when the recording does not determine it.
+        None: the recordings do not determine it.
     rms_fit, rms_held_out
-        Root mean square errors in free run.
+        Root mean square errors in free run [output unit].
     block_powers
-        Mean square error of each held-out block.
+        Mean square error of each held-out block [output unit^2].
     """
 
     plays: int
@@ -52,14 +55,14 @@ class Candidate:
 
 
 def residual(operator: PrandtlIshlinskii, samples: Samples) -> Array:
-    """Measured minus simulated over the whole stretch, free run from the stretch's own start, shape (N,)."""
+    """Measured minus simulated output in free run from the start of the samples, shape (N,) [output unit]."""
     operator.set_states(np.zeros(operator.plays[0].size))
     operator.run(np.array(samples.path))
     error: Array = samples.y - operator.run(samples.u)
     return error
 
 
-def judge_orders(
+def fit_orders(
     structure_of: Callable[[int, int], Structure],
     fitted: Sequence[Samples],
     held_out: Sequence[Samples],
@@ -68,23 +71,21 @@ def judge_orders(
     variant: Variant,
     eps: float,
 ) -> list[Candidate]:
-    """Fit every pair of orders and judge it on the held-out stretches.
+    """Fit every pair of orders (n, m), and compute its errors.
 
     Parameters
     ----------
     structure_of
-        Thresholds for n plays and m dead zones.
+        Returns the thresholds for n plays and m dead zones.
     fitted, held_out
-        The same recordings with other samples counting.
-    orders
-        Pairs (n, m).
+        All samples of the recordings; `counts` marks the fitted or held-out ones.
     variant, eps
-        Constraints of the quadratic program.
+        Constraints of the quadratic program, see `Constraints.of`.
     """
-    return [_judge(structure_of(n, m), n, m, fitted, held_out, variant, eps) for n, m in orders]
+    return [_candidate(structure_of(n, m), n, m, fitted, held_out, variant, eps) for n, m in orders]
 
 
-def _judge(
+def _candidate(
     structure: Structure,
     plays: int,
     zones: int,
@@ -120,13 +121,13 @@ def _judge(
 def choose(candidates: Sequence[Candidate]) -> Candidate:
     """Smallest candidate whose held-out error lies within one standard error of the best.
 
-    The standard error is that of the paired differences to the best one, block by block; less than one percent of rms
-    error is nothing to a bench, however certain.
+    The standard error belongs to the block-wise differences from the best candidate. A difference below 1 % of the rms
+    error is always accepted.
 
     Raises
     ------
     RecordingError
-        None could be fitted.
+        No candidate has a fit.
     """
     best = best_of(candidates)
     good = (candidate for candidate in candidates if candidate.fit is not None and _as_good(candidate, best))
@@ -134,12 +135,12 @@ def choose(candidates: Sequence[Candidate]) -> Candidate:
 
 
 def best_of(candidates: Sequence[Candidate]) -> Candidate:
-    """The one with the smallest held-out error.
+    """The candidate with the smallest held-out error.
 
     Raises
     ------
     RecordingError
-        None could be fitted.
+        No candidate has a fit.
     """
     usable = [candidate for candidate in candidates if candidate.fit is not None]
     if not usable:
@@ -156,27 +157,27 @@ def prune(
     variant: Variant,
     eps: float,
 ) -> Candidate:
-    """Drop operators that hardly matter from the direct table and refit, as long as the held-out error allows it.
+    """Remove operators with negligible weights from the direct table and refit, while the held-out error allows it.
 
-    The smallest weights go first, all that hardly matter at once; where that costs too much, half of them. The inverse
-    is computed from the direct table, so that both agree (piezod/operators/README.md, "Slopes and weights").
+    First all negligible operators are removed. If the error grows too much, the smaller half of them is removed, and so
+    on. The inverse is computed from the direct table, so both agree (piezod/operators/README.md, "Slopes and weights").
 
     Parameters
     ----------
     chosen
-        What `choose` took.
+        Candidate to prune, from `choose`.
     best
-        Whose held-out error is the measure.
+        Candidate with whose held-out error the pruned one is compared.
     fitted, held_out, variant, eps
-        As for `judge_orders`.
+        As for `fit_orders`.
     """
     share = 1.0
     while chosen.fit is not None and share > SMALLEST_SHARE_PRUNED:
-        structure = _without_the_least(chosen.fit, share)
+        structure = _without_negligible(chosen.fit, share)
         if structure is None:
             break
         plays, zones = structure.plays - 1, structure.zones
-        smaller = _judge(structure, plays, zones, fitted, held_out, variant, eps)
+        smaller = _candidate(structure, plays, zones, fitted, held_out, variant, eps)
         if smaller.fit is not None and _as_good(smaller, best):
             chosen = smaller
         else:
@@ -184,11 +185,11 @@ def prune(
     return chosen
 
 
-def _without_the_least(fit: Fit, share: float) -> Structure | None:
-    """The structure without a share of the operators that hardly matter; None where all matter.
+def _without_negligible(fit: Fit, share: float) -> Structure | None:
+    """The structure without a share of its negligible operators; None if it has none.
 
-    The linear parts stay. A direct table whose zero was moved may have its linear part in another place than the
-    structure, so both are asked.
+    The linear parts stay. The zero of the direct table may be shifted, so its linear part may have another index than
+    in the structure. Both indices are protected.
     """
     plays, zones = play_rows(fit.hysteresis), dead_zone_rows(fit.hysteresis)
     linear = 0, int(np.flatnonzero(fit.structure.zone_thresholds == 0.0)[0])
@@ -201,13 +202,16 @@ def _without_the_least(fit: Fit, share: float) -> Structure | None:
     ]
     if not weak:
         return None
-    gone = sorted(weak)[: max(1, round(share * len(weak)))]
-    kept_plays = np.delete(fit.structure.play_thresholds, [place for _, table, place in gone if table == 0])
-    kept_zones = np.delete(fit.structure.zone_thresholds, [place for _, table, place in gone if table == 1])
-    return replace(fit.structure, play_thresholds=kept_plays, zone_thresholds=kept_zones)
+    removed = sorted(weak)[: max(1, round(share * len(weak)))]
+    remaining_plays, remaining_zones = (
+        np.delete(thresholds, [place for _, table, place in removed if table == number])
+        for number, thresholds in enumerate((fit.structure.play_thresholds, fit.structure.zone_thresholds))
+    )
+    return replace(fit.structure, play_thresholds=remaining_plays, zone_thresholds=remaining_zones)
 
 
 def _as_good(candidate: Candidate, best: Candidate) -> bool:
+    """Whether the held-out error is within a standard error, or `NEGLIGIBLE`, of the best one."""
     difference = candidate.block_powers - best.block_powers
     standard_error = difference.std(ddof=1) / np.sqrt(difference.size) if difference.size > 1 else 0.0
     return bool(difference.mean() <= max(standard_error, NEGLIGIBLE * best.block_powers.mean()))

@@ -1,4 +1,4 @@
-"""Figures of merit, each defined once: errors, fit and hysteresis."""
+"""Figures of merit: errors, fit and hysteresis."""
 
 from collections.abc import Iterator
 
@@ -9,8 +9,8 @@ from piezod.operators.play import play_states_run
 
 Array = NDArray[np.float64]
 
-MOST_SAMPLES = 500_000  # of a loop; 100 cells need no more
-SMALL_REVERSAL = 0.005  # of the drive's range, half of what it must turn back by to begin another branch
+MOST_SAMPLES = 500_000  # samples of a record above which it is thinned; 100 cells need no more
+SMALL_REVERSAL = 0.005  # share of the drive's range; a reversal by twice this share begins a new branch
 
 
 def rms(values: Array) -> float:
@@ -37,35 +37,34 @@ def max_hysteresis_percent(drive: Array, response: Array, cells: int = 100) -> f
 
     Source: the thesis, chapter 6; piezod/operators/README.md, "Maximum hysteresis".
 
-    The record is cut into branches where the drive turns back by more than a hundredth of its range. Branches between
-    the same ends after the same turn are one, and are averaged over cells of the drive. Of a record with loops of
-    several sizes `down` is the highest falling branch and `up` the lowest rising one at x; where the response leads (a
-    clockwise loop) the other way round. On a steady cycle that is the opening of its one loop.
+    The record is cut into branches where the drive turns back by more than 1 % of its range. Branches with equal ends
+    and an equal preceding turn are averaged over cells of the drive. With loops of several sizes, `down` is the highest
+    falling branch and `up` the lowest rising branch at x. If the response leads (a clockwise loop), they are swapped.
 
     Parameters
     ----------
     drive
-        What drives the loop: the voltage, or the reference of a feedforward run; shape (N,), rising and falling.
+        Voltage, or reference of a feedforward run, shape (N,); it must rise and fall.
     response
-        What answers, shape (N,).
+        Force or displacement, shape (N,).
     cells
-        Equal cells over the range of `drive`; cells that only one direction reaches do not count.
+        Number of equal cells over the range of `drive`; a cell counts if both directions reach it.
 
     Raises
     ------
     ValueError
-        No cell is reached both rising and falling.
+        No cell is reached in both directions.
     """
     drive, response = _thinned(drive, response)
     edges = np.linspace(drive.min(), drive.max(), cells + 1)
     cell = np.clip(np.searchsorted(edges, drive, side="right") - 1, 0, cells - 1)
     means: dict[bool, list[Array]] = {True: [], False: []}
-    for upwards, parts in _alike(drive, float(edges[1] - edges[0])).items():
-        for alike in parts:
-            chosen = np.concatenate(alike)
+    for upwards, groups in _grouped_branches(drive, float(edges[1] - edges[0])).items():
+        for branches in groups:
+            chosen = np.concatenate(branches)
             means[upwards].append(_cell_means(cell[chosen], drive[chosen], response[chosen], edges))
     up, down = np.array(means[True]), np.array(means[False])
-    reached = [np.isfinite(branches).any(axis=0) for branches in (up, down) if branches.size]
+    reached = [np.isfinite(rows).any(axis=0) for rows in (up, down) if rows.size]
     if len(reached) < 2 or not (reached[0] & reached[1]).any():
         raise ValueError("no loop: the drive must rise and fall over the same range")
     up, down = up[:, reached[0] & reached[1]], down[:, reached[0] & reached[1]]
@@ -76,17 +75,17 @@ def max_hysteresis_percent(drive: Array, response: Array, cells: int = 100) -> f
 
 
 def _thinned(drive: Array, response: Array) -> tuple[Array, Array]:
-    """Fewer samples of a long record whose drive hardly moves between them."""
+    """Every k-th sample of a long record whose drive hardly moves over k samples."""
     every = drive.size // MOST_SAMPLES
     if every < 2 or every * float(np.mean(np.abs(np.diff(drive[:MOST_SAMPLES])))) > SMALL_REVERSAL * np.ptp(drive):
         return drive, response
     return drive[::every], response[::every]
 
 
-def _alike(drive: Array, width: float) -> dict[bool, list[list[NDArray[np.integer]]]]:
-    """Indices of the branches, rising (True) and falling, those together that run between the same ends.
+def _grouped_branches(drive: Array, width: float) -> dict[bool, list[list[NDArray[np.integer]]]]:
+    """Indices of the rising (True) and falling branches, grouped by their ends and by the start of the branch before.
 
-    Each also after the same one: the first rise of a record is not the second.
+    So the first rise of a record is separate from the second.
     """
     groups: dict[tuple[int | None, ...], list[NDArray[np.integer]]] = {}
     before = None
@@ -98,7 +97,7 @@ def _alike(drive: Array, width: float) -> dict[bool, list[list[NDArray[np.intege
 
 
 def _branches(drive: Array) -> Iterator[tuple[slice, bool]]:
-    """Stretches in which the drive goes one way, and whether that is upwards; a play does not see small reversals."""
+    """Stretches of rising (True) or falling drive; a play operator removes small reversals."""
     followed = np.empty((drive.size, 1))
     play_states_run(np.array([SMALL_REVERSAL * float(np.ptp(drive)), 0.0, drive[0]]), 0, 1, drive, followed)
     direction = np.sign(np.diff(followed[:, 0]))
@@ -112,7 +111,7 @@ def _branches(drive: Array) -> Iterator[tuple[slice, bool]]:
 
 
 def _cell_means(cell: NDArray[np.integer], drive: Array, response: Array, edges: Array) -> Array:
-    """Mean response a cell, moved along the branch's own slope to the cell's centre of the drive; nan where none is."""
+    """Mean response of each cell, moved along the branch's slope to the cell's centre; nan in an empty cell."""
     cells = edges.size - 1
     count = np.bincount(cell, minlength=cells).astype(float)
     count[count == 0] = np.nan

@@ -1,7 +1,8 @@
 """A model in free run over a recording.
 
-The input drives the model. The measured output tells the start alone. A stated first stretch is looked at. Where the
-recording begins amid the range, what its unknown past leaves is fitted over all of it (`estimation/unknown_past.py`).
+The input drives the model. The measured output serves only to estimate the start, from a stated number of first
+seconds. If the recording begins amid the range, the effect of its unknown past is fitted over all samples
+(`estimation/unknown_past.py`).
 """
 
 from collections.abc import Sequence
@@ -11,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piezod.errors import UsageError
-from piezod.estimation.initial_state import start_found, starts_at_rest
+from piezod.estimation.initial_state import estimate_start, starts_at_rest
 from piezod.estimation.unknown_past import fitted_past, unknown_past
 from piezod.identify.scores import largest, nrmse_percent, rms
 from piezod.model import Model, decays_of, run_chain
@@ -19,27 +20,29 @@ from piezod.recording import Recording
 
 Array = NDArray[np.float64]
 
-SLOPE_OVER = 0.01  # of the input's range, to both sides: the straight pieces of a force law are not much shorter
+SLOPE_OVER = 0.01
+"""Half width of the difference that gives the slope of the force law, as share of the input's range."""
+
 FORGOTTEN = 1e-3
-"""Of the input's range: pasts that are no farther apart are one, since a load cell of class 0.1 tells no more."""
+"""Strokes closer than this share of the input's range count as equal: it is the accuracy of a class 0.1 load cell."""
 
 
 @dataclass(frozen=True)
 class Agreement:
-    """How far measurement and simulation agree, after the first stretch that was looked at.
+    """Errors between measurement and simulation.
 
     Parameters
     ----------
     samples
-        How many were compared.
+        Number of compared samples.
     rms, max, nrmse_percent
-        Of measured minus simulated [output unit], [%].
+        Errors, measured minus simulated [output unit], [output unit], [%].
     rms_tared
-        Rms of the same about its mean: the tare of the load cell is no error of the model [output unit].
+        Standard deviation of the error, without its mean: the tare of the load cell is no model error [output unit].
     gain, offset
-        With which the simulation would fit best: measured = gain simulated + offset [1], [output unit].
+        Least-squares line measured = gain simulated + offset [1], [output unit].
     rms_refitted, max_refitted, nrmse_percent_refitted
-        The same with them.
+        Errors after refitting gain and offset.
     """
 
     samples: int
@@ -55,7 +58,7 @@ class Agreement:
 
     @classmethod
     def of(cls, measured: Array, simulated: Array) -> "Agreement":
-        """Compare two records of the same length, both finite, neither of them constant."""
+        """Compare two records, both shape (N,), finite and not constant [output unit]."""
         gain, offset = np.polynomial.Polynomial.fit(simulated, measured, 1).convert().coef[::-1]
         refitted = gain * simulated + offset
         return cls(
@@ -72,7 +75,7 @@ class Agreement:
         )
 
     def words(self, unit: str) -> str:
-        """In a sentence."""
+        """The errors in a sentence."""
         return (
             f"over {self.samples} samples rms error {self.rms:.4g} {unit}, "
             f"{self.rms_tared:.4g} {unit} without its mean, "
@@ -90,11 +93,11 @@ class Simulation:
     Parameters
     ----------
     recording
-        `time_s` and the output column.
+        `time_s` and the simulated output.
     start
-        In words, what it started from.
+        Initial state in words.
     agreement
-        With the measured output, where there is one.
+        Errors against the measured output; None without one.
     """
 
     recording: Recording
@@ -113,23 +116,21 @@ def simulate_recording(
 
     Parameters
     ----------
-    model
-        What was identified.
     recording
-        Has the model's input; its output, where it has one, tells the start and is compared with.
+        Holds the model's input. A measured output serves to estimate the start and is compared.
     start_window_s
-        First stretch that may be looked at to find what the memory starts with; it is not compared [s].
+        Duration from the first sample on in which the start is estimated and nothing is compared [s].
     chosen
-        Which samples are compared, shape (N,); None: all. The simulation runs over every sample.
+        Mask of the compared samples, shape (N,); None: all. The simulation runs over every sample.
     sha256
-        Of the recording's file.
+        Hash of the recording's file, as hexadecimal text; None: unknown.
 
     Raises
     ------
     RecordingError
-        The recording has not the model's input.
+        The recording lacks the model's input.
     UsageError
-        The input has missing samples, or nothing is left to compare.
+        The input has missing samples, or no samples remain to compare.
     """
     u = recording.channel(model.input.channel)
     if not np.isfinite(u).all():
@@ -159,11 +160,11 @@ def simulate(model: Model, recording: Recording, window: int, sha256: str | None
     model
         An identified model, with or without effects.
     recording
-        Holds the model's input column. If it also holds the output column, the start is found from its first `window`
-        samples. For a recording that starts at rest, it replaces the model's start only if it fits far better. For one
-        that begins amid the range, what came before is fitted over all samples and added.
+        Holds the model's input column. If it also holds the output column, the start is estimated from its first
+        `window` samples. In a recording that starts at rest, the estimate replaces the model's start only if it fits
+        far better. If a recording begins amid the range, the effect of its past is fitted over all samples and added.
     window
-        Number of samples that may be used to find the start, 0 or more; 0: none.
+        Number of samples that may be used to estimate the start, 0 or more; 0: none.
     sha256
         Hash of the recording's file, as hexadecimal text; some effects belong to one recording. None: unknown.
 
@@ -177,9 +178,9 @@ def simulate(model: Model, recording: Recording, window: int, sha256: str | None
     path: tuple[float, ...] = () if model.start.peak is None else (model.start.peak, 0.0)
     if y is not None and window > 0:
         reach = max(model.input.high, -model.input.low)
-        found = start_found(model.operator(), u, y, window, model.input.unit, reach)
-        if found is not None:
-            path, start = found.path, found.words
+        estimate = estimate_start(model.operator(), u, y, window, model.input.unit, reach)
+        if estimate is not None:
+            path, start = estimate.path, estimate.words
             operator.set_states(np.zeros(operator.plays[0].size))
             operator.run(np.array(path))
     temperature_C = recording.channels.get("temperature_C")
@@ -194,20 +195,20 @@ def simulate(model: Model, recording: Recording, window: int, sha256: str | None
 def _past_of(
     model: Model, recording: Recording, path: tuple[float, ...], error: Array, sha256: str | None
 ) -> Array | None:
-    """What came before a start amid the range adds to the readings, shape (N,) [output unit]; None: nothing."""
+    """Contribution of the unknown past to the readings, shape (N,) [output unit]; None: it has no effect."""
     u = recording.channel(model.input.channel)
     within = FORGOTTEN * (model.input.high - model.input.low)
     past = unknown_past(u, model.hysteresis.operator, (model.input.low, model.input.high), within)
     columns = []
     if past is not None:
-        steady = past.columns[-1] == 0.0  # a shift for good is a tare
-        columns.append(_slope_of(model, path, u)[:, None] * past.columns[:, steady])
+        fading = past.columns[-1] == 0.0  # a lasting shift is a tare
+        columns.append(_slope_of(model, path, u)[:, None] * past.columns[:, fading])
     columns += decays_of(model, recording.time_s, sha256)
     return fitted_past(error, np.hstack(columns)) if columns else None
 
 
 def _slope_of(model: Model, path: tuple[float, ...], u: Array) -> Array:
-    """Slope of the force law along a course, shape (N,) [output unit per input unit]."""
+    """Slope of the force law at each sample, shape (N,) [output unit per input unit]."""
     operator, half = model.hysteresis.operator(), SLOPE_OVER * (model.input.high - model.input.low)
     operator.run(np.array(path))
     stroke = operator.stroke(u)
@@ -216,12 +217,12 @@ def _slope_of(model: Model, path: tuple[float, ...], u: Array) -> Array:
 
 
 def outside(recording: Recording, stretches: Sequence[str]) -> NDArray[np.bool_]:
-    """Samples outside of stretches `FROM:TO` of the recording's time, both ends included, shape (N,).
+    """Mask of the samples outside the stretches `FROM:TO` [s], both ends included, shape (N,).
 
     Raises
     ------
     UsageError
-        One of them is no such stretch.
+        A stretch does not have this form.
     """
     result = np.ones(recording.time_s.size, bool)
     for stretch in stretches:
@@ -237,14 +238,14 @@ def outside(recording: Recording, stretches: Sequence[str]) -> NDArray[np.bool_]
 
 
 def where(recording: Recording, condition: str) -> NDArray[np.bool_]:
-    """Samples at which a column has a value, from `COLUMN=VALUE`, shape (N,).
+    """Mask of the samples at which `COLUMN=VALUE` holds, shape (N,).
 
     Raises
     ------
     UsageError
-        It is no such condition.
+        The condition does not have this form.
     RecordingError
-        There is no such column.
+        The recording lacks the column.
     """
     column, _, value = condition.partition("=")
     try:

@@ -1,4 +1,4 @@
-"""How recordings are cut into what is fitted and what is held out, and what their memory starts with."""
+"""Samples of a recording that are fitted and held out, and the initial state of its plays."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -8,7 +8,13 @@ from numpy.typing import NDArray
 
 from piezod.errors import RecordingError
 from piezod.estimation.columns import Samples, Structure
-from piezod.estimation.initial_state import clipped_mean_square, settled_from, start_amid, start_at_zero, starts_at_rest
+from piezod.estimation.initial_state import (
+    clipped_mean_square,
+    start_amid,
+    start_at_zero,
+    starts_at_rest,
+    wipe_out_sample,
+)
 from piezod.estimation.smooth_base import fit_roughly
 from piezod.estimation.thresholds import INSIDE, dead_zone_thresholds, play_reach, play_thresholds, widest
 from piezod.identify.fit import fit_hysteresis, fit_of_base
@@ -20,10 +26,12 @@ from piezod.recording.names import unit_of
 Array = NDArray[np.float64]
 
 START_SAMPLES, START_ROWS = 8000, 3000
-"""Samples that are simulated and rows that are fitted to find how a recording starts: it shows over the first rise."""
+"""Samples simulated and rows fitted to estimate the start of a recording. The start affects the first rise only."""
 
-LEAST_SWING, PLAYS_FOR_A_WIDE_ONE = 0.25, 4
-"""Half a swing below this share of the largest input has a table of its own, and for four of its plays a wider one."""
+LEAST_SWING, FINE_PLAYS_PER_WIDE_PLAY = 0.25, 4
+"""If half the swing is below this share of the largest input, the plays are dense up to half the swing.
+
+Above it there is one play for every four dense ones."""
 
 START_ORDERS = (11, 3)
 """Plays and dead zones of the fit that compares starts."""
@@ -31,50 +39,48 @@ START_ORDERS = (11, 3)
 
 @dataclass(frozen=True)
 class Stretch:
-    """One recording: what is fitted, what is held out, and how it starts.
+    """One recording with its fitted and held-out samples.
 
     Parameters
     ----------
     fitted, held_out
-        The same samples; other ones count.
+        All samples of the recording; `counts` marks the fitted or held-out ones.
     at_rest
-        Whether it starts at zero.
-    unsettled
-        Samples at the start that may depend on what came before.
+        Whether the input starts at zero.
+    uncertain
+        Number of samples at the start that may depend on the time before the recording.
     notes
-        What was noticed.
+        Lines for the user.
     """
 
     fitted: Samples
     held_out: Samples
     at_rest: bool
-    unsettled: int = 0
+    uncertain: int = 0
     notes: tuple[str, ...] = ()
 
     @property
     def rises_first(self) -> bool:
-        """Whether it shows a part of the first rise from the de-energised state, which moves the widest plays too."""
+        """Whether it shows a part of the first rise from the de-energised state, which also moves the widest plays."""
         return self.at_rest or len(self.fitted.path) == 1
 
 
-def whole(recording: Recording, u: Array, y: Array, column: str, eps: float) -> Stretch:
-    """A recording of which every sample is fitted.
+def unsplit_stretch(recording: Recording, u: Array, y: Array, column: str, eps: float) -> Stretch:
+    """A recording in which every sample is fitted.
 
     Parameters
     ----------
-    recording
-        For its name.
     u, y
-        Input and output, shape (N,); an output that is not there is nan.
+        Input and output, shape (N,); a missing output is nan.
     column
-        Of the input.
+        Name of the input.
     eps
         Smallest slope.
 
     Raises
     ------
     RecordingError
-        Too few samples are left.
+        Fewer than 100 samples have an output.
     """
     counts = np.isfinite(y)
     if counts.sum() < FEWEST_SAMPLES:
@@ -87,15 +93,15 @@ def whole(recording: Recording, u: Array, y: Array, column: str, eps: float) -> 
     if start.path:
         notes.append(f"{recording.source}: the stack was {start.words}; that is what its memory starts with")
     samples = Samples(u, np.nan_to_num(y), counts, None, start.path)
-    found = Stretch(samples, samples, at_rest, 0 if at_rest else settled_from(u), tuple(notes))
-    if found.rises_first:
-        return found
+    stretch = Stretch(samples, samples, at_rest, 0 if at_rest else wipe_out_sample(u), tuple(notes))
+    if stretch.rises_first:
+        return stretch
     unknown = f"{recording.source}: does not start at rest; plays wider than half its swing stay unknown"
-    return replace(found, notes=(*notes, unknown))
+    return replace(stretch, notes=(*notes, unknown))
 
 
-def leading_share(recording: Recording, u: Array, y: Array, column: str, share: float, eps: float) -> Stretch:
-    """A recording of which the leading share is fitted and the rest is held out; parameters as for `whole`."""
+def split_stretch(recording: Recording, u: Array, y: Array, column: str, share: float, eps: float) -> Stretch:
+    """A recording whose leading share is fitted; the rest is held out. Parameters as for `unsplit_stretch`."""
     counts = np.isfinite(y)
     clock: Array | None = None
     path: tuple[float, ...]
@@ -110,7 +116,7 @@ def leading_share(recording: Recording, u: Array, y: Array, column: str, share: 
         if path:
             notes.append(f"{recording.source}: the stack was {start.words}; that is what its memory starts with")
     else:
-        first = settled_from(u)
+        first = wipe_out_sample(u)
         counts[:first] = False
         path = (float(u[0]),)
         clock = (recording.time_s - recording.time_s[boundary]) / (recording.time_s[boundary] - recording.time_s[0])
@@ -131,7 +137,7 @@ def leading_share(recording: Recording, u: Array, y: Array, column: str, share: 
 
 
 def _loss_of_start(u: Array, y: Array, counts: NDArray[np.bool_], eps: float) -> Callable[[tuple[float, ...]], float]:
-    """Mean square error in the output of a middling structure, as a function of the start path."""
+    """Mean square output error of a fit with `START_ORDERS`, as a function of the start path."""
     part = slice(None, None, max(1, u.size // START_SAMPLES))
     u, y, counts = u[part], np.nan_to_num(y[part]), counts[part]
     if not np.ptp(u) > 0.0 or counts.sum() < FEWEST_SAMPLES:
@@ -145,31 +151,25 @@ def _loss_of_start(u: Array, y: Array, counts: NDArray[np.bool_], eps: float) ->
             base = fit_roughly(*structures.smooth(*START_ORDERS), [samples], eps, max(1, u.size // START_ROWS))
             error = residual(fit_of_base(base).hysteresis.operator(), samples)
             return clipped_mean_square(error[counts], y[counts])
-        # a penalty would take the kink at an old peak for roughness
+        # no smoothness penalty here: it would flatten the kink at an old peak
         return fit_hysteresis(structures.of(*START_ORDERS), [samples], eps=eps).statistics.rms ** 2
 
     return loss
 
 
 class Structures:
-    """Thresholds for any orders, from the range that all recordings cover."""
+    """Thresholds for any orders, over the range that the recordings cover."""
 
     def __init__(self, stretches: Sequence[Stretch]) -> None:
         parts = [stretch.fitted for stretch in stretches]
-        known = [
-            samples.y[one.fitted.counts | one.held_out.counts] for samples, one in zip(parts, stretches, strict=True)
-        ]
-        reaches = [
-            play_reach(samples.u, samples.path, at_rest=one.at_rest)
-            for samples, one in zip(parts, stretches, strict=True)
-        ]
-        self._reach = widest(reaches)
+        known = [stretch.fitted.y[stretch.fitted.counts | stretch.held_out.counts] for stretch in stretches]
+        self._reach = widest([play_reach(s.fitted.u, s.fitted.path, at_rest=s.at_rest) for s in stretches])
         self._u_max = max(float(np.abs(samples.u).max()) for samples in parts)
         self._low = min(float(y.min()) for y in known)
         self._high = max(float(y.max()) for y in known)
         self._origin = float(known[0][0]) if stretches[0].at_rest else self._low
         self._swing = max(float(np.ptp(samples.u)) for samples in parts)
-        self._rise = any(one.rises_first for one in stretches)  # which tells plays up to its peak
+        self._rise = any(stretch.rises_first for stretch in stretches)  # determines plays up to its peak
         self._u_low = min(float(samples.u.min()) for samples in parts)
         self._u_high = max(float(samples.u.max()) for samples in parts)
 
@@ -187,9 +187,9 @@ class Structures:
         """Tables of the smooth base: n plays, and m dead zones over all inputs from the lowest on, shape (m + 1,)."""
         half, end = 0.5 * self._swing, INSIDE * (self._u_max if self._rise else 0.5 * self._swing)
         thresholds = play_thresholds(plays, end)
-        if half < LEAST_SWING * end:  # amid the range: as fine a table for what moves again and again
+        if half < LEAST_SWING * end:
             thresholds = np.append(
-                play_thresholds(plays, half), np.linspace(half, end, max(2, plays // PLAYS_FOR_A_WIDE_ONE))
+                play_thresholds(plays, half), np.linspace(half, end, max(2, plays // FINE_PLAYS_PER_WIDE_PLAY))
             )
         structure = Structure(
             thresholds,

@@ -1,4 +1,4 @@
-"""Whether a recording can tell a model at all: refused, or warned about, in one line with what to record instead."""
+"""Checks whether a recording can determine a model: one line for each refusal or warning, with a remedy."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -18,45 +18,37 @@ FEWEST_SAMPLES = 100
 ADVICE = "record triangles from 0 over the whole range (piezod record --excitation varying-triangles)"
 
 PLAUSIBLE = {"V": (5.0, 1500.0, "a piezo amplifier drives"), "N": (0.5, 50_000.0, "a piezo stack gives")}
-"""Range of the largest value by unit: the outermost of amplifiers and stacks that are sold."""
+"""Range of the largest value by unit, from the amplifiers and stacks on the market."""
 
 RATES_HZ = (0.1, 1e6)
 LOOSE, OPPOSITE = 0.3, -0.5
 """Correlations below which the output hardly follows the input, or runs against it."""
 
 QUIET = 10.0
-"""Least swing, in standard deviations of the noise."""
+"""Smallest swing, in standard deviations of the noise."""
 
-ONE_WAY = 0.1
-"""Share of its swing that the input must turn back by."""
+LEAST_RETURN = 0.1
+"""Share of its swing by which the input must turn back."""
 
 SLOW = 0.1
-"""Share of the drive's power: of triangles it is in their fundamental, of a broadband drive in its slowest tenth."""
+"""Share of the drive's power in its slow part: the fundamental of triangles, the slowest tenth of a broadband drive."""
 
 LEADS = 0.01
-"""Mean opening of a clockwise loop, as share of the output's range, from which on the output leads the input."""
+"""Mean opening of a clockwise loop, as share of the output's range, above which the output leads the input."""
 
 CLEANER = 5.0
-"""How many times less noise an input has that was commanded, so that it is no measured force."""
+"""Ratio of output noise to input noise above which the input is a command, not a measured force."""
 
 SATURATED = 0.25
-"""Share of the input's swing over which the output may stay within a hundredth of its range from the top."""
+"""Share of the input's swing over which the output may stay within 1 % of its range below the maximum."""
 
-LOOKED_AT = 2**20
-"""Samples that are enough for a statistic, and that are worked on together."""
+BLOCK = 2**20
+"""Samples in a block; a statistic needs no more."""
 
 
 @dataclass(frozen=True)
 class _Pair:
-    """Input and output as they are judged.
-
-    Parameters
-    ----------
-    source, input, output
-        For messages: file and columns.
-    time_s, u, y
-        Shape (N,); y is nan where it is missing.
-    """
+    """Input u and output y of a recording, shape (N,), with file and columns for messages; a missing y is nan."""
 
     source: str
     input: str
@@ -66,63 +58,57 @@ class _Pair:
     y: Array
 
     def refused(self, why: str) -> RecordingError:
-        """The error that says so."""
+        """Error with the file and a reason."""
         return RecordingError(f"{self.source}: {why}")
 
-    def some(self) -> tuple[Array, Array]:
-        """Input and output of samples spread over the whole length, all of them there."""
-        every = slice(None, None, max(1, self.u.size // LOOKED_AT))
-        there = np.isfinite(self.y[every])
-        return self.u[every][there], self.y[every][there]
+    def thinned(self) -> tuple[Array, Array]:
+        """Input and output of finite samples, evenly spread over the recording."""
+        every = slice(None, None, max(1, self.u.size // BLOCK))
+        finite = np.isfinite(self.y[every])
+        return self.u[every][finite], self.y[every][finite]
 
-    def neighbours(self) -> tuple[Array, Array]:
-        """Input and output of samples that follow each other."""
-        parts = [slice(None, LOOKED_AT), slice(max(LOOKED_AT, self.u.size - LOOKED_AT), None)]
+    def first_and_last(self) -> tuple[Array, Array]:
+        """Input and output of consecutive samples, the first and the last block."""
+        parts = [slice(None, BLOCK), slice(max(BLOCK, self.u.size - BLOCK), None)]
         return np.concatenate([self.u[part] for part in parts]), np.concatenate([self.y[part] for part in parts])
 
 
 def falls(recording: Recording, input_column: str, output_column: str) -> bool:
-    """Whether the output falls where the input rises, slowly too; parameters as for `check_suitable`."""
+    """Whether the output falls where the input rises, also in its slow part."""
     u, y = recording.channel(input_column), recording.channel(output_column)
-    there = np.isfinite(y)
-    if not there.any() or np.ptp(u) == 0.0 or np.ptp(y[there]) == 0.0:
+    finite = np.isfinite(y)
+    if not finite.any() or np.ptp(u) == 0.0 or np.ptp(y[finite]) == 0.0:
         return False
-    if np.corrcoef(u[there], y[there])[0, 1] >= OPPOSITE:
+    if np.corrcoef(u[finite], y[finite])[0, 1] >= OPPOSITE:
         return False
-    slow = [_slow_part(np.where(there, one, np.nan), u) for one in (u, y)]  # beyond a resonance a reading is opposite
+    # above a resonance a reading is opposite to the force
+    slow = [_slow_part(np.where(finite, values, np.nan), u) for values in (u, y)]
     return bool(np.corrcoef(slow[0], slow[1])[0, 1] < OPPOSITE)
 
 
 def check_suitable(recording: Recording, input_column: str, output_column: str) -> list[str]:
-    """Refuse a recording that cannot tell anything.
-
-    Parameters
-    ----------
-    recording
-        Such as `load_recordings` gives.
-    input_column, output_column
-        Its columns.
+    """Refuse a recording that cannot determine a model.
 
     Returns
     -------
     warnings
-        One line for each thing that may be wrong, and may be not.
+        One line for each possible fault.
 
     Raises
     ------
     RecordingError
-        What is wrong, where, the value, the limit, and what to record instead.
+        The recording has a certain fault; the message names a suitable recording.
     """
     u, y = recording.channel(input_column), recording.channel(output_column)
     pair = _Pair(recording.source, input_column, output_column, recording.time_s, u, y)
     _refuse_empty(pair)
     _refuse_ramp(pair)
-    judges = (_implausible, _rate, _copied, _loose, _wrong_way, _saturated)
-    return [f"{pair.source}: {warning}" for judge in judges for warning in judge(pair)]
+    checks = (_implausible, _rate, _copied, _loose, _wrong_way, _saturated)
+    return [f"{pair.source}: {warning}" for check in checks for warning in check(pair)]
 
 
 def _refuse_empty(pair: _Pair) -> None:
-    """Too short, no number, no change, a hole in the input."""
+    """Refuse a recording that is too short, has no numbers, a constant column, or a hole in the input."""
     if pair.u.size < FEWEST_SAMPLES:
         raise pair.refused(f"has {pair.u.size} samples, needs at least {FEWEST_SAMPLES}; {ADVICE}")
     for name, values in ((pair.input, pair.u), (pair.output, pair.y)):
@@ -142,18 +128,18 @@ def _refuse_empty(pair: _Pair) -> None:
 
 
 def _refuse_ramp(pair: _Pair) -> None:
-    """One ramp without a way back."""
+    """Refuse a single ramp: the input must turn back."""
     rise, fall = _travel(pair.u)
     turned, swing = min(rise, fall), float(np.ptp(pair.u))
-    if turned < ONE_WAY * swing:
+    if turned < LEAST_RETURN * swing:
         raise pair.refused(
             f"{pair.input} only {'falls' if fall > rise else 'rises'}, turns back by {100 * turned / swing:.2g} % of "
-            f"its swing, must by {100 * ONE_WAY:.0f} %: one ramp shows no loop; {ADVICE}"
+            f"its swing, must by {100 * LEAST_RETURN:.0f} %: one ramp shows no loop; {ADVICE}"
         )
 
 
 def _implausible(pair: _Pair) -> Iterator[str]:
-    """Values a thousand times too large or too small for their unit."""
+    """Values that are implausibly large or small for their unit."""
     for name, values, unit in ((pair.input, pair.u, "V"), (pair.output, pair.y, "N")):
         if unit_of(name) != unit:
             continue
@@ -169,7 +155,7 @@ def _implausible(pair: _Pair) -> Iterator[str]:
 
 
 def _rate(pair: _Pair) -> Iterator[str]:
-    """Time that is hardly in seconds."""
+    """A sample rate that suggests another unit of time."""
     rate_Hz = float((pair.time_s.size - 1) / (pair.time_s[-1] - pair.time_s[0]))
     low_Hz, high_Hz = RATES_HZ
     if not low_Hz <= rate_Hz <= high_Hz:
@@ -177,8 +163,8 @@ def _rate(pair: _Pair) -> Iterator[str]:
 
 
 def _copied(pair: _Pair) -> Iterator[str]:
-    """Two columns that are one."""
-    u, y = pair.some()
+    """An output that is a copy of the input."""
+    u, y = pair.thinned()
     gain, offset = _line(u, y)
     if np.abs(y - offset - gain * u).max() > 1e-6 * np.ptp(y):
         return
@@ -191,15 +177,15 @@ def _copied(pair: _Pair) -> Iterator[str]:
 
 
 def _loose(pair: _Pair) -> Iterator[str]:
-    """An output that runs against its input, or is noise beside what the input does to it."""
-    u, y = pair.some()
-    together = float(np.corrcoef(u, y)[0, 1])
-    if together < OPPOSITE:
+    """An output that runs against the input, hardly follows it, or moves less than its noise."""
+    u, y = pair.thinned()
+    correlation = float(np.corrcoef(u, y)[0, 1])
+    if correlation < OPPOSITE:
         raise pair.refused(
-            f"{pair.output} falls where {pair.input} rises (correlation {together:.2f}); check the sensor's sign"
+            f"{pair.output} falls where {pair.input} rises (correlation {correlation:.2f}); check the sensor's sign"
         )
-    near_u, near_y = pair.neighbours()
-    if together >= LOOSE:
+    near_u, near_y = pair.first_and_last()
+    if correlation >= LOOSE:
         gain, _ = _line(u, y)
         answer, noise = gain * float(np.ptp(u)), _noise(near_y - gain * near_u)
         if answer < QUIET * noise:
@@ -209,32 +195,33 @@ def _loose(pair: _Pair) -> Iterator[str]:
             )
         return
     for name, values, near in ((pair.input, u, near_u), (pair.output, y, near_y)):
-        swing, noise = float(np.std(values)) * np.sqrt(12.0), _noise(near)  # of a triangle, which outliers do not tell
+        # swing of a triangle from its standard deviation, because outliers would spoil the range
+        swing, noise = float(np.std(values)) * np.sqrt(12.0), _noise(near)
         if swing < QUIET * noise:
             yield (
                 f"{name} swings by {swing:.3g} over noise of {noise:.3g}, should by {QUIET:g} times that, or moves too "
                 f"fast for its samples; {ADVICE}"
             )
     yield (
-        f"{pair.output} hardly follows {pair.input}, correlation {together:.2f}, should be above {LOOSE:g}; check that "
-        "they were recorded together"
+        f"{pair.output} hardly follows {pair.input}, correlation {correlation:.2f}, should be above {LOOSE:g}; "
+        "check that they were recorded together"
     )
 
 
 def _wrong_way(pair: _Pair) -> Iterator[str]:
-    """A loop of force or displacement over voltage that runs clockwise: the effect before its cause."""
+    """A clockwise loop of force or displacement over voltage, in which the output leads the input."""
     units = {unit_of(pair.input), unit_of(pair.output)}
     if "V" not in units or not units & ({"N"} | set(UNITS["displacement"])):
         return
-    # beyond a resonance an output lags by more than half a turn; a cause leads however slowly it moves
-    opening = _opening(*(_slow_part(one, pair.u) for one in (pair.u, pair.y)))
+    # only slow parts: above a resonance an output lags by more than half a cycle, and then seems to lead
+    opening = _opening(*(_slow_part(values, pair.u) for values in (pair.u, pair.y)))
     if opening >= -LEADS:
         return
     line = (
         f"{pair.output} leads {pair.input}, their loop runs clockwise (mean opening {100 * opening:.1f} % of range, "
         f"must be above {-100 * LEADS:g} %)"
     )
-    u, y = pair.neighbours()
+    u, y = pair.first_and_last()
     input_noise, output_noise = _noise(u) / float(np.std(u)), _noise(y) / float(np.nanstd(y))
     if output_noise <= max(CLEANER * input_noise, 1e-4):
         raise pair.refused(f"{line}: are the columns swapped? Name them the other way round")
@@ -242,8 +229,8 @@ def _wrong_way(pair: _Pair) -> Iterator[str]:
 
 
 def _saturated(pair: _Pair) -> Iterator[str]:
-    """An output that stays at its top while the input goes on."""
-    u, y = pair.some()
+    """An output that stays at its maximum while the input moves."""
+    u, y = pair.thinned()
     top = u[y > y.max() - 0.01 * np.ptp(y)]
     if np.ptp(top) > SATURATED * np.ptp(u):
         yield (
@@ -253,7 +240,7 @@ def _saturated(pair: _Pair) -> Iterator[str]:
 
 
 def _range(values: Array) -> tuple[float, float]:
-    """Smallest and largest number; nan where there is none."""
+    """Smallest and largest number; nan without one."""
     return float(np.fmin.reduce(values)), float(np.fmax.reduce(values))
 
 
@@ -264,22 +251,22 @@ def _line(u: Array, y: Array) -> tuple[float, float]:
 
 
 def _noise(values: Array) -> float:
-    """Standard deviation of white noise, from second differences: their median does not see corners and steps."""
+    """Standard deviation of white noise, from the median of second differences, which ignores corners and steps."""
     bends = np.abs(np.diff(values, 2))
     bends = bends[np.isfinite(bends)]
     return float(np.median(bends)) / (0.6745 * np.sqrt(6.0)) if bends.size else 0.0
 
 
 def _pieces(samples: int) -> Iterator[slice]:
-    """Parts of a record that share their end and beginning."""
-    for start in range(0, samples - 1, LOOKED_AT):
-        yield slice(start, start + LOOKED_AT + 1)
+    """Blocks of a record; the last sample of each block is the first of the next."""
+    for start in range(0, samples - 1, BLOCK):
+        yield slice(start, start + BLOCK + 1)
 
 
 def _travel(u: Array) -> tuple[float, float]:
-    """How far the input goes up and down altogether, without its noise and its smallest reversals."""
+    """Total rise and total fall of the input; a play operator removes noise and the smallest reversals."""
     swing = float(np.ptp(u))
-    width = min(0.005 * swing + 5.0 * _noise(u[:LOOKED_AT]), 0.04 * swing)
+    width = min(0.005 * swing + 5.0 * _noise(u[:BLOCK]), 0.04 * swing)
     packed = np.array([width, 0.0, float(u[0])])
     rise = fall = 0.0
     for part in _pieces(u.size):
@@ -292,7 +279,7 @@ def _travel(u: Array) -> tuple[float, float]:
 
 
 def _slow_part(values: Array, drive: Array) -> Array:
-    """The same without what is faster than the slowest `SLOW` of the drive's power, shape (N,)."""
+    """Low-pass filtered values, shape (N,); the share `SLOW` of the drive's power lies below the cut-off."""
     known = np.isfinite(values)
     spectrum = np.fft.rfft(np.where(known, values - values[known].mean(), 0.0))
     power = np.abs(np.fft.rfft(np.nan_to_num(drive - np.nanmean(drive)))) ** 2
@@ -302,15 +289,15 @@ def _slow_part(values: Array, drive: Array) -> Array:
 
 
 def _opening(u: Array, y: Array) -> float:
-    """Mean opening of the loop over its length, as share of the output's range; above 0 where the output lags.
+    """Mean opening of the loop over its length, as share of the output's range; above 0: the output lags.
 
-    From the first to the last sample at which the input rises through the middle of its range, so that the path is
-    closed; of an input that does so only once, over all of it, if it ends where it began.
+    To close the path, it runs from the first to the last rise of the input through its mid-range. With a single rise
+    it runs over the full record, if this ends where it began.
     """
     low, high = _range(y)
     above = u > 0.5 * (u.min() + u.max())
     rises = np.flatnonzero(above[1:] & ~above[:-1])
-    if rises.size < 2 and abs(u[-1] - u[0]) > ONE_WAY * np.ptp(u):
+    if rises.size < 2 and abs(u[-1] - u[0]) > LEAST_RETURN * np.ptp(u):
         return 0.0
     part = slice(int(rises[0]), int(rises[-1]) + 2) if rises.size > 1 else slice(None)
     u, y = u[part], y[part]

@@ -1,4 +1,4 @@
-"""The parameters as tables: direct and inverse, and which operators matter."""
+"""Parameters as tables: the direct and the inverse operators, and which weights are negligible."""
 
 from dataclasses import dataclass
 
@@ -11,12 +11,12 @@ from piezod.operators.play import inverse_table
 
 Array = NDArray[np.float64]
 
-MATTERS = 0.01  # share of the steepest slope below which a weight may be called negligible
+MATTERS = 0.01  # share of the steepest slope below which a weight is negligible
 
 
 @dataclass(frozen=True)
 class OperatorRow:
-    """One operator in the direct and in the inverse model."""
+    """An operator in the direct and in the inverse model."""
 
     index: int
     threshold: float

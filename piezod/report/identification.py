@@ -40,7 +40,10 @@ def identification_as_dict(identification: Identification) -> dict[str, Any]:
     return {
         "schema": "piezod.identification/1",
         "orders": {"plays": chosen.plays, "dead_zones": chosen.zones},
-        "orders_before_pruning": {"plays": identification.taken.plays, "dead_zones": identification.taken.zones},
+        "orders_before_pruning": {
+            "plays": identification.before_pruning.plays,
+            "dead_zones": identification.before_pruning.zones,
+        },
         "unit": identification.model.output.unit,
         "range": identification.model.output.high - identification.model.output.low,
         "fit": {key.removesuffix("_fit"): value for key, value in fit if key.endswith("_fit")},
@@ -69,7 +72,7 @@ def print_identification(identification: Identification) -> None:
     unit = model.output.unit
     if identification.candidates:
         print(f"held-out rms error [{unit}] for n plays (rows) and m dead zones (columns):")
-        for line in _order_rows(identification.candidates, identification.taken):
+        for line in _order_rows(identification.candidates, identification.before_pruning):
             print("  " + "".join(cell.rjust(11) for cell in line))
     assert chosen.fit is not None
     print(f"{_orders(identification)}; condition number {chosen.fit.condition:.0f}")
@@ -115,7 +118,7 @@ def write_identification_page(path: Path, identification: Identification, record
     for recording in recordings:
         parts.extend(_curves(identification, recording))
     if identification.candidates:
-        orders = _order_rows(identification.candidates, identification.taken)
+        orders = _order_rows(identification.candidates, identification.before_pruning)
         parts.append(f"<h2>Held-out rms error [{unit}] for n plays and m dead zones; *: selected</h2>")
         parts.append(table_html(orders[0], orders[1:]))
     command = unit_words(model.input.unit)
@@ -201,11 +204,11 @@ def figure_rows(identification: Identification) -> list[tuple[str, ...]]:
 
 
 def _orders(identification: Identification) -> str:
-    taken, chosen = identification.taken, identification.chosen
+    selected, chosen = identification.before_pruning, identification.chosen
     if not identification.candidates:
         return f"n = {chosen.plays} plays, m = {chosen.zones} dead zones, the fewest that fit as well as fine tables"
-    text = f"selected (*): n = {taken.plays}, m = {taken.zones}"
-    if (chosen.plays, chosen.zones) != (taken.plays, taken.zones):
+    text = f"selected (*): n = {selected.plays}, m = {selected.zones}"
+    if (chosen.plays, chosen.zones) != (selected.plays, selected.zones):
         text += f"; without insignificant operators: n = {chosen.plays}, m = {chosen.zones}"
     return text
 

@@ -362,7 +362,7 @@ def test_operators_that_hardly_matter_are_pruned_and_the_rest_refitted():
     assert {0, 3, 9, 17} <= set(kept)
     assert len(kept) < 12
     assert pruned.chosen.rms_held_out <= 1.01 * whole.chosen.rms_held_out
-    assert (pruned.taken.plays, pruned.chosen.plays) == (23, len(kept) - 1)
+    assert (pruned.before_pruning.plays, pruned.chosen.plays) == (23, len(kept) - 1)
 
 
 def test_the_statistics_in_the_model_predict_the_error_of_other_parameters():

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 
 from piezod.estimation.columns import Structure
-from piezod.identify.order import _without_the_least
+from piezod.identify.order import _without_negligible
 from piezod.model.parameters import Hysteresis, Superposition
 
 
@@ -21,7 +21,7 @@ def a_fit(zone_thresholds, direct_zones, direct_weights):
 
 def test_a_table_whose_zero_was_moved_does_not_lose_its_linear_part():
     fit = a_fit([0.0, 20.0, 40.0], [-20.0, 0.0, 20.0], [1e-9, 2.0, 1e-9])
-    smaller = _without_the_least(fit, 1.0)
+    smaller = _without_negligible(fit, 1.0)
     assert smaller is not None
     assert 0.0 in smaller.zone_thresholds
     assert smaller.zone_thresholds.size < 3
@@ -29,4 +29,4 @@ def test_a_table_whose_zero_was_moved_does_not_lose_its_linear_part():
 
 
 def test_what_matters_stays():
-    assert _without_the_least(a_fit([0.0, 20.0, 40.0], [0.0, 20.0, 40.0], [2.0, 0.5, 0.4]), 1.0) is None
+    assert _without_negligible(a_fit([0.0, 20.0, 40.0], [0.0, 20.0, 40.0], [2.0, 0.5, 0.4]), 1.0) is None
