@@ -13,7 +13,8 @@ Source     Kistler Instrumente AG, Basics of Piezoelectric Measuring Technology,
 import numpy as np
 
 from piezod.effects.effect import Array, Checks, Context, Effect, Location, Parameter, Past, Search, Values
-from piezod.effects.kernels import first_order_run
+from piezod.effects.kernels import first_order_coefficients, first_order_run, first_order_step
+from piezod.effects.tick import Memory, Tick, TickSetting
 
 NO_LONGER = 0.99  # of the range: a leak as slow as the recordings can show is a drift
 
@@ -34,6 +35,25 @@ def _decay(context: Context, values: Values) -> Array:
     return decay
 
 
+KEEP, RAMP, START_N, INPUT_N, LOST_N = range(5)  # memory: constants; force at the start, input, lost force
+
+
+def _memory(values: Values, setting: TickSetting) -> Array:
+    keep, ramp = first_order_coefficients(values["time_constant_s"], setting.dt_s, setting.hold.number)
+    return np.array([keep, ramp, 0.0, 0.0, 0.0])
+
+
+def _advance(own: Memory, _shared: Memory, force_N: float) -> float:
+    own[LOST_N] = first_order_step(own[LOST_N], own[INPUT_N], force_N, own[KEEP], own[RAMP])
+    own[INPUT_N] = force_N
+    return force_N - (own[LOST_N] - own[START_N])
+
+
+def _settle(own: Memory, _shared: Memory, force_N: float) -> float:
+    own[START_N] = own[INPUT_N] = own[LOST_N] = force_N
+    return force_N
+
+
 EFFECT = Effect(
     name="charge_leakage",
     title="leakage of the charge amplifier",
@@ -43,6 +63,7 @@ EFFECT = Effect(
     forward=forward,
     past=Past(1, _decay),
     handling="corrected in the reading",
+    tick=Tick(_memory, _advance, settle=_settle),
     docstring=__doc__,
     why="the true force has not changed: driving against the reading would move the stack by the lost mean",
     separate_by="a dead weight left on the load cell, or triangles of ever lower frequency",

@@ -10,10 +10,13 @@ Source     K. L. Johnson (1985), Contact Mechanics, Cambridge University Press, 
            derived here; piezod/effects/README.md, "Contact gap".
 """
 
+import math
+
 import numba
 import numpy as np
 
 from piezod.effects.effect import Array, Checks, Context, Effect, Location, Parameter, Search, Values
+from piezod.effects.tick import Memory, Tick, TickSetting
 
 
 @numba.njit(cache=True, nogil=True)
@@ -52,6 +55,27 @@ def forward(signal: Array, context: Context, values: Values) -> Array:  # noqa: 
     return _run(signal, values["gap_N"], values.get("softness_N", 0.0))
 
 
+GAP_N, SOFT_N = range(2)  # memory
+
+
+def _memory(values: Values, _setting: TickSetting) -> Array:
+    return np.array([values["gap_N"], values.get("softness_N", 0.0)])
+
+
+def _advance(own: Memory, _shared: Memory, force_N: float) -> float:
+    return contact_step(force_N, own[GAP_N], own[SOFT_N])
+
+
+def _invert(own: Memory, _shared: Memory, force_N: float) -> float:
+    """Force in front of the gap; without force, the begin of contact."""
+    soft = min(own[SOFT_N], own[GAP_N])
+    if force_N <= 0.0:
+        return own[GAP_N] - soft
+    if force_N < soft:
+        return own[GAP_N] + 2.0 * math.sqrt(force_N * soft) - soft
+    return own[GAP_N] + force_N
+
+
 EFFECT = Effect(
     name="contact_gap",
     title="gap before contact",
@@ -63,6 +87,7 @@ EFFECT = Effect(
     ),
     forward=forward,
     handling="compensated",
+    tick=Tick(_memory, _advance, _invert),
     docstring=__doc__,
     separate_by="a slow ramp from zero voltage, and again with more preload",
     place=lambda values, _record: ("force_N", 0.0, values["gap_N"]),

@@ -19,7 +19,8 @@ import math
 import numpy as np
 
 from piezod.effects.effect import Array, Context, Effect, Location, Parameter, Past, Search, Values
-from piezod.effects.kernels import chain_run
+from piezod.effects.kernels import chain_run, first_order_coefficients, first_order_step
+from piezod.effects.tick import SHARED, Memory, Tick, TickSetting
 
 PER_DECADE = 4  # elements per decade of time
 NARROWEST = 3.0  # smallest ratio of to_s to from_s
@@ -86,6 +87,58 @@ def _decays(context: Context, values: Values) -> Array:
     return decays
 
 
+COUNT, VOLTAGE_SHARE, DRIVE_V, ELEMENTS = range(4)  # memory; then keep, ramp, weight and state of every element
+LONGEST_S = 1e5  # longer time constants are not compensated
+
+
+def _memory(values: Values, setting: TickSetting) -> Array:
+    to_s = min(values["to_s"], LONGEST_S)
+    tau_s, weights = spectrum(values["from_s"], to_s, values.get("slope", 0.0), setting.seen_s)
+    rows = [first_order_coefficients(element_s, setting.dt_s, setting.hold.number) for element_s in tau_s]
+    keep, ramp = np.array(rows).T
+    by_voltage = round(values.get("driven_by", PLAYS)) == VOLTAGE
+    head = [float(tau_s.size), setting.stroke_per_V if by_voltage else 0.0, 0.0]
+    return np.concatenate((head, keep, ramp, values["per_decade"] * weights, np.zeros(tau_s.size)))
+
+
+def _advance(own: Memory, shared: Memory, stroke_V: float) -> float:
+    count, before_V = int(own[COUNT]), own[DRIVE_V]
+    if own[VOLTAGE_SHARE] > 0.0:
+        now_V = own[VOLTAGE_SHARE] * (shared[SHARED.now_V] - shared[SHARED.start_V])
+    else:
+        now_V = stroke_V - shared[SHARED.start_stroke_V]
+    own[DRIVE_V] = now_V
+    crept_V = 0.0
+    for j in range(ELEMENTS, ELEMENTS + count):
+        keep, ramp, weight, state = own[j], own[j + count], own[j + 2 * count], j + 3 * count
+        own[state] = first_order_step(own[state], before_V, now_V, keep, ramp)
+        crept_V += weight * own[state]
+    return stroke_V + crept_V
+
+
+def _invert(own: Memory, shared: Memory, stroke_V: float) -> float:
+    """Output of the plays for a stroke: what creeps by itself, and what creeps with the drive of this tick."""
+    count, before_V = int(own[COUNT]), own[DRIVE_V]
+    constant_V, share = 0.0, 0.0
+    for j in range(ELEMENTS, ELEMENTS + count):
+        keep, ramp, weight, state = own[j], own[j + count], own[j + 2 * count], own[j + 3 * count]
+        constant_V += weight * first_order_step(state, before_V, 0.0, keep, ramp)
+        share += weight * ramp
+    if own[VOLTAGE_SHARE] > 0.0:
+        shared[SHARED.used_now_V] = 1.0
+        now_V = own[VOLTAGE_SHARE] * (shared[SHARED.now_V] - shared[SHARED.start_V])
+        return stroke_V - constant_V - share * now_V
+    return (stroke_V - constant_V + share * shared[SHARED.start_stroke_V]) / (1.0 + share)
+
+
+def _settle(own: Memory, _shared: Memory, stroke_V: float) -> float:
+    count = int(own[COUNT])
+    own[DRIVE_V] = 0.0
+    for j in range(ELEMENTS + 3 * count, ELEMENTS + 4 * count):
+        own[j] = 0.0
+    return stroke_V
+
+
 EFFECT = Effect(
     name="creep",
     title="creep of the stack",
@@ -101,6 +154,7 @@ EFFECT = Effect(
     forward=forward,
     past=Past(DECAYS, _decays),
     handling="compensated",
+    tick=Tick(_memory, _advance, _invert, _settle),
     docstring=__doc__,
     separate_by="a staircase with holds of three decades of time, up and down",
     place=lambda values, record: ("history_s", values["from_s"], record.longest_s),

@@ -8,6 +8,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from piezod.effects.tick import Preview, Tick
 from piezod.recording.hold import STRAIGHT, Hold
 
 Array = NDArray[np.float64]
@@ -127,6 +128,8 @@ class Context:
         Duration of the recording in which the effect was found [s]; None: of this recording.
     stroke_per_V
         Sum of the weights of the plays: stroke per volt where all of them move [1]. 0: nothing that the voltage drives.
+    drive_hold
+        How `applied_V` runs between two samples; None: as the input signal.
     cache
         Last results of an effect for this `applied_V`: name to (key, result).
     """
@@ -143,6 +146,7 @@ class Context:
     path_V: tuple[float, ...] = ()
     seen_s: float | None = None
     stroke_per_V: float = 1.0
+    drive_hold: Hold | None = None
     cache: dict[str, tuple[Array, Array]] = field(default_factory=dict)
 
 
@@ -289,6 +293,10 @@ class Effect:
         Docstring of the file: six fields.
     why
         Reason why the effect is not compensated; empty where it is.
+    tick
+        The effect in the control loop; None: it does not act there.
+    preview
+        How a reference known ahead meets the effect; None: it delays no reading.
     widening
         HYSTERESIS only: factor [1] and offset [V] of all play thresholds above 0, each of shape (N,).
     weights
@@ -330,6 +338,8 @@ class Effect:
     handling: Handling
     docstring: str
     why: str = ""
+    tick: Tick | None = None
+    preview: Preview | None = None
     widening: Widening | None = None
     weights: tuple[str, ...] = ()
     columns: Columns | None = None

@@ -11,8 +11,19 @@ Source     Derived here, for R of 10 to 1000 ohm and C of 0.1 to 10 uF. The line
            piezod/effects/README.md, "Electrical lag".
 """
 
+import math
+
+import numpy as np
+
 from piezod.effects.effect import LATE, Array, Checks, Context, Effect, Location, Parameter, Search, Values
-from piezod.effects.kernels import first_order_run, voltage_dependent_lag_run
+from piezod.effects.kernels import (
+    first_order_coefficients,
+    first_order_run,
+    first_order_step,
+    time_constant_at,
+    voltage_dependent_lag_run,
+)
+from piezod.effects.tick import SHARED, Memory, Tick, TickSetting
 
 
 def forward(signal: Array, context: Context, values: Values) -> Array:
@@ -27,6 +38,39 @@ def forward(signal: Array, context: Context, values: Values) -> Array:
     return out
 
 
+TAU_S, SWELL, PERIOD_S, COMMAND_V, VOLTAGE_V = range(5)  # memory: constants; voltage before and behind the lag
+
+
+def _memory(values: Values, setting: TickSetting) -> Array:
+    return np.array([values["time_constant_s"], values.get("swell", 0.0), setting.dt_s, 0.0, 0.0])
+
+
+def _advance(own: Memory, shared: Memory, voltage_V: float) -> float:
+    tau_s = time_constant_at(own[VOLTAGE_V], own[TAU_S], own[SWELL])
+    keep, ramp = first_order_coefficients(tau_s, own[PERIOD_S], 1.0 - shared[SHARED.runs_straight])
+    own[VOLTAGE_V] = first_order_step(own[VOLTAGE_V], own[COMMAND_V], voltage_V, keep, ramp)
+    own[COMMAND_V] = voltage_V
+    return own[VOLTAGE_V]
+
+
+def _invert(own: Memory, _shared: Memory, voltage_V: float) -> float:
+    """Command, held for the tick, that ends at a voltage."""
+    tau_s = time_constant_at(own[VOLTAGE_V], own[TAU_S], own[SWELL])
+    keep, _ = first_order_coefficients(tau_s, own[PERIOD_S], 1.0)
+    return own[VOLTAGE_V] + (voltage_V - own[VOLTAGE_V]) / (1.0 - keep)
+
+
+def _settle(own: Memory, _shared: Memory, voltage_V: float) -> float:
+    own[COMMAND_V] = own[VOLTAGE_V] = voltage_V
+    return voltage_V
+
+
+def _risen(values: Values, dt_s: float, into: float) -> float:
+    """Share of a tick's step that has arrived at the fraction f of it: (1 - e^(-f T / tau)) / (1 - e^(-T / tau))."""
+    tau_s = values["time_constant_s"]
+    return math.expm1(-into * dt_s / tau_s) / math.expm1(-dt_s / tau_s)
+
+
 EFFECT = Effect(
     name="electrical_lag",
     title="electrical lag of the amplifier",
@@ -39,6 +83,7 @@ EFFECT = Effect(
     forward=forward,
     handling="compensated",
     smooths=True,
+    tick=Tick(_memory, _advance, _invert, _settle, risen=_risen),
     docstring=__doc__,
     separate_by="the amplifier's monitor output recorded as well, or triangles at 1 and 10 Hz about two biases",
     plausible=lambda values, record: values["time_constant_s"] >= LATE * record.dt_s,

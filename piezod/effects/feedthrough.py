@@ -16,6 +16,7 @@ import numba
 import numpy as np
 
 from piezod.effects.effect import Array, Checks, Context, Effect, Location, Parameter, Search, Values
+from piezod.effects.tick import SHARED, Memory, Tick, TickSetting
 
 
 @numba.njit(cache=True, nogil=True)
@@ -74,9 +75,28 @@ def forward(signal: Array, context: Context, values: Values) -> Array:
 
     `signal` is the signal of the load cell [N]. Parameters as in `piezod.effects.effect.Forward`.
     """
-    keep, jump = coefficients(values.get("rise_s", 0.0), context.dt_s, context.hold.number)
+    keep, jump = coefficients(values.get("rise_s", 0.0), context.dt_s, (context.drive_hold or context.hold).number)
     out: Array = signal + values["coefficient_N_s_per_V"] * _run(context.applied_V, keep, jump)
     return out
+
+
+N_S_PER_V, KEEP, JUMP, COUPLED = range(4)  # memory: constants; state of `coupling_step`
+
+
+def _memory(values: Values, setting: TickSetting) -> Array:
+    keep, jump = coefficients(values.get("rise_s", 0.0), setting.dt_s, setting.drive_hold.number)
+    return np.array([values["coefficient_N_s_per_V"], keep, jump, 0.0])
+
+
+def _advance(own: Memory, shared: Memory, force_N: float) -> float:
+    moved_V = shared[SHARED.now_V] - shared[SHARED.before_V]
+    own[COUPLED] = coupling_step(own[COUPLED], moved_V, own[KEEP], own[JUMP])
+    return force_N + own[N_S_PER_V] * own[COUPLED]
+
+
+def _settle(own: Memory, _shared: Memory, force_N: float) -> float:
+    own[COUPLED] = 0.0
+    return force_N
 
 
 EFFECT = Effect(
@@ -90,6 +110,7 @@ EFFECT = Effect(
     ),
     forward=forward,
     handling="corrected in the reading",
+    tick=Tick(_memory, _advance, settle=_settle),
     docstring=__doc__,
     why="it is no force: driving against it would make one",
     separate_by="the same drive with the load cell taken off the stack",

@@ -19,6 +19,7 @@ import numba
 import numpy as np
 
 from piezod.effects.effect import Array, Checks, Context, Effect, Location, Parameter, Search, Values, all_the_time
+from piezod.effects.tick import Memory, Tick, TickSetting
 
 SMALLEST_BEND = 1e-3  # a smaller bend counts as 0
 
@@ -60,6 +61,19 @@ def forward(signal: Array, context: Context, values: Values) -> Array:
     return out
 
 
+def _memory(values: Values, _setting: TickSetting) -> Array:
+    """Gain at the end of the drift: a drive comes after the recording."""
+    return np.array([1.0 + values["relative_change"]])
+
+
+def _advance(own: Memory, _shared: Memory, stroke_V: float) -> float:
+    return own[0] * stroke_V
+
+
+def _invert(own: Memory, _shared: Memory, stroke_V: float) -> float:
+    return stroke_V / own[0]
+
+
 EFFECT = Effect(
     name="gain_drift",
     title="drift of the sensitivity",
@@ -72,6 +86,7 @@ EFFECT = Effect(
     ),
     forward=forward,
     handling="compensated",
+    tick=Tick(_memory, _advance, _invert),
     docstring=__doc__,
     separate_by="the same reset cycle at the beginning and at the end, at one temperature",
     place=all_the_time,

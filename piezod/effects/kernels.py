@@ -11,6 +11,8 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from piezod.effects.tick import Memory
+
 Array = NDArray[np.float64]
 
 NODES, FARTHEST = 1024, 24.0  # size of the Bouc-Wen table, and its last distance: the state is constant beyond
@@ -161,6 +163,30 @@ def second_order_matrices(
     step_response = step[:2, 2].copy()
     now = step[:2, 3] / dt_s if hold <= 0.0 else _exponential(system * (dt_s * min(hold, 1.0)))[:2, 2].copy()
     return step[:2, :2].copy(), step_response - now, now
+
+
+def second_order_memory(frequency_Hz: float, damping_ratio: float, dt_s: float, hold: float) -> Array:
+    """Memory of `second_order_step`: `second_order_matrices` (8 numbers), input and the two states, shape (11,)."""
+    rows = second_order_matrices(frequency_Hz, damping_ratio, dt_s, hold)
+    return np.concatenate([*(np.ravel(row) for row in rows), np.zeros(3)])
+
+
+@numba.njit(cache=True, nogil=True)
+def second_order_step(own: Memory, first: int, x: float) -> float:
+    """First state after a tick with the input `x`; `own` holds the memory of the system from `first` on."""
+    y, rate, before = own[first + 9], own[first + 10], own[first + 8]
+    own[first + 9] = own[first] * y + own[first + 1] * rate + own[first + 4] * before + own[first + 6] * x
+    own[first + 10] = own[first + 2] * y + own[first + 3] * rate + own[first + 5] * before + own[first + 7] * x
+    own[first + 8] = x
+    return own[first + 9]
+
+
+@numba.njit(cache=True, nogil=True)
+def second_order_settle(own: Memory, first: int, x: float) -> float:
+    """Set the system of `second_order_step` to rest at the input `x`."""
+    own[first + 8] = own[first + 9] = x
+    own[first + 10] = 0.0
+    return x
 
 
 def _exponential(matrix: Array) -> Array:

@@ -16,6 +16,7 @@ import math
 import numpy as np
 
 from piezod.effects.effect import Array, Checks, Context, Effect, Location, Parameter, Search, Values, at_its_frequency
+from piezod.effects.tick import Memory, Tick, TickSetting
 
 TURN = 2.0 * math.pi
 HARMONICS = (2, 3, 4, 5, 6, 7)
@@ -38,6 +39,34 @@ def forward(signal: Array, context: Context, values: Values) -> Array:
     return out
 
 
+TICKS, TURN_PER_TICK, GAIN, COUNT, WAVES = range(5)  # memory; then number, cosine [N] and sine [N] of every harmonic
+ESTIMATE_S = 1.0  # time constant of the estimates of amplitude and phase
+
+
+def _memory(values: Values, setting: TickSetting) -> Array:
+    """Memory with amplitudes of 0: every drive has another phase than the recording."""
+    harmonics = [1, *(h for h in HARMONICS if values.get(f"sine_{h}", 0.0) or values.get(f"cosine_{h}", 0.0))]
+    head = [0.0, TURN * values["frequency_Hz"] * setting.dt_s, setting.dt_s / ESTIMATE_S, len(harmonics)]
+    return np.concatenate((head, np.ravel([(h, 0.0, 0.0) for h in harmonics])))
+
+
+def _follow(own: Memory, _shared: Memory, difference_N: float) -> float:
+    """Hum at this tick as estimated so far; then update the estimate, unless the difference is not finite."""
+    own[TICKS] += 1.0
+    end = WAVES + 3 * int(own[COUNT])
+    hum_N = 0.0
+    for k in range(WAVES, end, 3):
+        angle = own[k] * own[TURN_PER_TICK] * own[TICKS]
+        hum_N += own[k + 1] * math.cos(angle) + own[k + 2] * math.sin(angle)
+    remainder_N = difference_N - hum_N
+    if abs(remainder_N) < math.inf:
+        for k in range(WAVES, end, 3):
+            angle = own[k] * own[TURN_PER_TICK] * own[TICKS]
+            own[k + 1] += 2.0 * own[GAIN] * remainder_N * math.cos(angle)
+            own[k + 2] += 2.0 * own[GAIN] * remainder_N * math.sin(angle)
+    return hum_N
+
+
 EFFECT = Effect(
     name="mains_hum",
     title="mains hum",
@@ -55,6 +84,7 @@ EFFECT = Effect(
     ),
     forward=forward,
     handling="corrected in the reading",
+    tick=Tick(_memory, follow=_follow),
     docstring=__doc__,
     why="it is no force: driving against it would make one",
     separate_by="a record at rest with the amplifier off, then with the cable of the load cell moved",

@@ -18,6 +18,7 @@ import numba
 import numpy as np
 
 from piezod.effects.effect import Array, Checks, Context, Effect, Location, Parameter, Search, Values
+from piezod.effects.tick import Memory, Tick, TickSetting
 
 LEAST_SLOPE = 0.05  # the law is straight where the polynomial would be flatter
 
@@ -78,6 +79,37 @@ def rising(square: float, cube: float) -> tuple[float, float]:
     return max(below, default=-math.inf), min(above, default=math.inf)
 
 
+SPAN_N, SQUARE, CUBE, LOW, HIGH = range(5)  # memory
+BISECTIONS = 60
+
+
+def _memory(values: Values, setting: TickSetting) -> Array:
+    cube = values.get("cubic", 0.0)
+    square = values["curvature"] - cube
+    return np.array([setting.force_span_N, square, cube, *rising(square, cube)])
+
+
+def _advance(own: Memory, _shared: Memory, force_N: float) -> float:
+    return own[SPAN_N] * law_step(force_N / own[SPAN_N], own[SQUARE], own[CUBE], own[LOW], own[HIGH])
+
+
+def _invert(own: Memory, _shared: Memory, force_N: float) -> float:
+    """Force in front of the law, by bisection of the rising function."""
+    aim = force_N / own[SPAN_N]
+    low, high = aim - 1.0, aim + 1.0
+    while law_step(low, own[SQUARE], own[CUBE], own[LOW], own[HIGH]) > aim:
+        low -= 2.0 * (high - low)
+    while law_step(high, own[SQUARE], own[CUBE], own[LOW], own[HIGH]) < aim:
+        high += 2.0 * (high - low)
+    for _ in range(BISECTIONS):
+        middle = 0.5 * (low + high)
+        if law_step(middle, own[SQUARE], own[CUBE], own[LOW], own[HIGH]) < aim:
+            low = middle
+        else:
+            high = middle
+    return 0.5 * (low + high) * own[SPAN_N]
+
+
 EFFECT = Effect(
     name="output_nonlinearity",
     title="curved force law",
@@ -89,6 +121,7 @@ EFFECT = Effect(
     ),
     forward=forward,
     handling="compensated",
+    tick=Tick(_memory, _advance, _invert),
     docstring=__doc__,
     separate_by="slow triangles about several biases, and again with another preload",
     flexible=True,

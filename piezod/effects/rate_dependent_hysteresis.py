@@ -20,6 +20,7 @@ import numba
 import numpy as np
 
 from piezod.effects.effect import Array, Checks, Context, Effect, Location, Parameter, Search, Values, unchanged
+from piezod.effects.tick import SHARED, Memory, Tick, TickSetting
 
 LOGARITHM, POWER, OFFSET = 0, 1, 2  # values of `kind`
 DISTANCE, TIME = 0.0, 1.0  # values of `rate_over`: what the rate is smoothed over
@@ -67,14 +68,34 @@ def rate_step(
 
 
 @numba.njit(cache=True, nogil=True)
-def _rates(u: Array, dt_s: float, distance_V: float, memory_s: float) -> Array:
-    out = np.empty(u.size)
-    rate, rested = 0.0, 0.0
-    out[0] = rate
+def widening_step(rate: float, growth: float, reference: float, kind: float) -> tuple[float, float]:
+    """Factor of the thresholds [1], and their offset in parts of the offset at a growth of 1 [1].
+
+    Parameters
+    ----------
+    rate, reference
+        Smoothed rate and reference rate [V/s].
+    growth
+        Growth per e-fold of the rate [1].
+    kind
+        LOGARITHM, POWER or OFFSET.
+    """
+    wider = growth * math.log1p(rate / reference)
+    if kind == OFFSET:
+        return 1.0, wider
+    return math.exp(wider) if kind == POWER else 1.0 + wider, 0.0
+
+
+@numba.njit(cache=True, nogil=True)
+def _run(
+    u: Array, dt_s: float, distance_V: float, memory_s: float, growth: float, reference: float, kind: float
+) -> tuple[Array, Array]:
+    factor, offset = np.ones(u.size), np.zeros(u.size)
+    rate, rested_s = 0.0, 0.0
     for k in range(1, u.size):
-        rate, rested = rate_step(rate, rested, abs(u[k] - u[k - 1]), dt_s, distance_V, memory_s)
-        out[k] = rate
-    return out
+        rate, rested_s = rate_step(rate, rested_s, abs(u[k] - u[k - 1]), dt_s, distance_V, memory_s)
+        factor[k], offset[k] = widening_step(rate, growth, reference, kind)
+    return factor, offset
 
 
 def widening(context: Context, values: Values) -> tuple[Array, Array]:
@@ -83,14 +104,56 @@ def widening(context: Context, values: Values) -> tuple[Array, Array]:
     Parameters as in `piezod.effects.effect.Widening`.
     """
     u = context.applied_V
-    growth, kind = values["growth"], round(values.get("kind", LOGARITHM))
+    kind = round(values.get("kind", LOGARITHM))
     memory_s = values["rate_memory_s"] if round(values.get("rate_over", DISTANCE)) == TIME else 0.0
-    rates = _rates(u, context.dt_s, values.get("rate_way_V", USUAL_DISTANCE_V), memory_s)
-    decay = np.log1p(rates / values["reference_V_per_s"])
-    if kind == OFFSET:
-        return np.ones(u.size), OFFSET_SHARE * context.voltage_span_V * growth * decay
-    factor: Array = np.exp(growth * decay) if kind == POWER else 1.0 + growth * decay
-    return factor, np.zeros(u.size)
+    distance_V, growth = values.get("rate_way_V", USUAL_DISTANCE_V), values["growth"]
+    factor, offset = _run(u, context.dt_s, distance_V, memory_s, growth, values["reference_V_per_s"], kind)
+    return factor, OFFSET_SHARE * context.voltage_span_V * offset
+
+
+GROWTH, KIND, REFERENCE, WAY_V, MEMORY_S, OFFSET_V, PERIOD_S, RATE, RESTED_S = range(9)  # memory
+
+
+def _memory(values: Values, setting: TickSetting) -> Array:
+    over_time = round(values.get("rate_over", DISTANCE)) == TIME
+    return np.array(
+        [
+            values["growth"],
+            round(values.get("kind", LOGARITHM)),
+            values["reference_V_per_s"],
+            values.get("rate_way_V", USUAL_DISTANCE_V),
+            values["rate_memory_s"] if over_time else 0.0,
+            OFFSET_SHARE * setting.voltage_span_V,
+            setting.dt_s,
+            0.0,
+            0.0,
+        ]
+    )
+
+
+def _widen(own: Memory, shared: Memory, applied_V: float) -> float:
+    """Widen the thresholds for a tick that ends at `applied_V` [V], without a change of the states."""
+    moved_V = abs(applied_V - shared[SHARED.before_V])
+    rate, _ = rate_step(own[RATE], own[RESTED_S], moved_V, own[PERIOD_S], own[WAY_V], own[MEMORY_S])
+    factor, offset = widening_step(rate, own[GROWTH], own[REFERENCE], own[KIND])
+    shared[SHARED.factor] *= factor
+    shared[SHARED.offset_V] += own[OFFSET_V] * offset
+    return applied_V
+
+
+def _advance(own: Memory, shared: Memory, applied_V: float) -> float:
+    moved_V = abs(applied_V - shared[SHARED.before_V])
+    rate, rested_s = rate_step(own[RATE], own[RESTED_S], moved_V, own[PERIOD_S], own[WAY_V], own[MEMORY_S])
+    own[RATE], own[RESTED_S] = rate, rested_s
+    factor, offset = widening_step(rate, own[GROWTH], own[REFERENCE], own[KIND])
+    shared[SHARED.factor] *= factor
+    shared[SHARED.offset_V] += own[OFFSET_V] * offset
+    return applied_V
+
+
+def _settle(own: Memory, _shared: Memory, _applied_V: float) -> float:
+    own[RATE] = own[RESTED_S] = 0.0
+    return 0.0
 
 
 EFFECT = Effect(
@@ -123,6 +186,7 @@ EFFECT = Effect(
     forward=unchanged,
     widening=widening,
     handling="compensated",
+    tick=Tick(_memory, _advance, _widen, _settle),
     docstring=__doc__,
     separate_by="triangles of one amplitude over three decades of frequency, with a hold behind each corner",
     flexible=True,

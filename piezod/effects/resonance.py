@@ -10,8 +10,19 @@ Source     H. J. M. T. S. Adriaens, W. L. de Koning and R. Banning (2000), Model
            Transactions on Mechatronics 5(4); piezod/effects/README.md, "Resonance".
 """
 
+import math
+
+import numpy as np
+
 from piezod.effects.effect import Array, Checks, Context, Effect, Location, Parameter, Search, Values, at_its_frequency
-from piezod.effects.kernels import second_order
+from piezod.effects.kernels import (
+    second_order,
+    second_order_matrices,
+    second_order_memory,
+    second_order_settle,
+    second_order_step,
+)
+from piezod.effects.tick import Memory, Preview, Tick, TickSetting
 
 RINGS = 0.6  # damping ratio beyond which nothing is seen to ring: it is a lag
 
@@ -22,6 +33,51 @@ def forward(signal: Array, context: Context, values: Values) -> Array:
     `signal` is the force [N]. Parameters as in `piezod.effects.effect.Forward`.
     """
     return second_order(signal, values["frequency_Hz"], values["damping_ratio"], context.dt_s, context.hold.number)
+
+
+HALF_SAMPLE_LEAD = np.array([-0.125, 0.625, 0.625, -0.125])  # filter with a flat gain to second order: derived here
+
+
+def _memory(values: Values, setting: TickSetting) -> Array:
+    return second_order_memory(values["frequency_Hz"], values["damping_ratio"], setting.dt_s, setting.hold.number)
+
+
+def _advance(own: Memory, _shared: Memory, force_N: float) -> float:
+    return second_order_step(own, 0, force_N)
+
+
+def _settle(own: Memory, _shared: Memory, force_N: float) -> float:
+    return second_order_settle(own, 0, force_N)
+
+
+def invert(reference_N: Array, values: Values, dt_s: float) -> Array:
+    """Force before the resonance, held for a tick each, that makes the readings follow a reference; shape (N,) [N].
+
+    For a held force, y(k) + a1 y(k-1) + a2 y(k-2) = b1 F(k) + b2 F(k-1). The zero -b2 / b1 lies near -1, so its inverse
+    would oscillate without end. The symmetrical filter `HALF_SAMPLE_LEAD` replaces it, accurate up to a quarter of the
+    tick rate. Derived here.
+
+    Parameters
+    ----------
+    reference_N
+        Readings to reach, one a tick, shape (N,) [N]; constant before the first and after the last.
+    values
+        Frequency and damping ratio of the resonance.
+    dt_s
+        Tick period [s].
+    """
+    matrix, _, _ = second_order_matrices(values["frequency_Hz"], values["damping_ratio"], dt_s)
+    trace, determinant = float(np.trace(matrix)), float(np.linalg.det(matrix))
+    padded = np.pad(reference_N, 2, mode="edge")
+    driven = padded[2:] - trace * padded[1:-1] + determinant * padded[:-2]
+    force = np.convolve(np.pad(driven, (1, 2), mode="edge"), HALF_SAMPLE_LEAD, mode="valid")
+    result: Array = force[: reference_N.size] / (1.0 - trace + determinant)
+    return result
+
+
+def _late_s(values: Values) -> float:
+    """Delay of a reference far below the resonance [s]."""
+    return values["damping_ratio"] / (math.pi * values["frequency_Hz"])
 
 
 EFFECT = Effect(
@@ -36,6 +92,8 @@ EFFECT = Effect(
     forward=forward,
     handling="compensated",
     smooths=True,
+    tick=Tick(_memory, _advance, settle=_settle),
+    preview=Preview(_late_s, ticks=2, ahead=invert),
     docstring=__doc__,
     separate_by="steps or triangles with abrupt corners, sampled at ten times the mode's frequency",
     place=at_its_frequency,

@@ -15,8 +15,19 @@ Source     Derived here. r follows from the definition of the cutoff, |H(f_c)|^2
 
 import math
 
+import numpy as np
+
 from piezod.effects.effect import LATE, Array, Checks, Context, Effect, Location, Parameter, Search, Values
-from piezod.effects.kernels import first_order_run, second_order
+from piezod.effects.kernels import (
+    first_order_coefficients,
+    first_order_run,
+    first_order_step,
+    second_order,
+    second_order_memory,
+    second_order_settle,
+    second_order_step,
+)
+from piezod.effects.tick import Memory, Tick, TickSetting
 
 BUTTERWORTH = math.sqrt(0.5)
 
@@ -45,6 +56,29 @@ def mode(values: Values) -> tuple[float, float]:
     return values["cutoff_Hz"] / math.sqrt(part + math.hypot(part, 1.0)), damping_ratio
 
 
+ORDER, KEEP, RAMP, INPUT_N, OUTPUT_N, SECOND = range(6)  # memory; then that of a filter of order 2
+
+
+def _memory(values: Values, setting: TickSetting) -> Array:
+    hold = setting.hold.number
+    keep, ramp = first_order_coefficients(0.5 / math.pi / values["cutoff_Hz"], setting.dt_s, hold)
+    first = np.array([max(1.0, round(values.get("order", 1.0))), keep, ramp, 0.0, 0.0])
+    return np.concatenate((first, second_order_memory(*mode(values), setting.dt_s, hold)))
+
+
+def _advance(own: Memory, _shared: Memory, force_N: float) -> float:
+    if own[ORDER] == 2.0:
+        return second_order_step(own, SECOND, force_N)
+    own[OUTPUT_N] = first_order_step(own[OUTPUT_N], own[INPUT_N], force_N, own[KEEP], own[RAMP])
+    own[INPUT_N] = force_N
+    return own[OUTPUT_N]
+
+
+def _settle(own: Memory, _shared: Memory, force_N: float) -> float:
+    own[INPUT_N] = own[OUTPUT_N] = force_N
+    return second_order_settle(own, SECOND, force_N)
+
+
 EFFECT = Effect(
     name="sensor_filter",
     title="low-pass of the load cell",
@@ -60,6 +94,7 @@ EFFECT = Effect(
     forward=forward,
     handling="corrected in the reading",
     smooths=True,
+    tick=Tick(_memory, _advance, settle=_settle),
     docstring=__doc__,
     why="only the reading is late, not the true force: driving against it would overshoot",
     separate_by="a tap on the load cell, or its noise spectrum at rest: a filter in it shapes both",

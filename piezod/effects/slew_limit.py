@@ -14,6 +14,7 @@ import numba
 import numpy as np
 
 from piezod.effects.effect import Array, Checks, Context, Effect, Location, Parameter, Search, Values
+from piezod.effects.tick import SHARED, Memory, Tick, TickSetting
 
 
 @numba.njit(cache=True, nogil=True)
@@ -62,6 +63,28 @@ def forward(signal: Array, context: Context, values: Values) -> Array:
     return _run(signal, values["limit_V_per_s"] * context.dt_s, context.hold.number)
 
 
+MOST_V, COMMAND_V = range(2)  # memory: largest change per tick; voltage behind the limit
+
+
+def _memory(values: Values, setting: TickSetting) -> Array:
+    return np.array([values["limit_V_per_s"] * setting.dt_s, 0.0])
+
+
+def _advance(own: Memory, shared: Memory, voltage_V: float) -> float:
+    """Voltage behind the limit; it runs straight through a tick in which the limit acts."""
+    before_V = own[COMMAND_V]
+    slewed_V = slew_step(before_V, voltage_V, voltage_V, own[MOST_V]) if voltage_V != before_V else voltage_V
+    if slewed_V != voltage_V:
+        shared[SHARED.runs_straight] = 1.0
+    own[COMMAND_V] = slewed_V
+    return slewed_V
+
+
+def _settle(own: Memory, _shared: Memory, voltage_V: float) -> float:
+    own[COMMAND_V] = voltage_V
+    return voltage_V
+
+
 EFFECT = Effect(
     name="slew_limit",
     title="current limit of the amplifier",
@@ -71,6 +94,7 @@ EFFECT = Effect(
     forward=forward,
     handling="compensated",
     smooths=True,
+    tick=Tick(_memory, _advance, settle=_settle),
     docstring=__doc__,
     separate_by="steps of three sizes: a limit takes longer for a longer step, a lag does not",
     place=lambda values, record: ("rate_V_per_s", values["limit_V_per_s"], record.fastest_V_per_s),

@@ -10,8 +10,13 @@ Source     Derived here. 0.5 to 30 N/K follow from 5 to 50 N/um, 20 to 40 mm and
            piezod/effects/README.md, "Thermal drift".
 """
 
+import math
+
+import numpy as np
+
 from piezod.effects.effect import Array, Context, Effect, Location, Parameter, Search, Values, all_the_time
 from piezod.effects.kernels import first_order_run
+from piezod.effects.tick import Memory, Tick, TickSetting
 
 
 def forward(signal: Array, context: Context, values: Values) -> Array:
@@ -28,6 +33,40 @@ def forward(signal: Array, context: Context, values: Values) -> Array:
     return out
 
 
+N_PER_K, GAIN, FIRST_C, NOW_C, DRIFT_N = range(5)  # memory: constants; first and smoothed temperature, drift
+LARGEST_CHANGE_K = 50.0  # a larger change of the temperature is taken for a fault of its sensor
+
+
+def _memory(values: Values, setting: TickSetting) -> Array:
+    lag_s = values.get("lag_s", 0.0)
+    gain = -math.expm1(-setting.dt_s / lag_s) if lag_s > 0.0 else 1.0
+    return np.array([values["coefficient_N_per_K"], gain, math.nan, math.nan, 0.0])
+
+
+def _measure(own: Memory, _shared: Memory, temperature_C: float) -> float:
+    """Update the drift with a temperature; an invalid one is ignored."""
+    if math.isnan(own[FIRST_C]) and math.isfinite(temperature_C):
+        own[FIRST_C] = own[NOW_C] = temperature_C
+    if abs(temperature_C - own[FIRST_C]) <= LARGEST_CHANGE_K:
+        own[NOW_C] += own[GAIN] * (temperature_C - own[NOW_C])
+        own[DRIFT_N] = own[N_PER_K] * (own[NOW_C] - own[FIRST_C])
+    return temperature_C
+
+
+def _advance(own: Memory, _shared: Memory, force_N: float) -> float:
+    return force_N + own[DRIFT_N]
+
+
+def _invert(own: Memory, _shared: Memory, force_N: float) -> float:
+    return force_N - own[DRIFT_N]
+
+
+def _settle(own: Memory, _shared: Memory, force_N: float) -> float:
+    own[FIRST_C] = own[NOW_C] = math.nan
+    own[DRIFT_N] = 0.0
+    return force_N
+
+
 EFFECT = Effect(
     name="thermal_drift",
     title="thermal drift",
@@ -40,6 +79,7 @@ EFFECT = Effect(
     forward=forward,
     handling="compensated",
     needs="temperature_C",
+    tick=Tick(_memory, _advance, _invert, _settle, measure=_measure),
     docstring=__doc__,
     separate_by="a hold at zero voltage after a reset cycle while the room temperature changes by several kelvin",
     place=all_the_time,

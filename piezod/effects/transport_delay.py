@@ -14,6 +14,7 @@ import numba
 import numpy as np
 
 from piezod.effects.effect import LATE, Array, Checks, Context, Effect, Location, Parameter, Search, Values
+from piezod.effects.tick import Preview
 
 
 @numba.njit(cache=True, nogil=True)
@@ -61,6 +62,7 @@ EFFECT = Effect(
     parameters=(Parameter("delay_s", "s", 0.0, 0.5, Search((3e-3, 3e-2))),),
     forward=forward,
     handling="compensated",
+    preview=Preview(lambda values: values["delay_s"], shifts=True),
     docstring=__doc__,
     separate_by="the edge of a step at the highest sampling rate, or the phase of a chirp: straight in frequency",
     plausible=lambda values, record: values["delay_s"] >= LATE * record.dt_s,

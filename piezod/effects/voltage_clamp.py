@@ -9,10 +9,13 @@ Valid      Limits inside the driven range. A limit that is never reached is not 
 Source     Derived here, the parabola included; piezod/effects/README.md, "Voltage clamp".
 """
 
+import math
+
 import numba
 import numpy as np
 
 from piezod.effects.effect import Array, Checks, Context, Effect, Location, Parameter, Search, Values
+from piezod.effects.tick import Memory, Tick, TickSetting
 
 
 @numba.njit(cache=True, nogil=True)
@@ -49,6 +52,27 @@ def forward(signal: Array, context: Context, values: Values) -> Array:  # noqa: 
     return _run(signal, values["limit_V"], values.get("knee_V", 0.0))
 
 
+LIMIT_V, KNEE_V = range(2)  # memory
+
+
+def _memory(values: Values, _setting: TickSetting) -> Array:
+    return np.array([values["limit_V"], values.get("knee_V", 0.0)])
+
+
+def _advance(own: Memory, _shared: Memory, voltage_V: float) -> float:
+    return clamp_step(voltage_V, own[LIMIT_V], own[KNEE_V])
+
+
+def _invert(own: Memory, _shared: Memory, voltage_V: float) -> float:
+    """Command for a voltage; beyond the limit, the command that just reaches it."""
+    inside = voltage_V - (own[LIMIT_V] - own[KNEE_V])
+    if inside <= 0.0:
+        return voltage_V
+    if inside >= own[KNEE_V]:
+        return own[LIMIT_V] + own[KNEE_V]
+    return own[LIMIT_V] + own[KNEE_V] - 2.0 * math.sqrt(own[KNEE_V] * (own[KNEE_V] - inside))
+
+
 EFFECT = Effect(
     name="voltage_clamp",
     title="saturation of the amplifier",
@@ -60,6 +84,7 @@ EFFECT = Effect(
     ),
     forward=forward,
     handling="compensated",
+    tick=Tick(_memory, _advance, _invert),
     docstring=__doc__,
     separate_by="two slow triangles with tops below and above the limit, with the amplifier's monitor output recorded",
     place=lambda values, record: ("voltage_V", values["limit_V"], record.highest_V),

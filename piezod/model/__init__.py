@@ -1,9 +1,6 @@
-"""The model of a bench: its file, its forward chain and its inverse.
+"""The model of a bench: its file, its forward chain and its inverse."""
 
-`COMPENSATED` lists the effects that the compensator inverts.
-"""
-
-from piezod.model.compensated import COMPENSATED, acting_effects, refuse_uncompensated
+from piezod.model.chain.acting import acting_effects, refuse_uncompensated
 from piezod.model.compensator import Compensator, DirectDrive, make_compensator
 from piezod.model.extended_compensator import ExtendedCompensator
 from piezod.model.model_file import dump_model, file_sha256, load_model, save_model
@@ -11,7 +8,6 @@ from piezod.model.parameters import Model
 from piezod.model.plant import Plant, decays_of, run_chain
 
 __all__ = [
-    "COMPENSATED",
     "Compensator",
     "DirectDrive",
     "ExtendedCompensator",

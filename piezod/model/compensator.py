@@ -6,7 +6,7 @@ from typing import Protocol
 
 import numpy as np
 
-from piezod.model.compensated import acting_effects
+from piezod.model.chain.acting import acting_effects
 from piezod.model.extended_compensator import ExtendedCompensator
 from piezod.model.parameters import Model
 from piezod.model.plant import Plant

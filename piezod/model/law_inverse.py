@@ -11,7 +11,9 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from piezod.model.inverse_chain import commit_chain_step, force_of, plan_chain_step
+from piezod.effects.tick import SHARED
+from piezod.model.chain.tick_chain import TickChain
+from piezod.model.chain.tick_steps import Program, commit_chain, plan_chain
 from piezod.model.parameters import Model
 from piezod.model.unnamed_law import NAME, LawStep, advance_drivers, advance_law
 
@@ -24,7 +26,7 @@ ADDED, TARGET, PLANNED = range(3)
 
 @numba.njit(cache=True)
 def _plan(
-    packed: Array,
+    program: Program,
     chain: Array,
     state: Array,
     scratch: Array,
@@ -37,21 +39,20 @@ def _plan(
 ) -> float:
     target = reference - memo[ADDED]
     for _ in range(ITERATIONS):
-        planned_V = plan_chain_step(packed, chain, target)
+        planned_V = plan_chain(program, chain, target)
         for k in range(state.size):
             scratch[k] = state[k]
         advance_drivers(scratch, settings, planned_V, target)
         target = reference - advance_law(scratch, settings, axes, keeps, tables)
-    planned_V = plan_chain_step(packed, chain, target)
+    planned_V = plan_chain(program, chain, target)
     memo[TARGET], memo[PLANNED] = target, planned_V
     return planned_V
 
 
 @numba.njit(cache=True)
 def _commit(
-    packed: Array,
+    program: Program,
     chain: Array,
-    zones: Array,
     state: Array,
     settings: Array,
     axes: Array,
@@ -60,8 +61,8 @@ def _commit(
     memo: Array,
     voltage_V: float,
 ) -> None:
-    commit_chain_step(packed, chain, voltage_V)
-    force = memo[TARGET] if voltage_V == memo[PLANNED] else force_of(packed, chain, zones)
+    commit_chain(program, chain, voltage_V)
+    force = memo[TARGET] if voltage_V == memo[PLANNED] else chain[program[0, 0] + SHARED.force_N]
     advance_drivers(state, settings, voltage_V, force)
     memo[ADDED] = advance_law(state, settings, axes, keeps, tables)
 
@@ -73,16 +74,12 @@ class LawInverse:
     ----------
     law
         Law in its start state.
-    model
-        Model that it belongs to.
-    packed, chain
-        Arrays of the compensator.
+    chain
+        Chain of the compensator.
     """
 
-    def __init__(self, law: LawStep, model: Model, packed: Array, chain: Array) -> None:
-        thresholds, weights = model.hysteresis.operator().dead_zones
-        self._zones = np.concatenate((thresholds, weights))
-        self._packed, self._chain = packed, chain
+    def __init__(self, law: LawStep, chain: TickChain) -> None:
+        self._chain = chain.program, chain.state
         self._state, self._tables = law.arrays[0], law.arrays[1:]
         self._scratch, self._memo = self._state.copy(), np.empty(3)
         self.reset()
@@ -99,34 +96,30 @@ class LawInverse:
 
     def plan(self, reference: float) -> float:
         """Voltage [V] for a reading of `reference` [N] at the end of the tick; changes no state."""
-        return _plan(self._packed, self._chain, self._state, self._scratch, *self._tables, self._memo, reference)
+        return _plan(*self._chain, self._state, self._scratch, *self._tables, self._memo, reference)
 
     def commit(self, voltage_V: float) -> None:
         """Advance every state with the voltage `voltage_V` [V] that was written."""
-        _commit(self._packed, self._chain, self._zones, self._state, *self._tables, self._memo, voltage_V)
+        _commit(*self._chain, self._state, *self._tables, self._memo, voltage_V)
 
 
-def law_inverse(
-    model: Model, dt_s: float, packed: Array, chain: Array, without: Collection[str] = ()
-) -> LawInverse | None:
+def law_inverse(model: Model, chain: TickChain, without: Collection[str] = ()) -> LawInverse | None:
     """Inverse with the unnamed law of a model; None without a law, or where its iteration may not contract.
 
     Parameters
     ----------
     model
         Diagnosed model.
-    dt_s
-        Tick period [s].
-    packed, chain
-        Arrays of the compensator.
+    chain
+        Chain of the compensator.
     without
         Names of what is deliberately not compensated.
     """
     if model.unnamed_law is None or NAME in without:
         return None
-    law = LawStep(model.unnamed_law, dt_s)
+    law = LawStep(model.unnamed_law, chain.dt_s)
     over_command, over_reading = law.steepest(model.output.high - model.output.low)
     weights = model.hysteresis.plays.weights
     strokes = np.linspace(model.input.low, model.input.high, 200) * sum(weights)
     slope = weights[0] * float(np.min(np.diff(model.hysteresis.operator().output(strokes)) / np.diff(strokes)))
-    return LawInverse(law, model, packed, chain) if over_command / slope + over_reading < LARGEST else None
+    return LawInverse(law, chain) if over_command / slope + over_reading < LARGEST else None

@@ -8,8 +8,8 @@ import numpy as np
 
 from piezod.control import TableReference
 from piezod.effects import EFFECTS
+from piezod.effects.creep import spectrum
 from piezod.model import ExtendedCompensator, Model
-from piezod.model.chain_array import FIRST_ELEMENT
 from piezod.model.compensator import Compensator, InverseCompensator
 from piezod.model.parameters import Channel, EffectValues, Hysteresis, Provenance, Superposition
 from tests.benchmarks.operators import make_operator
@@ -43,7 +43,8 @@ def measure(*, quick: bool) -> Iterator[Row]:
             reference.plan_ahead(compensator.ahead, compensator.preview_ticks)
         actions[name] = partial(_tick_ns, reference, compensator, count)
     found = alternate(actions, ROUNDS + 2)
-    elements = (ExtendedCompensator(model, DT_S).arrays[1].size - FIRST_ELEMENT) // 4
+    creep = FOUND["creep"]
+    elements = spectrum(creep["from_s"], creep["to_s"])[0].size
     yield Row(
         "extended",
         f"tick, {PLAYS} plays, {ZONES} dead zones, {len(FOUND)} effects",

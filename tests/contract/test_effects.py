@@ -18,7 +18,6 @@ from numba.core.registry import CPUDispatcher
 import piezod.effects
 from piezod.effects import EFFECTS, Context, Effect, Location, Parameter, Search
 from piezod.effects.effect import Checks
-from piezod.model import COMPENSATED
 from piezod.operators.play import next_state
 from piezod.recording.hold import HELD_BEFORE, STRAIGHT, Hold
 
@@ -113,7 +112,7 @@ def test_the_registry_is_in_the_order_of_the_signal_chain():
 
 
 def test_every_effect_has_a_file_of_its_own_that_imports_no_other():
-    assert {path.stem for path in sources()} == set(EFFECTS) | {"__init__", "effect", "kernels"}
+    assert {path.stem for path in sources()} == set(EFFECTS) | {"__init__", "effect", "kernels", "tick"}
     for path in sources():
         if path.stem not in EFFECTS:
             continue
@@ -123,6 +122,7 @@ def test_every_effect_has_a_file_of_its_own_that_imports_no_other():
         assert not {module for module in own if module.startswith("piezod.effects.")} - {
             "piezod.effects.effect",
             "piezod.effects.kernels",
+            "piezod.effects.tick",
         }
 
 
@@ -136,11 +136,6 @@ NAMING = {
     "diagnose/selection/tone_search.py",
     "diagnose/selection/trials.py",
     "diagnose/verdict/evidence.py",
-    "model/chain_array.py",
-    "model/compensated.py",
-    "model/expected.py",
-    "model/extended_compensator.py",
-    "model/load_cell.py",
 }
 """Modules that still name an effect: those of the compensator's steps, and of tests that find an effect by itself."""
 
@@ -208,8 +203,10 @@ def test_an_effect_names_its_experiment_and_a_reason_where_it_is_not_compensated
 
 
 @every_effect
-def test_an_effect_is_declared_compensated_exactly_when_the_compensator_inverts_it(name):
-    assert (EFFECTS[name].handling == "compensated") == (name in COMPENSATED)
+def test_a_compensated_effect_has_a_tick_or_a_preview_and_a_refused_one_has_neither(name):
+    effect = EFFECTS[name]
+    if effect.handling != "corrected in the reading":
+        assert (effect.handling == "compensated") == bool(effect.tick or effect.preview)
 
 
 @every_effect

@@ -1,15 +1,13 @@
-"""The table of compensated effects against the catalogue and against the compensator."""
-
-from dataclasses import replace
+"""The effects that the catalogue declares as compensated, against the compensator."""
 
 import numpy as np
 import pytest
 
 from piezod.effects import EFFECTS
-from piezod.model import COMPENSATED, ExtendedCompensator
-from piezod.model.compensated import check_catalogue
+from piezod.model import ExtendedCompensator
 from tests.unit.model.chains import DT_S, held_model, with_effects
 
+COMPENSATED = [name for name, effect in EFFECTS.items() if effect.handling == "compensated"]
 NOT_NEUTRAL = {
     "gain_drift": {"relative_change": 0.1},
     "slew_limit": {"limit_V_per_s": 100.0},
@@ -29,23 +27,8 @@ def planned_V(model):
     return np.array(voltages)
 
 
-def test_the_table_lists_the_effects_that_the_catalogue_declares_as_compensated():
-    assert set(COMPENSATED) == {name for name, effect in EFFECTS.items() if effect.handling == "compensated"}
-
-
 @pytest.mark.parametrize("name", COMPENSATED)
-def test_every_effect_of_the_table_changes_the_planned_voltages(name):
+def test_every_compensated_effect_changes_the_planned_voltages(name):
     model = held_model()
     with_it = with_effects(model, name, **NOT_NEUTRAL.get(name, {}))
     assert np.max(np.abs(planned_V(with_it) - planned_V(with_effects(model)))) > 0.1
-
-
-def test_an_effect_declared_as_compensated_but_unknown_to_the_compensator_is_refused():
-    catalogue = EFFECTS | {"friction": replace(EFFECTS["friction"], handling="compensated")}
-    with pytest.raises(ImportError, match=r"piezod\.model: friction: .* the compensator has no inverse; add it"):
-        check_catalogue(catalogue, COMPENSATED)
-
-
-def test_an_effect_in_the_table_that_the_catalogue_does_not_declare_as_compensated_is_refused():
-    with pytest.raises(ImportError, match=r"piezod\.model: friction: COMPENSATED lists it"):
-        check_catalogue(EFFECTS, [*COMPENSATED, "friction"])

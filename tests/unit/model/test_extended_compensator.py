@@ -3,8 +3,10 @@
 import numpy as np
 import pytest
 
+from piezod.effects.resonance import invert
 from piezod.errors import ModelError
-from piezod.model.extended_compensator import ExtendedCompensator, invert_resonance, ticks_late
+from piezod.model.chain.tick_chain import ticks_late
+from piezod.model.extended_compensator import ExtendedCompensator
 from piezod.model.plant import run_chain
 from tests.unit.model.chains import DT_S, held_model, with_effects
 
@@ -114,8 +116,9 @@ def test_a_delay_and_a_resonance_are_compensated_in_a_reference_known_ahead(mode
 @pytest.mark.parametrize(("delay_s", "lag_s"), [(0.0123, 0.0), (0.0123, 0.0008), (0.0045, 0.004), (0.003, 0.002)])
 def test_a_fractional_delay_is_compensated_on_ramps_with_any_lag(delay_s, lag_s):
     """The force within a tick as the lag's own exponential, computed here on a grid of a hundredth of a tick."""
+    acting = {"electrical_lag": {"time_constant_s": lag_s}} if lag_s else {}
     ramp = np.arange(200.0)
-    ends = np.interp(ramp + ticks_late(delay_s, lag_s, DT_S), ramp, ramp)
+    ends = np.interp(ramp + ticks_late(delay_s, acting, DT_S), ramp, ramp)
     inside = np.arange(1, 101) / 100.0
     risen = 1.0 - np.exp(-inside * DT_S / lag_s) if lag_s else np.ones(100)
     within = np.concatenate([ends[:1], (ends[:-1, None] + np.diff(ends)[:, None] * risen / risen[-1]).ravel()])
@@ -145,7 +148,7 @@ def test_the_inverse_of_a_resonance_against_a_fine_integration():
     f_Hz, zeta, fine = 40.0, 0.02, 200
     t = np.arange(0.0, 2.0, DT_S)
     wanted = 10.0 * (1.0 - np.cos(2.0 * np.pi * 3.0 * t))
-    force = invert_resonance(wanted, f_Hz, zeta, DT_S)
+    force = invert(wanted, {"frequency_Hz": f_Hz, "damping_ratio": zeta}, DT_S)
     w, y, speed = 2.0 * np.pi * f_Hz, 0.0, 0.0
     got = np.empty(t.size)
     for k in range(t.size):

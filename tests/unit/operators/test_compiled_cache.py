@@ -3,7 +3,7 @@
 import os
 from pathlib import Path
 
-from piezod.model.extended_compensator import CALLED
+from piezod.model.chain.compiled_steps import CALLED
 from piezod.operators import compiled_cache
 from piezod.operators.compiled_cache import forget_outdated_steps
 
@@ -30,7 +30,7 @@ def test_a_step_is_removed_when_a_step_that_it_calls_in_another_folder_is_newer(
     assert not step.exists()
 
 
-def test_the_inverse_chain_watches_operators_effects_and_model():
+def test_the_inverse_chain_watches_operators_effects_and_itself():
     rooms = {path.name for path in CALLED}
-    assert rooms == {"operators", "effects", "model"}
+    assert rooms == {"operators", "effects", "chain"}
     assert all(any(path.glob("*.py")) for path in CALLED)
