@@ -7,9 +7,7 @@
 `piezod/api/README.md` describes the functions.
 """
 
-import sys
 from importlib import import_module
-from types import ModuleType
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -43,40 +41,21 @@ __all__ = [
 ]
 
 
-class _Package(ModuleType):
-    """The package `piezod`: its names are imported when they are asked for, so that commands and daemon start at once.
-
-    `identify` and `diagnose` are the functions. The import system binds the packages of the same names here, which is
-    ignored: `from piezod.identify import ...` finds them by their paths.
-    """
-
-    @property
-    def identify(self) -> object:
-        """The function."""
-        return import_module("piezod.api").identify
-
-    @identify.setter
-    def identify(self, _package: object) -> None: ...
-
-    @property
-    def diagnose(self) -> object:
-        """The function."""
-        return import_module("piezod.api").diagnose
-
-    @diagnose.setter
-    def diagnose(self, _package: object) -> None: ...
-
-    def __getattr__(self, name: str) -> object:
-        """Any other name of the interface."""
-        if name == "__version__":
-            return import_module("importlib.metadata").version("piezod-bench")
-        if name in __all__:
-            return getattr(import_module("piezod.api"), name)
-        raise AttributeError(f"module 'piezod' has no attribute {name!r}")
-
-    def __dir__(self) -> list[str]:
-        """Names for completion."""
-        return sorted(__all__)
+# Packages have the names of two functions. Python binds a package here once, when it is first imported: now.
+for _name in ("diagnose", "identify"):
+    import_module(f"piezod.{_name}")
+    del globals()[_name]
 
 
-sys.modules[__name__].__class__ = _Package
+def __getattr__(name: str) -> object:
+    """A name of the interface; its room is imported when the name is asked for, so that commands start at once."""
+    if name == "__version__":
+        return import_module("importlib.metadata").version("piezod-bench")
+    if name in __all__:
+        return getattr(import_module("piezod.api"), name)
+    raise AttributeError(f"module 'piezod' has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    """Names for completion."""
+    return sorted(__all__)
