@@ -65,7 +65,7 @@ def diagnose(
     asked
         Recordings to explain.
     past
-        Recordings that the model was identified on; none: its statistics stand for them.
+        Recordings that the model was identified on; none: a simulation of it replaces them.
     notes
         What was noticed so far.
     progress

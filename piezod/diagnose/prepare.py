@@ -310,7 +310,7 @@ def stand_in(model: Model) -> Series:
     errors = model.provenance.fit
     noise = errors.rms_fit or errors.rms_held_out or 1e-3 * float(np.ptp(y))
     return Series(
-        "the model's own statistics", "identification", time_s, u, y, np.ones(u.size, bool), noise, hold=model.hold
+        "the model's own simulation", "identification", time_s, u, y, np.ones(u.size, bool), noise, hold=model.hold
     )
 
 

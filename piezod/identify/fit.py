@@ -19,7 +19,7 @@ from piezod.estimation.columns import (
 from piezod.estimation.normal_equations import Piece, Sums, merged, pieces_of, sums_of
 from piezod.estimation.quadratic_program import Constraints, Variant, solve, solve_step
 from piezod.estimation.smooth_base import Base
-from piezod.model.parameters import Hysteresis, Statistics, Superposition
+from piezod.model.parameters import Hysteresis, Superposition
 from piezod.operators import EPS
 from piezod.operators.dead_zone import inverse_dead_zone, shifted
 
@@ -43,15 +43,15 @@ class Fit:
         Gram matrix of the quadratic program, shape (q, q), for a later refit.
     condition
         Condition number of the columns, each scaled to length 1, without the direction that the normalisation fixes.
-    statistics
-        Normal equations, from which a later refit needs no samples.
+    rms
+        Root mean square error [output unit].
     """
 
     structure: Structure
     hysteresis: Hysteresis
     gram: Array
     condition: float
-    statistics: Statistics
+    rms: float
 
 
 def fit_hysteresis(
@@ -113,27 +113,7 @@ def _fit(structure: Structure, zones: Array, parameters: Array, sums: Sums, gram
         _as_hysteresis(structure, zones, bounded, eps),
         gram,
         _condition(gram),
-        _statistics(structure, zones, bounded, sums),
-    )
-
-
-def _statistics(structure: Structure, zones: Array, parameters: Array, sums: Sums) -> Statistics:
-    """Normal equations at the solution, with the drifts of the recordings eliminated."""
-    normal = sums.hessian.sum(axis=0)
-    first, count = structure.plays + 1, parameters.size - structure.plays - 1 - zones.size
-    stationary = np.delete(np.arange(parameters.size), np.arange(first, first + count))
-    drifts = normal[first : first + count, first : first + count]
-    across = normal[stationary][:, first : first + count]
-    normal = normal[np.ix_(stationary, stationary)] - across @ np.linalg.pinv(drifts) @ across.T
-    return Statistics(
-        samples=int(sums.samples.sum()),
-        rms=sums.rms,
-        play_slopes=tuple(parameters[: structure.plays].tolist()),
-        constant=float(parameters[structure.plays]),
-        zone_thresholds=tuple(zones.tolist()),
-        zone_slopes=tuple(parameters[-zones.size :].tolist()),
-        origin=structure.origin,
-        normal=tuple(float(f"{value:.9g}") for value in normal[np.tril_indices(stationary.size)]),
+        sums.rms,
     )
 
 

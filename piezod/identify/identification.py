@@ -367,7 +367,6 @@ def _model(
             fit=figures,
             notes="; ".join(notes),
         ),
-        statistics=fit.statistics,
     )
 
 

@@ -152,7 +152,7 @@ def _loss_of_start(u: Array, y: Array, counts: NDArray[np.bool_], eps: float) ->
             error = residual(fit_of_base(base).hysteresis.operator(), samples)
             return clipped_mean_square(error[counts], y[counts])
         # no smoothness penalty here: it would flatten the kink at an old peak
-        return fit_hysteresis(structures.of(*START_ORDERS), [samples], eps=eps).statistics.rms ** 2
+        return fit_hysteresis(structures.of(*START_ORDERS), [samples], eps=eps).rms ** 2
 
     return loss
 

@@ -122,33 +122,6 @@ class FitFigures(Section):
     remaining_hysteresis_percent_held_out: float | None = None
 
 
-class Statistics(Section):
-    """Sufficient statistics of the fit: the squared error near the solution, without the samples.
-
-        e'e(p) = samples rms^2 + (p - p0)' N (p - p0),   p = [play slopes, constant, dead-zone slopes]
-
-    Slopes are partial sums of weights. The constant is added to the output of the plays, before the dead zones, whose
-    thresholds `zone_thresholds` are relative to `origin`. `normal` is the lower triangle of N, row by row
-    [output unit^2].
-    """
-
-    samples: Annotated[int, Field(ge=1)]
-    rms: Annotated[float, Field(ge=0)]
-    play_slopes: Numbers
-    constant: float
-    zone_thresholds: Numbers
-    zone_slopes: Numbers
-    origin: float
-    normal: Numbers
-
-    @model_validator(mode="after")
-    def _sizes_agree(self) -> Self:
-        size = len(self.play_slopes) + 1 + len(self.zone_slopes)
-        if len(self.normal) != size * (size + 1) // 2:
-            raise ValueError(f"normal has {len(self.normal)} numbers, must have {size * (size + 1) // 2}")
-        return self
-
-
 class Provenance(Section):
     """Origin of the model: time, program, recordings and errors of the fit."""
 
@@ -164,7 +137,7 @@ class EffectValues(Section):
 
     An effect of a single recording (a tone, a load step) names its recording by SHA-256 and acts in no other.
     `since` is the SHA-256 of the first recording in which the effect was found, or "identification" where the
-    recordings of the identification show it too. Without it nothing is known of that. `intervals` are the 95 %
+    recordings of the identification show it too. Without it this is unknown. `intervals` are the 95 %
     intervals of the parameters, as low and high.
     """
 
@@ -199,7 +172,7 @@ class EffectValues(Section):
 class Model(Section):
     """Content of a model file.
 
-    `unnamed_law` is what a diagnosis found without a name for it.
+    `unnamed_law` is a law that a diagnosis fitted without a physical name.
     `sampling` is how the command runs between two samples, and `read_after` the time from a held command to its reading
     [samples]; see `piezod.recording.hold`. `seen_s` is the duration of the recording in which the effects were found
     [s]; the slope of a creep refers to it. `sample_s` is the sample period of that recording [s].
@@ -218,7 +191,12 @@ class Model(Section):
     sample_s: Annotated[float, Field(gt=0)] | None = None
     start: Start = Start()
     provenance: Provenance
-    statistics: Statistics | None = None
+
+    @model_validator(mode="before")
+    @classmethod
+    def _without_statistics(cls, content: object) -> object:
+        """Older files have a section `statistics`, which is ignored."""
+        return {key: content[key] for key in content if key != "statistics"} if isinstance(content, dict) else content
 
     @property
     def hold(self) -> Hold:

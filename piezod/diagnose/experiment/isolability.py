@@ -152,7 +152,7 @@ def isolability(
     asked
         Recordings in which an effect might be sought.
     past
-        Recordings that the model was identified on; none: its statistics stand for them.
+        Recordings that the model was identified on; none: a simulation of it replaces them.
     found
         Effects in the size in which they were found: a short delay is more like a lag than a long one. The others are
         taken at the starts of the catalogue.

@@ -72,7 +72,6 @@ def extended_model(
         "read_after": asked[0].hold.read_after,
         "seen_s": chain.seen_s or max(one.duration_s for one in asked),
         "sample_s": asked[0].dt_s,
-        "statistics": None,
         "start": _start(model, chain),
     }
     extended = model.model_copy(update=changed)

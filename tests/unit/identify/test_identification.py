@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 from piezod.errors import RecordingError
 from piezod.estimation.columns import Samples, Structure, zone_segments, zone_slopes_of, zone_weights_of
+from piezod.estimation.normal_equations import pieces_of, sums_of
 from piezod.estimation.quadratic_program import Constraints
 from piezod.estimation.thresholds import Reach, dead_zone_thresholds, play_reach, play_thresholds
 from piezod.excitation import constant_triangles, varying_triangles
@@ -365,23 +366,17 @@ def test_operators_that_hardly_matter_are_pruned_and_the_rest_refitted():
     assert (pruned.before_pruning.plays, pruned.chosen.plays) == (23, len(kept) - 1)
 
 
-def test_the_statistics_in_the_model_predict_the_error_of_other_parameters():
+def test_the_normal_equations_predict_the_error_of_other_parameters():
     operator, structure = known_operator(7, 3, False, seed=4)
     u = varying_triangles(U_MAX, 0.1, 21, 50.0)
     y = operator.run(u) + np.random.default_rng(3).normal(0.0, 0.5, u.size)
-    kept = fit_hysteresis(structure, all_samples(u, y)).statistics
-    size = len(kept.play_slopes) + 1 + len(kept.zone_slopes)
-    normal = np.zeros((size, size))
-    normal[np.tril_indices(size)] = kept.normal
-    normal += np.tril(normal, -1).T
-    step = np.random.default_rng(5).normal(0.0, 4e-3, size)
-    slopes = np.array(kept.play_slopes) + step[: len(kept.play_slopes)]
-    constant = kept.constant + step[len(kept.play_slopes)]
-    zones = np.array(kept.zone_thresholds)
-    zone_slopes = np.array(kept.zone_slopes) + step[len(kept.play_slopes) + 1 :]
+    zones, zone_weights = operator.dead_zones
+    at = np.concatenate((np.cumsum(operator.plays[1]), [0.0], zone_slopes_of(zones, zone_weights)))
+    sums = sums_of(pieces_of(structure, all_samples(u, y)), structure, zones, at)
+    step = np.random.default_rng(5).normal(0.0, 4e-3, at.size)
+    slopes, constant, zone_slopes = np.split(at + step, [operator.plays[1].size, operator.plays[1].size + 1])
     plays = PrandtlIshlinskii(structure.play_thresholds, np.diff(slopes, prepend=0.0), [0.0], [1.0])
-    modelled = zone_segments(zones, plays.run(u) + constant) @ zone_slopes + kept.origin
-    assert kept.samples == u.size
-    predicted = kept.samples * kept.rms**2 + step @ normal @ step
-    assert np.sum((y - modelled) ** 2) == pytest.approx(predicted, rel=2e-3)
-    assert step @ normal @ step > 0.01 * predicted
+    modelled = zone_segments(zones, plays.run(u) + constant) @ zone_slopes + structure.origin
+    assert sums.samples.sum() == u.size
+    assert np.sum((y - modelled) ** 2) == pytest.approx(sums.expected_loss(step), rel=2e-3)
+    assert step @ sums.hessian.sum(axis=0) @ step > 0.01 * sums.expected_loss(step)

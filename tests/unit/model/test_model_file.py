@@ -65,6 +65,11 @@ def test_a_file_that_is_read_and_written_keeps_its_text(model_file):
     )
 
 
+def test_the_statistics_of_an_older_file_are_ignored(model_file):
+    older = model_file("  notes: ''\n", "  notes: ''\nstatistics:\n  samples: 1000\n  normal: [1.0]\n")
+    assert load_model(older) == load_model(model_file())
+
+
 def test_saving_and_loading_gives_the_same_model_and_the_same_text(model_file, tmp_path):
     model = load_model(model_file())
     save_model(model, tmp_path / "again.yaml")
