@@ -102,11 +102,11 @@ def what_is_testable(
     as_json: JsonOption = False,
 ) -> None:
     """Tell which effects recordings could show, and which they cannot separate from each other."""
-    from piezod.recording import TextOptions, check_not_there, check_recording_target, write_recording
+    from piezod.recording import TextOptions, check_absent, check_recording_target, write_recording
 
     if next_file is not None:
         check_recording_target(next_file, recordings)
-        check_not_there(next_file, force=force)
+        check_absent(next_file, force=force)
     text = TextOptions.of(columns, rate_hz, decimal)
     for path in recordings:
         check_readable(path, model, text)  # a wrong file is refused before the libraries are there

@@ -67,8 +67,8 @@ def identify(
     """Identify a model from recordings."""
     from piezod.recording import (
         TextOptions,
+        check_absent,
         check_folder,
-        check_not_there,
         check_output_path,
         check_page,
         choose_columns,
@@ -79,7 +79,7 @@ def identify(
         raise UsageError(f"--variant is '{variant}', must be A or B")
     check_output_path(model, recordings)
     check_page(model)
-    check_not_there(model, force=force)
+    check_absent(model, force=force)
     check_folder(report)
     text = TextOptions.of(columns, rate_hz, decimal)
     input_name, output_name, chosen = choose_columns(
@@ -133,11 +133,11 @@ def simulate(
     as_json: JsonOption = False,
 ) -> None:
     """Simulate a model over the input of a recording, in free run; compare with its output, if it has one."""
-    from piezod.recording import TextOptions, check_not_there, check_recording_target, write_recording
+    from piezod.recording import TextOptions, check_absent, check_recording_target, write_recording
 
     text = TextOptions.of(columns, rate_hz, decimal)
     check_recording_target(output, [recording])
-    check_not_there(output, force=force)
+    check_absent(output, force=force)
     check_readable(recording, model, text)  # a wrong file is refused before the libraries are there
     from piezod.identify.intake import load_for_simulation
     from piezod.identify.layout import layout_of

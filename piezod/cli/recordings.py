@@ -43,11 +43,11 @@ def record(
     """
     from piezod.commissioning.record import excitation_duration_s, record_excitation
     from piezod.excitation import default_periods
-    from piezod.recording import check_not_there, check_recording_target, write_recording
+    from piezod.recording import check_absent, check_recording_target, write_recording
     from piezod.report.progress import progress
 
     check_recording_target(output)
-    check_not_there(output, force=force)
+    check_absent(output, force=force)
     periods = periods or default_periods(excitation)
     with progress(f"recording {excitation}", excitation_duration_s(excitation, frequency, periods)) as show:
         recording, outcome = record_excitation(
@@ -81,12 +81,12 @@ def convert(
     as_json: JsonOption = False,
 ) -> None:
     """Rewrite a recording in another format."""
-    from piezod.recording import TextOptions, check_not_there, check_recording_target
+    from piezod.recording import TextOptions, check_absent, check_recording_target
     from piezod.recording import convert as convert_file
     from piezod.recording.formats.repairs import repair_notes
 
     check_recording_target(output, [recording])
-    check_not_there(output, force=force)
+    check_absent(output, force=force)
     converted = convert_file(recording, output, TextOptions.of(columns, rate_hz, decimal))
     names = ["time_s", *converted.channels]
     understood, repairs = converted.metadata.get("understood", ""), repair_notes(converted.metadata)

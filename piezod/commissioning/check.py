@@ -32,7 +32,7 @@ WITHOUT_CONSEQUENCES = {
 }
 """Consequences of a precondition that `arming.without` leaves out."""
 
-Found = TypeVar("Found")
+Result = TypeVar("Result")
 
 
 def check_bench(path: Path) -> list[Check]:
@@ -70,16 +70,16 @@ def check_bench(path: Path) -> list[Check]:
 
 
 def _attempt(
-    checks: list[Check], name: str, action: Callable[[], Found], describe: Callable[[Found], str]
-) -> Found | None:
+    checks: list[Check], name: str, action: Callable[[], Result], describe: Callable[[Result], str]
+) -> Result | None:
     """Run an action, append its result or its error to the checks, and return the result; None after an error."""
     try:
-        found = action()
+        result = action()
     except PiezodError as error:
         checks.append(Check(name, "FAIL", str(error)))
         return None
-    checks.append(Check(name, "OK", describe(found)))
-    return found
+    checks.append(Check(name, "OK", describe(result)))
+    return result
 
 
 def check_model_effects(bench: BenchConfig, model: Model, path: Path) -> Iterator[Check]:
@@ -118,35 +118,35 @@ def check_model_effects(bench: BenchConfig, model: Model, path: Path) -> Iterato
                 "effects", "WARN", f"{name}: left out, but the model has none", "compensation_without: remove it"
             )
         else:
-            found = f"{name}: not compensated, because of compensation_without"
-            yield Check("effects", "WARN", found, EFFECTS[name].why)
+            finding = f"{name}: not compensated, because of compensation_without"
+            yield Check("effects", "WARN", finding, EFFECTS[name].why)
 
 
 def _law_check(bench: BenchConfig, model: Model) -> Check:
-    """Check what becomes of the unnamed law."""
+    """Check whether the unnamed law is compensated."""
     if UNNAMED in bench.compensation_without:
         return Check("effects", "WARN", "unnamed law: not compensated, because of compensation_without")
     if ExtendedCompensator(model, bench.dt_s, bench.compensation_without).compensates_law:
         return Check("effects", "OK", "unnamed law: compensated")
-    found = "unnamed law: not compensated, it changes more within a tick than the force"
-    return Check("effects", "WARN", found, f"compensation_without: [{UNNAMED}] says that this is known")
+    finding = "unnamed law: not compensated, it changes more within a tick than the force"
+    return Check("effects", "WARN", finding, f"compensation_without: [{UNNAMED}] says that this is known")
 
 
 def _force_range(bench: BenchConfig, model: Model) -> Check:
     """Check the force range of the model against the limits."""
     bottom, top = Plant(model).steady_range()
-    found = f"{bottom:.1f} to {top:.1f} N over {model.input.low:g} to {model.input.high:g} V"
+    finding = f"{bottom:.1f} to {top:.1f} N over {model.input.low:g} to {model.input.high:g} V"
     if top > bench.limits.force_trip_N:
         return Check(
-            "reach", "WARN", found, f"the full range trips at {bench.limits.force_trip_N:g} N; keep references below"
+            "reach", "WARN", finding, f"the full range trips at {bench.limits.force_trip_N:g} N; keep references below"
         )
     if model.input.high < bench.limits.voltage_max_V - 1e-9:
-        return Check("reach", "WARN", found, "limits.voltage_max_V is above what was identified; record up to it")
-    return Check("reach", "OK", found)
+        return Check("reach", "WARN", finding, "limits.voltage_max_V is above what was identified; record up to it")
+    return Check("reach", "OK", finding)
 
 
 def _arming(bench: BenchConfig) -> Iterator[Check]:
-    """Check the preconditions of arming: those that the link must support, and those that are left out."""
+    """Check the preconditions of arming: support of the link, and preconditions that the bench file waives."""
     try:
         check_safeguards(bench)
     except PiezodError as error:
@@ -161,9 +161,9 @@ def _network(bench: BenchConfig) -> Iterator[Check]:
     """Check whether other programs on the network can command the bench."""
     for name, link in (("link", bench.link), ("load_cell_link", bench.load_cell_link)):
         if isinstance(link, ModbusTcpLink) and link.tls is None and not _is_loopback(link.host):
-            found = f"{name} is Modbus without TLS to {link.host}"
+            finding = f"{name} is Modbus without TLS to {link.host}"
             remedy = "every program on that network can read and write; set tls, or use a separate network"
-            yield Check("network", "WARN", found, remedy)
+            yield Check("network", "WARN", finding, remedy)
 
 
 def _is_loopback(host: str) -> bool:

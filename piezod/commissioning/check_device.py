@@ -46,13 +46,13 @@ def _exchange(bench: BenchConfig, link: Link) -> Check:
         durations_us[k] = (time.perf_counter() - begun) * 1e6
         time.sleep(bench.dt_s)
     p99 = percentiles(durations_us)["p99"]
-    found = f"{READINGS - bad} of {READINGS} readings good, median {np.median(durations_us):.0f} us, p99 {p99:.0f} us"
+    finding = f"{READINGS - bad} of {READINGS} readings good, median {np.median(durations_us):.0f} us, p99 {p99:.0f} us"
     if bad:
         causes = ", ".join(f"{r.name.lower()} {link.counts[r]}" for r in ExchangeResult if r and link.counts[r])
-        return Check("exchange", "FAIL", f"{found} ({causes})", "check cable, timeout_s and the register map")
+        return Check("exchange", "FAIL", f"{finding} ({causes})", "check cable, timeout_s and the register map")
     if p99 > LONGEST_IN_TICKS * 1e6 * bench.dt_s:
-        return Check("exchange", "WARN", found, f"lower rate_Hz: a tick lasts {1e6 * bench.dt_s:.0f} us")
-    return Check("exchange", "OK", found)
+        return Check("exchange", "WARN", finding, f"lower rate_Hz: a tick lasts {1e6 * bench.dt_s:.0f} us")
+    return Check("exchange", "OK", finding)
 
 
 def _values(bench: BenchConfig, link: Link) -> Iterator[Check]:

@@ -39,11 +39,11 @@ def check_configuration_file(path: Path) -> Iterator[Check]:
     path
         Bench configuration.
     """
-    found = path.stat()
-    if found.st_mode & stat.S_IWOTH:
+    status = path.stat()
+    if status.st_mode & stat.S_IWOTH:
         yield Check("configuration", "WARN", f"{path} can be written by everybody", "chmod o-w it")
-    if found.st_uid not in (0, os.getuid()):
-        yield Check("configuration", "WARN", f"{path} belongs to uid {found.st_uid}", "let root or the service own it")
+    if status.st_uid not in (0, os.getuid()):
+        yield Check("configuration", "WARN", f"{path} belongs to uid {status.st_uid}", "let root or the service own it")
 
 
 def _recorder(bench: BenchConfig) -> Iterator[Check]:
@@ -59,17 +59,17 @@ def _recorder(bench: BenchConfig) -> Iterator[Check]:
         )
     elif not os.access(place, os.W_OK | os.X_OK):
         owner = place.stat()
-        found = f"recorder.folder is {folder}: {place} may not be written by uid {os.getuid()}"
+        finding = f"recorder.folder is {folder}: {place} may not be written by uid {os.getuid()}"
         remedy = f"it belongs to uid {owner.st_uid}, gid {owner.st_gid}, mode {stat.S_IMODE(owner.st_mode):04o}"
-        yield Check("recorder", "FAIL", found, remedy)
+        yield Check("recorder", "FAIL", finding, remedy)
     else:
         own_bytes = sum(map(size_bytes, recording_files(place, bench.name)))
         free_MB = 1e-6 * shutil.disk_usage(place).free + 1e-6 * own_bytes
-        found = f"every tick into {folder}, at most {config.folder_MB:g} MB; {free_MB:.0f} MB are available"
+        finding = f"every tick into {folder}, at most {config.folder_MB:g} MB; {free_MB:.0f} MB are available"
         if free_MB < config.folder_MB:
-            yield Check("recorder", "WARN", found, "lower recorder.folder_MB, or free disk space")
+            yield Check("recorder", "WARN", finding, "lower recorder.folder_MB, or free disk space")
         else:
-            yield Check("recorder", "OK", found)
+            yield Check("recorder", "OK", finding)
 
 
 def _clock() -> Check:
@@ -80,15 +80,15 @@ def _clock() -> Check:
 
 
 def _real_time_rights(bench: BenchConfig) -> Iterator[Check]:
-    """Request the real-time settings of the bench for a moment, and report what the kernel refuses."""
+    """Request the real-time settings of the bench for a moment, and report each refusal of the kernel."""
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         with real_time(bench.real_time):
             pass
     missing = [str(warning.message) for warning in caught if issubclass(warning.category, RealTimeWarning)]
     for text in missing:
-        found, _, remedy = text.partition("; ")
-        yield Check("real-time rights", "WARN", found, remedy)
+        finding, _, remedy = text.partition("; ")
+        yield Check("real-time rights", "WARN", finding, remedy)
     if not missing:
         limit = resource.getrlimit(resource.RLIMIT_RTPRIO)[0]
         yield Check("real-time rights", "OK", f"all requests are granted (uid {os.getuid()}, RTPRIO {limit})")

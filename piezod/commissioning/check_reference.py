@@ -19,7 +19,7 @@ MOST_PLANNED = 500_000
 
 
 def check_reference(bench: BenchConfig, model: Model, folder: Path) -> Iterator[Check]:
-    """Check the forces and voltages of a reference that is known ahead; those of a live reference are unknown.
+    """Check the forces and voltages of a reference that is known ahead; a live reference has no known values.
 
     Parameters
     ----------
@@ -47,7 +47,7 @@ def planned_voltage_V(bench: BenchConfig, model: Model, table: TableReference) -
     """Voltage that the compensation plans in each tick, from the model's start state [V].
 
     A loop is passed twice: the first pass begins without the memory of a pass before. The states advance with the
-    voltage within the limits; the slew limit is left out. At most `MOST_PLANNED` ticks.
+    voltage within the limits; without the slew limit. At most `MOST_PLANNED` ticks.
 
     Parameters
     ----------
@@ -73,25 +73,25 @@ def _force_check(bench: BenchConfig, model: Model, force_N: NDArray[np.float64],
     """Range, ends, largest rate and length of the force, against the reach of the model."""
     bottom, top = Plant(model).steady_range()
     ticks = f"{force_N.size} ticks, {force_N.size / bench.rate_Hz:.10g} s{', repeated' if loops else ''}"
-    found = f"{_course(force_N, bench.rate_Hz, 'N', loops=loops)}, {ticks}"
+    finding = f"{_course(force_N, bench.rate_Hz, 'N', loops=loops)}, {ticks}"
     if force_N.min() < bottom or force_N.max() > top:
         remedy = f"after a reset cycle {bottom:.1f} to {top:.1f} N can be reached; beyond, the voltage is clamped"
-        return Check("reference", "WARN", found, remedy)
-    return Check("reference", "OK", found)
+        return Check("reference", "WARN", finding, remedy)
+    return Check("reference", "OK", finding)
 
 
 def _voltage_check(bench: BenchConfig, ticks: int, voltage_V: NDArray[np.float64]) -> Check:
     """Range, ends and largest rate of the planned voltage, against the limits."""
     limits = bench.limits
-    found = _course(voltage_V, bench.rate_Hz, "V", loops=False)
+    finding = _course(voltage_V, bench.rate_Hz, "V", loops=False)
     if voltage_V.size < ticks:
-        found += f", of the first {voltage_V.size} ticks"
+        finding += f", of the first {voltage_V.size} ticks"
     if not (limits.voltage_min_V <= voltage_V.min() and voltage_V.max() <= limits.voltage_max_V):
         remedy = f"is clamped to {limits.voltage_min_V:g} to {limits.voltage_max_V:g} V (limits)"
-        return Check("voltage", "WARN", found, remedy)
+        return Check("voltage", "WARN", finding, remedy)
     if _largest_rate(voltage_V, bench.rate_Hz, loops=False) > limits.slew_V_per_s * (1.0 + 1e-9):
-        return Check("voltage", "WARN", found, f"limits.slew_V_per_s, {limits.slew_V_per_s:g}, makes it slower")
-    return Check("voltage", "OK", found)
+        return Check("voltage", "WARN", finding, f"limits.slew_V_per_s, {limits.slew_V_per_s:g}, makes it slower")
+    return Check("voltage", "OK", finding)
 
 
 def _course(values: NDArray[np.float64], rate_Hz: float, unit: str, *, loops: bool) -> str:

@@ -17,9 +17,9 @@ class Check:
     level
         `OK`, `WARN`: the bench can run, or `FAIL`: the bench cannot run.
     found
-        What was found.
+        Result in words.
     remedy
-        What to do; empty where nothing is to be done.
+        Remedy; empty without a fault.
     """
 
     name: str

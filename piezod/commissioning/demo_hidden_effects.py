@@ -84,7 +84,7 @@ def compare_models(folder: Path, static: Model, extended: Model, on_rows: OnRows
     folder
         Folder for the bench configurations.
     static, extended
-        Model without the hidden effects, and model that the diagnosis has extended by them.
+        Model without the hidden effects, and the extended model of the diagnosis.
     on_rows
         Called about ten times per second with new rows.
 

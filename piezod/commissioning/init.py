@@ -19,7 +19,7 @@ from piezod.transport.probe import modbus_name
 
 @dataclass(frozen=True)
 class Answers:
-    """Values that replace those of a profile; None keeps the value of the profile.
+    """Values in place of the profile's values; None keeps a value.
 
     Parameters
     ----------
@@ -71,12 +71,12 @@ class BenchDraft:
 
 def list_profiles() -> dict[str, str]:
     """List the shipped bench configurations: name, and device from the first line of the file."""
-    found = {}
+    profiles = {}
     for path in sorted(shipped("bench.yaml").parent.glob("*.yaml")):
         if read_document(path).content.get("schema") == SCHEMA:
             first = path.read_text(encoding="utf-8").partition("\n")[0]
-            found[path.stem] = first.lstrip("# ").partition(":")[0].partition(",")[0].rstrip(".")
-    return found
+            profiles[path.stem] = first.lstrip("# ").partition(":")[0].partition(",")[0].rstrip(".")
+    return profiles
 
 
 def draft_bench(profile: str, answers: Answers, path: Path) -> BenchDraft:
@@ -87,7 +87,7 @@ def draft_bench(profile: str, answers: Answers, path: Path) -> BenchDraft:
     profile
         Name among `list_profiles`.
     answers
-        Values that replace those of the profile.
+        Values in place of the profile's values.
     path
         File to write later.
 

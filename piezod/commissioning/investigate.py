@@ -1,4 +1,4 @@
-"""`piezod investigate`: record, diagnose, plan the next experiment, and again, until nothing is open."""
+"""`piezod investigate`: record, diagnose, and plan the next experiment, repeatedly, until no question is open."""
 
 import math
 from collections.abc import Callable, Iterator
@@ -26,7 +26,7 @@ Pairs = tuple[tuple[str, str], ...]
 PERIODS = 1
 FREQUENCY_HZ = 0.1
 LONGEST_REST_S = 600.0
-"""Longest rest between two drives that is simulated [s]: what creeps after ten minutes is less than noise."""
+"""Longest rest between two drives that is simulated [s]: after ten minutes creep is below the noise."""
 
 
 @dataclass(frozen=True)
@@ -50,7 +50,7 @@ class Drive:
 
 @dataclass(frozen=True)
 class Step:
-    """What one drive showed.
+    """Results after a drive.
 
     Parameters
     ----------
@@ -91,7 +91,7 @@ class Step:
 
 
 def step_text(step: Step) -> str:
-    """Findings, kept promise and open pairs of a step, for a terminal.
+    """Findings, comparison with the plan, and open pairs of a step, for a terminal.
 
     Parameters
     ----------
@@ -116,19 +116,20 @@ def open_pairs(findings: Findings, known: Isolability) -> Pairs:
     findings
         Result of a diagnosis.
     known
-        What the recordings can tell.
+        Effects that the recordings can separate.
     """
     pairs = []
-    for one in findings.effects:
-        size = math.sqrt(max(one.before**2 - one.after**2, 0.0)) / known.noise
-        pairs += [(one.name, rival.name) for rival in one.rivals if size < separation(known, one.name, rival.name)]
+    for effect in findings.effects:
+        size = math.sqrt(max(effect.before**2 - effect.after**2, 0.0)) / known.noise
+        rivals = [rival.name for rival in effect.rivals]
+        pairs += [(effect.name, rival) for rival in rivals if size < separation(known, effect.name, rival)]
     return tuple(pairs)
 
 
 def joined(first: Recording, second: Recording, rest_V: float) -> Recording:
     """Two recordings of one bench as one, since the stack remembers the first while the second is driven.
 
-    Between them the voltage rests and no force is known. The time between is that of the clock, at most
+    During the pause the voltage rests and no force is known. The clock gives the length of the pause, at most
     `LONGEST_REST_S`.
 
     Parameters
@@ -136,10 +137,10 @@ def joined(first: Recording, second: Recording, rest_V: float) -> Recording:
     first, second
         Recordings with `voltage_V` and `force_N`, and the time at which each was complete as metadata `recorded`.
     rest_V
-        Voltage between them [V].
+        Voltage during the pause [V].
     """
     dt_s = first.dt_s
-    ends = [datetime.fromisoformat(one.metadata["recorded"]) for one in (first, second)]
+    ends = [datetime.fromisoformat(recording.metadata["recorded"]) for recording in (first, second)]
     rest_s = (ends[1] - ends[0]).total_seconds() - float(second.time_s[-1] - second.time_s[0])
     count = max(1, round(min(max(rest_s, 0.0), LONGEST_REST_S) / dt_s))
     between = {"voltage_V": np.full(count, rest_V), "force_N": np.full(count, np.nan)}
@@ -184,7 +185,7 @@ def investigate(
     longest_s
         Longest duration of a planned drive [s].
     agreed
-        Asked before every drive; False ends the investigation.
+        Called before every drive; False ends the investigation.
     on_rows, on_step
         Progress of a drive, and of a diagnosis.
 
@@ -202,7 +203,7 @@ def investigate(
     channels = model.input.channel, model.output.channel
     limits = load_bench_without_model(config).limits
     rest_V, slew = limits.voltage_safe_V, min(limits.slew_V_per_s, limits.fall_V_per_s)
-    whole: Recording | None = None
+    all_drives: Recording | None = None
     planned: Experiment | None = None
     for number in range(1, most_drives + 1):
         drive = Drive(number, excitation, excitation_duration_s(excitation, FREQUENCY_HZ, PERIODS))
@@ -221,20 +222,20 @@ def investigate(
             raise KeyboardInterrupt  # Ctrl-C ended the drive, and with it the investigation
         own, joint = output / f"work_{number}.csv", output / "work.csv"
         write_recording(recorded, own)
-        whole = recorded if whole is None else joined(whole, recorded, rest_V)
-        write_recording(whole, joint)
+        all_drives = recorded if all_drives is None else joined(all_drives, recorded, rest_V)
+        write_recording(all_drives, joint)
         folder = output / f"diagnosis_{number}"
         diagnosis = diagnose_files([joint], model_path, folder, None, None, on_step)
-        asked = [read_source(joint, "recording", channels)]
-        past, _ = past_sources(model, model_path.parent, asked)
+        sources = [read_source(joint, "recording", channels)]
+        past, _ = past_sources(model, model_path.parent, sources)
         fitted = diagnosis.fitted()
-        known = isolability(model, asked, past, fitted)
+        known = isolability(model, sources, past, fitted)
         pairs = open_pairs(diagnosis.findings, known)
         reached = () if planned is None else tuple(separation(known, pair.first, pair.second) for pair in planned.pairs)
         yield Step(own, folder, diagnosis, pairs, planned, reached)
         if not pairs:
             return
-        planned = next_experiment(model, asked, past, known, longest_s, pairs, fitted, slew)
+        planned = next_experiment(model, sources, past, known, longest_s, pairs, fitted, slew)
         if planned is None:
             return
         excitation = str(output / f"drive_{number + 1}.csv")

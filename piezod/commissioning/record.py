@@ -80,8 +80,8 @@ def record_excitation(
     }
     recording = history.recording(0, metadata=metadata, follows_force=False)
     if session.outcome.stopped:
-        whole_s = voltages_V.size / bench.rate_Hz
-        recording.metadata["incomplete"] = f"stopped by the user after {_end_s(recording):.1f} of {whole_s:.1f} s"
+        planned_s = voltages_V.size / bench.rate_Hz
+        recording.metadata["incomplete"] = f"stopped by the user after {_end_s(recording):.1f} of {planned_s:.1f} s"
     return recording, session.outcome
 
 

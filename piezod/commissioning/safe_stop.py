@@ -1,4 +1,4 @@
-"""`piezod stop --direct`: bring a bench to rest without its daemon, with the same limits and the same loop.
+"""`piezod stop --direct`: bring a bench to rest without its daemon, with the limits and the loop of the daemon.
 
 systemd runs it after a daemon has failed (`ExecStopPost`). An operator runs it when a voltage is left at the output.
 """
@@ -64,7 +64,7 @@ def stop_directly(path: Path) -> str:
 def bring_to_rest(bench: BenchConfig, link: Link) -> str:
     """Drive the output to the safe voltage and read it back; the caller holds the lock.
 
-    Nothing is written where the readback and the command in the device both say that the output is at rest.
+    Nothing is written if the readback and the command in the device are both at rest.
 
     Parameters
     ----------
@@ -83,23 +83,24 @@ def bring_to_rest(bench: BenchConfig, link: Link) -> str:
     CheckFailedError
         The output is unknown, or did not come to rest.
     """
-    found_V = _output_V(bench, link)
+    before_V = _output_V(bench, link)
     if link.reading.status & STATUS_WATCHDOG:  # the device ramps down itself; a command now would cause a jump
-        found_V = commanded_V = _wait_for_rest(bench, link)
+        before_V = commanded_V = _wait_for_rest(bench, link)
     else:
         commanded_V = _commanded_V(link)
-    if abs(found_V) < abs(bench.limits.voltage_safe_V) and not _at_rest(bench, found_V):
-        return f"{link.description}: {found_V:.2f} V, below limits.voltage_min_V; nothing written: a stop only lowers"
-    if _at_rest(bench, found_V) and _at_rest(bench, commanded_V):
-        return f"{link.description}: {found_V:.2f} V, at rest"
-    if _at_rest(bench, found_V):  # the readback may stand still: the ramp begins where the command stands
-        found_V = commanded_V if isfinite(commanded_V) else found_V
-    fault = _ramp(bench, link, found_V)
-    left_V = _output_V(bench, link)
+    if abs(before_V) < abs(bench.limits.voltage_safe_V) and not _at_rest(bench, before_V):
+        return f"{link.description}: {before_V:.2f} V, below limits.voltage_min_V; nothing written: a stop only lowers"
+    if _at_rest(bench, before_V) and _at_rest(bench, commanded_V):
+        return f"{link.description}: {before_V:.2f} V, at rest"
+    if _at_rest(bench, before_V):  # the readback may stand still: the ramp begins where the command stands
+        before_V = commanded_V if isfinite(commanded_V) else before_V
+    fault = _ramp(bench, link, before_V)
+    after_V = _output_V(bench, link)
     remark = "" if fault is Cause.NONE else f"; {CAUSE_TEXT[fault]}"
-    if not _at_rest(bench, left_V):
-        raise CheckFailedError(f"stop: {link.description} is still at {left_V:.2f} V{remark}; switch the amplifier off")
-    return f"{link.description}: ramped down from {found_V:.2f} V, {left_V:.2f} V now{remark}"
+    if not _at_rest(bench, after_V):
+        where = f"{link.description} is still at {after_V:.2f} V{remark}"
+        raise CheckFailedError(f"stop: {where}; switch the amplifier off")
+    return f"{link.description}: ramped down from {before_V:.2f} V, {after_V:.2f} V now{remark}"
 
 
 def _at_rest(bench: BenchConfig, voltage_V: float) -> bool:

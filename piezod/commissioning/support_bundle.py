@@ -28,7 +28,7 @@ from piezod.control import CAUSE_TEXT, ROW_DTYPE, Cause, RingReader, State
 from piezod.daemon.client import Client
 from piezod.errors import ConfigurationError, PiezodError
 from piezod.model import file_sha256, load_model
-from piezod.recording import check_not_there, check_page
+from piezod.recording import check_absent, check_page
 
 REMOVED = "REMOVED"
 LAST_TICKS = 20_000
@@ -61,23 +61,23 @@ def write_bundle(config: Path, output: Path, *, force: bool = False) -> dict[str
     ConfigurationError
         The configuration is invalid, or the file cannot be written.
     """
-    check_not_there(output, force=force)
+    check_absent(output, force=force)
     check_page(output)
     bench = load_bench(config)
-    left_out: dict[str, str] = {}
+    missing: dict[str, str] = {}
     parts = {"bench.yaml": redacted_configuration(bench, read_document(config).content)}
     for name, make in (("status.json", _status), ("ticks.csv", _ticks), ("transitions.txt", _transitions)):
         try:
             parts[name] = make(bench)
         except PiezodError as error:
-            left_out[name] = str(error)
+            missing[name] = str(error)
     about = {
         "schema": "piezod.support/1",
         "made": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()),
         "versions": _versions(),
         "machine": _machine(),
         "model": _model(bench, config),
-        "left_out": left_out,
+        "left_out": missing,
     }
     parts["bundle.json"] = json.dumps(about, indent=2) + "\n"
     parts = {name: text if name == "bench.yaml" else _without(text, _secrets(bench)) for name, text in parts.items()}
@@ -97,7 +97,7 @@ def write_bundle(config: Path, output: Path, *, force: bool = False) -> dict[str
 
 def _without(text: str, secrets: set[str]) -> str:
     """Replace secrets in a text that is not YAML. Short secrets are skipped: they could be parts of words."""
-    for secret in sorted((one for one in secrets if len(one) >= SHORTEST_SECRET), key=len, reverse=True):
+    for secret in sorted((text for text in secrets if len(text) >= SHORTEST_SECRET), key=len, reverse=True):
         text = text.replace(secret, REMOVED)
     return text.replace(str(Path.home()), "~")
 
@@ -113,30 +113,30 @@ def redacted_configuration(bench: BenchConfig, content: dict[str, Any]) -> str:
     bench
         Bench configuration.
     content
-        Content of the YAML file, which tells the given values from defaults.
+        Content of the YAML file, which separates the given values from defaults.
     """
     return effective_text(_redacted(all_values(bench), _secrets(bench)), content)
 
 
 def _secrets(bench: BenchConfig) -> set[str]:
     """Texts that must not appear in the bundle."""
-    found: set[str] = set()
+    secrets: set[str] = set()
     for name in ("link", "load_cell_link"):
         link = all_values(bench)[name]
         if link is None:
             continue
-        found |= {value for value in (link.get("tls") or {}).values() if value}
-        found |= {command["send"] for command in _commands(link)}
-        found |= {command["reply"] for command in _commands(link) if command["reply"]}
+        secrets |= {value for value in (link.get("tls") or {}).values() if value}
+        secrets |= {command["send"] for command in _commands(link)}
+        secrets |= {command["reply"] for command in _commands(link) if command["reply"]}
         if (host := link.get("host")) and not _private(host):
-            found.add(host)
-    return found | {value for value in (bench.daemon.socket_group,) if value}
+            secrets.add(host)
+    return secrets | {value for value in (bench.daemon.socket_group,) if value}
 
 
 def _commands(link: dict[str, Any]) -> list[dict[str, Any]]:
     """Commands of an ASCII protocol, as dictionaries with `send` and `reply`."""
     single = (link.get(name) for name in ("set_voltage", "measure", "identity", "watchdog"))
-    return [one for one in (*single, *link.get("setup", ())) if one]
+    return [command for command in (*single, *link.get("setup", ())) if command]
 
 
 def _private(host: str) -> bool:
@@ -149,9 +149,9 @@ def _private(host: str) -> bool:
 def _redacted(value: object, secrets: set[str]) -> Any:  # noqa: ANN401  # any value of YAML
     """Copy of a value with every secret replaced."""
     if isinstance(value, dict):
-        return {key: _redacted(one, secrets) for key, one in value.items()}
+        return {key: _redacted(part, secrets) for key, part in value.items()}
     if isinstance(value, list | tuple):
-        return [_redacted(one, secrets) for one in value]
+        return [_redacted(part, secrets) for part in value]
     return REMOVED if isinstance(value, str) and value in secrets else value
 
 
@@ -187,11 +187,11 @@ def _transitions(bench: BenchConfig) -> str:
 
 
 def _versions() -> dict[str, str]:
-    found = {"piezod": __version__, "python": platform.python_version()}
+    versions = {"piezod": __version__, "python": platform.python_version()}
     for name in PACKAGES:
         with contextlib.suppress(importlib.metadata.PackageNotFoundError):
-            found[name] = importlib.metadata.version(name)
-    return found
+            versions[name] = importlib.metadata.version(name)
+    return versions
 
 
 def _machine() -> dict[str, Any]:
@@ -201,7 +201,7 @@ def _machine() -> dict[str, Any]:
         "kernel": platform.version(),
         "machine": platform.machine(),
         "cores": os.cpu_count(),
-        "load": [round(one, 2) for one in os.getloadavg()],
+        "load": [round(load, 2) for load in os.getloadavg()],
         "real_time_kernel": Path("/sys/kernel/realtime").exists(),
         "interpreter": sys.implementation.name,
     }
@@ -216,7 +216,7 @@ def _model(bench: BenchConfig, config: Path) -> dict[str, Any]:
             "name": model.name,
             "plays": len(model.hysteresis.plays.weights),
             "dead_zones": len(model.hysteresis.dead_zones.weights),
-            "effects": [one.name for one in model.effects],
+            "effects": [effect.name for effect in model.effects],
         }
     except (PiezodError, OSError) as error:
         return {"problem": str(error)}

@@ -97,7 +97,7 @@ def plan_validation(path: Path, model_paths: list[Path]) -> Validation:
         A model is given twice.
     """
     bench = load_bench_without_model(path)
-    models = dict(zip(_labels(model_paths), [load_drivable_model(one) for one in model_paths], strict=True))
+    models = dict(zip(_labels(model_paths), [load_drivable_model(path) for path in model_paths], strict=True))
     range_N = common_range_N(bench, models)
     references = triangular_references(range_N)
     first = next(iter(models.values()))

@@ -61,8 +61,8 @@ def ask_missing(profile: str | None, given: Answers) -> tuple[str, Answers]:
 
 def _serial_port(default: str) -> str:
     """Ask for a serial port: the number of a listed port, or any path."""
-    found = serial_ports()
-    for number, port in enumerate(found, 1):
+    ports = serial_ports()
+    for number, port in enumerate(ports, 1):
         typer.echo(f"  {number}  {port.path}  ({port.description})")
-    answer: str = typer.prompt("serial port, by number or path", default=found[0].path if found else default)
-    return found[int(answer) - 1].path if answer.isdigit() and 0 < int(answer) <= len(found) else answer
+    answer: str = typer.prompt("serial port, by number or path", default=ports[0].path if ports else default)
+    return ports[int(answer) - 1].path if answer.isdigit() and 0 < int(answer) <= len(ports) else answer

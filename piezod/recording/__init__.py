@@ -15,7 +15,7 @@ from piezod.recording.formats.strict_csv import StrictTable, read_strict_csv
 from piezod.recording.formats.text_layout import TextOptions
 from piezod.recording.hold import HELD_ONE_SAMPLE, Hold
 from piezod.recording.recording import TIME, Recording
-from piezod.recording.targets import check_folder, check_not_there, check_page
+from piezod.recording.targets import check_absent, check_folder, check_page
 
 __all__ = [
     "HELD_ONE_SAMPLE",
@@ -24,8 +24,8 @@ __all__ = [
     "Recording",
     "StrictTable",
     "TextOptions",
+    "check_absent",
     "check_folder",
-    "check_not_there",
     "check_output_path",
     "check_page",
     "check_recording_target",

@@ -5,7 +5,7 @@ import time
 STALE_AFTER_S = 1.0
 """Age from which values count as stale [s], at a rate of some ticks a second."""
 STALE_TICKS = 3.0
-"""The same for a slower bench [ticks]."""
+"""Limit for a slower bench [ticks]."""
 
 
 def age_s(time_ns: int) -> float:

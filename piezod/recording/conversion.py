@@ -1,4 +1,4 @@
-"""Channels in the unit that a command wants, whatever multiple of it a file holds."""
+"""Channels converted to the unit that a command needs, from any multiple in the file."""
 
 import re
 from collections.abc import Mapping, Sequence
@@ -37,7 +37,7 @@ ROLE_WORDS = {
         ]
     ),
 }
-"""Words in the names of columns that tell input and output."""
+"""Words by which the names of columns identify input and output."""
 
 NO_SIGNALS = ("time", "temperature", "current", "reference", "row")
 """Quantities that are neither input nor output unless they are named."""
@@ -48,7 +48,7 @@ SCALED = ("V", "N")
 
 
 def factor_to(wanted: str, name: str) -> float:
-    """Factor from a channel of a file to the one that is wanted; 0 where they are not the same quantity.
+    """Factor from a channel of a file to a requested channel; 0 if the quantities differ.
 
     Parameters
     ----------
@@ -86,7 +86,7 @@ def stored_column(path: Path, names: Sequence[str], wanted: str) -> tuple[str, f
     Raises
     ------
     RecordingError
-        The file has no such channel; the message names those that it has.
+        The file has no such channel; the message names the existing channels.
     """
     for name in (wanted, *names):
         if name in names and name != TIME and (factor := factor_to(wanted, name)):
@@ -100,7 +100,7 @@ def stored_column(path: Path, names: Sequence[str], wanted: str) -> tuple[str, f
 def choose_columns(path: Path, names: Sequence[str], given: Mapping[str, str | None]) -> tuple[str, str, list[str]]:
     """Names of the input and the output that a model is identified on, where the user has not named both.
 
-    The voltage and the force, in any unit, come first. Else the names decide, or what is left beside the other one.
+    The voltage and the force, in any unit, come first. Else the names decide, or, of two channels, the other.
 
     Parameters
     ----------
@@ -119,7 +119,7 @@ def choose_columns(path: Path, names: Sequence[str], given: Mapping[str, str | N
     Raises
     ------
     RecordingError
-        The names do not tell which columns are meant; the message names the options.
+        The names do not identify the columns; the message names the options.
     """
     free = [name for name in names if column_of(name).quantity not in NO_SIGNALS and name not in given.values()]
     chosen = {role: name for role, name in given.items() if name is not None}
@@ -167,7 +167,7 @@ def in_units_of(recording: Recording, wanted: Sequence[str]) -> tuple[Recording,
     """
     channels, notes = dict(recording.channels), []
     for name in wanted:
-        held = next((one for one in channels if one != name and factor_to(name, one)), None)
+        held = next((other for other in channels if other != name and factor_to(name, other)), None)
         if name in channels or held is None:
             continue
         factor = factor_to(name, held)

@@ -83,11 +83,11 @@ def read_recording(path: Path, options: TextOptions | None = None) -> Recording:
     Parameters
     ----------
     path
-        File with a suffix of `FORMATS`, `READ_ONLY` or `SPREADSHEETS`. A unit that the file stores beside the name
-        of a channel is appended to the name. Parts that hold no numbers are left out, and `metadata["skipped"]` names
-        them. Nothing in a file is ever executed.
+        File with a suffix of `FORMATS`, `READ_ONLY` or `SPREADSHEETS`. A unit that the file stores separately from the
+        name of a channel is appended to the name. Parts that hold no numbers are skipped, and `metadata["skipped"]`
+        names them. Nothing in a file is ever executed.
     options
-        What the user says about a text file; None: everything is found from the file.
+        Layout of a text file as the user states it; None: inferred from the file.
 
     Raises
     ------

@@ -1,11 +1,11 @@
-"""How a command runs between two samples, and when the reading beside it is taken.
+"""How a command runs between two samples, and when its reading is taken.
 
     straight       the command runs straight from sample to sample
     held           it keeps its value for one sample; the reading comes `read_after` of a sample after it
     held_before    it keeps its value for one sample; the reading comes just before the next command
 
 The type stands here because the metadata of a recording is the lowest place that states it. Effects, model, diagnosis
-and recorder use the same type. Compiled functions cannot take it: they take `number`.
+and recorder use this type. Compiled functions cannot take it: they take `number`.
 """
 
 from collections.abc import Mapping
@@ -22,10 +22,10 @@ class Hold:
     Parameters
     ----------
     sampling
-        "straight": the command runs straight between samples. "held": it is held, and the reading beside it is taken
-        `read_after` later. "held_before": it is held, and the reading beside it is taken just before it begins.
+        "straight": the command runs straight between samples. "held": it is held, and its reading is taken
+        `read_after` later. "held_before": it is held, and its reading is taken just before it begins.
     read_after
-        Time from the command to the reading beside it [samples], 0 to 1. It is 0 unless `sampling` is "held".
+        Time from the command to its reading [samples], 0 to 1. It is 0 unless `sampling` is "held".
     """
 
     sampling: Literal["straight", "held", "held_before"] = "straight"
@@ -52,7 +52,7 @@ class Hold:
 
     @property
     def number(self) -> float:
-        """The same for compiled functions. 0: straight. Above 0 to 1: held, `read_after`. 2: held before."""
+        """Code for compiled functions. 0: straight. Above 0 to 1: held, `read_after`. 2: held before."""
         if self.sampling == "held":
             return self.read_after or READ_AT_ONCE
         return 2.0 if self.sampling == "held_before" else 0.0
@@ -71,4 +71,4 @@ class Hold:
 STRAIGHT = Hold()
 HELD_BEFORE = Hold("held_before")
 HELD_ONE_SAMPLE = Hold("held", 1.0)
-"""The command is held for one sample until the reading beside it, as in the ring log of the control loop."""
+"""The command is held for one sample until its reading, as in the ring log of the control loop."""

@@ -15,7 +15,7 @@ _RATE = re.compile(r"._(?P<above>[numck]?m|in|deg|rad|rev)_(?P<below>s2?|min|h)$
 # Characters of units and their replacement in a name. Unicode has mu and ohm twice: as a letter and as a sign.
 _SPELT = {"µ": "u", "\u03bc": "u", "°": "deg", "\u03a9": "ohm", "\u2126": "ohm", "%": "percent"}
 _SPELT |= {"²": "2", "³": "3", "/": "_per_"}
-_SPELT_WHOLE = {"°C": "C", "degC": "C", "-": "", "1": ""}
+_SPELT_IN_FULL = {"°C": "C", "degC": "C", "-": "", "1": ""}
 
 
 def channel_name(name: str, unit: str = "") -> str:
@@ -51,8 +51,8 @@ def unit_of(name: str) -> str:
     """
     if rate := _RATE.search(name):
         return f"{rate['above']}_per_{rate['below']}"
-    found = _UNIT.search(name)
-    return found["unit"] if found else ""
+    match = _UNIT.search(name)
+    return match["unit"] if match else ""
 
 
 def name_columns(path: Path, columns: Iterable[tuple[str, str]]) -> tuple[str, ...]:
@@ -83,7 +83,7 @@ def name_columns(path: Path, columns: Iterable[tuple[str, str]]) -> tuple[str, .
 
 def _spell(unit: str) -> str:
     """Unit in the spelling of names: `m/s²` -> `m_per_s2`."""
-    unit = _SPELT_WHOLE.get(unit.strip(), unit.strip())
+    unit = _SPELT_IN_FULL.get(unit.strip(), unit.strip())
     for sign, word in _SPELT.items():
         unit = unit.replace(sign, word)
     return re.sub(r"[^\w]+", "", unit)

@@ -57,7 +57,7 @@ def describe_missing(recording: Recording, name: str) -> list[str]:
     return [f"{name}: {_count(int(mask.sum()), 'sample')} missing ({share}), the first at {first_s:.6g} s"]
 
 
-def describe_stuck(recording: Recording, name: str, found: StuckStretches) -> list[str]:
+def describe_stuck(recording: Recording, name: str, stuck: StuckStretches) -> list[str]:
     """Lines about the frozen and clipped samples of a channel.
 
     Parameters
@@ -66,20 +66,20 @@ def describe_stuck(recording: Recording, name: str, found: StuckStretches) -> li
         The recording.
     name
         Name of the channel.
-    found
+    stuck
         Result of `find_stuck` for this channel.
     """
-    return list(_stuck_lines(recording, name, found))
+    return list(_stuck_lines(recording, name, stuck))
 
 
-def _stuck_lines(recording: Recording, name: str, found: StuckStretches) -> Iterator[str]:
+def _stuck_lines(recording: Recording, name: str, stuck: StuckStretches) -> Iterator[str]:
     values = recording.channel(name)
-    for extreme, stretches in (("largest", found.at_largest), ("smallest", found.at_smallest)):
+    for extreme, stretches in (("largest", stuck.at_largest), ("smallest", stuck.at_smallest)):
         if stretches:
             value = f"{values[stretches[0][0]]:.6g}"
             yield f"{name}: clipped at its {extreme} value {value}, {_places(recording, stretches)}"
-    if found.frozen:
-        yield f"{name}: constant while its drive moves, {_places(recording, found.frozen)}"
+    if stuck.frozen:
+        yield f"{name}: constant while its drive moves, {_places(recording, stuck.frozen)}"
 
 
 def _places(recording: Recording, stretches: list[Stretch]) -> str:

@@ -65,7 +65,7 @@ _TRAILING_UNIT = re.compile(r"^(?P<name>.+?)(?:\s+in\s+|\s*/\s*|\s*,\s*|_|\s+)(?
 
 @dataclass(frozen=True)
 class Column:
-    """What a column of a text file is.
+    """A column of a text file.
 
     Parameters
     ----------
@@ -101,8 +101,8 @@ def column_of(written: str, unit: str = "") -> Column:
     unit
         Unit from a row of units; empty: none.
     """
-    if not unit and (whole := _QUANTITY.get(_plain(written))):
-        return Column(written.strip(), whole, "")
+    if not unit and (quantity := _QUANTITY.get(_plain(written))):
+        return Column(written.strip(), quantity, "")
     name = channel_name(written.strip().strip('"'), SPELT.get(unit.strip("[]() "), unit.strip("[]() ")))
     given = unit_of(name)
     base = name.removesuffix(f"_{given}") if given else name
@@ -112,7 +112,7 @@ def column_of(written: str, unit: str = "") -> Column:
     given = SPELT.get(given, given)
     known = UNITS.get(quantity, {})
     if given and quantity and known and given not in known:
-        lower = {one.lower(): one for one in known}
+        lower = {name.lower(): name for name in known}
         given = lower.get(given.lower(), given) if given.lower() not in ("mv", "mn") else given
         if given not in known:
             quantity, given = _QUANTITY.get(_plain(name), ""), ""

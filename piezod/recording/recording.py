@@ -1,4 +1,4 @@
-"""`Recording`: one time axis and named channels with units, the same for every file format."""
+"""`Recording`: one time axis and named channels with units, common to every file format."""
 
 from dataclasses import dataclass, field
 from typing import Any
@@ -194,7 +194,7 @@ def check_time(source: str, time_s: Array, first: int = 0, before_s: float = -np
     Raises
     ------
     RecordingError
-        A time is not finite or not above the one before; the message names the first such sample.
+        A time is not finite or not above its predecessor; the message names the first such sample.
     """
     if not np.isfinite(time_s).all():
         k = int(np.argmin(np.isfinite(time_s)))

@@ -13,7 +13,7 @@ count again. Rows that were overwritten in the meantime are dropped and counted.
 can delay a tick.
 
 Both sides use the file by position (`pwrite`, `pread`) and never touch mapped memory: a file that somebody truncates
-would end each process that touches its mapping. `RingReader.is_broken` tells that it happened, and `RingLog.restore`
+would end each process that touches its mapping. `RingReader.is_broken` detects this case, and `RingLog.restore`
 makes the file again. A place that lost its row, or a part of it, does not end with the number of that row.
 """
 
@@ -112,7 +112,7 @@ class RingLog:
         return descriptor, mmap.mmap(descriptor, size, mmap.MAP_SHARED | mmap.MAP_POPULATE)
 
     def append(self, *row: float) -> None:
-        """Write one row; one that cannot be written counts in `lost`.
+        """Write a row; a failure is counted in `lost`.
 
         Parameters
         ----------
@@ -180,7 +180,7 @@ def _open_file(path: Path | None, size: int, head: bytes, group: str | None) -> 
             path.unlink()
         descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC | os.O_NOFOLLOW, FILE_MODE)
     try:
-        os.pwrite(descriptor, head, 0)  # first of all: the mark of an own file
+        os.pwrite(descriptor, head, 0)  # magic number, written first
         if path is not None:
             set_access(descriptor, FILE_MODE, gid)
         os.posix_fallocate(descriptor, 0, size)
@@ -239,14 +239,14 @@ class RingReader:
 
     @property
     def is_broken(self) -> bool:
-        """Whether the file was removed, replaced or truncated, so that nobody else can read it any more."""
+        """Whether the file was removed, replaced or truncated, so that other processes cannot read it any more."""
         size = _HEAD.size + self._capacity * _PLACE.size
         try:
-            own, found = os.fstat(self._descriptor), self._path.stat()
+            own, present = os.fstat(self._descriptor), self._path.stat()
         except OSError:
             return True
         head = os.pread(self._descriptor, len(MAGIC), 0)
-        return not os.path.samestat(own, found) or own.st_size < size or head != MAGIC
+        return not os.path.samestat(own, present) or own.st_size < size or head != MAGIC
 
     @property
     def counters(self) -> tuple[int, ...]:
@@ -288,7 +288,7 @@ class RingReader:
             written = min(written, first + most)
         places = self._copied(first, written)
         numbers = first + 1 + np.arange(places.size, dtype=np.uint64)
-        # what the writer may have begun to overwrite, and what a truncated file has lost
+        # without rows that the writer may overwrite, or that a truncated file has lost
         good = (numbers + self._capacity > self._written() + 1) & (places["number"] == numbers)
         fresh: NDArray[np.void] = places["row"][good]
         self.dropped += max(written - self._next, 0) - fresh.size

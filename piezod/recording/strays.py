@@ -28,7 +28,7 @@ LONGEST = 4
 NOISES, STEPS, RANGES = 20.0, 4.0, 0.05
 """Least leap: in standard deviations of the noise, in usual steps, and as share of the usual range."""
 
-USUAL_STEP = 0.9
+TYPICAL_STEP = 0.9
 """Quantile of the steps other than 0 that is the usual step."""
 
 COMES_BACK = 0.25
@@ -71,7 +71,7 @@ class Strays:
         Parameters
         ----------
         consequence
-            What happens to them, such as `left out`.
+            Consequence for the strays, such as `left out`.
         """
         counts = Counter(self.values.tolist())
         lost = [value for value, count in counts.items() if count >= FEWEST_LOST]
@@ -106,11 +106,11 @@ def without_strays(recording: Recording, input_column: str, output_column: str) 
     stray_y = None if y is None else find_strays(y, u, answers_later=False)
     channels, notes = dict(recording.channels), []
     if stray_u.any():
-        there = np.isfinite(u) & ~stray_u
+        finite = np.isfinite(u) & ~stray_u
         short = stray_u & ~_longer_than(stray_u, LONGEST)
         channels[input_column] = np.where(stray_u, np.nan, u)
-        if there.any():
-            filled = np.interp(recording.time_s[short], recording.time_s[there], u[there], left=np.nan, right=np.nan)
+        if finite.any():
+            filled = np.interp(recording.time_s[short], recording.time_s[finite], u[finite], left=np.nan, right=np.nan)
             channels[input_column][short] = filled
         notes += _strays(recording, input_column, stray_u).notes("interpolated where they are few in a row")
     if stray_y is not None and y is not None and stray_y.any():
@@ -137,49 +137,49 @@ def find_strays(values: Array, other: Array | None, *, answers_later: bool) -> M
         Shape (N,).
     """
     strays: Mask = np.abs(values) > LARGEST
-    there = np.flatnonzero(np.isfinite(values) & ~strays)
-    if there.size < 100:
+    finite = np.flatnonzero(np.isfinite(values) & ~strays)
+    if finite.size < 100:
         return strays
-    known = values[there]
-    span, least = _usual(known)
+    known = values[finite]
+    span, least = _typical_range(known)
     if not least > 0.0:
         return strays
     leaps = _leaping_runs(known, least)
     if other is not None and leaps:
-        usual_other = _usual(other[np.isfinite(other) & (np.abs(other) < LARGEST)])[0]
-        ratio = span / usual_other if usual_other > 0.0 else 0.0
-        leaps = [run for run in leaps if not _explained(known, other[there], run, ratio, answers_later=answers_later)]
-    if sum(end - first for first, end in leaps) > MOST * there.size:
+        other_span = _typical_range(other[np.isfinite(other) & (np.abs(other) < LARGEST)])[0]
+        ratio = span / other_span if other_span > 0.0 else 0.0
+        leaps = [run for run in leaps if not _explained(known, other[finite], run, ratio, answers_later=answers_later)]
+    if sum(end - first for first, end in leaps) > MOST * finite.size:
         return strays
-    found = np.zeros(there.size, bool)
+    leaping = np.zeros(finite.size, bool)
     for first, end in leaps:
-        found[first:end] = True
-    return _and_lost(strays, found, there, known)
+        leaping[first:end] = True
+    return _and_lost(strays, leaping, finite, known)
 
 
-def _and_lost(strays: Mask, found: Mask, there: NDArray[np.intp], known: Array) -> Mask:
+def _and_lost(strays: Mask, leaping: Mask, finite: NDArray[np.intp], known: Array) -> Mask:
     """All strays; a value that several share is one wherever it stands, if it lies outside the range of the others."""
-    if found.any() and not found.all():
-        low, high = known[~found].min(), known[~found].max()
-        for value, count in Counter(known[found].tolist()).items():
+    if leaping.any() and not leaping.all():
+        low, high = known[~leaping].min(), known[~leaping].max()
+        for value, count in Counter(known[leaping].tolist()).items():
             same = known == value
-            rest = known[~found & ~same]
+            rest = known[~leaping & ~same]
             if count >= FEWEST_LOST and rest.size:
                 low, high = rest.min(), rest.max()
                 if not low <= value <= high and same.sum() <= MOST * known.size:
-                    found |= same
-    strays[there[found]] = True
+                    leaping |= same
+    strays[finite[leaping]] = True
     return strays
 
 
-def _usual(values: Array) -> tuple[float, float]:
-    """Usual range, and least leap of a stray; of a long channel from samples at equal distances."""
+def _typical_range(values: Array) -> tuple[float, float]:
+    """Typical range, and least leap of a stray; of a long channel from samples at equal distances."""
     every = max(1, values.size // BLOCK)
     low, high = np.quantile(values[::every], [0.01, 0.99]) if values.size else (0.0, 0.0)
     near = values[: 4 * BLOCK]
     steps, bends = np.abs(np.diff(near)), np.abs(np.diff(near, 2))
     moving = steps[steps > 0.0]
-    step = float(np.quantile(moving, USUAL_STEP)) if moving.size else 0.0
+    step = float(np.quantile(moving, TYPICAL_STEP)) if moving.size else 0.0
     noise = float(np.median(bends)) / (0.6745 * np.sqrt(6.0)) if bends.size else 0.0
     span = float(high - low)
     return span, max(NOISES * noise, STEPS * step, RANGES * span)

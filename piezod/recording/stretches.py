@@ -83,8 +83,8 @@ def gaps(time_s: Array) -> list[Stretch]:
         return []
     longest_s = GAP_PERIODS * median_period(time_s)
     starts = range(0, time_s.size - 1, BLOCK)
-    found = [at + np.flatnonzero(np.diff(time_s[at : at + BLOCK + 1]) > longest_s) for at in starts]
-    before = np.concatenate(found)
+    places = [at + np.flatnonzero(np.diff(time_s[at : at + BLOCK + 1]) > longest_s) for at in starts]
+    before = np.concatenate(places)
     return pairs(before, before + 1)
 
 

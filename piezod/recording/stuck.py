@@ -1,6 +1,6 @@
 """Search for stuck readings: a sensor that is frozen, or clipped at an end of its range, while its drive moves.
 
-A run of identical values also has other causes. The command may be constant. A coarse converter gives the same value
+A run of identical values also has other causes. The command may be constant. A coarse converter gives an equal value
 over a small move of the drive. Dry friction holds a stack after each reversal. A run is stuck if the drive moves much
 farther in it than usual between two changes of the reading. One of these conditions must hold as well:
 
@@ -35,7 +35,7 @@ ALTERNATING = 0.3
 """Share of consecutive steps of opposite sign above which a reading is noisy; white noise has 2/3."""
 
 WINDOWS, WINDOW, FEWEST_RUNS = 16, 2**16, 100
-"""Windows of a long recording for its usual motion; number of windows, samples of each, least runs in all of them."""
+"""Windows of a long recording for its usual motion; number of windows, samples of each, least number of runs."""
 
 FOLLOWS = 0.3
 """Smallest magnitude of the correlation between reading and drive; below it a reading is not tested."""
@@ -67,7 +67,7 @@ class StuckStretches:
 
 
 @dataclass(frozen=True)
-class _UsualMotion:
+class _TypicalMotion:
     """Usual motion of reading and drive.
 
     Parameters
@@ -105,16 +105,16 @@ def find_stuck(values: Array, drive: Array) -> StuckStretches:
     swing = float(np.nanmax(drive, initial=-np.inf) - np.nanmin(drive, initial=np.inf))
     if not (low < high and swing > 0.0) or not ((values > low) & (values < high)).any():
         return StuckStretches([], [], [])  # a constant, or a flag of two values
-    usual = _usual_motion(values, drive)
+    typical = _typical_motion(values, drive)
     runs = long_runs(values, SHORTEST)
-    if abs(usual.correlation) < FOLLOWS or not runs[0].size:
+    if abs(typical.correlation) < FOLLOWS or not runs[0].size:
         return StuckStretches([], [], [])
-    limit = max(SMALLEST_MOVE * swing + UNUSUAL * usual.drive_noise, UNUSUAL * usual.move)
+    limit = max(SMALLEST_MOVE * swing + UNUSUAL * typical.drive_noise, UNUSUAL * typical.move)
     bottom, top = _range(drive, *runs)
     moved = top - bottom > limit
     outwards = (top - drive[runs[0]] > limit, drive[runs[0]] - bottom > limit)
-    beyond_top, beyond_bottom = outwards if usual.correlation > 0.0 else outwards[::-1]
-    certain = _without_noise(values, drive, runs, limit, usual) | (moved & usual.noisy)
+    beyond_top, beyond_bottom = outwards if typical.correlation > 0.0 else outwards[::-1]
+    certain = _without_noise(values, drive, runs, limit, typical) | (moved & typical.noisy)
     at_top, at_bottom = values[runs[0]] == high, values[runs[0]] == low
     largest = _clipped(at_top, moved, certain | beyond_top)
     smallest = _clipped(at_bottom, moved, certain | beyond_bottom)
@@ -128,7 +128,7 @@ def _clipped(extreme: NDArray[np.bool_], moved: NDArray[np.bool_], certain: NDAr
     return result
 
 
-def _without_noise(values: Array, drive: Array, runs: Runs, limit: float, usual: _UsualMotion) -> NDArray[np.bool_]:
+def _without_noise(values: Array, drive: Array, runs: Runs, limit: float, typical: _TypicalMotion) -> NDArray[np.bool_]:
     """Which runs of a reading without noise are stuck: it jumps after the run, or the drive moves by half its swing.
 
     The ends of a run are ignored, see `TRIMMED`.
@@ -136,7 +136,7 @@ def _without_noise(values: Array, drive: Array, runs: Runs, limit: float, usual:
     starts, stops = runs
     trimmed = (stops - starts) // TRIMMED
     bottom, top = _range(drive, starts + trimmed, stops - trimmed)
-    jumps = np.abs(values[np.minimum(stops, values.size - 1)] - values[stops - 1]) > UNUSUAL * usual.step
+    jumps = np.abs(values[np.minimum(stops, values.size - 1)] - values[stops - 1]) > UNUSUAL * typical.step
     half = 0.5 * (np.nanmax(drive) - np.nanmin(drive))
     result: NDArray[np.bool_] = (jumps & (top - bottom > limit)) | (top - bottom > half)
     return result
@@ -148,14 +148,14 @@ def _range(drive: Array, starts: NDArray[np.intp], stops: NDArray[np.intp]) -> t
     return np.fmin.reduceat(drive, places)[::2], np.fmax.reduceat(drive, places)[::2]
 
 
-def _usual_motion(values: Array, drive: Array) -> _UsualMotion:
+def _typical_motion(values: Array, drive: Array) -> _TypicalMotion:
     """Usual motion, from windows of the recording that grow until they hold enough runs."""
     size = WINDOW
     parts = _windows(values.size, size)
-    while (found := _statistics(values, drive, parts)) is None and size * WINDOWS < values.size:
+    while (motion := _statistics(values, drive, parts)) is None and size * WINDOWS < values.size:
         size *= 8
         parts = _windows(values.size, size)
-    return found or _UsualMotion(np.inf, 0.0, np.inf, noisy=False, correlation=0.0)
+    return motion or _TypicalMotion(np.inf, 0.0, np.inf, noisy=False, correlation=0.0)
 
 
 def _windows(samples: int, size: int) -> list[slice]:
@@ -165,7 +165,7 @@ def _windows(samples: int, size: int) -> list[slice]:
     return [slice(start, start + size) for start in np.linspace(0, samples - size, WINDOWS).astype(int).tolist()]
 
 
-def _statistics(values: Array, drive: Array, parts: list[slice]) -> _UsualMotion | None:
+def _statistics(values: Array, drive: Array, parts: list[slice]) -> _TypicalMotion | None:
     """Usual motion within these parts; None if they hold too few changes of the reading."""
     moves, lengths, steps, bends, turns, products = [], [], [], [], [], np.zeros((2, 2))
     for part in parts:
@@ -184,7 +184,7 @@ def _statistics(values: Array, drive: Array, parts: list[slice]) -> _UsualMotion
     if every_step.size < 2 or (every_length.size < FEWEST_RUNS and len(parts) > 1):
         return None
     alternating = float(np.mean(np.concatenate(turns)))
-    return _UsualMotion(
+    return _TypicalMotion(
         move=_half_sum_part(np.concatenate(moves)),
         drive_noise=float(np.nanmedian(np.concatenate(bends))) / (0.6745 * np.sqrt(6.0)),
         step=float(np.median(every_step)),

@@ -11,7 +11,7 @@ from pathlib import Path
 from piezod.errors import ConfigurationError, UsageError
 
 
-def check_not_there(target: Path, *, force: bool) -> None:
+def check_absent(target: Path, *, force: bool) -> None:
     """Refuse to replace a file.
 
     Parameters
@@ -36,7 +36,7 @@ def check_page(target: Path | None) -> None:
     Parameters
     ----------
     target
-        File to write; None: nothing is written.
+        File to write; None: no file.
 
     Raises
     ------
@@ -59,7 +59,7 @@ def check_folder(folder: Path | None, names: Sequence[str] = (), *, force: bool 
     Parameters
     ----------
     folder
-        Folder to write into; None: nothing is written.
+        Folder to write into; None: no folder.
     names
         Files that are not replaced.
     force
@@ -74,10 +74,10 @@ def check_folder(folder: Path | None, names: Sequence[str] = (), *, force: bool 
     """
     if folder is None:
         return
-    existing = next(one for one in (folder, *folder.absolute().parents) if os.path.lexists(one))
+    existing = next(path for path in (folder, *folder.absolute().parents) if os.path.lexists(path))
     if not existing.is_dir():
         raise ConfigurationError(f"{folder}: cannot be written: {existing} is a file, must be a folder")
     if not os.access(existing, os.W_OK | os.X_OK):
         raise ConfigurationError(f"{folder}: cannot be written: {existing} must be a folder that may be written to")
     for name in names:
-        check_not_there(folder / name, force=force)
+        check_absent(folder / name, force=force)

@@ -1,4 +1,4 @@
-"""Consecutive rows of the ring log: each command beside the readings that it caused.
+"""Consecutive rows of the ring log: each command with the readings that it caused.
 
 The exchange of a tick writes a command, then reads the force that the command of the row before has caused. A sample
 therefore joins the command of row k with the readings of row k + 1. A missed tick has no row. Where an exchange

@@ -27,16 +27,16 @@ class TimeStamps:
     def __init__(self) -> None:
         self._stamp_s = self._end_s = -np.inf
         self._rounded_to_s = 0.0
-        self._left_out = 0
+        self._dropped = 0
 
     @property
     def notes(self) -> list[str]:
-        """What was changed, a line each."""
+        """Lines on the changes."""
         notes = []
         if self._rounded_to_s:
             notes.append(f"time is rounded to {self._rounded_to_s:.3g} s, the samples are spread between the stamps")
-        if self._left_out:
-            notes.append(f"samples with the time of the sample before, left out: {self._left_out}")
+        if self._dropped:
+            notes.append(f"samples with the time of the sample before, left out: {self._dropped}")
         return notes
 
     def cleaned(self, tables: Iterator[dict[str, Array]], time: str) -> Iterator[dict[str, Array]]:
@@ -58,21 +58,21 @@ class TimeStamps:
             cleaned = table
             if self._are_rounded(repeated):
                 cleaned = {**table, time: self._spread(stamps_s)}
-            elif repeated.any() and (self._left_out or _few(repeated)):
-                self._left_out += int(np.count_nonzero(repeated))
+            elif repeated.any() and (self._dropped or _few(repeated)):
+                self._dropped += int(np.count_nonzero(repeated))
                 cleaned = {name: values[~repeated] for name, values in table.items()}
             if cleaned[time].size:
                 self._stamp_s, self._end_s = float(stamps_s[-1]), float(cleaned[time][-1])
             yield cleaned
 
     def _are_rounded(self, repeated: NDArray[np.bool_]) -> bool:
-        """Whether the stamps of a block are rounded; what the first block with repeated ones shows holds for all."""
-        if self._rounded_to_s or self._left_out or repeated.size < FEWEST:
+        """Whether the stamps of a block are rounded; the first block with repeated stamps decides for all."""
+        if self._rounded_to_s or self._dropped or repeated.size < FEWEST:
             return self._rounded_to_s > 0.0
         return bool(repeated.any() and not _few(repeated) and not repeated[1:].all())
 
     def _spread(self, stamps_s: Array) -> Array:
-        """Times between the stamps, evenly over the block where that agrees with them."""
+        """Times between the stamps, even over the block if this agrees with the stamps."""
         steps_s = np.diff(stamps_s)
         resolution_s = float(steps_s[steps_s > 0.0].min(initial=self._rounded_to_s or np.inf))
         self._rounded_to_s = max(self._rounded_to_s, resolution_s)
@@ -92,7 +92,7 @@ class TimeStamps:
 
 
 def _few(repeated: NDArray[np.bool_]) -> bool:
-    """Whether a block is long enough to tell, and few of its stamps are repeated."""
+    """Whether a block is long enough, and few of its stamps are repeated."""
     return repeated.size >= FEWEST and bool(np.count_nonzero(repeated) < ROUNDED_SHARE * repeated.size)
 
 

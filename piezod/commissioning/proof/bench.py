@@ -23,7 +23,7 @@ from piezod.transport import ExchangeResult, Link
 PROOF_SHARE = 0.05  # of the voltage range: the level of the test
 LEAST_STEPS = 2.5  # level in units of arming.sign_check.step_V, so that the sign check stays below the force trip
 HOLD_S = 0.5  # time at the level
-LEAST_TICKS = 40  # at the level, whatever the rate: each trip needs some samples
+LEAST_TICKS = 40  # at the level, at any rate: each trip needs some samples
 FALLEN = 0.2  # of the level: end of a hold that falls
 TRY_S = 1.0  # of the watchdog, beyond its time: a slow amplifier falls that long
 POLLS = 5
@@ -54,12 +54,12 @@ class Run:
     @property
     def reached(self) -> NDArray[np.bool_]:
         """Whether a row is RUNNING, shape (N,): the level is reached."""
-        found: NDArray[np.bool_] = self.rows["state"] == State.RUNNING
-        return found
+        running: NDArray[np.bool_] = self.rows["state"] == State.RUNNING
+        return running
 
     @property
     def since_level(self) -> NDArray[np.bool_]:
-        """Whether a row is at the level or after it, shape (N,): what a step changes is changed from there."""
+        """Whether a row is at the level or after it, shape (N,): a change by a step begins there."""
         return self.reached | self.tripped
 
     @property
@@ -107,7 +107,7 @@ class Run:
 
     def time_to_fault_ms(self, wrong: NDArray[np.bool_]) -> float:
         """Time from the first wrong row while RUNNING, or in the approach, to the latched fault [ms]; inf: none."""
-        first, last = np.flatnonzero(wrong), np.flatnonzero(self.tripped)  # at rest there is nothing to ramp down
+        first, last = np.flatnonzero(wrong), np.flatnonzero(self.tripped)  # at rest no ramp follows
         if not (first.size and last.size) or self.fault is Cause.NONE:
             return inf
         return max(0.0, float(self.rows["time_ns"][last[0]] - self.rows["time_ns"][first[0]]) / 1e6)
@@ -126,7 +126,7 @@ class Run:
 
 
 class _LevelDrive:
-    """The level of the test, whatever force is asked for."""
+    """The level of the test, for any requested force."""
 
     def __init__(self, level_V: float) -> None:
         self._level_V = level_V
@@ -254,7 +254,7 @@ class ProofBench:
         falls
             Whether the voltage falls to `FALLEN` of the level in the second half of the hold.
         expected_N
-            Force that the level is said to give [N]; None: no force is expected.
+            Force that is expected at the level [N]; None: unknown.
 
         Raises
         ------

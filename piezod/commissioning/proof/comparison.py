@@ -1,4 +1,4 @@
-"""Comparison of a proof test with the one before: what has changed in each step, and which run is as-found.
+"""Comparison of a proof test with the previous test: the changes of each step, and the as-found run.
 
 The first run of a day (UTC) shows the bench as it was found, before any repair; the last one shows it as it was left.
 """
@@ -14,12 +14,12 @@ from piezod.config.regular_file import open_regular
 from piezod.errors import PiezodError
 
 LARGEST_BYTES = 1 << 20
-"""Largest record; those of a proof test have a few kilobytes."""
+"""Largest record; a proof test has a few kilobytes."""
 _DATE = "%Y-%m-%dT%H:%M:%SZ"
 
 
 def earlier_records(bench: BenchConfig, folder: Path, now: datetime) -> list[dict[str, Any]]:
-    """Records of the bench from before `now`, oldest first; any other file is left out.
+    """Records of the bench from before `now`, oldest first; other files are ignored.
 
     Parameters
     ----------
@@ -30,10 +30,10 @@ def earlier_records(bench: BenchConfig, folder: Path, now: datetime) -> list[dic
     now
         Begin of the present test, UTC.
     """
-    found = [_record(path, bench.name) for path in folder.glob(f"{bench.name}-proof-*.json")]
+    records = [_record(path, bench.name) for path in folder.glob(f"{bench.name}-proof-*.json")]
     before = f"{now:{_DATE}}"
     return sorted(
-        (record for record in found if record is not None and record["date_utc"] < before),
+        (record for record in records if record is not None and record["date_utc"] < before),
         key=lambda record: str(record["date_utc"]),
     )
 
@@ -54,15 +54,15 @@ def compare(record: dict[str, Any], earlier: list[dict[str, Any]]) -> dict[str, 
         `as_found_utc`, the date of the first record of the same day; `compared_with`, date, tester and result of the
         last earlier record, or None; `changes`, by the name of the step.
     """
-    same_day = [one["date_utc"] for one in earlier if one["date_utc"][:10] == record["date_utc"][:10]]
-    as_found = same_day[0] if same_day else record["date_utc"]
+    same_day = [past["date_utc"] for past in earlier if past["date_utc"][:10] == record["date_utc"][:10]]
+    first_utc = same_day[0] if same_day else record["date_utc"]
     if not earlier:
-        return {"as_found_utc": as_found, "compared_with": None, "changes": {}}
+        return {"as_found_utc": first_utc, "compared_with": None, "changes": {}}
     last = earlier[-1]
     before = {step["name"]: step for step in last["steps"]}
     changes = {step["name"]: _change(before.get(step["name"]), step) for step in record["steps"]}
     compared_with = {key: last.get(key) for key in ("date_utc", "tester", "version", "passed")}
-    return {"as_found_utc": as_found, "compared_with": compared_with, "changes": changes}
+    return {"as_found_utc": first_utc, "compared_with": compared_with, "changes": changes}
 
 
 def change_text(change: dict[str, Any]) -> str:
@@ -85,7 +85,7 @@ def change_text(change: dict[str, Any]) -> str:
 
 def _change(before: dict[str, Any] | None, step: dict[str, Any]) -> dict[str, Any]:
     former = before or {"result": None, "measured": None, "limit": None}
-    shares = [_share(one["measured"], one["limit"]) for one in (former, step)]
+    shares = [_share(result["measured"], result["limit"]) for result in (former, step)]
     known = [share for share in shares if share is not None]
     return {
         "before": former["result"],
@@ -106,10 +106,10 @@ def _record(path: Path, name: str) -> dict[str, Any] | None:
         with open_regular(path, LARGEST_BYTES) as file:
             record: dict[str, Any] = json.load(file)
         datetime.strptime(record["date_utc"], _DATE)  # noqa: DTZ007  # only its form is checked
-        whole = record["bench"] == name and all(_is_step(step) for step in record["steps"])
+        valid = record["bench"] == name and all(_is_step(step) for step in record["steps"])
     except (PiezodError, OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError):
         return None
-    return record if whole else None
+    return record if valid else None
 
 
 def _is_step(step: dict[str, Any]) -> bool:

@@ -79,18 +79,18 @@ class ChangedLink:
         self._silenced = self._silent and active
         if self._silenced:
             return ExchangeResult.TIMEOUT
-        found = call()
-        return self._result if active and self._result is not None and found == ExchangeResult.OK else found
+        result = call()
+        return self._result if active and self._result is not None and result == ExchangeResult.OK else result
 
 
 def frozen() -> Change:
     """Change of a reading that keeps its first value."""
-    kept: list[Any] = []
+    first: list[Any] = []
 
     def keep(value: Any) -> Any:  # noqa: ANN401  # any quantity
-        if not kept:
-            kept.append(value)
-        return kept[0]
+        if not first:
+            first.append(value)
+        return first[0]
 
     return keep
 

@@ -49,7 +49,7 @@ def prove_minimum(proof: ProofBench) -> ProofStep:
 
 
 def prove_rate(proof: ProofBench) -> ProofStep:
-    """The force rate, by a reading that jumps by half of what the force trip leaves, as that of a broken cell."""
+    """The force rate, by a reading that jumps by half the distance to the force trip, like a broken cell."""
     limits = proof.bench.limits
     if limits.force_rate_trip_N_per_s is None:
         return skipped("rate", "limits.force_rate_trip_N_per_s is null")
@@ -67,7 +67,7 @@ def prove_rate(proof: ProofBench) -> ProofStep:
 
 
 def prove_tracking(proof: ProofBench) -> ProofStep:
-    """The tracking trip: the level is said to give more force than it does."""
+    """The tracking trip: the expected force at the level exceeds the real force."""
     limits = proof.bench.limits
     if limits.tracking_trip_N is None:
         return skipped("tracking", "limits.tracking_trip_N is null")

@@ -39,7 +39,7 @@ class ProofStep:
     time_ms
         Duration that the step measured [ms]; None without one.
     detail
-        What was done, or why it failed.
+        Action, or reason of a failure.
     """
 
     name: str
@@ -59,14 +59,14 @@ class ProofEnd:
     ----------
     steps
         Results in their order.
-    left
+    rest_failure
         Failure to bring the bench to rest; empty: it is at rest.
     interrupted
         Whether Ctrl-C or SIGTERM ended the test.
     """
 
     steps: list[ProofStep]
-    left: str
+    rest_failure: str
     interrupted: bool
 
 
@@ -140,7 +140,7 @@ def make_record(
         Name of the person who tests; empty: the user of this process.
     """
     complete = tuple(step.name for step in end.steps) == planned and not end.interrupted
-    passed = complete and not end.left and all(step.result != "fail" for step in end.steps)
+    passed = complete and not end.rest_failure and all(step.result != "fail" for step in end.steps)
     return {
         "schema": SCHEMA,
         "bench": bench.name,
@@ -151,8 +151,8 @@ def make_record(
         "date_utc": f"{now:%Y-%m-%dT%H:%M:%SZ}",
         "coverage": coverage(bench, {step.name: step.result for step in end.steps}),
         "steps": [_finite(asdict(step)) for step in end.steps],
-        "left_at_rest": not end.left,
-        "remark": end.left or ("interrupted" if end.interrupted else ""),
+        "left_at_rest": not end.rest_failure,
+        "remark": end.rest_failure or ("interrupted" if end.interrupted else ""),
         "passed": passed,
     }
 
@@ -199,7 +199,7 @@ def text_lines(record: dict[str, Any]) -> Iterator[str]:
 
 
 def _change_lines(changes: dict[str, Any], step: dict[str, Any]) -> Iterator[str]:
-    """Line on the same step of the earlier record."""
+    """Line on this step in the earlier record."""
     change = changes.get(step["name"])
     if change is not None and not change["before"] == change["now"] == "skipped":
         yield f"        before: {change_text(change)}"

@@ -89,10 +89,10 @@ def _run_steps(bench: BenchConfig, link: Link) -> ProofEnd:
             except PiezodError as error:
                 steps.append(ProofStep(name, "fail", detail=str(error)))
             finally:
-                left = _rest(bench, link)
-            if left or proof.interrupted or (name == "level" and steps[-1].result == "fail"):
+                failure = _rest(bench, link)
+            if failure or proof.interrupted or (name == "level" and steps[-1].result == "fail"):
                 break
-    return ProofEnd(steps, left, proof.interrupted)
+    return ProofEnd(steps, failure, proof.interrupted)
 
 
 def _rest(bench: BenchConfig, link: Link) -> str:
@@ -137,4 +137,4 @@ STEPS: dict[str, Callable[[ProofBench], ProofStep]] = {
     "watchdog": device_steps.prove_watchdog,
     "stop": device_steps.prove_stop,
 }
-"""The steps of a complete test, in their order; the first measures what the others need."""
+"""The steps of a complete test, in their order; the first measures values for the others."""

@@ -40,7 +40,7 @@ def import_library(module: str, extra: str, path: Path) -> Any:  # noqa: ANN401 
 
 
 def open_file(path: Path, most_bytes: int = sys.maxsize) -> BinaryIO:
-    """Open a regular file for reading. A fifo or a device is refused: it may block for ever.
+    """Open a regular file for reading. A fifo or a device is refused: it may never return.
 
     Parameters
     ----------

@@ -31,7 +31,7 @@ class ClockChange:
 
     def __init__(self, first_day: int) -> None:
         self._first_day = first_day
-        self._end_s = self._usual_s = np.nan
+        self._end_s = self._step_s = np.nan
         self._shift_s = 0.0
         self.notes: list[str] = []
 
@@ -47,11 +47,11 @@ class ClockChange:
         steps_s = times_s - before_s
         rising_s = steps_s[steps_s > 0.0]
         if rising_s.size:
-            self._usual_s = float(np.median(rising_s))
+            self._step_s = float(np.median(rising_s))
         changes = np.zeros(times_s.size)
-        for k in np.flatnonzero(np.abs(np.abs(steps_s - self._usual_s) - CHANGE_S) <= WITHIN_STEPS * self._usual_s):
-            if self._usual_s <= SLOWEST_S and self._may_change(float(before_s[k])):
-                changes[k] = CHANGE_S if steps_s[k] > self._usual_s else -CHANGE_S
+        for k in np.flatnonzero(np.abs(np.abs(steps_s - self._step_s) - CHANGE_S) <= WITHIN_STEPS * self._step_s):
+            if self._step_s <= SLOWEST_S and self._may_change(float(before_s[k])):
+                changes[k] = CHANGE_S if steps_s[k] > self._step_s else -CHANGE_S
                 direction = "forward" if changes[k] > 0.0 else "back"
                 self.notes.append(f"the clock is set {direction} by an hour after {_clock(before_s[k])}, taken out")
         self._end_s = float(times_s[-1])

@@ -1,7 +1,7 @@
 """Recordings as CSV: lines of metadata that begin with `#`, one header row, then one row per sample.
 
 The first column is `time_s`, the separator is a comma, the encoding is UTF-8. An empty cell is a missing sample, and so
-is a word for one (`repairs.py`). A last line without its end is left out.
+is a word for one (`repairs.py`). A last line without its end is skipped.
 Library: numpy; pyarrow 17 or later for large files, if installed. Limits: a line up to 4 MiB, 10,000 lines of metadata,
 2**29 numbers. A file is read in blocks of complete lines, and one block is in memory at a time.
 """
@@ -37,7 +37,7 @@ WRITTEN_ROWS = 2**14
 
 
 def read_csv(path: Path) -> Recording:
-    """Read a CSV recording, whatever its suffix.
+    """Read a CSV recording with any suffix.
 
     Parameters
     ----------
@@ -83,7 +83,7 @@ def open_csv(path: Path) -> Iterator[RecordingStream]:
                 if table.size:
                     yield {name: np.ascontiguousarray(table[:, k]) for name, k in zip(wanted, columns, strict=True)}
 
-        yield RecordingStream(path, names, lambda *asked: increasing(chunks(*asked), metadata), None, metadata)
+        yield RecordingStream(path, names, lambda *request: increasing(chunks(*request), metadata), None, metadata)
 
 
 def is_own_csv(path: Path) -> bool:
@@ -167,7 +167,7 @@ def _header(line: str, path: Path) -> tuple[str, ...]:
 
 
 def _blocks(file: BinaryIO, path: Path, repairs: Repairs) -> Iterator[tuple[int, bytes]]:
-    """(position in the file [bytes], complete lines) of block after block; a last line without its end is left out."""
+    """(position in the file [bytes], complete lines) of block after block; a last line without its end is skipped."""
     position = file.tell()
     rest = b""
     while read := file.read(BLOCK):
@@ -180,4 +180,4 @@ def _blocks(file: BinaryIO, path: Path, repairs: Repairs) -> Iterator[tuple[int,
         if len(rest) > BLOCK:
             raise RecordingError(f"{path}: has a line longer than {BLOCK} bytes, at byte {position}")
     if rest.strip():
-        repairs.left_out(CUT_LINE if rest.strip(b"\0") else ZEROS, rest[:BLOCK].decode("utf-8", "replace"))
+        repairs.skipped(CUT_LINE if rest.strip(b"\0") else ZEROS, rest[:BLOCK].decode("utf-8", "replace"))

@@ -2,7 +2,7 @@
 
 Both libraries round to the nearest double. pyarrow is faster, and it parses only blocks of plain numbers. numpy parses
 every other block of numbers. A block with words, comments or wrong rows is parsed cell by cell. So a file gives the
-same numbers, or the same error message, with and without pyarrow.
+same numbers, or an equal error message, with and without pyarrow.
 """
 
 import importlib
@@ -45,7 +45,7 @@ def parse(
     arrow
         Parser from `arrow_parser`; None: numpy parses the block.
     repairs
-        Takes note of words for missing samples and of text behind rows; None: nobody asks.
+        Takes note of words for missing samples and of text behind rows; None: not counted.
 
     Raises
     ------
@@ -130,7 +130,7 @@ def _by_cells(block: bytes, path: Path, names: Sequence[str], position: int, rep
     for at, line in enumerate(block.decode("utf-8", "replace").split("\n")):
         text = line.strip()
         if text.strip("\0") != text:
-            repairs.left_out(ZEROS, text)
+            repairs.skipped(ZEROS, text)
             text = text.strip("\0").strip()
         if not text or (text.startswith("#") and not is_missing(text.partition(",")[0].strip())):
             continue
@@ -143,7 +143,7 @@ def _by_cells(block: bytes, path: Path, names: Sequence[str], position: int, rep
 
 
 def _row(text: str, width: int, repairs: Repairs) -> list[float] | None:
-    """Numbers of a row; a comment behind a whole row is left out. None: it is no row."""
+    """Numbers of a row; a comment after the row is skipped. None: it is no row."""
     cells = text.split(",")
     if len(cells) == width and all(map(_is_cell, cells)):
         return [_value(cell.strip(), repairs) for cell in cells]
@@ -153,7 +153,7 @@ def _row(text: str, width: int, repairs: Repairs) -> list[float] | None:
     cells = text[: comment.start()].split(",")
     if len(cells) != width or not all(map(_is_cell, cells)):
         return None
-    repairs.left_out(COMMENT, text[comment.start() :])
+    repairs.skipped(COMMENT, text[comment.start() :])
     return [_value(cell.strip(), repairs) for cell in cells]
 
 

@@ -2,7 +2,7 @@
 
 Library: h5py 3.11 or later; reads every version of the file format that h5py reads, writes the format of HDF5 1.8.
 Limits: vectors and matrices of one row or column, in the root group or a group directly below it; 2**29 numbers.
-Left out are external links, external storage and virtual datasets, because they lead to other files. Left out are also
+External links, external storage and virtual datasets are skipped, because they lead to other files, as well as
 references, text and tables, because they hold no numbers.
 """
 
@@ -41,9 +41,9 @@ def open_hdf5(path: Path) -> Iterator[RecordingStream]:
     h5py = import_library("h5py", "hdf5", path)
     check_heaps(path)
     with h5py.File(path, "r") as file:
-        datasets, left_out = numeric_datasets(h5py, file)
+        datasets, skipped = numeric_datasets(h5py, file)
         metadata = {key: text for key in file.attrs if (text := attribute_text(file.attrs.get(key)))}
-        yield stream_of(path, datasets, metadata | skipped_parts(left_out))
+        yield stream_of(path, datasets, metadata | skipped_parts(skipped))
 
 
 def stream_of(path: Path, datasets: dict[str, Any], metadata: dict[str, str]) -> RecordingStream:
@@ -61,7 +61,7 @@ def stream_of(path: Path, datasets: dict[str, Any], metadata: dict[str, str]) ->
     Raises
     ------
     RecordingError
-        The datasets differ in length, two have the same name, or none is `time_s`.
+        The datasets differ in length, two have equal names, or none is `time_s`.
     """
     names = name_columns(path, [(name, _unit(dataset)) for name, dataset in datasets.items()])
     vectors = dict(zip(names, datasets.values(), strict=True))
@@ -102,9 +102,9 @@ def write_hdf5(recording: Recording, path: Path) -> None:
 
 
 def numeric_datasets(h5py: Any, file: Any) -> tuple[dict[str, Any], list[str]]:  # noqa: ANN401  h5py has no types
-    """Datasets of numbers in the root group and one level below, and the paths of what is left out.
+    """Datasets of numbers in the root group and one level below, and the paths of the skipped parts.
 
-    The key is the dataset's name, or its path if another dataset has the same name.
+    The key is the dataset's name, or its path if another dataset has this name.
 
     Parameters
     ----------
@@ -113,17 +113,17 @@ def numeric_datasets(h5py: Any, file: Any) -> tuple[dict[str, Any], list[str]]: 
     file
         Open file of h5py.
     """
-    found: dict[str, Any] = {}
-    left_out: list[str] = []
-    for path, item in _items(h5py, file, left_out):
+    datasets: dict[str, Any] = {}
+    skipped: list[str] = []
+    for path, item in _items(h5py, file, skipped):
         if isinstance(item, h5py.Group) and item != file["/"]:
-            for below, dataset in _items(h5py, item, left_out):
-                _add_dataset(h5py, f"{path}/{below}", dataset, found, left_out)
+            for below, dataset in _items(h5py, item, skipped):
+                _add_dataset(h5py, f"{path}/{below}", dataset, datasets, skipped)
         else:
-            _add_dataset(h5py, path, item, found, left_out)
-    names = {path: path.rpartition("/")[2] for path in found}
+            _add_dataset(h5py, path, item, datasets, skipped)
+    names = {path: path.rpartition("/")[2] for path in datasets}
     count = Counter(names.values())
-    return {name if count[name] == 1 else path: found[path] for path, name in names.items()}, left_out
+    return {name if count[name] == 1 else path: datasets[path] for path, name in names.items()}, skipped
 
 
 def attribute_text(value: Any) -> str:  # noqa: ANN401  an attribute is of any type
@@ -139,23 +139,23 @@ def attribute_text(value: Any) -> str:  # noqa: ANN401  an attribute is of any t
     return value if isinstance(value, str) else ""
 
 
-def _items(h5py: Any, group: Any, left_out: list[str]) -> Iterator[tuple[str, Any]]:  # noqa: ANN401
-    """(name, item) of each member of a group that is stored in this file; names of links are added to `left_out`."""
+def _items(h5py: Any, group: Any, skipped: list[str]) -> Iterator[tuple[str, Any]]:  # noqa: ANN401
+    """(name, item) of each member of a group that is stored in this file; names of links are added to `skipped`."""
     for name in group:
         if name.startswith("#"):
             continue  # MATLAB stores its internal objects under such names
         if isinstance(group.get(name, getlink=True), h5py.HardLink):
             yield name, group[name]
         else:
-            left_out.append(f"link {name}")
+            skipped.append(f"link {name}")
 
 
-def _add_dataset(h5py: Any, path: str, item: Any, found: dict[str, Any], left_out: list[str]) -> None:  # noqa: ANN401
+def _add_dataset(h5py: Any, path: str, item: Any, datasets: dict[str, Any], skipped: list[str]) -> None:  # noqa: ANN401
     vector = isinstance(item, h5py.Dataset) and item.ndim in {1, 2} and item.size in item.shape
     if vector and item.dtype.kind in "fiub" and not item.is_virtual and not item.external:
-        found[path] = item
+        datasets[path] = item
     else:
-        left_out.append(path)
+        skipped.append(path)
 
 
 def _unit(dataset: Any) -> str:  # noqa: ANN401

@@ -3,7 +3,7 @@
 Versions: 5 is read and written, 7.3 (an HDF5 file) is read. Libraries: scipy writes version 5, `mat5` reads it, and
 h5py 3.11 or later reads 7.3. Limits: vectors of real numbers; 31 characters for a name; 10**6 for the metadata;
 2**29 numbers.
-Cells, structs, objects and function handles are left out and never interpreted.
+Cells, structs, objects and function handles are skipped and never interpreted.
 """
 
 import importlib
@@ -88,7 +88,7 @@ def _open_5(path: Path) -> Iterator[RecordingStream]:
         names = name_columns(path, [(vector.name, "") for vector in vectors])
         samples = common_length(path, dict(zip(names, (vector.count for vector in vectors), strict=True)))
         check_claimed_size(path, samples * len(names))
-        left_out = [f"{v.kind} {v.name}" for v in every if not v.is_vector and v.name != METADATA]
+        skipped = [f"{v.kind} {v.name}" for v in every if not v.is_vector and v.name != METADATA]
         texts = [read_text(file, v) for v in every if v.name == METADATA and v.kind == "char" and v.count < MOST_TEXT]
         stored = dict(zip(names, vectors, strict=True))
 
@@ -96,7 +96,7 @@ def _open_5(path: Path) -> Iterator[RecordingStream]:
             if samples:
                 yield {name: read_numbers(file, stored[name]) for name in wanted}
 
-        yield RecordingStream(path, names, chunks, samples, _metadata("".join(texts)) | skipped_parts(left_out))
+        yield RecordingStream(path, names, chunks, samples, _metadata("".join(texts)) | skipped_parts(skipped))
 
 
 @contextmanager
@@ -104,13 +104,13 @@ def _open_7_3(path: Path) -> Iterator[RecordingStream]:
     h5py = import_library("h5py", "hdf5", path)
     check_heaps(path)
     with h5py.File(path, "r") as file:
-        datasets, left_out = numeric_datasets(h5py, file)
+        datasets, skipped = numeric_datasets(h5py, file)
         kinds = {name: _kind(dataset) for name, dataset in datasets.items()}
         vectors = {name: dataset for name, dataset in datasets.items() if kinds[name] in {*NUMBERS, "logical", ""}}
-        left_out += [f"{kinds[name]} {name}" for name in datasets if name not in vectors and name != METADATA]
+        skipped += [f"{kinds[name]} {name}" for name in datasets if name not in vectors and name != METADATA]
         text = kinds.get(METADATA) == "char" and datasets[METADATA].size < MOST_TEXT
         metadata = _metadata("".join(map(chr, datasets[METADATA][()].ravel()))) if text else {}
-        yield stream_of(path, vectors, metadata | skipped_parts(left_out))
+        yield stream_of(path, vectors, metadata | skipped_parts(skipped))
 
 
 def _kind(dataset: Any) -> str:  # noqa: ANN401  h5py has no types

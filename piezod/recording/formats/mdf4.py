@@ -1,8 +1,8 @@
 """Recordings as MDF 4 (ASAM): one MDF channel per column with its unit, time from the master channel of the group.
 
 Library: asammdf 8 or later; reads versions 4.x, writes 4.10. Limits: finalised files; one time axis for all groups;
-2**29 numbers; the file is read completely into memory. A channel with a formula is left out, because no text from a
-file is ever evaluated. A channel of text is left out too.
+2**29 numbers; the file is read completely into memory. A channel with a formula is skipped, because no text from a
+file is ever evaluated. A channel of text is skipped too.
 """
 
 import html
@@ -49,8 +49,8 @@ def open_mdf4(path: Path) -> Iterator[RecordingStream]:
     check_blocks(path)
     # An open file instead of a path: asammdf maps a path to memory and prints to stderr after an error.
     with path.open("rb") as raw, asammdf.MDF(raw) as file:
-        columns, left_out = _columns(file)
-        yield _stream(path, file, columns, _metadata(file.header.comment) | skipped_parts(left_out))
+        columns, skipped = _columns(file)
+        yield _stream(path, file, columns, _metadata(file.header.comment) | skipped_parts(skipped))
 
 
 def write_mdf4(recording: Recording, path: Path) -> None:
@@ -82,9 +82,9 @@ def write_mdf4(recording: Recording, path: Path) -> None:
 
 
 def _columns(file: Any) -> tuple[dict[tuple[int, int], tuple[str, str]], list[str]]:  # noqa: ANN401
-    """(name, unit) of every accepted channel by (group, index), and the names of the channels that are left out."""
+    """(name, unit) of every accepted channel by (group, index), and the names of the skipped channels."""
     columns: dict[tuple[int, int], tuple[str, str]] = {}
-    left_out: list[str] = []
+    skipped: list[str] = []
     for group, content in enumerate(file.groups):
         master = file.masters_db.get(group)
         for index, channel in enumerate(content.channels):
@@ -94,8 +94,8 @@ def _columns(file: Any) -> tuple[dict[tuple[int, int], tuple[str, str]], list[st
             if master is not None and _is_plain(channel, record) and _is_plain(content.channels[master], record):
                 columns[group, index] = (channel.name, channel.unit or "")
             else:
-                left_out.append(channel.name)
-    return columns, left_out
+                skipped.append(channel.name)
+    return columns, skipped
 
 
 def _is_plain(channel: Any, record: int) -> bool:  # noqa: ANN401

@@ -1,7 +1,7 @@
 """Recordings as Parquet: one column per channel, its unit in the metadata of the field, a null for a missing sample.
 
 Library: pyarrow 17 or later, with the versions of the format that it reads and writes. Limits: columns of integers,
-floating point numbers and booleans; 2**29 numbers. Columns of other types are left out.
+floating point numbers and booleans; 2**29 numbers. Columns of other types are skipped.
 """
 
 from collections.abc import Iterator, Sequence
@@ -32,7 +32,7 @@ def open_parquet(path: Path) -> Iterator[RecordingStream]:
     Raises
     ------
     RecordingError
-        pyarrow is not installed, two columns have the same name, or none is `time_s`.
+        pyarrow is not installed, two columns have equal names, or none is `time_s`.
     """
     arrow, parquet = import_library("pyarrow", "parquet", path), import_library("pyarrow.parquet", "parquet", path)
     # No buffering in advance: it would hold the compressed bytes of all wanted columns in memory.
@@ -48,9 +48,9 @@ def open_parquet(path: Path) -> Iterator[RecordingStream]:
                 if batch.num_rows:
                     yield {name: _values(arrow, batch.column(stored[name])) for name in wanted}
 
-        left_out = [field.name for field in fields if not _is_numeric(arrow, field)]
+        skipped = [field.name for field in fields if not _is_numeric(arrow, field)]
         yield RecordingStream(
-            path, names, chunks, file.metadata.num_rows, _metadata(file.schema_arrow) | skipped_parts(left_out)
+            path, names, chunks, file.metadata.num_rows, _metadata(file.schema_arrow) | skipped_parts(skipped)
         )
 
 

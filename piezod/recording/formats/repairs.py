@@ -1,4 +1,4 @@
-"""What the readers of text leave out or read as missing. It is counted, and the metadata of the recording say it."""
+"""Parts of a text that its readers skip or read as missing, counted in the metadata of the recording."""
 
 import re
 from collections import Counter
@@ -35,7 +35,7 @@ def is_missing(text: str) -> bool:
 
 
 class Repairs:
-    """Counts what is repaired in one file and keeps its metadata up to date.
+    """Counts the repairs of a file and keeps its metadata up to date.
 
     Parameters
     ----------
@@ -46,7 +46,7 @@ class Repairs:
     def __init__(self, metadata: dict[str, str]) -> None:
         self._metadata = metadata
         self._words: Counter[str] = Counter()
-        self._left_out: dict[str, tuple[int, str]] = {}
+        self._skipped: dict[str, tuple[int, str]] = {}
 
     def missing(self, cell: str) -> None:
         """Count a cell with a word for a missing sample; an empty cell and `nan` are the usual form."""
@@ -70,21 +70,21 @@ class Repairs:
         if notes:
             self._metadata["clock"] = "; ".join(notes)
 
-    def left_out(self, what: str, text: str) -> None:
-        """Count a part of the file that is left out.
+    def skipped(self, kind: str, text: str) -> None:
+        """Count a skipped part of the file.
 
         Parameters
         ----------
-        what
+        kind
             Kind of the part, such as `text behind a row`.
         text
             The part itself.
         """
-        count, first = self._left_out.get(what, (0, text.strip("\0\r\n ")[:MOST_QUOTED]))
-        self._left_out[what] = count + 1, first
+        count, first = self._skipped.get(kind, (0, text.strip("\0\r\n ")[:MOST_QUOTED]))
+        self._skipped[kind] = count + 1, first
         self._metadata["left_out"] = "; ".join(
-            f"left out: {what} ({'first ' if count > 1 else ''}{first!r}{f', {count} in all' if count > 1 else ''})"
-            for what, (count, first) in self._left_out.items()
+            f"left out: {kind} ({'first ' if count > 1 else ''}{first!r}{f', {count} in all' if count > 1 else ''})"
+            for kind, (count, first) in self._skipped.items()
         )
 
 
@@ -94,7 +94,7 @@ COMMENT = "text behind a row"
 
 
 def repair_notes(metadata: dict[str, str]) -> list[str]:
-    """Lines about what was repaired.
+    """Lines on the repairs.
 
     Parameters
     ----------

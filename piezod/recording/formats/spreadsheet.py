@@ -1,7 +1,7 @@
 """Recordings in a workbook of Excel or LibreOffice (.xlsx, .xls, .ods): read only.
 
 The first sheet that holds a table of numbers is read as the text that the spreadsheet itself would export. So names,
-units, dates and missing columns are understood in the same way. Library: python-calamine.
+units, dates and missing columns are handled equally. Library: python-calamine.
 """
 
 import tempfile
@@ -29,7 +29,7 @@ def open_spreadsheet(path: Path, options: TextOptions = TextOptions()) -> Iterat
     path
         The workbook.
     options
-        What the user says about it; `decimal` is not needed.
+        Layout as the user states it; `decimal` has no effect.
 
     Raises
     ------

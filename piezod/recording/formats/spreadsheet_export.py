@@ -40,7 +40,7 @@ def export_table(path: Path, exported: Path, options: TextOptions) -> str:
     exported
         File to write.
     options
-        What the user says about the table.
+        Layout of the table as the user states it.
 
     Raises
     ------

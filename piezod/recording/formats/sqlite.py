@@ -2,7 +2,7 @@
 
 Library: `sqlite3` of Python; no optional package. Version: `piezod.recording/1`. Limits: 2**29 numbers, 64 MiB for a
 block, numeric columns only. A file that the recorder still writes is read up to the last committed block. After a crash
-SQLite discards an incomplete transaction. A damaged block is left out and counted in the metadata `damaged`.
+SQLite discards an incomplete transaction. A damaged block is skipped and counted in the metadata `damaged`.
 """
 
 import sqlite3
@@ -55,7 +55,7 @@ def write_sqlite(recording: Recording, path: Path) -> None:
     for name, values in columns.items():
         rows[name] = values
     with replaced_file(path) as temporary, closing(sqlite3.connect(temporary, isolation_level=None)) as connection:
-        connection.execute("PRAGMA journal_mode = MEMORY")  # nobody sees the temporary file: no journal on the disk
+        connection.execute("PRAGMA journal_mode = MEMORY")  # the temporary file needs no journal on the disk
         connection.execute("BEGIN")
         create_tables(connection, About(layout, "samples", recording.metadata))
         for start, stop in chunk_ranges(rows.size, max(1, WRITTEN_BLOCK_BYTES // layout.itemsize)):
@@ -147,7 +147,7 @@ class BlockReader:
     Attributes
     ----------
     good, damaged
-        Number of blocks that were read, and of those that were left out.
+        Numbers of blocks that were read and skipped.
     """
 
     def __init__(
@@ -168,12 +168,12 @@ class BlockReader:
         number, values = first - 1, 0
         most_damaged = 1 + self._path.stat().st_size // SMALLEST_BLOCK
         while (self._last is None or number < self._last) and self.damaged < most_damaged:
-            found = self._after(number)
-            if found is None:
+            row = self._after(number)
+            if row is None:
                 break
-            self.damaged += max(0, found[0] - number - 1)
-            number = max(number + 1, found[0])
-            block = unpack(found[1], found[2], self._layout)
+            self.damaged += max(0, row[0] - number - 1)
+            number = max(number + 1, row[0])
+            block = unpack(row[1], row[2], self._layout)
             if block is None:
                 self.damaged += 1
                 continue
@@ -187,7 +187,7 @@ class BlockReader:
         """(number, checksum, data) of the next block; None at the end. A damaged page gives a block without data."""
         query = "SELECT id, crc, data FROM block WHERE id > ? ORDER BY id LIMIT 1"
         try:
-            found: tuple[int, object, object] | None = self._connection.execute(query, (number,)).fetchone()
+            row: tuple[int, object, object] | None = self._connection.execute(query, (number,)).fetchone()
         except sqlite3.DatabaseError:
             return number + 1, 0, None
-        return found
+        return row

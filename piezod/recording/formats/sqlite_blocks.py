@@ -2,7 +2,7 @@
 
     data = row count uint32 | number of the first row uint64 | wall clock ns int64 | row clock ns int64 | deflated rows
 
-Both clocks are read at the same moment. Their difference converts the time of a row to the time of day. The rows are
+Both clocks are read together. Their difference converts the time of a row to the time of day. The rows are
 transposed before compression: first byte 0 of every row, then byte 1 of every row, and so on. Neighbouring values of a
 column differ in few bytes, so the transposed bytes compress better.
 """
@@ -37,7 +37,7 @@ class Block:
     first
         Number of the first row; a writer counts all rows that it receives, without gaps.
     wall_ns, clock_ns
-        Time of day (UNIX) and clock of the rows, read at the same moment [ns].
+        Time of day (UNIX) and clock of the rows, read together [ns].
     """
 
     rows: NDArray[np.void]

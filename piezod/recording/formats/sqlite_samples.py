@@ -23,7 +23,7 @@ def sample_names(absent: Collection[str]) -> tuple[str, ...]:
     Parameters
     ----------
     absent
-        Columns that the device does not have; they are left out.
+        Columns that the device lacks; they are skipped.
     """
     names = (TIME, "voltage_V", "force_N", "reference_N", "readback_V", "temperature_C", "planned_V", *OTHERS, WALL)
     return tuple(name for name in names if name not in absent)

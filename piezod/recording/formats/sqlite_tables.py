@@ -90,7 +90,7 @@ def append_block(connection: sqlite3.Connection, block: Block) -> None:
     connection
         Connection to a file with both tables, in a transaction.
     block
-        Rows that follow those of the last block.
+        Rows after the last block.
     """
     connection.execute("INSERT INTO block (crc, data) VALUES (?, ?)", pack(block))
 
@@ -121,7 +121,7 @@ def connect(path: Path) -> sqlite3.Connection:
         cannot_write = error.sqlite_errorname.startswith(("SQLITE_CANTOPEN", "SQLITE_READONLY"))
         if not cannot_write or path.with_name(path.name + "-wal").exists():
             raise
-        # A crash left the file in write-ahead mode, and this user cannot create the -shm file beside it. Without a -wal
+        # A crash left the file in write-ahead mode, and this user cannot create its -shm file. Without a -wal
         # file the database is complete, so SQLite may treat it as immutable.
         return _connect_read_only(f"file:{quote(str(path))}?mode=ro&immutable=1")
 

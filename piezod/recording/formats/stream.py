@@ -14,7 +14,7 @@ from piezod.recording.time_stamps import TimeStamps
 
 Array = NDArray[np.float64]
 Table = dict[str, Array]
-"""Column name to values; all values of a table have the same length."""
+"""Column name to values; all values of a table have equal lengths."""
 
 MOST_VALUES = 2**29
 """Numbers that a recording may hold: 4.3 GB as float64."""
@@ -25,7 +25,7 @@ UNCHECKED_VALUES = 1_000_000
 VALUES_PER_BYTE = 1000
 """Further numbers that a file may claim per byte of its size; the deflate algorithm reaches 129."""
 
-WHOLE_CHUNK = 2**20
+READ_CHUNK = 2**20
 """Samples per chunk when a file is read completely."""
 
 MOST_SKIPPED_TEXT = 500
@@ -53,7 +53,7 @@ class RecordingStream:
     Raises
     ------
     RecordingError
-        The stated length exceeds what a file of this size can hold.
+        A file of this size cannot hold the stated number of samples.
     """
 
     path: Path
@@ -81,7 +81,7 @@ def read_all(stream: RecordingStream) -> Recording:
     RecordingError
         The file holds no samples, or its time does not strictly increase.
     """
-    parts = list(stream.chunks(stream.names, WHOLE_CHUNK))
+    parts = list(stream.chunks(stream.names, READ_CHUNK))
     if not parts:
         more = f"; {stream.metadata['left_out']}" if "left_out" in stream.metadata else ""
         raise RecordingError(f"{stream.path}: has a header but no samples{more}")
@@ -91,15 +91,15 @@ def read_all(stream: RecordingStream) -> Recording:
 
 
 def increasing(tables: Iterator[Table], metadata: dict[str, str]) -> Iterator[Table]:
-    """The tables of a text without repeated times; `metadata["time"]` then says what was changed.
+    """The tables of a text without repeated times; `metadata["time"]` describes the changes.
 
     Parameters
     ----------
     tables
-        Blocks of the file, with the time among the columns. They must not depend on how many samples are asked for at
-        a time: what a repeated stamp means is decided block by block.
+        Blocks of the file, with the time among the columns. They must not depend on the number of samples in a
+        chunk: the meaning of a repeated stamp is decided block by block.
     metadata
-        Of the file.
+        Metadata of the file; `time` is set.
     """
     stamps = TimeStamps()
     for table in stamps.cleaned(tables, TIME):

@@ -1,4 +1,4 @@
-"""Strict reader of CSV files that drive a bench. Nothing is repaired, left out or assumed.
+"""Strict reader of CSV files that drive a bench. No value is repaired, skipped or assumed.
 
 The format: UTF-8; lines that begin with `#`; one header row; then rows of decimal numbers with commas between. Every
 line ends with a line end. A line that begins with `#` may also stand between two rows. Every other deviation is refused
@@ -59,7 +59,7 @@ class StrictTable:
         Raises
         ------
         RecordingError
-            The file has no such column; the message names those that it has.
+            The file has no such column; the message names the existing columns.
         """
         if name not in self.names[1:]:
             raise RecordingError(f"{self.path}: has no column {name}, has {', '.join(self.names[1:])[:200]}")
@@ -138,8 +138,8 @@ def _rows(lines: Sequence[str], first: int, path: Path) -> list[int]:
 
 def _check_cells(rows: Sequence[str], numbers: Sequence[int], names: Sequence[str], path: Path) -> None:
     """Refuse the first row that is not one number for each column."""
-    whole = re.compile(",".join([_NUMBER] * len(names)))
-    wrong = next((k for k, row in enumerate(rows) if not whole.fullmatch(row)), None)
+    row_form = re.compile(",".join([_NUMBER] * len(names)))
+    wrong = next((k for k, row in enumerate(rows) if not row_form.fullmatch(row)), None)
     if wrong is None:
         return
     place, cells = f"{path}: line {numbers[wrong] + 1}", rows[wrong].split(",")
@@ -161,7 +161,7 @@ def _check_finite(table: StrictTable) -> None:
 
 
 def _check_order(table: StrictTable) -> None:
-    """Refuse a time that falls, or a third row at the same time: the row between would never act."""
+    """Refuse a time that falls, or a third row with an equal time: the row between would never act."""
     steps = np.diff(table.time_s)
     falls = np.flatnonzero(steps < 0.0)
     if falls.size:

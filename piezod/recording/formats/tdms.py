@@ -1,8 +1,8 @@
 """Recordings as TDMS (LabVIEW): one TDMS channel per column, its unit as the property `unit_string`.
 
 Time is a channel `time_s`, or follows from the waveform properties `wf_start_offset` and `wf_increment`. Library:
-nptdms 1.9 or later, with the versions of the format that it reads. Limits: channels of real numbers, all of the same
-length; one waveform time; 2**29 numbers. Channels of other types and empty channels are left out.
+nptdms 1.9 or later, with the versions of the format that it reads. Limits: channels of real numbers, all of one
+length; one waveform time; 2**29 numbers. Channels of other types and empty channels are skipped.
 """
 
 import io
@@ -49,9 +49,9 @@ def open_tdms(path: Path) -> Iterator[RecordingStream]:
     with _BoundedReader(io.FileIO(path)) as raw, nptdms.TdmsFile.open(raw) as file:
         every = [channel for group in file.groups() for channel in group.channels()]
         channels = [channel for channel in every if channel.dtype.kind in "fiub" and len(channel)]
-        left_out = [channel.path for channel in every if channel not in channels]
+        skipped = [channel.path for channel in every if channel not in channels]
         metadata = {key: str(value) for key, value in file.properties.items() if isinstance(value, str) and value}
-        yield _stream(path, channels, metadata | skipped_parts(left_out))
+        yield _stream(path, channels, metadata | skipped_parts(skipped))
 
 
 def write_tdms(recording: Recording, path: Path) -> None:
@@ -103,12 +103,12 @@ def _stream(path: Path, channels: list[Any], metadata: dict[str, str]) -> Record
     own_time = any(channel_name(*column) == TIME for column in columns)
     step = None if own_time else _waveform_step(path, channels)
     names = name_columns(path, columns if step is None else [*columns, (TIME, "")])
-    found = dict(zip(names, channels, strict=False))
-    samples = common_length(path, {name: len(channel) for name, channel in found.items()})
+    by_name = dict(zip(names, channels, strict=False))
+    samples = common_length(path, {name: len(channel) for name, channel in by_name.items()})
 
     def chunks(wanted: Sequence[str], chunk: int) -> Iterator[Table]:
         for start, stop in chunk_ranges(samples, max(chunk, SHORTEST_CHUNK)):
-            yield {name: _piece(found.get(name), step, start, stop) for name in wanted}
+            yield {name: _piece(by_name.get(name), step, start, stop) for name in wanted}
 
     return RecordingStream(path, names, chunks, samples, metadata)
 
@@ -121,8 +121,8 @@ def _waveform_step(path: Path, channels: list[Any]) -> tuple[float, float] | Non
         if "wf_increment" in channel.properties
     }
     if len(steps) > 1:
-        found = ", ".join(f"{period:g} s from {start:g} s" for start, period in sorted(steps))
-        raise RecordingError(f"{path}: waveforms differ in time: {found}; export waveforms of one time")
+        times = ", ".join(f"{period:g} s from {start:g} s" for start, period in sorted(steps))
+        raise RecordingError(f"{path}: waveforms differ in time: {times}; export waveforms of one time")
     return next(iter(steps), None)
 
 

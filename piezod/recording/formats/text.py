@@ -1,8 +1,8 @@
 """Recordings as text that a person, a spreadsheet or an instrument wrote: any separator, decimal mark and preamble.
 
-`text_layout.find_layout` says what the file is. The rows are read in blocks of complete lines: a block of plain numbers
-is brought to points and commas and parsed by numpy, any other one cell by cell. `metadata["understood"]` says in one
-line what was understood.
+`text_layout.find_layout` determines the layout. The rows are read in blocks of complete lines: a block of plain numbers
+is brought to points and commas and parsed by numpy, any other one cell by cell. `metadata["understood"]` describes the
+layout in a line.
 """
 
 import re
@@ -36,7 +36,7 @@ def open_text(path: Path, options: TextOptions = TextOptions()) -> Iterator[Reco
     path
         Text file.
     options
-        What the user says about it.
+        Layout as the user states it.
 
     Raises
     ------
@@ -44,7 +44,7 @@ def open_text(path: Path, options: TextOptions = TextOptions()) -> Iterator[Reco
         It holds no table of numbers, or a question that only the user can answer.
     """
     layout = find_layout(path, options)
-    names = (TIME, *(one.channel for k, one in enumerate(layout.columns) if k != layout.time))
+    names = (TIME, *(column.channel for k, column in enumerate(layout.columns) if k != layout.time))
 
     metadata = layout.metadata | {"understood": layout.understood()}
 
@@ -54,7 +54,7 @@ def open_text(path: Path, options: TextOptions = TextOptions()) -> Iterator[Reco
             columns = dict(zip(names, table, strict=True))
             yield {name: columns[name] for name in wanted}
 
-    yield RecordingStream(path, names, lambda *asked: increasing(chunks(*asked), metadata), None, metadata)
+    yield RecordingStream(path, names, lambda *request: increasing(chunks(*request), metadata), None, metadata)
 
 
 class _Rows:
@@ -90,7 +90,7 @@ class _Rows:
                 elif len(rest) > BLOCK:
                     raise RecordingError(f"{self._path}: line {self._line + 1} is longer than {BLOCK} characters")
             if rest.strip():
-                self._repairs.left_out(CUT_LINE if rest.strip("\0") else ZEROS, rest)
+                self._repairs.skipped(CUT_LINE if rest.strip("\0") else ZEROS, rest)
 
     def _parse(self, block: str) -> Array:
         """Numbers of a block of lines, shape (rows, columns)."""

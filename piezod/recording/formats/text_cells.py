@@ -8,7 +8,7 @@ from math import inf, nan
 from piezod.recording.formats.repairs import MINUS, is_missing
 
 COMMENTS = ("#", "%", "//", "!")
-"""What a line that holds no samples may begin with."""
+"""Marks at the start of a line without samples."""
 
 _NUMBER = {
     ".": re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eEdD][+-]?\d+)?", re.ASCII),
@@ -36,7 +36,7 @@ def number(cell: str, decimal: str, *, grouped: bool) -> float:
     decimal
         Decimal mark, a point or a comma.
     grouped
-        Whether marks may group thousands: in a file without them, `12.345` beside decimal commas is no number.
+        Whether marks may group thousands: in a file without them, `12.345` is no number next to decimal commas.
 
     Raises
     ------
@@ -101,14 +101,14 @@ def clock_s(cell: str, form: str, first_day: int) -> float:
     text = cell.strip()
     if is_missing(text):
         return nan
-    found = _CLOCK.fullmatch(text)
-    if found is None:
+    clock = _CLOCK.fullmatch(text)
+    if clock is None:
         raise ValueError(text)
-    hour = int(found["h"])
-    if found["half"]:
-        hour = hour % 12 + (12 if found["half"].lower() == "pm" else 0)
-    seconds = float(re.sub("[,:]", ".", found["s"] or "0"))
-    of_day_s = 3600.0 * hour + 60.0 * int(found["m"]) + seconds
+    hour = int(clock["h"])
+    if clock["half"]:
+        hour = hour % 12 + (12 if clock["half"].lower() == "pm" else 0)
+    seconds = float(re.sub("[,:]", ".", clock["s"] or "0"))
+    of_day_s = 3600.0 * hour + 60.0 * int(clock["m"]) + seconds
     if not form:
         return of_day_s
     return (day_of(cell, form) - first_day) * DAY_S + of_day_s
@@ -116,21 +116,21 @@ def clock_s(cell: str, form: str, first_day: int) -> float:
 
 def day_of(cell: str, form: str) -> int:
     """Ordinal of the day of a cell; 0 for a time without a date."""
-    found = _CLOCK.fullmatch(cell.strip())
-    if not form or found is None:
+    clock = _CLOCK.fullmatch(cell.strip())
+    if not form or clock is None:
         return 0
-    return datetime.strptime(found["date"] or "", form).toordinal()  # noqa: DTZ007  only differences count
+    return datetime.strptime(clock["date"] or "", form).toordinal()  # noqa: DTZ007  only differences count
 
 
 def date_forms(cell: str) -> list[str]:
     """Forms of dates that a cell may have; [''] for a time without a date."""
-    found = _CLOCK.fullmatch(cell.strip())
-    if found is None or not found["date"]:
+    clock = _CLOCK.fullmatch(cell.strip())
+    if clock is None or not clock["date"]:
         return [""]
     forms = []
     for form in _DATES:
         try:
-            datetime.strptime(found["date"], form)  # noqa: DTZ007
+            datetime.strptime(clock["date"], form)  # noqa: DTZ007
         except ValueError:
             continue
         forms.append(form)
@@ -157,7 +157,7 @@ def unwrapped(times_s: list[float], before_s: float) -> list[float]:
 
 
 def split_cells(line: str, separator: str) -> list[str]:
-    """Cells of a line, without quotes and surrounding blanks; empty cells at its end are left out."""
+    """Cells of a line, without quotes and surrounding blanks; empty cells at its end are dropped."""
     text = line.strip("\r\n\x00")
     if separator == " ":
         return text.split()

@@ -23,7 +23,7 @@ _INTERVAL = re.compile(
 
 def head_of(lines: Sequence[str], separator: str, width: int) -> tuple[list[str], list[str], Sequence[str]]:
     """Names, units, and the lines of the preamble above them."""
-    found: list[tuple[int, list[str]]] = []
+    rows: list[tuple[int, list[str]]] = []
     for k in range(len(lines) - 1, -1, -1):
         text = lines[k].strip()
         if not text:
@@ -35,16 +35,16 @@ def head_of(lines: Sequence[str], separator: str, width: int) -> tuple[list[str]
             cells = [cell.strip() for cell in re.split(r"\s{2,}|\t", text.strip())]
         if len(cells) < width:
             break
-        found.append((k, cells[:width]))
-        if len(found) == 2:
+        rows.append((k, cells[:width]))
+        if len(rows) == 2:
             break
-    if not found:
+    if not rows:
         keys = metadata_of(lines)
         return [keys[f"NAME{k}"] for k in range(width) if f"NAME{k}" in keys], [], lines
-    units = [] if not all(is_unit(cell) or not cell for cell in found[0][1]) else found[0][1]
-    if units and len(found) > 1:
-        return found[1][1], units, lines[: found[1][0]]
-    return found[0][1], [], lines[: found[0][0]]
+    units = [] if not all(is_unit(cell) or not cell for cell in rows[0][1]) else rows[0][1]
+    if units and len(rows) > 1:
+        return rows[1][1], units, lines[: rows[1][0]]
+    return rows[0][1], [], lines[: rows[0][0]]
 
 
 def columns_of(
@@ -55,7 +55,7 @@ def columns_of(
     rows: Sequence[Sequence[str]],
     width: int,
 ) -> tuple[Column, ...]:
-    """Columns by the user's names, else by those of the header."""
+    """Columns by the user's names, else by the header."""
     if named:
         if len(named) != width:
             raise RecordingError(f"{path}: --columns names {len(named)} columns, the file has {width}")
@@ -77,9 +77,10 @@ def columns_of(
 
 def _further_unit(path: Path, name: str, unit: str) -> str:
     """Unit from the row of units; empty where the name has it already."""
-    known, said = unit_of(name.strip()), column_of("x", unit).unit
-    if known and said and known != said:
-        raise RecordingError(f"{path}: column {name} is in {known}, in {said} by the row of units; correct one of them")
+    known, stated = unit_of(name.strip()), column_of("x", unit).unit
+    if known and stated and known != stated:
+        both = f"is in {known}, in {stated} by the row of units"
+        raise RecordingError(f"{path}: column {name} {both}; correct one of them")
     return "" if known else unit
 
 
@@ -93,7 +94,7 @@ def time_column(
     path: Path, columns: Sequence[Column], rows: Sequence[Sequence[str]], decimal: str
 ) -> tuple[int, str | None]:
     """Column of time, and the form of its dates; (-1, None) without one."""
-    named = [k for k, one in enumerate(columns) if one.quantity == "time"]
+    named = [k for k, column in enumerate(columns) if column.quantity == "time"]
     clocks = [k for k in range(len(columns)) if all(is_clock(cells[k]) for cells in rows[:20] if k < len(cells))]
     for k in [k for k in named if k in clocks] or clocks[:1]:
         forms = set(date_forms(rows[0][k])) & set(date_forms(rows[-1][k]))
@@ -117,34 +118,34 @@ def with_time_unit(
     notes: list[str],
 ) -> tuple[Column, ...]:
     """The columns with the unit of time; a time without unit in whole numbers may be milliseconds."""
-    one = columns[time]
-    if one.quantity != "time":
-        one = Column(one.written, "time", "")
-    if date_form is None and not one.unit:
+    column = columns[time]
+    if column.quantity != "time":
+        column = Column(column.written, "time", "")
+    if date_form is None and not column.unit:
         if all(cells[time].strip().lstrip("+-").isdigit() for cells in rows if time < len(cells)):
             raise RecordingError(
-                f"{path}: '{one.written}' is in whole numbers without a unit, may be s, ms or a count of samples; "
+                f"{path}: '{column.written}' is in whole numbers without a unit, may be s, ms or a count of samples; "
                 "name the columns with --columns time_ms,..., or give --rate-Hz"
             )
         notes.append("time without unit is taken in s")
-        one = Column(one.written, "time", "s")
-    return (*columns[:time], one, *columns[time + 1 :])
+        column = Column(column.written, "time", "s")
+    return (*columns[:time], column, *columns[time + 1 :])
 
 
-def with_unit(one: Column, notes: list[str]) -> Column:
+def with_unit(column: Column, notes: list[str]) -> Column:
     """A known quantity without a unit is taken in the first unit of the quantity."""
-    if one.quantity in ("voltage", "force") and not one.unit:
-        unit = next(iter(UNITS[one.quantity]))
-        notes.append(f"'{one.written}' without unit is taken in {unit}")
-        return Column(one.written, one.quantity, unit)
-    return one
+    if column.quantity in ("voltage", "force") and not column.unit:
+        unit = next(iter(UNITS[column.quantity]))
+        notes.append(f"'{column.written}' without unit is taken in {unit}")
+        return Column(column.written, column.quantity, unit)
+    return column
 
 
 def check_names(path: Path, columns: Sequence[Column]) -> None:
-    """Refuse two columns with one name: which of them is meant is the user's to say."""
+    """Refuse two columns with one name: only the user can choose."""
     by_name: dict[str, list[str]] = {}
-    for one in columns:
-        by_name.setdefault(one.channel, []).append(one.written)
+    for column in columns:
+        by_name.setdefault(column.channel, []).append(column.written)
     for name, written in by_name.items():
         if len(written) > 1 and name != TIME:
             raise RecordingError(
@@ -158,10 +159,10 @@ def stated_interval_s(lines: Sequence[str], decimal: str) -> float | None:
         names, values = line.strip(" ,").lower().split(","), below.strip(" ,").split(",")
         if "increment" in names and len(values) == len(names):
             line = f"increment {values[names.index('increment')]}"  # noqa: PLW2901
-        found = _INTERVAL.match(line)
-        if found:
+        match = _INTERVAL.match(line)
+        if match:
             try:
-                value = float(found["value"].strip(",").replace(decimal, "."))
+                value = float(match["value"].strip(",").replace(decimal, "."))
             except ValueError:
                 continue
             if value > 0.0:
@@ -171,7 +172,7 @@ def stated_interval_s(lines: Sequence[str], decimal: str) -> float | None:
 
 def metadata_of(lines: Sequence[str]) -> dict[str, str]:
     """Keys and values of the preamble."""
-    found = {}
+    metadata = {}
     for line in lines[:MOST_PREAMBLE_LINES]:
         text = line.strip()
         for mark in COMMENTS:
@@ -180,5 +181,5 @@ def metadata_of(lines: Sequence[str]) -> dict[str, str]:
             re.split(r"(\s*[:=;\t]\s*)", text.strip(), maxsplit=1) if re.search(r"[:=;\t]", text) else ("", "", "")
         )
         if mark and key and value.strip():
-            found[key.strip().strip('"')] = value.strip().strip('";,')
-    return found
+            metadata[key.strip().strip('"')] = value.strip().strip('";,')
+    return metadata

@@ -1,7 +1,7 @@
 """Layout of delimited text: encoding, separator, decimal mark, preamble, header and units, columns.
 
-A sample from the begin of the file decides. Each pair of separator and decimal mark is tried; the one under which most
-lines are rows of numbers with the same number of cells is taken. Where the cells do not settle a question, the file is
+A sample from the begin of the file decides. Each pair of separator and decimal mark is tried; the pair under which most
+lines are rows of numbers with an equal number of cells is taken. If the cells leave a question open, the file is
 refused with the option that does.
 """
 
@@ -45,7 +45,7 @@ FEWEST_ROWS = 2
 
 @dataclass(frozen=True)
 class TextOptions:
-    """What the user says about a text file.
+    """Layout of a text file as the user states it.
 
     Parameters
     ----------
@@ -100,7 +100,7 @@ class Layout:
     head_lines
         Lines before the first row.
     columns
-        What each column is.
+        Name, quantity and unit of each column.
     time
         Index of the column of time; -1: there is none.
     date_form
@@ -112,7 +112,7 @@ class Layout:
     metadata
         Keys and values of the preamble.
     notes
-        What was assumed.
+        Assumptions, one line each.
     """
 
     encoding: str
@@ -129,7 +129,7 @@ class Layout:
     notes: tuple[str, ...] = ()
 
     def understood(self) -> str:
-        """One line that says what was understood."""
+        """The layout in a line."""
         words = [SEPARATORS[self.separator], f"decimal {'comma' if self.decimal == ',' else 'point'}", self.encoding]
         if self.interval_s is not None:
             words.append(f"time from a sample interval of {self.interval_s:.9g} s")
@@ -137,7 +137,8 @@ class Layout:
             column = self.columns[self.time]
             form = f"as {self.date_form or 'time of day'}" if self.date_form is not None else f"in {column.unit or 's'}"
             words.append(f"time {form} from '{column.written}'")
-        words += [f"{one.channel} from '{one.written}'" for k, one in enumerate(self.columns) if k != self.time]
+        others = [column for k, column in enumerate(self.columns) if k != self.time]
+        words += [f"{column.channel} from '{column.written}'" for column in others]
         return ", ".join([*words, *self.notes])
 
 
@@ -166,7 +167,7 @@ def find_layout(path: Path, options: TextOptions) -> Layout:
     path
         The file.
     options
-        What the user says about it.
+        Layout as the user states it.
 
     Raises
     ------
@@ -208,10 +209,10 @@ def _layout_of(path: Path, _changed_ns: int, _size: int, options: TextOptions) -
         columns = with_time_unit(path, columns, time, rows, date_form, notes)
     elif (interval_s := stated_interval_s(lines[:first], decimal)) is None:
         raise RecordingError(
-            f"{path}: has no column of time, has {', '.join(one.written for one in columns)[:120]}; "
+            f"{path}: has no column of time, has {', '.join(column.written for column in columns)[:120]}; "
             "give --rate-Hz, or name the columns with --columns time_s,..."
         )
-    columns = tuple(with_unit(one, notes) for one in columns)
+    columns = tuple(with_unit(column, notes) for column in columns)
     grouped = any(is_grouped(cell, decimal) for cells in rows for cell in cells)
     first_day = day_of(rows[0][time], date_form) if date_form else 0
     check_names(path, columns)
@@ -266,8 +267,8 @@ def _row_width(line: str, separator: str, decimal: str) -> int:
     if line.lstrip().startswith(COMMENTS):
         return 0
     cells = split_cells(line, separator)
-    there = [cell for cell in cells if cell]
-    if not there or not any(cell[-1:].isdigit() or cell[-1:] in ".,MmZ" for cell in there):
+    filled = [cell for cell in cells if cell]
+    if not filled or not any(cell[-1:].isdigit() or cell[-1:] in ".,MmZ" for cell in filled):
         return 0
     return len(cells) if all(is_number(cell, decimal) or is_clock(cell) for cell in cells) else 0
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from piezod.errors import ConfigurationError, RecordingError, UsageError
-from piezod.recording import check_folder, check_not_there, check_page, column_names, read_recording
+from piezod.recording import check_absent, check_folder, check_page, column_names, read_recording
 
 ROWS = "time_s,voltage_V,force_N\n" + "".join(f"{k / 100},{k},{k}\n" for k in range(40))
 
@@ -31,9 +31,9 @@ def test_what_exists_is_replaced_only_with_force(tmp_path, kind):
     path = tmp_path / "there.csv"
     {"file": path.touch, "link to nothing": lambda: path.symlink_to("nothing"), "folder": path.mkdir}[kind]()
     with pytest.raises(UsageError, match="already exists; name another file, or replace it with --force"):
-        check_not_there(path, force=False)
-    check_not_there(path, force=True)
-    check_not_there(tmp_path / "new.csv", force=False)
+        check_absent(path, force=False)
+    check_absent(path, force=True)
+    check_absent(tmp_path / "new.csv", force=False)
 
 
 def test_convert_replaces_a_file_only_with_force(recording, tmp_path):
