@@ -33,7 +33,7 @@ def effects_table() -> str:
     """Format one line for each effect: name, location in the chain, handling by the compensator, parameters."""
     rows = [("effect", "location in the chain", "compensator", "parameters")]
     rows += [
-        (effect.name, _location(effect), effect.handling, ", ".join(one.name for one in effect.catalogued))
+        (effect.name, _location(effect), effect.handling, ", ".join(parameter.name for parameter in effect.catalogued))
         for effect in EFFECTS.values()
     ]
     return "\n".join(text_table(rows, left_aligned=4))
@@ -48,7 +48,7 @@ def effect_page(effect: Effect) -> str:
         Entry of the catalogue.
     """
     rows = [("parameter", "unit", "range", "")]
-    rows += [(one.name, one.unit, _range(one), "nuisance" if one.search.nuisance else "") for one in effect.parameters]
+    rows += [(p.name, p.unit, _range(p), "nuisance" if p.search.nuisance else "") for p in effect.parameters]
     table = "\n".join(text_table(rows, left_aligned=4))
     handling = effect.handling + (f": {effect.why}" if effect.why else "")
     return "\n\n".join(
@@ -79,15 +79,15 @@ def effect_as_dict(effect: Effect) -> dict[str, Any]:
         "separate_by": effect.separate_by,
         "parameters": [
             {
-                "name": one.name,
-                "unit": one.unit,
-                "low": one.low,
-                "high": one.high,
-                "choices": list(one.search.choices),
-                "nuisance": one.search.nuisance,
-                "place": one.instant,
+                "name": parameter.name,
+                "unit": parameter.unit,
+                "low": parameter.low,
+                "high": parameter.high,
+                "choices": list(parameter.search.choices),
+                "nuisance": parameter.search.nuisance,
+                "place": parameter.instant,
             }
-            for one in effect.parameters
+            for parameter in effect.parameters
         ],
         "docstring": effect.docstring.strip(),
     }

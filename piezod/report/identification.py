@@ -17,7 +17,7 @@ from piezod.identify.simulation import simulate
 from piezod.identify.tables import OperatorRow, dead_zone_rows, play_rows
 from piezod.recording import Recording
 from piezod.report.figures.layout import decimated, finish_figure
-from piezod.report.figures.thinning import usual_range
+from piezod.report.figures.thinning import robust_range
 from piezod.report.page import Part, axis_label, head_html, table_html, write_page
 from piezod.report.style import BLUE, GREY, ORANGE
 
@@ -92,8 +92,6 @@ def write_identification_page(path: Path, identification: Identification, record
 
     Parameters
     ----------
-    path
-        File to write.
     identification
         Model and its candidates.
     recordings
@@ -126,7 +124,7 @@ def write_identification_page(path: Path, identification: Identification, record
         ("Plays", play_rows(model.hysteresis), (command, "1", command, "1")),
         ("Dead zones", dead_zone_rows(model.hysteresis), (command, f"{unit}/{command}", unit, f"{command}/{unit}")),
     ):
-        significant = sum(one.matters for one in operators)
+        significant = sum(operator.matters for operator in operators)
         summary = f"{title}: {len(operators)}, of which {significant} are significant"
         parts.append(f"<details><summary>{summary}</summary>{_operator_table(operators, units)}</details>")
     write_page(path, "Identification", parts)
@@ -174,7 +172,7 @@ def _curves(identification: Identification, recording: Recording) -> list[Part]:
         y_axis_label=f"residual [{unit_words(model.output.unit)}]",
         height=200,
         x_range=over_time.x_range,
-        y_range=usual_range(y - modelled),
+        y_range=robust_range(y - modelled),
     )
     residual.line(decimated(time_s), decimated(y - modelled), color=ORANGE, legend_label="residual")
     note = f"{start}; the residual's axis excludes its outliers"

@@ -1,4 +1,4 @@
-"""Text and JSON of what recordings can tell."""
+"""Isolability of the effects by recordings, as text and JSON."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -10,58 +10,58 @@ from piezod.diagnose.verdict.words import listed, unit_words
 MOST_PAIRS = 12
 
 
-def isolability_as_dict(found: Isolability, unit: str) -> dict[str, Any]:
+def isolability_as_dict(result: Isolability, unit: str) -> dict[str, Any]:
     """The result for JSON.
 
     Parameters
     ----------
-    found
+    result
         Result of `isolability`.
     unit
-        Of the output.
+        Unit of the output.
     """
     return {
         "schema": "piezod.isolability/1",
-        "noise": {"value": found.noise, "unit": unit},
-        "effects": list(found.effects),
-        "seen_from_noises": dict(zip(found.effects, found.seen_from.tolist(), strict=True)),
-        "separated_from_noises": found.separated_from.tolist(),
-        "unseen": list(found.unseen),
-        "groups": [list(group) for group in found.groups()],
+        "noise": {"value": result.noise, "unit": unit},
+        "effects": list(result.effects),
+        "seen_from_noises": dict(zip(result.effects, result.seen_from.tolist(), strict=True)),
+        "separated_from_noises": result.separated_from.tolist(),
+        "unseen": list(result.unseen),
+        "groups": [list(group) for group in result.groups()],
         "pairs": [
-            {"first": one.first, "second": one.second, "from_noises": one.size, "separate_by": one.separate_by}
-            for one in found.pairs()
+            {"first": pair.first, "second": pair.second, "from_noises": pair.size, "separate_by": pair.separate_by}
+            for pair in result.pairs()
         ],
-        "notes": list(found.notes),
+        "notes": list(result.notes),
     }
 
 
-def isolability_text(found: Isolability, unit: str) -> str:
+def isolability_text(result: Isolability, unit: str) -> str:
     """The result for a terminal.
 
     Parameters
     ----------
-    found
+    result
         Result of `isolability`.
     unit
-        Of the output.
+        Unit of the output.
     """
-    groups, hidden, pairs = found.groups(), found.unseen, found.pairs()
-    alone = len(found.effects) - len(hidden) - sum(len(group) for group in groups)
-    separated = f"of {len(found.effects)} effects these recordings separate {alone} from all others"
-    large = f"{LARGE * found.noise:.3g} {unit_words(unit)} rms"
+    groups, hidden, pairs = result.groups(), result.unseen, result.pairs()
+    alone = len(result.effects) - len(hidden) - sum(len(group) for group in groups)
+    separated = f"of {len(result.effects)} effects these recordings separate {alone} from all others"
+    large = f"{LARGE * result.noise:.3g} {unit_words(unit)} rms"
     lines = [f"{separated} when they change the reading by {LARGE:g} times the noise, {large}"]
     lines += [f"not separable: {listed(group, 'or')}" for group in groups]
     if hidden:
         lines.append(f"not seen: {listed(hidden)}")
     lines += ["", f"{'effect':26}seen from [noise]"]
-    lines += [f"{name:26}{size:.2g}" for name, size in zip(found.effects, found.seen_from, strict=True)]
+    lines += [f"{name:26}{size:.2g}" for name, size in zip(result.effects, result.seen_from, strict=True)]
     if pairs:
         lines += ["", f"{'pair':53}separated from [noise]  by"]
-        lines += [f"{one.first:26} {one.second:26}{one.size:22.2g}  {one.separate_by}" for one in pairs[:MOST_PAIRS]]
+        lines += [f"{p.first:26} {p.second:26}{p.size:22.2g}  {p.separate_by}" for p in pairs[:MOST_PAIRS]]
         if len(pairs) > MOST_PAIRS:
             lines.append(f"and {len(pairs) - MOST_PAIRS} more pairs; --json prints all")
-    return "\n".join([*lines, *(f"note: {note}" for note in found.notes)])
+    return "\n".join([*lines, *(f"note: {note}" for note in result.notes)])
 
 
 def experiment_as_dict(planned: Experiment) -> dict[str, Any]:
@@ -76,14 +76,14 @@ def experiment_as_dict(planned: Experiment) -> dict[str, Any]:
         "duration_s": planned.voltage_V.size * planned.dt_s,
         "segments": list(planned.segments),
         "pairs": [
-            {"first": one.first, "second": one.second, "from_noises": one.size, "then_from_noises": size}
-            for one, size in zip(planned.pairs, planned.sizes, strict=True)
+            {"first": pair.first, "second": pair.second, "from_noises": pair.size, "then_from_noises": size}
+            for pair, size in zip(planned.pairs, planned.sizes, strict=True)
         ],
     }
 
 
 def promise_text(planned: Experiment, reached: Sequence[float]) -> str:
-    """What an experiment promised, beside what its recording reached.
+    """Planned and reached separation of the pairs, after an experiment.
 
     Parameters
     ----------
@@ -106,7 +106,7 @@ def experiment_text(planned: Experiment | None, name: str) -> str:
     planned
         Result of `next_experiment`.
     name
-        Of the file with the drive.
+        Name of the file with the drive.
     """
     if planned is None:
         return "no pair of effects is open: no further experiment is needed, and none is written"

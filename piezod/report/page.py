@@ -38,8 +38,6 @@ def table_html(header: Sequence[str], rows: Sequence[Sequence[str]], groups: Seq
     ----------
     header
         Names of the columns.
-    rows
-        Cells, row by row.
     groups
         Row above the header: headings, and the number of columns that each spans.
     """
@@ -65,23 +63,15 @@ def head_html(title: str, verdict: str) -> str:
 
 
 def placeholder(name: str) -> str:
-    """Comment that `write_html` replaces by the figure of that name.
-
-    Parameters
-    ----------
-    name
-        Name of the figure.
-    """
+    """Comment that `write_html` replaces by the figure of that name."""
     return f"<!--{name}-->"
 
 
 def write_page(path: Path, title: str, parts: Sequence[Part]) -> None:
-    """Write a self-contained page atomically, and the data of its figures as CSV files beside it.
+    """Write a self-contained page atomically, and the data of its figures as CSV files next to it.
 
     Parameters
     ----------
-    path
-        File to write.
     title
         Title of the browser window.
     parts
@@ -117,14 +107,10 @@ def write_html(path: Path, title: str, body: str, figures: Mapping[str, Model]) 
 
     Parameters
     ----------
-    path
-        File to write.
     title
         Title of the browser window.
     body
         HTML with a `placeholder` for each figure.
-    figures
-        Figures by name.
 
     Raises
     ------

@@ -21,7 +21,7 @@ TELLING_SHARE = 0.05
 
 
 class _Lines:
-    """Lines on stderr that say what is being done, how much of it is done and how long the rest will take."""
+    """Lines on stderr with the current step, the completed share and the remaining time."""
 
     def __init__(self) -> None:
         self._start_s = self._last_s = time.monotonic()
@@ -32,12 +32,12 @@ class _Lines:
         if now_s - self._last_s < LINE_EVERY_S:
             return
         self._last_s = now_s
-        taken_s = now_s - self._start_s
+        elapsed_s = now_s - self._start_s
         done = "" if share is None else f", {100.0 * share:.0f} %"
-        left = ""
+        remaining = ""
         if share is not None and share >= TELLING_SHARE:
-            left = f", about {taken_s * (1.0 - share) / share:.0f} s left"
-        sys.stderr.write(f"{step}{done}, {taken_s:.0f} s taken{left}\n")
+            remaining = f", about {elapsed_s * (1.0 - share) / share:.0f} s left"
+        sys.stderr.write(f"{step}{done}, {elapsed_s:.0f} s taken{remaining}\n")
         sys.stderr.flush()
 
 
@@ -79,7 +79,7 @@ def progress(label: str, duration_s: float) -> Iterator[Callable[[NDArray[np.voi
     Parameters
     ----------
     label
-        Text beside the bar.
+        Text next to the bar.
     duration_s
         Expected duration [s].
     """

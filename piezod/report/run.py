@@ -95,8 +95,8 @@ class RunFigures:
             "words": self.sentence,
             **{name: getattr(self, name) for name in self.__dataclass_fields__ if name not in ("ended", "transitions")},
             "transitions": [
-                {"time_s": one.time_s, "state": one.state.name, "cause": CAUSE_TEXT[one.cause]}
-                for one in self.transitions
+                {"time_s": change.time_s, "state": change.state.name, "cause": CAUSE_TEXT[change.cause]}
+                for change in self.transitions
             ],
         }
 
@@ -137,15 +137,6 @@ def run_figures(recording: Recording) -> RunFigures:
 def write_run_page(path: Path, recording: Recording, figures: RunFigures) -> None:
     """Write the page: verdict, transitions of state, curves over time, loops, and timing.
 
-    Parameters
-    ----------
-    path
-        File to write.
-    recording
-        Recording of the run.
-    figures
-        Figures of the run.
-
     Raises
     ------
     ConfigurationError
@@ -154,12 +145,12 @@ def write_run_page(path: Path, recording: Recording, figures: RunFigures) -> Non
     parts: list[Part] = [head_html(f"Run: {Path(recording.source).name}", figures.sentence)]
     if figures.transitions:
         shown = figures.transitions[:MOST_TRANSITIONS]
-        rows = [[f"{one.time_s:.3f}", one.state.name.replace("_", " "), CAUSE_TEXT[one.cause]] for one in shown]
+        rows = [[f"{c.time_s:.3f}", c.state.name.replace("_", " "), CAUSE_TEXT[c.cause]] for c in shown]
         more = f"<p class='dim'>and {len(figures.transitions) - len(shown)} more</p>"
         table = table_html(["time [s]", "state", "cause"], rows).replace("'numbers'", "'words'")
         parts.append(f"<h2>Changes of state</h2>{table}{more if len(figures.transitions) > len(shown) else ''}")
     parts.append("<h2>Over time</h2>")
-    parts.extend([one] for one in _over_time(recording))
+    parts.extend([plot] for plot in _over_time(recording))
     for title, row in (("Loops", [*_loops(recording)]), ("Timing", [*_durations(recording)])):
         if row:
             parts.extend((f"<h2>{title}</h2>", row))

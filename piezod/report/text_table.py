@@ -20,7 +20,7 @@ def text_table(rows: Sequence[Sequence[str]], left_aligned: int = 1) -> list[str
     Parameters
     ----------
     rows
-        Cells; the header is the first row. All rows have the same length.
+        Cells; the header is the first row. All rows have equal lengths.
     left_aligned
         Number of columns, from the first, that are left-aligned. The others are right-aligned.
     """

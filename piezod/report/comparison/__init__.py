@@ -1,1 +1,1 @@
-"""Model against measurement: simulated outputs beside a measured one, and the whiteness test of a residual."""
+"""Model against measurement: simulated and measured outputs, and the whiteness test of a residual."""

@@ -22,8 +22,6 @@ class SimulatedOutput:
 
     Parameters
     ----------
-    name
-        Name of its file.
     values
         Output at the measured times, shape (N,), in the output's unit; nan outside its own time range.
     agreement
@@ -37,12 +35,10 @@ class SimulatedOutput:
 
 @dataclass(frozen=True)
 class Comparison:
-    """A measured output and the simulated outputs compared with it.
+    """A measured output and simulated outputs.
 
     Parameters
     ----------
-    measured
-        Recording of the measured output.
     output
         Name of the compared column.
     simulated
@@ -66,8 +62,6 @@ def compare_files(
 
     Parameters
     ----------
-    measured
-        Recording of the measured output.
     others
         Recordings of simulated outputs, interpolated to the measured times within their own time range.
     models
@@ -80,7 +74,7 @@ def compare_files(
     Raises
     ------
     UsageError
-        There is nothing to compare with, the models have different outputs, or no common samples exist.
+        No output to compare with exists, the models have different outputs, or no common samples exist.
     RecordingError, ModelError
         A file cannot be used.
     """
@@ -103,7 +97,7 @@ def compare_files(
 
 
 def _names(paths: Sequence[Path]) -> dict[Path, str]:
-    """Names of the files without suffix, with as many folders as are needed to tell them from each other."""
+    """Names of the files without suffix, with as many folders as make them unique."""
     parts = {path: path.resolve().with_suffix("").parts for path in paths}
     deepest = max(map(len, parts.values()))
     names = {}

@@ -10,7 +10,7 @@ from bokeh.plotting import figure
 from piezod.diagnose.verdict.words import unit_words
 from piezod.report.comparison.output_comparison import Comparison, SimulatedOutput
 from piezod.report.figures.layout import finish_figure
-from piezod.report.figures.thinning import envelope, envelope_times, usual_range
+from piezod.report.figures.thinning import envelope, envelope_times, robust_range
 from piezod.report.page import Part, axis_label, head_html, table_html, write_page
 from piezod.report.style import BLUE, GREEN, GREY, ORANGE, RED
 from piezod.report.text_table import text_table
@@ -53,8 +53,6 @@ def write_comparison_page(path: Path, comparison: Comparison) -> None:
 
     Parameters
     ----------
-    path
-        File to write.
     comparison
         Measured and simulated outputs.
 
@@ -91,7 +89,7 @@ def _outputs_and_errors(comparison: Comparison) -> tuple[figure, figure]:
         y_axis_label=f"error [{unit_words(_unit(name))}]",
         height=260,
         x_range=outputs.x_range,
-        y_range=usual_range(*(y - output.values for output in comparison.simulated)),
+        y_range=robust_range(*(y - output.values for output in comparison.simulated)),
     )
     for number, output in enumerate(comparison.simulated):
         colour = COLOURS[number % len(COLOURS)]

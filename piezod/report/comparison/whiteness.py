@@ -20,7 +20,7 @@ MOST_SAMPLES = 2**27  # of the time grid, with its gaps
 
 @dataclass(frozen=True)
 class WhitenessTest:
-    """Normalised correlations of a residual, with the bounds for 99 % of them.
+    """Normalised correlations of a residual, with their 99 % bounds.
 
     Means are removed. Sums include only pairs of known values.
 

@@ -31,8 +31,6 @@ def whiteness_as_dict(test: WhitenessTest, recording: Recording, model: str, uni
         Result of the test.
     recording
         Recording that was tested.
-    model
-        Name of the model.
     unit
         Unit of the output.
     """
@@ -62,8 +60,6 @@ def whiteness_text(test: WhitenessTest, unit: str) -> str:
     ----------
     test
         Result of the whiteness test.
-    unit
-        Unit of the residual.
     """
     middle = (test.cross.size - 1) // 2
     auto_lag = int(np.argmax(np.abs(test.auto[1:]))) + 1
@@ -92,8 +88,6 @@ def write_whiteness_page(path: Path, test: WhitenessTest, recording: Recording, 
 
     Parameters
     ----------
-    path
-        File to write.
     test
         Result of the test.
     recording

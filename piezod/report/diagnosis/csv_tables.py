@@ -41,9 +41,9 @@ def effects_csv(findings: Findings) -> str:
     """
     header = ["effect", "scope", "confidence", "parameter", "value", "low", "high", "unit", "before", "after"]
     rows = [
-        [one.name, one.scope, one.confidence, name, v.value, v.low, v.high, v.unit, one.before, one.after]
-        for one in findings.effects
-        for name, v in one.parameters.items()
+        [e.name, e.scope, e.confidence, name, v.value, v.low, v.high, v.unit, e.before, e.after]
+        for e in findings.effects
+        for name, v in e.parameters.items()
     ]
     return csv_text(header, rows)
 

@@ -30,19 +30,17 @@ from piezod.report.page import placeholder, write_html, write_text
 
 Array = NDArray[np.float64]
 
-FIGURES = "figures"  # folder of the CSV files, beside the page
+FIGURES = "figures"  # folder of the CSV files, in the folder of the page
 MOST_SHOWN = 3  # recordings with figures of their own; the tables contain all recordings
 TIME_POINTS, LOOP_POINTS = 12_000, 6_000  # of all recordings together, so that the page stays below 3 MB
 SHIFTS = 39  # references for the p-value of a remaining place
 
 
 def write_diagnosis_page(path: Path, diagnosis: Diagnosis) -> None:
-    """Write the page and, in the folder `figures` beside it, the data of every figure as CSV.
+    """Write the page and, in the folder `figures` next to the page, the data of every figure as CSV.
 
     Parameters
     ----------
-    path
-        File to write.
     diagnosis
         Findings, models and recordings.
 
@@ -66,8 +64,6 @@ class _Page:
     ----------
     diagnosis
         Findings, models and recordings.
-    figures
-        Figures by name.
     tables
         Text of each CSV file by its name.
     """
@@ -100,7 +96,7 @@ class _Page:
 
     @property
     def shown(self) -> list[tuple[int, Residuals]]:
-        """Number and residuals of the recordings with figures of their own: those with the largest error."""
+        """Number and residuals of the recordings with the largest errors, which have separate figures."""
         order = sorted(range(len(self.recordings)), key=lambda k: -_rms(self.recordings[k].before, self.recordings[k]))
         return [(k + 1, self.recordings[k]) for k in sorted(order[:MOST_SHOWN])]
 
@@ -147,7 +143,8 @@ class _Page:
 
 def _body(page: _Page) -> str:
     findings = page.diagnosis.findings
-    cards = "".join(sections.card_html(one, findings, _wording(page, page.recording_of)) for one in findings.effects)
+    wording = _wording(page, page.recording_of)
+    cards = "".join(sections.card_html(effect, findings, wording) for effect in findings.effects)
     parts = [
         _first_screen(page),
         f"<h2>Measured, given model and {page.extended}</h2>{_curves(page)}",
@@ -155,7 +152,7 @@ def _body(page: _Page) -> str:
         f"<h2>Residual over time and frequency</h2>{_maps(page)}",
         f"<h2>Effects found</h2>{cards}" if cards else "",
         _law(page),
-        f"<h2>Errors before and after the diagnosis</h2>{sections.held_out_html(findings, _whole_errors(page))}",
+        f"<h2>Errors before and after the diagnosis</h2>{sections.held_out_html(findings, _errors(page))}",
         f"<p class='dim'>{html.escape(_HELD_OUT)}</p>",
         f"<h2>What remains unexplained</h2><div class='remains {_open(page)}'>{_remains(page)}</div>",
         f"<h2>Recordings</h2>{sections.recordings_html(findings, page.diagnosis.series)}",
@@ -165,12 +162,12 @@ def _body(page: _Page) -> str:
 
 
 def _law(page: _Page) -> str:
-    """The unnamed law: what it depends on, and its curves."""
-    found, law = page.diagnosis.findings.law, page.diagnosis.model.unnamed_law
-    if found is None or law is None:
+    """The unnamed law: its drivers and its curves."""
+    finding, law = page.diagnosis.findings.law, page.diagnosis.model.unnamed_law
+    if finding is None or law is None:
         return ""
     plot, columns = law_figure(law, page.units)
-    sentence = html.escape(law_sentence(found, page.diagnosis.findings))
+    sentence = html.escape(law_sentence(finding, page.diagnosis.findings))
     figure = page.add("unnamed_law", [plot], columns, _GAIN if law.gain else _LAW)
     return f"<h2>Law without a name</h2><p>{sentence}</p>{figure}"
 
@@ -202,11 +199,12 @@ def _first_screen(page: _Page) -> str:
 
 def _curves(page: _Page) -> str:
     parts, shown = [_not_shown(page)], page.shown
-    for number, one in shown:
-        points, places = TIME_POINTS // len(shown), page.places_in(one)
-        plots, columns = time_figures(one, points, places, page.units, page.extended)
-        parts.append(f"<h3>{html.escape(one.series.name)}</h3>{page.add(f'time_{number}', plots, columns, _ZOOM)}")
-        plots, columns = loop_figures(one, LOOP_POINTS // len(shown), page.units, page.extended)
+    for number, recording in shown:
+        points, places = TIME_POINTS // len(shown), page.places_in(recording)
+        plots, columns = time_figures(recording, points, places, page.units, page.extended)
+        heading = html.escape(recording.series.name)
+        parts.append(f"<h3>{heading}</h3>{page.add(f'time_{number}', plots, columns, _ZOOM)}")
+        plots, columns = loop_figures(recording, LOOP_POINTS // len(shown), page.units, page.extended)
         parts.append(f"<div class='pair'>{page.add(f'loop_{number}', plots, columns)}</div>")
     return "".join(parts)
 
@@ -241,19 +239,20 @@ _DRIVERS = (
 
 def _maps(page: _Page) -> str:
     floor = page.diagnosis.findings.floor
-    before = [time_frequency(one.before, one.series.dt_s, floor) for _, one in page.shown]
-    after = [time_frequency(one.after, one.series.dt_s, floor) for _, one in page.shown]
+    before = [time_frequency(recording.before, recording.series.dt_s, floor) for _, recording in page.shown]
+    after = [time_frequency(recording.after, recording.series.dt_s, floor) for _, recording in page.shown]
     scale = power_scale([*before, *after])
     parts = [f"<p class='dim'>{_MAPS}</p>"]
-    for (number, one), power_before, power_after in zip(page.shown, before, after, strict=True):
-        start_s = one.series.start_s
+    for (number, recording), power_before, power_after in zip(page.shown, before, after, strict=True):
+        start_s = recording.series.start_s
         pair = [
             map_figure(power_before, start_s, "Before: given model", scale),
             map_figure(power_after, start_s, f"After: {page.extended}", scale),
         ]
         page.tables[f"map_{number}.csv"] = map_csv(power_before, power_after, start_s)
-        parts.append(f"<h3>{html.escape(one.series.name)}</h3>" if len(page.recordings) > 1 else "")
-        parts.append(f"<div class='pair'>{page.add(f'map_{number}', pair, {})}</div>{_spectrum(page, number, one)}")
+        parts.append(f"<h3>{html.escape(recording.series.name)}</h3>" if len(page.recordings) > 1 else "")
+        maps = page.add(f"map_{number}", pair, {})
+        parts.append(f"<div class='pair'>{maps}</div>{_spectrum(page, number, recording)}")
     return "".join(parts)
 
 
@@ -263,10 +262,10 @@ _MAPS = (
 )
 
 
-def _spectrum(page: _Page, number: int, one: Residuals) -> str:
-    dt_s = one.series.dt_s
-    frequency_Hz, before = spectrum(one.before, dt_s)
-    _, after = spectrum(one.after, dt_s)
+def _spectrum(page: _Page, number: int, recording: Residuals) -> str:
+    dt_s = recording.series.dt_s
+    frequency_Hz, before = spectrum(recording.before, dt_s)
+    _, after = spectrum(recording.after, dt_s)
     floor = page.diagnosis.findings.floor * float(np.sqrt(2.0 * dt_s))
     places = page.diagnosis.findings.where
     plots, columns = spectrum_figure((frequency_Hz, before, after), floor, places, page.units[1], page.extended)
@@ -286,9 +285,9 @@ def _remaining_places(page: _Page) -> list[Place]:
     """Places in which the extended model is significantly wrong; none if the verdict reports no unknown effect."""
     if not _open(page):
         return []
-    series, residuals, modelled = zip(*((one.series, one.after, one.extended) for one in page.recordings), strict=True)
-    found = locate(series, residuals, modelled, shifts=SHIFTS)
-    return [Place(place.axis, place.low, place.high, place.share, place.p) for place in found]
+    series, residuals, modelled = zip(*((r.series, r.after, r.extended) for r in page.recordings), strict=True)
+    places = locate(series, residuals, modelled, shifts=SHIFTS)
+    return [Place(place.axis, place.low, place.high, place.share, place.p) for place in places]
 
 
 def _open(page: _Page) -> str:
@@ -305,12 +304,12 @@ def _not_shown(page: _Page) -> str:
 def _wording(page: _Page, recording_of: Mapping[Place, Residuals]) -> Wording:
     """Units and, with several recordings, the name of the recording of each place in time."""
     several = len(page.recordings) > 1
-    return Wording(*page.units, {place: one.series.name for place, one in recording_of.items()} if several else {})
+    return Wording(*page.units, {place: r.series.name for place, r in recording_of.items()} if several else {})
 
 
-def _whole_errors(page: _Page) -> list[tuple[str, float, float]]:
-    return [(one.series.name, _rms(one.before, one), _rms(one.after, one)) for one in page.recordings]
+def _errors(page: _Page) -> list[tuple[str, float, float]]:
+    return [(r.series.name, _rms(r.before, r), _rms(r.after, r)) for r in page.recordings]
 
 
-def _rms(residual: Array, one: Residuals) -> float:
-    return float(np.sqrt(np.mean(np.square(residual[one.series.counts]))))
+def _rms(residual: Array, recording: Residuals) -> float:
+    return float(np.sqrt(np.mean(np.square(residual[recording.series.counts]))))

@@ -37,13 +37,13 @@ def chain_html(findings: Findings) -> str:
     """
     boxes = []
     for location, name in words.LOCATIONS.items():
-        found = [one for one in findings.effects if EFFECTS[one.name].location == location]
+        effects = [effect for effect in findings.effects if EFFECTS[effect.name].location == location]
         marks = {"new": "", "changed": " changed", "gone": " gone"}
-        titles = [f"{one.title}{marks[one.status]}" for one in found]
+        titles = [f"{effect.title}{marks[effect.status]}" for effect in effects]
         titles += ["stack changed"] if findings.base.changed and location == Location.STACK else []
-        kept = [EFFECTS[one.name].title for one in findings.kept if EFFECTS[one.name].location == location]
+        unchanged = [EFFECTS[old.name].title for old in findings.kept if EFFECTS[old.name].location == location]
         inside = "".join(f"<b>{_escaped(title)}</b>" for title in titles)
-        inside += "".join(f"<i>{_escaped(title)} kept</i>" for title in kept)
+        inside += "".join(f"<i>{_escaped(title)} kept</i>" for title in unchanged)
         boxes.append(
             f"<li class='{'hit' if titles else ''}'><span>{name}</span>{inside or '<i>nothing found</i>'}</li>"
         )
@@ -51,7 +51,7 @@ def chain_html(findings: Findings) -> str:
 
 
 def effects_html(findings: Findings, wording: Wording) -> str:
-    """Table of the effects, then the places in which the model is wrong, and what remains.
+    """Table of the effects, then the places in which the model is wrong, and the remaining error.
 
     Parameters
     ----------
@@ -71,7 +71,7 @@ def effects_html(findings: Findings, wording: Wording) -> str:
         "compensator",
     ]
     head = "".join(f"<th>{_escaped(label)}</th>" for label in header)
-    rows = "".join(_effect_row(one, findings, header, wording) for one in findings.effects)
+    rows = "".join(_effect_row(effect, findings, header, wording) for effect in findings.effects)
     below = _places_line(findings, wording) + remains
     return f"<table class='effects'><thead><tr>{head}</tr></thead><tbody>{rows}</tbody></table>{below}"
 
@@ -99,8 +99,6 @@ def card_html(finding: Finding, findings: Findings, wording: Wording) -> str:
 
     Parameters
     ----------
-    finding
-        Finding of this effect.
     findings, wording
         Result of the diagnosis; units and names of the recordings.
     """
@@ -128,7 +126,7 @@ def card_html(finding: Finding, findings: Findings, wording: Wording) -> str:
 
 
 def held_out_html(findings: Findings, rows: Sequence[tuple[str, float, float]]) -> str:
-    """Table of the errors of both models beside the noise floor.
+    """Table of the errors of both models with the noise floor.
 
     Parameters
     ----------
@@ -147,7 +145,7 @@ def held_out_html(findings: Findings, rows: Sequence[tuple[str, float, float]]) 
         closed,
         f"{findings.nrmse_before:.2f} → {findings.nrmse_after:.2f} %",
     ]
-    held_out = [(f"{Path(one.path).name}, held out from the fit", one.before, one.after) for one in findings.held_out]
+    held_out = [(f"{Path(r.path).name}, held out from the fit", r.before, r.after) for r in findings.held_out]
     more = [[name, rounded(before), rounded(after), "", "", ""] for name, before, after in (*held_out, *rows)]
     header = [
         "",
@@ -160,7 +158,7 @@ def held_out_html(findings: Findings, rows: Sequence[tuple[str, float, float]]) 
 
 
 def remains_html(findings: Findings, places: Sequence[Place], wording: Wording) -> str:
-    """What remains unexplained, and the notes.
+    """The unexplained error, and the notes.
 
     Parameters
     ----------
@@ -184,18 +182,18 @@ def recordings_html(findings: Findings, series: Sequence[Series]) -> str:
     findings
         Result of the diagnosis.
     series
-        Series of all recordings; those of the findings are the last, in the same order.
+        Series of all recordings; the last belong to the findings, in their order.
     """
     of_files = series[len(series) - len(findings.recordings) :]
     rows = [
         [
             str(file["path"]),
-            "diagnosed" if one.role == "recording" else "used for identification",
+            "diagnosed" if record.role == "recording" else "used for identification",
             str(file["samples"]),
-            f"{rounded(one.duration_s)} s at {rounded(1.0 / one.dt_s)} Hz",
+            f"{rounded(record.duration_s)} s at {rounded(1.0 / record.dt_s)} Hz",
             str(file["sha256"]),
         ]
-        for file, one in zip(findings.recordings, of_files, strict=False)
+        for file, record in zip(findings.recordings, of_files, strict=False)
     ]
     return table(["recording", "use", "samples", "duration and rate", "SHA-256"], rows, kind="files")
 
@@ -205,10 +203,6 @@ def table(header: Sequence[str], rows: Sequence[Sequence[str]], kind: str = "") 
 
     Parameters
     ----------
-    header
-        Labels of the columns.
-    rows
-        Cells, row by row.
     kind
         CSS class.
     """

@@ -15,20 +15,18 @@ def print_findings(diagnosis: Diagnosis, folder: Path) -> None:
     ----------
     diagnosis
         Result of the diagnosis.
-    folder
-        Folder of its files.
     """
     findings = diagnosis.findings
     wording = Wording(diagnosis.model.input.unit, diagnosis.model.output.unit)
     print(f"{findings.verdict.replace('_', ' ')}: {findings.words}")
     for finding in findings.effects:
         _print_effect(finding, wording)
-    for kept in findings.kept:
+    for old in findings.kept:
         values = ", ".join(
-            f"{label_of(name, value.unit)} {value_words(value, name, kept.name, wording)[0]}"
-            for name, value in kept.parameters.items()
+            f"{label_of(name, value.unit)} {value_words(value, name, old.name, wording)[0]}"
+            for name, value in old.parameters.items()
         )
-        print(f"  {kept.name} ({'kept' if kept.seen else 'not seen: these recordings could not tell'}): {values}")
+        print(f"  {old.name} ({'kept' if old.seen else 'not seen: these recordings could not tell'}): {values}")
     if (law := findings.law) is not None:
         scope = SCOPES["already" if law.already else "since"]
         print(f"  {law_words(law)} (p-value {law.p:.1g}, {scope})")
@@ -37,7 +35,7 @@ def print_findings(diagnosis: Diagnosis, folder: Path) -> None:
         print(f"  {held_out.path}, held out: {held_out.before:.4g} -> {held_out.after:.4g} {findings.unit}")
     if findings.not_testable:
         print(f"not testable with these recordings: {', '.join(findings.not_testable)}")
-    if findings.not_testable or any(one.rivals for one in findings.effects):
+    if findings.not_testable or any(effect.rivals for effect in findings.effects):
         print("piezod testable REC --model MODEL --next next.csv plans the experiment that tells more")
     for note in findings.notes:
         print(f"note: {note}")

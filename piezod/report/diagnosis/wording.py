@@ -1,4 +1,4 @@
-"""Sentences of a diagnosis page: headline, fall of the error, and what remains unexplained."""
+"""Sentences of a diagnosis page: headline, fall of the error, and the unexplained error."""
 
 from collections.abc import Sequence
 
@@ -67,7 +67,7 @@ def headline(findings: Findings) -> str:
 
 
 def _missing(findings: Findings) -> str:
-    """What is new, has changed or is gone."""
+    """New, changed and absent effects."""
     parts = []
     for status, start in (("new", "missing in the model"), ("changed", "changed"), ("gone", "gone")):
         titles = listed([hedged(finding) for finding in findings.effects if finding.status == status])
@@ -88,18 +88,18 @@ def lead(findings: Findings) -> str:
     known = "noise floor" if findings.noise_is_known else "noise unknown, at most"
     floor = f"{known} {rounded(findings.floor)} {unit} ({FLOORS.get(findings.floor_from, findings.floor_from)})"
     before = f"Error that simulate leaves: {rounded(findings.before)} {unit}"
-    kept = kept_words(findings.kept)
-    kept = f" Of the given model: {kept}." if kept else ""
+    unchanged = kept_words(findings.kept)
+    unchanged = f" Of the given model: {unchanged}." if unchanged else ""
     if findings.after == findings.before:
-        again = f", {rounded(findings.least)} {unit} after a refit" if findings.least < findings.before else ""
-        return f"{before}{again}; {floor}.{kept}"
+        refit = f", {rounded(findings.least)} {unit} after a refit" if findings.least < findings.before else ""
+        return f"{before}{refit}; {floor}.{unchanged}"
     refitted = " with hysteresis and sampling refitted" if findings.refitted is not None else ""
     fall = f"{before} → {rounded(findings.after)} {unit}{refitted}; {floor}"
     closed = findings.gap_closed
     if closed is not None:
         fall += f". {percent(closed)} of the error above the noise is {'described' if findings.law else 'explained'}"
     law = f", with {law_words(findings.law)}" if findings.law else ""
-    return f"{fall}{law}.{kept}"
+    return f"{fall}{law}.{unchanged}"
 
 
 def confidence_level(confidence: float) -> str:
@@ -120,18 +120,12 @@ def confidence_level(confidence: float) -> str:
 
 
 def since_given(finding: Finding, wording: Wording) -> str:
-    """What has become of an effect of the given model; when a new one appeared."""
+    """Change of an effect of the given model, or the time at which a new effect appeared."""
     return SCOPES[finding.scope] if finding.status == "new" else change_words(finding, wording)
 
 
 def location(finding: Finding) -> str:
-    """Location of an effect in the signal chain.
-
-    Parameters
-    ----------
-    finding
-        Finding of the effect.
-    """
+    """Location of an effect in the signal chain."""
     return LOCATIONS[EFFECTS[finding.name].location]
 
 
@@ -178,7 +172,7 @@ def place_with_share(place: Place, wording: Wording) -> str:
 
 
 def error_change(finding: Finding, unit: str) -> str:
-    """Held-out error without an effect and with it.
+    """Held-out errors without and with an effect.
 
     Parameters
     ----------
@@ -191,24 +185,12 @@ def error_change(finding: Finding, unit: str) -> str:
 
 
 def near_rivals(finding: Finding) -> list[str]:
-    """Titles of effects that these recordings hardly distinguish from a finding.
-
-    Parameters
-    ----------
-    finding
-        Finding with its rivals.
-    """
+    """Titles of effects that these recordings hardly distinguish from a finding."""
     return [EFFECTS[rival.name].title for rival in finding.rivals if rival.separation < NEAR]
 
 
 def observed_directly(finding: Finding) -> bool:
-    """Whether an effect was observed in the readings and not fitted.
-
-    Parameters
-    ----------
-    finding
-        Finding of the effect.
-    """
+    """Whether an effect was observed in the readings and not fitted."""
     return finding.before == finding.after
 
 
@@ -220,7 +202,7 @@ def place_heading(findings: Findings) -> str:
 
 
 def law_sentence(law: Unnamed, findings: Findings) -> str:
-    """What an unnamed law depends on, and what it is worth.
+    """Drivers of an unnamed law, and the fall of the held-out error.
 
     Parameters
     ----------
@@ -240,7 +222,7 @@ def law_sentence(law: Unnamed, findings: Findings) -> str:
 
 
 def remains(findings: Findings, places: Sequence[Place], wording: Wording) -> list[str]:
-    """Sentences about what remains unexplained.
+    """Sentences on the unexplained error.
 
     Parameters
     ----------
@@ -289,15 +271,15 @@ def docstring_field(effect: Effect, field: str) -> str:
     effect, field
         Entry of the catalogue; "Forward", "Inverse", "Signature", "Location", "Valid" or "Source".
     """
-    found: list[str] = []
+    lines: list[str] = []
     for line in effect.docstring.splitlines():
         if line.startswith(f"{field} "):
-            found.append(line.removeprefix(field).strip())
-        elif found and line.startswith("  "):
-            found.append(line.strip())
-        elif found:
+            lines.append(line.removeprefix(field).strip())
+        elif lines and line.startswith("  "):
+            lines.append(line.strip())
+        elif lines:
             break
-    return " ".join(found)
+    return " ".join(lines)
 
 
 def remaining_error(findings: Findings) -> list[str]:
@@ -310,7 +292,7 @@ def remaining_error(findings: Findings) -> list[str]:
 
     Returns
     -------
-    Two sentences: the error, then what it consists of.
+    Two sentences: the error, then its causes.
     """
     unit, share = unit_words(findings.unit), percent(findings.explainable)
     error = (
@@ -319,8 +301,8 @@ def remaining_error(findings: Findings) -> list[str]:
     if findings.verdict == "not_testable":
         return [error, "The recordings do not excite the bench enough to show what is missing."]
     if findings.unrecorded is not None:
-        said = unrecorded_words(findings.unrecorded, unit)
-        return [error, f"{said[0].upper()}{said[1:]}. Record beside the reading what else changes at the bench."]
+        words = unrecorded_words(findings.unrecorded, unit)
+        return [error, f"{words[0].upper()}{words[1:]}. Record beside the reading what else changes at the bench."]
     above = "More than noise remains. " if findings.above_noise else ""
     consequence = {
         "matches": "no effect is missing",

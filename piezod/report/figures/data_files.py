@@ -1,4 +1,4 @@
-"""The data of the figures of a page, as CSV files in a folder beside the page."""
+"""The data of the figures of a page, as CSV files in a folder next to the page."""
 
 import csv
 import io
@@ -69,7 +69,7 @@ def figure_csv(plot: Plot) -> str:
     Returns
     -------
     str
-        CSV with one header row. The labels of the axes name the coordinates. Empty if nothing is drawn.
+        CSV with one header row. The labels of the axes name the coordinates. Empty without curves.
     """
     axes = {"x": _label(plot.below, "x"), "y": _label(plot.left, "y")}
     names = _curve_names(plot)

@@ -28,8 +28,6 @@ def apply_layout(plot: figure, **legend: Any) -> figure:  # noqa: ANN401
 
     Parameters
     ----------
-    plot
-        The figure.
     legend
         Bokeh properties of the legend that replace or extend the shared ones.
     """

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-USUAL = 0.998  # quantile of the residuals that an axis shows at least
+SHOWN = 0.998  # quantile of the residuals that an axis shows at least
 MARGIN = 0.5  # room beyond that quantile, relative to the shown range
 
 
@@ -77,7 +77,7 @@ def extremes(values: Array, points: int) -> NDArray[np.int64]:
     return result
 
 
-def usual_range(*residuals: Array) -> Range1d:
+def robust_range(*residuals: Array) -> Range1d:
     """Axis range that contains nearly all residuals, with a margin, so that a few outliers do not flatten the curve.
 
     Parameters
@@ -87,7 +87,7 @@ def usual_range(*residuals: Array) -> Range1d:
     """
     values = np.concatenate(residuals)
     values = values[np.isfinite(values)]
-    low, high = (float(end) for end in np.quantile(values, (1.0 - USUAL, USUAL)))
+    low, high = (float(end) for end in np.quantile(values, (1.0 - SHOWN, SHOWN)))
     margin = MARGIN * max(high - low, 1e-12)
     least, most = float(values.min()) - 0.1 * margin, float(values.max()) + 0.1 * margin
     return Range1d(start=max(low - margin, least), end=min(high + margin, most))

@@ -23,8 +23,6 @@ class RecentPoints:
 
     Parameters
     ----------
-    names
-        Names of the columns.
     capacity
         Number of points to hold.
     """

@@ -1,7 +1,7 @@
 """The ring-log reader that all viewers share. It continues when the daemon restarts.
 
-The ring is a file in shared memory. A daemon that starts creates a new file under the same name. The reader opens the
-new file when the device or inode number changes. The control process is not involved.
+The ring is a file in shared memory. A daemon that starts replaces the file. The reader opens the new file
+when the device or inode number changes. The control process is not involved.
 """
 
 import time
@@ -96,10 +96,10 @@ class Feed:
     def _open_new_ring(self) -> None:
         """Open the ring log, and again after a restart of the daemon."""
         try:
-            found = self._path.stat()
+            status = self._path.stat()
         except OSError:
             return  # the open ring is read to its end
-        identity = found.st_dev, found.st_ino
+        identity = status.st_dev, status.st_ino
         if identity == self._identity:
             return
         try:

@@ -69,7 +69,7 @@ class Figures:
             first_ms, last_ms = float(event.x0 or 0.0), float(event.x1 or 0.0)
             zoomed = last_ms - first_ms < NEARLY * 1000.0 * WINDOW_s
             if zoomed and abs(first_ms - sent_ms) > 10.0 * RESENT_ms:
-                sent_ms = first_ms + RESENT_ms  # an update on its way may have undone it; what is equal is not sent
+                sent_ms = first_ms + RESENT_ms  # a pending update may have undone it; equal values are not sent
                 self.window.update(start=sent_ms, end=last_ms + RESENT_ms)
             call(zoomed=zoomed)
 

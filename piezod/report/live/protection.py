@@ -21,8 +21,6 @@ class ProtectedPages(BokehTornado):
 
     Parameters
     ----------
-    application
-        Application of Bokeh.
     names
         Host names under which the page may be opened, without port.
     settings
@@ -38,8 +36,8 @@ class ProtectedPages(BokehTornado):
         """Handler of a request; 403 for a foreign host or origin."""
         if not self._is_permitted(request):
             return self.get_handler_delegate(request, ErrorHandler, {"status_code": FORBIDDEN})
-        found: HTTPMessageDelegate = super().find_handler(request, **kwargs)
-        return found
+        handler: HTTPMessageDelegate = super().find_handler(request, **kwargs)
+        return handler
 
     def _is_permitted(self, request: HTTPServerRequest) -> bool:
         try:

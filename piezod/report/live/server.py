@@ -1,4 +1,4 @@
-"""Server of the live page: a process of its own beside the daemon, on the loopback address.
+"""Server of the live page: a separate process, on the loopback address.
 
 It reads the ring log in shared memory, and requests the status from the daemon's socket once a second. It does not
 involve the control process. All viewers share one reader. A slow viewer receives fewer updates.
@@ -44,11 +44,6 @@ SendCommand = Callable[[str], dict[str, Any]]
 def read_token(path: Path) -> str:
     """Read the token from a file that only its owner can access.
 
-    Parameters
-    ----------
-    path
-        File of the token.
-
     Raises
     ------
     ConfigurationError
@@ -90,7 +85,7 @@ def serve_live_page(
     announce
         Called once with a line that contains the address.
     hosts
-        Host names under which the page may be opened besides 127.0.0.1 and localhost, such as that of a proxy.
+        Host names under which the page may be opened besides 127.0.0.1 and localhost, such as the name of a proxy.
 
     Raises
     ------
@@ -114,7 +109,7 @@ class _Server:
         loop = asyncio.get_running_loop()
         for number in (signal.SIGINT, signal.SIGTERM):
             loop.add_signal_handler(number, end.set)
-        server, port = self._listen(port)
+        server, port = self._bind(port)
         server.start()
         logging.getLogger("bokeh").setLevel(logging.ERROR)  # Bokeh warns about every viewer that leaves
         mode = "read only" if self._token is None else "commands with the token"
@@ -127,7 +122,7 @@ class _Server:
         for pool in (self._status_thread, self._command_thread):
             pool.shutdown(wait=False, cancel_futures=True)
 
-    def _listen(self, port: int) -> tuple[BaseServer, int]:
+    def _bind(self, port: int) -> tuple[BaseServer, int]:
         """Bind the port. Other host names and pages of other origins are refused."""
         try:
             sockets, port = bind_sockets(ADDRESS, port)

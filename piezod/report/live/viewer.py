@@ -29,8 +29,6 @@ class Viewer:
 
     Parameters
     ----------
-    document
-        Document of this browser.
     feed
         Feed that all viewers share.
     """
@@ -66,7 +64,7 @@ class Viewer:
             self._update_figures()
 
     def _zoom(self, *, zoomed: bool) -> None:
-        """Keep the curves as they are while a viewer looks at a part of them."""
+        """Keep the curves as they are while a viewer has zoomed in."""
         self._zoomed = zoomed
         self._figures.force_title.text = STANDING if zoomed else ""
 

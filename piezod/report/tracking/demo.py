@@ -184,12 +184,10 @@ def write_demo_page(path: Path, verdict: DemoVerdict, recordings: dict[FigureKey
 
     Parameters
     ----------
-    path
-        File to write.
     verdict
         Result of the demo.
     recordings
-        By (reference, compensation). Recordings of a single sample are left out.
+        By (reference, compensation). Recordings of a single sample are skipped.
 
     Raises
     ------

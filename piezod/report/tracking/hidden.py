@@ -1,4 +1,4 @@
-"""The demo's second part: a bench with hidden effects, what the diagnosis found, and what each compensation leaves."""
+"""The demo's second part: a bench with hidden effects, their diagnosis, and the error of each compensation."""
 
 import html
 from dataclasses import dataclass, field
@@ -14,7 +14,7 @@ MOST_ERROR = 0.5  # rms error with the extended over that with the static model 
 
 @dataclass(frozen=True)
 class HiddenVerdict:
-    """Result on the bench with hidden effects: the diagnosis, and the errors with and without what it found.
+    """Result on the bench with hidden effects: the diagnosis, and the errors with and without its effects.
 
     Parameters
     ----------
@@ -76,7 +76,7 @@ def evaluate_hidden(
     confidences
         Of each effect that was found, by its title.
     """
-    figures = {compensation: tracking_figures(one, loop=False) for (_, compensation), one in recordings.items()}
+    figures = {name: tracking_figures(recording, loop=False) for (_, name), recording in recordings.items()}
     return HiddenVerdict(diagnosis, figures, noise_N, confidences)
 
 
@@ -96,7 +96,7 @@ def print_hidden(hidden: HiddenVerdict) -> None:
 
 
 def hidden_html(hidden: HiddenVerdict) -> str:
-    """What was hidden, what was found, and what each compensation leaves.
+    """Hidden effects, found effects, and the error of each compensation.
 
     Parameters
     ----------

@@ -23,8 +23,6 @@ def write_tracking_page(
 
     Parameters
     ----------
-    path
-        File to write.
     title, verdict
         Heading, and the sentence below it.
     recordings

@@ -49,8 +49,6 @@ class ValidationVerdict:
 
     Parameters
     ----------
-    references
-        By name.
     compensations
         Names of the compensations, in the order of the table. The first uses no model.
     range_N
@@ -70,12 +68,12 @@ class ValidationVerdict:
     @property
     def complete(self) -> bool:
         """Whether every run was completed."""
-        whole = len(self.figures) == len(self.references) * len(self.compensations)
-        return whole and not self.outcome.fault and not self.outcome.stopped
+        all_done = len(self.figures) == len(self.references) * len(self.compensations)
+        return all_done and not self.outcome.fault and not self.outcome.stopped
 
     @property
     def mean_hysteresis_percent(self) -> dict[str, float]:
-        """Mean max hysteresis over all references, for each compensation that completed all of them."""
+        """Mean max hysteresis over all references, for each compensation that completed every reference."""
         means = {}
         for name in self.compensations:
             of_references = [errors.max_hysteresis_percent for key, errors in self.figures.items() if key[1] == name]
@@ -195,8 +193,6 @@ def write_validation_page(path: Path, verdict: ValidationVerdict, recordings: di
 
     Parameters
     ----------
-    path
-        File to write.
     verdict
         Result of the validation.
     recordings
@@ -256,9 +252,9 @@ def _small_multiples(
     label: str,
     drawn: Callable[[Recording], Array],
 ) -> list[figure]:
-    """One small figure for each reference; all have the same scale."""
+    """A small figure for each reference, with a common scale."""
     values = [drawn(recording) for by_name in runs.values() for recording in by_name.values()]
-    low, high = min(float(np.nanmin(one)) for one in values), max(float(np.nanmax(one)) for one in values)
+    low, high = min(float(np.nanmin(curve)) for curve in values), max(float(np.nanmax(curve)) for curve in values)
     margin = 0.05 * (high - low)
     shared = Range1d(start=low - margin, end=high + margin)
     plots = []

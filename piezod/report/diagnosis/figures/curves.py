@@ -25,17 +25,17 @@ from piezod.report.diagnosis.figures.drawing import (
 )
 from piezod.report.diagnosis.residual.residuals import Residuals
 from piezod.report.diagnosis.wording import observed_directly
-from piezod.report.figures.thinning import envelope, envelope_times, extremes, usual_range
+from piezod.report.figures.thinning import envelope, envelope_times, extremes, robust_range
 from piezod.report.style import GREEN, GREY
 
-FLEXIBLE = "#CC79A7"  # reddish purple of the same palette
+FLEXIBLE = "#CC79A7"  # reddish purple of this palette
 TEXT = "#333333"
 WITHOUT = {"new": "without {}", "changed": "{} as before", "gone": "with {}"}
 """Name of the bar of an effect, by its status."""
 
 
 def error_bars(findings: Findings, extended: str) -> figure:
-    """Error of the given model, without each effect and with all, beside the noise floor.
+    """Error of the given model, without each effect and with all, and the noise floor.
 
     Parameters
     ----------
@@ -99,12 +99,10 @@ def held_out_errors(findings: Findings, extended: str) -> list[tuple[str, float,
 def time_figures(
     recording: Residuals, points: int, places: Sequence[Place], units: tuple[str, str], extended: str
 ) -> tuple[list[figure], Columns]:
-    """Measured and modelled output over time, and the residuals on the same time axis.
+    """Measured and modelled output over time, and the residuals, with a common time axis.
 
     Parameters
     ----------
-    recording
-        Recording with its residuals.
     points
         Number of points of each curve.
     places
@@ -130,7 +128,9 @@ def time_figures(
     draw_curve(output, source, "given", "given model", GIVEN)
     draw_curve(output, source, "extended", extended, EXTENDED)
     residual = new_figure("Residual: measured minus model", "time [s]", f"residual [{unit}]", 240, zoom_x=True)
-    residual.y_range = usual_range(*(values[recording.series.counts] for values in (recording.before, recording.after)))
+    residual.y_range = robust_range(
+        *(values[recording.series.counts] for values in (recording.before, recording.after))
+    )
     residual.x_range = output.x_range
     draw_curve(residual, source, "before", "given model", GIVEN)
     draw_curve(residual, source, "after", extended, EXTENDED)
@@ -147,12 +147,8 @@ def loop_figures(
 
     Parameters
     ----------
-    recording
-        Recording with its residuals.
     points
         Number of points of each curve.
-    units
-        Units of command and output.
     extended
         Name of the model after the diagnosis.
     """
@@ -169,7 +165,9 @@ def loop_figures(
     source = column_source(columns)
     loop = new_figure("Hysteresis loop", f"command [{units[0]}]", f"output [{units[1]}]", 340)
     residual = new_figure("Residual over the command", f"command [{units[0]}]", f"residual [{units[1]}]", 340)
-    residual.y_range = usual_range(*(values[recording.series.counts] for values in (recording.before, recording.after)))
+    residual.y_range = robust_range(
+        *(values[recording.series.counts] for values in (recording.before, recording.after))
+    )
     draw_curve(loop, source, "measured", "measured", MEASURED, x="command", width=3, alpha=0.55)
     draw_curve(loop, source, "given", "given model", GIVEN, x="command")
     draw_curve(loop, source, "extended", extended, EXTENDED, x="command")

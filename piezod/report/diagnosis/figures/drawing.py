@@ -98,14 +98,8 @@ def draw_curve(
 
     Parameters
     ----------
-    plot
-        Figure to draw in.
-    source
-        Columns of the curve.
     y
         Name of the column of the ordinate.
-    label
-        Entry in the legend.
     colour
         Colour as in CSS.
     x
@@ -125,10 +119,6 @@ def draw_band(plot: figure, source: ColumnDataSource, x: str, name: str, colour:
 
     Parameters
     ----------
-    plot
-        Figure to draw in.
-    source
-        Columns of the band.
     x
         Name of the column of the abscissa.
     name
@@ -211,5 +201,5 @@ def mark_rejected(plot: figure, recording: Residuals) -> None:
     edges = np.flatnonzero(np.diff(accepted))
     time_s = recording.time_s
     for first, end in list(zip(edges[::2], edges[1::2], strict=True))[:MOST_PLACES]:
-        left, right = time_s[max(first - 1, 0)], time_s[min(end, time_s.size - 1)]
-        plot.add_layout(BoxAnnotation(left=left, right=right, fill_color=MEASURED, fill_alpha=0.3, line_color=None))
+        begin_s, end_s = time_s[max(first - 1, 0)], time_s[min(end, time_s.size - 1)]
+        plot.add_layout(BoxAnnotation(left=begin_s, right=end_s, fill_color=MEASURED, fill_alpha=0.3, line_color=None))

@@ -1,4 +1,4 @@
-"""Figure of an unnamed law: what it adds to the reading over its first driver, one curve for values of the second."""
+"""Figure of an unnamed law: its part of the reading over the first driver, with a curve for values of the second."""
 
 import numpy as np
 from bokeh.plotting import figure

@@ -78,7 +78,7 @@ def power_scale(maps: Iterable[PowerMap]) -> LinearColorMapper:
     maps
         Power maps, at least one.
     """
-    highest = max(float(np.quantile(one.level_dB, 0.999)) for one in maps)
+    highest = max(float(np.quantile(power.level_dB, 0.999)) for power in maps)
     high = float(np.clip(10.0 * np.ceil(highest / 10.0), SMALLEST_RANGE_DB, LARGEST_RANGE_DB))
     return LinearColorMapper(palette=interp_palette(POWER_COLOURS, 128), low=0.0, high=high)
 
@@ -92,8 +92,6 @@ def map_figure(power: PowerMap, start_s: float, title: str, scale: LinearColorMa
         Power of a residual.
     start_s
         Time of its first sample [s].
-    title
-        Title of the figure.
     scale
         Colour scale.
     """

@@ -51,9 +51,9 @@ def drivers(command: str, output: str) -> list[Driver]:
     """
     since = "since the last reversal"
     return [
-        Driver("voltage_V", "voltage_V", f"command [{command}]", lambda one: one.series.command_V),
+        Driver("voltage_V", "voltage_V", f"command [{command}]", lambda recording: recording.series.command_V),
         Driver("rate_V_per_s", "rate_V_per_s", f"rate of the command [{command}/s]", _rate, directions=False),
-        Driver("force_N", "force_N", f"output of the given model [{output}]", lambda one: one.given),
+        Driver("force_N", "force_N", f"output of the given model [{output}]", lambda recording: recording.given),
         Driver("since_reversal_s", "", f"time {since} [s]", _time_since_reversal, logarithmic=True),
         Driver("amplitude_V", "amplitude_V", f"change of the command {since} [{command}]", _change_since_reversal),
         Driver("previous_level_V", "", f"command at the last reversal [{command}]", _command_at_reversal),
@@ -71,7 +71,7 @@ def time_driver(name: str, label: str) -> Driver:
     label
         Label of the axis, with unit.
     """
-    return Driver(name, "time_s", label, lambda one: one.time_s, directions=False)
+    return Driver(name, "time_s", label, lambda recording: recording.time_s, directions=False)
 
 
 def since_reversal(u: Array) -> tuple[NDArray[np.int64], Array]:
@@ -98,22 +98,22 @@ def _moves(direction: Array) -> Iterator[tuple[int, int, float]]:
         yield int(first), int(end), float(direction[first])
 
 
-def _rate(one: Residuals) -> Array:
-    return coordinates.rate(one.series.command_V, one.series.dt_s)
+def _rate(recording: Residuals) -> Array:
+    return coordinates.rate(recording.series.command_V, recording.series.dt_s)
 
 
-def _time_since_reversal(one: Residuals) -> Array:
-    return np.maximum(since_reversal(one.series.command_V)[0], 1) * one.series.dt_s
+def _time_since_reversal(recording: Residuals) -> Array:
+    return np.maximum(since_reversal(recording.series.command_V)[0], 1) * recording.series.dt_s
 
 
-def _change_since_reversal(one: Residuals) -> Array:
-    return coordinates.reversals(one.series.command_V)[1]
+def _change_since_reversal(recording: Residuals) -> Array:
+    return coordinates.reversals(recording.series.command_V)[1]
 
 
-def _command_at_reversal(one: Residuals) -> Array:
-    return since_reversal(one.series.command_V)[1]
+def _command_at_reversal(recording: Residuals) -> Array:
+    return since_reversal(recording.series.command_V)[1]
 
 
-def _temperature(one: Residuals) -> Array:
-    assert one.series.temperature_C is not None
-    return one.series.temperature_C
+def _temperature(recording: Residuals) -> Array:
+    assert recording.series.temperature_C is not None
+    return recording.series.temperature_C

@@ -40,14 +40,15 @@ def memory(recordings: Sequence[Residuals]) -> Memory:
     recordings
         Recordings with their residuals, at least one.
     """
-    dt_s = min(one.series.dt_s for one in recordings)
-    longest_s = max(one.series.duration_s for one in recordings)
+    dt_s = min(recording.series.dt_s for recording in recordings)
+    longest_s = max(recording.series.duration_s for recording in recordings)
     times_s = coordinates.times(dt_s, longest_s, TIME_CONSTANTS, SHORTEST_SAMPLES, LONGEST_SHARE)
     bands_count = TIME_CONSTANTS - 1
     products, powers, band_powers = np.zeros((2, bands_count)), np.zeros(2), np.zeros(bands_count)
-    for one in recordings:
-        bands = _bands(one, times_s)
-        residuals = np.stack([_centred(values, one.series.counts) for values in (one.before, one.after)])
+    for recording in recordings:
+        bands = _bands(recording, times_s)
+        counts = recording.series.counts
+        residuals = np.stack([_centred(recording.before, counts), _centred(recording.after, counts)])
         products += residuals @ bands
         band_powers += np.sum(bands**2, axis=0)
         powers += np.sum(residuals**2, axis=1)
@@ -55,11 +56,11 @@ def memory(recordings: Sequence[Residuals]) -> Memory:
     return Memory(np.sqrt(times_s[:-1] * times_s[1:]), correlation[0], correlation[1])
 
 
-def _bands(one: Residuals, times_s: Array) -> Array:
+def _bands(recording: Residuals, times_s: Array) -> Array:
     """Differences of neighbouring low-passes of the command, without mean, 0 at rejected readings, shape (N, B)."""
-    low_passes = coordinates.faded_columns(one.series.command_V, one.series.dt_s, times_s)
+    low_passes = coordinates.faded_columns(recording.series.command_V, recording.series.dt_s, times_s)
     bands = low_passes[:, :-1] - low_passes[:, 1:]
-    counts = one.series.counts
+    counts = recording.series.counts
     bands -= bands[counts].mean(axis=0)
     result: Array = np.where(counts[:, None], bands, 0.0)
     return result

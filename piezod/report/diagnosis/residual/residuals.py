@@ -18,8 +18,6 @@ class Residuals:
 
     Parameters
     ----------
-    series
-        The recording.
     given, extended
         Output of the given model and of the extended model, shape (N,).
     """

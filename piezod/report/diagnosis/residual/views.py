@@ -80,21 +80,21 @@ def views(
         Units of command and output.
     """
     known = drivers(*units)
-    if any(one.series.temperature_C is None for one in recordings):
+    if any(recording.series.temperature_C is None for recording in recordings):
         known = [driver for driver in known if driver.axis != "temperature_C"]
-    found = [_view(recordings, driver) for driver in known]
-    for number, one in numbered:
+    shown_views = [_view(recordings, driver) for driver in known]
+    for number, recording in numbered:
         single = len(recordings) == 1
         name = "time_s" if single else f"time_s_{number}"
-        label = "time [s]" if single else f"time [s], {one.series.name}"
-        found.append(replace(_view([one], time_driver(name, label)), only=one))
-    return [view for view in found if view.x.size > 1]
+        label = "time [s]" if single else f"time [s], {recording.series.name}"
+        shown_views.append(replace(_view([recording], time_driver(name, label)), only=recording))
+    return [view for view in shown_views if view.x.size > 1]
 
 
 def _view(recordings: Sequence[Residuals], driver: Driver) -> View:
-    x = np.concatenate([driver.values(one)[one.series.counts] for one in recordings])
+    x = np.concatenate([driver.values(recording)[recording.series.counts] for recording in recordings])
     direction = np.concatenate(
-        [coordinates.reversals(one.series.command_V)[0][one.series.counts] for one in recordings]
+        [coordinates.reversals(recording.series.command_V)[0][recording.series.counts] for recording in recordings]
     )
     scaled = np.log(x) if driver.logarithmic else x
     edges = _edges(scaled)
@@ -103,8 +103,8 @@ def _view(recordings: Sequence[Residuals], driver: Driver) -> View:
     count = np.bincount(cell, minlength=cells).astype(np.float64)
     shown = count >= FEWEST
     before, after = (
-        _binned(np.concatenate([residual[one.series.counts] for residual, one in pairs]), direction, cell, shown)
-        for pairs in ([(one.before, one) for one in recordings], [(one.after, one) for one in recordings])
+        _binned(np.concatenate([residual[r.series.counts] for residual, r in pairs]), direction, cell, shown)
+        for pairs in ([(r.before, r) for r in recordings], [(r.after, r) for r in recordings])
     )
     return View(
         driver.name,
