@@ -58,11 +58,6 @@ class Description:
 def read_description(folder: Path) -> Description:
     """Read the description file of a case.
 
-    Parameters
-    ----------
-    folder
-        Folder of the case.
-
     Raises
     ------
     ConfigurationError
@@ -73,7 +68,7 @@ def read_description(folder: Path) -> Description:
         content = json.loads(path.read_text(encoding="utf-8"))
         if content["schema"] != SCHEMA:
             raise ConfigurationError(f"{path}: schema is {content['schema']}, must be {SCHEMA}")
-        found = Description(
+        description = Description(
             str(content["identification"]),
             tuple(map(str, content["recordings"])),
             str(content["held_out"]),
@@ -82,19 +77,14 @@ def read_description(folder: Path) -> Description:
         )
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise ConfigurationError(f"{path}: is no {SCHEMA}: {error!r}") from error
-    for name in (found.identification, *found.recordings, found.held_out):
+    for name in (description.identification, *description.recordings, description.held_out):
         if Path(name).name != name:
             raise ConfigurationError(f"{path}: names {name}, must be files beside it")
-    return found
+    return description
 
 
 def read_case(folder: Path) -> Case:
     """Read the description of a case and the recordings that it names; other files in the folder are not read.
-
-    Parameters
-    ----------
-    folder
-        Folder of the case.
 
     Raises
     ------
@@ -114,8 +104,6 @@ def case_folders(study: Path, only: tuple[str, ...] = ()) -> list[Path]:
 
     Parameters
     ----------
-    study
-        Folder of the study.
     only
         Names of the cases to return; empty: all.
 
@@ -128,11 +116,11 @@ def case_folders(study: Path, only: tuple[str, ...] = ()) -> list[Path]:
     """
     if not (study / SEAL).is_file():
         raise ConfigurationError(f"{study}: has no {SEAL}, so it is no finished study; piezod blind make draws one")
-    found = {path.parent.name: path.parent for path in sorted(study.glob(f"case_*/{DESCRIPTION}"))}
-    missing = [name for name in only if name not in found]
+    cases = {path.parent.name: path.parent for path in sorted(study.glob(f"case_*/{DESCRIPTION}"))}
+    missing = [name for name in only if name not in cases]
     if missing:
-        raise UsageError(f"--only names {missing[0]}, {study} has {len(found)} cases, {_first_to_last(list(found))}")
-    return [folder for name, folder in found.items() if name in only or not only]
+        raise UsageError(f"--only names {missing[0]}, {study} has {len(cases)} cases, {_first_to_last(list(cases))}")
+    return [folder for name, folder in cases.items() if name in only or not only]
 
 
 def _first_to_last(names: list[str]) -> str:

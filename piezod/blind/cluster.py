@@ -31,8 +31,6 @@ def diagnose_on_cluster(
 
     Parameters
     ----------
-    folders
-        Folders of the cases.
     address
         Address of the scheduler, such as `tcp://10.0.0.1:8786`.
     patience_s

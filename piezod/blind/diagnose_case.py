@@ -45,7 +45,7 @@ class Durations:
 def diagnose_case(verdict: Path) -> Durations:
     """Diagnose the case in the current directory.
 
-    The paths in the findings are plain file names, so they are the same on every machine.
+    The paths in the findings are plain file names, so they are equal on every machine.
 
     Parameters
     ----------

@@ -24,7 +24,7 @@ ONE_THREAD = dict.fromkeys(
 
 
 class IsolatedProcesses:
-    """The running processes, one per case; `end` kills all of them."""
+    """The running processes, one per case; `end` kills them all."""
 
     def __init__(self) -> None:
         self._running: set[subprocess.Popen[bytes]] = set()

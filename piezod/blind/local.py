@@ -23,8 +23,6 @@ def diagnose_locally(folders: Sequence[Path], jobs: int) -> Generator[Verdict, N
 
     Parameters
     ----------
-    folders
-        Folders of the cases.
     jobs
         Number of parallel processes, at least 1.
     """

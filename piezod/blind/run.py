@@ -41,10 +41,8 @@ def run_study(
 
     Parameters
     ----------
-    study
-        Folder of the study.
     folder
-        Folder for the verdicts. Cases with a verdict in it are left out, so a second run continues an interrupted one.
+        Folder for the verdicts. Cases with a verdict in it are skipped, so a second run continues an interrupted one.
     jobs
         Number of processes on this machine, at least 1; None: one per core.
     scheduler

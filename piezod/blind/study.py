@@ -84,8 +84,8 @@ def score_study(directory: Path, verdicts: Path, *, as_json: bool, partial: bool
 
 
 def _failures(verdicts: Path) -> str:
-    found = [read_verdict(folder.name, folder) for folder in sorted(verdicts.glob("case_*"))]
-    lines = [f"{each.name} failed: {each.failed}" for each in found if each is not None and each.failed is not None]
+    done = [read_verdict(folder.name, folder) for folder in sorted(verdicts.glob("case_*"))]
+    lines = [f"{each.name} failed: {each.failed}" for each in done if each is not None and each.failed is not None]
     return "\n".join(["", f"{len(lines)} cases without findings, counted as wrong", *lines, ""]) if lines else ""
 
 

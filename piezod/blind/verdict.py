@@ -28,8 +28,6 @@ class Verdict:
 
     Parameters
     ----------
-    name
-        Name of the case.
     files
         File name to content.
     failed
@@ -66,8 +64,6 @@ def failed_verdict(name: str, reason: str, elapsed_s: float = 0.0) -> Verdict:
 
     Parameters
     ----------
-    name
-        Name of the case.
     reason
         Reason of the failure.
     elapsed_s
@@ -111,8 +107,6 @@ class VerdictFolder:
     ----------
     folder
         Path; the folder is created if it does not exist.
-    study
-        Folder of the study.
 
     Raises
     ------
@@ -144,7 +138,7 @@ class VerdictFolder:
         return verdict is not None and verdict.failed is None
 
     def save(self, verdict: Verdict) -> None:
-        """Write a verdict; an earlier verdict on the same case is replaced.
+        """Write a verdict; an earlier verdict on the case is replaced.
 
         Raises
         ------

@@ -19,7 +19,7 @@ INTERRUPTED = 130
 def main() -> None:
     """Run the command line.
 
-    While the commands are imported, Ctrl-C ends the process at once: there is nothing to clean up, and an interrupted
+    While the commands are imported, Ctrl-C ends the process at once: no clean-up is needed, and an interrupted
     import would print a traceback.
     """
     is_default = signal.getsignal(signal.SIGINT) is signal.default_int_handler  # else the shell has it ignored
@@ -31,7 +31,7 @@ def main() -> None:
 
 
 def __getattr__(name: str) -> Any:  # noqa: ANN401  # the app, or an error
-    """The app, imported when it is asked for."""
+    """The app, imported at its first use."""
     if name == "app":
         from piezod.cli.commands import app
 

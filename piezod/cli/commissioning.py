@@ -114,11 +114,11 @@ def investigate(
                 write_diagnosis_page(step.folder / "report.html", step.diagnosis)
                 print(step_text(step))
         if as_json:
-            content = {"schema": "piezod.investigate/1", "drives": [one.as_dict() for one in done]}
+            content = {"schema": "piezod.investigate/1", "drives": [step.as_dict() for step in done]}
             print(json.dumps(content, indent=2))
         if not done or as_json:
             return
         print(f"\npage: {(done[-1].folder / 'report.html').resolve()}")
-        found = done[-1].diagnosis.model
-        if (found.effects or found.unnamed_law) and (yes or typer.confirm("follow references with both models")):
+        extended = done[-1].diagnosis.model
+        if (extended.effects or extended.unnamed_law) and (yes or typer.confirm("follow references with both models")):
             validate(bench, [model, done[-1].folder / "model.yaml"], output / "validation.html")

@@ -66,5 +66,5 @@ def _demo_hidden() -> "tuple[HiddenVerdict, dict[tuple[str, str], Recording]]":
         extended = load_model(folder / "out" / "model.yaml")
         show("following a reference with both models", 0.9)
         followed = compare_models(folder, load_model(given), extended, lambda _: None)
-    sure = {one.title: one.confidence for one in findings.effects}
+    sure = {effect.title: effect.confidence for effect in findings.effects}
     return evaluate_hidden(followed, f"{findings.verdict}: {findings.words}", findings.floor, sure), followed

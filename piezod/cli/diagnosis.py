@@ -122,20 +122,20 @@ def what_is_testable(
     with steps() as show:
         show("reading", None)
         names = plant.input.channel, plant.output.channel
-        asked = [read_source(path, "recording", names, text=layout_of(path, plant, text)) for path in recordings]
-        past, notes = past_sources(plant, model.parent, asked)
+        sources = [read_source(path, "recording", names, text=layout_of(path, plant, text)) for path in recordings]
+        past, notes = past_sources(plant, model.parent, sources)
         show("comparing effects", None)
-        found = isolability(plant, asked, past)
+        result = isolability(plant, sources, past)
         show("looking for the next experiment", None)
-        planned = None if next_file is None else next_experiment(plant, asked, past, found, longest)
+        planned = None if next_file is None else next_experiment(plant, sources, past, result, longest)
     if planned is not None and next_file is not None:
         write_recording(planned.recording(plant.input.channel), next_file)
     unit = plant.output.unit
     if as_json:
         more = {} if next_file is None else {"next": None if planned is None else experiment_as_dict(planned)}
-        print(json.dumps(isolability_as_dict(found, unit) | more, indent=2))
+        print(json.dumps(isolability_as_dict(result, unit) | more, indent=2))
     else:
-        print("\n".join([isolability_text(found, unit), *(f"note: {note}" for note in notes)]))
+        print("\n".join([isolability_text(result, unit), *(f"note: {note}" for note in notes)]))
         if next_file is not None:
             print(experiment_text(planned, str(next_file)))
 
@@ -152,6 +152,10 @@ def effects(
     chosen = None if name is None else effect_named(name)
     if as_json:
         shown = list(EFFECTS.values()) if chosen is None else [chosen]
-        print(json.dumps({"schema": "piezod.effects/1", "effects": [effect_as_dict(one) for one in shown]}, indent=2))
+        print(
+            json.dumps(
+                {"schema": "piezod.effects/1", "effects": [effect_as_dict(effect) for effect in shown]}, indent=2
+            )
+        )
     else:
         print(effects_table() if chosen is None else effect_page(chosen))

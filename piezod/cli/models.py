@@ -101,15 +101,15 @@ def identify(
         name=name,
     )
     with steps() as show:
-        found = identified(recordings, options, chosen, show, text)
+        result = identified(recordings, options, chosen, show, text)
     if report is not None:
-        found.write_page(report / "identification.html")
-    found.model.save(model)
+        result.write_page(report / "identification.html")
+    result.model.save(model)
     if as_json:
-        print(json.dumps(found.as_dict(), indent=2))
+        print(json.dumps(result.as_dict(), indent=2))
     else:
-        print_identification(found.identification)
-    if not found.useful:
+        print_identification(result.identification)
+    if not result.useful:
         raise typer.Exit(1)  # `piezod commission` goes on behind a useful one
 
 
@@ -188,7 +188,7 @@ def compare(
     from piezod.recording import check_page, column_names
 
     check_page(report)
-    if len(recordings) > 1 or model:  # else there is nothing to compare, which is said first
+    if len(recordings) > 1 or model:  # else the missing comparison is reported first
         column_names(recordings[0])  # a wrong file is refused before the libraries are there
     from piezod.report.comparison.output_comparison import compare_files
     from piezod.report.comparison.output_page import comparison_as_dict, comparison_text, write_comparison_page

@@ -39,7 +39,7 @@ def record(
 ) -> None:
     """Drive an excitation through the bench and record the response.
 
-    Ctrl-C ramps down, writes what was recorded, marked as incomplete, and ends with exit code 130.
+    Ctrl-C ramps down, writes the recording so far, marked as incomplete, and ends with exit code 130.
     """
     from piezod.commissioning.record import excitation_duration_s, record_excitation
     from piezod.excitation import default_periods

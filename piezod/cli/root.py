@@ -114,7 +114,7 @@ def _misuse_text(error: Exception) -> str:
 
 
 def _version(wanted: bool) -> None:
-    """What a report of a fault needs: versions of the package, of what it computes with, and of the system."""
+    """Versions for a report of a fault: of the package, of its numerical libraries, and of the system."""
     if wanted:
         libraries = ", ".join(f"{name} {version_of(name)}" for name in ("numba", "numpy"))
         python, system = platform.python_version(), f"{platform.system()} {platform.release()} {platform.machine()}"
@@ -138,14 +138,14 @@ def _root(
 
 
 def check_readable(path: Path, model: Path, text: "TextOptions") -> None:
-    """Refuse a recording that can be read neither as the user says nor as those of the model were.
+    """Refuse a recording that neither the user's layout nor a layout of the model's recordings fits.
 
     Parameters
     ----------
     path, model
         Files of the recording and of the model.
     text
-        What the user says about a text file.
+        Layout of a text file as the user states it.
 
     Raises
     ------

@@ -96,12 +96,12 @@ def _command_daemon(
     from piezod.daemon.status import status_text
 
     answer = command_and_wait(find_socket(config, socket), name, wait=wait)
-    settled = "state" in answer
+    complete = "state" in answer
     if as_json:
         print(json.dumps(answer, indent=2))
     else:
-        print(status_text(answer) if settled else answer["message"])
-    raise typer.Exit(1 if settled and answer["state"] not in wanted else 0)
+        print(status_text(answer) if complete else answer["message"])
+    raise typer.Exit(1 if complete and answer["state"] not in wanted else 0)
 
 
 @app.command(epilog="Example: piezod bridge config/bench.yaml --mqtt mqtt://broker")

@@ -95,13 +95,13 @@ def init(
     if profile is None:
         raise UsageError(f"--profile is missing, one of {', '.join(list_profiles())}")
     made = draft_bench(profile, answers, output)
-    found = probe_device(made.bench) if probe else []
+    identity = probe_device(made.bench) if probe else []
     write_bench(made, force=force)
     if as_json:
-        content = {"schema": "piezod.init/1", "file": str(output), "profile": profile, "found": found}
+        content = {"schema": "piezod.init/1", "file": str(output), "profile": profile, "found": identity}
         print(json.dumps(content, indent=2))
         return
-    for line in found:
+    for line in identity:
         print(line)
     print(f"{output}: bench '{made.bench.name}', from profile {profile}")
     print("its limits are placeholders: set each from the data sheet of the stack, amplifier or load cell")

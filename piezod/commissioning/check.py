@@ -38,11 +38,6 @@ Result = TypeVar("Result")
 def check_bench(path: Path) -> list[Check]:
     """Check configuration, model, machine and device; nothing is written to the device.
 
-    Parameters
-    ----------
-    path
-        Bench configuration.
-
     Raises
     ------
     ModelError
@@ -87,8 +82,6 @@ def check_model_effects(bench: BenchConfig, model: Model, path: Path) -> Iterato
 
     Parameters
     ----------
-    bench, path
-        Bench configuration and its file.
     model
         Model of the bench.
     """

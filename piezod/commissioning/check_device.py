@@ -20,13 +20,7 @@ LONGEST_IN_TICKS = 0.5
 
 
 def check_device(bench: BenchConfig) -> Iterator[Check]:
-    """Connect the device and check it.
-
-    Parameters
-    ----------
-    bench
-        Bench configuration.
-    """
+    """Connect the device and check it."""
     try:
         with opened_link(bench) as link:
             yield Check("link", "OK", f"{link.description}, identity as configured")

@@ -23,8 +23,6 @@ def check_reference(bench: BenchConfig, model: Model, folder: Path) -> Iterator[
 
     Parameters
     ----------
-    bench
-        Bench configuration.
     model
         Model of the bench.
     folder
@@ -51,8 +49,6 @@ def planned_voltage_V(bench: BenchConfig, model: Model, table: TableReference) -
 
     Parameters
     ----------
-    bench, model
-        Bench configuration and model.
     table
         Reference; its values are led by delay and resonance afterwards.
     """

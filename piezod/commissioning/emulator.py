@@ -98,8 +98,6 @@ def virtual_time_bench(folder: Path, scenario: str, effects: Sequence[str] = ())
 
     Parameters
     ----------
-    folder
-        Folder for the file.
     scenario
         Scenario of the emulator: `stack`, `seed_bench` or a YAML file.
     effects

@@ -56,10 +56,6 @@ class BenchDraft:
 
     Parameters
     ----------
-    path
-        File to write.
-    text
-        Content of the file.
     bench
         Configuration that the text contains.
     """
@@ -134,13 +130,7 @@ def _changes(bench: BenchConfig, answers: Answers) -> Mapping[tuple[str, ...], s
 
 
 def probe_device(bench: BenchConfig) -> list[str]:
-    """Read the identity of the device and return lines that describe it; nothing is written.
-
-    Parameters
-    ----------
-    bench
-        Bench configuration.
-    """
+    """Read the identity of the device and return lines that describe it; nothing is written."""
     lines = []
     link = bench.link
     if isinstance(link, ModbusTcpLink) and link.tls is None:

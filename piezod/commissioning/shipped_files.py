@@ -6,12 +6,6 @@ _PACKAGE = Path(__file__).resolve().parent.parent
 
 
 def shipped(name: str) -> Path:
-    """Path of a file in `config/`, of a checkout or of an installed wheel.
-
-    Parameters
-    ----------
-    name
-        Name of the file.
-    """
+    """Path of a file in `config/`, of a checkout or of an installed wheel."""
     packed = _PACKAGE / "_shipped" / "config" / name
     return packed if packed.exists() else _PACKAGE.parent / "config" / name

@@ -44,8 +44,6 @@ def write_bundle(config: Path, output: Path, *, force: bool = False) -> dict[str
     ----------
     config
         Bench configuration; the daemon need not run.
-    output
-        File to write.
     force
         Whether to replace an existing file.
 
@@ -110,8 +108,6 @@ def redacted_configuration(bench: BenchConfig, content: dict[str, Any]) -> str:
 
     Parameters
     ----------
-    bench
-        Bench configuration.
     content
         Content of the YAML file, which separates the given values from defaults.
     """

@@ -36,8 +36,6 @@ class Validation:
         Bench configuration, and the folder that its relative paths start from.
     range_N
         Lowest and highest force that every model reaches within the limits of the bench [N].
-    references
-        References by name.
     segments
         Segments by (reference, compensation), in the order of driving.
     """
@@ -111,13 +109,6 @@ def plan_validation(path: Path, model_paths: list[Path]) -> Validation:
 
 def common_range_N(bench: BenchConfig, models: dict[str, Model]) -> tuple[float, float]:
     """Range of force that every model reaches on its major loop, within the voltage and force limits of the bench [N].
-
-    Parameters
-    ----------
-    bench
-        Bench configuration.
-    models
-        Models by name.
 
     Raises
     ------

@@ -62,38 +62,38 @@ class BenchConfig(Section):
 
     @property
     def lock_path(self) -> Path:
-        """Lock file beside the ring log; a program holds it while it drives or watches this bench."""
+        """Lock file next to the ring log; a program holds it while it drives or watches this bench."""
         return self.ring_log_path.with_name(self.ring_log_path.name + ".lock")
 
     @property
     def socket_path(self) -> Path:
-        """Path of the daemon's control socket; beside the ring log unless configured."""
+        """Path of the daemon's control socket; next to the ring log unless configured."""
         return self._path_of(self.daemon.socket, ".sock")
 
     @property
     def stop_socket_path(self) -> Path:
-        """Path of the socket that only stops (`daemon/stop_path.py`), beside the control socket."""
+        """Path of the socket that only stops (`daemon/stop_path.py`), next to the control socket."""
         return self.socket_path.with_name(self.socket_path.name + ".stop")
 
     @property
     def learned_path(self) -> Path:
-        """File of the learned correction: `learning.file`, or a file beside the ring log."""
+        """File of the learned correction: `learning.file`, or a file next to the ring log."""
         return self._path_of(None if self.learning is None else self.learning.file, ".learned.csv")
 
     @property
     def drift_path(self) -> Path:
-        """File for the recording of a bench that has drifted: `drift.file`, or a file beside the ring log."""
+        """File for the recording of a bench that has drifted: `drift.file`, or a file next to the ring log."""
         return self._path_of(None if self.drift is None else self.drift.file, ".drift.csv")
 
     def _path_of(self, name: str | None, suffix: str) -> Path:
-        """Path of a file that the configuration names, or of one beside the ring log."""
+        """Path of a file from the configuration, else next to the ring log."""
         if name is None:
             return self.ring_log_path.with_name(self.ring_log_path.name + suffix)
         return Path(name.replace("{name}", self.name))
 
     @property
     def recordings_path(self) -> Path | None:
-        """Folder of the recorded ticks; None: nothing is recorded."""
+        """Folder of the recorded ticks; None: no recording."""
         return None if self.recorder is None else Path(self.recorder.folder.replace("{name}", self.name))
 
     def has_role(self, role: str) -> bool:
@@ -138,7 +138,7 @@ class BenchConfig(Section):
         return reference_range(self.reference, self.limits, readable_N)
 
     @model_validator(mode="after")
-    def _reference_is_within_its_range(self) -> Self:
+    def _reference_is_in_range(self) -> Self:
         assert self.reference_range is not None  # raises ValueError for a waveform beyond its bounds
         return self
 
@@ -169,7 +169,7 @@ class BenchConfig(Section):
         return self
 
     @model_validator(mode="after")
-    def _a_tick_moves_at_least_one_converter_step(self) -> Self:
+    def _tick_moves_a_converter_step(self) -> Self:
         for name, rate in (
             ("limits.slew_V_per_s", self.limits.slew_V_per_s),
             ("limits.slew_down_V_per_s", self.limits.fall_V_per_s),
@@ -208,7 +208,7 @@ class BenchConfig(Section):
         return self
 
     @model_validator(mode="after")
-    def _every_run_time_file_has_a_path_of_its_own(self) -> Self:
+    def _run_time_files_differ(self) -> Self:
         paths = {"daemon.ring_log": self.ring_log_path, "its lock": self.lock_path, "daemon.socket": self.socket_path}
         if isinstance(self.reference, StreamReference) and self.reference.udp_address is None:
             paths["reference.listen"] = Path(self.reference.listen)
@@ -216,9 +216,9 @@ class BenchConfig(Section):
             paths["drift.file"] = self.drift_path
         if self.learning is not None:
             paths["learning.file"] = self.learned_path
-        found: dict[Path, str] = {}
+        names: dict[Path, str] = {}
         for name, path in paths.items():
-            if (other := found.setdefault(path, name)) != name:
+            if (other := names.setdefault(path, name)) != name:
                 raise ValueError(f"{name} is {path}, the same as {other}; name another path")
         return self
 

@@ -123,7 +123,7 @@ def _suggestion(key: str, known: Iterable[str]) -> str:
 
 
 def _known_keys(section: type[BaseModel]) -> set[str]:
-    """All keys that the file may contain, at any depth; a misspelt key resembles one of them."""
+    """All keys that the file may contain, at any depth, for the suggestion in case of a misspelt key."""
     known: set[str] = set()
     definitions = section.model_json_schema()
     pending: list[Any] = [definitions]

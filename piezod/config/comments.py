@@ -22,13 +22,13 @@ def comments_of(text: str) -> dict[str, str]:
         For example `{"limits.slew_V_per_s": "at most current_max_A / capacitance_F"}`.
         Keys without a comment are omitted.
     """
-    found: dict[str, str] = {}
+    comments: dict[str, str] = {}
     above: list[tuple[int, str]] = []
     path = ""
     for line in text.splitlines():
         continued = _CONTINUED.match(line)
-        if continued and path in found:
-            found[path] += " " + continued["words"].strip()
+        if continued and path in comments:
+            comments[path] += " " + continued["words"].strip()
             continue
         match = _KEY.match(line)
         if match is None:
@@ -39,9 +39,9 @@ def comments_of(text: str) -> dict[str, str]:
         path = ".".join([*(key for _, key in above), match["key"]])
         above.append((indent, match["key"]))
         comment = _COMMENT.search(_outside_quotes(match["rest"]))
-        if comment and path not in found:
-            found[path] = comment["words"].strip()
-    return found
+        if comment and path not in comments:
+            comments[path] = comment["words"].strip()
+    return comments
 
 
 def _outside_quotes(rest: str) -> str:

@@ -118,8 +118,8 @@ class Registers(Section):
         return self._present(self._TICK_READS)
 
     def _present(self, names: tuple[str, ...]) -> dict[str, Register]:
-        found = {name: register for name in names if (register := getattr(self, name)) is not None}
-        return dict(sorted(found.items(), key=lambda item: item[1].address))
+        registers = {name: register for name in names if (register := getattr(self, name)) is not None}
+        return dict(sorted(registers.items(), key=lambda item: item[1].address))
 
     @model_validator(mode="after")
     def _units_are_those_of_the_role(self) -> Self:
@@ -130,7 +130,7 @@ class Registers(Section):
         return self
 
     @model_validator(mode="after")
-    def _blocks_fit_one_request(self) -> Self:
+    def _blocks_fit_a_request(self) -> Self:
         _check_block("tick reads", self.tick_reads(), READ_FUNCTIONS, 125, contiguous=False)
         _check_block("tick writes", self.tick_writes(), WRITE_FUNCTIONS, 121, contiguous=True)
         writes, reads = self.tick_writes(), self.tick_reads()

@@ -13,7 +13,7 @@ MOST_BYTES = 1 << 26
 
 
 class _LimitedReference(Section):
-    """Keys of every source: the range of forces that may be asked for; None: the force limits of the bench."""
+    """Keys of every source: the permitted range of forces; None: the force limits of the bench."""
 
     low_N: float | None = None
     high_N: float | None = None
@@ -41,8 +41,8 @@ class WaveformReference(_LimitedReference):
 class FileReference(_LimitedReference):
     """A column of a CSV file, interpolated at the ticks: `value * scale + offset_N` [N]. The file is read strictly.
 
-    `longest_step_s`: longest time between two rows; None: ten times the median. `closing_row`: what the last row of a
-    loop is where it equals the first; drop: the first row of the next pass; keep: a sample of its own.
+    `longest_step_s`: longest time between two rows; None: ten times the median. `closing_row`: use of the last row of a
+    loop if it equals the first; drop: the first row of the next pass; keep: a sample of its own.
     """
 
     kind: Literal["file"]

@@ -67,11 +67,11 @@ def reference_range(reference: ReferenceConfig, limits: LimitsConfig, readable_N
         )
     low_N, low_key = max(((bound, key) for bound, key in lows if bound is not None), default=(-inf, ""))
     high_N, high_key = min(((bound, key) for bound, key in highs if bound is not None), default=(inf, ""))
-    found = ReferenceRange(low_N, high_N, low_key, high_key)
+    permitted = ReferenceRange(low_N, high_N, low_key, high_key)
     if isinstance(reference, WaveformReference):
         for sign in (1, -1):
             value_N = reference.offset_N + sign * reference.amplitude_N
-            if refusal := found.refusal(value_N):
+            if refusal := permitted.refusal(value_N):
                 name = f"reference.offset_N {'+' if sign > 0 else '-'} amplitude_N"
                 raise ValueError(f"{name} is {value_N:g}, must be {refusal}")
-    return found
+    return permitted

@@ -13,8 +13,6 @@ def open_regular(path: Path, most_bytes: int) -> BinaryIO:
 
     Parameters
     ----------
-    path
-        File.
     most_bytes
         Largest size [byte].
 
@@ -29,12 +27,12 @@ def open_regular(path: Path, most_bytes: int) -> BinaryIO:
         raise ConfigurationError(f"{path}: cannot be read: {error.strerror}") from error
     except ValueError as error:
         raise ConfigurationError(f"{path}: cannot be read: {error}; no file has such a name") from error
-    found = os.fstat(descriptor)
-    if not stat.S_ISREG(found.st_mode) or found.st_size > most_bytes:
+    status = os.fstat(descriptor)
+    if not stat.S_ISREG(status.st_mode) or status.st_size > most_bytes:
         os.close(descriptor)
-        if stat.S_ISDIR(found.st_mode):
+        if stat.S_ISDIR(status.st_mode):
             raise ConfigurationError(f"{path}: cannot be read: Is a directory")
-        if not stat.S_ISREG(found.st_mode):
+        if not stat.S_ISREG(status.st_mode):
             raise ConfigurationError(f"{path}: is a pipe, socket or device, must be a regular file")
-        raise ConfigurationError(f"{path}: has {found.st_size} bytes, must have at most {most_bytes}")
+        raise ConfigurationError(f"{path}: has {status.st_size} bytes, must have at most {most_bytes}")
     return os.fdopen(descriptor, "rb")

@@ -1,6 +1,6 @@
-"""Files and sockets that a bench file names: what may be replaced there, and who has access to them.
+"""Files and sockets that a bench file names: rules for their replacement, and access to them.
 
-Only what piezod made is ever replaced or removed. Mode and group are set explicitly, whatever the umask is.
+piezod replaces and removes only its own files. Mode and group are set explicitly, independent of the umask.
 """
 
 import contextlib
@@ -39,41 +39,35 @@ def is_own_file(path: Path, key: str, magic: bytes, head_bytes: int = 0) -> bool
         Something else is there.
     """
     try:
-        found = path.lstat()
+        status = path.lstat()
     except FileNotFoundError:
         return False
     except OSError as error:
         raise ConfigurationError(f"{key}: {path} cannot be used: {error.strerror}") from error
-    reason = _strange(found) or _without_magic(path, magic, head_bytes)
+    reason = _strange(status) or _without_magic(path, magic, head_bytes)
     if reason:
         raise ConfigurationError(f"{key}: {path} {reason}; piezod replaces only its own files: name another path")
     return True
 
 
-def _strange(found: os.stat_result) -> str:
+def _strange(status: os.stat_result) -> str:
     """Reason why a file is not the caller's regular file; empty: it is."""
-    if not stat.S_ISREG(found.st_mode):
+    if not stat.S_ISREG(status.st_mode):
         return "is not a regular file"
-    return "" if is_owner(found) else f"belongs to user {found.st_uid}"
+    return "" if is_owner(status) else f"belongs to user {status.st_uid}"
 
 
-def is_owner(found: os.stat_result) -> bool:
-    """Whether this process may regard a file as its own: it owns it, or it is root.
-
-    Parameters
-    ----------
-    found
-        Status of the file.
-    """
-    return os.geteuid() in (0, found.st_uid)
+def is_owner(status: os.stat_result) -> bool:
+    """Whether this process may regard a file as its own: it owns it, or it is root."""
+    return os.geteuid() in (0, status.st_uid)
 
 
 def _without_magic(path: Path, magic: bytes, head_bytes: int) -> str:
-    """Reason why a file was not made by piezod; an empty file, which a truncated one leaves, holds nothing to lose."""
+    """Reason why a file was not made by piezod; an empty file, for example a truncated one, may be replaced."""
     try:
         with path.open("rb") as file:
-            found = file.read(head_bytes or len(magic))
-            return "" if magic in found or not found else "exists, and was not made by piezod"
+            head = file.read(head_bytes or len(magic))
+            return "" if magic in head or not head else "exists, and was not made by piezod"
     except OSError as error:
         return f"cannot be read: {error.strerror}"
 
@@ -83,8 +77,6 @@ def group_id(group: str | None, key: str) -> int:
 
     Parameters
     ----------
-    group
-        Name of the group.
     key
         Key of the bench file, for the message.
 
@@ -124,14 +116,12 @@ def set_access(target: int | Path, mode: int, gid: int) -> None:
 
 
 class UnixSocket:
-    """A bound unix socket; its file is removed on close if it is still the same one.
+    """A bound unix socket; its file is removed on close unless it was replaced.
 
     Parameters
     ----------
     kind
         `socket.SOCK_STREAM` or `socket.SOCK_DGRAM`.
-    path
-        Path of the socket.
     key
         Key of the bench file, for messages.
     mode
@@ -158,7 +148,7 @@ class UnixSocket:
         self.socket = socket.socket(socket.AF_UNIX, kind | socket.SOCK_CLOEXEC)
         try:
             _remove_abandoned(path, key)
-            before = os.umask(0o777)  # nobody may connect before group and mode are set
+            before = os.umask(0o777)  # no connection before group and mode are set
             try:
                 self.socket.bind(str(path))
             finally:
@@ -174,7 +164,7 @@ class UnixSocket:
             raise
 
     @property
-    def is_there(self) -> bool:
+    def is_present(self) -> bool:
         """Whether the file of this socket still stands at its path."""
         try:
             return _identity(self._path) == self._identity
@@ -191,17 +181,17 @@ class UnixSocket:
 
 
 def _identity(path: Path) -> tuple[int, int]:
-    found = path.lstat()
-    return found.st_dev, found.st_ino
+    status = path.lstat()
+    return status.st_dev, status.st_ino
 
 
 def _remove_abandoned(path: Path, key: str) -> None:
     """Remove an own socket without a listener; refuse everything else."""
     try:
-        found = path.lstat()
+        status = path.lstat()
     except FileNotFoundError:
         return
-    if not stat.S_ISSOCK(found.st_mode):
+    if not stat.S_ISSOCK(status.st_mode):
         raise ConfigurationError(
             f"{key}: {path} exists and is no socket; piezod replaces only its own sockets: name another path"
         )
@@ -217,8 +207,8 @@ def _remove_abandoned(path: Path, key: str) -> None:
             raise _in_use(path, key) from None
         else:
             raise _in_use(path, key)
-    if not is_owner(found):
-        raise ConfigurationError(f"{key}: {path} belongs to user {found.st_uid}; name another path")
+    if not is_owner(status):
+        raise ConfigurationError(f"{key}: {path} belongs to user {status.st_uid}; name another path")
     path.unlink(missing_ok=True)
 
 

@@ -18,10 +18,6 @@ def replace_values(path: Path, text: str, changes: Mapping[tuple[str, ...], Scal
 
     Parameters
     ----------
-    path
-        File name for messages.
-    text
-        YAML text.
     changes
         New values by path, such as `{("link", "host"): "10.0.0.7"}`. Each path must lead to a scalar in the text.
 
@@ -54,4 +50,4 @@ def _aligned(rest: str, shift: int) -> str:
 
 def _scalar(value: Scalar) -> str:
     plain = isinstance(value, str) and _PLAIN.fullmatch(value) is not None and value not in ("true", "false", "null")
-    return str(value) if plain else json.dumps(value)  # every JSON scalar is also a YAML scalar of the same value
+    return str(value) if plain else json.dumps(value)  # every JSON scalar is also a YAML scalar of equal value

@@ -48,15 +48,7 @@ for _tag, _pattern, _first in _RESOLVERS:
 
 
 class Document:
-    """A YAML mapping with the line number of each key.
-
-    Parameters
-    ----------
-    path
-        File name for messages.
-    text
-        YAML text.
-    """
+    """A YAML mapping with the line number of each key."""
 
     def __init__(self, path: Path, text: str) -> None:
         self.path = path

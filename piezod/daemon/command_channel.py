@@ -121,11 +121,11 @@ class CommandChannel:
         PiezodError
             The command is refused, the device is not connected, or the control process does not answer.
         """
-        asked_ns = time.monotonic_ns()
+        requested_ns = time.monotonic_ns()
         try:
             async with asyncio.timeout(ANSWER_WITHIN_S):
                 async with contextlib.nullcontext() if name in AT_ONCE else self._lock:
-                    kind, text = await self._ask(name, argument, asked_ns)
+                    kind, text = await self._ask(name, argument, requested_ns)
         except TimeoutError:
             raise TemporaryError(f"{name}: the control process did not answer; see piezod status") from None
         if kind != "ok":
@@ -133,14 +133,14 @@ class CommandChannel:
         await asyncio.sleep(settle_s)
         return text
 
-    async def _ask(self, name: str, argument: object, asked_ns: int) -> tuple[str, str]:
+    async def _ask(self, name: str, argument: object, requested_ns: int) -> tuple[str, str]:
         """Send one command and return its answer; an `arm` whose answer does not come in time is taken back."""
         session = self.session
         if session is None or not self.connected:
             raise TemporaryError(f"{name}: the device is not connected: {self.problem or 'starting'}; try again")
         if self.ended:
             raise TemporaryError(f"{name}: the control process has ended; try again")
-        number = session.command(name, argument, asked_ns)
+        number = session.command(name, argument, requested_ns)
         self._answers[number] = asyncio.get_running_loop().create_future()
         try:
             return await self._answers[number]

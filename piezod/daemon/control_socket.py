@@ -109,7 +109,7 @@ class ControlSocket:
         ConfigurationError, BusyError
             As for `open`.
         """
-        if self._listener is None or self._listener.is_there:
+        if self._listener is None or self._listener.is_present:
             return False
         former = self._server
         await self.open()

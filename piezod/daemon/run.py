@@ -79,7 +79,7 @@ def run_foreground(path: Path, *, arm: bool) -> RunResult:
         size = correction_size(bench, path.parent)
     lock = lock_bench(bench)
     heat_file = HeatFile(bench)
-    heat_W = heat_file.take()
+    heat_W = heat_file.pop()
     session = Session(bench, None, path.parent, [], serves=path, lock=lock, heat_W=heat_W, correction_size=size)
     try:
         session.launch()

@@ -90,7 +90,7 @@ class StopPath:
         ConfigurationError, BusyError
             As for `open`.
         """
-        if self._listener is None or self._listener.is_there:
+        if self._listener is None or self._listener.is_present:
             return False
         self.close()
         self.open()

@@ -75,8 +75,6 @@ class Start:
     ----------
     path
         Inputs from the de-energised state up to the first sample [input unit]; empty: it starts de-energised.
-    words
-        The path in words.
     """
 
     path: Path

@@ -88,8 +88,6 @@ def solve_step(hessian: Array, gradient: Array, constraints: Constraints, start:
     ----------
     hessian, gradient
         A, shape (q, q), and g, shape (q,).
-    constraints
-        Constraints of start + d.
     start
         Slopes before the step, shape (q,).
 

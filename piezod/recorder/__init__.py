@@ -1,4 +1,4 @@
-"""The recorder: a process that writes every tick of the ring log to the disk, and the daemon's side of it.
+"""The recorder: a process that writes every tick of the ring log to the disk, with its counterpart in the daemon.
 
 In the daemon:
 

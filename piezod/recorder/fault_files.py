@@ -20,7 +20,7 @@ from piezod.recording.ring_log import ROW_DTYPE
 
 FOLDER = "faults"
 Stamp = tuple[int, int]
-"""Time of day and clock of the rows, read at the same moment [ns]."""
+"""Time of day and clock of the rows, read together [ns]."""
 
 
 class FaultFiles:
@@ -46,7 +46,7 @@ class FaultFiles:
         Parameters
         ----------
         block
-            Rows that follow those of the last call; after a gap the earlier ones are forgotten.
+            Rows after those of the last call; after a gap the earlier ones are forgotten.
         about
             Description that a file contains.
 
@@ -93,9 +93,9 @@ class FaultFiles:
 
     def _forget(self) -> None:
         """Drop the rows that no fault needs any more."""
-        needed = min([self._ramp_begin(self._rows.size), *(fault for fault, _ in self._waiting)])
-        gone = max(0, needed - self._around - self._first)
-        self._rows, self._first = self._rows[gone:].copy(), self._first + gone
+        first_used = min([self._ramp_begin(self._rows.size), *(fault for fault, _ in self._waiting)])
+        dropped = max(0, first_used - self._around - self._first)
+        self._rows, self._first = self._rows[dropped:].copy(), self._first + dropped
 
     def _write(self, begin: int, end: int, about: About) -> None:
         first = max(begin - self._around, self._first)
@@ -111,6 +111,6 @@ class FaultFiles:
             file.close()
 
     def _ramp_begin(self, row: int) -> int:
-        """Number of the first row of the ramp down that ends before an index; that of the index without one."""
+        """Number of the first row of a ramp down that ends before an index; without a ramp, of the row at the index."""
         other = np.flatnonzero(self._rows["state"][:row] != self._plan.ramp_down)
         return self._first + (int(other[-1]) + 1 if other.size else 0)

@@ -4,7 +4,7 @@ python -m piezod.recorder.writer PLAN                       a `Plan`
 
 <- {"ring": "/run/piezod/bench.ring", "session": "..."}     on stdin: record this ring log from its first row
 <- {"end": true}                                            write the remaining rows, then end
--> {"row": 12000, "tick": 12003, "file": "...", ...}        on stdout: a `Report` of what is on the disk
+-> {"row": 12000, "tick": 12003, "file": "...", ...}        on stdout: a `Report` of the rows on the disk
 """
 
 import contextlib
@@ -27,15 +27,13 @@ class Plan:
     folder
         Folder of the files.
     bench
-        Name of the bench; the names of the files begin with it.
+        Name of the bench; the prefix of its file names.
     sync_every_s
         Time between two writes to the disk [s].
     file_bytes, file_s
         Size [byte] and age [s] at which a new file begins.
     folder_bytes
         Limit for all files of the bench together [byte].
-    metadata
-        Metadata of every file.
     absent
         Columns that the device does not have.
     rows_around_fault
@@ -78,7 +76,7 @@ class Report:
     failures
         Number of files that were abandoned because of an error.
     problem
-        Reason why nothing is recorded at present; empty while recording works.
+        Reason of a failure to record; empty while recording works.
     bytes
         Size of all files of the bench [byte].
     commit_s
@@ -105,11 +103,6 @@ class Report:
 
 class MessageReader:
     """Reads messages from a file descriptor; used in the recorder process.
-
-    Parameters
-    ----------
-    descriptor
-        Descriptor to read from.
 
     Attributes
     ----------
@@ -164,4 +157,4 @@ def report_sender(descriptor: int) -> Callable[[Report], None]:
 def parse_report(line: bytes) -> Report:
     """Make a report from its line; used in the daemon."""
     content = json.loads(line)
-    return Report(**{one.name: content[one.name] for one in fields(Report)})
+    return Report(**{field.name: content[field.name] for field in fields(Report)})

@@ -2,9 +2,9 @@
 
     NAME-000001.sqlite, NAME-000002.sqlite, ...
 
-Each file has a number; a higher number is later, whatever the clock was. One file is open at a time. The oldest files
-are removed when the folder reaches its limit. The tables are committed together with the first block, so every valid
-file contains ticks.
+Each file has a number; a higher number is later, at any setting of the clock. One file is open at a time. The oldest
+files are removed when the folder reaches its limit. The tables are committed together with the first block, so every
+valid file contains ticks.
 """
 
 import contextlib
@@ -18,7 +18,7 @@ from piezod.recording.formats.sqlite_tables import TABLES, About, append_block, 
 
 SUFFIX = ".sqlite"
 PARTS = ("", "-wal", "-shm", "-journal")
-"""Suffixes of a file and of the files that SQLite puts beside it."""
+"""Suffixes of a file and of its companion files of SQLite."""
 CHECKPOINT_PAGES = 256
 MARGIN_BYTES = 4_000_000
 """Largest size that the write-ahead log and the last commit add while a file is closed [byte]."""
@@ -68,7 +68,7 @@ class RecordingFile:
         Parameters
         ----------
         block
-            Block after the one that was committed last.
+            Block after the last committed block.
 
         Raises
         ------
@@ -201,7 +201,7 @@ def _new_file(folder: Path, bench: str) -> Path:
             number += 1
             continue
         try:
-            os.fchmod(descriptor, FILE_MODE)  # SQLite gives its further files the same mode
+            os.fchmod(descriptor, FILE_MODE)  # SQLite gives this mode to its further files
         finally:
             os.close(descriptor)
         return path
@@ -224,8 +224,8 @@ def _number(path: Path, bench: str) -> int | None:
 
 
 def _identity(path: Path) -> tuple[int, int]:
-    found = path.stat()
-    return found.st_dev, found.st_ino
+    status = path.stat()
+    return status.st_dev, status.st_ino
 
 
 def _sync(path: Path, flags: int) -> None:

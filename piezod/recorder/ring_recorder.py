@@ -70,8 +70,6 @@ class RingRecorder:
 
         Parameters
         ----------
-        ring_log
-            File of the ring log.
         session
             Identifier of the session that writes it.
         """
@@ -151,7 +149,7 @@ class RingRecorder:
         return block
 
     def _keep_faults(self, block: Block | None) -> None:
-        """Files of the faults in a block, or of all that still wait; a failure is reported and changes nothing else."""
+        """Files of the faults in a block, or of all that still wait; a failure is only reported."""
         try:
             if block is None:
                 self._faults.finish(self._about(kept="around a fault"))

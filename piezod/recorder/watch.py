@@ -58,13 +58,7 @@ class RecorderWatch:
         self.restarts = 0
 
     def follow(self, ring_log: Path) -> None:
-        """Record the ring log of a new control process.
-
-        Parameters
-        ----------
-        ring_log
-            File of the ring log.
-        """
+        """Record the ring log of a new control process."""
         self._following = {"ring": str(ring_log), "session": uuid.uuid4().hex}
         if self._task is None:
             self._task = asyncio.get_running_loop().create_task(self._supervise())

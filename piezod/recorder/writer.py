@@ -31,8 +31,6 @@ def run(
     ----------
     recorder
         Recorder without a ring log.
-    messages
-        Messages of the daemon.
     send_report
         Called after every step.
     interval_s

@@ -76,10 +76,6 @@ def stored_column(path: Path, names: Sequence[str], wanted: str) -> tuple[str, f
 
     Parameters
     ----------
-    path
-        The file, for messages.
-    names
-        Names of its columns.
     wanted
         Name of the channel that is wanted.
 
@@ -104,10 +100,6 @@ def choose_columns(path: Path, names: Sequence[str], given: Mapping[str, str | N
 
     Parameters
     ----------
-    path
-        The file, for messages.
-    names
-        Names of its columns.
     given
         `input` and `output` as the user named them; None: not named.
 
@@ -157,8 +149,6 @@ def in_units_of(recording: Recording, wanted: Sequence[str]) -> tuple[Recording,
     ----------
     recording
         The recording; it is not changed.
-    wanted
-        Names of channels.
 
     Returns
     -------

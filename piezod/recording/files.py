@@ -31,8 +31,6 @@ class Format:
 
     Parameters
     ----------
-    name
-        Name for messages.
     magic
         First bytes of a file of this format, one of several; empty: a file may begin with any bytes.
     open, write
@@ -103,8 +101,6 @@ def write_recording(recording: Recording, path: Path) -> None:
 
     Parameters
     ----------
-    recording
-        Recording to write.
     path
         Target file; its suffix selects the format.
 
@@ -205,8 +201,6 @@ def check_output_path(target: Path, recordings: Sequence[Path] = ()) -> None:
 
     Parameters
     ----------
-    target
-        File to write.
     recordings
         Files that are read for it and must not be overwritten.
 
@@ -227,8 +221,6 @@ def check_recording_target(target: Path, recordings: Sequence[Path] = ()) -> Non
 
     Parameters
     ----------
-    target
-        File to write.
     recordings
         Files that the command reads and must not overwrite.
 

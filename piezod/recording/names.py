@@ -43,11 +43,6 @@ def unit_of(name: str) -> str:
     """Unit at the end of a channel name: `slew_V_per_s` -> `V_per_s`; empty for a name without unit.
 
     A way or an angle over a time needs no `per`: `velocity_cm_s` -> `cm_per_s`.
-
-    Parameters
-    ----------
-    name
-        Channel name.
     """
     if rate := _RATE.search(name):
         return f"{rate['above']}_per_{rate['below']}"
@@ -60,8 +55,6 @@ def name_columns(path: Path, columns: Iterable[tuple[str, str]]) -> tuple[str, .
 
     Parameters
     ----------
-    path
-        The file, for messages.
     columns
         (name, unit) of each column in the file.
 

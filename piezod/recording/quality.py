@@ -37,13 +37,6 @@ def describe_timing(recording: Recording) -> list[str]:
 def describe_missing(recording: Recording, name: str) -> list[str]:
     """Line about the missing samples of a channel: number, share, time of the first; no line for a complete channel.
 
-    Parameters
-    ----------
-    recording
-        Recording with this channel.
-    name
-        Name of the channel.
-
     Raises
     ------
     RecordingError
@@ -62,10 +55,6 @@ def describe_stuck(recording: Recording, name: str, stuck: StuckStretches) -> li
 
     Parameters
     ----------
-    recording
-        The recording.
-    name
-        Name of the channel.
     stuck
         Result of `find_stuck` for this channel.
     """

@@ -69,8 +69,6 @@ class Column:
 
     Parameters
     ----------
-    written
-        Its name in the file.
     quantity
         A key of `WORDS`; empty: unknown.
     unit

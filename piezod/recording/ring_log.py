@@ -158,13 +158,7 @@ class RingLog:
 
 
 def remove_ring_log(path: Path) -> None:
-    """Remove a ring log; no effect on any other file.
-
-    Parameters
-    ----------
-    path
-        Path of the ring log.
-    """
+    """Remove a ring log; no effect on any other file."""
     with contextlib.suppress(OSError, ConfigurationError):
         if is_own_file(path, _KEY, _OWN):
             path.unlink()
@@ -204,8 +198,6 @@ class RingReader:
 
     Parameters
     ----------
-    path
-        File of the ring log.
     first
         Number of the first row to read; the writer's first row is number 0.
 

@@ -50,8 +50,6 @@ class Strays:
 
     Parameters
     ----------
-    channel
-        Name of the channel.
     rows
         Sample numbers from 0, increasing, shape (n,).
     values

@@ -16,8 +16,6 @@ def check_absent(target: Path, *, force: bool) -> None:
 
     Parameters
     ----------
-    target
-        File to write.
     force
         Whether the user permits it.
 

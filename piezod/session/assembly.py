@@ -55,11 +55,6 @@ MOST_LEARNED_TICKS = 2_000_000
 def load_bench_and_model(path: Path) -> tuple[BenchConfig, Model]:
     """Read a bench configuration and its model, and check that they fit together.
 
-    Parameters
-    ----------
-    path
-        Bench configuration.
-
     Raises
     ------
     ConfigurationError
@@ -76,11 +71,6 @@ def load_bench_and_model(path: Path) -> tuple[BenchConfig, Model]:
 def load_bench_without_model(path: Path) -> BenchConfig:
     """Read a bench configuration whose model may not exist yet, and check it against the wire.
 
-    Parameters
-    ----------
-    path
-        Bench configuration.
-
     Raises
     ------
     ConfigurationError
@@ -93,11 +83,6 @@ def load_bench_without_model(path: Path) -> BenchConfig:
 
 def load_drivable_model(path: Path) -> Model:
     """Read a model that can drive a bench: its input is in volts, its output in newtons.
-
-    Parameters
-    ----------
-    path
-        Model file.
 
     Raises
     ------
@@ -127,11 +112,6 @@ def load_drivable_model(path: Path) -> Model:
 def check_units(model: Model, path: Path) -> None:
     """Refuse a model of other quantities: its numbers would be written as volts.
 
-    Parameters
-    ----------
-    model, path
-        Model and its file.
-
     Raises
     ------
     ModelError
@@ -152,13 +132,6 @@ def check_units(model: Model, path: Path) -> None:
 
 def check_effects(bench: BenchConfig, model: Model, path: Path) -> None:
     """Refuse effects of the model that have no inverse and are not excluded by `compensation_without`.
-
-    Parameters
-    ----------
-    bench, path
-        Bench configuration and its file.
-    model
-        Model of the compensation.
 
     Raises
     ------
@@ -183,11 +156,6 @@ def check_effects(bench: BenchConfig, model: Model, path: Path) -> None:
 def check_wire(bench: BenchConfig) -> None:
     """Refuse a rate above the wire's limit, and voltages that the wire cannot encode.
 
-    Parameters
-    ----------
-    bench
-        Bench configuration.
-
     Raises
     ------
     ConfigurationError
@@ -206,11 +174,6 @@ def check_wire(bench: BenchConfig) -> None:
 @contextlib.contextmanager
 def opened_link(bench: BenchConfig) -> Iterator[Link]:
     """Connect the link and verify the identity of its device; close the link at the end.
-
-    Parameters
-    ----------
-    bench
-        Bench configuration.
 
     Raises
     ------
@@ -233,8 +196,6 @@ def make_rate_keeper(bench: BenchConfig, link: Link) -> RateKeeper:
 
     Parameters
     ----------
-    bench
-        Bench configuration.
     link
         Opened link.
     """
@@ -265,12 +226,10 @@ def reference_table(bench: BenchConfig, folder: Path) -> TableReference:
 
 
 def correction_size(bench: BenchConfig, folder: Path) -> int:
-    """Number of float64 values of a learned correction (`RepeatCorrection`); 0 where nothing is learned.
+    """Number of float64 values of a learned correction (`RepeatCorrection`); 0: no learned correction.
 
     Parameters
     ----------
-    bench
-        Bench configuration.
     folder
         Folder that relative paths start from.
 
@@ -354,8 +313,6 @@ def make_loop(
 
     Parameters
     ----------
-    bench
-        Bench configuration.
     link
         Opened link.
     clock
@@ -363,7 +320,7 @@ def make_loop(
     ring_log
         Ring log that every tick is written to.
     phases
-        Times of the phases of a tick; None: nobody reads them.
+        Times of the phases of a tick; None: not measured.
     """
     arming = bench.arming
     return ControlLoop(

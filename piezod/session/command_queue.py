@@ -30,8 +30,6 @@ class CommandQueue:
 
     Parameters
     ----------
-    bench
-        Bench configuration.
     link, loop
         Opened link and the loop that drives through it.
     pipe
@@ -52,7 +50,7 @@ class CommandQueue:
     def urge(self, name: str) -> None:
         """Note `stop` or `disarm`, to be executed after this tick; called from a signal handler.
 
-        Every `arm` that was requested before expires now, whatever it waits for.
+        Every `arm` that was requested before expires now, even while it waits.
         """
         self._urgent = name if self._urgent != "stop" else "stop"
         self._urged_ns = time.monotonic_ns()
@@ -87,33 +85,33 @@ class CommandQueue:
             self._loop.bring_down_left_output()
         return "ramping down" if supervisor.driving else f"{supervisor.state.name}: nothing is driven"
 
-    def _serve(self, number: int, asked_ns: int, name: str, argument: Any) -> None:  # noqa: ANN401  # as in _execute
+    def _serve(self, number: int, requested_ns: int, name: str, argument: Any) -> None:  # noqa: ANN401  # as in _execute
         """Execute and answer one command."""
         try:
             if name not in NEVER_EXPIRE:
-                self._require_valid(name, asked_ns)
-            kind, text = "ok", self._execute(name, argument, asked_ns)
+                self._require_valid(name, requested_ns)
+            kind, text = "ok", self._execute(name, argument, requested_ns)
         except PiezodError as error:
             kind, text = type(error).__name__, str(error)
         self._pipe.send(("answer", (number, kind, text)))
 
-    def _require_valid(self, name: str, asked_ns: int) -> None:
+    def _require_valid(self, name: str, requested_ns: int) -> None:
         """Refuse an expired command, and every command after the request to end."""
-        age_s = 1e-9 * (time.monotonic_ns() - asked_ns)
+        age_s = 1e-9 * (time.monotonic_ns() - requested_ns)
         if age_s > VALID_FOR_S:
             raise CheckFailedError(
                 f"{name}: {age_s:.1f} s have passed since the request, must be at most {VALID_FOR_S:g} s: the device "
                 "or this machine is slow; nothing was done, try again"
             )
-        if name == "arm" and asked_ns <= self._urged_ns:
+        if name == "arm" and requested_ns <= self._urged_ns:
             raise CheckFailedError(f"{name}: a stop came after the request; nothing was done")
         if self._loop.stopped:
             raise TemporaryError(f"{name}: the control process is ending; try again")
 
-    def _execute(self, name: str, argument: Any, asked_ns: int) -> str:  # noqa: ANN401  # any object of the parent
+    def _execute(self, name: str, argument: Any, requested_ns: int) -> str:  # noqa: ANN401  # any object of the parent
         match name:
             case "arm":
-                return self._arm(asked_ns)
+                return self._arm(requested_ns)
             case "disarm" | "stop":
                 return self._rest(name)
             case "reset":
@@ -129,16 +127,17 @@ class CommandQueue:
                 return "ending"
         raise CheckFailedError(f"'{name}' is not a command of the control process")
 
-    def _arm(self, asked_ns: int) -> str:
+    def _arm(self, requested_ns: int) -> str:
         """Check every precondition, then the age of the command, then arm.
 
-        A slow device delays no tick, because nothing is driven yet. It delays the checks, so the age counts after them.
+        A slow device delays no tick, because the bench is not driven yet. It delays the checks, so the age is compared
+        after the checks.
         """
         self._require_disarmed("arm")
         if self._segment is None:
             raise CheckFailedError("arm: this session only reads")
         check_ready(self._bench, self._link)
-        self._require_valid("arm", asked_ns)
+        self._require_valid("arm", requested_ns)
         self._loop.arm(self._segment)
         return "arming"
 

@@ -1,7 +1,7 @@
 """The control process: its set-up, and its single thread that reads, plans and writes.
 
 SIGTERM requests a ramp down and the end, however often it comes: the kernel may send it more than once when the parent
-dies. SIGUSR2 requests the same as fast as the slew limit allows. SIGUSR1 announces a command
+dies. SIGUSR2 requests the fastest ramp within the slew limit. SIGUSR1 announces a command
 (`session/command_queue.py`). The signals of `task.URGENT` are the commands `disarm` and `stop` themselves.
 Nothing that concerns the parent ends a ramp: a closed pipe only requests one.
 """
@@ -60,8 +60,6 @@ def run(task: Task, pipe: Connection, lock: BenchLock, shared: SharedMemory) -> 
 
     Parameters
     ----------
-    task
-        Task to execute.
     pipe
         Connection to the parent. It carries `ready`, `answer`, and finally `done` or `error`.
     lock
@@ -72,7 +70,7 @@ def run(task: Task, pipe: Connection, lock: BenchLock, shared: SharedMemory) -> 
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGHUP, signal.SIG_IGN)
     for number in URGENT.values():
-        signal.signal(number, signal.SIG_IGN)  # nothing is driven yet
+        signal.signal(number, signal.SIG_IGN)  # the bench is not driven yet
     if not _end_with_parent():
         lock.close()
         return
@@ -145,7 +143,7 @@ def _execute(task: Task, pipe: Connection, shared: SharedMemory | None = None) -
 
 
 def _correct_by(segment: Segment, cells: Any, task: Task) -> None:  # noqa: ANN401  # an array of ctypes
-    """Let the looped table of a segment follow the learned correction, from that of an earlier run on."""
+    """Add the learned correction to the looped table of a segment, beginning with the correction of an earlier run."""
     assert isinstance(segment.reference, TableReference)
     assert task.serves is not None
     correction = RepeatCorrection(cells)

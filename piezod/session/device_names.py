@@ -1,7 +1,7 @@
-"""Names of the device that a link leads to: equal for two bench files that drive the same amplifier.
+"""Names of the device that a link leads to: equal for two bench files that drive one amplifier.
 
-A host counts by its addresses, and every address of this machine as the same one. A serial port counts by its device
-number, whatever path or link leads to it.
+A host counts by its addresses; all addresses of this machine are equal. A serial port counts by its device
+number, independent of its path or link.
 """
 
 import contextlib
@@ -34,10 +34,10 @@ def device_names(link: LinkConfig) -> tuple[str, ...]:
 def _addresses(host: str, port: int) -> set[str]:
     """Addresses of a host; its name where it cannot be resolved now."""
     try:
-        found = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)
+        infos = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)
     except OSError:
         return {host.lower().rstrip(".")}
-    return {_machine(family, str(address[0])) for family, _, _, _, address in found}
+    return {_machine(family, str(address[0])) for family, _, _, _, address in infos}
 
 
 def _machine(family: int, address: str) -> str:
@@ -60,7 +60,7 @@ def _is_own(family: int, address: str) -> bool:
 def _serial_device(port: str) -> str:
     """Device number of a serial port; the resolved path where it is not there now."""
     with contextlib.suppress(OSError):
-        found = Path(port).stat()
-        if stat.S_ISCHR(found.st_mode):
-            return f"{os.major(found.st_rdev)}:{os.minor(found.st_rdev)}"
+        status = Path(port).stat()
+        if stat.S_ISCHR(status.st_mode):
+            return f"{os.major(status.st_rdev)}:{os.minor(status.st_rdev)}"
     return os.path.realpath(port)

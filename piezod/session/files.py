@@ -13,11 +13,6 @@ def files_digest(bench: BenchConfig, path: Path) -> str:
     """Digest of the content of the model file, and of the reference file if there is one.
 
     A file that cannot be read counts as empty; loading it reports the error.
-
-    Parameters
-    ----------
-    bench, path
-        Bench configuration and its file.
     """
     digest = hashlib.sha256()
     files = [model_path(bench, path)]

@@ -20,7 +20,7 @@ class HeatFile:
     Parameters
     ----------
     bench
-        Bench configuration; the file lies beside its ring log.
+        Bench configuration; the file lies in the folder of its ring log.
     """
 
     def __init__(self, bench: BenchConfig) -> None:
@@ -28,10 +28,10 @@ class HeatFile:
         self._limit_W = bench.limits.dissipation_max_W or 0.0
         self._over_s = bench.limits.dissipation_over_s
 
-    def take(self) -> float:
+    def pop(self) -> float:
         """Mean power that the stack turned into heat before, as it counts now [W]; the file is removed.
 
-        The limit of the bench where nothing is known.
+        Without a file: the limit of the bench.
         """
         try:
             with self._path.open("rb") as file:

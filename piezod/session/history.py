@@ -1,4 +1,4 @@
-"""All rows of a session, and what is computed from them: recordings and timing figures."""
+"""All rows of a session, and their evaluation: recordings and timing figures."""
 
 from dataclasses import dataclass
 
@@ -57,7 +57,7 @@ class History:
         metadata
             Metadata of the recording; the hold of the command is added.
         follows_force
-            Whether the reference is a force [N]. The voltage reference of a direct drive is left out.
+            Whether the reference is a force [N]. The voltage reference of a direct drive is omitted.
         """
         rows = self.rows
         commands, readings = pair_rows(rows[rows["segment"] == segment])
@@ -87,7 +87,7 @@ class History:
 
 
 def is_tracking(commands: NDArray[np.void], readings: NDArray[np.void]) -> NDArray[np.bool_]:
-    """Tell which pairs belong to a followed reference: both rows are RUNNING and the reading is good.
+    """Mask of the pairs that belong to a followed reference: both rows are RUNNING and the reading is good.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""CSV files that the daemon keeps and replaces: only one that it made itself is ever replaced."""
+"""CSV files that the daemon replaces; it never replaces a file of another origin."""
 
 import os
 from dataclasses import dataclass
@@ -17,8 +17,6 @@ class KeptCsv:
 
     Parameters
     ----------
-    path
-        The file.
     key
         Key of the bench file that names it, for messages.
     mark

@@ -35,26 +35,24 @@ def most_N(bench: BenchConfig, table: TableReference) -> float:
 
 
 class LearnedFile:
-    """The file of one bench, and what a correction in it must belong to: reference, model and compensation.
+    """The file of a bench, for corrections with its reference, model and compensation.
 
     Parameters
     ----------
     bench, path
         Bench configuration with a section `learning`, and its file.
-    table
-        Reference of the bench.
 
     Attributes
     ----------
     path
-        The file: `learning.file`, or a file beside the ring log.
+        The file: `learning.file`, or a file next to the ring log.
     problem
         Why the file could not be read or written; empty without a failure.
     """
 
     def __init__(self, bench: BenchConfig, path: Path, table: TableReference) -> None:
-        self._kept, self.problem = learned_file(bench), ""
-        self.path = self._kept.path
+        self._csv, self.problem = learned_file(bench), ""
+        self.path = self._csv.path
         self._most_N = most_N(bench, table)
         self._name, self._dt_s, self._reference_N = bench.name, bench.dt_s, table.values()
         digest = hashlib.sha256(files_digest(bench, path).encode())
@@ -88,15 +86,9 @@ class LearnedFile:
         time_s = np.arange(correction_N.size, dtype=np.float64) * self._dt_s
         metadata = {"bench": self._name, "digest": self._digest}
         columns = {"reference_N": self._reference_N, _COLUMN: correction_N}
-        self.problem = self._kept.write(Recording(time_s, columns, metadata))
+        self.problem = self._csv.write(Recording(time_s, columns, metadata))
 
 
 def learned_file(bench: BenchConfig) -> KeptCsv:
-    """File of a learned correction: `learning.file`, or a file beside the ring log.
-
-    Parameters
-    ----------
-    bench
-        Bench configuration.
-    """
+    """File of a learned correction: `learning.file`, or a file next to the ring log."""
     return KeptCsv(bench.learned_path, "learning.file", ("learned", "correction of a looped reference"))

@@ -1,10 +1,10 @@
 """The locks that let only one program at a time use a bench, and a device.
 
-Two bench files may name the same device, so the lock of a bench file is not enough. Each lock is a `flock` on a file.
+Two bench files may name one device, so the lock of a bench file is not enough. Each lock is a `flock` on a file.
 The kernel releases it when the last process that holds it ends. No other user can open the files, so no other user can
 take a lock. Programs of two users on one device are detected at the device (`control/device_guard.py`).
 
-A stop needs no lock that nobody uses: it passes a file of another user, and a holder that stands still.
+A stop passes an unused lock: the file of another user, or a holder that stands still.
 """
 
 import contextlib
@@ -48,7 +48,7 @@ class BenchLock:
     wait_s
         Longest time to wait for another holder [s].
     stopping
-        Whether the bench will only be brought to rest; then a lock that nobody uses is passed.
+        Whether the bench will only be brought to rest; then an unused lock is passed.
 
     Raises
     ------
@@ -62,10 +62,10 @@ class BenchLock:
         self._held: dict[Path, int] = {}
         self._own: list[Path] = []
         self._stopping = stopping
-        self._take(path, "bench", time.monotonic() + wait_s)
+        self._acquire(path, "bench", time.monotonic() + wait_s)
 
     def cover(self, devices: Iterable[str], wait_s: float = 0.0) -> None:
-        """Lock devices too; those that are locked already stay locked.
+        """Lock devices too; locked devices stay locked.
 
         Parameters
         ----------
@@ -83,7 +83,7 @@ class BenchLock:
         for name in devices:
             path = device_lock_path(name)
             if path not in self._held:
-                self._take(path, "device", deadline_s)
+                self._acquire(path, "device", deadline_s)
 
     def restore(self) -> bool:
         """Make lock files again that somebody has removed; False if another program has taken one in the meantime.
@@ -97,13 +97,13 @@ class BenchLock:
             if not _is_at(self._held[path], path):
                 former = self._held[path]
                 try:
-                    self._take(path, "bench", time.monotonic())
+                    self._acquire(path, "bench", time.monotonic())
                 except BusyError:
                     return False
                 os.close(former)
         return True
 
-    def _take(self, path: Path, what: str, deadline_s: float) -> None:
+    def _acquire(self, path: Path, what: str, deadline_s: float) -> None:
         descriptor = _lock(path, what, deadline_s, stopping=self._stopping)
         if descriptor is None:
             return
@@ -134,8 +134,6 @@ def lock_bench(bench: BenchConfig, wait_s: float = 0.0, *, stopping: bool = Fals
 
     Parameters
     ----------
-    bench
-        Bench configuration.
     wait_s
         Longest time to wait for another holder of each lock [s].
     stopping
@@ -182,8 +180,8 @@ def _own_folder() -> Path:
         folder = DEVICE_LOCKS / f"piezod-{user}{f'-{number}' if number else ''}"
         with contextlib.suppress(FileExistsError):
             folder.mkdir(FOLDER_MODE)
-        found = folder.lstat()
-        if stat.S_ISDIR(found.st_mode) and found.st_uid == user:
+        status = folder.lstat()
+        if stat.S_ISDIR(status.st_mode) and status.st_uid == user:
             folder.chmod(FOLDER_MODE)
             return folder
     raise ConfigurationError(f"{DEVICE_LOCKS}: other users have made piezod-{user} and its like; remove them")
@@ -246,10 +244,10 @@ def _open(path: Path) -> int:
     try:
         with contextlib.suppress(FileExistsError):
             return os.open(path, flags | os.O_CREAT | os.O_EXCL, MODE)
-        found = path.lstat()
-        if stat.S_ISREG(found.st_mode) and found.st_uid != os.geteuid():
+        status = path.lstat()
+        if stat.S_ISREG(status.st_mode) and status.st_uid != os.geteuid():
             raise BusyError(
-                f"{path}: belongs to user {found.st_uid}, whose program may drive this bench; stop it, remove the file"
+                f"{path}: belongs to user {status.st_uid}, whose program may drive this bench; stop it, remove the file"
             )
         descriptor = os.open(path, flags)
     except FileNotFoundError as error:

@@ -49,9 +49,9 @@ class Session:
     lock
         Lock of the bench that the caller holds. None: the session takes it at the start and releases it at the end.
     heat_W
-        `Outcome.heat_W` of the session before on the same bench [W]: the stack is still warm.
+        `Outcome.heat_W` of the previous session on this bench [W]: the stack is still warm.
     correction_size
-        Number of float64 values of a learned correction (`RepeatCorrection`); 0: nothing is learned.
+        Number of float64 values of a learned correction (`RepeatCorrection`); 0: no learned correction.
 
     Attributes
     ----------
@@ -103,12 +103,12 @@ class Session:
         if self._lock is None:
             self._lock = lock_bench(self._task.bench)
         context = multiprocessing.get_context("spawn")
-        self._pipe, theirs = context.Pipe()
-        arguments = (self._task, theirs, self._lock, self.shared)
+        self._pipe, child_pipe = context.Pipe()
+        arguments = (self._task, child_pipe, self._lock, self.shared)
         self._process = context.Process(target=_enter_control_process, args=arguments, daemon=False)
         self._process.start()
         self._pid_descriptor = os.pidfd_open(self._process.pid)
-        theirs.close()
+        child_pipe.close()
 
     def start(self) -> None:
         """Start the control process and wait until it is connected.
@@ -183,14 +183,14 @@ class Session:
             raise rebuild_error(*content)
         yield self.read()
 
-    def command(self, name: str, argument: object = None, asked_ns: int | None = None) -> int:
+    def command(self, name: str, argument: object = None, requested_ns: int | None = None) -> int:
         """Send a command to a control process that serves.
 
         Parameters
         ----------
         name, argument
             Command (`session/command_queue.py`).
-        asked_ns
+        requested_ns
             Monotonic time of the request, from which the command expires [ns]; None: now.
 
         Returns
@@ -201,7 +201,7 @@ class Session:
         assert self._pipe is not None
         self._commands += 1
         with contextlib.suppress(OSError):
-            self._pipe.send((self._commands, asked_ns or time.monotonic_ns(), name, argument))
+            self._pipe.send((self._commands, requested_ns or time.monotonic_ns(), name, argument))
         self._signal(signal.SIGUSR1)
         return self._commands
 

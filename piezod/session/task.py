@@ -85,7 +85,7 @@ class SharedMemory:
     phases
         int64 values of `piezod.control.PhaseTimes`.
     correction
-        float64 values of a `RepeatCorrection`; None: nothing is learned.
+        float64 values of a `RepeatCorrection`; None: no learned correction.
     """
 
     phases: Any

@@ -23,8 +23,6 @@ def earlier_records(bench: BenchConfig, folder: Path, now: datetime) -> list[dic
 
     Parameters
     ----------
-    bench
-        Bench configuration.
     folder
         Folder of the records, `proof.folder`.
     now

@@ -65,8 +65,6 @@ def is_configured(trip: Trip, bench: BenchConfig) -> bool:
     ----------
     trip
         One of `TRIPS`.
-    bench
-        Bench configuration.
     """
     if (known := _CONFIGURED.get(trip.key)) is not None:
         return known(bench)
@@ -80,8 +78,6 @@ def coverage(bench: BenchConfig, results: Mapping[str, str]) -> dict[str, Any]:
 
     Parameters
     ----------
-    bench
-        Bench configuration.
     results
         Result of each step that was done, by its name.
 

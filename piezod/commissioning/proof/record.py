@@ -98,11 +98,6 @@ def record_path(bench: BenchConfig, output: Path | None, now: datetime) -> Path:
 def check_target(path: Path) -> None:
     """Check that a record can be written, before anything else is done.
 
-    Parameters
-    ----------
-    path
-        File to write.
-
     Raises
     ------
     UsageError

@@ -44,8 +44,6 @@ def open_file(path: Path, most_bytes: int = sys.maxsize) -> BinaryIO:
 
     Parameters
     ----------
-    path
-        The file.
     most_bytes
         Largest size [byte].
 
@@ -66,8 +64,6 @@ def library_errors(path: Path, action: str) -> Iterator[None]:
 
     Parameters
     ----------
-    path
-        The file.
     action
         Past participle for the message: `read` or `written`.
     """

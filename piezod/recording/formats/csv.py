@@ -39,11 +39,6 @@ WRITTEN_ROWS = 2**14
 def read_csv(path: Path) -> Recording:
     """Read a CSV recording with any suffix.
 
-    Parameters
-    ----------
-    path
-        CSV file.
-
     Raises
     ------
     RecordingError
@@ -56,11 +51,6 @@ def read_csv(path: Path) -> Recording:
 @contextmanager
 def open_csv(path: Path) -> Iterator[RecordingStream]:
     """Open a CSV file: metadata and header are read at once, rows with the chunks.
-
-    Parameters
-    ----------
-    path
-        CSV file.
 
     Raises
     ------
@@ -87,13 +77,7 @@ def open_csv(path: Path) -> Iterator[RecordingStream]:
 
 
 def is_own_csv(path: Path) -> bool:
-    """Whether a text file is a recording as `write_csv` writes it: its header begins with `time_s` and a comma.
-
-    Parameters
-    ----------
-    path
-        Text file.
-    """
+    """Whether a text file is a recording as `write_csv` writes it: its header begins with `time_s` and a comma."""
     with path.open("rb") as file:
         for _ in range(MOST_HEAD_LINES):
             line = file.readline(BLOCK)
@@ -110,13 +94,6 @@ def write_csv(recording: Recording, path: Path) -> None:
     """Write a recording: time to 1 ns, values to nine significant digits, missing samples as `nan`.
 
     An error leaves an existing file unchanged.
-
-    Parameters
-    ----------
-    recording
-        Recording to write.
-    path
-        Target file.
 
     Raises
     ------

@@ -2,8 +2,8 @@
 
 Library: h5py 3.11 or later; reads every version of the file format that h5py reads, writes the format of HDF5 1.8.
 Limits: vectors and matrices of one row or column, in the root group or a group directly below it; 2**29 numbers.
-External links, external storage and virtual datasets are skipped, because they lead to other files, as well as
-references, text and tables, because they hold no numbers.
+Skipped are external links, external storage and virtual datasets, because they lead to other files. References, text
+and tables are skipped, because they hold no numbers.
 """
 
 from collections import Counter
@@ -76,13 +76,6 @@ def stream_of(path: Path, datasets: dict[str, Any], metadata: dict[str, str]) ->
 
 def write_hdf5(recording: Recording, path: Path) -> None:
     """Write a recording without loss; an error leaves an existing file unchanged.
-
-    Parameters
-    ----------
-    recording
-        Recording to write.
-    path
-        Target file.
 
     Raises
     ------

@@ -55,13 +55,6 @@ def open_mat(path: Path) -> AbstractContextManager[RecordingStream]:
 def write_mat(recording: Recording, path: Path) -> None:
     """Write a recording as version 5 without loss; an error leaves an existing file unchanged.
 
-    Parameters
-    ----------
-    recording
-        Recording to write.
-    path
-        Target file.
-
     Raises
     ------
     RecordingError

@@ -48,8 +48,6 @@ class Variable:
 
     Parameters
     ----------
-    name
-        Name of the variable.
     kind
         Entry of `CLASSES`, or `complex`.
     shape

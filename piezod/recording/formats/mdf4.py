@@ -60,8 +60,6 @@ def write_mdf4(recording: Recording, path: Path) -> None:
     ----------
     recording
         Recording to write, with at least one channel.
-    path
-        Target file.
 
     Raises
     ------

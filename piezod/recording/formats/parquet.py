@@ -24,11 +24,6 @@ FOREIGN_KEYS = {b"ARROW:schema", b"pandas"}
 def open_parquet(path: Path) -> Iterator[RecordingStream]:
     """Open a Parquet file: its schema is read at once, numbers are read with the chunks.
 
-    Parameters
-    ----------
-    path
-        Parquet file.
-
     Raises
     ------
     RecordingError
@@ -56,13 +51,6 @@ def open_parquet(path: Path) -> Iterator[RecordingStream]:
 
 def write_parquet(recording: Recording, path: Path) -> None:
     """Write a recording without loss; an error leaves an existing file unchanged.
-
-    Parameters
-    ----------
-    recording
-        Recording to write.
-    path
-        Target file.
 
     Raises
     ------

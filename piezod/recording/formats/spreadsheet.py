@@ -26,8 +26,6 @@ def open_spreadsheet(path: Path, options: TextOptions = TextOptions()) -> Iterat
 
     Parameters
     ----------
-    path
-        The workbook.
     options
         Layout as the user states it; `decimal` has no effect.
 

@@ -37,8 +37,6 @@ def export_table(path: Path, exported: Path, options: TextOptions) -> str:
     ----------
     path
         Workbook.
-    exported
-        File to write.
     options
         Layout of the table as the user states it.
 

@@ -37,13 +37,6 @@ SMALLEST_BLOCK = 16
 def write_sqlite(recording: Recording, path: Path) -> None:
     """Write a recording without loss; an error leaves an existing file unchanged.
 
-    Parameters
-    ----------
-    recording
-        Recording to write.
-    path
-        Target file.
-
     Raises
     ------
     RecordingError
@@ -66,11 +59,6 @@ def write_sqlite(recording: Recording, path: Path) -> None:
 @contextmanager
 def open_sqlite(path: Path) -> Iterator[RecordingStream]:
     """Open a recording, complete or still being written; it holds the blocks that are committed now.
-
-    Parameters
-    ----------
-    path
-        SQLite recording.
 
     Raises
     ------

@@ -38,8 +38,6 @@ class RecordingStream:
 
     Parameters
     ----------
-    path
-        The file.
     names
         Column names, `time_s` among them.
     chunks
@@ -133,8 +131,6 @@ def common_length(path: Path, lengths: dict[str, int]) -> int:
 
     Parameters
     ----------
-    path
-        The file, for messages.
     lengths
         Length by column name [samples].
 
@@ -165,11 +161,5 @@ def chunk_ranges(samples: int, chunk: int) -> Iterator[tuple[int, int]]:
 
 
 def skipped_parts(parts: Sequence[str]) -> dict[str, str]:
-    """Metadata entry `skipped` with the names of the parts of a file that hold no numbers; empty without such parts.
-
-    Parameters
-    ----------
-    parts
-        Names of these parts.
-    """
+    """Metadata entry `skipped` with the names of the parts of a file that hold no numbers; empty without such parts."""
     return {"skipped": ", ".join(parts)[:MOST_SKIPPED_TEXT]} if parts else {}

@@ -30,8 +30,6 @@ class StrictTable:
 
     Parameters
     ----------
-    path
-        The file.
     names
         Names of the columns, `time_s` first.
     values

@@ -34,11 +34,6 @@ SHORTEST_CHUNK = 2**20
 def open_tdms(path: Path) -> Iterator[RecordingStream]:
     """Open a TDMS file: its properties are read at once, numbers are read with the chunks.
 
-    Parameters
-    ----------
-    path
-        TDMS file.
-
     Raises
     ------
     RecordingError
@@ -56,13 +51,6 @@ def open_tdms(path: Path) -> Iterator[RecordingStream]:
 
 def write_tdms(recording: Recording, path: Path) -> None:
     """Write a recording without loss; an error leaves an existing file unchanged.
-
-    Parameters
-    ----------
-    recording
-        Recording to write.
-    path
-        Target file.
 
     Raises
     ------

@@ -33,8 +33,6 @@ def open_text(path: Path, options: TextOptions = TextOptions()) -> Iterator[Reco
 
     Parameters
     ----------
-    path
-        Text file.
     options
         Layout as the user states it.
 

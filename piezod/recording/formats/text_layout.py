@@ -164,8 +164,6 @@ def find_layout(path: Path, options: TextOptions) -> Layout:
 
     Parameters
     ----------
-    path
-        The file.
     options
         Layout as the user states it.
 

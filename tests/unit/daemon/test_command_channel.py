@@ -15,8 +15,8 @@ class SilentSession:
     def __init__(self, answers=()):
         self.answers, self.commands, self.channel = answers, [], None
 
-    def command(self, name, argument=None, asked_ns=None):
-        self.commands.append((name, asked_ns))
+    def command(self, name, argument=None, requested_ns=None):
+        self.commands.append((name, requested_ns))
         number = len(self.commands)
         if name in self.answers:
             loop = asyncio.get_running_loop()

@@ -27,19 +27,19 @@ def clock(monkeypatch):
 def test_heat_cools_by_the_clock(bench, clock, age_s):
     HeatFile(bench).keep(1.5)
     clock[0] += age_s
-    assert HeatFile(bench).take() == pytest.approx(1.5 * math.exp(-age_s / bench.limits.dissipation_over_s))
+    assert HeatFile(bench).pop() == pytest.approx(1.5 * math.exp(-age_s / bench.limits.dissipation_over_s))
 
 
 def test_a_run_that_ended_without_a_word_leaves_the_stack_as_hot_as_its_limit(bench, clock):
     HeatFile(bench).keep(0.1)
-    HeatFile(bench).take()
-    assert HeatFile(bench).take() == bench.limits.dissipation_max_W
+    HeatFile(bench).pop()
+    assert HeatFile(bench).pop() == bench.limits.dissipation_max_W
 
 
 def test_a_clock_that_was_set_back_cools_nothing(bench, clock):
     HeatFile(bench).keep(1.5)
     clock[0] -= 3600.0
-    assert HeatFile(bench).take() == 1.5
+    assert HeatFile(bench).pop() == 1.5
 
 
 @pytest.mark.parametrize(
@@ -47,4 +47,4 @@ def test_a_clock_that_was_set_back_cools_nothing(bench, clock):
 )
 def test_a_file_without_sense_counts_as_the_limit(bench, content):
     bench.ring_log_path.with_name("ring.heat").write_text(content, encoding="ascii")
-    assert HeatFile(bench).take() == bench.limits.dissipation_max_W
+    assert HeatFile(bench).pop() == bench.limits.dissipation_max_W
