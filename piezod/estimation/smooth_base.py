@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piezod.estimation.columns import Samples, Structure, clocks_of
+from piezod.estimation.gauss_newton import minimise, penalised_step
 from piezod.estimation.normal_equations import GROUPS, Piece, Sums, merged, pieces_of, sums_of
 from piezod.estimation.quadratic_program import Constraints, solve_step
 
@@ -155,27 +156,18 @@ class _Solver:
         self._tables = slice(0, structure.plays), slice(self._count - zones.size, self._count)
 
     def fit(self, pieces: Sequence[Piece], start: Array, penalty: Array) -> Base:
-        """Step until the expected decrease is negligible; a step that raises the error is shortened."""
-        best, best_cost, sums = start, np.inf, None
-        step, length, parameters = np.zeros(start.size), 1.0, start
-        for _ in range(MOST_STEPS):
-            trial = sums_of(pieces, self._structure, self._zones, parameters)
-            cost = float(trial.loss.sum() + parameters @ penalty @ parameters)
-            if cost < best_cost:
-                best, best_cost, sums, length = parameters, cost, trial, 1.0
-                step = self._step(sums, penalty, best)
-                if self._expected_decrease(sums, penalty, best, step) <= ENOUGH * best_cost:
-                    break
-            else:
-                length *= 0.25
-            parameters = best + length * step
-        assert sums is not None
-        return self.base(best, sums, penalty)
+        """Base with the least penalised error over the pieces."""
+
+        def sums_at(parameters: Array) -> Sums:
+            return sums_of(pieces, self._structure, self._zones, parameters)
+
+        return self.base(*minimise(sums_at, self._bounds, start, penalty, ENOUGH, MOST_STEPS), penalty)
 
     def over_all(self, pieces: Callable[[], Iterable[Piece]], base: Base) -> Base:
         """The base after another step with the sums over every sample."""
         sums = sums_of(pieces(), self._structure, self._zones, base.parameters)
-        better = base.parameters + self._step(sums, base.penalty, base.parameters)
+        bounds = self._bounds(base.parameters)
+        better = base.parameters + penalised_step(sums, bounds, base.penalty, base.parameters)
         return self.base(better, sums_of(pieces(), self._structure, self._zones, better), base.penalty)
 
     def base(self, parameters: Array, sums: Sums, penalty: Array) -> Base:
@@ -185,14 +177,6 @@ class _Solver:
     def _bounds(self, parameters: Array) -> Constraints:
         steepest = float(parameters[self._tables[1]].max())
         return self._constraints.for_direct(self._zones.size, self._eps * steepest)
-
-    def _step(self, sums: Sums, penalty: Array, at: Array) -> Array:
-        hessian, gradient = sums.hessian.sum(axis=0) + penalty, sums.gradient.sum(axis=0) - penalty @ at
-        return solve_step(hessian, gradient, self._bounds(at), at) - at
-
-    def _expected_decrease(self, sums: Sums, penalty: Array, at: Array, step: Array) -> float:
-        before = float(sums.loss.sum() + at @ penalty @ at)
-        return before - sums.expected_loss(step) - float((at + step) @ penalty @ (at + step))
 
     def penalty(self, at: Array, pieces: Sequence[Piece], weights: tuple[float, float]) -> Array:
         """Penalty with weights relative to the Hessian of the data at the parameters `at`, shape (q,)."""

@@ -16,8 +16,9 @@ from piezod.estimation.columns import (
     zone_slopes_of,
     zone_weights_of,
 )
+from piezod.estimation.gauss_newton import minimise
 from piezod.estimation.normal_equations import Piece, Sums, merged, pieces_of, sums_of
-from piezod.estimation.quadratic_program import Constraints, Variant, solve, solve_step
+from piezod.estimation.quadratic_program import Constraints, Variant, solve
 from piezod.estimation.smooth_base import Base
 from piezod.model.parameters import Hysteresis, Superposition
 from piezod.operators import EPS
@@ -83,10 +84,9 @@ def fit_hysteresis(
         steepest = float(parameters[free:].max())
         direct = constraints.for_direct(zones.size, eps * steepest)
         parameters[free:] = np.maximum(parameters[free:], eps * steepest)
-        parameters = _refine(structure, zones, parameters, pieces, direct)
+        parameters, sums = _refine(structure, zones, parameters, pieces, direct)
         if parameters[free:].min() >= eps * parameters[free:].max():
             break
-    sums = sums_of(pieces(), structure, zones, parameters)
     return _fit(structure, zones, parameters, sums, gram, eps)
 
 
@@ -145,25 +145,15 @@ def _refine(
     start: Array,
     pieces: Callable[[], Iterable[Piece]],
     constraints: Constraints,
-) -> Array:
-    """Gauss-Newton on the output error; each step is a quadratic program, halved until the error falls.
+) -> tuple[Array, Sums]:
+    """Parameters with the least output error, and their normal equations.
 
     The error of the first program is in the input's unit. Its regressors contain the noisy output, which biases the
     dead-zone slopes; the regressors of the output error do not.
     """
-    best, step, damping = start, np.zeros_like(start), 1.0
-    best_loss = np.inf
-    parameters = start
-    for _ in range(MOST_STEPS):
-        sums = sums_of(pieces(), structure, zones, parameters)
-        hessian, gradient, loss = sums.hessian.sum(axis=0), sums.gradient.sum(axis=0), float(sums.loss.sum())
-        if loss < best_loss:
-            best, best_loss, damping = parameters, loss, 1.0
-            step = solve_step(hessian, gradient, constraints, parameters) - parameters
-            gain = float(step @ gradient - 0.5 * step @ hessian @ step)
-            if 2.0 * gain <= SMALLEST_GAIN * loss:
-                break
-        else:
-            damping *= 0.25
-        parameters = best + damping * step
-    return best
+
+    def sums_at(parameters: Array) -> Sums:
+        return sums_of(pieces(), structure, zones, parameters)
+
+    no_penalty = np.zeros((start.size, start.size))
+    return minimise(sums_at, lambda _: constraints, start, no_penalty, SMALLEST_GAIN, MOST_STEPS)

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from piezod.errors import RecordingError
 from piezod.estimation.columns import Samples, Structure
 from piezod.estimation.initial_state import (
+    Start,
     clipped_mean_square,
     start_amid,
     start_at_zero,
@@ -88,10 +89,8 @@ def unsplit_stretch(recording: Recording, u: Array, y: Array, column: str, eps: 
             f"{recording.source}: {counts.sum()} samples with an output, needs at least {FEWEST_SAMPLES}; record longer"
         )
     at_rest, loss = starts_at_rest(u), _loss_of_start(u, y, counts, eps)
-    notes = []
     start = (start_at_zero if at_rest else start_amid)(u, unit_of(column), loss)
-    if start.path:
-        notes.append(f"{recording.source}: the stack was {start.words}; that is what its memory starts with")
+    notes = _start_notes(recording, start)
     samples = Samples(u, np.nan_to_num(y), counts, None, start.path)
     stretch = Stretch(samples, samples, at_rest, 0 if at_rest else wipe_out_sample(u), tuple(notes))
     if stretch.rises_first:
@@ -107,24 +106,19 @@ def split_stretch(recording: Recording, u: Array, y: Array, column: str, share: 
     path: tuple[float, ...]
     boundary = int(share * u.size)
     at_rest = starts_at_rest(u)
-    notes = []
     if at_rest:
         counted = counts.copy()
         counted[boundary:] = False
         start = start_at_zero(u, unit_of(column), _loss_of_start(u, y, counted, eps))
-        path = start.path
-        if path:
-            notes.append(f"{recording.source}: the stack was {start.words}; that is what its memory starts with")
+        path, notes = start.path, _start_notes(recording, start)
     else:
         first = wipe_out_sample(u)
         counts[:first] = False
         path = (float(u[0]),)
         clock = (recording.time_s - recording.time_s[boundary]) / (recording.time_s[boundary] - recording.time_s[0])
-        notes.append(
-            f"{recording.source}: does not start at rest; its first "
-            f"{recording.time_s[first] - recording.time_s[0]:.3g} s are not used, "
-            "and plays wider than half its swing stay unknown"
-        )
+        unused_s = recording.time_s[first] - recording.time_s[0]
+        unused = f"{recording.source}: does not start at rest; its first {unused_s:.3g} s are not used"
+        notes = [f"{unused}, and plays wider than half its swing stay unknown"]
     inside, outside = counts.copy(), counts.copy()
     inside[boundary:], outside[:boundary] = False, False
     if inside.sum() < FEWEST_SAMPLES or outside.sum() < FEWEST_SAMPLES:
@@ -134,6 +128,12 @@ def split_stretch(recording: Recording, u: Array, y: Array, column: str, share: 
         )
     fitted = Samples(u, np.nan_to_num(y), inside, clock, path)
     return Stretch(fitted, replace(fitted, counts=outside), at_rest, 0, tuple(notes))
+
+
+def _start_notes(recording: Recording, start: Start) -> list[str]:
+    """Note on a stack that was driven before the recording."""
+    note = f"{recording.source}: the stack was {start.words}; that is what its memory starts with"
+    return [note] if start.path else []
 
 
 def _loss_of_start(u: Array, y: Array, counts: NDArray[np.bool_], eps: float) -> Callable[[tuple[float, ...]], float]:

@@ -11,6 +11,7 @@ from piezod.operators.play import play_states_run
 from piezod.recording import Recording
 from piezod.recording.names import unit_of
 from piezod.recording.quantities import UNITS
+from piezod.recording.white_noise import white_noise
 
 Array = NDArray[np.float64]
 
@@ -251,10 +252,8 @@ def _line(u: Array, y: Array) -> tuple[float, float]:
 
 
 def _noise(values: Array) -> float:
-    """Standard deviation of white noise, from the median of second differences, which ignores corners and steps."""
-    bends = np.abs(np.diff(values, 2))
-    bends = bends[np.isfinite(bends)]
-    return float(np.median(bends)) / (0.6745 * np.sqrt(6.0)) if bends.size else 0.0
+    """Standard deviation of the white noise in consecutive samples."""
+    return white_noise(np.abs(np.diff(values, 2)))
 
 
 def _pieces(samples: int) -> Iterator[slice]:

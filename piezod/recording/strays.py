@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from piezod.recording.recording import Recording
 from piezod.recording.stretches import BLOCK, Array
+from piezod.recording.white_noise import white_noise
 
 Mask = NDArray[np.bool_]
 
@@ -178,9 +179,8 @@ def _typical_range(values: Array) -> tuple[float, float]:
     steps, bends = np.abs(np.diff(near)), np.abs(np.diff(near, 2))
     moving = steps[steps > 0.0]
     step = float(np.quantile(moving, TYPICAL_STEP)) if moving.size else 0.0
-    noise = float(np.median(bends)) / (0.6745 * np.sqrt(6.0)) if bends.size else 0.0
     span = float(high - low)
-    return span, max(NOISES * noise, STEPS * step, RANGES * span)
+    return span, max(NOISES * white_noise(bends), STEPS * step, RANGES * span)
 
 
 def _leaping_runs(values: Array, least: float) -> list[tuple[int, int]]:

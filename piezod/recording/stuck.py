@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piezod.recording.stretches import Array, Stretch, long_runs, pairs
+from piezod.recording.white_noise import white_noise
 
 SHORTEST = 5
 """Shortest run that is tested [samples]; a shorter one does not affect a fit."""
@@ -186,7 +187,7 @@ def _statistics(values: Array, drive: Array, parts: list[slice]) -> _TypicalMoti
     alternating = float(np.mean(np.concatenate(turns)))
     return _TypicalMotion(
         move=_half_sum_part(np.concatenate(moves)),
-        drive_noise=float(np.nanmedian(np.concatenate(bends))) / (0.6745 * np.sqrt(6.0)),
+        drive_noise=white_noise(np.concatenate(bends)),
         step=float(np.median(every_step)),
         noisy=alternating > ALTERNATING and _half_sum_part(every_length) <= 2.0,
         correlation=float(products[0, 1] / spread) if (spread := np.sqrt(products[0, 0] * products[1, 1])) else 0.0,
