@@ -78,13 +78,7 @@ def _attempt(
 
 
 def check_model_effects(bench: BenchConfig, model: Model, path: Path) -> Iterator[Check]:
-    """Check how each effect of the model is handled.
-
-    Parameters
-    ----------
-    model
-        Model of the bench.
-    """
+    """Check how each effect of the model is handled."""
     try:
         check_effects(bench, model, path)
     except PiezodError as error:

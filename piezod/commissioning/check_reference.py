@@ -23,8 +23,6 @@ def check_reference(bench: BenchConfig, model: Model, folder: Path) -> Iterator[
 
     Parameters
     ----------
-    model
-        Model of the bench.
     folder
         Folder that relative paths start from.
     """

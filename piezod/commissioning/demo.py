@@ -26,10 +26,6 @@ class DemoResult:
     ----------
     recordings
         Recordings by (reference, compensation).
-    history
-        All rows of the session.
-    outcome
-        Outcome of the session.
     """
 
     recordings: dict[tuple[str, str], Recording]

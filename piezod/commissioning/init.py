@@ -84,8 +84,6 @@ def draft_bench(profile: str, answers: Answers, path: Path) -> BenchDraft:
         Name among `list_profiles`.
     answers
         Values in place of the profile's values.
-    path
-        File to write later.
 
     Raises
     ------
@@ -151,8 +149,6 @@ def write_bench(draft: BenchDraft, *, force: bool) -> None:
 
     Parameters
     ----------
-    draft
-        Bench configuration to write.
     force
         Whether to replace an existing file.
 

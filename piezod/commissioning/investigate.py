@@ -91,13 +91,7 @@ class Step:
 
 
 def step_text(step: Step) -> str:
-    """Findings, comparison with the plan, and open pairs of a step, for a terminal.
-
-    Parameters
-    ----------
-    step
-        One drive of an investigation.
-    """
+    """Findings, comparison with the plan, and open pairs of a step, for a terminal."""
     findings = step.diagnosis.findings
     lines = [f"{findings.verdict.replace('_', ' ')}: {findings.words}"]
     if step.promised is not None:
@@ -113,8 +107,6 @@ def open_pairs(findings: Findings, known: Isolability) -> Pairs:
 
     Parameters
     ----------
-    findings
-        Result of a diagnosis.
     known
         Effects that the recordings can separate.
     """

@@ -69,8 +69,6 @@ class ValidationResult:
     ----------
     recordings
         Recordings by (reference, compensation), of the segments that reached their end.
-    outcome
-        Outcome of the session.
     """
 
     recordings: dict[tuple[str, str], Recording]
@@ -168,8 +166,6 @@ def run_validation(validation: Validation, on_rows: OnRows) -> ValidationResult:
 
     Parameters
     ----------
-    validation
-        Result of `plan_validation`.
     on_rows
         Called about ten times per second with new rows.
 

@@ -182,8 +182,6 @@ def column_names(path: Path, options: TextOptions | None = None) -> tuple[str, .
 
     Parameters
     ----------
-    path
-        Recording file.
     options
         As for `read_recording`.
 

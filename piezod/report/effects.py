@@ -40,13 +40,7 @@ def effects_table() -> str:
 
 
 def effect_page(effect: Effect) -> str:
-    """Format the documentation of an effect, its parameters with unit and range, and its handling.
-
-    Parameters
-    ----------
-    effect
-        Entry of the catalogue.
-    """
+    """Format the documentation of an effect, its parameters with unit and range, and its handling."""
     rows = [("parameter", "unit", "range", "")]
     rows += [(p.name, p.unit, _range(p), "nuisance" if p.search.nuisance else "") for p in effect.parameters]
     table = "\n".join(text_table(rows, left_aligned=4))
@@ -61,13 +55,7 @@ def effect_page(effect: Effect) -> str:
 
 
 def effect_as_dict(effect: Effect) -> dict[str, Any]:
-    """Return an effect for JSON.
-
-    Parameters
-    ----------
-    effect
-        Entry of the catalogue.
-    """
+    """Return an effect for JSON."""
     return {
         "name": effect.name,
         "title": effect.title,

@@ -92,8 +92,6 @@ def write_identification_page(path: Path, identification: Identification, record
 
     Parameters
     ----------
-    identification
-        Model and its candidates.
     recordings
         Recordings whose curves are drawn.
 

@@ -15,8 +15,6 @@ def isolability_as_dict(result: Isolability, unit: str) -> dict[str, Any]:
 
     Parameters
     ----------
-    result
-        Result of `isolability`.
     unit
         Unit of the output.
     """
@@ -41,8 +39,6 @@ def isolability_text(result: Isolability, unit: str) -> str:
 
     Parameters
     ----------
-    result
-        Result of `isolability`.
     unit
         Unit of the output.
     """
@@ -65,13 +61,7 @@ def isolability_text(result: Isolability, unit: str) -> str:
 
 
 def experiment_as_dict(planned: Experiment) -> dict[str, Any]:
-    """An experiment for JSON.
-
-    Parameters
-    ----------
-    planned
-        Result of `next_experiment`.
-    """
+    """An experiment for JSON."""
     return {
         "duration_s": planned.voltage_V.size * planned.dt_s,
         "segments": list(planned.segments),
@@ -87,8 +77,6 @@ def promise_text(planned: Experiment, reached: Sequence[float]) -> str:
 
     Parameters
     ----------
-    planned
-        Result of `next_experiment`.
     reached
         Sizes from which on its pairs are separated with the recording, in noises.
     """
@@ -103,8 +91,6 @@ def experiment_text(planned: Experiment | None, name: str) -> str:
 
     Parameters
     ----------
-    planned
-        Result of `next_experiment`.
     name
         Name of the file with the drive.
     """

@@ -192,13 +192,7 @@ def opened_link(bench: BenchConfig) -> Iterator[Link]:
 
 
 def make_rate_keeper(bench: BenchConfig, link: Link) -> RateKeeper:
-    """Make the clock of the ticks: the monotonic clock, or the clock of an emulator in virtual time.
-
-    Parameters
-    ----------
-    link
-        Opened link.
-    """
+    """Make the clock of the ticks: the monotonic clock, or the clock of an emulator in virtual time."""
     if link.has("virtual_time") and link.read_register("virtual_time") == 1:
         link.write_register("virtual_tick_us", round(1e6 * bench.dt_s))
         return VirtualRateKeeper(bench.dt_s)
@@ -250,13 +244,7 @@ def correction_size(bench: BenchConfig, folder: Path) -> int:
 
 
 def plan_ahead(reference: Reference, compensator: Compensator) -> None:
-    """Let the values of a table lead by delay and resonance of the model; no effect on any other reference.
-
-    Parameters
-    ----------
-    reference, compensator
-        Parts of a segment.
-    """
+    """Let the values of a table lead by delay and resonance of the model; no effect on any other reference."""
     if isinstance(reference, TableReference) and isinstance(compensator, ExtendedCompensator):
         reference.plan_ahead(compensator.ahead, compensator.preview_ticks)
 
@@ -266,8 +254,6 @@ def make_segment(spec: SegmentSpec, bench: BenchConfig, model: Model | None, lin
 
     Parameters
     ----------
-    spec
-        Description of the segment.
     bench
         Bench configuration; its reference is used where `spec` has none.
     model
@@ -313,10 +299,6 @@ def make_loop(
 
     Parameters
     ----------
-    link
-        Opened link.
-    clock
-        Clock of the ticks.
     ring_log
         Ring log that every tick is written to.
     phases

@@ -26,8 +26,6 @@ def most_N(bench: BenchConfig, table: TableReference) -> float:
     ----------
     bench
         Bench configuration with a section `learning`.
-    table
-        Reference of the bench.
     """
     low, high = table.span()
     assert bench.learning is not None

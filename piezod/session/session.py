@@ -265,8 +265,6 @@ def rebuild_error(name: str, text: str) -> PiezodError:
     ----------
     name
         Class name in `piezod.errors`; another name gives a `PiezodError`.
-    text
-        Message of the error.
     """
     error = getattr(piezod.errors, name, PiezodError)(text)
     assert isinstance(error, PiezodError)

@@ -98,8 +98,6 @@ class Ready:
 
     Parameters
     ----------
-    description
-        Description of the link.
     files
         Digest of model and reference file, read before they were loaded (`session/files.py`); empty: none was loaded.
     """
@@ -124,8 +122,6 @@ class Outcome:
         Text of the latched fault; empty without one.
     stopped
         Whether a stop was requested.
-    warnings
-        Warnings of the control process.
     resident_kib
         Resident memory of the control process at its end [KiB].
     stale_bytes

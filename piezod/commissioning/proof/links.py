@@ -24,8 +24,6 @@ class ChangedLink:
 
     Parameters
     ----------
-    link
-        Link of the bench.
     active
         Whether to change now.
     changes

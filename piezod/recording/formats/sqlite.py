@@ -127,8 +127,6 @@ class BlockReader:
     ----------
     connection, path
         Connection from `connect`, and its file.
-    layout
-        Fields of a row.
     last
         Number of the last block to read; None: the last one in the file.
 

@@ -71,8 +71,6 @@ def unpack(checksum: object, data: object, layout: np.dtype[np.void]) -> Block |
     ----------
     checksum, data
         Values from the file, of any type.
-    layout
-        Fields of a row.
     """
     if not isinstance(data, bytes) or len(data) < _HEAD.size or zlib.crc32(data) != checksum:
         return None

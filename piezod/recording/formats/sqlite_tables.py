@@ -36,8 +36,6 @@ class About:
 
     Parameters
     ----------
-    layout
-        Fields of a row.
     rows
         `ticks`: the rows are ticks of the ring log. `samples`: the rows are samples of a recording.
     metadata

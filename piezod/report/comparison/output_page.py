@@ -51,11 +51,6 @@ def comparison_text(comparison: Comparison) -> str:
 def write_comparison_page(path: Path, comparison: Comparison) -> None:
     """Write the page: best fit, table, outputs and errors over time.
 
-    Parameters
-    ----------
-    comparison
-        Measured and simulated outputs.
-
     Raises
     ------
     ConfigurationError

@@ -141,8 +141,6 @@ def residual_of(model: Model, recording: Recording, start_window_s: float, sha25
 
     Parameters
     ----------
-    model
-        Model to simulate.
     recording
         Recording with the model's input and output.
     start_window_s

@@ -27,10 +27,6 @@ def whiteness_as_dict(test: WhitenessTest, recording: Recording, model: str, uni
 
     Parameters
     ----------
-    test
-        Result of the test.
-    recording
-        Recording that was tested.
     unit
         Unit of the output.
     """
@@ -54,13 +50,7 @@ def whiteness_as_dict(test: WhitenessTest, recording: Recording, model: str, uni
 
 
 def whiteness_text(test: WhitenessTest, unit: str) -> str:
-    """Format samples, residual, both correlations and the verdict as text.
-
-    Parameters
-    ----------
-    test
-        Result of the whiteness test.
-    """
+    """Format samples, residual, both correlations and the verdict as text."""
     middle = (test.cross.size - 1) // 2
     auto_lag = int(np.argmax(np.abs(test.auto[1:]))) + 1
     cross_index = int(np.argmax(np.abs(test.cross)))
@@ -88,10 +78,6 @@ def write_whiteness_page(path: Path, test: WhitenessTest, recording: Recording, 
 
     Parameters
     ----------
-    test
-        Result of the test.
-    recording
-        Recording that was tested.
     residual
         Measured minus modelled, shape (N,), in the output's unit.
     unit

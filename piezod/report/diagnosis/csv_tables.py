@@ -15,8 +15,6 @@ def csv_text(header: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
 
     Parameters
     ----------
-    header
-        Column names.
     rows
         Cells of each row, as many as column names.
     """
@@ -29,11 +27,6 @@ def csv_text(header: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
 
 def effects_csv(findings: Findings) -> str:
     """One row for each parameter of each effect.
-
-    Parameters
-    ----------
-    findings
-        Result of the diagnosis.
 
     Returns
     -------
@@ -50,11 +43,6 @@ def effects_csv(findings: Findings) -> str:
 
 def places_csv(findings: Findings) -> str:
     """One row for each place in which the given model is wrong.
-
-    Parameters
-    ----------
-    findings
-        Result of the diagnosis.
 
     Returns
     -------

@@ -39,11 +39,6 @@ SHIFTS = 39  # references for the p-value of a remaining place
 def write_diagnosis_page(path: Path, diagnosis: Diagnosis) -> None:
     """Write the page and, in the folder `figures` next to the page, the data of every figure as CSV.
 
-    Parameters
-    ----------
-    diagnosis
-        Findings, models and recordings.
-
     Raises
     ------
     ConfigurationError
@@ -62,8 +57,6 @@ class _Page:
 
     Parameters
     ----------
-    diagnosis
-        Findings, models and recordings.
     tables
         Text of each CSV file by its name.
     """

@@ -14,13 +14,7 @@ MOST_PLACES_LINE, MOST_PLACES_TABLE = 3, 6
 
 
 def verdict_html(findings: Findings) -> str:
-    """Verdict in a word, headline, and fall of the error.
-
-    Parameters
-    ----------
-    findings
-        Result of the diagnosis.
-    """
+    """Verdict in a word, headline, and fall of the error."""
     return (
         f"<header><span class='chip {findings.verdict}'>{findings.verdict.replace('_', ' ')}</span>"
         f"<h1>{_escaped(words.headline(findings))}</h1><p class='lead'>{_escaped(words.lead(findings))}</p></header>"
@@ -28,13 +22,7 @@ def verdict_html(findings: Findings) -> str:
 
 
 def chain_html(findings: Findings) -> str:
-    """Signal chain, with each effect at its location.
-
-    Parameters
-    ----------
-    findings
-        Result of the diagnosis.
-    """
+    """Signal chain, with each effect at its location."""
     boxes = []
     for location, name in words.LOCATIONS.items():
         effects = [effect for effect in findings.effects if EFFECTS[effect.name].location == location]
@@ -130,8 +118,6 @@ def held_out_html(findings: Findings, rows: Sequence[tuple[str, float, float]]) 
 
     Parameters
     ----------
-    findings
-        Result of the diagnosis.
     rows
         Name, rms error of the given and of the extended model, over each whole recording.
     """
@@ -162,8 +148,6 @@ def remains_html(findings: Findings, places: Sequence[Place], wording: Wording) 
 
     Parameters
     ----------
-    findings
-        Result of the diagnosis.
     places
         Places in which the extended model is significantly wrong.
     wording
@@ -179,8 +163,6 @@ def recordings_html(findings: Findings, series: Sequence[Series]) -> str:
 
     Parameters
     ----------
-    findings
-        Result of the diagnosis.
     series
         Series of all recordings; the last belong to the findings, in their order.
     """
@@ -199,13 +181,7 @@ def recordings_html(findings: Findings, series: Sequence[Series]) -> str:
 
 
 def table(header: Sequence[str], rows: Sequence[Sequence[str]], kind: str = "") -> str:
-    """Table with escaped cells. Each cell carries the label of its column, shown on narrow screens.
-
-    Parameters
-    ----------
-    kind
-        CSS class.
-    """
+    """Table with escaped cells. Each cell carries the label of its column, shown on narrow screens."""
     head = "".join(f"<th>{_escaped(label)}</th>" for label in header)
     body = "".join(
         "<tr>"

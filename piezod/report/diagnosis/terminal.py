@@ -9,13 +9,7 @@ from piezod.report.diagnosis.wording import SCOPES
 
 
 def print_findings(diagnosis: Diagnosis, folder: Path) -> None:
-    """Print verdict, effects with their rivals, notes, and the names of the written files.
-
-    Parameters
-    ----------
-    diagnosis
-        Result of the diagnosis.
-    """
+    """Print verdict, effects with their rivals, notes, and the names of the written files."""
     findings = diagnosis.findings
     wording = Wording(diagnosis.model.input.unit, diagnosis.model.output.unit)
     print(f"{findings.verdict.replace('_', ' ')}: {findings.words}")

@@ -48,13 +48,7 @@ HIGH, MEDIUM = 0.9, PROBABLE  # lowest confidence of each level
 
 
 def headline(findings: Findings) -> str:
-    """Verdict as a title.
-
-    Parameters
-    ----------
-    findings
-        Result of the diagnosis.
-    """
+    """Verdict as a title."""
     titles = _missing(findings)
     matches = "these recordings do not show what causes the rest" if findings.above_noise else "no effect is missing"
     return {
@@ -77,13 +71,7 @@ def _missing(findings: Findings) -> str:
 
 
 def lead(findings: Findings) -> str:
-    """Fall of the error, compared with the noise.
-
-    Parameters
-    ----------
-    findings
-        Result of the diagnosis.
-    """
+    """Fall of the error, compared with the noise."""
     unit = unit_words(findings.unit)
     known = "noise floor" if findings.noise_is_known else "noise unknown, at most"
     floor = f"{known} {rounded(findings.floor)} {unit} ({FLOORS.get(findings.floor_from, findings.floor_from)})"
@@ -149,8 +137,6 @@ def largest_places(places: Sequence[Place], most: int) -> list[Place]:
 
     Parameters
     ----------
-    places
-        Places of the diagnosis.
     most
         Most places in the result.
     """
@@ -226,8 +212,6 @@ def remains(findings: Findings, places: Sequence[Place], wording: Wording) -> li
 
     Parameters
     ----------
-    findings
-        Result of the diagnosis.
     places
         Places in which the extended model is significantly wrong.
     wording
@@ -249,11 +233,6 @@ def remains(findings: Findings, places: Sequence[Place], wording: Wording) -> li
 
 def not_tested(findings: Findings) -> list[str]:
     """Effects that may be present, but that these recordings cannot show.
-
-    Parameters
-    ----------
-    findings
-        Result of the diagnosis.
 
     Returns
     -------
@@ -284,11 +263,6 @@ def docstring_field(effect: Effect, field: str) -> str:
 
 def remaining_error(findings: Findings) -> list[str]:
     """Remaining error compared with the noise, and the share of it that some model can explain.
-
-    Parameters
-    ----------
-    findings
-        Result of the diagnosis.
 
     Returns
     -------

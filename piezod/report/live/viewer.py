@@ -102,8 +102,6 @@ def add_command_buttons(document: Document, token: str, command: Command) -> Non
 
     Parameters
     ----------
-    document
-        Document of the viewer.
     token
         Token that the viewer must type.
     command

@@ -49,8 +49,6 @@ class DemoVerdict:
         Errors by (reference, compensation).
     timing
         Percentiles of the tick timing.
-    outcome
-        Counters of the control process.
     hidden
         Result on the bench with hidden effects; None if that part did not run.
     """
@@ -165,13 +163,7 @@ def live_line(names: list[str]) -> Iterator[Callable[[Rows], None]]:
 
 
 def print_demo(verdict: DemoVerdict) -> None:
-    """Print table, timing, warnings and verdict.
-
-    Parameters
-    ----------
-    verdict
-        Result of the demo.
-    """
+    """Print table, timing, warnings and verdict."""
     print("\n".join(text_table([HEADER, *_rows(verdict)], left_aligned=2)))
     print(_timing_sentence(verdict))
     for warning in verdict.outcome.warnings:
@@ -184,8 +176,6 @@ def write_demo_page(path: Path, verdict: DemoVerdict, recordings: dict[FigureKey
 
     Parameters
     ----------
-    verdict
-        Result of the demo.
     recordings
         By (reference, compensation). Recordings of a single sample are skipped.
 

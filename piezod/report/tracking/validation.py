@@ -55,8 +55,6 @@ class ValidationVerdict:
         Least and largest force that every model reaches [N].
     figures
         Errors by (reference, compensation), of the runs that were completed.
-    outcome
-        Counters of the control process.
     """
 
     references: Mapping[str, Triangle]
@@ -167,13 +165,7 @@ def evaluate_validation(
 
 
 def validation_text(verdict: ValidationVerdict) -> str:
-    """Format range, table and verdict as text, with three columns for each compensation.
-
-    Parameters
-    ----------
-    verdict
-        Result of the validation.
-    """
+    """Format range, table and verdict as text, with three columns for each compensation."""
     parts = ("max hyst. [%]", "rms [N] (%)", "max [N] (%)")
     rows = [["reference", *parts * len(verdict.compensations)], *_rows(verdict)]
     widths = column_widths(rows)
@@ -193,8 +185,6 @@ def write_validation_page(path: Path, verdict: ValidationVerdict, recordings: di
 
     Parameters
     ----------
-    verdict
-        Result of the validation.
     recordings
         Runs by (reference, compensation).
 

@@ -39,8 +39,6 @@ def error_bars(findings: Findings, extended: str) -> figure:
 
     Parameters
     ----------
-    findings
-        Result of the diagnosis.
     extended
         Name of the model after the diagnosis.
     """
@@ -79,8 +77,6 @@ def held_out_errors(findings: Findings, extended: str) -> list[tuple[str, float,
 
     Parameters
     ----------
-    findings
-        Result of the diagnosis.
     extended
         Name of the bar of the extended model.
     """

@@ -135,8 +135,6 @@ def places_on(places: Sequence[Place], axis: str) -> list[Place]:
 
     Parameters
     ----------
-    places
-        Places of the diagnosis.
     axis
         Axis: `time_s`, `voltage_V` and the like.
     """
@@ -163,8 +161,6 @@ def shade(plot: figure, places: Sequence[Place]) -> None:
 
     Parameters
     ----------
-    plot
-        Figure to draw in.
     places
         Places on the abscissa of the figure.
     """

@@ -28,8 +28,6 @@ def driver_figure(view: View, places: Sequence[Place], unit: str, extended: str)
 
     Parameters
     ----------
-    view
-        Binned residuals of both models.
     places
         Places in which the given model is wrong; those on the driver are shaded.
     unit
@@ -61,8 +59,6 @@ def memory_figure(memory: Memory, places: Sequence[Place], extended: str) -> tup
 
     Parameters
     ----------
-    memory
-        Correlations of both models.
     places
         Places in which the given model is wrong; those in the command's past are shaded.
     extended

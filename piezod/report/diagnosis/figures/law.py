@@ -28,8 +28,6 @@ def law_figure(law: UnnamedLaw, units: tuple[str, str]) -> tuple[figure, dict[st
 
     Parameters
     ----------
-    law
-        Tables of the law.
     units
         Units of command and output.
     """

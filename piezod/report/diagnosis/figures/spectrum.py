@@ -88,12 +88,8 @@ def map_figure(power: PowerMap, start_s: float, title: str, scale: LinearColorMa
 
     Parameters
     ----------
-    power
-        Power of a residual.
     start_s
         Time of its first sample [s].
-    scale
-        Colour scale.
     """
     low, high = np.log10(power.frequency_Hz[0]), np.log10(power.frequency_Hz[-1])
     ends_s = start_s + power.time_s[[0, -1]]
