@@ -1,4 +1,4 @@
-"""Noise of a recording, from its samples without a model, because a repeatable misfit of a model is no noise.
+"""Noise of a recording, from its samples without a model, because a misfit of a model may be repeatable.
 
 It is the spread of the output between repetitions of a periodic input, else while the input rests.
 """
@@ -19,9 +19,7 @@ SAME_COURSE = 0.01  # largest rms difference of the input between repetitions, a
 COMPARED = 0.2  # share of a recording that must repeat: two periods suffice, without the start of the first
 MOVING = 0.5  # share of the input's range that the repeated part must cover
 AS_GOOD = 4.0  # the period is the shortest lag whose squared difference is below this multiple of the smallest
-DIFFERENT_INPUT = (
-    0.25  # a period is longer than the first lag whose squared difference exceeds this share of the variance
-)
+DIFFERENT_INPUT = 0.25  # share of the variance; only lags beyond a larger squared difference can be a period
 COARSE = 1 << 18  # samples in which a period is searched; a longer recording is thinned to so many
 REST_S, FEWEST_SAMPLES, FEWEST_RESTS = 0.5, 20, 3  # duration of a rest [s], samples and rests that are needed
 
@@ -52,7 +50,7 @@ def noise_of(u: Array, y: Array, counts: NDArray[np.bool_], dt_s: float) -> Nois
 
 
 def _in_repeats(u: Array, y: Array, counts: NDArray[np.bool_]) -> float | None:
-    """Noise from the difference of each sample to that of the period before, after the start of the recording."""
+    """Noise from the difference between each sample and the sample one period earlier, after the start."""
     lag = _period(u)
     if lag is None:
         return None

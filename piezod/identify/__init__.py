@@ -1,1 +1,1 @@
-"""From recordings to a model that can be inverted, and the figures that say how good it is."""
+"""From recordings to an invertible model with its figures of merit."""

@@ -41,7 +41,7 @@ class Fit:
     structure, hysteresis
         Thresholds of the fit, and the direct operator.
     gram
-        Gram matrix of the quadratic program, shape (q, q), for a later refit.
+        Gram matrix of the quadratic program, shape (q, q).
     condition
         Condition number of the columns, each scaled to length 1, without the direction that the normalisation fixes.
     rms
