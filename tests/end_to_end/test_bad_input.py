@@ -83,7 +83,7 @@ def test_a_model_of_another_schema_ends_with_78(bench_copy, tmp_path):
     assert "schema is 'piezod.model/0', must be 'piezod.model/1'" in one_line(piezod("run", path, "--arm"), 78)
 
 
-def test_nobody_there_ends_with_75(tmp_path):
+def test_a_missing_device_exits_with_75(tmp_path):
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         port = free.getsockname()[1]

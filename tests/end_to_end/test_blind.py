@@ -239,7 +239,7 @@ def test_a_case_that_fails_is_one_line_counts_as_wrong_and_is_tried_again(study,
         (("score", "STUDY", "NEW"), 78, "has no verdict"),
     ],
 )
-def test_what_cannot_be_done_is_one_line_and_its_exit_code(study, tmp_path, arguments, code, said):
+def test_a_refused_blind_command_prints_one_line_and_exits_with_its_code(study, tmp_path, arguments, code, said):
     places = {"STUDY": study, "NEW": tmp_path / "new"}
     done = piezod("blind", *(places.get(one, one) for one in arguments))
     assert done.returncode == code, done.stderr

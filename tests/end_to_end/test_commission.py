@@ -42,7 +42,7 @@ def test_models_recordings_and_pages_are_left(commissioned):
     assert (folder / "validation.html").exists()
 
 
-def test_one_bench_is_asked_for(tmp_path):
+def test_commission_needs_exactly_one_of_config_and_emulated(tmp_path):
     done = piezod("commission", "-o", tmp_path)
     assert done.returncode == 2
     assert done.stderr.strip() == "piezod: give CONFIG or --emulated SCENARIO, exactly one of them"

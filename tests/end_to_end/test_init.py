@@ -84,7 +84,7 @@ def test_every_profile_can_be_taken_as_it_is(profile, tmp_path):
     assert made.bench.name == "mine"
 
 
-def test_lasting_names_are_preferred(tmp_path):
+def test_serial_ports_are_listed_by_their_lasting_names(tmp_path):
     device = tmp_path / "ttyUSB7"
     device.touch()
     folder = tmp_path / "by-id"

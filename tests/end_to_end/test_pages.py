@@ -135,7 +135,7 @@ def on_desktop(page, browser):
     opened.close()
 
 
-def test_a_page_is_small(page):
+def test_a_page_stays_within_its_size_limit(page):
     assert page.stat().st_size <= LIMIT_BYTES
 
 

@@ -60,7 +60,7 @@ def test_a_file_an_array_and_a_frame_are_the_same_recording(recording, tmp_path)
     assert len(verdicts) == 1
 
 
-def test_what_is_given_is_not_changed(recording):
+def test_identify_does_not_change_its_recording(recording):
     stuck = recording.channel("force_N").copy()
     stuck[300:400] = stuck[300]
     given = piezod.Recording(TIME_S, {"voltage_V": VOLTAGE_V, "force_N": stuck.copy()})

@@ -56,7 +56,7 @@ def test_every_register_is_read_at_least_once_a_second(subject):
     assert len(subject.link.reads) <= 1.1 * 10e9 / (TURN_NS / subject.link.supervised)
 
 
-def test_nothing_is_read_at_rest(subject):
+def test_the_device_guard_reads_nothing_while_disarmed(subject):
     subject.supervisor.state = State.DISARMED
     subject.ticks(3.0)
     assert subject.link.reads == []

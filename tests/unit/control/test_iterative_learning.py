@@ -39,7 +39,7 @@ def test_a_repeating_error_is_gone_to_the_noise_by_the_fifth_repeat():
 
 
 @pytest.mark.parametrize("ticks", [1, 3, 7])
-def test_a_delay_is_led(ticks):
+def test_learning_compensates_a_delay_of_whole_ticks(ticks):
     errors, _, _ = follow(lambda planned, _: np.roll(planned, ticks), 8)
     assert errors[0] > 7 * NOISE
     assert errors[-1] < 1.3 * NOISE

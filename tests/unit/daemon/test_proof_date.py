@@ -55,7 +55,7 @@ def test_records_may_lie_in_a_folder_of_their_own(tmp_path):
 
 
 @pytest.mark.parametrize(("days", "overdue"), [(0.0, False), (99.9, False), (100.1, True)])
-def test_it_is_due_after_its_interval(days, overdue):
+def test_a_proof_test_is_overdue_after_its_interval(days, overdue):
     assert aged(days).is_overdue == overdue
     assert ("OVERDUE" in proof_text(aged(days).as_dict())) == overdue
 

@@ -45,7 +45,7 @@ def test_stop_and_disarm_are_obeyed(bench, urged, command):
     "line",
     [b'{"command": "arm"}\n', b"stop\n", b"[1]\n", b"3\n", b"\xff\n", b"[" * 200 + b"\n", b'{"command": ["stop"]}\n'],
 )
-def test_everything_else_is_refused(bench, urged, line):
+def test_the_stop_socket_refuses_anything_but_stop_and_disarm(bench, urged, line):
     with socket.socket(socket.AF_UNIX) as client:
         client.settimeout(5.0)
         client.connect(str(bench.stop_socket_path))

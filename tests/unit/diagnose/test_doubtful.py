@@ -20,7 +20,7 @@ def doubted(*effects, before=2.0, after=1.0, surest=None):
     return needless(result, findings, delivered=True) or least_believed(result, findings, confidences(findings, surest))
 
 
-def test_of_two_that_are_believed_too_little_the_lesser_goes_first():
+def test_of_two_doubtful_effects_the_less_confident_is_dropped_first():
     effects = ("creep", 0.55, 1.2, 1.0), ("friction", 0.3, 1.1, 1.0), ("resonance", 0.9, 1.5, 1.0)
     assert doubted(*effects) == ["friction"]
 
@@ -31,12 +31,12 @@ def test_none_is_believed_less_for_what_another_took_that_was_left_out():
     assert doubted(*effects, surest={"friction": 0.7, "creep": 0.61}) == []
 
 
-def test_what_stands_alone_and_leaves_much_goes_too():
+def test_a_single_effect_of_low_confidence_is_dropped():
     assert doubted(("creep", 0.55, 1.2, 1.0)) == ["creep"]
 
 
 @pytest.mark.parametrize("others", [(), (("resonance", 0.9, 1.5, 1.0),)], ids=["alone", "beside a surer one"])
-def test_what_halves_the_error_stays(others):
+def test_an_effect_that_halves_the_error_is_kept(others):
     assert doubted(("creep", 0.4, 2.1, 1.0), *others) == []
     assert doubted(("creep", 0.4, 1.9, 1.0), *others) == ["creep"]
 
@@ -46,7 +46,7 @@ def test_all_go_where_the_given_model_says_it_as_well():
 
 
 @pytest.mark.parametrize("before", [0.9, 1.0, 1.005])
-def test_what_gains_nothing_in_the_end_goes_however_sure_it_was(before):
+def test_a_confident_effect_without_gain_is_dropped(before):
     assert doubted(("gain_drift", 0.95, before, 1.0), ("creep", 0.9, 2.0, 1.0)) == ["gain_drift"]
 
 

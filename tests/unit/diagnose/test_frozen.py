@@ -35,7 +35,7 @@ def test_a_noisy_reading_that_stands_still_is_seen_also_while_the_command_rests(
 
 
 @pytest.mark.parametrize("step_N", [0.0, 0.01, 0.3, 2.0])
-def test_no_noise_stands_still(step_N):
+def test_noise_is_no_frozen_reading(step_N):
     assert not any(found(noisy(seed, step_N)) for seed in range(20))
 
 

@@ -42,6 +42,6 @@ def test_a_recording_whose_memory_never_settles_is_compared_from_a_start_that_is
     assert 0.0 < told["before"] < 4.0 * NOISE_N
 
 
-def test_the_diagnosis_stands(findings):
+def test_held_out_recordings_leave_the_verdict_of_a_true_model(findings):
     assert findings["verdict"] == "matches"
     assert len(findings["fit"]["held_out_recordings"]) == len(HELD_OUT)

@@ -47,7 +47,7 @@ def test_what_folds_is_fitted_within_the_bound_and_better_than_its_neighbour():
     assert folded.loss < found.loss < 0.9 * np.mean(left_N**2) / NOISE_N**2
 
 
-def test_what_does_not_fold_stays_as_it_is():
+def test_a_monotone_fit_is_returned_unchanged():
     chain = chain_over(lambda u: 0.7 * u + 0.2 * played(np.concatenate(([0.0], u)), 15.0)[1:])
     found = fit(chain, (), empty_point(chain, 0.8, 0.0))
     assert unfolded(chain, found) is found

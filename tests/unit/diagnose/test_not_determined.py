@@ -55,7 +55,7 @@ def test_a_size_with_a_narrow_interval_stays_however_small_it_is():
     assert not_determined(of(finding("transport_delay", 1e-4, 5e-5, 2e-4), finding("creep", 0.01, 0.004, 0.03))) == []
 
 
-def test_of_two_the_less_believed_goes_first():
+def test_of_two_undetermined_effects_the_less_confident_is_dropped_first():
     wide = [finding("creep", 0.02, 0.001, 0.1, 0.9), finding("noncongruent_minor_loops", 0.4, 0.03, 1.0, 0.7)]
     assert not_determined(of(*wide)) == ["noncongruent_minor_loops"]
 

@@ -42,7 +42,7 @@ def test_a_lattice_finer_than_the_noise_reads_between_its_steps() -> None:
 
 
 @pytest.mark.parametrize("force_N", [MOVING_N, STAIRCASE_N, MOVING_N + STAIRCASE_N], ids=["moving", "steps", "both"])
-def test_what_is_told_is_as_near_to_the_force_as_is_claimed(force_N: Array) -> None:
+def test_an_unrounded_force_is_within_its_claimed_error(force_N: Array) -> None:
     one = unrounded(recorded(force_N, STEP_N, NOISE_N))
     assert one.trust is not None
     assert one.within_N is not None

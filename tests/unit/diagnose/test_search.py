@@ -168,7 +168,7 @@ def test_what_bends_to_any_hysteresis_gives_way_to_what_has_a_shape_and_says_nea
     assert taken != "friction" or (rival.name == "noncongruent_minor_loops" and rival.separation > 0.15)
 
 
-def test_what_was_found_besides_is_no_rival():
+def test_an_effect_of_the_hypothesis_is_no_rival_of_another():
     chain, base, with_effects = recordings_late_and_bent()
     delay, bent = {"delay_s": 6 / RATE_HZ}, {"curvature": 0.1, "cubic": 0.0}
     first, second = with_effects(transport_delay=delay), with_effects(output_nonlinearity=bent)

@@ -67,6 +67,6 @@ def test_a_name_is_believed_by_what_it_explains_beside_all_that_is_no_noise():
     assert no_noise(0.05, 2.0, 1.9, above=False) == 0.05
 
 
-def test_where_there_was_no_gap_nothing_closed_it():
+def test_the_closed_gap_is_zero_without_a_gap_and_negative_for_a_larger_error():
     assert gap_closed(0.1, 0.1, 0.1) == 0.0
     assert gap_closed(1.0, 1.2, 0.1) < 0.0

@@ -123,7 +123,7 @@ def test_an_interval_whose_ends_are_said_alike_is_not_said(size, half, said):
 @pytest.mark.parametrize(
     ("titles", "said"), [([], ""), (["a"], "a"), (["a", "b"], "a and b"), (list("abc"), "a, b and c")]
 )
-def test_things_are_listed(titles, said):
+def test_names_are_joined_by_commas_and_a_last_and(titles, said):
     assert words.listed(titles) == said
 
 

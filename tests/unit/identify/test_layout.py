@@ -26,7 +26,7 @@ def write(path, options):
 
 
 @pytest.mark.parametrize("options", [PLAIN, BARE, TIMED], ids=["no time", "no header", "no header but time"])
-def test_what_was_said_at_the_identification_need_not_be_said_again(tmp_path, options):
+def test_text_options_of_the_identification_are_used_again(tmp_path, options):
     for name in ("first.csv", "second.csv"):
         write(tmp_path / name, options)
     model = tmp_path / "model.yaml"

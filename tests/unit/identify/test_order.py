@@ -28,5 +28,5 @@ def test_a_table_whose_zero_was_moved_does_not_lose_its_linear_part():
     assert smaller.play_thresholds.size == 3
 
 
-def test_what_matters_stays():
+def test_an_operator_that_matters_is_not_pruned():
     assert _without_negligible(a_fit([0.0, 20.0, 40.0], [0.0, 20.0, 40.0], [2.0, 0.5, 0.4]), 1.0) is None

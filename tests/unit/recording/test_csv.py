@@ -12,7 +12,7 @@ from piezod.recording import Recording, read_csv, write_csv
 from piezod.recording.formats import csv, csv_cells
 
 
-def test_what_is_written_is_read_back(tmp_path):
+def test_a_csv_recording_is_read_back_as_it_was_written(tmp_path):
     rng = np.random.default_rng(1)
     time_s = np.cumsum(rng.uniform(1e-4, 1e-2, 200))
     recording = Recording(

@@ -27,7 +27,7 @@ def recording(tmp_path):
 
 
 @pytest.mark.parametrize("kind", ["file", "link to nothing", "folder"])
-def test_what_exists_is_replaced_only_with_force(tmp_path, kind):
+def test_an_existing_target_is_replaced_only_with_force(tmp_path, kind):
     path = tmp_path / "there.csv"
     {"file": path.touch, "link to nothing": lambda: path.symlink_to("nothing"), "folder": path.mkdir}[kind]()
     with pytest.raises(UsageError, match="already exists; name another file, or replace it with --force"):

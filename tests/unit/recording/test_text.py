@@ -76,7 +76,7 @@ def test_a_large_file_is_read_in_pieces_with_the_same_numbers(tmp_path, monkeypa
     )
 
 
-def test_what_was_understood_is_one_line(tmp_path):
+def test_the_layout_of_a_text_file_is_stated_in_one_line(tmp_path):
     path = tmp_path / "rec.csv"
     path.write_bytes(next(form for form in forms() if form.name == "spreadsheet, Germany").content)
     assert read_recording(path).metadata["understood"] == (

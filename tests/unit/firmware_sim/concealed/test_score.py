@@ -315,6 +315,6 @@ def test_a_name_counts_as_confident_from_nine_tenths_on_even_under_a_flag():
 
 
 @pytest.mark.parametrize(("hits", "count", "low", "high"), [(0, 10, 0.0, 0.2775), (5, 10, 0.2366, 0.7634)])
-def test_wilsons_interval(hits, count, low, high):
+def test_wilson_interval_agrees_with_its_closed_forms(hits, count, low, high):
     """0 hits of n: the upper end is z^2 / (n + z^2). n/2 hits: the interval is symmetric about 1/2."""
     assert wilson(hits, count) == pytest.approx((low, high), abs=1e-3)
