@@ -10,7 +10,7 @@ from piezod.api.given import Given, Some, each_of, loaded_of, names_of, recordin
 from piezod.api.model import Model
 from piezod.api.results import Diagnosed, Identified
 from piezod.diagnose.diagnosis import diagnose as diagnosis_of
-from piezod.diagnose.prepare import Source, past_sources
+from piezod.diagnose.sources import Source, past_sources
 from piezod.errors import UsageError
 from piezod.identify.identification import Options
 from piezod.identify.identification import identify as identification_of

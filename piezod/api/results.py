@@ -6,7 +6,7 @@ from typing import Any
 
 from piezod.api.model import Model
 from piezod.api.notebook import curves_svg, result_html
-from piezod.diagnose.findings import Finding, Kept
+from piezod.diagnose.findings import Finding, UnchangedEffect
 from piezod.diagnose.judgement import Diagnosis
 from piezod.diagnose.verdict.words import Wording, label_of, value_words
 from piezod.effects import EFFECTS
@@ -142,7 +142,7 @@ class Diagnosed:
         return result_html(str(self), rows if len(rows) > 1 else [], list(findings.notes), picture)
 
 
-def _values(effect: Finding | Kept, wording: Wording) -> str:
+def _values(effect: Finding | UnchangedEffect, wording: Wording) -> str:
     """Parameters of an effect with their values."""
     return ", ".join(
         f"{label_of(name, value.unit)} {value_words(value, name, effect.name, wording)[0]}"

@@ -112,7 +112,7 @@ def what_is_testable(
         check_readable(path, model, text)  # a wrong file is refused before the libraries are there
     from piezod.diagnose.experiment.isolability import isolability
     from piezod.diagnose.experiment.planning import next_experiment
-    from piezod.diagnose.prepare import past_sources, read_source
+    from piezod.diagnose.sources import past_sources, read_source
     from piezod.identify.layout import layout_of
     from piezod.model import load_model
     from piezod.report.isolability import experiment_as_dict, experiment_text, isolability_as_dict, isolability_text

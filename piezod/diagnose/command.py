@@ -1,4 +1,4 @@
-"""`piezod diagnose`: files in, a folder with findings and the extended model out."""
+"""Diagnosis of files: `piezod diagnose` writes findings and the extended model into a folder."""
 
 import json
 from collections.abc import Callable, Sequence
@@ -7,22 +7,20 @@ from pathlib import Path
 
 from piezod.diagnose.diagnosis import diagnose
 from piezod.diagnose.findings import HeldOut, Verdict, above_noise
-from piezod.diagnose.judgement import Diagnosis
-from piezod.diagnose.prepare import Source, past_sources, read_source
+from piezod.diagnose.judgement import Diagnosis, with_words
+from piezod.diagnose.sources import Source, past_sources, read_source
 from piezod.diagnose.verdict.simulated import free_run, tared_rms
-from piezod.diagnose.verdict.verdict import words_of
-from piezod.diagnose.verdict.words import Wording
 from piezod.errors import ConfigurationError, UsageError
 from piezod.identify.layout import layout_of
 from piezod.model import Model, load_model, save_model
 from piezod.recording import TextOptions
 from piezod.recording.names import unit_of
 
-WORSE = 1.02  # times the error of the given model on a recording held out: the noise of a minute does not do that
-LESS: dict[Verdict, Verdict] = {"explained": "partly_explained", "matches": "unexplained"}
-"""Verdicts that do not hold where more than noise is left of a recording that was held out."""
+WORSE = 1.02  # error ratio above which a model is worse on a held-out recording; noise of a minute causes less
+LOWERED: dict[Verdict, Verdict] = {"explained": "partly_explained", "matches": "unexplained"}
+"""Verdict if the error of a held-out recording exceeds the noise."""
+MOST_UNCERTAIN = 0.5  # highest confidence of an effect that makes a held-out recording worse: as likely wrong as right
 
-MOST_DOUBTED = 0.5  # confidence of an effect that makes such a recording worse
 OnStep = Callable[[str, float | None], None]
 
 
@@ -42,21 +40,21 @@ def diagnose_files(
     Parameters
     ----------
     recordings
-        To be explained.
+        Recordings to diagnose.
     model_path
-        The model; the recordings that it was identified on are used too where they are still there.
+        Model; its identification recordings are used too if they still exist.
     output
-        Folder, made where it is not there.
+        Folder; created if missing.
     input_column, output_column
-        Columns; None: the model's.
+        Columns; None: those of the model.
     on_step
-        Told what is being done.
+        Called with the current step, and the share of the work done if known.
     hold_out
-        Recordings that both models are compared on and nothing is fitted to.
+        Recordings for a comparison of both models, not used for fits.
     condition
-        COLUMN=VALUE at which the readings of `recordings` count; the memory runs through all samples.
+        COLUMN=VALUE at which the readings of `recordings` count; the simulation runs over all samples.
     text
-        What the user says about text files; None: everything is found from the files.
+        Options for text files; None: determined from the files.
 
     Raises
     ------
@@ -70,19 +68,31 @@ def diagnose_files(
     if len({path.resolve() for path in files}) < len(files):
         raise UsageError(f"REC is {', '.join(map(str, files))}: one stands twice, must be different files")
     columns = (model.input.channel, model.output.channel)
-    apart = [read_source(path, "recording", columns, text=layout_of(path, model, text)) for path in hold_out]
-    asked = [read_source(path, "recording", columns, condition, layout_of(path, model, text)) for path in recordings]
-    past, notes = past_sources(model, model_path.parent, asked)
-    notes = [*(note for one in (*asked, *apart) for note in one.notes), *notes]
-    before = [_rms(one, model) for one in apart]  # before the search: a file that cannot be used is said at once
-    diagnosis = diagnose(model, asked, past, notes, on_step)
-    if apart:
+    held_out = [read_source(path, "recording", columns, text=layout_of(path, model, text)) for path in hold_out]
+    diagnosed = [
+        read_source(path, "recording", columns, condition, layout_of(path, model, text)) for path in recordings
+    ]
+    past, past_notes = past_sources(model, model_path.parent, diagnosed)
+    notes = [*(note for source in (*diagnosed, *held_out) for note in source.notes), *past_notes]
+    before = [_rms(source, model) for source in held_out]  # an unusable file raises before the long search
+    diagnosis = diagnose(model, diagnosed, past, notes, on_step)
+    if held_out:
         on_step("simulating what was held out", 0.98)
-        told = _compared(apart, before, diagnosis.model)
-        if diagnosis.without_law is not None:
-            plain = _compared(apart, before, diagnosis.without_law.model)
-            diagnosis, told = law_checked(diagnosis, told, plain)
-        diagnosis = checked_by(diagnosis, model, told)
+        diagnosis = _checked(diagnosis, model, held_out, before)
+    _write(diagnosis, output)
+    return diagnosis
+
+
+def _checked(diagnosis: Diagnosis, given: Model, held_out: Sequence[Source], before: Sequence[float]) -> Diagnosis:
+    """Diagnosis checked on held-out recordings; `before`: their errors with the given model."""
+    errors = _compared(held_out, before, diagnosis.model)
+    if diagnosis.without_law is not None:
+        errors_without_law = _compared(held_out, before, diagnosis.without_law.model)
+        diagnosis, errors = with_checked_law(diagnosis, errors, errors_without_law)
+    return with_held_out(diagnosis, given, errors)
+
+
+def _write(diagnosis: Diagnosis, output: Path) -> None:
     try:
         output.mkdir(parents=True, exist_ok=True)
         content = json.dumps(diagnosis.findings.as_dict(), indent=2) + "\n"
@@ -90,74 +100,54 @@ def diagnose_files(
     except OSError as error:
         raise ConfigurationError(f"{output}: cannot be written: {error.strerror}") from error
     save_model(diagnosis.model, output / "model.yaml")
-    return diagnosis
 
 
-def checked_by(diagnosis: Diagnosis, given: Model, held_out: Sequence[HeldOut]) -> Diagnosis:
-    """The diagnosis with the recordings that were held out: its verdict holds for them too.
+def with_held_out(diagnosis: Diagnosis, given: Model, held_out: Sequence[HeldOut]) -> Diagnosis:
+    """Diagnosis with the errors of held-out recordings, to which its verdict then applies too.
 
-    Where one gets worse, the given model stays, no improvement is claimed, and no effect is more likely than not. Where
-    more than noise is left of one, nothing is explained and nothing matches.
-
-    Parameters
-    ----------
-    diagnosis
-        Of other recordings.
-    given
-        The given model.
-    held_out
-        Errors of both models.
+    If a recording gets worse, the given model stays and no confidence exceeds `MOST_UNCERTAIN`. If an error exceeds the
+    noise, nothing is explained and nothing matches.
     """
     findings = replace(diagnosis.findings, held_out=tuple(held_out))
     model, unit, notes = diagnosis.model, findings.unit, list(findings.notes)
-    worse = [one for one in held_out if one.after > WORSE * one.before]
+    worse = [recording for recording in held_out if recording.after > WORSE * recording.before]
     if worse and model is not given:
-        effects = tuple(replace(one, confidence=min(one.confidence, MOST_DOUBTED)) for one in findings.effects)
-        base = replace(findings.base, confidence=min(findings.base.confidence, MOST_DOUBTED))
+        effects = tuple(replace(f, confidence=min(f.confidence, MOST_UNCERTAIN)) for f in findings.effects)
+        base = replace(findings.base, confidence=min(findings.base.confidence, MOST_UNCERTAIN))
         findings = replace(findings, effects=effects, base=base, law=None, after=findings.before)
         model = given
         notes += [
-            f"{one.path}, held out: the extended model is worse, {one.before:.3g} -> {one.after:.3g} {unit}; "
-            "the given model stays"
-            for one in worse
+            f"{recording.path}, held out: the extended model is worse, {recording.before:.3g} -> {recording.after:.3g} "
+            f"{unit}; the given model stays"
+            for recording in worse
         ]
-    errors = {one.path: one.before if model is given else one.after for one in held_out}
-    left = {path: error for path, error in errors.items() if above_noise(error, findings.floor, findings.span)}
-    notes += [f"{path}, held out: {error:.3g} {unit} is left, more than the noise" for path, error in left.items()]
-    verdict = findings.verdict
-    if (worse or left) and verdict in LESS:
-        verdict = LESS[verdict]
-    findings = replace(findings, verdict=verdict, notes=tuple(notes))
-    words = words_of(findings, Wording(given.input.unit, given.output.unit))
+    errors = {recording.path: recording.before if model is given else recording.after for recording in held_out}
+    large = {path: error for path, error in errors.items() if above_noise(error, findings.floor, findings.span)}
+    notes += [f"{path}, held out: {error:.3g} {unit} is left, more than the noise" for path, error in large.items()]
+    verdict = LOWERED.get(findings.verdict, findings.verdict) if worse or large else findings.verdict
+    findings = with_words(replace(findings, verdict=verdict, notes=tuple(notes)), given)
+    words = findings.words
     words += "; a recording that was held out gets worse" if worse else ""
-    words += "; more than noise is left of a recording that was held out" if left and not worse else ""
+    words += "; more than noise is left of a recording that was held out" if large and not worse else ""
     return replace(diagnosis, findings=replace(findings, words=words), model=model)
 
 
-def law_checked(
-    diagnosis: Diagnosis, with_it: tuple[HeldOut, ...], without: tuple[HeldOut, ...]
+def with_checked_law(
+    diagnosis: Diagnosis, with_law: tuple[HeldOut, ...], without_law: tuple[HeldOut, ...]
 ) -> tuple[Diagnosis, tuple[HeldOut, ...]]:
-    """The diagnosis and the errors of its model; without its unnamed law where that makes a recording worse.
-
-    Parameters
-    ----------
-    diagnosis
-        With an unnamed law.
-    with_it, without
-        Errors of the extended model with and without the law, on recordings that were held out.
-    """
+    """Diagnosis without its unnamed law if the law makes a held-out recording worse, and the errors of its model."""
     plain = diagnosis.without_law
-    if plain is None or all(law.after <= other.after for law, other in zip(with_it, without, strict=True)):
-        return diagnosis, with_it
+    if plain is None or all(law.after <= other.after for law, other in zip(with_law, without_law, strict=True)):
+        return diagnosis, with_law
     note = "an unnamed law fits the recordings, but makes one that was held out worse, and is left out"
-    return replace(plain, findings=replace(plain.findings, notes=(*plain.findings.notes, note))), without
+    return replace(plain, findings=replace(plain.findings, notes=(*plain.findings.notes, note))), without_law
 
 
-def _compared(apart: Sequence[Source], before: Sequence[float], extended: Model) -> tuple[HeldOut, ...]:
-    """Recordings that were held out, with the errors of the given model and of another one."""
+def _compared(sources: Sequence[Source], before: Sequence[float], extended: Model) -> tuple[HeldOut, ...]:
+    """Held-out recordings with the errors of the given model (`before`) and of the extended model."""
     return tuple(
-        HeldOut(one.recording.source, one.sha256, given, _rms(one, extended))
-        for one, given in zip(apart, before, strict=True)
+        HeldOut(source.recording.source, source.sha256, error, _rms(source, extended))
+        for source, error in zip(sources, before, strict=True)
     )
 
 
@@ -166,7 +156,7 @@ def _rms(source: Source, model: Model) -> float:
 
 
 def _with_columns(model: Model, input_column: str | None, output_column: str | None) -> Model:
-    """The model for other columns, where they were named; a model of negated readings stays one."""
+    """Model for the named columns; negated readings stay negated."""
     changes = {}
     for side, column in (("input", input_column), ("output", output_column)):
         if column is not None:

@@ -1,4 +1,4 @@
-"""From recordings and a model to findings: prepare, search, judge, and say how sure."""
+"""Diagnosis of recordings: prepare them, search for effects, assess the result, and describe the remainder."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from piezod.diagnose.adequacy.guard import explainable
-from piezod.diagnose.adequacy.remainder import motion
+from piezod.diagnose.adequacy.remainder import motion_of
 from piezod.diagnose.adequacy.unrecorded import unrecorded_input
 from piezod.diagnose.candidates.rounding import unrounded
 from piezod.diagnose.candidates.tones import with_tones
@@ -16,31 +16,28 @@ from piezod.diagnose.findings import Unnamed, Verdict
 from piezod.diagnose.hypothesis.fit import fit
 from piezod.diagnose.hypothesis.monotone import rises, unfolded
 from piezod.diagnose.hypothesis.series import Series
-from piezod.diagnose.judgement import Diagnosis, Judgement, asked_nrmse_percent
-from piezod.diagnose.prepare import Source, made_ready, stand_in
-from piezod.diagnose.selection.acceptance import BETTER, counted, weighed
-from piezod.diagnose.selection.given_effects import as_given
-from piezod.diagnose.selection.search import OnProgress, fitted_without, instead, search, without
-from piezod.diagnose.selection.search_state import Beside, Search
-from piezod.diagnose.selection.stated_hold import as_told
-from piezod.diagnose.selection.unnamed import fit_unnamed
-from piezod.diagnose.verdict.doubt import (
-    confidences,
-    experiments_for,
-    least_believed,
-    needed,
-    needless,
-    not_believed,
-    not_determined,
-)
-from piezod.diagnose.verdict.evidence import standing
+from piezod.diagnose.judgement import Diagnosis, DiagnosisInputs, diagnosed_nrmse_percent, with_words
+from piezod.diagnose.prepare import prepared, substitute_recording
+from piezod.diagnose.selection.acceptance import BETTER, comparison_loss, penalised_loss
+from piezod.diagnose.selection.given_effects import as_given, refitted_without, without
+from piezod.diagnose.selection.search import OnProgress, search, with_each_rival
+from piezod.diagnose.selection.search_state import Rivalry, Search
+from piezod.diagnose.selection.stated_hold import with_stated_hold
+from piezod.diagnose.selection.unnamed import FittedLaw, fit_unnamed
+from piezod.diagnose.sources import Source
+from piezod.diagnose.verdict.direct_findings import confirmed_frozen
 from piezod.diagnose.verdict.extended import with_error
-from piezod.diagnose.verdict.simulated import GivenRuns, free_run, tared_rms
-from piezod.diagnose.verdict.verdict import (
-    RECORD_NOISE,
-    share_left,
-    words_of,
+from piezod.diagnose.verdict.low_confidence import (
+    effects_without_gain,
+    highest_confidences,
+    is_required,
+    least_confident,
+    rejection_notes,
+    undetermined_effect,
+    undetermined_notes,
 )
+from piezod.diagnose.verdict.simulated import FreeRun, GivenRuns, free_run, tared_rms
+from piezod.diagnose.verdict.verdict import RECORD_NOISE, explainable_share
 from piezod.diagnose.verdict.words import Wording
 from piezod.model import Model
 from piezod.model.unnamed_law import LawStep
@@ -48,201 +45,227 @@ from piezod.model.unnamed_law import LawStep
 Array = NDArray[np.float64]
 
 WITHOUT_NOISE: dict[Verdict, Verdict] = {"matches": "not_testable", "explained": "partly_explained"}
-"""Verdicts where the noise is unknown: nobody can say then that nothing else is left."""
-COSTS = 0.1  # of what was gained, or of what is left: what plays that do not fold may cost
-STILL_GAINS = 0.5  # of what was gained by plays that fold: what another effect must gain without
+"""Verdict if the noise is unknown: then nothing shows that the residual is noise."""
+COSTS = 0.1  # largest cost of a monotone loading curve, as a share of the gain or of the loss
+STILL_GAINS = 0.5  # least gain of a rival with a monotone curve, as a share of the gain without
 
 
 def diagnose(
-    model: Model, asked: Sequence[Source], past: Sequence[Source], notes: Sequence[str], progress: OnProgress
+    model: Model, recordings: Sequence[Source], past: Sequence[Source], notes: Sequence[str], progress: OnProgress
 ) -> Diagnosis:
     """Find what the model leaves out of the recordings.
 
     Parameters
     ----------
     model
-        As it was identified.
-    asked
-        Recordings to explain.
+        Given model.
+    recordings
+        Recordings to diagnose.
     past
-        Recordings that the model was identified on; none: a simulation of it replaces them.
+        Identification recordings; empty: a recording simulated from the model replaces them.
     notes
-        What was noticed so far.
+        Remarks so far.
     progress
-        Told what is being done, and what part of the work is behind it at least.
+        Called with the current step, and the share of the work that is done at least.
 
     Raises
     ------
     RecordingError
         A recording cannot be used.
     """
-    with threadpool_limits(1, user_api="blas"):  # fits run beside each other, and theirs would fight for the cores
-        return _diagnosed(model, asked, past, notes, progress)
+    with threadpool_limits(1, user_api="blas"):  # fits run in parallel; more BLAS threads would compete for the cores
+        return _diagnosed(model, recordings, past, notes, progress)
 
 
 def _diagnosed(
-    model: Model, asked: Sequence[Source], past: Sequence[Source], notes: Sequence[str], progress: OnProgress
+    model: Model, recordings: Sequence[Source], past: Sequence[Source], notes: Sequence[str], progress: OnProgress
 ) -> Diagnosis:
     progress("reading", 0.0)
-    ready, still, noticed = made_ready([*past, *asked], model)
-    said, series = [*notes, *noticed], [unrounded(one) for one in ready]
-    before = GivenRuns.of(model, [*past, *asked], series)
-    if not past:
-        series.insert(0, stand_in(model))
-        still.insert(0, [])
-    frozen = {number: stretches for number, stretches in enumerate(still) if stretches}
-    if not before.law_holds:
-        said.append("the unnamed law of the given model makes the recordings worse, and is left out")
-    asked_for = Judgement(model, [*past, *asked], series, before, frozen, said, stand_ins=int(not past))
-    chain, start, given = asked_for.begun()
+    inputs = _inputs(model, recordings, past, notes)
+    chain, start, given = inputs.search_start()
     result = search(chain, start, progress, given)
     result.chain.forget()
-    result.chain, result.found = as_told(result.chain, result.found)
-    result = rising(result)
+    result.chain, result.hypothesis = with_stated_hold(result.chain, result.hypothesis)
+    result = with_monotone_curve(result)
     progress("judging what is left", 0.9)
-    diagnosis = asked_for.judged(result)
-    left = [one.reading_N - with_it for one, with_it in zip(diagnosis.series, diagnosis.extended, strict=True)]
-    # what the full model explains stays explained when names are left out
-    asked_for = replace(asked_for, frozen=standing(diagnosis.series, frozen, left))
-    surest = confidences(diagnosis.findings)
-    while True:
-        idle = needless(result, diagnosis.findings, delivered=diagnosis.model is not model)
-        open_sizes = [] if idle else not_determined(diagnosis.findings)
-        doubtful = idle or open_sizes or least_believed(result, diagnosis.findings, surest)
-        if not doubtful:
-            break
-        progress("leaving out what is doubtful", 0.95)
-        wording = Wording(model.input.unit, model.output.unit)
-        said += experiments_for(diagnosis.findings, open_sizes, wording) or not_believed(diagnosis.findings, doubtful)
-        result = rising(_without(result, doubtful))
-        without_them = asked_for.judged(result)
-        if not (idle or open_sizes) and needed(diagnosis.findings, without_them.findings):
-            break
-        diagnosis, surest = without_them, confidences(without_them.findings, surest)
+    diagnosis = inputs.diagnosis_of(result)
+    residuals = [s.reading_N - readings for s, readings in zip(diagnosis.series, diagnosis.extended, strict=True)]
+    # frozen stretches are confirmed once, with all effects: a stretch that the full model explains is not frozen
+    inputs = replace(inputs, frozen=confirmed_frozen(diagnosis.series, inputs.frozen, residuals))
+    diagnosis = _without_weak_effects(inputs, result, diagnosis, progress)
     if diagnosis.findings.verdict in ("unexplained", "partly_explained"):
         progress("looking for a law without a name", 0.97)
-        diagnosis = with_unrecorded(with_unnamed(diagnosis, before.places))
+        diagnosis = with_unrecorded_input(with_unnamed_law(diagnosis, inputs.given_runs.diagnosed))
     return diagnosis if diagnosis.findings.noise_is_known else _with_unknown_noise(diagnosis)
 
 
+def _inputs(
+    model: Model, recordings: Sequence[Source], past: Sequence[Source], notes: Sequence[str]
+) -> DiagnosisInputs:
+    """Prepared recordings with the free runs of the given model."""
+    sources = [*past, *recordings]
+    series, stretches, more = prepared(sources, model)
+    all_notes, series = [*notes, *more], [unrounded(recording) for recording in series]
+    given_runs = GivenRuns.of(model, sources, series)
+    if not past:
+        series.insert(0, substitute_recording(model))
+        stretches.insert(0, [])
+    if not given_runs.law_holds:
+        all_notes.append("the unnamed law of the given model makes the recordings worse, and is left out")
+    frozen = {number: known for number, known in enumerate(stretches) if known}
+    return DiagnosisInputs(model, sources, series, given_runs, frozen, all_notes, substitutes=int(not past))
+
+
+def _without_weak_effects(
+    inputs: DiagnosisInputs, result: Search, diagnosis: Diagnosis, progress: OnProgress
+) -> Diagnosis:
+    """Diagnosis after removal of effects without gain, of undetermined size, or of low confidence, in this order.
+
+    An effect of low confidence stays if the recordings are explained with it and not without it.
+    """
+    model = inputs.model
+    wording = Wording(model.input.unit, model.output.unit)
+    highest = highest_confidences(diagnosis.findings)
+    while True:
+        findings = diagnosis.findings
+        without_gain = effects_without_gain(result, findings, delivered=diagnosis.model is not model)
+        undetermined = [] if without_gain else undetermined_effect(findings)
+        removed = without_gain or undetermined or least_confident(result, findings, highest)
+        if not removed:
+            return diagnosis
+        progress("leaving out what is doubtful", 0.95)
+        notes = undetermined_notes(findings, undetermined, wording) or rejection_notes(findings, removed)
+        inputs = replace(inputs, notes=[*inputs.notes, *notes])
+        result = with_monotone_curve(_without_effects(result, removed))
+        reduced = inputs.diagnosis_of(result)
+        if not (without_gain or undetermined) and is_required(findings, reduced.findings):
+            return diagnosis
+        diagnosis, highest = reduced, highest_confidences(reduced.findings, highest)
+
+
 def _with_unknown_noise(diagnosis: Diagnosis) -> Diagnosis:
-    """The diagnosis without a verdict that would need the noise."""
-    findings, model = diagnosis.findings, diagnosis.model
+    """Diagnosis with a verdict that does not need the noise."""
+    findings = diagnosis.findings
     verdict = WITHOUT_NOISE.get(findings.verdict, findings.verdict)
     findings = replace(findings, verdict=verdict, notes=(*findings.notes, RECORD_NOISE))
-    findings = replace(findings, words=words_of(findings, Wording(model.input.unit, model.output.unit)))
-    return replace(diagnosis, findings=findings)
+    return replace(diagnosis, findings=with_words(findings, diagnosis.model))
 
 
-def with_unrecorded(diagnosis: Diagnosis) -> Diagnosis:
-    """The diagnosis with an input that is not recorded, where what is left speaks for one and no law was found."""
-    findings, model = diagnosis.findings, diagnosis.model
+def with_unrecorded_input(diagnosis: Diagnosis) -> Diagnosis:
+    """Diagnosis with an unrecorded input if the residual indicates one and there is no unnamed law."""
+    findings = diagnosis.findings
     if findings.law is not None:
         return diagnosis
-    left = [one.reading_N - by for one, by in zip(diagnosis.series, diagnosis.extended, strict=True)]
-    judging = [one.as_judged() for one in diagnosis.series]
-    unrecorded = unrecorded_input(judging, left, diagnosis.extended, findings.explainable)
-    findings = replace(findings, unrecorded=unrecorded)
-    findings = replace(findings, words=words_of(findings, Wording(model.input.unit, model.output.unit)))
+    residuals = [s.reading_N - readings for s, readings in zip(diagnosis.series, diagnosis.extended, strict=True)]
+    compared = [s.as_judged() for s in diagnosis.series]
+    unrecorded = unrecorded_input(compared, residuals, diagnosis.extended, findings.explainable)
+    findings = with_words(replace(findings, unrecorded=unrecorded), diagnosis.model)
     return replace(diagnosis, findings=findings)
 
 
-def with_unnamed(diagnosis: Diagnosis, places: Sequence[tuple[Source, Series]]) -> Diagnosis:
-    """The diagnosis with an unnamed law for what is left, if one predicts; the verdict stays.
+def with_unnamed_law(diagnosis: Diagnosis, diagnosed: Sequence[tuple[Source, Series]]) -> Diagnosis:
+    """Diagnosis with an unnamed law for the residual, if one predicts it; the verdict stays.
 
-    A law of the given model stays too. One whose own simulation is no better is not written.
+    A law of the given model stays too. A law that does not lower the error of the simulation is not written.
 
-    Parameters
-    ----------
-    diagnosis
-        With its effects.
-    places
-        The recordings asked about, the last of its series.
+    `diagnosed`: diagnosed recordings with their series, the last of the diagnosis.
     """
     findings, model = diagnosis.findings, diagnosis.model
     if model.unnamed_law is not None:
         return diagnosis
-    modelled = (
-        diagnosis.base if findings.after == findings.before else diagnosis.extended
-    )  # of the model that is written
-    files = slice(
-        len(diagnosis.series) - len(findings.recordings), None
-    )  # not what stands for recordings that are gone
+    modelled = diagnosis.base if findings.after == findings.before else diagnosis.extended  # of the written model
+    files = slice(len(diagnosis.series) - len(findings.recordings), None)  # without the substitute recording
     fitted = fit_unnamed(diagnosis.series[files], modelled[files], findings.floor)
     if fitted is None:
         return diagnosis
     with_law = model.model_copy(update={"unnamed_law": fitted.law})
-    runs = [free_run(with_law, *one) for one in places]
+    runs = [free_run(with_law, *pair) for pair in diagnosed]
     after = tared_rms(runs)
     if after >= BETTER * findings.after:
         return diagnosis
-    extended = [
-        readings + LawStep(fitted.law, one.dt_s).run(one.command_V, readings)
-        for one, readings in zip(diagnosis.series, modelled, strict=True)
-    ]
-    first = len(extended) - len(runs)
-    extended[first:] = [run.over(one) for run, one in zip(runs, diagnosis.series[first:], strict=True)]
-    residuals = [one.reading_N - readings for one, readings in zip(diagnosis.series, extended, strict=True)]
-    judging = [one.as_judged() for one in diagnosis.series]
-    left = explainable(judging, residuals, extended)
-    moving = motion(judging, residuals, extended)
-    drivers = tuple(axis.driver for axis in fitted.law.drivers)
-    short = fitted.formula
-    said = "" if short is None else short.text(model.input.unit, model.output.unit, gain=fitted.law.gain)
-    law = Unnamed(
-        drivers, fitted.memories_s, fitted.already, fitted.before, fitted.after, fitted.p, fitted.law.gain, said
-    )
+    extended = _readings_with_law(diagnosis.series, modelled, fitted, runs)
+    residuals = [s.reading_N - readings for s, readings in zip(diagnosis.series, extended, strict=True)]
+    compared = [s.as_judged() for s in diagnosis.series]
+    guard, motion = explainable(compared, residuals, extended), motion_of(compared, residuals, extended)
     findings = replace(
         findings,
-        law=law,
+        law=_law_finding(fitted, model),
         after=after,
         floor=min(findings.floor, after),
         refitted=None,
-        explainable=share_left(left, moving),
-        nrmse_after=asked_nrmse_percent(diagnosis.series, extended),
+        explainable=explainable_share(guard, motion),
+        nrmse_after=diagnosed_nrmse_percent(diagnosis.series, extended),
     )
-    findings = replace(findings, words=words_of(findings, Wording(model.input.unit, model.output.unit)))
     written = with_error(with_law, after)
-    return replace(diagnosis, findings=findings, model=written, extended=extended, without_law=diagnosis)
+    return replace(
+        diagnosis, findings=with_words(findings, model), model=written, extended=extended, without_law=diagnosis
+    )
 
 
-def rising(result: Search) -> Search:
-    """The same with plays that do not fold, where that costs little of what was gained.
-
-    Where it costs much, what was found fits by them alone: the best in an effect's place that gains without.
-    """
-    found = result.found
-    gained = result.base.loss - found.loss
-    straight = unfolded(result.chain, found)
-    if straight.loss <= found.loss + COSTS * max(gained, found.loss):
-        return replace(result, found=straight)
-    able = [
-        (name, one)
-        for name in found.effects
-        for one in (unfolded(result.chain, rival) for rival in instead(result, name))
-        if rises(result.chain, one) and result.base.loss - one.loss >= STILL_GAINS * gained
+def _readings_with_law(
+    series: Sequence[Series], modelled: Sequence[Array], fitted: FittedLaw, runs: Sequence[FreeRun]
+) -> list[Array]:
+    """Simulated readings with the law; those of the diagnosed recordings, the last, from their free runs."""
+    others = len(series) - len(runs)
+    readings = [
+        known + LawStep(fitted.law, s.dt_s).run(s.command_V, known)
+        for s, known in zip(series[:others], modelled[:others], strict=True)
     ]
-    if not able:
+    return readings + [run.at_samples_of(s) for run, s in zip(runs, series[others:], strict=True)]
+
+
+def _law_finding(fitted: FittedLaw, model: Model) -> Unnamed:
+    law, formula = fitted.law, fitted.formula
+    return Unnamed(
+        tuple(axis.driver for axis in law.drivers),
+        fitted.memories_s,
+        fitted.already,
+        fitted.before,
+        fitted.after,
+        fitted.p,
+        law.gain,
+        "" if formula is None else formula.text(model.input.unit, model.output.unit, gain=law.gain),
+    )
+
+
+def with_monotone_curve(result: Search) -> Search:
+    """Result refitted with a monotone loading curve.
+
+    If the loss rises by more than `COSTS`, an effect is replaced by the rival that fits best with a monotone curve.
+    Without such a rival the result stays.
+    """
+    fitted = result.hypothesis
+    gain = result.base.loss - fitted.loss
+    monotone = unfolded(result.chain, fitted)
+    if monotone.loss <= fitted.loss + COSTS * max(gain, fitted.loss):
+        return replace(result, hypothesis=monotone)
+    alternatives = [
+        (name, rival)
+        for name in fitted.effects
+        for rival in (unfolded(result.chain, rival) for rival in with_each_rival(result, name))
+        if rises(result.chain, rival) and result.base.loss - rival.loss >= STILL_GAINS * gain
+    ]
+    if not alternatives:
         return result
-    name, best = min(able, key=lambda one: weighed(one[1]))
-    taken, without_it = best.effects[-1], fitted_without(result.chain, found, name).loss
-    losses = [counted(called, without_it, one.loss) for called, one in ((taken, best), (name, found))]
-    beside = Beside(without_it, losses[0], {name: losses[1]})
-    return replace(result, found=best, beside={**result.beside, taken: beside})
+    name, best = min(alternatives, key=lambda alternative: penalised_loss(alternative[1]))
+    new, reduced_loss = best.effects[-1], refitted_without(result.chain, fitted, name).loss
+    losses = [comparison_loss(effect, reduced_loss, h.loss) for effect, h in ((new, best), (name, fitted))]
+    rivalry = Rivalry(reduced_loss, losses[0], {name: losses[1]})
+    return replace(result, hypothesis=best, rivalries={**result.rivalries, new: rivalry})
 
 
-def _without(result: Search, names: Sequence[str]) -> Search:
-    """The same search with some effects left out of what it found."""
-    found = result.found
+def _without_effects(result: Search, names: Sequence[str]) -> Search:
+    """Result without some effects: new ones are removed, those of the given model get their old values."""
+    fitted = result.hypothesis
     for name in names:
         if name in result.given:
-            found = as_given(result.chain, found, result.base, name)
+            fitted = as_given(result.chain, fitted, result.base, name)
             result.statuses[name] = "kept"
             continue
-        terms, values = without(found, name)
-        found = replace(found, terms=tuple(terms), point=replace(found.point, values=tuple(values)))
-    back = [tone for tone in result.tones if tone.name in names]
-    chain = result.chain.like(with_tones(result.chain.series, back))
-    kept = [tone for tone in result.tones if tone.name not in names]
-    base = fit(chain, result.base.terms, result.base.point) if back else result.base
-    return replace(result, chain=chain, tones=kept, base=base, found=fit(chain, found.terms, found.point))
+        terms, values = without(fitted, name)
+        fitted = replace(fitted, terms=tuple(terms), point=replace(fitted.point, values=tuple(values)))
+    removed = [tone for tone in result.tones if tone.name in names]
+    chain = result.chain.like(with_tones(result.chain.series, removed))
+    tones = [tone for tone in result.tones if tone.name not in names]
+    base = fit(chain, result.base.terms, result.base.point) if removed else result.base
+    return replace(result, chain=chain, tones=tones, base=base, hypothesis=fit(chain, fitted.terms, fitted.point))

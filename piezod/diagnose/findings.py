@@ -1,14 +1,13 @@
-"""What a diagnosis says, as the rest of the program and other programs read it (`findings.json`)."""
+"""Findings of a diagnosis, and their form in `findings.json`."""
 
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from typing import Any, Literal
 
 Verdict = Literal["matches", "explained", "partly_explained", "unexplained", "not_testable"]
-ABOVE_NOISE = 1.3  # times it: what is left then is more; coloured noise is seen up to 1.25 times weaker in holds
-FINEST = 2e-4  # of the readings' range: nobody is asked to simulate better, whatever the noise
-NO_GAP = 0.02  # of the noise's square: so little above it is nothing
-UNKNOWN = "unknown"
-"""Origin of a noise that shows nowhere in the recordings."""
+ABOVE_NOISE = 1.3  # error over noise above which the error counts; holds show coloured noise up to 1.25 times too weak
+FINEST = 2e-4  # share of the range of the readings: a smaller error never counts
+NO_GAP = 0.02  # relative excess of the squared error over the squared noise below which there is no gap
+UNKNOWN = "unknown"  # source of a noise that the recordings do not show
 SCHEMA = "piezod.findings/2"
 Status = Literal["new", "changed", "gone"]
 
@@ -20,24 +19,24 @@ def gap_closed(before: float, after: float, floor: float) -> float:
 
 
 def above_noise(after: float, floor: float, span: float) -> bool:
-    """Whether an error is more than noise, of whatever shape: both and the readings' range in the output's unit."""
+    """Whether an error exceeds the noise floor, for readings of range `span`; all in [output unit]."""
     return after > ABOVE_NOISE * max(floor, FINEST * span)
 
 
 @dataclass(frozen=True)
 class Place:
-    """Where something is.
+    """Range on an axis in which an effect or an error shows.
 
     Parameters
     ----------
     axis
         time_s, frequency_Hz, voltage_V, rate_V_per_s, force_N, amplitude_V, history_s, temperature_C or direction.
     low, high
-        On that axis; equal for a line.
+        Ends of the range; equal for a line.
     share
-        Part of the unexplained energy.
+        Share of the unexplained energy [1].
     p
-        Family-wise, 1 where it was not tested.
+        Family-wise p-value, 1 if not tested.
     """
 
     axis: str
@@ -46,23 +45,19 @@ class Place:
     share: float = 0.0
     p: float = 1.0
 
-    def as_dict(self) -> dict[str, Any]:
-        """For JSON."""
-        return {"axis": self.axis, "low": self.low, "high": self.high, "share": self.share, "p": self.p}
-
 
 @dataclass(frozen=True)
 class Value:
-    """A parameter with its interval (95 %).
+    """Value of a parameter with its 95 % interval.
 
     Parameters
     ----------
     value, unit
-        As it was fitted, and its unit.
+        Fitted value and its unit.
     low, high
         Ends of the interval [unit].
     in_fit
-        Ends of what the fit alone leaves open, without what the form of the model is off by; None: the same.
+        Ends of the interval from the fit alone, without the error of the effect's form; None: low and high.
     """
 
     value: float
@@ -72,63 +67,58 @@ class Value:
     in_fit: tuple[float, float] | None = None
 
     def as_dict(self) -> dict[str, Any]:
-        """For JSON."""
+        """Entry in `findings.json`."""
         return {"value": self.value, "unit": self.unit, "low": self.low, "high": self.high}
 
 
 @dataclass(frozen=True)
 class Rival:
-    """An effect that would explain the same almost as well.
+    """Other effect that explains the recordings almost as well.
 
     Parameters
     ----------
     name
-        Of the catalogue.
+        Name in the catalogue.
     separation
-        Root mean square difference of what both say about these recordings, in units of the noise.
+        Rms difference of the readings that both effects predict [noise rms].
     separate_by
-        The experiment that would tell them apart.
+        Experiment that separates them.
     """
 
     name: str
     separation: float
     separate_by: str
 
-    def as_dict(self) -> dict[str, Any]:
-        """For JSON."""
-        return {"name": self.name, "separation": self.separation, "separate_by": self.separate_by}
-
 
 @dataclass(frozen=True)
 class Finding:
-    """One effect that is new, or has changed since the given model.
+    """Effect that is new, changed or gone since the given model.
 
     Parameters
     ----------
     name, title
-        Of the catalogue.
+        Name and title in the catalogue.
     confidence
-        Share of such findings that are right, from concealed cases.
+        Share of such findings that are right in concealed cases [1].
     scope
-        "already" there when the model was identified, "since", or "once" in one recording.
+        "already" present at the identification, "since", or "once" in one recording.
     where
-        Its places.
+        Places.
     parameters
-        By name.
+        Parameters by name.
     before, after
-        Root mean square error on data left out, without it and with it [output unit].
+        Rms error on left-out blocks without and with the effect [output unit]. Of a changed effect the first is that
+        with its old values; of a gone effect the first is that with it. Equal for a finding without a fit.
     rivals
-        Closest first.
+        Rivals, the closest first.
     handling, why
-        What the compensator does about it.
+        Handling by the compensator and its reason.
     p, q
-        Probability that a useless effect predicts as well, and expected share of false names up to it; None for what is
-        read off the readings without a fit.
+        Probability that a useless effect predicts as well, and false-discovery rate; None without a test.
     status
-        "new": the given model lacks it. "changed": the given model has it with other values. "gone": the given model
-        has it, and the recordings do not.
+        Change relative to the given model.
     was
-        Parameters in the given model, by name; empty for a new effect.
+        Parameters in the given model by name; empty for a new effect.
     """
 
     name: str
@@ -148,36 +138,36 @@ class Finding:
     was: dict[str, Value] = field(default_factory=dict)
 
     def as_dict(self, unit: str) -> dict[str, Any]:
-        """For JSON."""
+        """Entry in `findings.json`."""
         return {
             "name": self.name,
             "status": self.status,
             "confidence": self.confidence,
             **({} if self.p is None or self.q is None else {"p_value": self.p, "q_value": self.q}),
             "scope": self.scope,
-            "where": [place.as_dict() for place in self.where],
+            "where": [asdict(place) for place in self.where],
             "parameters": {
                 name: value.as_dict() | ({"was": self.was[name].as_dict()} if name in self.was else {})
                 for name, value in self.parameters.items()
             },
             "held_out": {"before": self.before, "after": self.after, "unit": unit},
-            "rivals": [rival.as_dict() for rival in self.rivals],
+            "rivals": [asdict(rival) for rival in self.rivals],
             "handling": self.handling,
         }
 
 
 @dataclass(frozen=True)
-class Kept:
-    """An effect of the given model that has not changed, as far as the recordings tell.
+class UnchangedEffect:
+    """Effect of the given model that has not changed.
 
     Parameters
     ----------
     name
-        Of the catalogue.
+        Name in the catalogue.
     parameters
-        By name, as in the given model.
+        Parameters of the given model by name.
     seen
-        Whether the recordings fit worse without it; else they could not tell.
+        Whether the recordings fit worse without it; otherwise they do not determine it.
     """
 
     name: str
@@ -185,25 +175,25 @@ class Kept:
     seen: bool
 
     def as_dict(self) -> dict[str, Any]:
-        """For JSON."""
+        """Entry in `findings.json`."""
         parameters = {name: value.as_dict() for name, value in self.parameters.items()}
         return {"name": self.name, "parameters": parameters, "seen": self.seen}
 
 
 @dataclass(frozen=True)
 class Base:
-    """The stack itself, in parts of what it was when the model was identified.
+    """Change of the stack itself since the identification.
 
     Parameters
     ----------
     changed
-        Whether its gain or its loops differ.
+        Whether the gain or the loops differ.
     gain, loops
-        Gain and width of the loops [1]; None: as they were.
+        Gain and width of the loops relative to the identification [1]; None: unchanged.
     where
-        Voltages of the recordings that show it.
+        Voltages of the diagnosed recordings.
     confidence
-        Share of such findings that are right; 1 where nothing has changed.
+        Share of such findings that are right [1]; 1 without a change.
     """
 
     changed: bool = False
@@ -213,26 +203,26 @@ class Base:
     confidence: float = 1.0
 
     def as_dict(self) -> dict[str, Any]:
-        """For JSON."""
+        """Entry in `findings.json`."""
         return {
             "status": "changed" if self.changed else "kept",
             "gain": None if self.gain is None else self.gain.as_dict(),
             "loops": None if self.loops is None else self.loops.as_dict(),
-            "where": [place.as_dict() for place in self.where],
+            "where": [asdict(place) for place in self.where],
             "confidence": self.confidence,
         }
 
 
 @dataclass(frozen=True)
 class HeldOut:
-    """A recording that nothing was fitted to.
+    """Held-out recording.
 
     Parameters
     ----------
     path, sha256
-        Of the file.
+        Path and hash of the file.
     before, after
-        Root mean square error of the given and of the extended model, each adapted to its tare [output unit].
+        Rms error of the given and of the extended model, each without its mean [output unit].
     """
 
     path: str
@@ -240,31 +230,27 @@ class HeldOut:
     before: float
     after: float
 
-    def as_dict(self) -> dict[str, Any]:
-        """For JSON."""
-        return {"path": self.path, "sha256": self.sha256, "before": self.before, "after": self.after}
-
 
 @dataclass(frozen=True)
 class Unnamed:
-    """An unnamed law: what it depends on, and what it is worth.
+    """Unnamed law: its drivers, memory and errors.
 
     Parameters
     ----------
     drivers
         One or two of `piezod.model.unnamed_law.DRIVERS`.
     memories_s
-        Shortest and longest memory that matters [s]; empty: none does.
+        Shortest and longest relevant memory [s]; empty: none.
     already
-        Whether it holds in the recordings of the identification too.
+        Whether it also holds in the identification recordings.
     before, after
-        Root mean square error on data left out, without it and with it [output unit].
+        Rms error on left-out blocks without and with the law [output unit].
     p
         Probability that a useless law gains as much, over all candidates.
     gain
-        Whether it multiplies the reading's stroke instead of adding to it.
+        Whether it multiplies the stroke of the reading; otherwise it adds to the reading.
     formula
-        A short formula that predicts as well, with its units; empty: none is known.
+        Short formula with units that predicts as well; empty: none.
     """
 
     drivers: tuple[str, ...]
@@ -277,7 +263,7 @@ class Unnamed:
     formula: str = ""
 
     def as_dict(self, unit: str) -> dict[str, Any]:
-        """For JSON."""
+        """Entry in `findings.json`."""
         return {
             "drivers": list(self.drivers),
             "form": "gain" if self.gain else "added",
@@ -291,16 +277,16 @@ class Unnamed:
 
 @dataclass(frozen=True)
 class Unrecorded:
-    """An input that is not recorded, as what is left shows it.
+    """Input that is not recorded, estimated from the residual.
 
     Parameters
     ----------
     size
-        Root mean square, as a gain [1], else added to the reading [output unit].
+        Rms of the gain [1], or rms added to the reading [output unit].
     gain
-        Whether it multiplies.
+        Whether it is a gain.
     keeps_s
-        How long it keeps its value [s].
+        Duration for which it keeps its value [s].
     """
 
     size: float
@@ -308,55 +294,54 @@ class Unrecorded:
     keeps_s: float
 
     def as_dict(self, unit: str) -> dict[str, Any]:
-        """For JSON."""
+        """Entry in `findings.json`."""
         size = {"value": self.size, "unit": "1" if self.gain else unit}
         return {"size": size, "form": "gain" if self.gain else "added", "keeps_s": self.keeps_s}
 
 
 @dataclass(frozen=True)
 class Findings:
-    """The whole verdict.
+    """Result of a diagnosis.
 
     Parameters
     ----------
-    verdict
-        In one word.
-    words
-        In one or two sentences.
+    verdict, words
+        Verdict, and the summary in one or two sentences.
     unit
-        Of the output.
+        Unit of the output.
     floor, floor_from
-        Noise [output unit], and where it shows: quiet (rests) or repeats; `UNKNOWN`: `floor` is an upper bound.
+        Noise [output unit] and its source: "quiet" (rests) or "repeats"; `UNKNOWN`: `floor` is an upper bound.
     where
-        Where the given model is wrong.
+        Places at which the given model is wrong.
     effects
-        What was found, the largest first.
+        New, changed and gone effects.
     before, after
-        Root mean square error that `piezod simulate` of the given and of the written model leaves on the recordings,
-        about its mean [output unit]; equal where the given model stays.
+        Rms error of a simulation with the given and with the written model over the diagnosed recordings, without its
+        mean [output unit]; equal if the given model stays.
     nrmse_before, nrmse_after
         Fit as MATLAB's `compare` defines it [%].
     explainable
-        Share of what is left that is no noise: a flexible model explains it, or it follows movement or level.
+        Structured share of the squared residual [1]: explained by a flexible model, or dependent on motion or level.
     notes
-        What was noticed on the way.
+        Remarks.
     not_testable
-        Effects that these recordings would not have shown in their usual size.
+        Effects of usual size that these recordings would not show.
     span
-        Widest range of readings of a recording asked about [output unit].
+        Widest range of the readings of a diagnosed recording [output unit].
     refitted
-        Where nothing was found: the least error with a hysteresis that is refitted to the recordings. It is `after`
-        where the written model has that hysteresis.
+        Without findings: error with a refitted hysteresis [output unit]; `after` if that hysteresis is written.
     kept
-        Effects of the given model that have not changed.
+        Unchanged effects of the given model.
     base
-        The stack itself.
+        Change of the stack itself.
     law
-        Law without a name that is in the extended model; None: there is none. `after` is then the error with it.
+        Unnamed law in the written model, included in `after`; None: none.
     held_out
-        Recordings that nothing was fitted to.
+        Held-out recordings.
     recordings
-        Path, SHA-256 and samples of each.
+        Path, SHA-256, number of samples and left-out stretches of each recording.
+    unrecorded
+        Unrecorded input; None: none suspected.
     """
 
     verdict: Verdict
@@ -375,7 +360,7 @@ class Findings:
     not_testable: tuple[str, ...] = ()
     span: float = 0.0
     refitted: float | None = None
-    kept: tuple[Kept, ...] = ()
+    kept: tuple[UnchangedEffect, ...] = ()
     base: Base = Base()
     law: Unnamed | None = None
     held_out: tuple[HeldOut, ...] = ()
@@ -384,33 +369,28 @@ class Findings:
 
     @property
     def gap_closed(self) -> float | None:
-        """Down to the noise; None where there was no gap."""
+        """Share of the gap to the noise floor that is closed [1]; None without a gap."""
         no_gap = self.before**2 <= (1.0 + NO_GAP) * self.floor**2
         return None if no_gap else gap_closed(self.before, self.after, self.floor)
 
     @property
     def least(self) -> float:
-        """The same, or that of a refitted hysteresis where nothing was found [output unit]."""
+        """Error of the written model, or of the refitted hysteresis without findings [output unit]."""
         return self.after if self.refitted is None else self.refitted
 
     @property
-    def left(self) -> float:
-        """Error of the written model [output unit]."""
-        return self.after
-
-    @property
     def above_noise(self) -> bool:
-        """Whether more than noise is left, though it may be that nothing tells what it is."""
-        return above_noise(self.left, self.floor, self.span)
+        """Whether the error of the written model exceeds the noise."""
+        return above_noise(self.after, self.floor, self.span)
 
     @property
     def noise_is_known(self) -> bool:
-        """Whether the noise shows in the recordings; otherwise `floor` is an upper bound."""
+        """Whether the recordings show the noise; otherwise `floor` is an upper bound."""
         return self.floor_from != UNKNOWN
 
     @property
     def noise_text(self) -> str:
-        """The noise with its unit, or what is known of it."""
+        """Noise with its unit, or its upper bound."""
         text = f"{self.floor:.3g} {self.unit}"
         return text if self.noise_is_known else f"unknown, at most {text}"
 
@@ -420,15 +400,15 @@ class Findings:
         return {"value": None, "unit": self.unit, "from": None, "at_most": self.floor}
 
     def as_dict(self) -> dict[str, Any]:
-        """For `findings.json`, schema "piezod.findings/2"; what was in /1 has its place."""
+        """Content of `findings.json`, schema "piezod.findings/2"; a reader of "/1" can read it."""
         return {
             "schema": SCHEMA,
             "verdict": self.verdict,
             "words": self.words,
             "noise_floor": self._noise_as_dict(),
-            "where": [place.as_dict() for place in self.where],
-            "effects": [one.as_dict(self.unit) for one in self.effects],
-            "kept": [one.as_dict() for one in self.kept],
+            "where": [asdict(place) for place in self.where],
+            "effects": [finding.as_dict(self.unit) for finding in self.effects],
+            "kept": [effect.as_dict() for effect in self.kept],
             "base": self.base.as_dict(),
             "fit": {
                 "unit": self.unit,
@@ -438,7 +418,7 @@ class Findings:
                     "floor": self.floor,
                     "gap_closed": self.gap_closed,
                 },
-                "held_out_recordings": [one.as_dict() for one in self.held_out],
+                "held_out_recordings": [asdict(recording) for recording in self.held_out],
                 "nrmse_percent": {"before": self.nrmse_before, "after": self.nrmse_after},
             },
             "unexplained": {

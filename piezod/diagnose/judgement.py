@@ -1,48 +1,43 @@
-"""Judgement of what a search found: findings with their confidence, and the model that is written."""
+"""From the result of a search to a diagnosis: findings with confidences, and the written model."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from piezod.diagnose.adequacy.guard import explainable
-from piezod.diagnose.adequacy.remainder import motion
+from piezod.diagnose.adequacy.remainder import motion_of
 from piezod.diagnose.candidates.screening import DIRECT
 from piezod.diagnose.experiment.testable import untestable
-from piezod.diagnose.findings import Finding, Findings, Place, above_noise, gap_closed
+from piezod.diagnose.findings import Base, Finding, Findings, Verdict, above_noise, gap_closed
 from piezod.diagnose.hypothesis.chain import Chain, Point, Setting, Term
 from piezod.diagnose.hypothesis.fit import Normal
 from piezod.diagnose.hypothesis.parallel import each
 from piezod.diagnose.hypothesis.sampling import coarse
 from piezod.diagnose.hypothesis.series import Series
 from piezod.diagnose.localisation.locate import locate
-from piezod.diagnose.prepare import Source, chain_of
+from piezod.diagnose.prepare import chain_of
 from piezod.diagnose.selection.acceptance import BETTER
 from piezod.diagnose.selection.given_effects import given_effects, with_likelier_scope
 from piezod.diagnose.selection.replay import Attempt, fitted_in
 from piezod.diagnose.selection.search_state import Search
-from piezod.diagnose.selection.significance import with_shares
-from piezod.diagnose.verdict.evidence import (
-    all_terms,
-    base_of,
-    finding_of,
-    gone_finding,
-    kept_effects,
-    read_off,
-    same_tone,
-    tone_finding,
-)
+from piezod.diagnose.selection.significance import with_discovery_rates
+from piezod.diagnose.sources import Source
+from piezod.diagnose.verdict.direct_findings import direct_findings
+from piezod.diagnose.verdict.evidence import base_of, finding_of, gone_finding, unchanged_effects
 from piezod.diagnose.verdict.extended import extended_model, with_error
 from piezod.diagnose.verdict.simulated import FreeRun, GivenRuns, free_run, tared_rms
+from piezod.diagnose.verdict.tone_findings import is_unchanged_tone, tone_finding, with_tone_terms
 from piezod.diagnose.verdict.verdict import (
     held_out_rms,
-    less_sure,
-    no_noise,
     noise_floor,
-    remaining,
-    span_of,
+    shares_explained,
+    structured_share,
     verdict_of,
+    widest_range,
+    with_lower_confidence,
     words_of,
 )
 from piezod.diagnose.verdict.words import Wording
@@ -54,29 +49,29 @@ from piezod.model import Model
 
 Array = NDArray[np.float64]
 
-MOSTLY = 0.8  # of the catalogue: recordings that could not have shown so much of it tell nothing
-UNLIKE_ITSELF = 3.0  # times the error that a model had when it was identified: so much larger, the stack is another
-FOLDED = 0.6  # of its confidence that an effect keeps when the plays fold that were refitted with it
+UNTESTABLE = 0.8  # untestable share of the catalogue above which no verdict `matches` is given
+OTHER_STACK = 3.0  # error over that at the identification above which the stack itself has changed
+NO_MODEL = 0.6  # factor on confidences if the fitted plays have no inverse: such plays belong to no stack
 
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """Findings and what they rest on.
+    """Findings with their basis.
 
     Parameters
     ----------
     findings
-        The verdict.
+        Findings.
     model
-        The given model with what was found; the given one where nothing was.
+        Written model: the given model with the effects found, or the given model itself.
     series
-        All recordings, made ready.
+        All prepared recordings.
     base, extended
-        Simulated readings of every recording, the given model's and the extended one's.
+        Simulated readings of every recording with the given and with the extended model, shape (N,) each.
     attempts
         Hypotheses that were compared.
     without_law
-        The same without its unnamed law; None where there is none.
+        Diagnosis without the unnamed law; None if there is no law.
     """
 
     findings: Findings
@@ -88,238 +83,271 @@ class Diagnosis:
     without_law: "Diagnosis | None" = None
 
     def fitted(self) -> dict[str, Setting]:
-        """Parameters and choices of every effect found, and of each rival where it takes the effect's place."""
-        places = [(one.name, "") for one in self.findings.effects]
-        places += [(rival.name, one.name) for one in self.findings.effects for rival in one.rivals]
+        """Parameters and choices of every effect found, and of each rival in the place of its effect."""
+        places = [(finding.name, "") for finding in self.findings.effects]
+        places += [(rival.name, finding.name) for finding in self.findings.effects for rival in finding.rivals]
         return fitted_in([attempt.after for attempt in self.attempts], places)
 
 
 @dataclass(frozen=True)
-class _Written:
-    """The model that a diagnosis writes.
+class _WrittenModel:
+    """Model that a diagnosis writes.
 
     Parameters
     ----------
-    model
-        The model.
-    rms
-        Error that its simulation leaves on the recordings asked about [output unit].
+    model, rms
+        Model, and the rms error of its simulation over the diagnosed recordings [output unit].
     runs
-        It in free run over them; empty where it is the given model.
-    why_not
-        Why no other model can be written; empty where none needs to be.
+        Its free runs over these recordings; empty for the given model.
+    obstacle
+        Reason why the extended model cannot be written; empty if there is none.
     """
 
     model: Model
     rms: float
     runs: Sequence[FreeRun] = ()
-    why_not: str = ""
+    obstacle: str = ""
 
 
 @dataclass(frozen=True)
-class Judgement:
-    """What every judgement of one diagnosis starts from.
+class _Remainder:
+    """Residuals of the final hypothesis (one array a recording), shares explained, and noise floor [output unit]."""
+
+    residuals: list[Array]
+    share: float
+    closed: float
+    floor: float
+    floor_from: str
+
+
+@dataclass(frozen=True)
+class DiagnosisInputs:
+    """Inputs of a diagnosis.
 
     Parameters
     ----------
     model
-        As it was given.
+        Given model.
     sources
-        Those of the identification first.
+        Recordings as read, identification recordings first.
     series
-        The recordings made ready, one that stands for those of the identification first where these are gone.
-    before
-        The given model in free run over the recordings.
+        Prepared recordings, preceded by a substitute if the identification recordings are missing.
+    given_runs
+        Free runs of the given model over the recordings.
     frozen
-        Stretches of readings that stand still, by the number of their series.
+        First sample and end of each frozen stretch, by the number of the series.
     notes
-        What was noticed.
-    stand_ins
-        How many series stand for recordings that are gone.
+        Remarks.
+    substitutes
+        Number of substitute series.
     """
 
     model: Model
     sources: Sequence[Source]
     series: list[Series]
-    before: GivenRuns
+    given_runs: GivenRuns
     frozen: dict[int, list[tuple[int, int]]]
-    notes: list[str]
-    stand_ins: int
+    notes: Sequence[str]
+    substitutes: int
 
     @property
     def hashes(self) -> list[str]:
-        """SHA-256 of the recording of each series; empty where it is gone."""
-        return [""] * self.stand_ins + [source.sha256 for source in self.sources]
+        """SHA-256 of the recording of each series; empty for a substitute."""
+        return [""] * self.substitutes + [source.sha256 for source in self.sources]
 
     @property
-    def given(self) -> list[Array]:
-        """Readings that the given model expects, of every series."""
-        own = [one.reading_N for one in self.series[: self.stand_ins]]  # simulated by the model itself
-        files = self.series[self.stand_ins :]
-        return own + [run.over(one) for run, one in zip(self.before.runs, files, strict=True)]
+    def given_readings(self) -> list[Array]:
+        """Readings that the given model expects, for every series, shape (N,) each."""
+        simulated = [series.reading_N for series in self.series[: self.substitutes]]  # by the model itself
+        files = self.series[self.substitutes :]
+        return simulated + [run.at_samples_of(s) for run, s in zip(self.given_runs.runs, files, strict=True)]
 
-    def begun(self) -> tuple[Chain, Point, tuple[Term, ...]]:
-        """Where the search begins: recordings without the given law, the base, and the given effects at their values.
+    def search_start(self) -> tuple[Chain, Point, tuple[Term, ...]]:
+        """Recordings without the unnamed law, the base, and the given effects held at their values.
 
-        A model with effects states how the command runs between samples, and is followed in that.
+        A model with effects states how the command runs between samples.
         """
-        law_N = [np.zeros(1)] * self.stand_ins + self.before.law(self.series[self.stand_ins :])
-        series = [replace(one, reading_N=one.reading_N - law) for one, law in zip(self.series, law_N, strict=True)]
+        law_N = [np.zeros(1)] * self.substitutes + self.given_runs.law_readings(self.series[self.substitutes :])
+        series = [replace(s, reading_N=s.reading_N - law) for s, law in zip(self.series, law_N, strict=True)]
         terms, values = given_effects(self.model, self.hashes)
         if terms:
-            series = [replace(one, hold=self.model.hold) for one in series]
+            series = [replace(s, hold=self.model.hold) for s in series]
         chain, start = chain_of(series, self.model)
         start = replace(start, values=values)
-        if not self.stand_ins:
+        if not self.substitutes:
             terms = with_likelier_scope(coarse(chain), start, terms, self.model)
         return chain, start, terms
 
-    def judged(self, result: Search) -> Diagnosis:
-        """What a search found, with how sure it is and what is left."""
-        chain, found, given = result.chain, result.found, self.given
-        normal = Normal.at(chain, found.terms, found.point)
-        modelled = normal.readings()
-        residuals = [one.reading_N - simulated for one, simulated in zip(chain.series, modelled, strict=True)]
-        judging = [one.as_judged() for one in chain.series]
-        left = explainable(judging, residuals, modelled)
-        share, closed = remaining(result, left, motion(judging, residuals, modelled))
-        floor, floor_from = noise_floor(chain.series, residuals, left, self.stand_ins)
-        series = [replace(one, reading_N=known.reading_N) for one, known in zip(chain.series, self.series, strict=True)]
-        before = tared_rms(self.before.asked)
+    def diagnosis_of(self, result: Search) -> Diagnosis:
+        """Diagnosis from the result of a search."""
+        chain, given = result.chain, self.given_readings
+        remainder = self._remainder(result)
+        series = [replace(s, reading_N=known.reading_N) for s, known in zip(chain.series, self.series, strict=True)]
+        span, before = widest_range(series), tared_rms(self.given_runs.diagnosed_runs)
         effects, tones = self._effects(result)
-        effects += read_off(chain.series, self.frozen, residuals, before)
-        base, kept = base_of(result), kept_effects(result, self.model, effects, tones)
-        span = span_of(series)
-        written = self._delivered(result, effects, floor, span)
+        effects += direct_findings(chain.series, self.frozen, remainder.residuals, before)
+        base = base_of(result)
+        unchanged = unchanged_effects(result, self.model, effects, tones)
+        written = self._written_model(result, effects, remainder.floor, span)
         after, runs = written.rms, written.runs
-        if self.before.law_holds and runs and not result.differs and self._unlike_itself(chain, floor):
+        if self.given_runs.law_holds and runs and not result.differs and self._is_other_stack(chain, remainder.floor):
             base = replace(base, changed=True)
-        refitted = None if result.differs else after if runs else min(held_out_rms(chain, found), before)
-        least = max(after, held_out_rms(chain, found)) if runs else before
-        above = above_noise(least, floor, span)
-        if above:
-            closed = min(closed, max(gap_closed(before, after, floor), 0.0))
-        unlike_noise = no_noise(share, least, floor, above=above)
-        sure = [less_sure(one, unlike_noise, 1.0) for one in effects]
-        verdict = verdict_of(share, closed, [*sure, base] if base.changed else sure, above=above)
-        blind = untestable(chain, found.terms, found.point)
-        if verdict == "matches" and len(blind) > MOSTLY * (len(EFFECTS) - len(DIRECT)):
-            verdict = "not_testable"
-        chain.forget()  # what follows takes memory of its own
-        if verdict == "partly_explained":
-            sure = [less_sure(one, unlike_noise, closed) for one in effects]
-        simulated = [one.reading_N - residual for one, residual in zip(chain.series, residuals, strict=True)]
+        rms = held_out_rms(chain, result.hypothesis)
+        least = max(after, rms) if runs else before
+        untested = untestable(chain, result.hypothesis.terms, result.hypothesis.point)
+        verdict, effects = self._verdict(effects, base, remainder, (before, after, least), span, untested)
+        chain.forget()  # localisation needs memory too
+        simulated = [s.reading_N - residual for s, residual in zip(chain.series, remainder.residuals, strict=True)]
         for k, run in enumerate(runs, start=len(series) - len(runs)):
-            simulated[k] = run.over(series[k])
+            simulated[k] = run.at_samples_of(series[k])
+        residuals = [s.reading_N - readings for s, readings in zip(series, given, strict=True)]
         findings = Findings(
             verdict=verdict,
             words="",
             unit=self.model.output.unit,
-            floor=min(floor, least),
-            floor_from=floor_from,
-            where=tuple(
-                Place(one.axis, one.low, one.high, one.share, one.p)
-                for one in locate(
-                    [one.as_judged() for one in series],
-                    [one.reading_N - by for one, by in zip(series, given, strict=True)],
-                    given,
-                )
-            ),
-            effects=tuple(sure),
-            kept=tuple(kept),
+            floor=min(remainder.floor, least),
+            floor_from=remainder.floor_from,
+            where=tuple(locate([s.as_judged() for s in series], residuals, given)),
+            effects=tuple(effects),
+            kept=tuple(unchanged),
             base=base,
             before=before,
             after=after,
-            refitted=refitted,
+            refitted=None if result.differs else after if runs else min(rms, before),
             span=span,
-            nrmse_before=asked_nrmse_percent(series, given),
-            nrmse_after=asked_nrmse_percent(series, simulated if runs else given),
-            explainable=share,
-            not_testable=blind,
+            nrmse_before=diagnosed_nrmse_percent(series, given),
+            nrmse_after=diagnosed_nrmse_percent(series, simulated if runs else given),
+            explainable=remainder.share,
+            not_testable=untested,
             notes=tuple(self.notes),
-            recordings=tuple(
-                {
-                    "path": one.recording.source,
-                    "sha256": one.sha256,
-                    "samples": int(one.recording.time_s.size),
-                    "left_out_s": [list(stretch) for stretch in run.left_out_s],
-                }
-                for one, run in zip(self.sources, self.before.runs, strict=True)
-            ),
+            recordings=self._recordings(),
         )
-        if written.why_not:
-            findings = _not_delivered(findings, written.why_not)
-        wording = Wording(self.model.input.unit, self.model.output.unit)
-        findings = replace(findings, words=words_of(findings, wording))
+        if written.obstacle:
+            findings = _without_model(findings, written.obstacle)
+        findings = with_words(findings, self.model)
         return Diagnosis(findings, written.model, series, given, simulated, result.attempts)
 
+    def _remainder(self, result: Search) -> _Remainder:
+        """Residuals of the final hypothesis, with the share that could still be explained."""
+        chain, fitted = result.chain, result.hypothesis
+        modelled = Normal.at(chain, fitted.terms, fitted.point).readings()
+        residuals = [s.reading_N - readings for s, readings in zip(chain.series, modelled, strict=True)]
+        compared = [s.as_judged() for s in chain.series]
+        guard = explainable(compared, residuals, modelled)
+        share, closed = shares_explained(result, guard, motion_of(compared, residuals, modelled))
+        return _Remainder(residuals, share, closed, *noise_floor(chain.series, residuals, guard, self.substitutes))
+
+    def _verdict(
+        self,
+        effects: Sequence[Finding],
+        base: Base,
+        remainder: _Remainder,
+        errors: tuple[float, float, float],
+        span: float,
+        untested: Sequence[str],
+    ) -> tuple[Verdict, list[Finding]]:
+        """Verdict, and the effects with confidences reduced by the structured residual.
+
+        `errors`: error of the given model, of the written model, and on left-out blocks if that is larger.
+        """
+        before, after, least = errors
+        above = above_noise(least, remainder.floor, span)
+        closed = remainder.closed
+        if above:
+            closed = min(closed, max(gap_closed(before, after, remainder.floor), 0.0))
+        structured = structured_share(remainder.share, least, remainder.floor, above=above)
+        reduced = [with_lower_confidence(finding, structured, 1.0) for finding in effects]
+        verdict = verdict_of(remainder.share, closed, [*reduced, base] if base.changed else reduced, above=above)
+        if verdict == "matches" and len(untested) > UNTESTABLE * (len(EFFECTS) - len(DIRECT)):
+            verdict = "not_testable"
+        if verdict == "partly_explained":
+            reduced = [with_lower_confidence(finding, structured, closed) for finding in effects]
+        return verdict, reduced
+
+    def _recordings(self) -> tuple[dict[str, Any], ...]:
+        """Path, hash, number of samples and left-out stretches of each recording."""
+        return tuple(
+            {
+                "path": source.recording.source,
+                "sha256": source.sha256,
+                "samples": int(source.recording.time_s.size),
+                "left_out_s": [list(stretch) for stretch in run.left_out_s],
+            }
+            for source, run in zip(self.sources, self.given_runs.runs, strict=True)
+        )
+
     def _effects(self, result: Search) -> tuple[list[Finding], list[str]]:
-        """What is new, has changed or is gone, and the tones of the given model that have not changed."""
-        named = [name for name in result.found.effects if name in result.new or result.statuses.get(name) == "changed"]
-        gone = [name for name, status in result.statuses.items() if status == "gone"]
-        effects = with_shares(each(lambda name: finding_of(result, name, self.model), named))
+        """New, changed and gone effects, and the names of unchanged tones of the given model."""
+        statuses = result.statuses
+        named = [name for name in result.hypothesis.effects if name in result.new or statuses.get(name) == "changed"]
+        gone = [name for name, status in statuses.items() if status == "gone"]
+        effects = with_discovery_rates(each(lambda name: finding_of(result, name, self.model), named))
         effects += [gone_finding(result, name, self.model) for name in gone]
-        names = dict.fromkeys(tone.name for tone in result.tones_asked_about)
+        names = dict.fromkeys(tone.name for tone in result.diagnosed_tones)
         tones = [tone_finding(result, name, self.model) for name in names]
-        return effects + [one for one in tones if not same_tone(one)], [one.name for one in tones if same_tone(one)]
+        effects += [tone for tone in tones if not is_unchanged_tone(tone)]
+        return effects, [tone.name for tone in tones if is_unchanged_tone(tone)]
 
-    def _unlike_itself(self, chain: Chain, floor: float) -> bool:
-        """Whether the stack is another than the one that the given model was made with.
-
-        The recordings may have been sampled otherwise, so the model is told how the command runs in them.
-        """
+    def _is_other_stack(self, chain: Chain, floor: float) -> bool:
+        """Whether the given model errs much more than at its identification, with the hold of these recordings."""
         hold = chain.series[-1].hold
-        sampled = self.model.model_copy(update={"sampling": hold.sampling, "read_after": hold.read_after})
-        error = tared_rms([free_run(sampled, *one) for one in self.before.places])
-        return error > UNLIKE_ITSELF * max(floor, self.model.provenance.fit.rms_held_out or 0.0)
+        resampled = self.model.model_copy(update={"sampling": hold.sampling, "read_after": hold.read_after})
+        error = tared_rms([free_run(resampled, *pair) for pair in self.given_runs.diagnosed])
+        return error > OTHER_STACK * max(floor, self.model.provenance.fit.rms_held_out or 0.0)
 
-    def _delivered(self, result: Search, effects: Sequence[Finding], floor: float, span: float) -> _Written:
-        """The model that is written: the given one where nothing differs from it and it leaves only noise.
+    def _written_model(self, result: Search, effects: Sequence[Finding], floor: float, span: float) -> _WrittenModel:
+        """Extended model, or the given model if nothing differs and its error is noise.
 
-        Where it leaves more, and its hysteresis once refitted does not, that is written.
+        Without a difference, a model with refitted hysteresis is written only if its error is noise.
         """
-        before = tared_rms(self.before.asked)
-        given = _Written(self.model, before)
+        before = tared_rms(self.given_runs.diagnosed_runs)
+        given = _WrittenModel(self.model, before)
         if not result.differs and not above_noise(before, floor, span):
             return given
-        found = all_terms(result.found, result.tones_asked_about)
-        intervals = {one.name: one.parameters for one in effects}
-        kept = self.model if self.before.law_holds else self.model.model_copy(update={"unnamed_law": None})
+        fitted = with_tone_terms(result.hypothesis, result.diagnosed_tones)
+        intervals = {finding.name: finding.parameters for finding in effects}
+        parent = self.model if self.given_runs.law_holds else self.model.model_copy(update={"unnamed_law": None})
         try:
-            extended = extended_model(kept, result.chain, found, self.hashes, intervals)
+            extended = extended_model(parent, result.chain, fitted, self.hashes, intervals)
         except ModelError as error:
-            return replace(given, why_not=str(error)) if result.differs else given
+            return replace(given, obstacle=str(error)) if result.differs else given
         if result.stack_changed:
-            extended = self._rebased(extended)
-        runs = [free_run(extended, *one) for one in self.before.places]
+            extended = self._with_new_base(extended)
+        runs = [free_run(extended, *pair) for pair in self.given_runs.diagnosed]
         after = tared_rms(runs)
         if not result.differs and (after >= BETTER * before or above_noise(after, floor, span)):
             return given
-        return _Written(with_error(extended, after), after, runs)
+        return _WrittenModel(with_error(extended, after), after, runs)
 
-    def _rebased(self, extended: Model) -> Model:
-        """The model of a stack that has changed: older recordings are another stack's."""
-        asked = [source for source in self.sources if source.role == "recording"]
-        recordings = tuple(entry_of(one.recording, one.sha256, one.text) for one in asked)
+    def _with_new_base(self, extended: Model) -> Model:
+        """Model of a changed stack: only the diagnosed recordings belong to its base."""
+        diagnosed = [source for source in self.sources if source.role == "recording"]
+        recordings = tuple(entry_of(source.recording, source.sha256, source.text) for source in diagnosed)
         effects = tuple(
-            one if one.recording else one.model_copy(update={"since": "identification"}) for one in extended.effects
+            effect if effect.recording else effect.model_copy(update={"since": "identification"})
+            for effect in extended.effects
         )
         provenance = extended.provenance.model_copy(update={"recordings": recordings})
         return extended.model_copy(update={"effects": effects, "provenance": provenance})
 
 
-def _not_delivered(findings: Findings, why: str) -> Findings:
-    """Findings without a model: plays that fold are no stack's, and whatever they needed to fit is not understood."""
+def _without_model(findings: Findings, obstacle: str) -> Findings:
+    """Findings with lower confidences, since the fitted plays have no inverse."""
     return replace(
         findings,
         verdict="partly_explained" if findings.effects else "unexplained",
-        effects=tuple(replace(one, confidence=FOLDED * one.confidence) for one in findings.effects),
-        notes=(*findings.notes, f"no extended model, model.yaml holds the given one: {why}"),
+        effects=tuple(replace(finding, confidence=NO_MODEL * finding.confidence) for finding in findings.effects),
+        notes=(*findings.notes, f"no extended model, model.yaml holds the given one: {obstacle}"),
     )
 
 
-def asked_nrmse_percent(series: Sequence[Series], simulated: Sequence[Array]) -> float:
-    """Over the recordings asked about."""
-    asked = [(one, by) for one, by in zip(series, simulated, strict=True) if one.role == "recording"]
-    measured = np.concatenate([one.reading_N[one.counts] for one, _ in asked])
-    return nrmse_percent(measured, np.concatenate([by[one.counts] for one, by in asked]))
+def with_words(findings: Findings, model: Model) -> Findings:
+    """Findings with their summary in the units of the model."""
+    return replace(findings, words=words_of(findings, Wording(model.input.unit, model.output.unit)))
+
+
+def diagnosed_nrmse_percent(series: Sequence[Series], simulated: Sequence[Array]) -> float:
+    """Fit over the diagnosed recordings as MATLAB's `compare` defines it [%]."""
+    pairs = [(s, readings) for s, readings in zip(series, simulated, strict=True) if s.role == "recording"]
+    measured = np.concatenate([s.reading_N[s.counts] for s, _ in pairs])
+    return nrmse_percent(measured, np.concatenate([readings[s.counts] for s, readings in pairs]))

@@ -29,8 +29,8 @@ from piezod.diagnose.selection.acceptance import (
     WORTH,
     comparable,
     least_gain,
+    penalised_loss,
     steadiness,
-    weighed,
 )
 from piezod.effects import EFFECTS
 
@@ -128,7 +128,7 @@ def _rounds(attempts: Sequence[Mapping[str, Any]], fitted: Sequence[Fitted]) -> 
 
 
 def _candidate(before: Fitted, after: Fitted) -> Candidate:
-    name, price = after.effects[-1], weighed(after)
+    name, price = after.effects[-1], penalised_loss(after)
     before, after = comparable(before, after)
     return Candidate(name, before.loss / after.loss - 1.0, steadiness(before, after), price)
 

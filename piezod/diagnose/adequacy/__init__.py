@@ -1,1 +1,1 @@
-"""What a flexible model could still explain."""
+"""Adequacy: what a flexible model could still explain."""

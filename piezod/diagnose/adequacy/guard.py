@@ -1,7 +1,6 @@
-"""How much of a residual is explainable at all, by whatever it may be: the guard against names that explain too little.
+"""Share of a residual that a flexible model explains: a lower bound of what named effects leave unexplained.
 
-A flexible model without physics (`absorber`) predicts every block of the recordings from the others. What it explains,
-a named effect must explain too; what it explains and no name does, is unexplained.
+The flexible model (`absorber`) predicts every block of the recordings from the other blocks.
 """
 
 from collections.abc import Sequence
@@ -11,33 +10,34 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piezod.diagnose.adequacy.absorber import Columns, Event
-from piezod.diagnose.adequacy.ridge import Blocks, LeftOut, left_out
+from piezod.diagnose.adequacy.ridge import BlockPrediction, Blocks, predicted_blocks
 from piezod.diagnose.hypothesis.series import BLOCK_S, FEWEST_BLOCKS, MOST_BLOCKS, Series
-from piezod.diagnose.localisation import colour, coordinates, events
+from piezod.diagnose.localisation import colour, events
+from piezod.diagnose.localisation.cells import NormalisedResidual
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-BELIEVED = 0.05  # chance up to which the absorber's part is taken off before tones, jumps and bursts are looked for
-GAP = 0.05  # of a block at either end that neither teaches nor tests
+SIGNIFICANT = 0.05  # largest p-value at which the prediction is subtracted before tones, jumps and bursts are sought
+GAP = 0.05  # share of a block at either end that is not used: neighbouring samples are not independent
 
 
 @dataclass(frozen=True)
 class Guard:
-    """How much of a residual is explainable.
+    """Explainable part of a residual.
 
     Parameters
     ----------
     loss
-        Mean square residual about its mean, in units of each recording's noise.
+        Mean square residual without its mean [noise variance].
     absorbed
-        The same after the absorber, every block left out.
+        Mean square after prediction from the other blocks [noise variance].
     share
-        Part of the loss that is explainable, (loss - absorbed) / loss.
+        Explainable share of the loss, (loss - absorbed) / loss.
     p
-        Chance that it explains so much of noise: signs of log(before / after) flipped block by block.
+        Probability of this share for noise: signs of log(before / after) flipped block by block.
     local_share, local_p
-        What is left in bursts beyond the residual's own colour, as a part of the loss, and its chance.
+        Share of the loss in bursts beyond the noise of the residual's own spectrum, and its p-value.
     """
 
     loss: float
@@ -51,36 +51,23 @@ class Guard:
 def explainable(
     series: Sequence[Series], residuals: Sequence[Array], modelled: Sequence[Array], *, seed: int = 0
 ) -> Guard:
-    """Measure how much of a residual anything could explain.
+    """Measure the explainable part of the residuals of the diagnosed recordings.
 
-    Parameters
-    ----------
-    series
-        Only those with the role "recording" are looked at.
-    residuals
-        Reading less simulation, each shape (N,) [N].
-    modelled
-        Simulation, each shape (N,) [N].
-    seed
-        Of the sign flips.
+    `series` are recordings of any role; `residuals` and `modelled` have shape (N,) each [N].
     """
-    told = [
-        _Told.of(one, residual, model)
-        for one, residual, model in zip(series, residuals, modelled, strict=True)
-        if one.role == "recording" and one.counts.any()
-    ]
-    if not told or not any(one.residual.any() for one in told):
+    recordings = [_Recording.of(known) for known in NormalisedResidual.diagnosed(series, residuals, modelled)]
+    if not any(recording.residual.any() for recording in recordings):
         return Guard(0.0, 0.0, 0.0, 1.0)
-    look = _Look.at(told, ())
-    suggested = _suggested(told, look.leftovers())
-    if suggested:
-        look = _Look.at(told, suggested)
-    return _judged(told, look, np.random.default_rng(seed))
+    prediction = _Prediction.of(recordings, ())
+    detected = _detected_events(recordings, prediction.remainders())
+    if detected:
+        prediction = _Prediction.of(recordings, detected)
+    return _guard(recordings, prediction, np.random.default_rng(seed))
 
 
 @dataclass(frozen=True)
-class _Told:
-    """A recording with its residual in units of its noise, 0 where it does not count, and the edges of its blocks."""
+class _Recording:
+    """Normalised residual of a recording, with the edges of its blocks."""
 
     series: Series
     residual: Array
@@ -89,15 +76,17 @@ class _Told:
     edges: tuple[int, ...]
 
     @classmethod
-    def of(cls, series: Series, residual_N: Array, modelled_N: Array) -> "_Told":
-        counts = series.counts & np.isfinite(residual_N)
-        level = float(residual_N[counts].mean()) if counts.any() else 0.0
-        residual = np.where(counts, residual_N - level, 0.0) / series.noise_N
-        return cls(series, residual, modelled_N, counts, _block_edges(series))
+    def of(cls, known: NormalisedResidual) -> "_Recording":
+        return cls(known.series, known.residual, known.modelled_N, known.counts, _block_edges(known.series))
+
+    @property
+    def step(self) -> float:
+        """Converter step [noise rms]."""
+        return self.series.lattice_N / self.series.noise_N
 
     @property
     def inside(self) -> Mask:
-        """What counts and is not in a gap between blocks, shape (N,)."""
+        """Readings that count and are not in a gap between blocks, shape (N,)."""
         inside = self.counts.copy()
         for first, end in zip(self.edges[:-1], self.edges[1:], strict=True):
             gap = int(GAP * (end - first))
@@ -107,7 +96,7 @@ class _Told:
 
     @property
     def beyond_seams(self) -> Mask:
-        """What counts and is not just behind a block's first sample, where leftovers of other weights begin."""
+        """Readings that count and do not follow a block edge, at which the weights of the prediction change."""
         beyond = self.counts.copy()
         for edge in self.edges[1:-1]:
             beyond[edge : edge + 1 + colour.ORDER] = False
@@ -115,7 +104,7 @@ class _Told:
 
 
 def _block_edges(series: Series) -> tuple[int, ...]:
-    """The series' blocks, taken together to some seconds each."""
+    """Edges of the blocks of a series, joined to a few seconds each."""
     wanted_s = min(max(BLOCK_S, series.duration_s / MOST_BLOCKS), series.duration_s / FEWEST_BLOCKS)
     wanted = wanted_s / series.dt_s
     edges = [0]
@@ -128,45 +117,45 @@ def _block_edges(series: Series) -> tuple[int, ...]:
 
 
 @dataclass(frozen=True)
-class _Look:
-    """The absorber on all recordings."""
+class _Prediction:
+    """Flexible model of all recordings, with every block predicted from the others."""
 
-    told: Sequence[_Told]
+    recordings: Sequence[_Recording]
     columns: Columns
     blocks: Blocks
-    all: LeftOut
+    predicted: BlockPrediction
 
     @classmethod
-    def at(cls, told: Sequence[_Told], suggested: Sequence[Event]) -> "_Look":
-        columns = Columns([one.series for one in told], [one.modelled_N for one in told], suggested)
-        blocks = _sums(told, columns)
-        return cls(told, columns, blocks, left_out(blocks, columns.levels))
+    def of(cls, recordings: Sequence[_Recording], detected: Sequence[Event]) -> "_Prediction":
+        columns = Columns([r.series for r in recordings], [r.modelled_N for r in recordings], detected)
+        blocks = _sums(recordings, columns)
+        return cls(recordings, columns, blocks, predicted_blocks(blocks, columns.levels))
 
-    def leftovers(self) -> list[Array]:
-        """Residuals less what the absorber makes of each block without it, each shape (N,).
+    def remainders(self) -> list[Array]:
+        """Residuals minus the prediction of each block, shape (N,) each.
 
-        What it makes of nothing is left in: it would put its own edges there.
+        A prediction that is not significant is not subtracted, since it would add edges.
         """
-        if self.all.p(np.random.default_rng(0)) > BELIEVED:
-            return [one.residual for one in self.told]
+        if self.predicted.p(np.random.default_rng(0)) > SIGNIFICANT:
+            return [recording.residual for recording in self.recordings]
         block = 0
-        result = []
-        for number, one in enumerate(self.told):
-            left = one.residual.copy()
-            for stretch, columns in self.columns.stretches(number, one.edges):
-                left[stretch] -= columns @ self.all.weights[block]
+        remainders = []
+        for number, recording in enumerate(self.recordings):
+            remainder = recording.residual.copy()
+            for stretch, columns in self.columns.stretches(number, recording.edges):
+                remainder[stretch] -= columns @ self.predicted.weights[block]
                 block += 1
-            result.append(np.where(one.counts, left, 0.0))
-        return result
+            remainders.append(np.where(recording.counts, remainder, 0.0))
+        return remainders
 
 
-def _sums(told: Sequence[_Told], columns: Columns) -> Blocks:
+def _sums(recordings: Sequence[_Recording], columns: Columns) -> Blocks:
     gram, product, square, samples = [], [], [], []
-    for number, one in enumerate(told):
-        inside = one.inside
-        for stretch, part in columns.stretches(number, one.edges):
+    for number, recording in enumerate(recordings):
+        inside = recording.inside
+        for stretch, part in columns.stretches(number, recording.edges):
             keep = inside[stretch]
-            used, residual = part[keep] / one.series.noise_N, one.residual[stretch][keep]
+            used, residual = part[keep] / recording.series.noise_N, recording.residual[stretch][keep]
             gram.append(used.T @ used)
             product.append(used.T @ residual)
             square.append(float(residual @ residual))
@@ -174,43 +163,38 @@ def _sums(told: Sequence[_Told], columns: Columns) -> Blocks:
     return Blocks(np.array(gram), np.array(product), np.array(square), np.array(samples))
 
 
-def _suggested(told: Sequence[_Told], leftovers: Sequence[Array]) -> list[Event]:
-    """Tones, tones of the gain, and jumps that the leftovers show."""
-    found: list[Event] = []
-    for number, (one, left) in enumerate(zip(told, leftovers, strict=True)):
-        dt_s, bin_Hz = one.series.dt_s, 1.0 / (left.size * one.series.dt_s)
-        driven, lattice = _driven(one), one.series.lattice_N / one.series.noise_N
-        gain = (one.modelled_N - one.modelled_N.mean()) / max(float(one.modelled_N.std()), 1e-12)
-        tones_Hz = events.tones_Hz(left, dt_s)
-        own = [f for f in tones_Hz if not driven[round(f / bin_Hz)]]
-        found += [Event("tone", number, f) for f in own]
-        if lattice <= events.COARSE * colour.spread(left[one.counts]):  # a coarse lattice beats with a periodic drive
-            found += [Event("beat", number, f) for f in tones_Hz if f not in own]
-            found += [Event("gain", number, f) for f in events.tones_Hz(left * gain, dt_s)]
-        found += [Event("jump", number, k * dt_s) for k in events.jumps(left, dt_s, lattice)]
-    return found
+def _detected_events(recordings: Sequence[_Recording], remainders: Sequence[Array]) -> list[Event]:
+    """Tones, tones of the gain, and jumps in the remainders."""
+    detected: list[Event] = []
+    for number, (recording, remainder) in enumerate(zip(recordings, remainders, strict=True)):
+        dt_s, bin_Hz = recording.series.dt_s, 1.0 / (remainder.size * recording.series.dt_s)
+        driven = colour.driven_bins(recording.series.command_V, recording.modelled_N)
+        gain = (recording.modelled_N - recording.modelled_N.mean()) / max(float(recording.modelled_N.std()), 1e-12)
+        tones_Hz = events.tones_Hz(remainder, dt_s)
+        free_Hz = [f for f in tones_Hz if not driven[round(f / bin_Hz)]]
+        detected += [Event("tone", number, f) for f in free_Hz]
+        if recording.step <= events.COARSE * colour.spread(remainder[recording.counts]):
+            # the rounding of a coarser converter beats with a periodic drive
+            detected += [Event("beat", number, f) for f in tones_Hz if f not in free_Hz]
+            detected += [Event("gain", number, f) for f in events.tones_Hz(remainder * gain, dt_s)]
+        detected += [Event("jump", number, k * dt_s) for k in events.jumps(remainder, dt_s, recording.step)]
+    return detected
 
 
-def _driven(one: _Told) -> Mask:
-    u = one.series.command_V
-    direction, _ = coordinates.reversals(u)
-    return colour.driven_bins(u, one.modelled_N, direction, np.abs(np.gradient(u)))
-
-
-def _judged(told: Sequence[_Told], look: _Look, rng: np.random.Generator) -> Guard:
-    n = float(look.blocks.samples.sum())
-    loss = float(look.blocks.square.sum()) / n
-    absorbed = float(look.all.after.sum()) / n
-    local = [
-        events.bursts(left, one.beyond_seams, one.series.lattice_N / one.series.noise_N)
-        for one, left in zip(told, look.leftovers(), strict=True)
+def _guard(recordings: Sequence[_Recording], prediction: _Prediction, rng: np.random.Generator) -> Guard:
+    samples = float(prediction.blocks.samples.sum())
+    loss = float(prediction.blocks.square.sum()) / samples
+    absorbed = float(prediction.predicted.after.sum()) / samples
+    bursts = [
+        events.bursts(remainder, recording.beyond_seams, recording.step)
+        for recording, remainder in zip(recordings, prediction.remainders(), strict=True)
     ]
-    energy = sum(float(one.residual @ one.residual) for one in told)
+    energy = sum(float(recording.residual @ recording.residual) for recording in recordings)
     return Guard(
         loss,
         absorbed,
         1.0 - absorbed / loss,
-        look.all.p(rng),
-        float(sum(one.energy for one in local)) / energy,
-        min(1.0, len(local) * min(one.p for one in local)),
+        prediction.predicted.p(rng),
+        float(sum(burst.energy for burst in bursts)) / energy,
+        min(1.0, len(bursts) * min(burst.p for burst in bursts)),
     )

@@ -1,4 +1,4 @@
-"""What is left while the bench moves or stands high, beside what is left while it rests: noise knows no difference."""
+"""Dependence of a residual's power on the motion and the level of the force, on which noise does not depend."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -10,111 +10,120 @@ from piezod.diagnose.hypothesis.series import Series
 
 Array = NDArray[np.float64]
 
-WINDOW_S, FEWEST_IN_WINDOW = 0.25, 20
-FEWEST_WINDOWS, FEWEST_QUIET = 30, 6
-STILL = 0.02  # of the usual movement: windows that move less are at rest
-LOWEST = 0.2  # of the windows, where fewer rest
-BELIEVED = 0.005  # part of all shifts that may order both as well by chance
+WINDOW_S, FEWEST_IN_WINDOW = 0.25, 20  # length of a window [s], at least so many samples
+FEWEST_WINDOWS, FEWEST_QUIET = 30, 6  # windows for a test, and windows at rest for its reference
+REST = 0.02  # motion in a window over the median motion below which the bench rests
+LOWEST = 0.2  # share of the windows, with the smallest motion or force, that replaces too few windows at rest
+SIGNIFICANT = 0.005  # largest share of circular shifts that correlate as strongly
 
 
 @dataclass(frozen=True)
 class Motion:
-    """How much of a residual depends on how the bench stands or moves.
+    """Shares of the residual's power that depend on motion or level.
 
     Parameters
     ----------
     share
-        Part of its power within short windows that lies above that of the windows at rest; 0 where that may be chance.
+        Share of the power within windows that exceeds the power at rest; 0 if not significant.
     level_share
-        Part of its power that lies above that of the windows with the least force; 0 where that may be chance.
+        Share of the power that exceeds the power at the smallest force; 0 if not significant.
     """
 
     share: float
     level_share: float
 
 
-def motion(series: Sequence[Series], residuals: Sequence[Array], modelled: Sequence[Array], *, seed: int = 0) -> Motion:
-    """Ask whether a residual's power follows movement or level of the force.
+def motion_of(
+    series: Sequence[Series], residuals: Sequence[Array], modelled: Sequence[Array], *, seed: int = 0
+) -> Motion:
+    """Test whether the residual's power in the diagnosed recordings follows the motion or the level of the force.
 
-    Parameters
-    ----------
-    series
-        Only those with the role "recording" are looked at.
-    residuals, modelled
-        Reading less simulation, and simulation; each shape (N,) [N].
-    seed
-        Of the shifts.
+    `series` are recordings of any role; `residuals` and `modelled` have shape (N,) each [N].
     """
     rng = np.random.default_rng(seed)
-    told = [
-        _windows(one, residual / one.noise_N, model)
-        for one, residual, model in zip(series, residuals, modelled, strict=True)
-        if one.role == "recording"
+    windows = [
+        _Windows.of(s, residual / s.noise_N, model_N)
+        for s, residual, model_N in zip(series, residuals, modelled, strict=True)
+        if s.role == "recording"
     ]
-    told = [one for one in told if one.within.size >= FEWEST_WINDOWS]
-    if not told:
+    windows = [w for w in windows if w.variance.size >= FEWEST_WINDOWS]
+    if not windows:
         return Motion(0.0, 0.0)
     return Motion(
-        _share([(one.within, one.moves, one.moves <= STILL * float(np.median(one.moves))) for one in told], rng),
-        _share([(one.whole, one.level, np.zeros(one.level.size, bool)) for one in told], rng),
+        _excess_share([(w.variance, w.moves_N, w.moves_N <= REST * float(np.median(w.moves_N))) for w in windows], rng),
+        _excess_share([(w.power, w.level_N, np.zeros(w.level_N.size, bool)) for w in windows], rng),
     )
 
 
 @dataclass(frozen=True)
 class _Windows:
-    within: Array  # power of the residual about its mean in the window
-    whole: Array  # the same about its mean in the record
-    moves: Array  # how far the force moves in the window and the one before [N]
-    level: Array  # force above the least [N]
+    """Complete windows of a recording.
+
+    Parameters
+    ----------
+    variance, power
+        Mean square of the residual about its mean in the window, and about its mean in the recording.
+    moves_N, level_N
+        Range of the force in the window and the previous one, and mean force above the smallest force [N].
+    """
+
+    variance: Array
+    power: Array
+    moves_N: Array
+    level_N: Array
+
+    @classmethod
+    def of(cls, series: Series, residual: Array, model_N: Array) -> "_Windows":
+        size = max(int(WINDOW_S / series.dt_s), FEWEST_IN_WINDOW)
+        count = series.time_s.size // size
+        cut = slice(0, count * size)
+        centred = residual - float(residual[series.counts].mean())
+        parts, counts = centred[cut].reshape(count, size), series.counts[cut].reshape(count, size)
+        model = model_N[cut].reshape(count, size)
+        moves_N = np.ptp(model, axis=1)
+        moves_N[1:] = np.maximum(moves_N[1:], moves_N[:-1])
+        complete = np.asarray(counts.all(axis=1)) & (np.arange(count) > 0)
+        step = series.lattice_N / series.noise_N
+        least = max(step**2 / 12.0, 1e-12)
+        return cls(
+            np.maximum(parts.var(axis=1), least)[complete],
+            np.maximum(np.mean(parts**2, axis=1), least)[complete],
+            moves_N[complete],
+            (model.mean(axis=1) - float(model_N.min()))[complete],
+        )
 
 
-def _windows(series: Series, residual: Array, model_N: Array) -> _Windows:
-    size = max(int(WINDOW_S / series.dt_s), FEWEST_IN_WINDOW)
-    count = series.time_s.size // size
-    cut = slice(0, count * size)
-    centred = residual - float(residual[series.counts].mean())
-    parts, there = centred[cut].reshape(count, size), series.counts[cut].reshape(count, size)
-    model = model_N[cut].reshape(count, size)
-    moves = np.ptp(model, axis=1)
-    moves[1:] = np.maximum(moves[1:], moves[:-1])
-    complete = np.asarray(there.all(axis=1)) & (np.arange(count) > 0)
-    lattice = series.lattice_N / series.noise_N
-    least = max(lattice**2 / 12.0, 1e-12)
-    return _Windows(
-        np.maximum(parts.var(axis=1), least)[complete],
-        np.maximum(np.mean(parts**2, axis=1), least)[complete],
-        moves[complete],
-        (model.mean(axis=1) - float(model_N.min()))[complete],
-    )
+def _excess_share(windows: Sequence[tuple[Array, Array, NDArray[np.bool_]]], rng: np.random.Generator) -> float:
+    """Share of the power above that at small values of a quantity; 0 if their rank correlation is not significant.
 
-
-def _share(told: Sequence[tuple[Array, Array, NDArray[np.bool_]]], rng: np.random.Generator) -> float:
-    """Part of the power above that at the low end of a quantity, 0 where the order of both may be chance."""
-    ranks = [(_ranks(power), _ranks(quantity)) for power, quantity, _ in told]
-    found = sum(float(p @ q) for p, q in ranks)
+    `windows`: power, quantity, and mask of the reference windows, of each recording.
+    """
+    ranks = [(_ranks(power), _ranks(quantity)) for power, quantity, _ in windows]
+    correlation = sum(float(p @ q) for p, q in ranks)
     size = max(p.size for p, _ in ranks)
     starts = [int(rng.integers(0, p.size)) for p, _ in ranks]
     starts[0] = 0
-    by_chance = np.array(
+    shifted = np.array(
         [
             sum(float(np.roll(p, first + k) @ q) for (p, q), first in zip(ranks, starts, strict=True))
             for k in range(1, size)
         ]
     )
-    if np.mean(by_chance >= found) > BELIEVED:
+    if np.mean(shifted >= correlation) > SIGNIFICANT:
         return 0.0
-    above, total = 0.0, 0.0
-    for power, quantity, low in told:
-        quiet = low
-        if np.count_nonzero(low) < FEWEST_QUIET:
+    excess, total = 0.0, 0.0
+    for power, quantity, reference in windows:
+        if np.count_nonzero(reference) < FEWEST_QUIET:
             quiet = quantity <= float(np.quantile(quantity, LOWEST))
-        above += float(np.sum(power - power[quiet].mean()))
+        else:
+            quiet = reference
+        excess += float(np.sum(power - power[quiet].mean()))
         total += float(power.sum())
-    return max(above / total, 0.0)
+    return max(excess / total, 0.0)
 
 
 def _ranks(values: Array) -> Array:
-    """Places in order, about 0, of length 1."""
+    """Ranks with mean 0 and norm 1."""
     order = np.empty(values.size)
     order[np.argsort(values, kind="stable")] = np.arange(values.size)
     order -= order.mean()

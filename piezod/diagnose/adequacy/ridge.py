@@ -1,4 +1,4 @@
-"""Ridge regression from Gram matrices, every block predicted by the others, its strength chosen by the others alone."""
+"""Ridge regression from Gram matrices: every block is predicted from the others, which also choose the penalty."""
 
 from dataclasses import dataclass
 
@@ -9,10 +9,10 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 Index = NDArray[np.int64]
 
-STRENGTHS = (1e-8, 1e-6, 1e-4, 1e-2, 1.0)  # parts of a column's own square
+STRENGTHS = (1e-8, 1e-6, 1e-4, 1e-2, 1.0)  # penalties, relative to the variance of a column
 FOLDS = 8
 FLIPS = 999
-FAILED = 2.0  # of a block's loss: beyond it the columns have not learnt from the other blocks what this one does
+FAILED = 2.0  # ratio of a block's losses above which its prediction has failed and the levels alone are used
 
 
 @dataclass(frozen=True)
@@ -21,14 +21,10 @@ class Blocks:
 
     Parameters
     ----------
-    gram
-        Columns with columns, shape (B, P, P).
-    product
-        Columns with residual, shape (B, P).
-    square
-        Of the residual, shape (B,).
-    samples
-        That count, shape (B,).
+    gram, product
+        Products of the columns with each other, shape (B, P, P), and with the residual, shape (B, P).
+    square, samples
+        Squared residual and number of samples, shape (B,).
     """
 
     gram: Array
@@ -38,20 +34,20 @@ class Blocks:
 
     @property
     def folds(self) -> Index:
-        """Which fold every block is left out with, shape (B,)."""
+        """Number of the fold of every block, shape (B,)."""
         return np.arange(self.square.size) % min(FOLDS, self.square.size)
 
 
 @dataclass(frozen=True)
-class LeftOut:
-    """What every block says when it is left out.
+class BlockPrediction:
+    """Prediction of every block from the others.
 
     Parameters
     ----------
     before, after
-        Squared residual of every block under the levels alone and under all columns, shape (B,).
+        Squared residual of every block with the levels alone and with all columns, shape (B,).
     weights
-        For every block, from the others, shape (B, P); the levels alone for a block of which the others tell nothing.
+        Weights of the columns for every block, shape (B, P); the levels alone where the prediction failed.
     """
 
     before: Array
@@ -59,7 +55,7 @@ class LeftOut:
     weights: Array
 
     def p(self, rng: np.random.Generator) -> float:
-        """Chance of such a fall of log loss when its sign in every block is as likely as not."""
+        """Probability of this fall of the logarithmic loss if its sign in every block is random."""
         gains = np.log(np.maximum(self.before, 1e-300) / np.maximum(self.after, 1e-300))
         if not np.any(gains):
             return 1.0
@@ -67,15 +63,10 @@ class LeftOut:
         return float((1 + np.count_nonzero(signs @ gains >= gains.sum())) / (1 + FLIPS))
 
 
-def left_out(blocks: Blocks, levels: Mask) -> LeftOut:
+def predicted_blocks(blocks: Blocks, levels: Mask) -> BlockPrediction:
     """Predict every block from the others.
 
-    Parameters
-    ----------
-    blocks
-        Sums over every block.
-    levels
-        Columns that are not penalised, shape (P,).
+    `levels`: mask of the columns without penalty, shape (P,).
     """
     folds = blocks.folds
     count = int(folds.max()) + 1
@@ -88,7 +79,7 @@ def left_out(blocks: Blocks, levels: Mask) -> LeftOut:
     before, after = _losses(blocks, level[folds]), _losses(blocks, weights[folds])
     failed = after > FAILED * before
     chosen = np.where(failed[:, None], level[folds], weights[folds])
-    return LeftOut(before, np.minimum(after, FAILED * before), chosen)
+    return BlockPrediction(before, np.minimum(after, FAILED * before), chosen)
 
 
 def _losses(blocks: Blocks, weights: Array) -> Array:
@@ -98,7 +89,7 @@ def _losses(blocks: Blocks, weights: Array) -> Array:
 
 
 class _Problem:
-    """Folds' sums, scaled so that every column has the same square."""
+    """Normal equations of all folds, with columns of equal norm."""
 
     def __init__(self, gram: Array, product: Array, levels: Mask) -> None:
         total = gram.sum(axis=0)
@@ -110,14 +101,14 @@ class _Problem:
         self.penalty = np.where(levels, 1e-9, self._variance() + 1e-9)
 
     def _variance(self) -> Array:
-        """Square of every column about its mean in each recording."""
+        """Squared norm of every column about its mean in each recording."""
         at = np.flatnonzero(self.levels)
         means = self.total[at] ** 2 / np.maximum(np.diag(self.total)[at], 1e-12)[:, None]
         variance: Array = np.maximum(np.diag(self.total) - means.sum(axis=0), 0.0)
         return variance
 
     def solved(self, without: list[int], strength: float) -> Array:
-        """Weights of the unscaled columns with some folds left out."""
+        """Weights of the unscaled columns from all other folds."""
         weights: Array = self.scale * self._scaled(without, strength)
         return weights
 
@@ -134,7 +125,7 @@ class _Problem:
         return result
 
     def strengths(self) -> list[float]:
-        """The strength for each fold, chosen on the others: pairs of folds are left out together."""
+        """Penalty for each fold, chosen by cross-validation on the other folds."""
         count, tried = self.gram.shape[0], (*STRENGTHS, np.inf)
         losses = np.zeros((count, len(tried)))
         for i in range(count):

@@ -1,4 +1,4 @@
-"""Readings that are clipped at the end of a converter's range: no frozen sensor, and no force."""
+"""Readings that are clipped at an end of the converter's range."""
 
 from collections.abc import Sequence
 
@@ -10,55 +10,35 @@ from piezod.recording.stretches import stretches_of
 
 Array = NDArray[np.float64]
 
-FEWEST = 3
-"""Stretches at one extreme reading from which it is a limit: a sensor hardly freezes there again and again."""
+FEWEST = 3  # stretches at an extreme reading that make it a limit: a sensor hardly freezes there repeatedly
 
 
 def clipped_stretches(
     series: Series, model_N: Array, stretches: Sequence[tuple[int, int]]
 ) -> dict[float, list[tuple[int, int]]]:
-    """Those of the stretches of equal readings that a limit makes, by the limit [N].
+    """Clipped stretches (first, end) by their limit [N].
 
-    They stand at the highest or the lowest reading of the recording, at least `FEWEST` times, and the model is beyond
-    that limit for most of the time. Then every run of readings at it counts, while the command rests too.
+    A limit is the highest or the lowest reading with at least `FEWEST` stretches in which the model lies mostly beyond
+    it. Then all runs of readings at the limit are clipped.
 
-    Parameters
-    ----------
-    series
-        A recording.
-    model_N
-        Readings that the model expects, shape (N,).
-    stretches
-        Stretches (first, end) in which the reading does not change.
+    `model_N`: expected readings, shape (N,) [N]; `stretches`: stretches (first, end) of equal readings.
     """
     readings = series.reading_N[series.counts]
-    found: dict[float, list[tuple[int, int]]] = {}
+    clipped: dict[float, list[tuple[int, int]]] = {}
     for limit_N, side in ((float(readings.max()), 1.0), (float(readings.min()), -1.0)):
-        standing = [one for one in stretches if series.reading_N[one[0]] == limit_N]
-        if len(_beyond(standing, side * model_N, side * limit_N)) >= FEWEST:
-            found[limit_N] = _beyond(stretches_of(series.reading_N == limit_N), side * model_N, side * limit_N)
-    return found
+        at_limit = [(first, end) for first, end in stretches if series.reading_N[first] == limit_N]
+        if len(_beyond(at_limit, side * model_N, side * limit_N)) >= FEWEST:
+            clipped[limit_N] = _beyond(stretches_of(series.reading_N == limit_N), side * model_N, side * limit_N)
+    return clipped
 
 
 def _beyond(stretches: Sequence[tuple[int, int]], model_N: Array, limit_N: float) -> list[tuple[int, int]]:
-    """Those in which the model is beyond a limit for most of the time."""
+    """Stretches in which the model is beyond the limit for most of the time."""
     return [(first, end) for first, end in stretches if np.mean(model_N[first:end] > limit_N) > 0.5]
 
 
 def clipped_note(series: Series, limit_N: float, stretches: Sequence[tuple[int, int]], unit: str) -> str:
-    """Sentence about readings at a limit.
-
-    Parameters
-    ----------
-    series
-        A recording.
-    limit_N
-        The limit [unit].
-    stretches
-        Where the reading stands there.
-    unit
-        Unit of the readings.
-    """
+    """Note about clipped stretches of a recording at a limit; `unit`: unit of the readings."""
     samples = sum(end - first for first, end in stretches)
     begin_s, end_s = (float(series.time_s[at]) + series.start_s for at in (stretches[0][0], stretches[-1][1] - 1))
     return (

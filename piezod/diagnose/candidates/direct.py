@@ -1,4 +1,4 @@
-"""Tests of their own for what leaves a mark in the readings: noise, lines, the skew of the clocks."""
+"""Direct estimates from the readings: noise, spectral lines, resonance peaks, and skew of the clocks."""
 
 import itertools
 from dataclasses import dataclass
@@ -11,17 +11,18 @@ from piezod.diagnose.hypothesis.series import Series
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-LINE_OVER_MEDIAN = 30.0  # power of a line over the median of its surroundings; exponential noise reaches 18 in 1e6 bins
-PEAK_PARTS_S, SAME_PEAK = (4.0, 0.5, 0.25), 0.1  # of a recording, averaged; of a frequency
-SURROUNDINGS, ABOUT = 101, 20  # bins; on either side of a tone
-LOBE, WANDERS_HZ = 4, 0.1  # bins of a Hann window's own; by which a tone may wander
-SKEWS_PPM, SKEWED = np.geomspace(30.0, 2e4, 90), 0.98  # tried in both directions; of the squares, where one shows
-SKEW_ROWS = 10_000
+LINE_OVER_MEDIAN = 30.0  # least power of a line over the median around it; noise reaches 18 in 1e6 bins
+PEAK_PARTS_S = (4.0, 0.5, 0.25)  # lengths of the averaged parts of a recording
+PEAK_DISTANCE = 0.1  # least relative distance of two peaks
+SURROUNDINGS, NEIGHBOURS = 101, 20  # bins for the running median, and bins on either side of a tone
+LOBE, WANDERS_HZ = 4, 0.1  # half width of a Hann window's lobe [bins], and frequency by which a tone may wander
+SKEWS_PPM, SKEWED = np.geomspace(30.0, 2e4, 90), 0.98  # magnitudes tried; largest loss ratio of a visible skew
+SKEW_ROWS = 10_000  # samples that are compared
 
 
 @dataclass(frozen=True)
 class Line:
-    """A narrow peak in the residual."""
+    """Narrow peak in the spectrum of a residual."""
 
     frequency_Hz: float
     amplitude_N: float
@@ -30,18 +31,18 @@ class Line:
 
 
 def noise_of(u: Array, y: Array, good: NDArray[np.bool_]) -> float:
-    """Standard deviation of a recording's noise, from second differences where the drive moves least."""
-    bends, drive = np.diff(y, 2), np.abs(np.diff(u, 2))
+    """Standard deviation of the noise of y, from its second differences where the drive u curves least."""
+    curvature, drive = np.diff(y, 2), np.abs(np.diff(u, 2))
     usable = good[2:] & good[1:-1] & good[:-2]
     if np.count_nonzero(usable) < 100:
         return max(1e-4 * float(np.ptp(y[good])), 1e-12)
     quiet = usable & (drive <= np.percentile(drive[usable], 50))
-    spread = 1.4826 * float(np.median(np.abs(bends[quiet]))) / float(np.sqrt(6.0))
+    spread = 1.4826 * float(np.median(np.abs(curvature[quiet]))) / float(np.sqrt(6.0))
     return max(spread, 2e-5 * float(np.ptp(y[good])), 1e-12)
 
 
 def lines(series: Series, residual_N: Array, most: int = 6) -> list[Line]:
-    """Narrow peaks of a residual that the command has not at the same frequency, the highest first."""
+    """Narrow peaks of a residual without a line of the command at their frequency, the highest first."""
     window = np.hanning(residual_N.size)
     values = np.where(series.counts, residual_N, 0.0)
     spectrum = np.fft.rfft((values - values.mean()) * window)
@@ -52,17 +53,17 @@ def lines(series: Series, residual_N: Array, most: int = 6) -> list[Line]:
     prominence = power / np.maximum(surroundings, 1e-300)
     driven = drive > 20.0 * np.maximum(drive_around, 1e-12 * drive.max())
     first = max(4, int(0.5 / (frequency_Hz[1] + 1e-300)))
-    found: list[Line] = []
+    peaks: list[Line] = []
     candidates = np.flatnonzero((prominence > LINE_OVER_MEDIAN) & ~driven)
     for k in sorted(candidates, key=lambda j: -power[j]):
-        if k < SURROUNDINGS and power[k] < LINE_OVER_MEDIAN * _near(power, int(k), float(frequency_Hz[1])):
-            continue  # a colour that falls within so few bins is no line
-        if k < first or any(abs(frequency_Hz[k] - one.frequency_Hz) < 5 * frequency_Hz[1] for one in found):
+        if k < SURROUNDINGS and power[k] < LINE_OVER_MEDIAN * _level_near(power, int(k), float(frequency_Hz[1])):
+            continue  # a steep spectrum at low frequencies has no line
+        if k < first or any(abs(frequency_Hz[k] - line.frequency_Hz) < 5 * frequency_Hz[1] for line in peaks):
             continue
-        found.append(_refined(series, values, float(frequency_Hz[k]), float(frequency_Hz[1]), float(prominence[k])))
-        if len(found) == most:
+        peaks.append(_refined(series, values, float(frequency_Hz[k]), float(frequency_Hz[1]), float(prominence[k])))
+        if len(peaks) == most:
             break
-    return found
+    return peaks
 
 
 def _refined(series: Series, values: Array, near_Hz: float, bin_Hz: float, over: float) -> Line:
@@ -80,36 +81,36 @@ def _refined(series: Series, values: Array, near_Hz: float, bin_Hz: float, over:
 
 
 def level_about(series: Series, residual_N: Array, frequency_Hz: float) -> float:
-    """Standard deviation of the white noise whose spectrum is as high as a residual's about a frequency [N]."""
+    """Standard deviation of white noise with the spectral density of a residual around a frequency [N]."""
     window = np.hanning(residual_N.size)
     values = np.where(series.counts, residual_N, 0.0)
     power = np.abs(np.fft.rfft((values - values.mean()) * window)) ** 2 / float(window @ window)
     middle = round(frequency_Hz * series.dt_s * residual_N.size)
-    around = power[max(middle - ABOUT, 1) : middle + ABOUT + 1]
+    around = power[max(middle - NEIGHBOURS, 1) : middle + NEIGHBOURS + 1]
     return float(np.sqrt(around.mean())) if around.size else series.noise_N
 
 
 def skew_ppm(series: Series, modelled_N: Array) -> float | None:
-    """Skew of the clocks under which a simulation is most like the readings, gain and offset free; None: none shows.
+    """Skew of the clocks with the best fit of a simulation to the readings, with free gain and offset; None: no skew.
 
-    A fit that begins elsewhere arrives at no skew by which the end of a long record comes a swing of the force later.
+    It is the start of a fit, which would not converge to a large skew from zero.
     """
     rows = slice(None, None, -(-series.time_s.size // SKEW_ROWS))
     counts = series.counts[rows]
     time_s, reading_N = series.time_s[rows][counts], series.reading_N[rows][counts]
     reading_N = reading_N - reading_N.mean()
 
-    def left(ppm: float) -> float:
-        by = np.interp(time_s * (1.0 + 1e-6 * ppm), series.time_s, modelled_N)
-        by = by - by.mean()
-        return float(reading_N @ reading_N - (by @ reading_N) ** 2 / max(float(by @ by), 1e-300))
+    def loss(ppm: float) -> float:
+        skewed_N = np.interp(time_s * (1.0 + 1e-6 * ppm), series.time_s, modelled_N)
+        skewed_N = skewed_N - skewed_N.mean()
+        return float(reading_N @ reading_N - (skewed_N @ reading_N) ** 2 / max(float(skewed_N @ skewed_N), 1e-300))
 
-    best = min((*SKEWS_PPM, *-SKEWS_PPM), key=left)
-    return float(best) if left(best) < SKEWED * left(0.0) else None
+    best = min((*SKEWS_PPM, *-SKEWS_PPM), key=loss)
+    return float(best) if loss(best) < SKEWED * loss(0.0) else None
 
 
 def _running_median(power: Array) -> Array:
-    """Median over neighbouring bins, from medians of chunks."""
+    """Median over neighbouring bins, interpolated between medians of chunks."""
     chunks = max(power.size // SURROUNDINGS, 1)
     edges = np.linspace(0, power.size, chunks + 1).astype(int)
     medians = np.array([np.median(power[a:b]) for a, b in itertools.pairwise(edges)])
@@ -117,26 +118,29 @@ def _running_median(power: Array) -> Array:
     return result
 
 
-def _near(power: Array, k: int, bin_Hz: float) -> float:
-    """Median over the nearest bins on both sides that a line's own wandering leaves free."""
+def _level_near(power: Array, k: int, bin_Hz: float) -> float:
+    """Median power of the nearest bins on both sides that a wandering line does not reach."""
     free = max(LOBE, int(np.ceil(WANDERS_HZ / bin_Hz)))
-    below, above = power[max(k - free - ABOUT, 1) : max(k - free, 1)], power[k + free + 1 : k + free + 1 + ABOUT]
+    below, above = (
+        power[max(k - free - NEIGHBOURS, 1) : max(k - free, 1)],
+        power[k + free + 1 : k + free + 1 + NEIGHBOURS],
+    )
     return float(np.median(np.append(below, above)))
 
 
 def peaks_Hz(series: Series, residual_N: Array, most: int = 3) -> list[float]:
-    """Frequencies at which a residual's smoothed spectrum stands out most from its surroundings: modes that ring.
+    """Frequencies of peaks in the smoothed spectrum of a residual, as resonances have.
 
-    Looked for in long parts and in short ones, in which a well damped mode is narrow among its surroundings too.
+    The spectrum is averaged over long and over short parts. In a spectrum of short parts a well damped mode is narrow.
     """
-    found: list[float] = []
+    peaks: list[float] = []
     for part_s in PEAK_PARTS_S:
-        new = _peaks_Hz(series, residual_N, part_s, most)
-        found += [f for f in new if all(abs(f / other - 1.0) > SAME_PEAK for other in found)]
-    return found
+        new = _peaks_of_parts_Hz(series, residual_N, part_s, most)
+        peaks += [f for f in new if all(abs(f / other - 1.0) > PEAK_DISTANCE for other in peaks)]
+    return peaks
 
 
-def _peaks_Hz(series: Series, residual_N: Array, part_s: float, most: int) -> list[float]:
+def _peaks_of_parts_Hz(series: Series, residual_N: Array, part_s: float, most: int) -> list[float]:
     size = int(min(residual_N.size // 8, max(256, part_s / series.dt_s)))
     if size < 64:
         return []

@@ -1,4 +1,4 @@
-"""Readings that stand still while the force moves: to the last bit, or with the noise of the electronics."""
+"""Frozen readings: equal readings, or only noise of the electronics, while the force moves."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -8,64 +8,67 @@ from piezod.diagnose.hypothesis.series import Series
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-FROZEN_SAMPLES = 8  # equal readings in a row that noise does not make, while the model moves
-REPEATED = 0.05  # share of readings equal to the one before, below which noise never repeats one for long
-REPEATED_AT_REST = 0.5  # the same where the command rests: more of them may be how this bench reads
-FROZEN_MOVES = 6.0  # by how many noises the model moves meanwhile
-LEAP, FAR = 1.5, 2.5  # steps of a coarse lattice
-LATE = 0.25  # of a stretch on a coarse lattice, at its end
-STILL_WINDOWS = (16, 64, 256, 1024)  # samples in which a noisy reading is looked at
-MOST_RUNS = 64  # of such windows, the longest, that are looked at: each costs a pass over the recording
-STILL = 2.0  # noises that it spreads by at most,
-MOVING = 6.0  # and that the model spreads by at least
-STAYS = 5.0  # noises from its level, within which a reading stands still
-ABRUPT = 3.0  # times what the model, or a reading that stands still, moves in a sample: a sensor comes back in a leap
-ONSET = 0.1  # of the model's way in a stretch, at which it begins
-PARTS, POINTS, NEAREST = 32, 64, 64  # of a stretch; samples of one that are looked at; stretches on either side
-ALIKE, LARGE = 0.95, 0.5  # correlation and size of moves that are like the one in it
-FEWEST_ALIKE, MOSTLY_FOLLOWS = 2, 0.25  # of them, and the share that may stand still too
-FOLLOWS = 0.5  # of the way that the model went meanwhile, that the leap makes up
+FROZEN_SAMPLES = 8  # fewest equal readings in a row; noise hardly repeats a reading so often
+REPEATED = 0.05  # share of repeated readings below which noise prevents long runs of equal readings
+REPEATED_AT_REST = 0.5  # share of repeated readings at rest above which the bench may repeat readings by itself
+FROZEN_MOVES = 6.0  # least motion of the model during a frozen stretch [noise rms]
+LEAP, FAR = 1.5, 2.5  # least jump at the end, and motion of the model that must cause one [converter steps]
+LATE_SHARE = 0.25  # last share of a stretch on a coarse converter that does not count as motion: a reading may be late
+STILL_WINDOWS = (16, 64, 256, 1024)  # lengths of the windows for noisy frozen readings [samples]
+MOST_RUNS = 64  # longest runs of such windows that are examined: each takes a pass over the recording
+STILL = 2.0  # largest spread of a frozen reading [noise rms]
+MOVING = 6.0  # least spread of the model [noise rms]
+LEVEL_NOISES = 5.0  # largest distance of a frozen reading from its level [noise rms]
+ABRUPT = 3.0  # least jump at the end over the motion of the model in a sample: a sensor recovers abruptly
+ONSET = 0.1  # share of the motion in a stretch at which the motion begins
+PARTS, POINTS, NEAREST = 32, 64, 64  # positions per stretch, samples compared, and stretches searched on either side
+SIMILAR, LARGE = 0.95, 0.5  # least correlation and relative size of a similar motion
+FEWEST_SIMILAR, MOST_STILL = 2, 0.25  # fewest similar motions, and largest share of them with a still reading
+FOLLOWS = 0.5  # largest deviation of the jump from the motion of the model, relative to the motion
 
 
 def frozen_stretches(series: Series, model_N: Array) -> list[tuple[int, int]]:
-    """Stretches (first, end) in which the reading stands still to the last bit though the model moves, or noise does.
+    """Stretches (first, end) of equal readings during which the model or the noise moves.
 
-    On a coarse lattice not those at the lowest or highest reading: there the force itself may have met a limit. Nor
-    those that a slow reading makes on it: what was frozen leaps to where the force is by then, what is slow goes on
-    by a step of the lattice. Nor those through which the model rests until shortly before their end: the force went on
-    then, and its reading was late.
+    On a coarse converter three kinds of stretches are excluded:
+
+    - Stretches at the lowest or highest reading, where the force may have met a limit.
+    - Stretches of a slow reading, which changes by one step at the end; a frozen reading jumps to the force.
+    - Stretches in which the model moves only near the end, where the reading is late.
     """
     counts = series.counts
-    same = np.concatenate(([False], (np.diff(series.reading_N) == 0.0) & counts[1:] & counts[:-1], [False]))
-    edges = np.flatnonzero(np.diff(same.astype(np.int8)))
+    equal = np.concatenate(([False], (np.diff(series.reading_N) == 0.0) & counts[1:] & counts[:-1], [False]))
+    edges = np.flatnonzero(np.diff(equal.astype(np.int8)))
     stretches = [(int(a), int(b) + 1) for a, b in zip(edges[::2], edges[1::2], strict=True)]
-    shortest = max(FROZEN_SAMPLES, 4 * _usual_run(stretches))
-    proved = _never_repeats(series, same[1:-1], [end - first for first, end in stretches if end - first < shortest])
-    moves_N = -1.0 if proved else FROZEN_MOVES * max(series.noise_N, series.lattice_N)
+    shortest = max(FROZEN_SAMPLES, 4 * _long_run(stretches))
+    short = [end - first for first, end in stretches if end - first < shortest]
+    moves_N = (
+        -1.0 if _never_repeats(series, equal[1:-1], short) else FROZEN_MOVES * max(series.noise_N, series.lattice_N)
+    )
     readings = series.reading_N[series.counts]
     limits = float(readings.min()), float(readings.max())
     coarse = series.lattice_N > series.noise_N
-    found = [
+    frozen = [
         (first, end)
         for first, end in stretches
         if end - first >= shortest
-        and np.ptp(model_N[first : end - int(LATE * (end - first)) if coarse else end]) > moves_N
+        and np.ptp(model_N[first : end - int(LATE_SHARE * (end - first)) if coarse else end]) > moves_N
         and not (coarse and series.reading_N[first] in limits)
     ]
-    return _leaping(series, model_N, found) if coarse else found
+    return _with_jump(series, model_N, frozen) if coarse else frozen
 
 
 def still_stretches(series: Series, model_N: Array) -> list[tuple[int, int]]:
-    """Stretches (first, end) in which the reading keeps a level, with its noise, though the model moves throughout.
+    """Stretches (first, end) in which the reading keeps a level with noise, while the model moves throughout.
 
-    It must end by a leap to where the model has gone by then, while the model itself moves smoothly. So neither a gap
-    nor a limit (the force meets it smoothly) nor friction passes for it. A delay does where the model moves at once and
-    then rests: such a stretch counts where the reading follows the model's other moves of this shape.
+    The reading must jump to the model at the end, while the model moves smoothly. This excludes a gap, a limit and
+    friction. A delay also has such a jump if the model moves at once and then rests. Such a stretch counts only if the
+    reading follows similar motions of the model elsewhere.
     """
     y, noise_N = series.reading_N, max(series.noise_N, series.lattice_N)
     if not series.counts.all():
         y = np.where(series.counts, y, model_N)
-    found: list[tuple[int, int]] = []
+    frozen: list[tuple[int, int]] = []
     for window in STILL_WINDOWS:
         if 4 * window > y.size:
             break
@@ -74,85 +77,86 @@ def still_stretches(series: Series, model_N: Array) -> list[tuple[int, int]]:
         edges = np.flatnonzero(np.diff(np.concatenate(([False], still, [False])).astype(np.int8)))
         runs = sorted(zip(edges[::2], edges[1::2], strict=True), key=lambda run: run[0] - run[1])
         for first, last in runs[:MOST_RUNS]:
-            whole = _whole_stretch(y, int(first), int(last) - 1 + window, noise_N)
-            if all(whole[0] >= end or whole[1] <= begin for begin, end in found):
-                stretch = _coming_back(y, model_N, whole, noise_N)
-                found += [] if stretch is None else [stretch]
-    return sorted(found)
+            stretch = _extended(y, int(first), int(last) - 1 + window, noise_N)
+            if all(stretch[0] >= end or stretch[1] <= begin for begin, end in frozen):
+                recovered = _with_recovery(y, model_N, stretch, noise_N)
+                frozen += [] if recovered is None else [recovered]
+    return sorted(frozen)
 
 
 def _spread(values: Array, window: int) -> Array:
     """Standard deviation in every window, shape (N - window + 1,)."""
     centred = values - values.mean()
-    sums, squares = (np.concatenate(([0.0], np.cumsum(one))) for one in (centred, centred**2))
+    sums, squares = (np.concatenate(([0.0], np.cumsum(terms))) for terms in (centred, centred**2))
     mean = (sums[window:] - sums[:-window]) / window
     result: Array = np.sqrt(np.maximum((squares[window:] - squares[:-window]) / window - mean**2, 0.0))
     return result
 
 
-def _whole_stretch(y: Array, first: int, end: int, noise_N: float) -> tuple[int, int]:
-    """From the middle of a stretch in both directions, as far as the reading stays at its level."""
+def _extended(y: Array, first: int, end: int, noise_N: float) -> tuple[int, int]:
+    """Stretch, extended in both directions as far as the reading keeps its level."""
     level = float(np.median(y[first:end]))
-    leaves = np.abs(y - level) > STAYS * noise_N
+    beyond = np.abs(y - level) > LEVEL_NOISES * noise_N
     middle = (first + end) // 2
-    before, behind = np.flatnonzero(leaves[:middle]), np.flatnonzero(leaves[middle:])
+    before, behind = np.flatnonzero(beyond[:middle]), np.flatnonzero(beyond[middle:])
     return (int(before[-1]) + 1 if before.size else 0), (middle + int(behind[0]) if behind.size else y.size)
 
 
-def _coming_back(y: Array, model_N: Array, stretch: tuple[int, int], noise_N: float) -> tuple[int, int] | None:
-    """The stretch, from where the model moves, if the reading leaps at its end to where the model has gone."""
+def _with_recovery(y: Array, model_N: Array, stretch: tuple[int, int], noise_N: float) -> tuple[int, int] | None:
+    """Stretch from the onset of the model's motion, if the reading jumps to the model at its end; otherwise None."""
     first, end = stretch
     if end >= y.size - 1 or end - first < FROZEN_SAMPLES:
         return None
-    leap, way = y[end] - np.median(y[first:end]), model_N[end] - model_N[first]
-    smooth = max(abs(model_N[end] - model_N[end - 1]), STAYS * noise_N)
-    if abs(leap) <= ABRUPT * smooth or abs(leap - way) >= FOLLOWS * abs(way):
+    jump, motion = y[end] - np.median(y[first:end]), model_N[end] - model_N[first]
+    smooth = max(abs(model_N[end] - model_N[end - 1]), LEVEL_NOISES * noise_N)
+    if abs(jump) <= ABRUPT * smooth or abs(jump - motion) >= FOLLOWS * abs(motion):
         return None
     middle = (first + end) // 2
     if min(np.ptp(model_N[first:middle]), np.ptp(model_N[middle:end])) >= MOVING * noise_N:
         return stretch
-    away = np.abs(model_N[first:end] - model_N[first])
-    moving = first + max(int(np.argmax(away > ONSET * away.max())) - 1, 0), end
+    distance = np.abs(model_N[first:end] - model_N[first])
+    moving = first + max(int(np.argmax(distance > ONSET * distance.max())) - 1, 0), end
     return moving if _follows_elsewhere(y, model_N, moving) else None
 
 
 def _follows_elsewhere(y: Array, model_N: Array, stretch: tuple[int, int]) -> bool:
-    """Whether the reading follows the model where that moves as in a stretch, before and behind it."""
+    """Whether the reading follows similar motions of the model before and after a stretch."""
     first, end = stretch
     size = end - first
     nearest = np.arange(max(0, first - NEAREST * size), min(y.size, end + NEAREST * size) - size, max(1, size // PARTS))
     begins = nearest[(nearest + size <= first) | (nearest >= end)]
     if not begins.size:
         return False
-    looked_at = np.linspace(0, size - 1, min(size, POINTS)).astype(int)
-    moves, follows = (one[begins[:, None] + looked_at] - one[begins][:, None] for one in (model_N, y))
-    shape = model_N[first + looked_at] - model_N[first]
-    own, length = np.linalg.norm(moves, axis=1), float(np.linalg.norm(shape))
-    alike = (np.abs(moves @ shape) > ALIKE * own * length) & (own > LARGE * length)
-    still = np.linalg.norm(follows[alike], axis=1) < LARGE * own[alike]
-    return bool(np.count_nonzero(alike) >= FEWEST_ALIKE and np.mean(still) < MOSTLY_FOLLOWS)
+    samples = np.linspace(0, size - 1, min(size, POINTS)).astype(int)
+    motions, readings = (values[begins[:, None] + samples] - values[begins][:, None] for values in (model_N, y))
+    shape = model_N[first + samples] - model_N[first]
+    sizes, length = np.linalg.norm(motions, axis=1), float(np.linalg.norm(shape))
+    similar = (np.abs(motions @ shape) > SIMILAR * sizes * length) & (sizes > LARGE * length)
+    still = np.linalg.norm(readings[similar], axis=1) < LARGE * sizes[similar]
+    return bool(np.count_nonzero(similar) >= FEWEST_SIMILAR and np.mean(still) < MOST_STILL)
 
 
-def _leaping(series: Series, model_N: Array, stretches: list[tuple[int, int]]) -> list[tuple[int, int]]:
-    """Those that end in a leap, and where some do the others too, unless one of them is surely a slow reading."""
+def _with_jump(series: Series, model_N: Array, stretches: list[tuple[int, int]]) -> list[tuple[int, int]]:
+    """Stretches that end with a jump; if there are some, all stretches unless one is certainly a slow reading."""
     y, step_N = series.reading_N, series.lattice_N
     ended = [(first, end) for first, end in stretches if end < y.size]
-    leaps = [(first, end) for first, end in ended if abs(y[end] - y[first]) > LEAP * step_N]
-    slow = [one for one in ended if one not in leaps and abs(model_N[one[1]] - model_N[one[0]]) > FAR * step_N]
-    return stretches if leaps and not slow else leaps
+    jumping = [(first, end) for first, end in ended if abs(y[end] - y[first]) > LEAP * step_N]
+    others = (stretch for stretch in ended if stretch not in jumping)
+    is_slow = any(abs(model_N[end] - model_N[first]) > FAR * step_N for first, end in others)
+    return stretches if jumping and not is_slow else jumping
 
 
-def _never_repeats(series: Series, same: Mask, short: list[int]) -> bool:
-    """Whether a reading hardly ever comes twice in a row, not where the command rests either: noise sees to that.
+def _never_repeats(series: Series, equal: Mask, short: list[int]) -> bool:
+    """Whether noise prevents repeated readings, also where the command rests.
 
-    `same`: which readings equal the one before; `short`: lengths of the runs of them that are no stretch.
+    `equal`: readings equal to the previous one; `short`: lengths of the runs that are too short to be frozen.
     """
     resting = np.diff(series.command_V) == 0.0
-    at_rest = float(same[resting].mean()) if resting.any() else 0.0
-    return sum(short) - len(short) < REPEATED * same.size and at_rest < REPEATED_AT_REST
+    at_rest = float(equal[resting].mean()) if resting.any() else 0.0
+    return sum(short) - len(short) < REPEATED * equal.size and at_rest < REPEATED_AT_REST
 
 
-def _usual_run(stretches: list[tuple[int, int]]) -> int:
-    """Length that runs of equal readings have on a coarse lattice anyway."""
+def _long_run(stretches: list[tuple[int, int]]) -> int:
+    """Length that 90 % of the runs of equal readings do not exceed, as on a coarse converter; 1 for few runs."""
     lengths = np.array([end - first for first, end in stretches if end - first > 1])
     return int(np.percentile(lengths, 90)) if lengths.size > 50 else 1

@@ -1,7 +1,7 @@
-"""A coarse converter: the lattice on which its readings stand, and what they tell between its steps.
+"""Coarse converter: the step of its readings, and the force between the steps.
 
-A reading says only that the force lies within a step. Where it changes to the next one, the force crosses the middle
-between both at that instant: there a coarse reading is nearly as good as a fine one, and the finer the slower it moves.
+A reading limits the force to one step. When a reading changes to the next value, the force crosses the middle of both.
+At this instant a coarse reading is nearly as accurate as a fine one, the more so the slower the force moves.
 """
 
 from dataclasses import replace
@@ -13,14 +13,14 @@ from piezod.diagnose.hypothesis.series import Series
 
 Array = NDArray[np.float64]
 
-FINE = 6.0  # noises a step, below which the noise itself reads between the steps
-REST = 20  # samples within which the noise alone may change the reading
-CARRIED = 2.0  # noises by which a force that hardly moves is carried over a middle
-LONGEST_RUN = 8  # of equal readings, through which the force is taken to move evenly
+FINE = 6.0  # step over the noise below which the noise averages the rounding
+REST = 20  # samples in a window in which only the noise may change the reading
+EARLY_CROSSING = 2.0  # distance from the middle at which the noise makes a slow force cross it [noise rms]
+LONGEST_RUN = 8  # longest run of equal readings in which the force is interpolated
 
 
-def lattice_step_N(readings: Array) -> float:
-    """Step of the readings' lattice, 0 where there is none that is coarser than a millionth of their range [N]."""
+def converter_step_N(readings: Array) -> float:
+    """Step of the converter [N]; 0 if the readings show no step coarser than a millionth of their range."""
     values = np.unique(readings)
     if values.size < 3 or values.size > readings.size // 3:
         return 0.0
@@ -28,21 +28,16 @@ def lattice_step_N(readings: Array) -> float:
     smallest = float(np.percentile(steps, 20))
     if smallest < 1e-6 * float(np.ptp(readings)):
         return 0.0
-    places = (values - values[0]) / smallest
-    on_lattice = np.abs(places - np.rint(places)) < 0.02 * np.maximum(1.0, np.rint(places) * 1e-3)
-    return (
-        smallest
-        if np.mean(np.abs(steps / smallest - np.rint(steps / smallest)) < 0.05) > 0.95 and on_lattice.size
-        else 0.0
-    )
+    multiples = steps / smallest
+    return smallest if np.mean(np.abs(multiples - np.rint(multiples)) < 0.05) > 0.95 else 0.0
 
 
 def unrounded(series: Series) -> Series:
-    """The same with the rounding of a coarse lattice undone and every reading trusted as far as it tells.
+    """Series of a coarse converter with interpolated readings and a weight of each reading.
 
-    The force is interpolated between the instants at which readings change. A reading within a run of r equal ones is
-    off by step / (r sqrt(12)) and the noise; within long runs only a force beyond the step is told of. Where it leaps
-    over several steps a reading is what it is.
+    The force is interpolated between the instants at which readings change. A reading within a run of r equal readings
+    has the error step / (r sqrt(12)) and the noise. A long run only limits the force to the step. A reading that jumps
+    over several steps stays unchanged.
     """
     step_N, size = series.lattice_N, series.time_s.size
     changes = np.flatnonzero(np.diff(series.reading_N))  # between k and k + 1
@@ -52,43 +47,42 @@ def unrounded(series: Series) -> Series:
     if step_N < FINE * noise_N:
         return series
     moves = np.diff(series.reading_N)[changes]
-    by_one = np.abs(moves) < 1.5 * step_N  # over several steps, and nothing tells when each of them was crossed
-    middles_N = np.where(by_one, 0.5 * (series.reading_N[changes] + series.reading_N[changes + 1]), np.nan)
-    run = np.searchsorted(changes, np.arange(size))  # number of the run that a sample is in
+    single = np.abs(moves) < 1.5 * step_N  # of several steps at once, the instants of crossing are unknown
+    middles_N = np.where(single, 0.5 * (series.reading_N[changes] + series.reading_N[changes + 1]), np.nan)
+    run = np.searchsorted(changes, np.arange(size))  # number of the run of each sample
     first, end = np.concatenate(([0], changes + 1)), np.concatenate((changes + 1, [size]))
-    came_N, goes_N = np.concatenate(([np.nan], middles_N))[run], np.concatenate((middles_N, [np.nan]))[run]
+    start_N, end_N = np.concatenate(([np.nan], middles_N))[run], np.concatenate((middles_N, [np.nan]))[run]
     lengths, place = (end - first)[run], np.arange(size) - first[run]
-    passed = (place + 0.5) / lengths
-    at_a_middle = ((place == 0) & ~np.isnan(came_N)) | ((place == lengths - 1) & ~np.isnan(goes_N))
-    short, through = lengths <= LONGEST_RUN, np.abs(goes_N - came_N) > 0.0  # nan: not through
-    between = at_a_middle | (through & short)
-    ways_N = np.where(
-        np.isnan(came_N), goes_N, np.where(np.isnan(goes_N), came_N, (1.0 - passed) * came_N + passed * goes_N)
-    )
-    told_N = np.where(between, ways_N, series.reading_N)
-    carried = np.where(short, 1.0, CARRIED)
-    off_N = np.hypot(carried * noise_N, step_N / np.where(between, lengths, 1) / np.sqrt(12.0))
-    off_N[~between] = step_N / np.sqrt(12.0)
-    within_N = np.where(between | short, 0.0, 0.5 * step_N + CARRIED * noise_N)
-    unit_N = float(np.mean(off_N[series.counts & (within_N == 0.0)] ** -2.0)) ** -0.5
-    rounding_N = series.reading_N - told_N
-    return replace(series, noise_N=unit_N, rounding_N=rounding_N, trust=unit_N / off_N, within_N=within_N)
+    fraction = (place + 0.5) / lengths
+    at_change = ((place == 0) & ~np.isnan(start_N)) | ((place == lengths - 1) & ~np.isnan(end_N))
+    short, crossing = lengths <= LONGEST_RUN, np.abs(end_N - start_N) > 0.0  # nan: not crossing
+    known = at_change | (crossing & short)
+    between_N = (1.0 - fraction) * start_N + fraction * end_N
+    interpolated_N = np.where(np.isnan(start_N), end_N, np.where(np.isnan(end_N), start_N, between_N))
+    corrected_N = np.where(known, interpolated_N, series.reading_N)
+    noise_factor = np.where(short, 1.0, EARLY_CROSSING)
+    error_N = np.hypot(noise_factor * noise_N, step_N / np.where(known, lengths, 1) / np.sqrt(12.0))
+    error_N[~known] = step_N / np.sqrt(12.0)
+    within_N = np.where(known | short, 0.0, 0.5 * step_N + EARLY_CROSSING * noise_N)
+    unit_N = float(np.mean(error_N[series.counts & (within_N == 0.0)] ** -2.0)) ** -0.5
+    rounding_N = series.reading_N - corrected_N
+    return replace(series, noise_N=unit_N, rounding_N=rounding_N, trust=unit_N / error_N, within_N=within_N)
 
 
 def _noise_N(series: Series) -> float:
-    """Noise in front of the converter: so often it changes the reading while the force rests [N].
+    """Noise in front of the converter, from changes of the reading while the force rests [N].
 
-    Two readings of a resting force differ with the mean difference of two values of the noise over the step.
+    The mean difference of two readings of a resting force equals the mean difference of two values of the noise.
     """
     count = series.time_s.size // REST
     parts = series.reading_N[: count * REST].reshape(count, REST)
-    there = series.counts[: count * REST].reshape(count, REST).all(axis=1)
-    rests = there & (np.abs(parts[:, -1] - parts[:, 0]) < 1.5 * series.lattice_N)
+    complete = series.counts[: count * REST].reshape(count, REST).all(axis=1)
+    rests = complete & (np.abs(parts[:, -1] - parts[:, 0]) < 1.5 * series.lattice_N)
     if not rests.any():
         return 0.0
     moves = np.diff(parts[rests], axis=1)
-    differ_N = 0.0
-    for one in moves:
-        steps = one[one != 0.0]
-        differ_N += float(np.sum(np.abs(steps[1:])[steps[1:] * steps[:-1] < 0.0]))
-    return differ_N / moves.size * float(np.sqrt(np.pi)) / 2.0
+    differences_N = 0.0
+    for window in moves:
+        steps = window[window != 0.0]
+        differences_N += float(np.sum(np.abs(steps[1:])[steps[1:] * steps[:-1] < 0.0]))
+    return differences_N / moves.size * float(np.sqrt(np.pi)) / 2.0

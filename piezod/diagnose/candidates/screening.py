@@ -1,4 +1,4 @@
-"""Where a search may begin: every effect of the catalogue at its starts, and what direct tests suggest."""
+"""Screening: the first-order gain of every effect of the catalogue at its starts, and of pairs of effects."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -11,31 +11,35 @@ from piezod.diagnose.candidates.direct import peaks_Hz, skew_ppm
 from piezod.diagnose.hypothesis.chain import Chain, Point, Term
 from piezod.diagnose.hypothesis.fit import Normal
 from piezod.diagnose.hypothesis.parallel import each
+from piezod.diagnose.hypothesis.series import Series
 from piezod.effects import EFFECTS
 from piezod.effects.effect import Effect, Parameter
 
 Array = NDArray[np.float64]
 
-SHIFTED = 0.5  # of the squares: what a shift must bring for a recording to be shifted
-SEEN = 1e-6  # of a change's square: what is fitted already must leave so much of it,
-APART = 1e-4  # and another one beside it
-TOGETHER = 1.1  # times the best gain alone, that two must promise
+SHIFTED = 0.5  # largest loss ratio with a free offset at which the offset is used
+INDEPENDENT = 1e-6  # least share of a change that the fitted parameters do not follow
+INDEPENDENT_PAIR = 1e-4  # least share of a change that another one does not follow either
+PAIR_GAIN = 1.1  # least gain of a pair over the best single gain
 DIRECT = tuple(name for name, effect in EFFECTS.items() if effect.found_by == "test")
 
 
+Start = tuple[Effect, dict[str, float], tuple[tuple[str, float], ...]]
+"""Effect, start values of its searched parameters, and choices."""
+
+
 @dataclass(frozen=True)
-class Idea:
-    """An effect with values to begin from.
+class Candidate:
+    """Effect with start values.
 
     Parameters
     ----------
     term
         Effect, scope and choices.
     values
-        Of its searched parameters.
+        Start values of its searched parameters.
     gain
-        By how much it would lower the squared residual in units of the noise, the base refitted; the effect's size
-        free, everything to first order.
+        Fall of the squared residual to first order, with the base and the size of the effect fitted [noise variance].
     """
 
     term: Term
@@ -43,37 +47,41 @@ class Idea:
     gain: float = 0.0
 
 
-def catalogue_ideas(
-    chain: Chain, channels: Sequence[str], known: Mapping[str, tuple[float, ...]]
-) -> Iterator[tuple[Effect, dict[str, float], tuple[tuple[str, float], ...]]]:
-    """Every effect at each of its starts, nuisances at their first one, choices too where that stands for all.
+def catalogue_starts(chain: Chain, channels: Sequence[str], known: Mapping[str, tuple[float, ...]]) -> Iterator[Start]:
+    """Every effect of the catalogue at each combination of its starts and choices.
 
-    Starts in volts, volts a second and newtons are parts of what the recordings reach; `known` has further ones.
+    Nuisance parameters have their first start only, and choices that are not screened their first value. `known`:
+    further starts by parameter.
     """
     scales = {**_scales(chain), **known}
     for effect in EFFECTS.values():
         if effect.name in DIRECT or (effect.needs is not None and effect.needs not in channels):
             continue
-        searched = [one for one in effect.parameters if not one.search.choices]
-        chosen = [one for one in effect.parameters if one.search.choices]
-        starts = [_starts(effect.name, one, scales) for one in searched]
-        options = [one.search.choices if one.search.all_screened else one.search.choices[:1] for one in chosen]
+        searched = [p for p in effect.parameters if not p.search.choices]
+        chosen = [p for p in effect.parameters if p.search.choices]
+        starts = [_starts(effect.name, p, scales) for p in searched]
+        options = [p.search.choices if p.search.all_screened else p.search.choices[:1] for p in chosen]
         for choices in product(*options):
-            named = tuple(zip((one.name for one in chosen), choices, strict=True))
+            named = tuple(zip((p.name for p in chosen), choices, strict=True))
             for values in product(*starts):
-                yield effect, dict(zip((one.name for one in searched), values, strict=True)), named
+                yield effect, dict(zip((p.name for p in searched), values, strict=True)), named
+
+
+def recorded_channels(series: Sequence[Series]) -> list[str]:
+    """Further channels that all recordings have and an effect may need."""
+    return ["temperature_C"] if all(s.temperature_C is not None for s in series) else []
 
 
 def _scales(chain: Chain) -> dict[str, tuple[float, ...]]:
-    """Where searches in these units begin: for limits near the top, for others small parts of the range."""
-    top_V = max(float(one.command_V.max()) for one in chain.series if one.role == "recording")
-    _, usual, fast, fastest = chain.rates_V_per_s
+    """Starts by parameter: limits near the highest command or rate, other parameters at small parts of the range."""
+    top_V = max(float(s.command_V.max()) for s in chain.series if s.role == "recording")
+    _, median, fast, fastest = chain.rates_V_per_s
     span_N = chain.force_span_N
     return {
         "limit_V": tuple(part * top_V for part in (0.5, 0.7, 0.85, 0.95)),
         "knee_V": (0.003 * top_V,),
-        "limit_V_per_s": tuple(np.geomspace(0.3 * usual, 0.8 * max(fastest, usual), 10).tolist()),
-        "reference_V_per_s": (0.1 * usual, usual, fast),
+        "limit_V_per_s": tuple(np.geomspace(0.3 * median, 0.8 * max(fastest, median), 10).tolist()),
+        "reference_V_per_s": (0.1 * median, median, fast),
         "gap_N": tuple(part * span_N for part in (0.01, 0.03, 0.08, 0.16, 0.32, 0.64)),
         "softness_N": (0.002 * span_N,),
         "force_N": (0.005 * span_N,),
@@ -82,9 +90,9 @@ def _scales(chain: Chain) -> dict[str, tuple[float, ...]]:
 
 
 def parts_of(effect: Effect, values: Mapping[str, float]) -> dict[str, dict[str, float]]:
-    """Values of every part of an effect that is a sum, each part alone, by what it is the size of; else all at once.
+    """Values of each part of an effect that is a sum, with the sizes of the other parts 0; otherwise all values.
 
-    A sum has no size of its own: it is tried with all its parts beside each other. What shapes a part stays.
+    A sum has no single size, so its parts are fitted together. The key is the size parameter of the part.
     """
     if not effect.parameters[0].search.choices:
         return {"": dict(values)}
@@ -93,7 +101,7 @@ def parts_of(effect: Effect, values: Mapping[str, float]) -> dict[str, dict[str,
 
 
 def _is_a_signed_sum(effect: Effect) -> bool:
-    """Whether it adds so much of something, of either sign: from the wrong one what shapes it goes astray first."""
+    """Whether an effect adds a signal of either sign; a fit from the wrong sign would bend its shape first."""
     return effect.form == "additive" and effect.parameters[0].low < 0.0
 
 
@@ -104,91 +112,108 @@ def _inside(effect: Effect, values: Mapping[str, float]) -> dict[str, float]:
     }
 
 
-def _starts(effect: str, one: Parameter, scales: dict[str, tuple[float, ...]]) -> tuple[float, ...]:
-    known = scales.get(f"{effect} {one.name}", scales.get(one.name)) if effect not in DIRECT else None
-    starts = one.search.starts if known is None else tuple(float(np.clip(value, one.low, one.high)) for value in known)
-    return starts[:1] if one.search.nuisance else starts
+def _starts(effect: str, parameter: Parameter, scales: dict[str, tuple[float, ...]]) -> tuple[float, ...]:
+    known = scales.get(f"{effect} {parameter.name}", scales.get(parameter.name)) if effect not in DIRECT else None
+    starts = parameter.search.starts
+    if known is not None:
+        starts = tuple(float(np.clip(value, parameter.low, parameter.high)) for value in known)
+    return starts[:1] if parameter.search.nuisance else starts
 
 
-def since(chain: Chain, terms: Sequence[Term], past: Point, lost_N: float) -> list[tuple[Idea, Point]]:
-    """Effects that may have come since the model was identified, each at its best start, the most promising first.
+def since_identification(
+    chain: Chain, terms: Sequence[Term], past: Point, offset_N: float
+) -> list[tuple[Candidate, Point]]:
+    """Effects that may have appeared after the identification, each at its best start, the best first.
 
-    By what remains when a hypothesis runs with them, the recordings shifted onto it or not. `lost_N` is by how much
-    their readings stand below: that may be a gap.
+    Each is simulated with the base of the identification, with or without a free offset of the recordings.
+
+    Parameters
+    ----------
+    chain, terms
+        Recordings and current effects.
+    past
+        Base of the identification with the values of the effects.
+    offset_N
+        Fall of the readings since the identification, which may be a gap [N].
     """
-    known = {"gap_N": (*_scales(chain)["gap_N"], max(lost_N, 0.0)), **_skews(chain, terms, past)}
-    channels = ["temperature_C"] if all(one.temperature_C is not None for one in chain.series) else []
+    known = {"gap_N": (*_scales(chain)["gap_N"], max(offset_N, 0.0)), **_skews(chain, terms, past)}
 
-    def looked_at(one: tuple[Effect, dict[str, float], tuple[tuple[str, float], ...]]) -> tuple[Idea, Point]:
-        effect, values, choices = one
+    def simulated(start: Start) -> tuple[Candidate, Point]:
+        effect, values, choices = start
         term = Term(effect, "since", choices=choices)
         point = replace(past, values=(*past.values, values))
         shifts_N, losses, starts = np.zeros(len(chain.series)), [0.0, 0.0], list(past.starts)
         for number, series in enumerate(chain.series):
             if series.role == "recording":
                 rows = chain.rows[number]
-                error, told = series.residual(rows, chain.compared(number, (*terms, term), point))
+                error, weights = series.residual(rows, chain.compared(number, (*terms, term), point))
                 columns, stroke = _past_columns(chain, number, (*terms, term), point)
+                compared = weights > 0.0
                 if columns.shape[1]:
-                    sizes = np.linalg.lstsq(columns[told > 0.0], error[told > 0.0], rcond=1e-9)[0]
+                    sizes = np.linalg.lstsq(columns[compared], error[compared], rcond=1e-9)[0]
                     error -= columns @ sizes
                     starts[number] = series.noise_N * sizes / stroke
                     starts[number][: past.starts[number].size] += past.starts[number][: sizes.size]
-                error = error[told > 0.0]
+                error = error[compared]
                 losses[0] += float(error @ error)
                 losses[1] += float(error.var()) * error.size
                 shifts_N[number] = float(error.mean()) * series.noise_N
         shifted = losses[1] < SHIFTED * losses[0]
-        start = replace(past, starts=tuple(starts))
+        begin = replace(past, starts=tuple(starts))
         if shifted:
-            start = replace(start, offsets_N=past.offsets_N + shifts_N)
-        return Idea(term, values, -losses[shifted]), start
+            begin = replace(begin, offsets_N=past.offsets_N + shifts_N)
+        return Candidate(term, values, -losses[shifted]), begin
 
-    best: dict[str, tuple[Idea, Point]] = {}
-    new = (one for one in catalogue_ideas(chain, channels, known) if all(term.effect is not one[0] for term in terms))
-    for idea, point in each(looked_at, new):
-        name = idea.term.effect.name
-        if name not in best or idea.gain > best[name][0].gain:
-            best[name] = idea, point
-    return sorted(best.values(), key=lambda one: -one[0].gain)
+    best: dict[str, tuple[Candidate, Point]] = {}
+    for candidate, point in each(simulated, _new_starts(chain, terms, known)):
+        name = candidate.term.effect.name
+        if name not in best or candidate.gain > best[name][0].gain:
+            best[name] = candidate, point
+    return sorted(best.values(), key=lambda pair: -pair[0].gain)
+
+
+def _new_starts(chain: Chain, terms: Sequence[Term], known: Mapping[str, tuple[float, ...]]) -> list[Start]:
+    """Starts of all effects that are not among the terms."""
+    starts = catalogue_starts(chain, recorded_channels(chain.series), known)
+    return [start for start in starts if all(term.effect is not start[0] for term in terms)]
 
 
 def _past_columns(chain: Chain, number: int, terms: tuple[Term, ...], point: Point) -> tuple[Array, Array]:
-    """Columns for the unknown past of a recording, less their means, and what one volt of each gives [N/V or 1]."""
+    """Columns for the unknown past of a recording without their means, and the force per unit of each [N/V or 1]."""
     rows = chain.rows[number]
-    of_stroke = chain.series[number].start_columns
+    stroke_columns = chain.series[number].start_columns
     decays = chain.decays(number, terms, point, rows)
-    columns = np.hstack((of_stroke[rows], decays)) if of_stroke.size else decays
+    columns = np.hstack((stroke_columns[rows], decays)) if stroke_columns.size else decays
     stroke = np.ones(columns.shape[1])
-    stroke[: of_stroke.shape[1]] = chain.force_span_N / chain.voltage_span_V
+    stroke[: stroke_columns.shape[1]] = chain.force_span_N / chain.voltage_span_V
     return columns - columns.mean(axis=0), stroke
 
 
 def _skews(chain: Chain, terms: Sequence[Term], point: Point) -> dict[str, tuple[float, ...]]:
-    """Further starts of a skew of the clocks: what the readings show beside what is simulated."""
-    seen = [
-        skew_ppm(one, chain.run(number, terms, point).reading_N)
-        for number, one in enumerate(chain.series)
-        if one.role == "recording"
+    """Starts of a skew of the clocks, with those that the readings show."""
+    visible = [
+        skew_ppm(series, chain.run(number, terms, point).reading_N)
+        for number, series in enumerate(chain.series)
+        if series.role == "recording"
     ]
     starts = EFFECTS["clock_skew"].parameter("skew_ppm").search.starts
-    return {"clock_skew skew_ppm": (*starts, *(ppm for ppm in seen if ppm is not None))}
+    return {"clock_skew skew_ppm": (*starts, *(ppm for ppm in visible if ppm is not None))}
 
 
 @dataclass(frozen=True)
 class _Change:
-    """What an idea changes in the readings that are compared, everything to first order.
+    """Change of the compared readings by an effect at a start.
 
     Parameters
     ----------
     term, values
-        Effect and scope, and what it was looked at with.
+        Effect with its scope, and start values.
     parts
-        Multiples of its parts that fit best alone; of one that is no sum 1.
+        Best multiples of its parts without another effect; 1 for an effect that is no sum.
     readings_N
-        Change of every recording with these, shape (rows,) [N].
+        Change of every recording with these multiples, shape (rows,) each [N].
     alone, gain
-        The multiple of it that fits best alone, and what that gains, as an idea's.
+        Best multiple without another effect, and its gain.
     """
 
     term: Term
@@ -199,72 +224,71 @@ class _Change:
     gain: float
 
     def possible(self, multiple: float) -> bool:
-        """Whether there can be so much of it."""
+        """Whether the effect can have this multiple of its size."""
         return multiple > 0.0 or self.parts.size > 1 or self.term.effect.parameters[0].low < 0.0
 
-    def idea(self, multiple: float, gain: float) -> Idea:
-        """The idea; what is a sum, or adds so much of something, begins with this multiple."""
+    def candidate(self, multiple: float, gain: float) -> Candidate:
+        """Candidate; a sum and an effect of either sign start with this multiple of their sizes."""
         effect, names = self.term.effect, list(parts_of(self.term.effect, self.values))
         if len(names) > 1 or _is_a_signed_sum(effect):
             named = names if len(names) > 1 else (effect.parameters[0].name,)
             sizes = {name: multiple * part * self.values[name] for name, part in zip(named, self.parts, strict=True)}
-            return Idea(self.term, {**self.values, **_inside(effect, sizes)}, gain)
-        return Idea(self.term, self.values, gain)
+            return Candidate(self.term, {**self.values, **_inside(effect, sizes)}, gain)
+        return Candidate(self.term, self.values, gain)
 
 
-def screened(chain: Chain, terms: Sequence[Term], point: Point) -> list[Idea]:
-    """Every idea that could be added to a fitted hypothesis, the most promising first.
+def screened(chain: Chain, terms: Sequence[Term], point: Point) -> list[Candidate]:
+    """Candidates for one more effect in a fitted hypothesis, the largest gain first.
 
-    One finite perturbation an idea, projected off the tangent space of everything that is fitted already.
+    Each start is one finite change, projected off the tangent space of all fitted parameters.
     """
     _, changes = _changes(chain, terms, point)
-    ideas = [one.idea(one.alone, one.gain) for one in changes if one.possible(one.alone)]
-    return sorted(ideas, key=lambda idea: -idea.gain)
+    candidates = [change.candidate(change.alone, change.gain) for change in changes if change.possible(change.alone)]
+    return sorted(candidates, key=lambda candidate: -candidate.gain)
 
 
-def screened_pairs(chain: Chain, terms: Sequence[Term], point: Point) -> list[tuple[Idea, Idea]]:
-    """Pairs of ideas that promise more together than any idea alone, the most promising first.
+def screened_pairs(chain: Chain, terms: Sequence[Term], point: Point) -> list[tuple[Candidate, Candidate]]:
+    """Pairs of candidates that gain more together than any candidate alone, the largest gain first.
 
-    Of every two effects the best pair: each fitted beside the other, which may be what it hides behind.
+    For every two effects, the best pair of their starts, fitted together.
     """
     normal, changes = _changes(chain, terms, point)
-    columns = [np.array([one.readings_N[k] for one in changes]).T for k in range(len(chain.series))]
+    columns = [np.array([change.readings_N[k] for change in changes]).T for k in range(len(chain.series))]
     free, along, squares = normal.projected(columns)
     own = np.diag(free)
-    apart = np.outer(own, own) - free**2
-    seen = own > SEEN * squares
-    told = seen[:, None] & seen[None, :] & (apart > APART * np.outer(own, own))
+    determinants = np.outer(own, own) - free**2
+    independent = own > INDEPENDENT * squares
+    pairs = independent[:, None] & independent[None, :] & (determinants > INDEPENDENT_PAIR * np.outer(own, own))
     with np.errstate(divide="ignore", invalid="ignore"):
-        multiples = (along[:, None] * own[None, :] - along[None, :] * free) / apart  # of the first beside the second
+        multiples = (along[:, None] * own[None, :] - along[None, :] * free) / determinants  # of the first
         gains = multiples * along[:, None] + multiples.T * along[None, :]
-    alone = max((one.gain for one in changes if one.possible(one.alone)), default=0.0)
-    best: dict[tuple[str, str], tuple[Idea, Idea]] = {}
-    for first, second in np.argwhere(np.triu(told & (gains > TOGETHER * alone), 1)):
-        one, other = changes[first], changes[second]
-        names, gain = (one.term.effect.name, other.term.effect.name), float(gains[first, second])
-        sizes = float(multiples[first, second]), float(multiples[second, first])
-        if names[0] == names[1] or not (one.possible(sizes[0]) and other.possible(sizes[1])):
+    alone = max((change.gain for change in changes if change.possible(change.alone)), default=0.0)
+    best: dict[tuple[str, str], tuple[Candidate, Candidate]] = {}
+    for i, j in np.argwhere(np.triu(pairs & (gains > PAIR_GAIN * alone), 1)):
+        first, second = changes[i], changes[j]
+        names, gain = (first.term.effect.name, second.term.effect.name), float(gains[i, j])
+        sizes = float(multiples[i, j]), float(multiples[j, i])
+        if names[0] == names[1] or not (first.possible(sizes[0]) and second.possible(sizes[1])):
             continue
         if names not in best or gain > best[names][0].gain:
-            best[names] = one.idea(sizes[0], gain), other.idea(sizes[1], gain)
+            best[names] = first.candidate(sizes[0], gain), second.candidate(sizes[1], gain)
     return sorted(best.values(), key=lambda pair: -pair[0].gain)
 
 
 def _changes(chain: Chain, terms: Sequence[Term], point: Point) -> tuple[Normal, list[_Change]]:
-    """What every idea changes, in both scopes."""
+    """Normal equations of the hypothesis, and the change by every start in both scopes."""
     normal = Normal.at(chain, terms, point)
-    channels = ["temperature_C"] if all(one.temperature_C is not None for one in chain.series) else []
-    tops_Hz = [
-        top
-        for one, modelled in zip(chain.series, normal.readings(), strict=True)
-        if one.role == "recording"
-        for top in peaks_Hz(one, one.reading_N - modelled)
+    modes_Hz = [
+        peak_Hz
+        for series, modelled in zip(chain.series, normal.readings(), strict=True)
+        if series.role == "recording"
+        for peak_Hz in peaks_Hz(series, series.reading_N - modelled)
     ]
-    ringing = (*tops_Hz, *EFFECTS["resonance"].parameter("frequency_Hz").search.starts)
-    known = {"resonance frequency_Hz": ringing, **_skews(chain, terms, point)}
+    modes_Hz += EFFECTS["resonance"].parameter("frequency_Hz").search.starts
+    known = {"resonance frequency_Hz": tuple(modes_Hz), **_skews(chain, terms, point)}
 
-    def looked_at(one: tuple[Effect, dict[str, float], tuple[tuple[str, float], ...]]) -> list[_Change]:
-        effect, values, choices = one
+    def changes_by(start: Start) -> list[_Change]:
+        effect, values, choices = start
         term = Term(effect, "already", choices=choices)
         parts = [
             [
@@ -285,5 +309,5 @@ def _changes(chain: Chain, terms: Sequence[Term], point: Point) -> tuple[Normal,
             changes.append(_Change(term, values, multiples, readings_N, alone, gain))
         return changes
 
-    new = [one for one in catalogue_ideas(chain, channels, known) if not any(term.effect is one[0] for term in terms)]
-    return normal, [change for changes in each(looked_at, new) for change in changes]
+    starts = _new_starts(chain, terms, known)
+    return normal, [change for changes in each(changes_by, starts) for change in changes]

@@ -1,1 +1,1 @@
-"""What recordings can tell, and the next experiment."""
+"""Isolability of effects in recordings, and the next experiment."""

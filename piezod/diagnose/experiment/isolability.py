@@ -1,8 +1,9 @@
-"""What recordings can tell: from which size on an effect is seen, and told from each other effect.
+"""Isolability: smallest size at which recordings show an effect, and separate it from each other effect.
 
-Every effect is added to the fitted base in a small size. What the base and the other effect cannot follow of the change
-decides, as in the isolability of faults (E. Frisk, M. Krysander and D. Jung (2017), A Toolbox for Analysis and Design
-of Model Based Diagnosis Systems for Large Scale Models, IFAC-PapersOnLine 50(1)), here for one given record.
+Every effect is added to the fitted base in a small size. The part of the change that neither the base nor the other
+effect follows determines the size. The isolability of faults is defined likewise (E. Frisk, M. Krysander and D. Jung
+(2017), A Toolbox for Analysis and Design of Model Based Diagnosis Systems for Large Scale Models, IFAC-PapersOnLine
+50(1)); here for given recordings.
 """
 
 from collections.abc import Collection, Mapping, Sequence
@@ -11,33 +12,27 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from piezod.diagnose.candidates.screening import DIRECT, catalogue_ideas, parts_of
+from piezod.diagnose.candidates.screening import DIRECT, Start, catalogue_starts, parts_of, recorded_channels
 from piezod.diagnose.hypothesis.chain import Chain, Setting, Term
 from piezod.diagnose.hypothesis.fit import Fitted, Normal, fit
 from piezod.diagnose.hypothesis.parallel import each
 from piezod.diagnose.hypothesis.sampling import best_course, coarse
-from piezod.diagnose.prepare import Source, chain_of, made_ready, stand_in
+from piezod.diagnose.prepare import chain_of, prepared, substitute_recording
 from piezod.diagnose.selection.given_effects import given_effects
+from piezod.diagnose.sources import Source
 from piezod.effects import EFFECTS
 from piezod.effects.effect import Effect, Location
 from piezod.model import Model
 
 Array = NDArray[np.float64]
 Places = NDArray[np.intp]
-Found = Mapping[str, Setting]
-"""Effects that a diagnosis found, and their rivals, each as it was fitted."""
+Settings = Mapping[str, Setting]
+"""Fitted parameters and choices of effects and their rivals, by name."""
 
-NEARBY = 1.1
-"""Factor by which each parameter of a found effect is moved, for the changes that another effect may imitate with."""
-
-SURE = 3.0
-"""Standard deviations by which two effects must differ."""
-
-LARGE = 3.0
-"""Size, in noises, up to which an effect should be seen and separated: a larger one is seen by eye."""
-
-INDEPENDENT = 1e-9
-"""Share of a change below which it is a combination of others."""
+NEARBY = 1.1  # factor on each parameter of a fitted effect, for the changes by which it may imitate another one
+SIGNIFICANT = 3.0  # least difference of two effects [standard deviations]
+LARGE = 3.0  # largest size at which effects should be visible and separable [noise rms]; larger ones are obvious
+INDEPENDENT = 1e-9  # share of a change below which it is a combination of other changes
 
 BEHIND = {
     Location.AMPLIFIER: "monitor voltage of the amplifier",
@@ -51,16 +46,16 @@ BEHIND = {
 
 @dataclass(frozen=True)
 class Pair:
-    """Two effects that look alike in the recordings.
+    """Two effects that the recordings hardly separate.
 
     Parameters
     ----------
     first, second
         Names of the effects.
     size
-        Smallest size from which on they are told from each other: rms of the change of the reading, in noises.
+        Smallest size at which they are separable: rms change of the reading [noise rms].
     separate_by
-        What would separate them: a further channel, or an experiment.
+        Further channel or experiment that separates them.
     """
 
     first: str
@@ -71,21 +66,21 @@ class Pair:
 
 @dataclass(frozen=True)
 class Isolability:
-    """What recordings can tell.
+    """Visible and separable sizes of effects.
 
     Parameters
     ----------
     effects
-        Names, in the order of the catalogue.
+        Names in the order of the catalogue.
     seen_from
-        Of every effect, its smallest size that is seen beside the base: rms of the change of the reading, in noises.
+        Smallest visible size of every effect: rms change of the reading [noise rms], shape (effects,).
     separated_from
-        Smallest size from which on the effect of the row is told from that of the column, shape (effects, effects), in
-        noises; 0 on the diagonal.
+        Smallest size at which the effect of the row is separable from that of the column [noise rms], shape (effects,
+        effects); 0 on the diagonal.
     noise
-        Rms of the noise [output unit].
+        Rms noise [output unit].
     notes
-        What was noticed in the recordings.
+        Remarks about the recordings.
     """
 
     effects: tuple[str, ...]
@@ -96,23 +91,23 @@ class Isolability:
 
     @property
     def unseen(self) -> tuple[str, ...]:
-        """Effects that are not seen up to a size of `LARGE`."""
+        """Effects that are not visible up to a size of `LARGE`."""
         return tuple(name for name, size in zip(self.effects, self.seen_from, strict=True) if size > LARGE)
 
     def pairs(self) -> list[Pair]:
-        """Pairs of effects that are seen, but not separated up to a size of `LARGE`; the least separable first."""
+        """Pairs of visible effects that are not separable up to a size of `LARGE`, the least separable first."""
         hard = np.maximum(self.separated_from, self.separated_from.T)
         hidden = set(self.unseen)
-        found = [
-            Pair(one, other, float(hard[i, j]), separated_by(EFFECTS[one], EFFECTS[other]))
-            for i, one in enumerate(self.effects)
-            for j, other in enumerate(self.effects)
-            if i < j and hard[i, j] > LARGE and not {one, other} & hidden
+        pairs = [
+            Pair(first, second, float(hard[i, j]), separated_by(EFFECTS[first], EFFECTS[second]))
+            for i, first in enumerate(self.effects)
+            for j, second in enumerate(self.effects)
+            if i < j and hard[i, j] > LARGE and not {first, second} & hidden
         ]
-        return sorted(found, key=lambda pair: -pair.size)
+        return sorted(pairs, key=lambda pair: -pair.size)
 
     def groups(self) -> list[tuple[str, ...]]:
-        """Effects that cannot be separated, directly or through each other; each in one group."""
+        """Groups of effects that are not separable, directly or through other effects."""
         groups = [{name} for name in self.effects]
         for pair in self.pairs():
             joined = [group for group in groups if {pair.first, pair.second} & group]
@@ -122,103 +117,99 @@ class Isolability:
         return sorted(inseparable, key=lambda group: order[group[0]])
 
 
-def separated_by(one: Effect, other: Effect) -> str:
-    """What separates two effects: the signal between their locations, else an experiment.
-
-    Parameters
-    ----------
-    one, other
-        Of the catalogue.
-    """
-    first, last = sorted((one.location, other.location))
-    if first != last and BEHIND.get(first) != BEHIND.get(last):
-        return f"record the {BEHIND[first]} too"
-    return one.separate_by
+def separated_by(first: Effect, second: Effect) -> str:
+    """Remedy that separates two effects: recording the signal between their locations, otherwise an experiment."""
+    front, back = sorted((first.location, second.location))
+    if front != back and BEHIND.get(front) != BEHIND.get(back):
+        return f"record the {BEHIND[front]} too"
+    return first.separate_by
 
 
 def isolability(
     model: Model,
-    asked: Sequence[Source],
+    recordings: Sequence[Source],
     past: Sequence[Source],
-    found: Found | None = None,
+    settings: Settings | None = None,
     only: Collection[str] | None = None,
 ) -> Isolability:
-    """Determine what recordings can tell.
+    """Determine the visible and separable sizes of effects in recordings.
 
     Parameters
     ----------
     model
         Identified model.
-    asked
-        Recordings in which an effect might be sought.
+    recordings
+        Recordings to examine.
     past
-        Recordings that the model was identified on; none: a simulation of it replaces them.
-    found
-        Effects in the size in which they were found: a short delay is more like a lag than a long one. The others are
-        taken at the starts of the catalogue.
+        Identification recordings; empty: a recording simulated from the model replaces them.
+    settings
+        Fitted effects, examined at their size: a short delay resembles a lag more than a long one. Other effects are
+        examined at the starts of the catalogue.
     only
-        Names of the effects to compare; None: the whole catalogue.
+        Names of the effects to compare; None: the squares catalogue.
 
     Raises
     ------
     RecordingError
         A recording cannot be used.
     """
-    found = {name: one for name, one in (found or {}).items() if only is None or name in only}
-    series, _, notes = made_ready([*past, *asked], model)
+    fitted = {name: setting for name, setting in (settings or {}).items() if only is None or name in only}
+    series, _, notes = prepared([*past, *recordings], model)
     if not past:
-        series.insert(0, stand_in(model))
-    hashes = [""] * (not past) + [source.sha256 for source in (*past, *asked)]
+        series.insert(0, substitute_recording(model))
+    hashes = [""] * (not past) + [source.sha256 for source in (*past, *recordings)]
     chain, start = chain_of(series, model)
     terms, values = given_effects(model, hashes)
     if terms:  # a model with effects states how the command runs between samples
-        chain = coarse(chain.like([replace(one, hold=model.hold) for one in series]))
+        chain = coarse(chain.like([replace(s, hold=model.hold) for s in series]))
         base = fit(chain, terms, replace(start, values=values))
     else:
         chain, base = best_course(coarse(chain), (), start)
         base = fit(chain, (), base.point)
-    noises = [one.noise_N for one in series if one.role == "recording"]
-    noise = float(np.sqrt(np.mean(np.square(noises))))
-    names, changes = _changes(chain, base, found, only)
+    diagnosed = [s for s in series if s.role == "recording"]
+    noise = float(np.sqrt(np.mean(np.square([s.noise_N for s in diagnosed]))))
+    names, changes = _changes(chain, base, fitted, only)
     if not names:
         return Isolability((), np.zeros(0), np.zeros((0, 0)), noise, tuple(notes))
     normal = Normal.at(chain, base.terms, base.point)
-    free, _, whole = normal.projected(changes)
-    samples = float(sum(np.count_nonzero(one.counts) for one in series if one.role == "recording"))
+    free, _, squares = normal.projected(changes)
+    samples = float(sum(np.count_nonzero(s.counts) for s in diagnosed))
     effects = tuple(dict.fromkeys(names))
     columns = {effect: np.flatnonzero([name == effect for name in names]) for effect in effects}
-    own = {effect: columns[effect][:1] if effect in found else columns[effect] for effect in effects}
-    sure = np.array([_size(whole[own[e]], np.diag(free)[own[e]], samples) for e in effects])
+    own = {effect: columns[effect][:1] if effect in fitted else columns[effect] for effect in effects}
+    seen = np.array([_size(squares[own[e]], np.diag(free)[own[e]], samples) for e in effects])
     separate = np.zeros((len(effects), len(effects)))
     for i, first in enumerate(effects):
         for j, second in enumerate(effects):
             if i != j:
-                left = _left(free, own[first], columns[second])
-                separate[i, j] = _size(whole[own[first]], left, samples)
-    return Isolability(effects, sure, separate, noise, tuple(notes))
+                independent = _independent(free, own[first], columns[second])
+                separate[i, j] = _size(squares[own[first]], independent, samples)
+    return Isolability(effects, seen, separate, noise, tuple(notes))
 
 
-def _changes(chain: Chain, base: Fitted, found: Found, only: Collection[str] | None) -> tuple[list[str], list[Array]]:
-    """Names, and what each start of every effect changes in each recording, shape (rows, starts) [N].
+def _changes(
+    chain: Chain, base: Fitted, fitted: Settings, only: Collection[str] | None
+) -> tuple[list[str], list[Array]]:
+    """Names of the effects, and the change of each recording by each of their starts, shape (rows, starts) [N].
 
-    What an effect of the given model changes is added to what it does there.
+    The change by an effect of the given model adds to that effect.
     """
     point = base.point
-    asked = [k for k, one in enumerate(chain.series) if one.role == "recording"]
-    channels = ["temperature_C"] if all(chain.series[k].temperature_C is not None for k in asked) else []
+    diagnosed = [k for k, series in enumerate(chain.series) if series.role == "recording"]
+    channels = recorded_channels([chain.series[k] for k in diagnosed])
     before = [chain.compared(k, base.terms, point) for k in range(len(chain.series))]
-    left_out = {*DIRECT, *found} if only is None else {*DIRECT, *found, *(set(EFFECTS) - set(only))}
-    starts = [one for one in catalogue_ideas(chain, channels, {}) if one[0].name not in left_out]
-    starts += [(EFFECTS[name], *start) for name, one in found.items() for start in _nearby(EFFECTS[name], one)]
+    omitted = {*DIRECT, *fitted} if only is None else {*DIRECT, *fitted, *(set(EFFECTS) - set(only))}
+    starts = [start for start in catalogue_starts(chain, channels, {}) if start[0].name not in omitted]
+    starts += [(EFFECTS[name], *near) for name, setting in fitted.items() for near in _nearby(EFFECTS[name], setting)]
 
-    def changed(one: tuple[Effect, dict[str, float], tuple[tuple[str, float], ...]]) -> list[list[Array]]:
-        effect, values, choices = one
-        parts = [values] if effect.name in found else parts_of(effect, values).values()
+    def changed(start: Start) -> list[list[Array]]:
+        effect, values, choices = start
+        parts = [values] if effect.name in fitted else parts_of(effect, values).values()
         term = Term(effect, "since", choices=choices)
         return [
             [
                 chain.compared(k, (*base.terms, term), replace(point, values=(*point.values, part))) - before[k]
-                if k in asked
+                if k in diagnosed
                 else np.zeros(before[k].size)
                 for k in range(len(chain.series))
             ]
@@ -235,27 +226,27 @@ def _changes(chain: Chain, base: Fitted, found: Found, only: Collection[str] | N
 
 
 def _nearby(effect: Effect, setting: Setting) -> list[Setting]:
-    """A setting, and it with each of its parameters moved a little."""
+    """Setting, and copies with one parameter changed a little each."""
     values, choices = setting
     moved = [
         {**values, name: float(np.clip(value * NEARBY, effect.parameter(name).low, effect.parameter(name).high))}
         for name, value in values.items()
     ]
-    return [(one, choices) for one in (values, *moved)]
+    return [(changed, choices) for changed in (values, *moved)]
 
 
-def _left(free: Array, of: Places, beside: Places) -> Array:
-    """Squares of changes that neither the base nor any combination of another effect's changes can follow."""
-    own = np.diag(free)[of]
-    scale = 1.0 / np.sqrt(np.maximum(np.diag(free)[beside], 1e-300))
-    inner = free[np.ix_(beside, beside)] * np.outer(scale, scale)
-    across = free[np.ix_(of, beside)] * scale
+def _independent(free: Array, changes: Places, others: Places) -> Array:
+    """Squared norms of changes that neither the base nor a combination of another effect's changes follows."""
+    squares = np.diag(free)[changes]
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(free)[others], 1e-300))
+    inner = free[np.ix_(others, others)] * np.outer(scale, scale)
+    across = free[np.ix_(changes, others)] * scale
     followed = np.einsum("ij,jk,ik->i", across, np.linalg.pinv(inner, rcond=INDEPENDENT, hermitian=True), across)
-    left: Array = np.clip(own - followed, 0.0, None)
-    return left
+    result: Array = np.clip(squares - followed, 0.0, None)
+    return result
 
 
-def _size(whole: Array, left: Array, samples: float) -> float:
-    """Smallest size at which what is left is sure in white noise: of an effect's starts the median one."""
-    share = np.clip(left / np.maximum(whole, 1e-300), INDEPENDENT, 1.0)
-    return float(np.median(SURE / np.sqrt(share * samples)))
+def _size(squares: Array, independent: Array, samples: float) -> float:
+    """Smallest size at which the independent part is significant in white noise; median over the starts."""
+    share = np.clip(independent / np.maximum(squares, 1e-300), INDEPENDENT, 1.0)
+    return float(np.median(SIGNIFICANT / np.sqrt(share * samples)))

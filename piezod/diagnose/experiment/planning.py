@@ -1,9 +1,9 @@
-"""The next experiment: a drive that separates what recordings leave open, within the range that they had and a slew.
+"""Next experiment: a drive that separates effects, within the range of the recordings and a slew limit.
 
-Segments of a few seconds are simulated with the model, each alone. What they tell of a pair of effects adds up like the
-inverse square of the size from which on the pair is separated. The segments that raise the least of these sums most are
-joined, behind one rise over the range and back, which erases the memory of earlier drives. The whole drive is then
-simulated once more, beside the recordings, for the sizes that are promised.
+Each segment of a few seconds is simulated with the model. Its information about a pair of effects is the inverse square
+of their separable size, and adds up over segments. Segments with the most information per duration are joined. One
+sweep over the range precedes them and erases the memory of earlier drives. A simulation of the joined drive with the
+recordings gives the promised sizes.
 """
 
 from collections.abc import Callable, Sequence
@@ -12,9 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from piezod.diagnose.experiment.isolability import Found, Isolability, Pair, isolability, separated_by
+from piezod.diagnose.experiment.isolability import Isolability, Pair, Settings, isolability, separated_by
 from piezod.diagnose.hypothesis.parallel import each
-from piezod.diagnose.prepare import Source
+from piezod.diagnose.sources import Source
 from piezod.effects import EFFECTS
 from piezod.excitation import multisine, staircase, steps, triangle
 from piezod.model import Model, run_chain
@@ -22,32 +22,27 @@ from piezod.recording import Recording
 
 Array = NDArray[np.float64]
 
-INNER = 0.98
-"""Part of the range of the recordings that is driven."""
-
-NOT_SEPARATED = 1e6
-"""Size in noises of a pair of which one effect does not show at all."""
-
-LOOP_BIASES = (0.2, 0.5, 0.8)
-"""Centres of minor loops, as parts of the range."""
+INNER = 0.98  # share of the range of the recordings that is driven
+NOT_SEPARATED = 1e6  # separable size of a pair with an invisible effect [noise rms]
+LOOP_BIASES = (0.2, 0.5, 0.8)  # centres of the minor loops, relative to the range
 
 
 @dataclass(frozen=True)
 class Experiment:
-    """A drive and what it promises.
+    """Drive and the separable sizes that it promises.
 
     Parameters
     ----------
     voltage_V
-        One a sample of the first recording's period, shape (N,) [input unit].
+        Drive, shape (N,) [input unit].
     dt_s
-        That period [s].
+        Sampling period, that of the first recording [s].
     segments
-        What it is made of.
+        Names of the segments.
     pairs
-        Pairs of effects that were open, with their sizes before.
+        Pairs of effects with their separable sizes before.
     sizes
-        The same sizes with the drive added, in noises.
+        Separable sizes of these pairs with the drive added [noise rms].
     """
 
     voltage_V: Array
@@ -57,43 +52,37 @@ class Experiment:
     sizes: tuple[float, ...]
 
     def recording(self, channel: str) -> Recording:
-        """The drive as a recording of its voltage, which `piezod record --excitation` drives.
-
-        Parameters
-        ----------
-        channel
-            Name of the model's input.
-        """
+        """Drive as a recording of the model input `channel`, for `piezod record --excitation`."""
         time_s = np.arange(self.voltage_V.size, dtype=np.float64) * self.dt_s
         return Recording(time_s, {channel: self.voltage_V}, {}, "experiment")
 
 
 def next_experiment(
     model: Model,
-    asked: Sequence[Source],
+    recordings: Sequence[Source],
     past: Sequence[Source],
     before: Isolability,
     longest_s: float,
     wanted: Sequence[tuple[str, str]] | None = None,
-    fitted: Found | None = None,
+    fitted: Settings | None = None,
     slew: float | None = None,
 ) -> Experiment | None:
-    """Find the drive; None where no pair of effects is open.
+    """Plan the drive; None if no pair of effects is open or no segment fits.
 
     Parameters
     ----------
     model
         Identified model.
-    asked, past
-        Recordings so far, as for `isolability`.
+    recordings, past
+        Recordings, as for `isolability`.
     before
-        What they can tell.
+        Isolability in the recordings.
     longest_s
         Longest duration of the drive [s].
     wanted
-        Pairs of effects to separate; None: all that are open.
+        Pairs of effects to separate; None: all open pairs.
     fitted
-        Effects as they were found, as for `before`.
+        Fitted effects, as for `before`.
     slew
         Largest rate of the drive [input unit/s]; None: that of the first recording.
     """
@@ -101,74 +90,74 @@ def next_experiment(
     if not pairs:
         return None
     only = {name for pair in pairs for name in (pair.first, pair.second)}
-    first = asked[0].recording
+    first = recordings[0].recording
     command_V = first.channel(model.input.channel)
     known = command_V[np.isfinite(command_V)]
     low_V, high_V = float(known.min()), float(known.max())
-    most_V = float(np.max(np.abs(np.diff(known)), initial=0.0)) if slew is None else slew * first.dt_s  # a sample
-    drives = _segments(low_V, high_V, first.dt_s, most_V)
+    most_V = float(np.max(np.abs(np.diff(known)), initial=0.0)) if slew is None else slew * first.dt_s  # per sample
+    segments = _segments(low_V, high_V, first.dt_s, most_V)
 
-    def alone(one: tuple[str, Array]) -> Array:
-        found = isolability(model, [_simulated(model, one[1], first.dt_s, before.noise)], past, fitted, only)
-        return np.array([separation(found, pair.first, pair.second) ** -2.0 for pair in pairs])
+    def information_of(segment: tuple[str, Array]) -> Array:
+        answer = _simulated(model, segment[1], first.dt_s, before.noise)
+        result = isolability(model, [answer], past, fitted, only)
+        return np.array([separation(result, pair.first, pair.second) ** -2.0 for pair in pairs])
 
-    told = each(alone, drives)
-    chosen: list[int] = []
-    rise = np.full(int(np.ceil((high_V - low_V) / most_V)), low_V + INNER * (high_V - low_V))
-    first_V = _slewed(rise, low_V, most_V)
-    total, left_s = np.array([pair.size**-2.0 for pair in pairs]), longest_s - first_V.size * first.dt_s
-    while True:
-        fitting = [k for k, (_, drive) in enumerate(drives) if drive.size * first.dt_s <= left_s]
-        if not fitting:
-            break
-        best = max(fitting, key=lambda k: _worth(total, told[k]) / drives[k][1].size)
-        chosen.append(best)
-        total = total + told[best]
-        left_s -= drives[best][1].size * first.dt_s
+    information = each(information_of, segments)
+    sweep = np.full(int(np.ceil((high_V - low_V) / most_V)), low_V + INNER * (high_V - low_V))
+    sweep_V = _slewed(sweep, low_V, most_V)
+    sizes = [drive.size for _, drive in segments]
+    known_information = np.array([pair.size**-2.0 for pair in pairs])
+    available_s = longest_s - sweep_V.size * first.dt_s
+    chosen = _chosen(known_information, information, sizes, first.dt_s, available_s)
     if not chosen:
         return None
-    parts = [drives[k][1] for k in sorted(chosen)]  # each comes back to where the next one begins
-    voltage_V = np.concatenate([first_V, *parts])
+    voltage_V = np.concatenate([sweep_V, *(segments[k][1] for k in chosen)])  # every segment returns to the lowest one
     new = _simulated(model, voltage_V, first.dt_s, before.noise)
-    after = isolability(model, [*asked, new], past, fitted, only)
-    names = tuple(drives[k][0] for k in sorted(chosen))
-    return Experiment(
-        voltage_V, first.dt_s, names, pairs, tuple(separation(after, pair.first, pair.second) for pair in pairs)
-    )
+    after = isolability(model, [*recordings, new], past, fitted, only)
+    promised = tuple(separation(after, pair.first, pair.second) for pair in pairs)
+    return Experiment(voltage_V, first.dt_s, tuple(segments[k][0] for k in chosen), pairs, promised)
+
+
+def _chosen(
+    known: Array, information: Sequence[Array], sizes: Sequence[int], dt_s: float, available_s: float
+) -> list[int]:
+    """Numbers of the segments, rising: those with the largest gain per sample, as long as time is available."""
+    chosen: list[int] = []
+    total = known
+    while True:
+        fitting = [k for k, size in enumerate(sizes) if size * dt_s <= available_s]
+        if not fitting:
+            return sorted(chosen)
+        best = max(fitting, key=lambda k: _information_gain(total, information[k]) / sizes[k])
+        chosen.append(best)
+        total = total + information[best]
+        available_s -= sizes[best] * dt_s
 
 
 def _pairs(before: Isolability, wanted: Sequence[tuple[str, str]]) -> list[Pair]:
-    """Pairs that the recordings show, with their sizes."""
-    shown = [(one, other) for one, other in wanted if {one, other} <= set(before.effects)]
+    """Wanted pairs of effects that the recordings show, with their separable sizes."""
     return [
-        Pair(one, other, separation(before, one, other), separated_by(EFFECTS[one], EFFECTS[other]))
-        for one, other in shown
+        Pair(first, second, separation(before, first, second), separated_by(EFFECTS[first], EFFECTS[second]))
+        for first, second in wanted
+        if {first, second} <= set(before.effects)
     ]
 
 
-def _worth(total: Array, more: Array) -> float:
-    """How much further all pairs come, in the mean of the logarithms: what is least known counts most."""
+def _information_gain(total: Array, more: Array) -> float:
+    """Sum of the logarithmic gains over all pairs; a pair with little information counts most."""
     return float(np.sum(np.log1p(more / total)))
 
 
-def separation(found: Isolability, first: str, second: str) -> float:
-    """Size from which on two effects are separated, in noises; a large one where a recording does not show both.
-
-    Parameters
-    ----------
-    found
-        What recordings can tell.
-    first, second
-        Names of the effects.
-    """
-    places = [found.effects.index(name) for name in (first, second) if name in found.effects]
+def separation(result: Isolability, first: str, second: str) -> float:
+    """Smallest separable size of two effects [noise rms]; `NOT_SEPARATED` if the recordings do not show both."""
+    places = [result.effects.index(name) for name in (first, second) if name in result.effects]
     if len(places) < 2:
         return NOT_SEPARATED
-    return float(max(found.separated_from[places[0], places[1]], found.separated_from[places[1], places[0]]))
+    return float(max(result.separated_from[places[0], places[1]], result.separated_from[places[1], places[0]]))
 
 
 def _simulated(model: Model, voltage_V: Array, dt_s: float, noise: float) -> Source:
-    """What the model answers to a drive, with the noise of the recordings."""
+    """Simulated recording of a drive, with the noise of the recordings."""
     time_s = np.arange(voltage_V.size, dtype=np.float64) * dt_s
     expected = run_chain(model, model.operator(), time_s, voltage_V, temperature_C=np.zeros(voltage_V.size))
     answer = expected + np.random.default_rng(0).normal(0.0, noise, voltage_V.size)
@@ -177,7 +166,7 @@ def _simulated(model: Model, voltage_V: Array, dt_s: float, noise: float) -> Sou
 
 
 def _segments(low_V: float, high_V: float, dt_s: float, most_V: float) -> list[tuple[str, Array]]:
-    """Names and drives; each begins and ends at the lowest voltage and is no faster than `most_V` a sample."""
+    """Names and drives of the segments, from the lowest voltage back to it, with at most `most_V` per sample."""
     middle_V, reach_V = 0.5 * (low_V + high_V), 0.5 * INNER * (high_V - low_V)
     fastest_Hz = most_V / (4.0 * reach_V * dt_s)  # of a triangle over the range
 
@@ -204,7 +193,7 @@ def _segments(low_V: float, high_V: float, dt_s: float, most_V: float) -> list[t
 
 
 def _slewed(drive: Array, start_V: float, most_V: float) -> Array:
-    """A drive that follows another one at a limited slew, from a voltage and back to it."""
+    """Drive that follows another one with a slew limit, from `start_V` and back to it."""
     farthest_V = float(np.abs(drive - start_V).max())
     wanted = np.concatenate((drive, np.full(int(np.ceil(farthest_V / most_V)), start_V)))
     out = np.empty(wanted.size)

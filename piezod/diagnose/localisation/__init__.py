@@ -1,1 +1,1 @@
-"""Where the given model is wrong: in time, frequency, voltage, rate, history."""
+"""Places at which the given model is wrong: in time, frequency, voltage, rate, history."""

@@ -1,5 +1,6 @@
-"""The cells that an axis is cut into, and how a residual's score in each compares with its references."""
+"""Cells of an axis with the scores of a residual and of its references."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,25 +10,38 @@ from piezod.diagnose.hypothesis.series import Series
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
+Mask = NDArray[np.bool_]
 
-DECIMALS = 1e-6  # of a range, by which edges differ at least
-TOGETHER, MOST_NUMBERS = 20, 4_000_000  # references, and all their values, that are worked on at once
+LEAST_WIDTH = 1e-6  # least distance of two edges, relative to the range; nearer ones differ by rounding
+MOST_REFERENCES, MOST_NUMBERS = 20, 4_000_000  # references computed at once, and numbers in them: limits the memory
 
 
 @dataclass(frozen=True)
-class Told:
-    """A recording's residual in units of its noise, about 0, and 0 where it does not count."""
+class NormalisedResidual:
+    """Residual of a recording without its mean [noise rms], 0 where readings do not count (`counts`), shape (N,)."""
 
     series: Series
     residual: Array
     modelled_N: Array
+    counts: Mask
 
     @classmethod
-    def of(cls, series: Series, residual_N: Array, modelled_N: Array) -> "Told":
-        """From a residual in newtons."""
-        known = series.counts & np.isfinite(residual_N)
-        mean = residual_N[known].mean() if known.any() else 0.0
-        return cls(series, np.where(known, residual_N - mean, 0.0) / series.noise_N, modelled_N)
+    def of(cls, series: Series, residual_N: Array, modelled_N: Array) -> "NormalisedResidual":
+        """Normalise a residual."""
+        counts = series.counts & np.isfinite(residual_N)
+        mean = float(residual_N[counts].mean()) if counts.any() else 0.0
+        return cls(series, np.where(counts, residual_N - mean, 0.0) / series.noise_N, modelled_N, counts)
+
+    @classmethod
+    def diagnosed(
+        cls, series: Sequence[Series], residuals: Sequence[Array], modelled: Sequence[Array]
+    ) -> list["NormalisedResidual"]:
+        """Normalised residuals of the diagnosed recordings with at least one reading that counts."""
+        return [
+            cls.of(s, residual_N, modelled_N)
+            for s, residual_N, modelled_N in zip(series, residuals, modelled, strict=True)
+            if s.role == "recording" and s.counts.any()
+        ]
 
 
 @dataclass(frozen=True)
@@ -37,15 +51,15 @@ class Cells:
     Parameters
     ----------
     axis
-        Of a place.
+        Axis of a `Place`.
     low, high
-        Range of every cell, shape (C,).
+        Ends of every cell, shape (C,).
     score
-        Of the residual and of every reference, shape (1 + shifts, C).
+        Scores of the residual (first row) and of every reference, shape (1 + references, C).
     energy
-        Of every cell beyond the reference, in units of the noise, shape (C,).
-    kin
-        Neighbours of the same kin are one place, shape (C,).
+        Energy in every cell beyond the references [noise variance], shape (C,).
+    kind
+        Neighbouring cells of one kind form one place, shape (C,).
     """
 
     axis: str
@@ -53,32 +67,32 @@ class Cells:
     high: Array
     score: Array
     energy: Array
-    kin: Index
+    kind: Index
 
 
 def distinct(edges: Array) -> Array:
     """Edges without those that differ by rounding only."""
-    least = DECIMALS * max(float(np.ptp(edges)), 1e-300)
-    kept = [float(edges[0])]
+    least = LEAST_WIDTH * max(float(np.ptp(edges)), 1e-300)
+    different = [float(edges[0])]
     for edge in edges[1:]:
-        if edge - kept[-1] > least:
-            kept.append(float(edge))
-    return np.array(kept if len(kept) > 1 else [kept[0], float(edges[-1])])
+        if edge - different[-1] > least:
+            different.append(float(edge))
+    return np.array(different if len(different) > 1 else [different[0], float(edges[-1])])
 
 
-def standard(values: Array) -> Array:
-    """How far from 0 in standard deviations over the references and the residual, shape (..., 1 + shifts, C)."""
+def standardised(values: Array) -> Array:
+    """Distance from the mean in standard deviations over residual and references, shape (..., 1 + references, C)."""
     centred = values - values.mean(axis=-2, keepdims=True)
     result: Array = np.abs(centred) / np.maximum(centred.std(axis=-2, keepdims=True), 1e-12)
     return result
 
 
-def beyond(energy: Array) -> Array:
-    """Energy of the residual less the references' mean, not below 0, shape (C,)."""
+def excess_energy(energy: Array) -> Array:
+    """Energy of the residual (first row) above the mean of the references, at least 0, shape (C,)."""
     result: Array = np.maximum(energy[0] - energy[1:].mean(axis=0), 0.0)
     return result
 
 
-def together(size: int) -> int:
-    """How many references of so many values are worked on at once: those of a long recording are few."""
-    return int(np.clip(MOST_NUMBERS // size, 1, TOGETHER))
+def references_at_once(size: int) -> int:
+    """Number of references of `size` values that are computed at once."""
+    return int(np.clip(MOST_NUMBERS // size, 1, MOST_REFERENCES))

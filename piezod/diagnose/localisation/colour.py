@@ -1,4 +1,4 @@
-"""The colour of a residual: what a stationary noise with its spectrum would show by itself."""
+"""Spectrum of a residual: autoregression, narrow lines, and the spectrum around them."""
 
 import functools
 import itertools
@@ -6,15 +6,17 @@ import itertools
 import numpy as np
 from numpy.typing import NDArray
 
+from piezod.diagnose.localisation import coordinates
+
 Array = NDArray[np.float64]
 
-ORDER = 12  # of the autoregression
-SHORTEST_STRETCH, MOST_STRETCHES = 1000, 24  # samples; stretches that it is taken from
-USUAL = 0.75  # of the stretches, those with least power
-MEDIAN_SPREAD = 1.4826  # standard deviation over median absolute deviation of a Gaussian
-WIDEST, NARROWEST, GROWTH = 101, 16, 0.25  # bins of a line's surroundings; their growth with frequency
-SLOWEST_LINE = 16  # cycles a record
-DRIVEN, DRIVEN_PART = 50.0, 1e-5  # power of a bin over its surroundings, and of all, for the drive to be in it
+ORDER = 12  # order of the autoregression
+SHORTEST_STRETCH, MOST_STRETCHES = 1000, 24  # samples in a stretch and stretches for the autoregression
+QUIET_SHARE = 0.75  # share of the stretches, those with the least power, that are used: bursts and steps are not
+MEDIAN_SPREAD = 1.4826  # standard deviation over median absolute deviation of a normal distribution
+WIDEST, NARROWEST, GROWTH = 101, 16, 0.25  # width of the bins around a line, and its growth with frequency
+SLOWEST_LINE = 16  # lowest frequency of a line [cycles per record]
+DRIVEN, DRIVEN_SHARE = 50.0, 1e-5  # power of a driven bin over that around it, and over the total power
 
 
 def spread(values: Array) -> float:
@@ -25,15 +27,15 @@ def spread(values: Array) -> float:
 def autoregression(residual: Array) -> Array:
     """Coefficients that predict a residual from its past, shape (ORDER,) [1].
 
-    Autocovariances are means over stretches of usual power, so a burst or a step does not decide.
+    Autocovariances are means over the stretches with the least power, without bursts and steps.
     """
     stretches = int(np.clip(residual.size // SHORTEST_STRETCH, 1, MOST_STRETCHES))
     size = residual.size // stretches
     parts = residual[: stretches * size].reshape(stretches, size)
     parts = parts - parts.mean(axis=1, keepdims=True)
     power = np.mean(parts**2, axis=1)
-    usual = parts[power <= np.quantile(power, USUAL)]
-    lags = np.array([np.sum(usual[:, k:] * usual[:, : size - k]) for k in range(ORDER + 1)])
+    quiet = parts[power <= np.quantile(power, QUIET_SHARE)]
+    lags = np.array([np.sum(quiet[:, k:] * quiet[:, : size - k]) for k in range(ORDER + 1)])
     if not lags[0] > 0.0:
         return np.zeros(ORDER)
     index = np.abs(np.arange(ORDER)[:, None] - np.arange(ORDER))
@@ -42,17 +44,16 @@ def autoregression(residual: Array) -> Array:
     return result
 
 
-def memory(residual: Array) -> float:
-    """How many samples long a residual remembers: variance of its mean over that of its values, per sample [1]."""
+def correlation_length(residual: Array) -> float:
+    """Correlation length [samples]: variance of the mean times the number of samples, over the variance."""
     coefficients = autoregression(residual)
-    left = innovations(residual, coefficients)
     variance = float(np.mean(residual**2))
-    at_zero = float(np.mean(left**2)) / max(1.0 - float(coefficients.sum()), 1e-3) ** 2
+    at_zero = float(np.mean(innovations(residual, coefficients) ** 2)) / max(1.0 - float(coefficients.sum()), 1e-3) ** 2
     return max(at_zero / max(variance, 1e-300), 1.0)
 
 
 def innovations(residual: Array, coefficients: Array | None = None) -> Array:
-    """What a residual's own past does not foretell, shape (N,); 0 for the first ORDER samples."""
+    """Error of the prediction of a residual from its past, shape (N,); 0 for the first ORDER samples."""
     predictor = autoregression(residual) if coefficients is None else coefficients
     out: Array = residual - np.convolve(residual, np.concatenate(([0.0], predictor)))[: residual.size]
     out[: predictor.size] = 0.0
@@ -60,7 +61,7 @@ def innovations(residual: Array, coefficients: Array | None = None) -> Array:
 
 
 def surroundings(power: Array) -> Array:
-    """Power around every bin, from medians of chunks that grow with frequency, shape (..., bins)."""
+    """Power around every bin, from medians of bands that widen with frequency, shape (..., bins)."""
     edges = _chunks(power.shape[-1])
     medians = np.stack([np.median(power[..., a:b], axis=-1) for a, b in itertools.pairwise(edges)], axis=-1)
     index = np.repeat(np.arange(edges.size - 1), np.diff(edges))
@@ -82,7 +83,7 @@ def _chunks(bins: int) -> NDArray[np.int64]:
 
 
 def prominence(spectrum: NDArray[np.complex128], slowest: int = SLOWEST_LINE) -> Array:
-    """Power of every bin over its surroundings; exponential with mean up to 1 for a smooth spectrum."""
+    """Power of every bin over that around it; exponential with mean up to 1 for a smooth spectrum."""
     power: Array = np.abs(spectrum) ** 2
     around = surroundings(power)
     result: Array = power / np.maximum(around, 1e-300)
@@ -92,7 +93,7 @@ def prominence(spectrum: NDArray[np.complex128], slowest: int = SLOWEST_LINE) ->
 
 
 def tapered(values: Array) -> Array:
-    """Values about their mean, brought to 0 over a tenth of the record at either end, so its ends do not leak."""
+    """Values without their mean, tapered to 0 over a tenth of the record at either end, against leakage."""
     count = values.size // 10
     rise = 0.5 - 0.5 * np.cos(np.pi * (np.arange(count) + 0.5) / max(count, 1))
     result: Array = values - values.mean()
@@ -107,13 +108,13 @@ def windowed_spectrum(values: Array) -> NDArray[np.complex128]:
     return result
 
 
-def driven_bins(*drives: Array) -> NDArray[np.bool_]:
-    """Bins in which one of the drives has a line of its own, shape (N // 2 + 1,)."""
-    bins = drives[0].size // 2 + 1
-    driven = np.zeros(bins, bool)
-    for one in drives:
-        spectrum = windowed_spectrum(one)
-        strong = np.abs(spectrum) ** 2 > DRIVEN_PART * np.sum(np.abs(spectrum) ** 2)
+def driven_bins(command_V: Array, modelled_N: Array) -> NDArray[np.bool_]:
+    """Bins in which command, model, direction or speed have a line, shape (N // 2 + 1,)."""
+    direction, _ = coordinates.reversals(command_V)
+    driven = np.zeros(command_V.size // 2 + 1, bool)
+    for drive in (command_V, modelled_N, direction, np.abs(np.gradient(command_V))):
+        spectrum = windowed_spectrum(drive)
+        strong = np.abs(spectrum) ** 2 > DRIVEN_SHARE * np.sum(np.abs(spectrum) ** 2)
         driven |= (prominence(spectrum) > DRIVEN) & strong
     wide = driven.copy()
     for shift in (1, 2):
@@ -123,7 +124,7 @@ def driven_bins(*drives: Array) -> NDArray[np.bool_]:
 
 
 def refined_frequency_Hz(values: Array, dt_s: float, near_Hz: float) -> float:
-    """Where a line's power is greatest within a bin, on a fine grid [Hz]."""
+    """Frequency within a bin at which a line has the most power, on a fine grid [Hz]."""
     bin_Hz = 1.0 / (values.size * dt_s)
     grid_Hz = near_Hz + bin_Hz * np.linspace(-1.0, 1.0, 41)
     weighted = np.hanning(values.size) * values

@@ -1,14 +1,13 @@
-"""Where a residual is: at which voltages, rates, forces, times, frequencies and pasts it is more than its own noise.
+"""Places at which a residual exceeds noise: voltages, rates, forces, times, frequencies and memories.
 
-Every axis is cut into cells, every cell has a score, and one max-T over all cells of all axes, stepped down (Westfall
-and Young 1993), keeps the chance of one false place at 5 %. The scores are compared with what the same residual gives
-where nothing can be there:
+Every axis is divided into cells with a score. A step-down maxT test over all cells of all axes keeps the probability of
+a false place at 5 % (P. Westfall and S. Young (1993), Resampling-Based Multiple Testing). References of the scores:
 
-- cells of the drive, and coherence with the model: the residual shifted circularly by a random time within each
-  recording (a slow part cannot then pass for a function of the voltage), and also shifted with the sign of each block
-  drawn and its slow part taken away (the shift of a periodic residual over a periodic drive says nothing by itself);
-- cells of time, and of temperature, whose spread no shift changes: independent cells as uneven as neighbours are;
-- lines, whose power no shift changes either: Gaussian noise with the spectrum of the line's surroundings.
+- Drive and coherence with the model: the residual, shifted circularly by a random time within each recording. A second
+  reference also draws the sign of each block and subtracts the slow part. A shift alone does not test a periodic
+  residual over a periodic drive.
+- Time and temperature: independent cells with the spread of neighbouring cells, since no shift changes that spread.
+- Lines: Gaussian noise with the spectrum around the line, since no shift changes a line's power.
 """
 
 from collections.abc import Iterator, Sequence
@@ -19,7 +18,7 @@ from numpy.typing import NDArray
 from piezod.diagnose.candidates.direct import lines
 from piezod.diagnose.findings import Place
 from piezod.diagnose.hypothesis.series import Series
-from piezod.diagnose.localisation.cells import Cells, Told
+from piezod.diagnose.localisation.cells import Cells, NormalisedResidual
 from piezod.diagnose.localisation.drive_cells import cells_of_drive
 from piezod.diagnose.localisation.time_cells import cells_of_lines, cells_of_time_and_temperature
 
@@ -27,10 +26,10 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 Index = NDArray[np.int64]
 
-LEVEL = 0.05
-SAME_LINE_HZ = 0.1
-LEAST_SHARE = 0.005  # of the unexplained energy, below which a place is not told
-LEAST_EXCESS = 0.02  # of a residual's power, below which shares are not measured against less
+LEVEL = 0.05  # family-wise probability of a false place
+LINE_DISTANCE_HZ = 0.1  # distance below which lines of two recordings are one line
+LEAST_SHARE = 0.005  # share of the unexplained energy below which a place is not reported
+LEAST_EXCESS = 0.02  # lower limit of the unexplained energy, relative to the residual's energy
 
 
 def locate(
@@ -41,80 +40,58 @@ def locate(
     shifts: int = 99,
     seed: int = 0,
 ) -> list[Place]:
-    """Find where residuals are more than noise.
+    """Find the places at which the residuals of the diagnosed recordings exceed noise, the largest share first.
 
-    Parameters
-    ----------
-    series
-        Only those with the role "recording" are looked at; times are in each recording's own time.
-    residuals
-        Reading less simulation, each shape (N,) [N].
-    modelled
-        Simulation, each shape (N,) [N].
-    shifts
-        How many references; the smallest p is 1 / (1 + shifts).
-    seed
-        Of the references.
-
-    Returns
-    -------
-    list of Place
-        The largest share first; empty when nothing is there.
+    `residuals` and `modelled` have shape (N,) each [N]. With `shifts` references the least p-value is 1 / (1 + shifts).
+    Places in time refer to the time of each recording.
     """
-    told = [
-        Told.of(one, residual, model)
-        for one, residual, model in zip(series, residuals, modelled, strict=True)
-        if one.role == "recording" and one.counts.any()
-    ]
-    if not told or not any(one.residual.any() for one in told):
+    recordings = NormalisedResidual.diagnosed(series, residuals, modelled)
+    if not any(recording.residual.any() for recording in recordings):
         return []
     rng = np.random.default_rng(seed)
     cells = [
-        *cells_of_drive(told, shifts, rng),
-        *cells_of_time_and_temperature(told, shifts, rng),
-        *cells_of_lines(told, shifts, rng),
+        *cells_of_drive(recordings, shifts, rng),
+        *cells_of_time_and_temperature(recordings, shifts, rng),
+        *cells_of_lines(recordings, shifts, rng),
     ]
-    total = sum(float(one.residual @ one.residual) for one in told)
-    noise = sum(float(np.count_nonzero(one.series.counts)) for one in told)
+    total = sum(float(recording.residual @ recording.residual) for recording in recordings)
+    noise = sum(float(np.count_nonzero(recording.series.counts)) for recording in recordings)
     unexplained = max(total - noise, LEAST_EXCESS * total)
-    places = _without_repeats([*_places(cells, unexplained), *_lines(told, unexplained)])
+    places = _without_contained([*_places(cells, unexplained), *_lines(recordings, unexplained)])
     return sorted(places, key=lambda place: -place.share)
 
 
-def _lines(told: Sequence[Told], unexplained: float) -> list[Place]:
-    """Lines that stand out so far that no reference is needed, one place each however many recordings have it."""
-    found: dict[float, Place] = {}
-    for one in told:
-        for line in lines(one.series, one.residual):
-            energy = 0.5 * line.amplitude_N**2 * float(np.count_nonzero(one.series.counts))
+def _lines(recordings: Sequence[NormalisedResidual], unexplained: float) -> list[Place]:
+    """Lines so strong that they need no reference; a line of several recordings is one place."""
+    places: dict[float, Place] = {}
+    for recording in recordings:
+        for line in lines(recording.series, recording.residual):
+            energy = 0.5 * line.amplitude_N**2 * float(np.count_nonzero(recording.series.counts))
             share = float(np.clip(energy / unexplained, 0.0, 1.0))
-            chance = min(1.0, 0.5 * one.residual.size * 0.5**line.over_median)  # of exponential noise in all bins
-            near = next((f for f in found if abs(f - line.frequency_Hz) < SAME_LINE_HZ), None)
-            if share >= LEAST_SHARE and chance <= LEVEL and near is None:
-                found[line.frequency_Hz] = Place("frequency_Hz", line.frequency_Hz, line.frequency_Hz, share, chance)
-    return list(found.values())
+            p = min(1.0, 0.5 * recording.residual.size * 0.5**line.over_median)  # of exponential noise in all bins
+            is_known = any(abs(f - line.frequency_Hz) < LINE_DISTANCE_HZ for f in places)
+            if share >= LEAST_SHARE and p <= LEVEL and not is_known:
+                places[line.frequency_Hz] = Place("frequency_Hz", line.frequency_Hz, line.frequency_Hz, share, p)
+    return list(places.values())
 
 
 def _places(cells: Sequence[Cells], unexplained: float) -> list[Place]:
-    p_values = _stepped_down(cells)
     places = []
-    for one, p in zip(cells, p_values, strict=True):
-        for run in _runs(p <= LEVEL, one.kin):
-            share = float(np.clip(one.energy[run].sum() / unexplained, 0.0, 1.0))
-            if share < LEAST_SHARE:
-                continue
-            places.append(
-                Place(one.axis, float(one.low[run].min()), float(one.high[run].max()), share, float(p[run].min()))
-            )
+    for axis, p in zip(cells, _family_wise_p(cells), strict=True):
+        for run in _runs(p <= LEVEL, axis.kind):
+            share = float(np.clip(axis.energy[run].sum() / unexplained, 0.0, 1.0))
+            if share >= LEAST_SHARE:
+                low, high = float(axis.low[run].min()), float(axis.high[run].max())
+                places.append(Place(axis.axis, low, high, share, float(p[run].min())))
     return places
 
 
-def _stepped_down(cells: Sequence[Cells]) -> list[Array]:
-    """Family-wise p of every cell, each axis on the scale of its own largest reference."""
+def _family_wise_p(cells: Sequence[Cells]) -> list[Array]:
+    """Family-wise p-value of every cell; each axis is scaled by the largest scores of its references."""
     scaled = []
-    for one in cells:
-        largest = one.score[1:].max(axis=1)
-        scaled.append((one.score - largest.mean()) / max(float(largest.std()), 1e-12))
+    for axis in cells:
+        largest = axis.score[1:].max(axis=1)
+        scaled.append((axis.score - largest.mean()) / max(float(largest.std()), 1e-12))
     score = np.hstack(scaled)
     order = np.argsort(score[0])
     beyond = np.maximum.accumulate(score[1:, order], axis=1) >= score[0, order]
@@ -122,25 +99,22 @@ def _stepped_down(cells: Sequence[Cells]) -> list[Array]:
     p = np.maximum.accumulate(p[::-1])[::-1]
     result = np.empty_like(p)
     result[order] = p
-    return np.split(result, np.cumsum([one.low.size for one in cells])[:-1])
+    return np.split(result, np.cumsum([axis.low.size for axis in cells])[:-1])
 
 
-def _runs(hit: Mask, kin: Index) -> Iterator[Index]:
-    """Stretches of neighbouring cells of the same kin that are hit."""
-    places = np.flatnonzero(hit)
-    if places.size:
-        breaks = np.flatnonzero((np.diff(places) > 1) | (np.diff(kin[places]) != 0)) + 1
-        yield from np.split(places, breaks)
+def _runs(significant: Mask, kind: Index) -> Iterator[Index]:
+    """Runs of neighbouring significant cells of one kind."""
+    cells = np.flatnonzero(significant)
+    if cells.size:
+        breaks = np.flatnonzero((np.diff(cells) > 1) | (np.diff(kind[cells]) != 0)) + 1
+        yield from np.split(cells, breaks)
 
 
-def _without_repeats(places: Sequence[Place]) -> list[Place]:
-    """The same without a place that lies in a larger one of the same axis with more in it; a line is no such place."""
-    kept: list[Place] = []
-    for place in sorted(places, key=lambda one: (-one.share, one.low - one.high)):
-        beside = [one for one in kept if one.axis == place.axis and (place.low < place.high or one.low == one.high)]
-        if not any(one.low <= place.low and place.high <= one.high for one in beside):
-            kept.append(place)
-    return kept
-
-
-__all__ = ["Place", "locate"]
+def _without_contained(places: Sequence[Place]) -> list[Place]:
+    """Places without those inside a range of the same axis with a larger share; a line inside a range stays."""
+    result: list[Place] = []
+    for place in sorted(places, key=lambda place: (-place.share, place.low - place.high)):
+        others = [p for p in result if p.axis == place.axis and (place.low < place.high or p.low == p.high)]
+        if not any(other.low <= place.low and place.high <= other.high for other in others):
+            result.append(place)
+    return result

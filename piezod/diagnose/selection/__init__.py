@@ -1,1 +1,1 @@
-"""Which effects stay: the stepwise search, its criterion, and the significance of what it finds."""
+"""Selection of effects: the stepwise search, its acceptance rule, and the significance of its results."""

@@ -1,4 +1,4 @@
-"""Whether one more effect is believed: what it gains, how steadily, and whether it is what its name says."""
+"""Acceptance of one more effect: its gain, the steadiness of the gain, and the plausibility of its parameters."""
 
 import math
 from dataclasses import replace
@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from piezod.diagnose.candidates.steps import Step, sharp, shown_late_s
+from piezod.diagnose.candidates.steps import Step, has_clear_edges, shown_late_s
 from piezod.diagnose.hypothesis.chain import Chain
 from piezod.diagnose.hypothesis.fit import Fitted
 from piezod.diagnose.hypothesis.record import record_of
@@ -15,90 +15,86 @@ from piezod.effects import EFFECTS
 Array = NDArray[np.float64]
 
 WORTH, STEADILY = 0.22, 5.0
-"""An effect must gain WORTH exp(-steadiness / STEADILY) of the loss that it leaves. Both were chosen by 921 decisions
-in 422 replay files of four families, the same with each family left out (`python -m tests.studies rules`)."""
+"""An effect must gain WORTH exp(-steadiness / STEADILY) of the loss with it. Both were chosen on 921 decisions in
+422 replay files of four families; with each family left out the choice is equal (`python -m tests.studies rules`)."""
 
-STEADY = 3.0  # on the same files it loses no hidden effect, and keeps out five of 25 false ones in foreign cases
-BETTER = 0.98  # of the loss: below it a hypothesis is preferred to another one
-ALONE = 10.0  # times the loss within the fit: 99.9 % of all blocks stay below it
-MOST_OF_A_BLOCK = 3.0  # times the median gain
-BEGIN = 0.02  # of a recording: a step within it is what an unknown start leaves
-PLAINER = 0.01  # of the loss, that a parameter must bring,
-MOST_COUNTED = 8  # if not so many count already: of many that are stiff few are used
-MORE, LEAVES = 0.1, 0.5  # of its gain, though no more of its loss, that a general effect must be better than another
+STEADY = 3.0  # least steadiness of a flexible effect; on these files it excludes 5 of 25 false effects and no true one
+BETTER = 0.98  # largest loss ratio at which a hypothesis is preferred to another
+ISOLATED = 10.0  # loss over that within the fit above which no other block predicts a block; 0.1 % of blocks exceed it
+MOST_OF_A_BLOCK = 3.0  # upper limit of a block's gain, in median gains
+BEGIN = 0.02  # first share of a recording, in which an unknown initial state resembles a step
+PARAMETER_COST = 0.01  # relative penalty per parameter that shapes the last effect
+MOST_PARAMETERS = 8  # largest number of penalised parameters: of many stiff ones few are effective
+GAIN_MARGIN, LOSS_MARGIN = 0.1, 0.5
+"""A general effect must beat a specific rival by 10 % of its gain, at most 50 % of its loss."""
 
 
 def worth(before: Fitted, after: Fitted) -> bool:
-    """Whether an effect gains enough on blocks left out: the less, the more steadily it gains in them."""
+    """Whether an effect gains enough on left-out blocks; a steady gain may be smaller."""
     before, after = comparable(before, after)
     return before.loss - after.loss > least_gain(steadiness(before, after)) * after.loss
 
 
 def steady_enough(before: Fitted, after: Fitted) -> bool:
-    """Whether the last effect has a shape of its own, or gains in so many blocks that it is no chance."""
+    """Whether the last effect is specific, or a flexible one with a steady gain."""
     return not after.terms[-1].effect.flexible or steadiness(*comparable(before, after)) > STEADY
 
 
 def comparable(before: Fitted, after: Fitted) -> tuple[Fitted, Fitted]:
-    """Both with the loss within the fit in each block that neither predicts from the others: it is like no other."""
-    alone = (before.losses > ALONE * before.in_fit) & (after.losses > ALONE * after.in_fit)
-    first, second = (replace(one, losses=np.where(alone, one.in_fit, one.losses)) for one in (before, after))
+    """Both hypotheses with the loss within the fit for each block that no other block predicts."""
+    isolated = (before.losses > ISOLATED * before.in_fit) & (after.losses > ISOLATED * after.in_fit)
+    first, second = (replace(h, losses=np.where(isolated, h.in_fit, h.losses)) for h in (before, after))
     return first, second
 
 
 def least_gain(steady: float, worth: float = WORTH, steadily: float = STEADILY) -> float:
-    """What an effect must gain, of the loss that it leaves.
+    """Least gain of an effect, relative to the loss with it.
 
-    Parameters
-    ----------
-    steady
-        Its steadiness.
-    worth, steadily
-        Least gain of an effect without any, and the steadiness that lowers it to 1 / e.
+    `steady`: steadiness; `worth`: least gain at steadiness 0; `steadily`: steadiness that lowers it by 1 / e.
     """
     return worth * math.exp(-steady / steadily)
 
 
-def weighed(fitted: Fitted) -> float:
-    """The loss, a little more of it for every parameter that the last effect is shaped by: of two alike the plainer."""
-    return fitted.loss * (1.0 + PLAINER * min(len(fitted.terms[-1].searched), MOST_COUNTED))
+def penalised_loss(fitted: Fitted) -> float:
+    """Loss with a penalty for every parameter of the last effect: of two equal hypotheses the simpler one wins."""
+    return fitted.loss * (1.0 + PARAMETER_COST * min(len(fitted.terms[-1].searched), MOST_PARAMETERS))
 
 
-def counted(name: str, without_it: float, with_it: float) -> float:
-    """The loss that an effect is compared with others by in its place: less of what a general one gains counts."""
+def comparison_loss(name: str, without: float, with_effect: float) -> float:
+    """Loss for the comparison of an effect with its rivals, from the losses without and with it.
+
+    A general effect gets a margin, since it fits many residuals.
+    """
     if not EFFECTS[name].general:
-        return with_it
-    return with_it + min(MORE * max(without_it - with_it, 0.0), LEAVES * with_it)
+        return with_effect
+    return with_effect + min(GAIN_MARGIN * max(without - with_effect, 0.0), LOSS_MARGIN * with_effect)
 
 
 def steadiness(before: Fitted, after: Fitted) -> float:
-    """Sum of the blocks' logarithmic gains over its standard deviation if their signs were chance.
+    """Sum of the logarithmic gains of the blocks, over its standard deviation for random signs.
 
-    A block that gains or loses far more than most counts no more than some of them: it would drown what they say.
+    The gain of a single block is limited, so that it does not outweigh all others.
     """
-    seen = (before.samples > 0) & (after.samples > 0)
-    gains = np.log(before.losses[seen] / after.losses[seen])
-    touched = gains[np.abs(gains) > 1e-3]
-    if touched.size < 4:
+    counted = (before.samples > 0) & (after.samples > 0)
+    gains = np.log(before.losses[counted] / after.losses[counted])
+    affected = gains[np.abs(gains) > 1e-3]
+    if affected.size < 4:
         return 0.0
-    most = MOST_OF_A_BLOCK * float(np.median(np.abs(touched)))
-    touched = np.clip(touched, -most, most)
-    return float(np.sum(touched)) / float(np.sqrt(np.sum(touched**2)))
+    most = MOST_OF_A_BLOCK * float(np.median(np.abs(affected)))
+    affected = np.clip(affected, -most, most)
+    return float(np.sum(affected)) / float(np.sqrt(np.sum(affected**2)))
 
 
 def degenerate(chain: Chain, fitted: Fitted) -> bool:
-    """Whether the last effect is not what its name says.
-
-    A step without edges is a drift, and one at the begin is what an unknown start leaves.
-    """
+    """Whether the parameters of the last effect are implausible, or a step has no clear edges."""
     term, values = fitted.terms[-1], fitted.point.values[-1]
     if not term.effect.plausible(values, record_of(term, chain)):
         return True
-    return any(one.instant for one in term.effect.parameters) and not _is_a_step(chain, fitted)
+    return any(parameter.instant for parameter in term.effect.parameters) and not _is_a_step(chain, fitted)
 
 
 def _is_a_step(chain: Chain, fitted: Fitted) -> bool:
-    """Whether the last effect, a step, has edges, and is not all over or there to stay soon after the begin."""
+    """Whether the last effect, a step, has clear edges after the begin of the recording."""
     term, values = fitted.terms[-1], fitted.point.values[-1]
     series = chain.series[term.series]
     size, begin = series.time_s.size, BEGIN * series.time_s.size
@@ -107,4 +103,4 @@ def _is_a_step(chain: Chain, fitted: Fitted) -> bool:
     if end <= begin or (end >= size and first < begin):
         return False
     residual_N = series.reading_N - chain.run(term.series, fitted.terms, fitted.point).reading_N
-    return sharp(series, residual_N, Step(values["step_N"], first, min(end, size)))
+    return has_clear_edges(series, residual_N, Step(values["step_N"], first, min(end, size)))

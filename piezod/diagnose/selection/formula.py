@@ -1,9 +1,9 @@
-"""A short formula for an unnamed law, where one predicts as well as its tables.
+"""Short formula for an unnamed law, if it predicts as well as the tables of the law.
 
-    a f(d / b),  f one of a small library, times the direction where the law has it, behind at most one lag
+    a f(d / b),  f from a small library, times the direction if the law has it, behind at most one lag
 
-The library holds the shapes that a designer would try first: proportional, square, absolute, root, saturating and
-fading. A formula is told beside the tables, and never replaces them.
+The library holds common shapes: proportional, square, absolute, root, saturating and decaying. The formula is reported
+in addition to the tables.
 """
 
 import math
@@ -18,21 +18,21 @@ from piezod.model.unnamed_law import Driver
 Array = NDArray[np.float64]
 
 PARTS = tuple(float(part) for part in np.geomspace(0.03, 1.0, 10))
-"""Scales that a bent shape is tried with, as parts of the driver's largest value."""
+"""Scales of a curved shape that are tried, relative to the largest value of the driver."""
 
 
 @dataclass(frozen=True)
 class Shape:
-    """One entry of the library.
+    """Shape in the library.
 
     Parameters
     ----------
     function
-        Of the driver over its scale, shape (N,).
+        Function of the driver over its scale, shape (N,).
     text
-        The same as a formula, with {0} for the driver over its scale.
+        Text of the formula, with {0} for the driver over its scale.
     bent
-        Whether the scale shapes it; otherwise it is only a unit.
+        Whether the scale changes the shape; otherwise it is only a unit.
     """
 
     function: Callable[[Array], Array]
@@ -53,14 +53,14 @@ SHAPES = (
 
 @dataclass(frozen=True)
 class Formula:
-    """A formula with its numbers.
+    """Formula with its numbers.
 
     Parameters
     ----------
     shape
-        Entry of the library.
+        Shape in the library.
     driver, scale
-        Driver, and what it is divided by [unit of the driver].
+        Driver and its divisor [unit of the driver].
     directed
         Whether it is multiplied by the direction of the command, 1 or -1.
     memory_s
@@ -77,25 +77,14 @@ class Formula:
     factor: float = 1.0
 
     def values(self, driver: Array, direction: Array) -> Array:
-        """Values without the factor and in front of the lag, shape (N,).
-
-        Parameters
-        ----------
-        driver, direction
-            The driver and the direction of the command, each shape (N,).
-        """
+        """Values without factor and lag, from the driver and the direction of the command, shape (N,) each."""
         shaped = self.shape.function(driver / self.scale)
         return shaped * direction if self.directed else shaped
 
     def text(self, input_unit: str, output_unit: str, *, gain: bool) -> str:
-        """The formula with its units, such as `-1.2 N x tanh(rate / 35 V/s), behind a lag of 0.3 s`.
+        """Text with the units of the model, such as `-1.2 N x tanh(rate / 35 V/s), behind a lag of 0.3 s`.
 
-        Parameters
-        ----------
-        input_unit, output_unit
-            Units of the model.
-        gain
-            Whether it multiplies the reading's stroke.
+        A `gain` has a factor without unit.
         """
         unit = {
             "command": input_unit,
@@ -108,25 +97,15 @@ class Formula:
         name = self.driver.replace("_", " ")
         argument = f"{name} / {self.scale:.3g} {unit}".rstrip()
         factor = f"{self.factor:.3g}" if gain else f"{self.factor:.3g} {output_unit}"
-        said = f"{factor} x {self.shape.text.format(argument)}"
-        said += " x direction" if self.directed else ""
-        return said + (f", behind a lag of {self.memory_s:.2g} s" if self.memory_s > 0.0 else "")
+        text = f"{factor} x {self.shape.text.format(argument)}"
+        text += " x direction" if self.directed else ""
+        return text + (f", behind a lag of {self.memory_s:.2g} s" if self.memory_s > 0.0 else "")
 
 
 def candidates(driver: Driver, high: float, memories_s: tuple[float, ...], *, directed: bool) -> Iterator[Formula]:
-    """Every formula of the library for a driver.
-
-    Parameters
-    ----------
-    driver, high
-        Driver and its largest value.
-    memories_s
-        Time constants of the lag to try [s].
-    directed
-        Whether the direction multiplies.
-    """
-    nice = 10.0 ** math.floor(math.log10(high))
+    """All formulas of the library for a driver with this largest value, with each scale and lag."""
+    power_of_ten = 10.0 ** math.floor(math.log10(high))
     for shape in SHAPES:
-        for scale in [part * high for part in PARTS] if shape.bent else [nice]:
+        for scale in [part * high for part in PARTS] if shape.bent else [power_of_ten]:
             for memory_s in memories_s:
                 yield Formula(shape, driver, scale, directed, memory_s)

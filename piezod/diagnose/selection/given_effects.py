@@ -1,7 +1,7 @@
-"""Effects of the given model within a search: held at their values, and what has become of each at the end.
+"""Effects of the given model in a search: held at their values, and classified at its end.
 
-A search starts from the given model, whole. Its effects stay at their values unless that leaves clearly more than other
-values do. So a change of what is known is tried before a new effect that would imitate it.
+A search starts from the given model. Its effects keep their values unless other values fit clearly better. A changed
+effect is tried before a new effect that would imitate it.
 """
 
 from collections.abc import Mapping, Sequence
@@ -19,28 +19,19 @@ from piezod.model.parameters import EffectValues
 Status = Literal["kept", "changed", "gone", "not seen"]
 Values = Mapping[str, float]
 
-TONES = ("vibration", "mains_hum")
-"""Taken off the readings of their recording, and looked for there anew."""
+TONES = ("vibration", "mains_hum")  # estimated anew in every recording, not held
 
 
 def given_effects(model: Model, hashes: Sequence[str]) -> tuple[tuple[Term, ...], tuple[Values, ...]]:
-    """Effects of the given model that act in the recordings, held, and their values.
-
-    Parameters
-    ----------
-    model
-        The given model.
-    hashes
-        SHA-256 of each recording.
-    """
+    """Held terms and values of the given model's effects that act in the recordings with these SHA-256 `hashes`."""
     terms, values = [], []
     for entry in model.effects:
         if entry.name in TONES or (entry.recording is not None and entry.recording not in hashes):
             continue
         number = -1 if entry.recording is None else hashes.index(entry.recording)
         effect = EFFECTS[entry.name]
-        known = {one.name: entry.parameters.get(one.name, one.search.starts[0]) for one in effect.parameters}
-        chosen = [one.name for one in effect.parameters if one.search.choices]
+        known = {p.name: entry.parameters.get(p.name, p.search.starts[0]) for p in effect.parameters}
+        chosen = [p.name for p in effect.parameters if p.search.choices]
         choices = tuple((name, known.pop(name)) for name in chosen)
         terms.append(Term(effect, _scope(entry), number, choices, held=True))
         values.append(known)
@@ -48,23 +39,16 @@ def given_effects(model: Model, hashes: Sequence[str]) -> tuple[tuple[Term, ...]
 
 
 def _scope(entry: EffectValues) -> Scope:
-    """In which recordings an effect acts; of an older file it is known only that it was found later."""
+    """Scope of an effect; without `since`, as in older files, it is assumed to have appeared later."""
     if entry.recording is not None:
         return "once"
     return "already" if entry.since == "identification" else "since"
 
 
 def with_likelier_scope(chain: Chain, start: Point, terms: tuple[Term, ...], model: Model) -> tuple[Term, ...]:
-    """The given effects, each in the recordings of the identification too where it fits better there.
+    """Terms of the given model, with scope "already" for effects of an older file that fit better so.
 
-    An older model file does not say since when an effect acts.
-
-    Parameters
-    ----------
-    chain, start
-        Recordings and base, with the values of the effects.
-    terms, model
-        The effects, and the given model.
+    An older model file does not state since when an effect acts.
     """
     unknown = {entry.name for entry in model.effects if entry.since is None}
     if not unknown or not any(term.effect.name in unknown and term.scope == "since" for term in terms):
@@ -77,85 +61,80 @@ def with_likelier_scope(chain: Chain, start: Point, terms: tuple[Term, ...], mod
     return terms
 
 
-def freed(chain: Chain, found: Fitted, name: str, past: Point | None = None) -> Fitted:
-    """The hypothesis with the parameters of a held effect fitted too, from its own size, half of it and twice as much.
+def with_fitted_values(chain: Chain, fitted: Fitted, name: str, past: Point | None = None) -> Fitted:
+    """Hypothesis with the parameters of a held effect fitted too, from its size, half of it and twice of it.
 
-    From its own size alone, what shapes an effect goes astray where the size has changed much. The fits begin from the
-    base as the identification alone shows it (`past`), since a change bends the base.
+    Several starts are needed: if the size has changed much, a fit from the old size bends the shape. The fits begin
+    from the base of the identification (`past`), since a change bends the base.
     """
-    terms = tuple(replace(term, held=False) if term.effect.name == name else term for term in found.terms)
+    terms = tuple(replace(term, held=False) if term.effect.name == name else term for term in fitted.terms)
     place = next(k for k, term in enumerate(terms) if term.effect.name == name)
-    size, values = terms[place].effect.size, found.point.values
-    known = found.point if past is None or not past.alike(found.point) else past
+    size, values = terms[place].effect.size, fitted.point.values
+    base = fitted.point if past is None or not past.alike(fitted.point) else past
     starts = [values]
     if size.name in values[place]:
         for factor in (0.5, 2.0):
             scaled = {**values[place], size.name: min(max(factor * values[place][size.name], size.low), size.high)}
             starts.append((*values[:place], scaled, *values[place + 1 :]))
-    tried = each(lambda one: fit(chain, terms, replace(known, values=one)), starts)
-    return min(tried, key=lambda one: one.loss)
+    tried = each(lambda start: fit(chain, terms, replace(base, values=start)), starts)
+    return min(tried, key=lambda hypothesis: hypothesis.loss)
 
 
-def as_given(chain: Chain, found: Fitted, given: Fitted, name: str) -> Fitted:
-    """The hypothesis with an effect as the given model has it, whatever has become of it."""
-    return fit(chain, *_with_given(found, given, name))
+def as_given(chain: Chain, fitted: Fitted, given: Fitted, name: str) -> Fitted:
+    """Hypothesis, refitted with one effect as in the given model."""
+    terms, values = without(fitted, name)
+    for term, known in zip(given.terms, given.point.values, strict=True):
+        if term.effect.name == name:
+            terms.append(term)
+            values.append(known)
+    return fit(chain, terms, replace(fitted.point, values=tuple(values)))
 
 
-def _with_given(found: Fitted, given: Fitted, name: str) -> tuple[tuple[Term, ...], Point]:
-    pairs = [one for one in _pairs(found) if one[0].effect.name != name]
-    pairs += [one for one in _pairs(given) if one[0].effect.name == name]
-    return tuple(term for term, _ in pairs), replace(found.point, values=tuple(one for _, one in pairs))
+def without(fitted: Fitted, name: str) -> tuple[list[Term], list[Values]]:
+    """Terms and values of all other effects."""
+    places = [k for k, term in enumerate(fitted.terms) if term.effect.name != name]
+    return [fitted.terms[k] for k in places], [fitted.point.values[k] for k in places]
 
 
-def _pairs(fitted: Fitted) -> list[tuple[Term, Values]]:
-    return list(zip(fitted.terms, fitted.point.values, strict=True))
+def refitted_without(chain: Chain, fitted: Fitted, name: str) -> Fitted:
+    """Hypothesis, refitted without an effect."""
+    terms, values = without(fitted, name)
+    return fit(chain, terms, replace(fitted.point, values=tuple(values)))
 
 
-def without_effect(chain: Chain, found: Fitted, name: str) -> Fitted:
-    """The hypothesis without an effect."""
-    pairs = [one for one in _pairs(found) if one[0].effect.name != name]
-    point = replace(found.point, values=tuple(one for _, one in pairs))
-    return fit(chain, tuple(term for term, _ in pairs), point)
+def reordered(fitted: Fitted, order: Sequence[int]) -> Fitted:
+    """Hypothesis with its terms in this order."""
+    return replace(
+        fitted,
+        terms=tuple(fitted.terms[k] for k in order),
+        point=replace(fitted.point, values=tuple(fitted.point.values[k] for k in order)),
+        spread=tuple(fitted.spread[k] for k in order),
+    )
 
 
-def settle(chain: Chain, found: Fitted, given: Fitted) -> tuple[Fitted, dict[str, Status]]:
-    """What has become of each given effect, and the hypothesis with it.
+def classify_given(chain: Chain, fitted: Fitted, given: Fitted) -> tuple[Fitted, dict[str, Status]]:
+    """Hypothesis with the given effects as the recordings show them, and the status of each.
+
+    A "kept" effect has its old values, and a "gone" effect is removed. A "not seen" effect has its old values too, but
+    the recordings fit as well without it.
 
     Parameters
     ----------
-    chain
-        Recordings and base.
-    found
-        What the search found.
+    chain, fitted
+        Recordings, and result of the search.
     given
-        The base beside the given effects, all held.
-
-    Returns
-    -------
-    found, statuses
-        "kept" effects are held at their values, "gone" ones are left out. The recordings say nothing of one that is
-        "not seen": they fit as well without it.
+        Base with all given effects held.
     """
     statuses: dict[str, Status] = {}
     for name in given.effects:
-        same, without = as_given(chain, found, given, name), without_effect(chain, found, name)
-        other = freed(chain, same, name)
-        if name in found.effects:
-            other = min(other, _last(found, name), key=lambda one: one.loss)
-        if worth(same, other):
-            gone = degenerate(chain, other) or not worth(without, other)
-            found, statuses[name] = (without, "gone") if gone else (other, "changed")
+        held, reduced = as_given(chain, fitted, given, name), refitted_without(chain, fitted, name)
+        changed = with_fitted_values(chain, held, name)
+        if name in fitted.effects:
+            order = sorted(range(len(fitted.terms)), key=lambda k: fitted.terms[k].effect.name == name)
+            changed = min(changed, reordered(fitted, order), key=lambda hypothesis: hypothesis.loss)
+        if worth(held, changed):
+            gone = degenerate(chain, changed) or not worth(reduced, changed)
+            fitted, statuses[name] = (reduced, "gone") if gone else (changed, "changed")
         else:
-            found, statuses[name] = same, "kept" if worth(without, same) else "not seen"
-    return found, statuses
-
-
-def _last(found: Fitted, name: str) -> Fitted:
-    """The same hypothesis with an effect at its end."""
-    order = sorted(range(len(found.terms)), key=lambda k: found.terms[k].effect.name == name)
-    return replace(
-        found,
-        terms=tuple(found.terms[k] for k in order),
-        point=replace(found.point, values=tuple(found.point.values[k] for k in order)),
-        spread=tuple(found.spread[k] for k in order),
-    )
+            fitted, statuses[name] = held, "kept" if worth(reduced, held) else "not seen"
+    return fitted, statuses

@@ -1,6 +1,6 @@
-"""The replay file: every hypothesis that a search tried, with what a rule of acceptance needs, without the recordings.
+"""Replay file: every hypothesis that a search compared, with the losses that a rule of acceptance needs.
 
-A rule can be tried on the replay files of hundreds of diagnoses in seconds.
+A rule can be tested on the replay files of hundreds of diagnoses in seconds, without the recordings.
 """
 
 import json
@@ -19,25 +19,25 @@ from piezod.errors import ConfigurationError
 Array = NDArray[np.float64]
 
 SCHEMA = "piezod.replay/1"
-DIGITS = 5
+DIGITS = 5  # significant digits in the file
 
 
 @dataclass(frozen=True)
 class Attempt:
-    """A hypothesis beside the one that it extends.
+    """Comparison of a hypothesis with its extension by an effect.
 
     Parameters
     ----------
     stage
-        `one` more effect, `pair` of effects at once, or `drop`: an effect of the final hypothesis left out.
+        `one` more effect, a `pair` of effects, or `drop`: an effect of the final hypothesis is removed.
     round
-        Number of effects that were accepted before.
+        Number of effects accepted before.
     before, after
         Hypothesis without and with the effect.
     degenerate
-        Whether the effect is not what its name says.
-    believed
-        Whether the rules of acceptance took it for an effect.
+        Whether the parameters of the effect are implausible.
+    accepted
+        Whether the rules of acceptance accept the effect.
     """
 
     stage: str
@@ -45,27 +45,22 @@ class Attempt:
     before: Fitted
     after: Fitted
     degenerate: bool
-    believed: bool
+    accepted: bool
 
 
 def fitted_in(tried: Sequence[Fitted], places: Sequence[tuple[str, str]]) -> dict[str, Setting]:
-    """Parameters and choices of effects, as the best of the fullest hypotheses has them.
+    """Parameters and choices of effects in the best of the hypotheses with the most effects.
 
-    Parameters
-    ----------
-    tried
-        Hypotheses.
-    places
-        Names, each with the name of the effect that it replaces; empty: none.
+    `places`: names of effects, each with the name of the effect that it replaces (empty: none).
     """
-    names = {name for name, instead_of in places if not instead_of}
+    names = {name for name, replaced in places if not replaced}
     result: dict[str, Setting] = {}
-    for name, instead_of in places:
+    for name, replaced in places:
         options = [
-            (one, k)
-            for one in tried
-            for k, term in enumerate(one.terms)
-            if term.effect.name == name and set(one.effects) - {name} <= names - {instead_of}
+            (hypothesis, k)
+            for hypothesis in tried
+            for k, term in enumerate(hypothesis.terms)
+            if term.effect.name == name and set(hypothesis.effects) - {name} <= names - {replaced}
         ]
         if options and name not in result:
             best, k = max(options, key=lambda option: (len(option[0].terms), -option[0].loss))
@@ -80,11 +75,10 @@ def write_replay(path: Path, attempts: Sequence[Attempt]) -> None:
     ----------
     path
         JSON file. `hypotheses` holds every hypothesis once, and `attempts` refers to them by number. Each has names,
-        scopes, parameters, and their standard errors on the scale that is searched. For every block it has the number
-        of samples and the mean square residual, in units of the noise squared. `losses` are those of blocks left out
-        of the fit, `in_fit` those of blocks within it.
+        scopes, parameters, and their standard errors on the search scale. For every block it has the number of samples
+        and the mean square residual [noise variance]: `losses` without the block in the fit, `in_fit` with it.
     attempts
-        In the order of the search.
+        Comparisons in the order of the search.
 
     Raises
     ------
@@ -94,24 +88,24 @@ def write_replay(path: Path, attempts: Sequence[Attempt]) -> None:
     numbers: dict[int, int] = {}
     hypotheses: list[dict[str, Any]] = []
 
-    def number(one: Fitted) -> int:
-        if id(one) not in numbers:
-            numbers[id(one)] = len(hypotheses)
-            hypotheses.append(_hypothesis(one))
-        return numbers[id(one)]
+    def number(hypothesis: Fitted) -> int:
+        if id(hypothesis) not in numbers:
+            numbers[id(hypothesis)] = len(hypotheses)
+            hypotheses.append(_entry(hypothesis))
+        return numbers[id(hypothesis)]
 
     content = {
         "schema": SCHEMA,
         "attempts": [
             {
-                "stage": one.stage,
-                "round": one.round,
-                "before": number(one.before),
-                "after": number(one.after),
-                "degenerate": one.degenerate,
-                "believed": one.believed,
+                "stage": attempt.stage,
+                "round": attempt.round,
+                "before": number(attempt.before),
+                "after": number(attempt.after),
+                "degenerate": attempt.degenerate,
+                "believed": attempt.accepted,
             }
-            for one in attempts
+            for attempt in attempts
         ],
         "hypotheses": hypotheses,
     }
@@ -121,16 +115,16 @@ def write_replay(path: Path, attempts: Sequence[Attempt]) -> None:
         raise ConfigurationError(f"{path}: cannot be written: {error.strerror}") from error
 
 
-def _hypothesis(one: Fitted) -> dict[str, Any]:
+def _entry(fitted: Fitted) -> dict[str, Any]:
     return {
-        "effects": [term.effect.name for term in one.terms],
-        "scopes": [term.scope for term in one.terms],
-        "choices": [dict(term.choices) for term in one.terms],
-        "values": [{name: _short(value) for name, value in values.items()} for values in one.point.values],
-        "spread": [{name: _short(value) for name, value in values.items()} for values in one.spread],
-        "losses": [_short(value) for value in one.losses],
-        "in_fit": [_short(value) for value in one.in_fit],
-        "samples": [_short(value) for value in one.samples],
+        "effects": [term.effect.name for term in fitted.terms],
+        "scopes": [term.scope for term in fitted.terms],
+        "choices": [dict(term.choices) for term in fitted.terms],
+        "values": [{name: _short(value) for name, value in values.items()} for values in fitted.point.values],
+        "spread": [{name: _short(value) for name, value in values.items()} for values in fitted.spread],
+        "losses": [_short(value) for value in fitted.losses],
+        "in_fit": [_short(value) for value in fitted.in_fit],
+        "samples": [_short(value) for value in fitted.samples],
     }
 
 

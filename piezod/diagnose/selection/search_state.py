@@ -1,4 +1,4 @@
-"""How far a search has come: what was found, on which way, and what was tried beside it."""
+"""State of a search: current hypothesis, rounds, rivals, and subtracted tones."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
@@ -13,7 +13,7 @@ from piezod.diagnose.selection.replay import Attempt
 
 @dataclass(frozen=True)
 class Round:
-    """One effect that was accepted, and what else was tried that is what its name says."""
+    """Accepted effect (`accepted`), hypothesis before it, and the other plausible hypotheses that were tried."""
 
     before: Fitted
     accepted: Fitted
@@ -21,50 +21,50 @@ class Round:
 
 
 @dataclass(frozen=True)
-class Beside:
-    """Losses beside all else that was found: without an effect, with it, and with each rival in its place.
+class Rivalry:
+    """Losses of the final hypothesis without an effect, with it, and with each rival in its place.
 
-    Those with an effect as they are counted (`acceptance.counted`).
+    The losses with an effect are comparison losses (`acceptance.comparison_loss`).
     """
 
     without: float
-    with_it: float
+    with_effect: float
     rivals: Mapping[str, float]
 
 
 @dataclass
 class Search:
-    """What was found and on which way.
+    """State of a search.
 
     Parameters
     ----------
     chain
-        Recordings, with the course between samples that fits best.
+        Recordings with the best hold.
     base
-        The base beside the effects of the given model, each held at its values: nothing has changed.
-    found
-        The hypothesis at the end.
+        Base with the effects of the given model held at their values: the hypothesis that nothing has changed.
+    hypothesis
+        Current hypothesis.
     past
-        The base as the recordings show it that the model was identified on.
+        Base fitted to the identification recordings.
     rounds
-        In the order of the search.
+        Accepted effects in their order.
     tones
-        What was taken off the readings of the chain's series.
-    beside
-        By effect, what was tried in its place at the end.
+        Tones subtracted from the readings of the chain's series.
+    rivalries
+        Losses with each rival in place of an effect of the final hypothesis, by effect.
     attempts
-        What was compared, for the replay file.
+        Compared hypotheses, for the replay file.
     statuses
-        What has become of each effect of the given model, by name.
+        Status of each effect of the given model, by name.
     """
 
     chain: Chain
     base: Fitted
-    found: Fitted
+    hypothesis: Fitted
     past: Point
     rounds: list[Round] = field(default_factory=list)
     tones: list[Tone] = field(default_factory=list)
-    beside: dict[str, Beside] = field(default_factory=dict)
+    rivalries: dict[str, Rivalry] = field(default_factory=dict)
     attempts: list[Attempt] = field(default_factory=list)
     statuses: dict[str, Status] = field(default_factory=dict)
 
@@ -75,31 +75,31 @@ class Search:
 
     @property
     def new(self) -> tuple[str, ...]:
-        """Effects that were found and that the given model lacks, tones last."""
-        found = dict.fromkeys((*self.found.effects, *(tone.name for tone in self.tones_asked_about)))
-        return tuple(name for name in found if name not in (*self.given, *stack_change.NAMES))
+        """Effects that the given model lacks, tones last."""
+        names = dict.fromkeys((*self.hypothesis.effects, *(tone.name for tone in self.diagnosed_tones)))
+        return tuple(name for name in names if name not in (*self.given, *stack_change.NAMES))
 
     @property
     def stack_changed(self) -> bool:
-        """Whether the stack itself has another gain or other loops than at the identification."""
-        return any(name in self.found.effects for name in stack_change.NAMES)
+        """Whether the gain or the loops of the stack differ from the identification."""
+        return any(name in self.hypothesis.effects for name in stack_change.NAMES)
 
     @property
     def differs(self) -> bool:
-        """Whether anything is new, changed or gone."""
-        return bool(self.new) or self.stack_changed or any(one in ("changed", "gone") for one in self.statuses.values())
+        """Whether an effect or the stack is new, changed or gone."""
+        return bool(self.new) or self.stack_changed or bool({"changed", "gone"} & set(self.statuses.values()))
 
     def fit_base(self, most_steps: int = MOST_STEPS) -> None:
-        """Fit the base anew to the readings of the chain."""
-        point = replace(self.found.point, values=self.base.point.values)
+        """Refit the base to the readings of the chain, from the current hypothesis."""
+        point = replace(self.hypothesis.point, values=self.base.point.values)
         self.base = fit(self.chain, self.base.terms, point, most_steps=most_steps)
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Effects that were found, tones last."""
-        return tuple(dict.fromkeys((*self.found.effects, *(tone.name for tone in self.tones))))
+        """Effects of the current hypothesis, tones last."""
+        return tuple(dict.fromkeys((*self.hypothesis.effects, *(tone.name for tone in self.tones))))
 
     @property
-    def tones_asked_about(self) -> list[Tone]:
-        """Those in the recordings, without what was taken off the readings that the model was identified on."""
+    def diagnosed_tones(self) -> list[Tone]:
+        """Tones of the diagnosed recordings."""
         return [tone for tone in self.tones if self.chain.series[tone.number].role == "recording"]

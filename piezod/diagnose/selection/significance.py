@@ -1,10 +1,10 @@
-"""Whether an effect predicts data that its parameters were not fitted to: a p-value by a split of the blocks.
+"""Significance of an effect: a p-value from blocks that were not used for the fit, and the false-discovery rate.
 
 Hypotheses with and without the effect are fitted to every other block and compared on the blocks between, then with
-both exchanged. A useless effect loses on a block as often as it gains. The values are adjusted over all names of the
-catalogue, any of which might have been found (Y. Benjamini and Y. Hochberg (1995), Controlling the False Discovery
-Rate, Journal of the Royal Statistical Society B 57(1)). The name itself was chosen on all blocks; how often names are
-false is measured on concealed cases (piezod/blind/README.md).
+both exchanged. A useless effect loses on a block as often as it gains. The p-values are adjusted over all names of the
+catalogue (Y. Benjamini and Y. Hochberg (1995), Controlling the False Discovery Rate, Journal of the Royal Statistical
+Society B 57(1)). The name itself was chosen on all blocks. The share of false names is measured on concealed cases
+(piezod/blind/README.md).
 """
 
 from collections.abc import Sequence
@@ -24,94 +24,65 @@ from piezod.effects import EFFECTS
 
 Array = NDArray[np.float64]
 
-STEPS = 6
-"""Of each fit, which begins at the parameters of all blocks."""
-
-FLIPS = 20_000
-"""Random signs of the gains; the smallest p-value is one in so many."""
-
+STEPS = 6  # Gauss-Newton steps of each fit, which begins at the parameters from all blocks
+FLIPS = 20_000  # draws of random signs; the smallest p-value is 1 / (FLIPS + 1)
 FEWEST, NEARLY_ALL = 5, 0.9
-"""Blocks that must share nearly all of what is gained. With four, no p-value is below 2^-4 = 6 %."""
+"""Fewest blocks with nearly all of the gain; with four blocks no p-value is below 2^-4 = 6 %."""
 
 
-def p_value(result: Search, fewer: Fitted, name: str) -> float | None:
-    """Probability that a useless effect, or a change of one that makes no difference, gains as much on blocks left out.
+def p_value(result: Search, reduced: Fitted, name: str) -> float | None:
+    """Probability that a useless effect, or a useless change of an effect, gains as much on left-out blocks.
 
-    Parameters
-    ----------
-    result
-        Hypothesis with the effect.
-    fewer
-        The same without it, or as the given model has it.
-    name
-        Name of the effect.
+    None if the effect acts in too few blocks for the test.
 
-    Returns
-    -------
-    float or None
-        Above 0, at most 1; None where the effect acts in so few blocks that this test cannot show it.
+    `reduced`: hypothesis without the effect `name`, or with its values in the given model.
     """
-    chain, found = coarse(result.chain), result.found
-    mine = [term for term in (*found.terms, *fewer.terms) if term.effect.name == name]
+    chain, fitted = coarse(result.chain), result.hypothesis
+    terms = [term for term in (*fitted.terms, *reduced.terms) if term.effect.name == name]
     gains: list[float] = []
     for parity in (0, 1):
-        half = chain.like([replace(one, counts=_every_other(one, parity)) for one in chain.series])
-        with_it = fit(half, found.terms, found.point, most_steps=STEPS).point
-        without_it = fit(half, fewer.terms, fewer.point, most_steps=STEPS).point
+        half = chain.like([replace(s, counts=_every_other(s, parity)) for s in chain.series])
+        with_effect = fit(half, fitted.terms, fitted.point, most_steps=STEPS).point
+        without = fit(half, reduced.terms, reduced.point, most_steps=STEPS).point
         half.forget()
         for number, series in enumerate(chain.series):
-            if any(term.acts_on(number, series) for term in mine):
-                before = _losses(chain, number, fewer.terms, without_it)
-                after = _losses(chain, number, found.terms, with_it)
+            if any(term.acts_on(number, series) for term in terms):
+                before = _losses(chain, number, reduced.terms, without)
+                after = _losses(chain, number, fitted.terms, with_effect)
                 known = (before > 0.0) & (after > 0.0)
                 known[parity::2] = False
                 gains += np.log(before[known] / after[known]).tolist()
     chain.forget()
-    return None if seldom(np.array(gains)) else by_signs(np.array(gains))
+    return None if is_concentrated(np.array(gains)) else sign_test_p(np.array(gains))
 
 
-def seldom(gains: Array) -> bool:
-    """Whether few blocks hold nearly all that is gained.
-
-    Parameters
-    ----------
-    gains
-        Of every block, shape (B,).
-    """
+def is_concentrated(gains: Array) -> bool:
+    """Whether fewer than `FEWEST` blocks hold nearly all of the gains, shape (B,)."""
     largest = np.sort(np.maximum(gains, 0.0))[::-1]
     return bool(largest[: FEWEST - 1].sum() > NEARLY_ALL * largest.sum())
 
 
-def with_shares(findings: Sequence[Finding]) -> list[Finding]:
-    """Findings with the expected shares of false names.
-
-    Parameters
-    ----------
-    findings
-        Each with its p-value; those without one count as 1 beside the others, and get no share.
-    """
-    shares = adjusted([1.0 if one.p is None else one.p for one in findings])
-    return [replace(one, q=None if one.p is None else share) for one, share in zip(findings, shares, strict=True)]
+def with_discovery_rates(findings: Sequence[Finding]) -> list[Finding]:
+    """Findings with their false-discovery rates; a finding without p-value counts as 1 and gets no rate."""
+    rates = discovery_rates([1.0 if finding.p is None else finding.p for finding in findings])
+    return [replace(f, q=None if f.p is None else rate) for f, rate in zip(findings, rates, strict=True)]
 
 
-def adjusted(p_values: Sequence[float]) -> list[float]:
-    """Expected share of false names among those with values up to each one's, in the same order.
+def discovery_rates(p_values: Sequence[float]) -> list[float]:
+    """False-discovery rate at each p-value: expected share of false names among those with at most this p-value.
 
-    Parameters
-    ----------
-    p_values
-        Of the names that were found; those of all other names of the catalogue count as 1.
+    All other names of the catalogue count with a p-value of 1.
     """
     order = np.argsort(p_values)
     shares = np.asarray(p_values, dtype=np.float64)[order] * len(EFFECTS) / np.arange(1, len(p_values) + 1)
     least = np.minimum(np.minimum.accumulate(shares[::-1])[::-1], 1.0)
-    found = np.empty(len(p_values))
-    found[order] = least
-    return found.tolist()
+    rates = np.empty(len(p_values))
+    rates[order] = least
+    return rates.tolist()
 
 
 def _every_other(series: Series, parity: int) -> NDArray[np.bool_]:
-    """Readings that count in every other block."""
+    """Mask of the readings that count in every other block, shape (N,)."""
     counts = np.zeros(series.counts.size, dtype=bool)
     for block in series.blocks[parity::2]:
         counts[block] = series.counts[block]
@@ -119,21 +90,18 @@ def _every_other(series: Series, parity: int) -> NDArray[np.bool_]:
 
 
 def _losses(chain: Chain, number: int, terms: Sequence[Term], point: Point) -> Array:
-    """Mean square residual of every block of a recording; 0 where nothing counts, shape (blocks,)."""
+    """Mean square residual of every block of a recording, 0 if no reading counts, shape (B,)."""
     series, rows = chain.series[number], chain.rows[number]
     residual, weights = series.residual(rows, chain.compared(number, terms, point))
     step = rows.step
-    edges = [slice(-(-one.start // step), -(-one.stop // step)) for one in series.blocks]
-    return np.array([residual[one] @ residual[one] / max(float(weights[one] @ weights[one]), 1e-300) for one in edges])
+    blocks = [slice(-(-block.start // step), -(-block.stop // step)) for block in series.blocks]
+    return np.array([residual[b] @ residual[b] / max(float(weights[b] @ weights[b]), 1e-300) for b in blocks])
 
 
-def by_signs(gains: Array) -> float:
-    """Probability that the sum of gains is as large with random signs.
+def sign_test_p(gains: Array) -> float:
+    """Probability that the sum of the gains of the blocks, shape (B,), is as large with random signs.
 
-    Parameters
-    ----------
-    gains
-        Of every block, shape (B,); a block weighs no more than some of the others.
+    The gain of a single block is limited to `MOST_OF_A_BLOCK` median gains.
     """
     if gains.size < 2:
         return 1.0

@@ -1,4 +1,4 @@
-"""How long a command was held before its reading, where the recordings say so: a delay, a lag and that look alike."""
+"""Refit with the hold that the recordings state; a fitted hold may pass for a delay or a lag."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -9,77 +9,78 @@ from piezod.diagnose.hypothesis.chain import Chain, Point, Term
 from piezod.diagnose.hypothesis.fit import Fitted, fit
 from piezod.diagnose.hypothesis.sampling import SAME
 from piezod.diagnose.selection.acceptance import worth
-from piezod.diagnose.selection.search import without
+from piezod.diagnose.selection.given_effects import without
 from piezod.effects import EFFECTS
 
-BESIDE = 1e-3  # of a sample: either side of a held command's step
+STEP_MARGIN = 1e-3  # distance of the starts from the step of a held command [samples]
 
 
-def as_told(chain: Chain, fitted: Fitted) -> tuple[Chain, Fitted]:
-    """A hypothesis on the course that the recordings tell of, a delay in it where it needs one there.
+def with_stated_hold(chain: Chain, fitted: Fitted) -> tuple[Chain, Fitted]:
+    """Hypothesis with the stated hold, and with a delay if it needs one there.
 
-    The search takes the course that fits best, and on another one part of a sample may pass for a delay, for the lack
-    of one, or for a lag. It stays as it is where the recordings do not say, or nothing fits there as well.
+    The hypothesis stays if the recordings state no common hold, or if nothing fits as well with it.
     """
-    told = {one.recorded_hold for one in chain.series if one.role == "recording"}
-    hold, fitted_hold = told.pop(), chain.series[-1].hold
-    if told or hold is None:
+    stated = {series.recorded_hold for series in chain.series if series.role == "recording"}
+    hold, fitted_hold = stated.pop(), chain.series[-1].hold
+    if stated or hold is None:
         return chain, fitted
-    series = [one if one.recorded_hold is None else replace(one, hold=hold) for one in chain.series]
+    series = [s if s.recorded_hold is None else replace(s, hold=hold) for s in chain.series]
     later_s = (hold.read_after - fitted_hold.read_after) * chain.series[-1].dt_s
     place = next((k for k, term in enumerate(fitted.terms) if term.effect.name == "transport_delay"), None)
     if place is None:
-        again = None if fitted_hold == hold else _made_late(chain.like(series), fitted, later_s)
-    elif fitted.terms[place].scope == "already" and any(one.recorded_hold is None for one in series):
-        again = None
+        refitted = None if fitted_hold == hold else _with_new_delay(chain.like(series), fitted, later_s)
+    elif fitted.terms[place].scope == "already" and any(s.recorded_hold is None for s in series):
+        refitted = None
     else:
-        again = _delayed(chain.like(series), fitted.terms, fitted.point, place, later_s)
-    return (chain, fitted) if again is None or not _as_good(again, fitted) else (chain.like(series), again)
+        refitted = _with_delay_near(chain.like(series), fitted.terms, fitted.point, place, later_s)
+    if refitted is None or not _fits_as_well(refitted, fitted):
+        return chain, fitted
+    return chain.like(series), refitted
 
 
-def _made_late(chain: Chain, fitted: Fitted, later_s: float) -> Fitted | None:
-    """A hypothesis with a delay besides, and without the lags that were a part of it; None where nothing is late."""
+def _with_new_delay(chain: Chain, fitted: Fitted, later_s: float) -> Fitted | None:
+    """Hypothesis with a delay, without lags that imitated it; None if no delay is needed or it does not fit."""
     plain = fit(chain, fitted.terms, fitted.point)
-    if _as_good(plain, fitted):
+    if _fits_as_well(plain, fitted):
         return None
-    told = all(one.recorded_hold is not None for one in chain.series)
-    terms = (*fitted.terms, Term(EFFECTS["transport_delay"], "already" if told else "since"))
+    all_stated = all(series.recorded_hold is not None for series in chain.series)
+    terms = (*fitted.terms, Term(EFFECTS["transport_delay"], "already" if all_stated else "since"))
     values = (*fitted.point.values, {"delay_s": 0.0})
-    late = _delayed(chain, terms, replace(fitted.point, values=values), len(terms) - 1, later_s)
-    return _without_its_parts(chain, late) if _as_good(late, fitted) and worth(plain, late) else None
+    delayed = _with_delay_near(chain, terms, replace(fitted.point, values=values), len(terms) - 1, later_s)
+    return _without_lags(chain, delayed) if _fits_as_well(delayed, fitted) and worth(plain, delayed) else None
 
 
-def _delayed(chain: Chain, terms: Sequence[Term], point: Point, place: int, later_s: float) -> Fitted:
-    """Fitted from either side of where a held command's step is read."""
+def _with_delay_near(chain: Chain, terms: Sequence[Term], point: Point, place: int, later_s: float) -> Fitted:
+    """Fit from both sides of a delay that is `later_s` longer, where the step of a held command is read."""
     parameter = terms[place].effect.parameter("delay_s")
     tried = []
-    for beside in (-BESIDE, BESIDE):
-        values = [dict(one) for one in point.values]
-        delay_s = values[place]["delay_s"] + later_s + beside * chain.series[-1].dt_s
+    for margin in (-STEP_MARGIN, STEP_MARGIN):
+        values = [dict(known) for known in point.values]
+        delay_s = values[place]["delay_s"] + later_s + margin * chain.series[-1].dt_s
         values[place]["delay_s"] = float(np.clip(delay_s, parameter.low, parameter.high))
         tried.append(fit(chain, terms, replace(point, values=tuple(values))))
-    return min(tried, key=lambda one: one.loss)
+    return min(tried, key=lambda hypothesis: hypothesis.loss)
 
 
-def _without_its_parts(chain: Chain, found: Fitted) -> Fitted:
-    """Without the lags that the delay makes needless."""
-    for name in [term.effect.name for term in found.terms if term.effect.smooths]:
-        terms, values = without(found, name)
+def _without_lags(chain: Chain, fitted: Fitted) -> Fitted:
+    """Hypothesis without the lags that the delay makes redundant."""
+    for name in [term.effect.name for term in fitted.terms if term.effect.smooths]:
+        terms, values = without(fitted, name)
         place = next(k for k, term in enumerate(terms) if term.effect.name == "transport_delay")
-        later_s = _lag_s(found, name)
-        fewer = _delayed(chain, terms, replace(found.point, values=tuple(values)), place, later_s)
-        if _as_good(fewer, found):
-            found = fewer
-    return found
+        point = replace(fitted.point, values=tuple(values))
+        reduced = _with_delay_near(chain, terms, point, place, _lag_s(fitted, name))
+        if _fits_as_well(reduced, fitted):
+            fitted = reduced
+    return fitted
 
 
-def _lag_s(found: Fitted, name: str) -> float:
-    """By how much an effect that smooths makes late what is slow."""
-    values = next(v for term, v in zip(found.terms, found.point.values, strict=True) if term.effect.name == name)
+def _lag_s(fitted: Fitted, name: str) -> float:
+    """Delay of slow signals by an effect that smooths [s]."""
+    values = next(v for term, v in zip(fitted.terms, fitted.point.values, strict=True) if term.effect.name == name)
     if "cutoff_Hz" in values:
         return 1.0 / (2.0 * np.pi * values["cutoff_Hz"])
     return values.get("time_constant_s", 0.0)
 
 
-def _as_good(one: Fitted, other: Fitted) -> bool:
-    return one.loss <= (1.0 + SAME) * other.loss
+def _fits_as_well(hypothesis: Fitted, other: Fitted) -> bool:
+    return hypothesis.loss <= (1.0 + SAME) * other.loss

@@ -1,4 +1,4 @@
-"""One more effect: every one that promises something fitted, coarsely first, the best of them thoroughly."""
+"""Trials of one more effect: all promising ones are fitted coarsely, and the best of them thoroughly."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -7,8 +7,8 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from piezod.diagnose.candidates.screening import Idea, screened, screened_pairs, since
-from piezod.diagnose.candidates.steps import NEVER_S, edge_near, likely_steps, sharpest_steps, shown_late_s
+from piezod.diagnose.candidates.screening import Candidate, screened, screened_pairs, since_identification
+from piezod.diagnose.candidates.steps import NEVER_S, edge_near, jump_steps, likely_steps, shown_late_s
 from piezod.diagnose.hypothesis.chain import Chain, Point, Scope, Term
 from piezod.diagnose.hypothesis.fit import MOST_STEPS, Fitted, Normal, fit
 from piezod.diagnose.hypothesis.parallel import each
@@ -18,248 +18,255 @@ from piezod.recording.hold import STRAIGHT
 
 Array = NDArray[np.float64]
 
-TRIED = 7  # effects that are really fitted in a round, first coarsely
-TRIED_FROM_PAST = 3
-REFINED = 4  # of them thoroughly
-COMPARED = 6  # of all these on more samples
-PAIRS = 4  # of effects that are fitted at once
-LATE_BY = (1.0, 2.0, 4.0, 8.0, 16.0, 32.0)  # samples, behind which a coupling of the drive is looked for
-NEAR = 0.4  # of the best one's gain, from which one is fitted thoroughly, or on more samples
+TRIED = 7  # effects that are fitted in a round, first coarsely
+TRIED_FROM_PAST = 3  # effects that are fitted from the base of the identification
+REFINED = 4  # largest number of effects that are fitted thoroughly
+COMPARED = 6  # largest number of hypotheses that are fitted to more samples
+PAIRS = 4  # pairs of effects that are fitted
+DELAYS = (1.0, 2.0, 4.0, 8.0, 16.0, 32.0)  # delays [samples] that are tried with a feedthrough of the drive
+NEAR = 0.4  # share of the best gain from which a hypothesis is fitted thoroughly, or to more samples
 FEWEST_REFINED, FEWEST_COMPARED = 2, 3
-COARSE_STEPS = 7
-RACED_STEPS = 2  # after which those that are ahead go on
-NOTHING = 0.01  # of the loss: an idea that promises less to first order is not tried
-PROMISING = 0.03  # of the best idea's gain, below which an idea is not tried
+COARSE_STEPS, FINE_STEPS = 7, 6  # Gauss-Newton steps of a coarse fit, and of a fit to more samples or of a variant
+RACED_STEPS = 2  # Gauss-Newton steps after which only the best pairs continue
+LEAST_GAIN = 0.01  # share of the loss; a candidate with a smaller first-order gain is not tried
+PROMISING = 0.03  # share of the best first-order gain below which a candidate is not tried
+SECOND_START = 0.3  # share of the first start's gain from which another start is tried
 
 
-def on_each_course(chain: Chain, found: Fitted, past: Point) -> list[tuple[Chain, Fitted]]:
-    """Hypotheses with one more effect, with the chain that each was fitted on.
+def with_each_effect(chain: Chain, fitted: Fitted, past: Point) -> list[tuple[Chain, Fitted]]:
+    """Hypotheses with one more effect, each with the chain that it was fitted to.
 
-    Where the command seems to be held although nothing smooths it, an effect that makes late may have passed for that:
-    all is tried with a straight course too. Where a recording seems to start unlike those of the identification,
-    an effect that came since may have passed for that.
+    Two assumptions are tried too, since a missing effect may have caused them. A held command may be straight, unless
+    an effect smooths it. A recording may start like those of the identification.
     """
-    chains = [(chain, found)]
-    if not chain.series[0].hold.straight and not any(term.effect.smooths for term in found.terms):
-        straight = chain.like([replace(one, hold=STRAIGHT) for one in chain.series])
-        chains.append((straight, fit(straight, found.terms, found.point, most_steps=6)))
-    found_on = []
-    for on, known in chains:
-        few = coarse(on)
+    chains = [(chain, fitted)]
+    if not chain.series[0].hold.straight and not any(term.effect.smooths for term in fitted.terms):
+        straight = chain.like([replace(series, hold=STRAIGHT) for series in chain.series])
+        chains.append((straight, fit(straight, fitted.terms, fitted.point, most_steps=FINE_STEPS)))
+    trials = []
+    for variant, known in chains:
+        few = coarse(variant)
         tried = _tried(few, known, past)
         few.forget()
-        found_on += [(on, one) for one in _fine(on, known, tried)]
-    alike = started_alike(chain)
-    if alike is not None:
-        few = coarse(alike)
-        quick = _since_past(few, found, past)
+        trials += [(variant, hypothesis) for hypothesis in _fitted_finely(variant, known, tried)]
+    restarted = started_alike(chain)
+    if restarted is not None:
+        few = coarse(restarted)
+        tried = _from_past(few, fitted, past)
         few.forget()
-        found_on += [(alike, one) for one in _fine(alike, found, quick)]
-    return found_on
+        trials += [(restarted, hypothesis) for hypothesis in _fitted_finely(restarted, fitted, tried)]
+    return trials
 
 
-def with_a_step(chain: Chain, found: Fitted, others: Sequence[Fitted]) -> list[tuple[Chain, Fitted]]:
-    """Hypotheses that a step of the load was preferred to, each with a step of its own: the pair may need another one.
+def with_own_step(chain: Chain, fitted: Fitted, others: Sequence[Fitted]) -> list[tuple[Chain, Fitted]]:
+    """Rivals of a step of the load (`others`), each with a step of its own.
 
-    A step that stays passes for a drift and a step that goes again, and beside it nobody sees the drift.
+    A lasting step may be fitted as a drift and a temporary step; then the drift is not recognised.
     """
     few = coarse(chain)
-    starts = [(other, idea) for other in others for idea in suggested(few, other)]
-    tried = each(lambda one: _extended(few, *one), starts)
+    starts = [(other, candidate) for other in others for candidate in suggested_steps(few, other)]
+    tried = each(lambda start: _extended(few, *start), starts)
     few.forget()
-    return [(chain, one) for one in _fine(chain, found, tried)]
+    return [(chain, hypothesis) for hypothesis in _fitted_finely(chain, fitted, tried)]
 
 
-def two_at_once(chain: Chain, found: Fitted) -> list[Fitted]:
-    """Hypotheses with two more effects, of the pairs that promise most; one of both has a shape of its own."""
+def fitted_pairs(chain: Chain, fitted: Fitted) -> list[Fitted]:
+    """Hypotheses with two more effects, of the most promising pairs with at least one specific effect."""
     few = coarse(chain)
-    promising = screened_pairs(few, found.terms, found.point)
-    enough = _enough(few, found)
-    shaped = [pair for pair in promising if pair[0].gain > enough and any(_has_a_shape(idea) for idea in pair)]
-
-    def fitted(pair: tuple[Idea, Idea]) -> Fitted:
-        return fit(few, *_with(found, pair))
-
-    tried = sorted(each(fitted, shaped[:PAIRS]) + _coupled_late(few, found), key=lambda one: one.loss)
-    for place in (len(found.terms), len(found.terms) + 1):
-        tried = each(partial(_varied, few, place=place), tried[:FEWEST_REFINED])
+    promising = screened_pairs(few, fitted.terms, fitted.point)
+    least = _least_gain(few, fitted)
+    pairs = [pair for pair in promising if pair[0].gain > least and any(_is_specific(effect) for effect in pair)]
+    tried = each(lambda pair: fit(few, *_with_candidates(fitted, pair)), pairs[:PAIRS])
+    tried = sorted(tried + _delayed_feedthroughs(few, fitted), key=_loss)
+    for place in (len(fitted.terms), len(fitted.terms) + 1):
+        tried = each(partial(_best_variant, few, place=place), tried[:FEWEST_REFINED])
     few.forget()
-    return _fine(chain, found, tried)
+    return _fitted_finely(chain, fitted, tried)
 
 
-def _has_a_shape(idea: Idea) -> bool:
-    """Whether an effect bends to few things; one that is soft bends to whatever is left at low force."""
-    effect = idea.term.effect
+def _is_specific(candidate: Candidate) -> bool:
+    """Whether an effect fits few residuals; a soft effect fits any residual at low force."""
+    effect = candidate.term.effect
     return not effect.flexible and not effect.soft
 
 
-def _coupled_late(chain: Chain, found: Fitted) -> list[Fitted]:
-    """The drive's coupling behind a delay: its jumps are a sample wide, and only their own place shows them."""
+def _delayed_feedthroughs(chain: Chain, fitted: Fitted) -> list[Fitted]:
+    """Hypotheses with a delay and a feedthrough: its jumps are a sample wide, so screening does not find the delay."""
     names = "transport_delay", "feedthrough"
-    if any(name in found.effects for name in names):
+    if any(name in fitted.effects for name in names):
         return []
-    dt_s = min(one.dt_s for one in chain.series)
+    dt_s = min(series.dt_s for series in chain.series)
     scopes: tuple[Scope, ...] = ("since", "already")
     starts = [
-        (_idea(names[0], -1, {"delay_s": late * dt_s}, scope), _idea(names[1], -1, {}, other))
-        for late in LATE_BY
+        (_candidate(names[0], -1, {"delay_s": delay * dt_s}, scope), _candidate(names[1], -1, {}, other))
+        for delay in DELAYS
         for scope in scopes
         for other in scopes
     ]
-    first = each(lambda pair: fit(chain, *_with(found, pair), most_steps=RACED_STEPS), starts)
-    ahead = sorted(first, key=lambda one: one.loss)[:PAIRS]
-    tried = each(lambda one: fit(chain, one.terms, one.point, most_steps=COARSE_STEPS), ahead)
-    return sorted(tried, key=lambda one: one.loss)[:FEWEST_REFINED]
+    first = each(lambda pair: fit(chain, *_with_candidates(fitted, pair), most_steps=RACED_STEPS), starts)
+    best = sorted(first, key=_loss)[:PAIRS]
+    tried = each(lambda hypothesis: fit(chain, hypothesis.terms, hypothesis.point, most_steps=COARSE_STEPS), best)
+    return sorted(tried, key=_loss)[:FEWEST_REFINED]
 
 
-def _with(found: Fitted, ideas: Sequence[Idea]) -> tuple[tuple[Term, ...], Point]:
-    """A hypothesis with more effects, and where it begins."""
-    terms = (*found.terms, *(idea.term for idea in ideas))
-    return terms, replace(found.point, values=(*found.point.values, *(idea.values for idea in ideas)))
+def _with_candidates(fitted: Fitted, candidates: Sequence[Candidate]) -> tuple[tuple[Term, ...], Point]:
+    """Terms and start of a hypothesis with more effects."""
+    terms = (*fitted.terms, *(candidate.term for candidate in candidates))
+    values = (*fitted.point.values, *(candidate.values for candidate in candidates))
+    return terms, replace(fitted.point, values=values)
 
 
-def _enough(chain: Chain, found: Fitted) -> float:
-    """What an idea must promise to be tried, as its gain."""
-    samples = sum(float(one.counts[rows].sum()) for one, rows in zip(chain.series, chain.rows, strict=True))
-    return NOTHING * found.loss * samples
+def _least_gain(chain: Chain, fitted: Fitted) -> float:
+    """Least first-order gain of a candidate that is tried [noise variance]."""
+    samples = sum(float(s.counts[rows].sum()) for s, rows in zip(chain.series, chain.rows, strict=True))
+    return LEAST_GAIN * fitted.loss * samples
 
 
-def _fine(chain: Chain, before: Fitted, tried: Sequence[Fitted]) -> list[Fitted]:
-    """The best of what was fitted on few samples, fitted on more."""
-    best = sorted(tried, key=lambda one: one.loss)
-    enough = before.loss - NEAR * (before.loss - best[0].loss) if best else 0.0
-    near = sum(one.loss < enough for one in best[:COMPARED])
-    starts = [(one.terms, _at_edges(chain, one)) for one in best[: max(near, FEWEST_COMPARED)]]
-    return each(lambda one: fit(chain, *one, most_steps=6), starts)
+def _fitted_finely(chain: Chain, before: Fitted, tried: Sequence[Fitted]) -> list[Fitted]:
+    """Best of the coarse fits, fitted to more samples."""
+    best = sorted(tried, key=_loss)
+    limit = before.loss - NEAR * (before.loss - best[0].loss) if best else 0.0
+    near = sum(hypothesis.loss < limit for hypothesis in best[:COMPARED])
+    starts = [(h.terms, _with_edges_at_jumps(chain, h)) for h in best[: max(near, FEWEST_COMPARED)]]
+    return each(lambda start: fit(chain, *start, most_steps=FINE_STEPS), starts)
 
 
-def _at_edges(chain: Chain, fitted: Fitted) -> Point:
-    """A step of the load that was fitted on few samples, moved to where the readings jump."""
+def _with_edges_at_jumps(chain: Chain, fitted: Fitted) -> Point:
+    """Point with the edges of a last step of the load moved to the jumps of the readings."""
     term, values = fitted.terms[-1], fitted.point.values[-1]
     if term.effect.name != "load_step":
         return fitted.point
     series = chain.series[term.series]
     without = replace(fitted.point, values=(*fitted.point.values[:-1], {**values, "step_N": 0.0}))
-    left_N = series.reading_N - chain.run(term.series, fitted.terms, without).reading_N
+    residual_N = series.reading_N - chain.run(term.series, fitted.terms, without).reading_N
     late_s = shown_late_s(chain, fitted.terms, fitted.point)
     inside = {name: values[name] for name in ("on_s", "off_s") if 0.0 < values[name] < series.duration_s}
-    moved = {name: edge_near(series, left_N, at_s + late_s) - late_s for name, at_s in inside.items()}
+    moved = {name: edge_near(series, residual_N, at_s + late_s) - late_s for name, at_s in inside.items()}
     return replace(fitted.point, values=(*fitted.point.values[:-1], {**values, **moved}))
 
 
-def _tried(chain: Chain, found: Fitted, past: Point) -> list[Fitted]:
+def _tried(chain: Chain, fitted: Fitted, past: Point) -> list[Fitted]:
     """Hypotheses with one more effect: all promising ones fitted in few steps, the best of them thoroughly.
 
-    From what was found so far, and those that came since from their best start from the `past` too: a strong effect
-    bends the base towards itself.
+    They start from the current hypothesis. Effects since the identification also start from the base of the
+    identification (`past`), since a strong effect bends the base.
     """
-    ideas = screened(chain, found.terms, found.point)
-    enough = _enough(chain, found)
-    chosen: dict[str, list[Idea]] = {}
-    for idea in ideas:
-        if idea.gain < max(PROMISING * ideas[0].gain, enough):
+    candidates = screened(chain, fitted.terms, fitted.point)
+    least = _least_gain(chain, fitted)
+    by_effect: dict[str, list[Candidate]] = {}
+    for candidate in candidates:
+        if candidate.gain < max(PROMISING * candidates[0].gain, least):
             break
-        if len(chosen) < TRIED or idea.term.effect.name in chosen:
-            chosen.setdefault(idea.term.effect.name, []).append(idea)
-    quick = each(lambda some: (_extended(chain, found, some[0], most_steps=COARSE_STEPS), some), list(chosen.values()))
-    quick += [(one, []) for one in _since_past(chain, found, past)]
-    quick.sort(key=lambda one: one[0].loss)
-    quick = [one for k, one in enumerate(quick) if one[0].effects[-1] not in (o[0].effects[-1] for o in quick[:k])]
-    enough = found.loss - NEAR * (found.loss - quick[0][0].loss) if quick else 0.0
-    near = sum(one.loss < enough for one, _ in quick[:REFINED])
+        if len(by_effect) < TRIED or candidate.term.effect.name in by_effect:
+            by_effect.setdefault(candidate.term.effect.name, []).append(candidate)
+    coarse_fits = each(
+        lambda starts: (_extended(chain, fitted, starts[0], most_steps=COARSE_STEPS), starts), list(by_effect.values())
+    )
+    coarse_fits += [(hypothesis, []) for hypothesis in _from_past(chain, fitted, past)]
+    best: dict[str, tuple[Fitted, list[Candidate]]] = {}
+    for hypothesis, starts in sorted(coarse_fits, key=lambda coarse_fit: coarse_fit[0].loss):
+        best.setdefault(hypothesis.effects[-1], (hypothesis, starts))
+    ranked = list(best.values())
+    limit = fitted.loss - NEAR * (fitted.loss - ranked[0][0].loss) if ranked else 0.0
+    near = sum(hypothesis.loss < limit for hypothesis, _ in ranked[:REFINED])
     refined = max(near, FEWEST_REFINED)
-    thorough = each(lambda one: _refined(chain, found, *one), quick[:refined])
-    direct = each(lambda idea: _extended(chain, found, idea), suggested(chain, found))
-    return [*thorough, *(first for first, _ in quick[refined:]), *direct]
+    thorough = each(lambda coarse_fit: _refined(chain, fitted, *coarse_fit), ranked[:refined])
+    steps = each(lambda candidate: _extended(chain, fitted, candidate), suggested_steps(chain, fitted))
+    return [*thorough, *(hypothesis for hypothesis, _ in ranked[refined:]), *steps]
 
 
-def _since_past(chain: Chain, found: Fitted, past: Point) -> list[Fitted]:
-    """Hypotheses with one more effect that came since, fitted from the base as it was."""
-    bases = [replace(past, values=found.point.values), *([found.point] if found.terms else [])]
-    lost_N = -min(found.point.offsets_N[k] for k, one in enumerate(chain.series) if one.role == "recording")
-    starts = [one for base in bases for one in since(chain, found.terms, base, lost_N)[:TRIED_FROM_PAST]]
-    return each(partial(_from_past, chain, found.terms), starts)
+def _from_past(chain: Chain, fitted: Fitted, past: Point) -> list[Fitted]:
+    """Hypotheses with one more effect since the identification, fitted from the base of the identification."""
+    bases = [replace(past, values=fitted.point.values), *([fitted.point] if fitted.terms else [])]
+    fall_N = -min(fitted.point.offsets_N[k] for k, series in enumerate(chain.series) if series.role == "recording")
+    starts = [
+        start for base in bases for start in since_identification(chain, fitted.terms, base, fall_N)[:TRIED_FROM_PAST]
+    ]
+
+    def from_base(start: tuple[Candidate, Point]) -> Fitted:
+        candidate, base = start
+        point = replace(base, values=(*base.values, candidate.values))
+        return fit(chain, (*fitted.terms, candidate.term), point, most_steps=COARSE_STEPS)
+
+    return each(from_base, starts)
 
 
-def _from_past(chain: Chain, terms: tuple[Term, ...], one: tuple[Idea, Point]) -> Fitted:
-    idea, past = one
-    point = replace(past, values=(*past.values, idea.values))
-    return fit(chain, (*terms, idea.term), point, most_steps=COARSE_STEPS)
-
-
-def _refined(chain: Chain, found: Fitted, first: Fitted, ideas: Sequence[Idea]) -> Fitted:
-    """The best fit of one effect: from its second start too, in both scopes, with every choice."""
+def _refined(chain: Chain, fitted: Fitted, first: Fitted, starts: Sequence[Candidate]) -> Fitted:
+    """Best fit of one effect, from up to three starts, in both scopes, with every choice."""
     best = fit(chain, first.terms, first.point)
-    others = [idea for idea in ideas[1:] if _other_start(idea, ideas[0]) and idea.gain > 0.3 * ideas[0].gain]
-    for idea in others[:2]:
-        best = min(best, _extended(chain, found, idea), key=lambda one: one.loss)
-    return _varied(chain, best, len(best.terms) - 1)
+    others = [
+        start for start in starts[1:] if _differs(start, starts[0]) and start.gain > SECOND_START * starts[0].gain
+    ]
+    for start in others[:2]:
+        best = min(best, _extended(chain, fitted, start), key=_loss)
+    return _best_variant(chain, best, len(best.terms) - 1)
 
 
-def _other_start(one: Idea, other: Idea) -> bool:
-    return (one.values, one.term.choices) != (other.values, other.term.choices)
+def _differs(first: Candidate, second: Candidate) -> bool:
+    return (first.values, first.term.choices) != (second.values, second.term.choices)
 
 
-def _varied(chain: Chain, best: Fitted, place: int) -> Fitted:
-    """The best fit with the other scope or another choice of an effect."""
+def _best_variant(chain: Chain, best: Fitted, place: int) -> Fitted:
+    """Best fit with the other scope or another choice of the effect at this place."""
     scopes: tuple[Scope, ...] = ("since", "already")
     for scope in scopes:
         if scope != best.terms[place].scope:
-            best = min(best, _again(chain, best, place, scope=scope), key=lambda one: one.loss)
+            best = min(best, _variant(chain, best, place, scope=scope), key=_loss)
     for parameter in best.terms[place].effect.parameters:
         for choice in parameter.search.choices:
             if (parameter.name, choice) not in best.terms[place].choices:
-                other = _again(chain, best, place, choice=(parameter.name, choice))
-                best = min(best, other, key=lambda one: one.loss)
+                best = min(best, _variant(chain, best, place, choice=(parameter.name, choice)), key=_loss)
     return best
 
 
-def _extended(chain: Chain, found: Fitted, idea: Idea, most_steps: int = MOST_STEPS) -> Fitted:
-    return fit(chain, *_with(found, (idea,)), most_steps=most_steps)
+def _extended(chain: Chain, fitted: Fitted, candidate: Candidate, most_steps: int = MOST_STEPS) -> Fitted:
+    return fit(chain, *_with_candidates(fitted, (candidate,)), most_steps=most_steps)
 
 
-def _again(
+def _variant(
     chain: Chain, fitted: Fitted, place: int, *, scope: Scope | None = None, choice: tuple[str, float] | None = None
 ) -> Fitted:
-    """The same hypothesis with another scope or choice of an effect."""
-    other = fitted.terms[place]
+    """Hypothesis refitted with another scope or choice of the effect at this place."""
+    term = fitted.terms[place]
     if scope is not None:
-        other = replace(other, scope=scope)
+        term = replace(term, scope=scope)
     if choice is not None:
-        other = replace(other, choices=tuple(choice if one[0] == choice[0] else one for one in other.choices))
-    return fit(chain, (*fitted.terms[:place], other, *fitted.terms[place + 1 :]), fitted.point, most_steps=6)
+        term = replace(term, choices=tuple(choice if known[0] == choice[0] else known for known in term.choices))
+    terms = (*fitted.terms[:place], term, *fitted.terms[place + 1 :])
+    return fit(chain, terms, fitted.point, most_steps=FINE_STEPS)
 
 
-def suggested(chain: Chain, found: Fitted) -> list[Idea]:
-    """Steps of the load that the residuals suggest."""
-    if "load_step" in found.effects:
+def suggested_steps(chain: Chain, fitted: Fitted) -> list[Candidate]:
+    """Steps of the load that the residuals of the diagnosed recordings suggest."""
+    if "load_step" in fitted.effects:
         return []
-    normal = Normal.at(chain, found.terms, found.point)
+    normal = Normal.at(chain, fitted.terms, fitted.point)
     modelled = normal.readings()
-    ideas = []
+    candidates = []
     for number, series in enumerate(chain.series):
         if series.role == "identification":
             continue
-        left_N = series.reading_N - modelled[number]
-        for step in (*likely_steps(normal, number), *sharpest_steps(series, left_N)):
+        residual_N = series.reading_N - modelled[number]
+        for step in (*likely_steps(normal, number), *jump_steps(series, residual_N)):
             end_s = NEVER_S if step.end == series.time_s.size else step.end * series.dt_s
-            places = {"step_N": step.height_N, "on_s": step.first * series.dt_s, "off_s": end_s}
-            shown = _idea("load_step", number, places)
-            beside = replace(found.point, values=(*found.point.values, shown.values))
-            late_s = shown_late_s(chain, (*found.terms, shown.term), beside)
-            places |= {name: places[name] - late_s for name in ("on_s", "off_s")}
-            ideas.append(_idea("load_step", number, places))
-    return ideas
+            values = {"step_N": step.height_N, "on_s": step.first * series.dt_s, "off_s": end_s}
+            visible = _candidate("load_step", number, values)
+            point = replace(fitted.point, values=(*fitted.point.values, visible.values))
+            late_s = shown_late_s(chain, (*fitted.terms, visible.term), point)
+            values |= {name: values[name] - late_s for name in ("on_s", "off_s")}
+            candidates.append(_candidate("load_step", number, values))
+    return candidates
 
 
-def _idea(name: str, number: int, known: dict[str, float], scope: Scope = "once") -> Idea:
+def _candidate(name: str, number: int, known: dict[str, float], scope: Scope = "once") -> Candidate:
+    """Effect at its first start, except for `known` values."""
     effect = EFFECTS[name]
-    values = {one.name: one.search.starts[0] for one in effect.parameters if not one.search.choices}
-    choices = tuple((one.name, one.search.choices[0]) for one in effect.parameters if one.search.choices)
-    values.update(
-        {
-            key: float(np.clip(value, effect.parameter(key).low, effect.parameter(key).high))
-            for key, value in known.items()
-        }
-    )
-    return Idea(Term(effect, scope, number, choices), values)
+    values = {p.name: p.search.starts[0] for p in effect.parameters if not p.search.choices}
+    choices = tuple((p.name, p.search.choices[0]) for p in effect.parameters if p.search.choices)
+    for key, value in known.items():
+        values[key] = float(np.clip(value, effect.parameter(key).low, effect.parameter(key).high))
+    return Candidate(Term(effect, scope, number, choices), values)
+
+
+def _loss(fitted: Fitted) -> float:
+    return fitted.loss

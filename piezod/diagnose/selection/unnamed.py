@@ -1,7 +1,7 @@
-"""Fit of an unnamed law to what all effects leave: which drivers, which memories, and whether it predicts.
+"""Fit of an unnamed law to the residual of all effects: choice of drivers and memories, and test of its prediction.
 
-Every pair of drivers is fitted with a bank of first-order lags by least squares with a ridge, and compared on blocks
-that were left out of the fit. A law is taken only if it predicts these blocks much better, and almost all of them.
+Every pair of drivers is fitted with a bank of first-order lags by ridge regression, and compared on left-out blocks. A
+law is accepted only if it predicts these blocks much better.
 """
 
 import math
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from piezod.diagnose.hypothesis.parallel import each
 from piezod.diagnose.hypothesis.series import Series
 from piezod.diagnose.selection.formula import Formula, candidates
-from piezod.diagnose.selection.significance import by_signs
+from piezod.diagnose.selection.significance import sign_test_p
 from piezod.model.unnamed_law import (
     COMMAND,
     DIRECTION,
@@ -34,11 +34,11 @@ Array = NDArray[np.float64]
 Form = tuple[tuple[Driver, ...], bool]
 """Drivers of a law, and whether it is a gain."""
 
-ROWS = 6000  # of a recording that are compared, as means of as many samples,
-MOST_ROWS = 30_000  # and for the law that is taken
-AS_WELL = 1.1  # times the error: a law that holds in the recordings of the identification too is preferred up to it
+ROWS = 6000  # rows of a recording, each a mean over a box of samples
+MOST_ROWS = 30_000  # rows for the fit of the chosen law
+AS_WELL = 1.1  # largest error ratio at which a law that also holds in the identification recordings is preferred
 NODES = {"direction": 2, "way": 8, "stroke": 6}
-USUAL_NODES = 9  # of the other drivers
+OTHER_NODES = 9  # nodes of the other drivers
 PAIRS: tuple[tuple[Driver, ...], ...] = (
     *((name,) for name in DRIVERS if name != "stroke"),
     ("command", "direction"),
@@ -52,39 +52,39 @@ PAIRS: tuple[tuple[Driver, ...], ...] = (
     ("stroke", "direction"),
 )
 GAINS: tuple[tuple[Driver, ...], ...] = (("rate",), ("stroke",))
-"""Drivers of a law that is a gain of the reading's stroke: how fast and how far it was driven."""
-MEMORIES = 5  # at log-spaced times, from the shortest that the rows show to a sixth of the recording
-LONGEST, SHORTEST = 1.0 / 6.0, 1e-4  # of the recording
-FOLDS = 4  # of each recording, contiguous: what lies between two near blocks is no prediction
-RIDGES = (1e-4, 1e-2, 1.0)  # of the mean diagonal
-FINALISTS = 4  # pairs that are tried with all memories
-PLAINER = 0.98  # of the best gain: a law with fewer numbers that reaches it is taken
-LEAST = 0.1  # of what is left that is more than noise: a law must close so much of it
-SURE = 0.01  # largest p-value, over all candidates
-DEAD = 0.005  # of the command's range: smaller reversals are noise
-SMOOTH = 3.0  # samples over which a rate is smoothed
-SAME = 1e-9  # of the values: what spans less stands still
-LARGE = 99.5  # percentile of a rate that is the last node
+"""Drivers of a law that is a gain of the reading's stroke: rate and length of the stroke."""
+MEMORIES = 5  # log-spaced times from the shortest that the rows show to a sixth of the recording
+LONGEST, SHORTEST = 1.0 / 6.0, 1e-4  # limits of the times, relative to the recording
+FOLDS = 4  # contiguous folds of each recording: a block between two near blocks would be interpolated
+RIDGES = (1e-4, 1e-2, 1.0)  # ridges, relative to the mean diagonal
+BEST_FORMS = 4  # forms that are tried with all memories
+SIMPLER = 0.98  # share of the best gain at which a law with fewer numbers is preferred
+LEAST = 0.1  # least share of the excess over the noise that a law must explain
+SIGNIFICANT = 0.01  # largest p-value, over all candidates
+DEAD = 0.005  # dead band for reversals, relative to the range of the command
+SMOOTH = 3.0  # smoothing of a rate [samples]
+CONSTANT = 1e-9  # relative range below which a driver is constant
+LARGE = 99.5  # percentile of a driver at its last node
 
 
 @dataclass(frozen=True)
-class Fit:
-    """An unnamed law and what it is worth.
+class FittedLaw:
+    """Unnamed law with its errors.
 
     Parameters
     ----------
     law
         Drivers, memories and tables.
     before, after
-        Root mean square error on blocks left out, without it and with it, of the recordings asked about [output unit].
+        Rms error of left-out blocks of the diagnosed recordings, without and with the law [output unit].
     p
         Probability that a useless law gains as much, over all candidates.
     memories_s
-        Shortest and longest memory that matters [s]; empty: none does.
+        Shortest and longest relevant memory [s]; empty: none.
     already
-        Whether it holds in the recordings of the identification too.
+        Whether it also holds in the identification recordings.
     formula
-        A short formula that predicts as well; None: the library has none.
+        Short formula that predicts as well; None: none.
     """
 
     law: UnnamedLaw
@@ -98,16 +98,55 @@ class Fit:
 
 @dataclass(frozen=True)
 class _Record:
-    """A recording as it is compared: means over boxes of samples."""
+    """Recording, averaged over boxes of samples.
 
-    asked: bool
+    Parameters
+    ----------
+    diagnosed, box_s, noise
+        Whether it is diagnosed, duration of a box [s], and noise of a sample [output unit].
+    residual, stroke
+        Mean residual, and reading minus the first reading, shape (rows,) [output unit].
+    drivers
+        Values of all drivers, shape (rows, drivers).
+    counts, block
+        Number of readings that count, and number of the block, shape (rows,).
+    """
+
+    diagnosed: bool
     box_s: float
     residual: Array
     drivers: Array
-    lift: Array
+    stroke: Array
     counts: Array
     block: NDArray[np.int64]
     noise: float
+
+    @property
+    def blocks(self) -> int:
+        """Number of blocks."""
+        return int(self.block[-1]) + 1
+
+    @classmethod
+    def of(cls, series: Series, modelled: Array, dead_band: float, smoothing_s: float, most_rows: int) -> "_Record":
+        box = max(1, series.time_s.size // most_rows)
+        rows = series.time_s.size // box
+        tracks = driver_tracks(series.command_V, modelled, dead_band, smoothing_s, series.dt_s)
+        counts = series.counts[: rows * box].reshape(rows, box)
+        error = np.where(counts, (series.reading_N - modelled)[: rows * box].reshape(rows, box), 0.0)
+        number = counts.sum(axis=1)
+        block = np.zeros(series.time_s.size, dtype=np.int64)
+        for k, samples in enumerate(series.blocks):
+            block[samples] = k
+        return cls(
+            series.role == "recording",
+            box * series.dt_s,
+            error.sum(axis=1) / np.maximum(number, 1),
+            tracks[box // 2 :: box][:rows],
+            (modelled - modelled[0])[box // 2 :: box][:rows],
+            number.astype(np.float64),
+            block[: rows * box : box],
+            series.noise_N,
+        )
 
 
 @dataclass(frozen=True)
@@ -120,52 +159,41 @@ class _Candidate:
 
     @property
     def error(self) -> float:
-        """Squared error of the recordings asked about, in units of the noise."""
+        """Squared error of the diagnosed recordings [noise variance]."""
         return float(self.errors.sum())
 
 
-def fit_unnamed(series: Sequence[Series], modelled: Sequence[Array], floor: float) -> Fit | None:
-    """Fit an unnamed law, if one predicts.
+def fit_unnamed(series: Sequence[Series], modelled: Sequence[Array], floor: float) -> FittedLaw | None:
+    """Fit an unnamed law; None if no law predicts the residual.
 
-    Parameters
-    ----------
-    series
-        Recordings.
-    modelled
-        Readings of the model that is written, for each recording, shape (N,) [output unit].
-    floor
-        Noise [output unit].
+    `modelled`: readings of the written model, shape (N,) each; `floor`: noise; all in [output unit].
     """
-    asked = [k for k, one in enumerate(series) if one.role == "recording"]
-    dead_band = DEAD * max(float(np.ptp(one.command_V)) for one in series)
-    smoothing_s = SMOOTH * max(one.dt_s for one in series)
+    diagnosed = [k for k, s in enumerate(series) if s.role == "recording"]
+    dead_band = DEAD * max(float(np.ptp(s.command_V)) for s in series)
+    smoothing_s = SMOOTH * max(s.dt_s for s in series)
 
-    def records(chosen: Sequence[int], rows: int) -> list[_Record]:
-        return [_record(series[k], modelled[k], dead_band, smoothing_s, rows) for k in chosen]
+    def records(numbers: Sequence[int], rows: int) -> list[_Record]:
+        return [_Record.of(series[k], modelled[k], dead_band, smoothing_s, rows) for k in numbers]
 
-    few, everything = records(asked, ROWS), records(range(len(series)), ROWS)
-    axes = {one.driver: one for one in _axes(everything)}
+    few, everything = records(diagnosed, ROWS), records(range(len(series)), ROWS)
+    axes = {axis.driver: axis for axis in _axes(everything)}
     bank = _bank(few)
-    reference = _offsets_only(few)
-
-    def tried(given: list[_Record], form: Form, memories_s: tuple[float, ...]) -> _Candidate:
-        drivers, gain = form
-        return _fitted(given, [axes[name] for name in drivers], memories_s, gain=gain)
-
-    banks = (0.0,), (0.0, bank[0], bank[2]), (0.0, *bank)
-    forms = [*((pair, False) for pair in PAIRS), *((drivers, True) for drivers in GAINS)]
-    first = each(lambda one: tried(few, *one), [(form, memories) for form in forms for memories in banks[:2]])
-    ahead = list(dict.fromkeys((one.drivers, one.gain) for one in sorted(first, key=lambda one: one.error)))[:FINALISTS]
-    since = first + each(lambda form: tried(few, form, banks[2]), ahead)
-    always = each(lambda one: tried(everything, *one), [(form, memories) for form in ahead for memories in banks])
-    now, then = (_plainest(one, float(reference.sum())) for one in (since, always))
-    chosen, given = (then, range(len(series))) if then.error < AS_WELL * now.error else (now, asked)
-    best = tried(records(given, MOST_ROWS), (chosen.drivers, chosen.gain), chosen.memories_s)
-    fine = records(asked, MOST_ROWS)
-    reference = _offsets_only(fine)
-    p = min(1.0, (len(since) + len(always)) * by_signs(np.log(reference / best.errors)))
-    before, after = _errors(fine, reference, best.errors, [series[k] for k in asked], [modelled[k] for k in asked])
-    if p > SURE or before**2 - after**2 < LEAST * max(before**2 - floor**2, 0.0):
+    since, already = _candidates(few, everything, axes, bank)
+    reference = float(_offsets_only(few).sum())
+    chosen, best_already = _simplest(since, reference), _simplest(already, reference)
+    holds_already = best_already.error < AS_WELL * chosen.error
+    chosen = best_already if holds_already else chosen
+    given = range(len(series)) if holds_already else diagnosed
+    best = _fitted(
+        records(given, MOST_ROWS), [axes[name] for name in chosen.drivers], chosen.memories_s, gain=chosen.gain
+    )
+    fine = records(diagnosed, MOST_ROWS)
+    fine_reference = _offsets_only(fine)
+    p = min(1.0, (len(since) + len(already)) * sign_test_p(np.log(fine_reference / best.errors)))
+    before, after = _errors(
+        fine, fine_reference, best.errors, [series[k] for k in diagnosed], [modelled[k] for k in diagnosed]
+    )
+    if p > SIGNIFICANT or before**2 - after**2 < LEAST * max(before**2 - floor**2, 0.0):
         return None
     tare = 0.0 if best.gain else _mean(fine, axes, best)
     tables = best.tables - np.where(np.arange(best.tables.shape[0]) == 0, tare, 0.0)[:, None]
@@ -177,35 +205,37 @@ def fit_unnamed(series: Sequence[Series], modelled: Sequence[Array], floor: floa
         tables=tuple(tuple(float(value) for value in row) for row in tables),
         gain=best.gain,
     )
-    short = _formula(records(given, ROWS), axes, best, bank)
-    return Fit(law, before, after, p, _memories_that_matter(best), chosen is then, short)
+    formula = _formula(records(given, ROWS), axes, best, bank)
+    return FittedLaw(law, before, after, p, _relevant_memories(best), holds_already, formula)
 
 
-def _record(series: Series, modelled: Array, dead_band: float, smoothing_s: float, most_rows: int) -> _Record:
-    box = max(1, series.time_s.size // most_rows)
-    rows = series.time_s.size // box
-    tracks = driver_tracks(series.command_V, modelled, dead_band, smoothing_s, series.dt_s)
-    counts = series.counts[: rows * box].reshape(rows, box)
-    error = np.where(counts, (series.reading_N - modelled)[: rows * box].reshape(rows, box), 0.0)
-    number = counts.sum(axis=1)
-    block = np.zeros(series.time_s.size, dtype=np.int64)
-    for k, one in enumerate(series.blocks):
-        block[one] = k
-    return _Record(
-        series.role == "recording",
-        box * series.dt_s,
-        error.sum(axis=1) / np.maximum(number, 1),
-        tracks[box // 2 :: box][:rows],
-        (modelled - modelled[0])[box // 2 :: box][:rows],
-        number.astype(np.float64),
-        block[: rows * box : box],
-        series.noise_N,
+def _candidates(
+    few: list[_Record], everything: list[_Record], axes: Mapping[Driver, Axis], bank: tuple[float, ...]
+) -> tuple[list[_Candidate], list[_Candidate]]:
+    """Laws fitted to the diagnosed recordings, and the best forms fitted to all recordings.
+
+    All forms are tried without memory and with two lags, the best forms also with the whole bank.
+    """
+
+    def fitted(records: list[_Record], form: Form, memories_s: tuple[float, ...]) -> _Candidate:
+        drivers, gain = form
+        return _fitted(records, [axes[name] for name in drivers], memories_s, gain=gain)
+
+    banks = (0.0,), (0.0, bank[0], bank[2]), (0.0, *bank)
+    forms = [*((pair, False) for pair in PAIRS), *((drivers, True) for drivers in GAINS)]
+    first = each(lambda pair: fitted(few, *pair), [(form, memories_s) for form in forms for memories_s in banks[:2]])
+    ranked = dict.fromkeys((law.drivers, law.gain) for law in sorted(first, key=lambda law: law.error))
+    best = list(ranked)[:BEST_FORMS]
+    since = first + each(lambda form: fitted(few, form, banks[2]), best)
+    already = each(
+        lambda pair: fitted(everything, *pair), [(form, memories_s) for form in best for memories_s in banks]
     )
+    return since, already
 
 
 def _axes(records: Sequence[_Record]) -> list[Axis]:
-    """Range of every driver over all recordings."""
-    drivers = np.concatenate([one.drivers for one in records])
+    """Axis of every driver with its range over all recordings."""
+    drivers = np.concatenate([record.drivers for record in records])
     axes = []
     for k, name in enumerate(DRIVERS):
         low, high = float(drivers[:, k].min()), float(drivers[:, k].max())
@@ -214,24 +244,27 @@ def _axes(records: Sequence[_Record]) -> list[Axis]:
             low = 0.0 if k >= WAY else -high
         if k == DIRECTION:
             low, high = -1.0, 1.0
-        wider = max(high, low + SAME * max(abs(low), abs(high), SAME))  # of a driver that stands still
-        axes.append(Axis(driver=name, low=low, high=wider, nodes=NODES.get(name, USUAL_NODES)))
+        high = max(high, low + CONSTANT * max(abs(low), abs(high), CONSTANT))  # a constant driver too has a range
+        axes.append(Axis(driver=name, low=low, high=high, nodes=NODES.get(name, OTHER_NODES)))
     return axes
 
 
 def _bank(records: Sequence[_Record]) -> tuple[float, ...]:
-    longest_s = max(one.box_s * one.residual.size for one in records)
-    shortest_s = max(4.0 * max(one.box_s for one in records), SHORTEST * longest_s)
-    return tuple(float(one) for one in np.geomspace(shortest_s, max(LONGEST * longest_s, 2.0 * shortest_s), MEMORIES))
+    """Time constants of the bank of lags [s]."""
+    longest_s = max(record.box_s * record.residual.size for record in records)
+    shortest_s = max(4.0 * max(record.box_s for record in records), SHORTEST * longest_s)
+    return tuple(
+        float(time_s) for time_s in np.geomspace(shortest_s, max(LONGEST * longest_s, 2.0 * shortest_s), MEMORIES)
+    )
 
 
 def _offsets_only(records: Sequence[_Record]) -> Array:
-    """Squared error of every block in units of the noise, the offset of each recording fitted alone."""
-    return np.concatenate([_by_block(one, _centred(one)) for one in records])
+    """Squared error of every block with only an offset of each recording fitted, shape (B,) [noise variance]."""
+    return np.concatenate([_by_block(record, _centred(record)) for record in records])
 
 
 def _centred(record: _Record) -> Array:
-    """The residual without its mean."""
+    """Residual without its mean."""
     mean: Array = record.residual - float(record.residual @ record.counts) / float(record.counts.sum())
     return mean
 
@@ -242,7 +275,7 @@ def _by_block(record: _Record, residual: Array) -> Array:
 
 
 def _columns(record: _Record, axes: Sequence[Axis], memories_s: Sequence[float]) -> Array:
-    """Nodes' weights behind every lag, shape (rows, M nodes)."""
+    """Weights of the nodes after every lag, shape (rows, lags * nodes)."""
     grid = np.ones((record.residual.size, 1))
     for axis in axes:
         place = positions(axis, record.drivers[:, DRIVERS.index(axis.driver)]) * (axis.nodes - 1)
@@ -251,62 +284,68 @@ def _columns(record: _Record, axes: Sequence[Axis], memories_s: Sequence[float])
         hats[np.arange(place.size), first] = 1.0 - (place - first)
         hats[np.arange(place.size), first + 1] = place - first
         grid = (grid[:, :, None] * hats[:, None, :]).reshape(place.size, -1)
-    keeps = [math.exp(-record.box_s / memory_s) if memory_s > 0.0 else 0.0 for memory_s in memories_s]
-    return np.hstack([lagged(grid, keep) if keep else grid for keep in keeps])
+    return np.hstack([_lagged(grid, record.box_s, memory_s) for memory_s in memories_s])
+
+
+def _lagged(columns: Array, box_s: float, memory_s: float) -> Array:
+    """Columns after a first-order lag; unchanged for a memory of 0."""
+    decay = math.exp(-box_s / memory_s) if memory_s > 0.0 else 0.0
+    return lagged(columns, decay) if decay else columns
 
 
 def _fitted(
     records: Sequence[_Record], axes: Sequence[Axis], memories_s: tuple[float, ...], *, gain: bool
 ) -> _Candidate:
-    """Tables by least squares with the ridge that predicts best."""
+    """Tables by ridge regression with the ridge that predicts best."""
 
     def shaped(record: _Record) -> Array:
-        return _columns(record, axes, memories_s) * (record.lift[:, None] if gain else 1.0)
+        return _columns(record, axes, memories_s) * (record.stroke[:, None] if gain else 1.0)
 
-    errors, found = _predicted(records, shaped)
-    return _Candidate(tuple(axis.driver for axis in axes), gain, memories_s, errors, found.reshape(len(memories_s), -1))
+    errors, coefficients = _predicted(records, shaped)
+    tables = coefficients.reshape(len(memories_s), -1)
+    return _Candidate(tuple(axis.driver for axis in axes), gain, memories_s, errors, tables)
 
 
 def _formula(
     records: Sequence[_Record], axes: Mapping[Driver, Axis], law: _Candidate, bank: tuple[float, ...]
 ) -> Formula | None:
-    """The best formula, where it gains nearly as much as a law of one driver, with its direction or without."""
+    """Best formula for a law of one driver (and direction), if it gains nearly as much as the tables; else None."""
     named: list[Driver] = [name for name in law.drivers if name != "direction"]
     if len(named) != 1:
         return None
     driver = named[0]
     directed = len(law.drivers) > 1
-    reference = float(np.concatenate([_by_block(one, _centred(one)) for one in records if one.asked]).sum())
+    reference = float(_offsets_only([record for record in records if record.diagnosed]).sum())
     gains: list[tuple[float, Formula]] = []
-    for one in candidates(driver, axes[driver].high, (0.0, *bank), directed=directed):
+    for formula in candidates(driver, axes[driver].high, (0.0, *bank), directed=directed):
 
-        def shaped(record: _Record, one: Formula = one) -> Array:
-            values = one.values(record.drivers[:, DRIVERS.index(driver)], record.drivers[:, DIRECTION])
-            column = values[:, None] * (record.lift[:, None] if law.gain else 1.0)
-            return lagged(column, math.exp(-record.box_s / one.memory_s)) if one.memory_s > 0.0 else column
+        def shaped(record: _Record, formula: Formula = formula) -> Array:
+            values = formula.values(record.drivers[:, DRIVERS.index(driver)], record.drivers[:, DIRECTION])
+            column = values[:, None] * (record.stroke[:, None] if law.gain else 1.0)
+            return _lagged(column, record.box_s, formula.memory_s)
 
-        errors, found = _predicted(records, shaped)
-        gains.append((reference - float(errors.sum()), replace(one, factor=float(found[0]))))
+        errors, coefficients = _predicted(records, shaped)
+        gains.append((reference - float(errors.sum()), replace(formula, factor=float(coefficients[0]))))
     tables = _fitted(records, [axes[name] for name in law.drivers], law.memories_s, gain=law.gain)
-    gained, best = max(gains, key=lambda one: one[0])
-    return best if gained >= PLAINER * (reference - tables.error) else None
+    gain, best = max(gains, key=lambda pair: pair[0])
+    return best if gain >= SIMPLER * (reference - tables.error) else None
 
 
 def _predicted(records: Sequence[_Record], shaped: Callable[[_Record], Array]) -> tuple[Array, Array]:
-    """Squared error of every block asked about, left out of the fit, and the coefficients of all; the best ridge.
+    """Squared errors of the left-out blocks of the diagnosed recordings, and coefficients from all blocks.
 
-    `shaped` gives the columns of a recording, shape (rows, K).
+    The ridge with the least error is chosen. `shaped` computes the columns of a recording, shape (rows, K).
     """
     grams, sides, squares = [], [], []
-    asked = np.concatenate([np.full(int(one.block[-1]) + 1, one.asked) for one in records])
-    folds = np.concatenate([np.arange(n := int(one.block[-1]) + 1) * FOLDS // n for one in records])
+    diagnosed = np.concatenate([np.full(record.blocks, record.diagnosed) for record in records])
+    folds = np.concatenate([np.arange(record.blocks) * FOLDS // record.blocks for record in records])
     for number, record in enumerate(records):
         columns = np.hstack([shaped(record), np.zeros((record.residual.size, len(records)))])
         columns[:, number - len(records)] = 1.0
         weights = np.sqrt(record.counts) / record.noise
         columns *= weights[:, None]
         side = weights * record.residual
-        for k in range(int(record.block[-1]) + 1):
+        for k in range(record.blocks):
             rows = record.block == k
             grams.append(columns[rows].T @ columns[rows])
             sides.append(columns[rows].T @ side[rows])
@@ -314,60 +353,59 @@ def _predicted(records: Sequence[_Record], shaped: Callable[[_Record], Array]) -
     gram, side = np.sum(grams, axis=0), np.sum(sides, axis=0)
     size = side.size - len(records)
     diagonal = float(np.trace(gram[:size, :size])) / size
-    ridge = np.full(side.size, diagonal if diagonal > 0.0 else 1.0)  # nothing moves: every table is zero
+    ridge = np.full(side.size, diagonal if diagonal > 0.0 else 1.0)  # without motion every table is zero
     ridge[size:] *= 1e-9
     best: tuple[float, Array, Array] | None = None
     for strength in RIDGES:
         errors = np.empty(len(squares))
         for fold in range(FOLDS):
-            left_out = np.flatnonzero(folds == fold)
-            less = gram - sum(grams[k] for k in left_out) + np.diag(strength * ridge)
-            found = np.linalg.solve(less, side - sum(sides[k] for k in left_out))
-            for k in left_out.tolist():
-                errors[k] = squares[k] - 2.0 * found @ sides[k] + found @ grams[k] @ found
-        if best is None or errors[asked].sum() < best[0]:
-            found = np.linalg.solve(gram + np.diag(strength * ridge), side)
-            best = float(errors[asked].sum()), np.maximum(errors[asked], 1e-300), found[:size]
+            omitted = np.flatnonzero(folds == fold)
+            reduced = gram - sum(grams[k] for k in omitted) + np.diag(strength * ridge)
+            solution = np.linalg.solve(reduced, side - sum(sides[k] for k in omitted))
+            for k in omitted.tolist():
+                errors[k] = squares[k] - 2.0 * solution @ sides[k] + solution @ grams[k] @ solution
+        if best is None or errors[diagnosed].sum() < best[0]:
+            solution = np.linalg.solve(gram + np.diag(strength * ridge), side)
+            best = float(errors[diagnosed].sum()), np.maximum(errors[diagnosed], 1e-300), solution[:size]
     assert best is not None
     return best[1], best[2]
 
 
-def _plainest(tried: Sequence[_Candidate], reference: float) -> _Candidate:
-    """The one with the fewest numbers of those that gain nearly as much as the best."""
-    gains = [reference - one.error for one in tried]
-    near = [one for one, gain in zip(tried, gains, strict=True) if gain >= PLAINER * max(gains)]
-    return min(near, key=lambda one: one.tables.size) if near else tried[0]
+def _simplest(tried: Sequence[_Candidate], reference: float) -> _Candidate:
+    """Law with the fewest numbers among those that gain nearly as much as the best."""
+    gains = [reference - law.error for law in tried]
+    near = [law for law, gain in zip(tried, gains, strict=True) if gain >= SIMPLER * max(gains)]
+    return min(near, key=lambda law: law.tables.size) if near else tried[0]
 
 
 def _errors(
     records: Sequence[_Record], reference: Array, errors: Array, series: Sequence[Series], modelled: Sequence[Array]
 ) -> tuple[float, float]:
-    """Root mean square error of the recordings asked about, without a law and with it on blocks left out."""
-    total = samples = fell = 0.0
+    """Rms error of the diagnosed recordings without a law, and with it on left-out blocks [output unit]."""
+    total = samples = fall = 0.0
     first = 0
-    for record, one, model in zip(records, series, modelled, strict=True):
-        blocks = int(record.block[-1]) + 1
-        error = (one.reading_N - model)[one.counts]
+    for record, recording, model in zip(records, series, modelled, strict=True):
+        error = (recording.reading_N - model)[recording.counts]
         total += float(error.size * np.var(error))
         samples += error.size
-        fell += record.noise**2 * float(np.sum((reference - errors)[first : first + blocks]))
-        first += blocks
+        fall += record.noise**2 * float(np.sum((reference - errors)[first : first + record.blocks]))
+        first += record.blocks
     before = total / max(samples, 1.0)
-    return float(np.sqrt(before)), float(np.sqrt(max(before - fell / max(samples, 1.0), 0.0)))
+    return float(np.sqrt(before)), float(np.sqrt(max(before - fall / max(samples, 1.0), 0.0)))
 
 
 def _mean(records: Sequence[_Record], axes: Mapping[Driver, Axis], law: _Candidate) -> float:
-    """What a law adds on average: a tare, and no part of it."""
+    """Mean of the law over the recordings [output unit], which is a tare and no part of the law."""
     total = 0.0
-    for one in records:
-        columns = _columns(one, [axes[name] for name in law.drivers], law.memories_s)
-        total += float(one.counts @ (columns @ law.tables.ravel()))
-    return total / sum(float(one.counts.sum()) for one in records)
+    for record in records:
+        columns = _columns(record, [axes[name] for name in law.drivers], law.memories_s)
+        total += float(record.counts @ (columns @ law.tables.ravel()))
+    return total / sum(float(record.counts.sum()) for record in records)
 
 
-def _memories_that_matter(best: _Candidate) -> tuple[float, ...]:
-    """Shortest and longest lag whose table changes the reading by a tenth of what the largest one does."""
+def _relevant_memories(best: _Candidate) -> tuple[float, ...]:
+    """Shortest and longest lag whose table has at least a tenth of the largest spread [s]; empty: none."""
     sizes = np.std(best.tables, axis=1)
-    behind = [memory_s for memory_s, size in zip(best.memories_s, sizes, strict=True) if size > 0.1 * sizes.max()]
-    lags = [memory_s for memory_s in behind if memory_s > 0.0]
+    relevant = [memory_s for memory_s, size in zip(best.memories_s, sizes, strict=True) if size > 0.1 * sizes.max()]
+    lags = [memory_s for memory_s in relevant if memory_s > 0.0]
     return (min(lags), max(lags)) if lags else ()

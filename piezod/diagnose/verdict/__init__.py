@@ -1,1 +1,1 @@
-"""What is said: evidence, wording, and the extended model."""
+"""Verdict: evidence for each effect, wording, and the extended model."""

@@ -1,4 +1,4 @@
-"""The model with everything that was found, as a model file holds it."""
+"""Extended model: the given model with the refitted base and the effects of the diagnosis."""
 
 from collections.abc import Mapping
 
@@ -18,41 +18,41 @@ from piezod.operators import EPS
 
 Array = NDArray[np.float64]
 
-PIECES = 30  # of the force law
-BESIDE_A_KINK = 1e-2  # of the strokes' range: nearer than that to a kink no other piece begins
+PIECES = 30  # linear pieces of the force law in the model file
+KINK_CLEARANCE = 1e-2  # share of the stroke range; a regular knot nearer than this to a kink is omitted
 
 
 def extended_model(
-    model: Model, chain: Chain, found: Fitted, hashes: list[str], intervals: Mapping[str, Mapping[str, Value]]
+    model: Model, chain: Chain, fitted: Fitted, hashes: list[str], intervals: Mapping[str, Mapping[str, Value]]
 ) -> Model:
-    """The given model with refitted plays and force law, and the effects.
+    """Given model with refitted play operators, force law and effects.
 
-    Effects that have not changed, and those of recordings that are not among these, stay as the given model has them.
+    Unchanged effects and effects of other recordings stay as in the given model.
 
     Parameters
     ----------
     model
-        As it was given.
-    chain, found
-        What the search found.
+        Given model.
+    chain, fitted
+        Result of the search.
     hashes
-        SHA-256 of every recording: effects that belong to one name it.
+        SHA-256 of every recording; an effect of a single recording refers to it by its hash.
     intervals
-        Parameters with their intervals, by effect.
+        Parameters with intervals, by effect.
 
     Raises
     ------
     ModelError
         The refitted operators have no inverse.
     """
-    asked = [one for one in chain.series if one.role == "recording"] or list(chain.series)
-    first = hashes[next((k for k, one in enumerate(chain.series) if one.role == "recording"), 0)]
-    held = {term.effect.name for term in found.terms if term.held}
-    tones = {term.effect.name for term in found.terms if term.scope == "once"}
+    diagnosed = [series for series in chain.series if series.role == "recording"] or list(chain.series)
+    first = hashes[next((k for k, series in enumerate(chain.series) if series.role == "recording"), 0)]
+    held = {term.effect.name for term in fitted.terms if term.held}
+    tones = {term.effect.name for term in fitted.terms if term.scope == "once"}
     effects = tuple(
-        one
-        for one in model.effects
-        if one.name in held or (one.recording not in (None, *hashes) and one.name not in tones)
+        effect
+        for effect in model.effects
+        if effect.name in held or (effect.recording not in (None, *hashes) and effect.name not in tones)
     )
     effects += tuple(
         EffectValues(
@@ -62,16 +62,16 @@ def extended_model(
             recording=hashes[term.series] if term.scope == "once" else None,
             since={"already": "identification", "since": first}.get(term.scope),
         )
-        for term, values in zip(found.terms, found.point.values, strict=True)
+        for term, values in zip(fitted.terms, fitted.point.values, strict=True)
         if not term.held and term.effect.name in EFFECTS
     )
     changed = {
-        "hysteresis": hysteresis_of(chain, found),
+        "hysteresis": hysteresis_of(chain, fitted),
         "effects": effects,
-        "sampling": asked[0].hold.sampling,
-        "read_after": asked[0].hold.read_after,
-        "seen_s": chain.seen_s or max(one.duration_s for one in asked),
-        "sample_s": asked[0].dt_s,
+        "sampling": diagnosed[0].hold.sampling,
+        "read_after": diagnosed[0].hold.read_after,
+        "seen_s": chain.seen_s or max(series.duration_s for series in diagnosed),
+        "sample_s": diagnosed[0].dt_s,
         "start": _start(model, chain),
     }
     extended = model.model_copy(update=changed)
@@ -80,15 +80,15 @@ def extended_model(
 
 
 def with_error(model: Model, rms: float) -> Model:
-    """The model with the error that its own simulation leaves [unit of the output]."""
+    """Model with the rms error of its own simulation [output unit] in its provenance."""
     provenance = model.provenance.model_copy(update={"fit": FitFigures(rms_held_out=rms)})
     return model.model_copy(update={"provenance": provenance})
 
 
-def _intervals(term: Term, found: Mapping[str, Value]) -> dict[str, tuple[float, float]] | None:
-    """Of the parameters that are no instants; None where none is known."""
-    known = {name: one for name, one in found.items() if not term.effect.parameter(name).instant}
-    return {name: (_short(one.low), _short(one.high)) for name, one in known.items()} or None
+def _intervals(term: Term, parameters: Mapping[str, Value]) -> dict[str, tuple[float, float]] | None:
+    """Intervals of all parameters except instants; None if there are none."""
+    known = {name: value for name, value in parameters.items() if not term.effect.parameter(name).instant}
+    return {name: (_short(value.low), _short(value.high)) for name, value in known.items()} or None
 
 
 def _short(value: float) -> float:
@@ -96,26 +96,27 @@ def _short(value: float) -> float:
 
 
 def stored_parameters(term: Term, values: Mapping[str, float]) -> dict[str, float]:
-    """Of a fitted effect, for a model file."""
+    """Parameters and choices of a fitted effect with 8 digits, for a model file."""
     return {key: _short(value) for key, value in {**values, **dict(term.choices)}.items()}
 
 
 def _start(model: Model, chain: Chain) -> Start:
-    """As the recordings asked about started, where they agree and started at rest."""
-    paths = {one.path_V for one in chain.series if one.role == "recording" and starts_at_rest(one.command_V)}
+    """Start of the diagnosed recordings if it is at rest and common to all; else the start of the model."""
+    diagnosed = (series for series in chain.series if series.role == "recording")
+    paths = {series.path_V for series in diagnosed if starts_at_rest(series.command_V)}
     if len(paths) != 1 or any(len(path) not in (0, 2) for path in paths):
         return model.start
     path = paths.pop()
     return Start(kind="reset", peak=path[0]) if path else Start(kind="virgin")
 
 
-def hysteresis_of(chain: Chain, found: Fitted) -> Hysteresis:
-    """Density and splines as plays and dead zones."""
-    gain, loops = factors(found)
-    weights = chain.density.weights(loops * found.point.density)
+def hysteresis_of(chain: Chain, fitted: Fitted) -> Hysteresis:
+    """Fitted density and force law as play operators and one-sided dead-zone operators."""
+    gain, loops = factors(fitted)
+    weights = chain.density.weights(loops * fitted.point.density)
     thresholds = np.concatenate(([0.0], chain.density.thresholds_V))
-    low_V, high_V = (end * max(1.0, 1.0 / gain) for end in _stroke_range(chain, found))
-    zones, slopes, offset = _pieces(chain, found, low_V, high_V)
+    low_V, high_V = (end * max(1.0, 1.0 / gain) for end in _stroke_range(chain, fitted))
+    zones, slopes, offset = _pieces(chain, fitted, low_V, high_V)
     slopes = np.maximum(slopes, 2.0 * EPS * slopes.max())
     if np.cumsum(weights).min() < EPS:
         raise ModelError(
@@ -124,29 +125,29 @@ def hysteresis_of(chain: Chain, found: Fitted) -> Hysteresis:
         )
     return Hysteresis(
         plays=Superposition(thresholds=tuple(thresholds.tolist()), weights=tuple(weights.tolist())),
-        dead_zones=Superposition(thresholds=tuple(zones.tolist()), weights=_outwards(zones, slopes)),
+        dead_zones=Superposition(thresholds=tuple(zones.tolist()), weights=_outward_weights(zones, slopes)),
         offset=offset,
     )
 
 
-def _stroke_range(chain: Chain, found: Fitted) -> tuple[float, float]:
-    strokes = [chain.run(k, found.terms, found.point).stroke_V for k in range(len(chain.series))]
-    return min(float(one.min()) for one in strokes), max(float(one.max()) for one in strokes)
+def _stroke_range(chain: Chain, fitted: Fitted) -> tuple[float, float]:
+    strokes = [chain.run(k, fitted.terms, fitted.point).stroke_V for k in range(len(chain.series))]
+    return min(float(stroke.min()) for stroke in strokes), max(float(stroke.max()) for stroke in strokes)
 
 
-def _pieces(chain: Chain, found: Fitted, low_V: float, high_V: float) -> tuple[Array, Array, float]:
-    """Thresholds with 0 among them, the slope outwards of each, and the output at 0.
+def _pieces(chain: Chain, fitted: Fitted, low_V: float, high_V: float) -> tuple[Array, Array, float]:
+    """Thresholds (0 among them), the slope outwards of each, and the output at 0.
 
-    The piece around 0 has one slope; where the strokes begin above 0 the first piece is continued down to it.
+    The piece around 0 has one slope; if all strokes lie above 0, the first piece is continued down to 0.
     """
-    gain, _ = factors(found)
+    gain, _ = factors(fitted)
     knots, kinks = np.linspace(low_V, high_V, PIECES + 1), np.sort(chain.law.kinks_V / gain)
     kinks = kinks[(kinks > low_V) & (kinks < high_V)]
     if kinks.size:
-        beside = np.min(np.abs(knots[:, None] - kinks), axis=1) > BESIDE_A_KINK * (high_V - low_V)
-        beside[[0, -1]] = True
-        knots = np.sort(np.concatenate((knots[beside], kinks)))
-    values = chain.law.value(gain * knots, found.point.law)
+        clear = np.min(np.abs(knots[:, None] - kinks), axis=1) > KINK_CLEARANCE * (high_V - low_V)
+        clear[[0, -1]] = True
+        knots = np.sort(np.concatenate((knots[clear], kinks)))
+    values = chain.law.value(gain * knots, fitted.point.law)
     rises = np.diff(values) / np.diff(knots)
     centre = int(np.clip(np.searchsorted(knots, 0.0, side="right") - 1, 0, knots.size - 2))
     below, above = np.arange(1, centre + 1), np.arange(centre + 1, knots.size - 1)
@@ -156,8 +157,8 @@ def _pieces(chain: Chain, found: Fitted, low_V: float, high_V: float) -> tuple[A
     return zones, slopes, float(values[centre] - rises[centre] * knots[centre])
 
 
-def _outwards(zones: Array, slopes: Array) -> tuple[float, ...]:
-    """Weights whose partial sums from the centre outwards are these slopes."""
+def _outward_weights(zones: Array, slopes: Array) -> tuple[float, ...]:
+    """Weights whose partial sums from the centre outwards are the slopes."""
     centre = int(np.flatnonzero(zones == 0.0)[0])
     lower = np.diff(slopes[centre::-1])[::-1]
     return tuple(np.concatenate((lower, [slopes[centre]], np.diff(slopes[centre:]))).tolist())

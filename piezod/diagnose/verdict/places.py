@@ -1,4 +1,4 @@
-"""Where an effect acts: the place that its parameters name."""
+"""Place of an effect: the voltages, times or frequencies that its parameters give."""
 
 from collections.abc import Mapping
 
@@ -8,17 +8,7 @@ from piezod.diagnose.hypothesis.record import record_of
 
 
 def place_of(term: Term, values: Mapping[str, float], chain: Chain) -> tuple[Place, ...]:
-    """Places of a fitted effect, none where it acts everywhere.
-
-    Parameters
-    ----------
-    term
-        Effect, and the recording for one that happened once.
-    values
-        Of its parameters.
-    chain
-        Recordings.
-    """
+    """Place of a fitted effect with these parameter values; empty if it acts everywhere."""
     where = term.effect.place(values, record_of(term, chain))
     if where is None:
         return ()

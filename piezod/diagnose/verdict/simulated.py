@@ -1,4 +1,4 @@
-"""What `piezod simulate` of a model leaves on a recording: the errors before and after a diagnosis are these."""
+"""Free runs of a model over recordings: the source of the errors before and after a diagnosis."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -7,7 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piezod.diagnose.hypothesis.series import Series
-from piezod.diagnose.prepare import Source, as_identified
+from piezod.diagnose.prepare import as_identified
+from piezod.diagnose.sources import Source
 from piezod.errors import RecordingError
 from piezod.identify.intake import fit_for_simulation
 from piezod.identify.simulation import simulate
@@ -18,7 +19,7 @@ from piezod.recording.stretches import stretches_of
 Array = NDArray[np.float64]
 
 START_WINDOW_S = 1.0
-"""First stretch in which the start of a recording is found, and which is not compared: as `piezod simulate` has it."""
+"""First part of a recording, which estimates its initial state and is not compared: as in `piezod simulate`."""
 
 
 @dataclass(frozen=True)
@@ -28,11 +29,11 @@ class FreeRun:
     Parameters
     ----------
     recording
-        As it is simulated.
+        The simulated recording.
     left_out_s
-        First and last time of each stretch whose readings were taken for no force, and are not compared [s].
+        First and last time of each stretch whose readings do not count, such as frozen ones [s].
     expected, error
-        Expected readings, and measured less expected where it is compared, else nan, shape (N,) [output unit].
+        Expected readings, and measured less expected readings (nan where not compared), shape (N,) [output unit].
     """
 
     recording: Recording
@@ -42,11 +43,11 @@ class FreeRun:
 
     @property
     def tare(self) -> float:
-        """Mean error [output unit]: an offset of the load cell is no error of the model."""
+        """Mean error [output unit]: the offset of the load cell, which is no error of the model."""
         return float(np.nanmean(self.error)) if np.isfinite(self.error).any() else 0.0
 
-    def over(self, series: Series) -> Array:
-        """Expected readings at the samples of a series, the tare added, shape (samples,) [output unit]."""
+    def at_samples_of(self, series: Series) -> Array:
+        """Expected readings with the tare at the samples of a series, shape (N,) [output unit]."""
         return np.interp(series.start_s + series.time_s, self.recording.time_s, self.expected) + self.tare
 
 
@@ -56,17 +57,17 @@ def free_run(model: Model, source: Source, series: Series | None = None) -> Free
     Parameters
     ----------
     model
-        Given or written model, with its effects, its law, its hold and its signs.
+        Given or written model, with its effects, unnamed law, hold and signs.
     source
-        The recording.
+        Recording.
     series
-        The same as it is diagnosed: readings that do not count there are not compared. Where the recording cannot be
-        simulated because its input is missing for long, the model runs over this part of it. None: it was held out.
+        Prepared recording; its excluded readings are not compared. It replaces a recording that cannot be simulated
+        because its input has a long gap. None: a held-out recording.
 
     Raises
     ------
     RecordingError
-        A recording that was held out cannot be simulated.
+        A held-out recording cannot be simulated.
     """
     try:
         recording, _ = fit_for_simulation(source.recording, model.input.channel, model.output.channel)
@@ -78,16 +79,16 @@ def free_run(model: Model, source: Source, series: Series | None = None) -> Free
     expected, _ = simulate(model, recording, window, source.sha256)
     measured = recording.channel(model.output.channel)
     compared = np.isfinite(measured)
-    doubted = np.zeros(compared.size, bool) if series is None else compared & ~_counting(series, recording.time_s)
-    compared &= ~doubted
-    if compared[window:].any():  # a recording of less than a second is compared whole
+    excluded = np.zeros(compared.size, bool) if series is None else compared & ~_counting(series, recording.time_s)
+    compared &= ~excluded
+    if compared[window:].any():  # a recording of less than a second is compared from its first sample on
         compared[:window] = False
-    left_out_s = tuple((float(recording.time_s[a]), float(recording.time_s[b - 1])) for a, b in stretches_of(doubted))
+    left_out_s = tuple((float(recording.time_s[a]), float(recording.time_s[b - 1])) for a, b in stretches_of(excluded))
     return FreeRun(recording, left_out_s, expected, np.where(compared, measured - expected, np.nan))
 
 
 def _counting(series: Series, time_s: Array) -> NDArray[np.bool_]:
-    """Which samples of a recording count in the diagnosis, shape (N,); all of those that it leaves out at the begin."""
+    """Mask of the times whose readings count in the series, shape (N,); times outside the series count."""
     place = np.searchsorted(series.start_s + series.time_s, time_s - 0.5 * series.dt_s)
     inside = (time_s > series.start_s - 0.5 * series.dt_s) & (place < series.time_s.size)
     return ~inside | series.counts[np.minimum(place, series.time_s.size - 1)]
@@ -101,64 +102,62 @@ def _recording_of(series: Series, model: Model) -> Recording:
     return Recording(series.start_s + series.time_s, channels, {}, series.name)
 
 
-def run_over(model: Model, series: Series) -> Array:
-    """Expected readings of the recording that stands for those of the identification, shape (N,) [output unit]."""
-    return simulate(model, _recording_of(series, model), 0)[0]
-
-
 def tared_rms(runs: Sequence[FreeRun]) -> float:
-    """Rms error over several recordings, each about its mean [output unit]."""
-    errors = [one.error[np.isfinite(one.error)] for one in runs]
-    return float(np.sqrt(np.mean(np.concatenate([np.square(one - one.mean()) for one in errors]))))
+    """Rms error over several recordings, each without its mean [output unit]."""
+    errors = [run.error[np.isfinite(run.error)] for run in runs]
+    return float(np.sqrt(np.mean(np.concatenate([np.square(error - error.mean()) for error in errors]))))
 
 
 @dataclass(frozen=True)
 class GivenRuns:
-    """The given model in free run over every recording.
+    """Free runs of the given model over every recording.
 
     Parameters
     ----------
     runs
-        Of the whole model; over recordings of its identification of what was there at that time.
-    places
-        Recordings asked about, each with its series.
+        Free run over each recording; over an identification recording without effects that appeared later.
+    diagnosed
+        Diagnosed recordings with their series.
     without_law
-        The same without its unnamed law; empty where it has none.
+        Free runs without the unnamed law of the model; empty if it has no law.
     """
 
     runs: list[FreeRun]
-    places: list[tuple[Source, Series]]
+    diagnosed: list[tuple[Source, Series]]
     without_law: list[FreeRun]
 
     @classmethod
     def of(cls, model: Model, sources: Sequence[Source], series: Sequence[Series]) -> "GivenRuns":
-        """Simulate the model over the recordings."""
-        then = as_identified(model)
-        by_role = {"identification": then, "recording": model}
+        """Simulate the model over the recordings, identification recordings first."""
         pairs = list(zip(sources, series, strict=True))
-        runs = [free_run(by_role[source.role], source, one) for source, one in pairs]
-        plain: list[FreeRun] = []
+        by_role = {"identification": as_identified(model), "recording": model}
+        runs = [free_run(by_role[source.role], source, prepared) for source, prepared in pairs]
+        without_law: list[FreeRun] = []
         if model.unnamed_law is not None:
             by_role["recording"] = model.model_copy(update={"unnamed_law": None})
-            plain = [free_run(by_role[source.role], source, one) for source, one in pairs]
-        return cls(runs, [pair for pair in pairs if pair[0].role == "recording"], plain)
+            without_law = [free_run(by_role[source.role], source, prepared) for source, prepared in pairs]
+        return cls(runs, [pair for pair in pairs if pair[0].role == "recording"], without_law)
 
     @property
-    def asked(self) -> list[FreeRun]:
-        """Those of the recordings asked about, which are the last."""
-        return self.runs[-len(self.places) :]
+    def diagnosed_runs(self) -> list[FreeRun]:
+        """Free runs over the diagnosed recordings, which are the last."""
+        return self.runs[-len(self.diagnosed) :]
 
     @property
     def law_holds(self) -> bool:
-        """Whether the given model leaves no more with its unnamed law than without it; True where it has none."""
-        asked = slice(-len(self.places), None)
-        return not self.without_law or tared_rms(self.runs[asked]) <= tared_rms(self.without_law[asked])
+        """Whether the unnamed law does not increase the error; True if the model has none."""
+        if not self.without_law:
+            return True
+        return tared_rms(self.diagnosed_runs) <= tared_rms(self.without_law[-len(self.diagnosed) :])
 
-    def law(self, series: Sequence[Series]) -> list[Array]:
-        """What the given law adds to the readings of every recording, shape (N,) or (1,) [output unit]; 0: it fails."""
+    def law_readings(self, series: Sequence[Series]) -> list[Array]:
+        """Share of the unnamed law in the readings of each recording [output unit].
+
+        Shape (N,) each, or (1,) with the value 0 if the model has no law or the law does not hold.
+        """
         if not self.without_law or not self.law_holds:
             return [np.zeros(1)] * len(series)
         return [
-            run.over(one) - plain.over(one) - run.tare + plain.tare
-            for run, plain, one in zip(self.runs, self.without_law, series, strict=True)
+            run.at_samples_of(prepared) - plain.at_samples_of(prepared) - run.tare + plain.tare
+            for run, plain, prepared in zip(self.runs, self.without_law, series, strict=True)
         ]

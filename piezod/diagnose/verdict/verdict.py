@@ -1,4 +1,4 @@
-"""The verdict: what is left beside what was explained, how sure the names are then, and all of it in words."""
+"""Verdict of a diagnosis: noise floor, explained share, highest_confidences, and the summary sentence."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -14,168 +14,176 @@ from piezod.diagnose.hypothesis.chain import Chain
 from piezod.diagnose.hypothesis.fit import Fitted
 from piezod.diagnose.hypothesis.series import Series
 from piezod.diagnose.selection.search_state import Search
-from piezod.diagnose.verdict.words import Wording, base_words, effect_words, kept_words, law_words, unrecorded_words
+from piezod.diagnose.verdict.words import (
+    Wording,
+    base_words,
+    effect_words,
+    law_words,
+    unchanged_words,
+    unrecorded_words,
+)
 from piezod.estimation.noise import noise_of
 
 Array = NDArray[np.float64]
 
-STILL_EXPLAINABLE = 0.1  # share of what is left, from which a verdict says that something is missing
-MUCH_EXPLAINABLE = 0.75  # the same, from which it is said whatever was explained: twice the noise is left
-BY_LEVEL = 0.25  # share of what is left that must lie above that at the lowest force
-SURE = 0.01  # p below which that share is believed
-CLOSED = 0.97  # part of what could be explained, from which it counts as explained
-BELIEVED = 0.5  # confidence that one of the names must have where something is left
-FEWEST_HOLDS = 3
+MISSING_SHARE = 0.1  # explainable share of the residual above which something is missing
+PARTLY_SHARE = 0.75  # explainable share above which nothing is `explained`: the residual is twice the noise
+LEVEL_SHARE = 0.25  # least share of the residual that grows with the force; a smaller one is ignored
+SIGNIFICANT = 0.01  # largest p-value at which the explainable share counts
+CLOSED = 0.97  # least explained share of the explainable error in an `explained` verdict with something missing
+CONFIDENT = 0.5  # least confidence that one name needs if something is missing: more likely right than wrong
+PARTLY_FACTOR = 0.9  # upper limit of a confidence if the effect leaves a structured residual
+FEWEST_HOLDS = 3  # rests that determine the noise; fewer may be exceptions
+HOLD_S, SHORT_HOLD_S = 0.5, 0.15  # duration of the rests; short rests hide slow noise
+SLOW_NOISE = 1.5  # upper limit of the noise over that in short rests; 1.41 if half of its power is slow
 RECORD_NOISE = (
     "the noise is unknown, since the command neither rests nor repeats: record three holds of half a second at "
     "different levels, or drive the same course twice"
 )
-HOLD_S, SHORT_HOLD_S = 0.5, 0.15  # of the rests that tell the noise
-SLOWER = 1.5  # times the noise in short rests that all noise has at most: where half of its power is slower, 1.41
-PARTLY = 0.9  # most that a name is believed whose effect leaves much to explain
 
 
 def held_out_rms(chain: Chain, fitted: Fitted) -> float:
-    """Of blocks left out, over the recordings asked about [output unit]."""
-    powers, samples, first = 0.0, 0.0, 0
+    """Rms error of left-out blocks over the diagnosed recordings [output unit]."""
+    power, samples, first = 0.0, 0.0, 0
     for series in chain.series:
-        part = slice(first, first + len(series.blocks))
+        blocks = slice(first, first + len(series.blocks))
         first += len(series.blocks)
         if series.role == "recording":
-            powers += float(fitted.losses[part] @ fitted.samples[part]) * series.noise_N**2
-            samples += float(fitted.samples[part].sum())
-    return float(np.sqrt(powers / samples))
+            power += float(fitted.losses[blocks] @ fitted.samples[blocks]) * series.noise_N**2
+            samples += float(fitted.samples[blocks].sum())
+    return float(np.sqrt(power / samples))
 
 
-def noise_floor(series: Sequence[Series], residuals: Sequence[Array], left: Guard, stand_ins: int) -> tuple[float, str]:
-    """Noise of the readings [output unit], and where it shows; "unknown" with an upper bound where it shows nowhere.
+def noise_floor(
+    series: Sequence[Series], residuals: Sequence[Array], guard: Guard, substitutes: int
+) -> tuple[float, str]:
+    """Noise of the readings [output unit] and its source: "quiet", "repeats", or "unknown" with an upper bound.
 
-    It shows where the command rests, else where it repeats, first in the recordings asked about, then in those of the
-    identification. A misfit that repeats is no noise. What a flexible model leaves is the upper bound. The noise is no
-    less than a converter's rounding: a coarse one hides all noise at rest, not while the force moves.
+    The noise is estimated from rests of the command, otherwise from its repeats. The diagnosed recordings come first,
+    then the identification recordings. A misfit that repeats is no noise. The residual of a flexible model is the
+    upper bound. The rounding of the converter is the lower bound: a coarse converter hides the noise at rest.
 
     Parameters
     ----------
     series, residuals
-        The recordings, and what the found model leaves of their readings, shape (N,) each [output unit].
-    left
-        What a flexible model could still explain.
-    stand_ins
-        How many series stand for recordings that are gone; they have no noise of their own.
+        Recordings and their residuals, shape (N,) each [output unit].
+    guard
+        Share that a flexible model could still explain.
+    substitutes
+        Number of series that replace missing recordings; they have no noise of their own.
     """
-    files = list(zip(series, residuals, strict=True))[stand_ins:]
-    asked = [one for one in files if one[0].role == "recording"]
-    rms = rms_of(residuals, series)
-    rounding_N = max(one.lattice_N for one, _ in asked) / float(np.sqrt(12.0))
-    unexplained_N = rms * float(np.sqrt(max(1.0 - left.share, 0.0)))
-    for some in (asked, [one for one in files if one[0].role != "recording"]):
-        for found, where in ((_at_rest(some, unexplained_N), "quiet"), (_in_repeats(some), "repeats")):
-            if found is not None:
-                return min(max(found, rounding_N), rms), where
+    files = list(zip(series, residuals, strict=True))[substitutes:]
+    diagnosed = [pair for pair in files if pair[0].role == "recording"]
+    rms = residual_rms(residuals, series)
+    rounding_N = max(recording.lattice_N for recording, _ in diagnosed) / float(np.sqrt(12.0))
+    unexplained_N = rms * float(np.sqrt(max(1.0 - guard.share, 0.0)))
+    for group in (diagnosed, [pair for pair in files if pair[0].role != "recording"]):
+        for noise_N, source in ((_noise_at_rest(group, unexplained_N), "quiet"), (_repeat_noise(group), "repeats")):
+            if noise_N is not None:
+                return min(max(noise_N, rounding_N), rms), source
     return min(max(unexplained_N, rounding_N), rms), UNKNOWN
 
 
-def _at_rest(files: Sequence[tuple[Series, Array]], unexplained_N: float) -> float | None:
-    """Noise in rests of the command; short ones hide slow noise, so up to 1.5 times theirs, if so much is left."""
-    for hold_s, most in ((HOLD_S, 1.0), (SHORT_HOLD_S, SLOWER)):
-        quiet = [value for one, residual in files for value in _holds(one, residual, hold_s)]
-        if len(quiet) >= FEWEST_HOLDS:
-            value = float(np.sqrt(np.mean(np.square(quiet))))
+def _noise_at_rest(files: Sequence[tuple[Series, Array]], unexplained_N: float) -> float | None:
+    """Noise in rests of the command; from short rests up to `SLOW_NOISE` times more, as far as the residual allows."""
+    for hold_s, most in ((HOLD_S, 1.0), (SHORT_HOLD_S, SLOW_NOISE)):
+        quiet_N = [value for series, residual in files for value in _noise_in_holds(series, residual, hold_s)]
+        if len(quiet_N) >= FEWEST_HOLDS:
+            value = float(np.sqrt(np.mean(np.square(quiet_N))))
             return max(value, min(most * value, unexplained_N))
     return None
 
 
-def _in_repeats(files: Sequence[tuple[Series, Array]]) -> float | None:
+def _repeat_noise(files: Sequence[tuple[Series, Array]]) -> float | None:
     """Noise from the differences of the residual between periods of the command."""
-    seen = [noise_of(one.command_V, residual, one.counts, one.dt_s) for one, residual in files]
-    values = [noise.rms for noise in seen if noise is not None and noise.seen_in == "repeats"]
+    noises = [noise_of(series.command_V, residual, series.counts, series.dt_s) for series, residual in files]
+    values = [noise.rms for noise in noises if noise is not None and noise.seen_in == "repeats"]
     return float(np.sqrt(np.mean(np.square(values)))) if values else None
 
 
-def _holds(series: Series, residual: Array, hold_s: float) -> list[float]:
-    """Standard deviation of the residual in every stretch of a duration in which the command rests."""
+def _noise_in_holds(series: Series, residual: Array, hold_s: float) -> list[float]:
+    """Standard deviation of the residual in every stretch of `hold_s` in which the command rests."""
     size = max(int(hold_s / series.dt_s), 20)
-    found = []
+    noises = []
     for first in range(0, series.command_V.size - size, size):
         part = slice(first, first + size)
         if np.ptp(series.command_V[part]) == 0.0 and series.counts[part].all():
-            found.append(float(np.std(residual[part])))
-    return found
+            noises.append(float(np.std(residual[part])))
+    return noises
 
 
-def no_noise(share: float, after: float, floor: float, *, above: bool) -> float:
-    """Share of the squared error that is left and is no noise: what could be explained, or all `above` the floor.
+def structured_share(share: float, after: float, floor: float, *, above: bool) -> float:
+    """Structured share of the squared residual [1].
 
-    Parameters
-    ----------
-    share
-        That something could explain.
-    after, floor
-        Error that is left, and noise [output unit].
-    above
-        Whether that is more than noise.
+    `share`: explainable share; `after`, `floor`: rms residual and noise. If the residual is `above` the noise, all of
+    its excess is structured.
     """
     return max(share, 1.0 - (floor / after) ** 2) if above else share
 
 
-def less_sure(one: Finding, share: float, closed: float) -> Finding:
-    """The same, believed less where as much is left to explain as it explains."""
-    own, left = max(one.before**2 - one.after**2, 0.0), share * one.after**2
-    if one.before == one.after:  # read off the readings: no fit says anything
-        return one
-    alone = own / (own + left) if share > STILL_EXPLAINABLE else 1.0
-    return replace(one, confidence=one.confidence * alone * (PARTLY * closed if closed < 1.0 else 1.0))
+def with_lower_confidence(finding: Finding, share: float, closed: float) -> Finding:
+    """Finding with its confidence reduced in proportion to the structured residual.
+
+    The confidence is multiplied by the explained share of explained error and structured residual. An effect that is
+    read off the readings without a fit keeps its confidence.
+    """
+    if finding.before == finding.after:
+        return finding
+    explained, structured = max(finding.before**2 - finding.after**2, 0.0), share * finding.after**2
+    factor = explained / (explained + structured) if share > MISSING_SHARE else 1.0
+    partly = PARTLY_FACTOR * closed if closed < 1.0 else 1.0
+    return replace(finding, confidence=finding.confidence * factor * partly)
 
 
-def share_left(left: Guard, moving: Motion) -> float:
-    """Share of what is left that something could still explain."""
-    local = left.local_share if left.local_p < SURE else 0.0
-    by_level = moving.level_share if moving.level_share > BY_LEVEL else 0.0
-    return min(max(left.share if left.p < SURE else 0.0, moving.share, by_level, local), 1.0)
+def explainable_share(guard: Guard, motion: Motion) -> float:
+    """Share of the squared residual that something could still explain [1]."""
+    local = guard.local_share if guard.local_p < SIGNIFICANT else 0.0
+    level = motion.level_share if motion.level_share > LEVEL_SHARE else 0.0
+    return min(max(guard.share if guard.p < SIGNIFICANT else 0.0, motion.share, level, local), 1.0)
 
 
-def remaining(result: Search, left: Guard, moving: Motion) -> tuple[float, float]:
-    """Share of what is left that something could still explain, and how much of all that could be explained was."""
-    share = share_left(left, moving)
-    before, after = (held_out_rms(result.chain, one) ** 2 for one in (result.base, result.found))
-    before += power_of(result.chain, result.tones_asked_about)
+def shares_explained(result: Search, guard: Guard, motion: Motion) -> tuple[float, float]:
+    """Share of the squared residual that something could still explain, and the explained share of the explainable."""
+    share = explainable_share(guard, motion)
+    before, after = (held_out_rms(result.chain, fitted) ** 2 for fitted in (result.base, result.hypothesis))
+    before += tone_power(result.chain, result.diagnosed_tones)
     explainable_N2 = before - (1.0 - share) * after
     return share, float(np.clip((before - after) / explainable_N2, 0.0, 1.0)) if explainable_N2 > 0.0 else 1.0
 
 
-def span_of(series: Sequence[Series]) -> float:
-    """Widest range of readings of a recording asked about [output unit]."""
-    return max(float(np.ptp(one.reading_N[one.counts])) for one in series if one.role == "recording")
+def widest_range(series: Sequence[Series]) -> float:
+    """Widest range of readings of a diagnosed recording [output unit]."""
+    return max(float(np.ptp(s.reading_N[s.counts])) for s in series if s.role == "recording")
 
 
 def verdict_of(share: float, closed: float, effects: Sequence[Finding | Base], *, above: bool) -> Verdict:
-    """From what is left to explain, how much of all that could be was explained, and how far the names are believed.
+    """Verdict from the explainable share, the closed share and the highest_confidences.
 
-    `above` says that more than noise is left: then something is missing though nothing tells what it is.
+    `above` states that the residual exceeds the noise: then something is missing, whether it is explainable or not.
     """
-    missing = share > STILL_EXPLAINABLE or above
+    missing = share > MISSING_SHARE or above
     if not effects:
         return "unexplained" if missing else "matches"
-    doubted = missing and max(one.confidence for one in effects) < BELIEVED
-    partly = above or share > MUCH_EXPLAINABLE or (missing and closed < CLOSED) or doubted
+    uncertain = missing and max(effect.confidence for effect in effects) < CONFIDENT
+    partly = above or share > PARTLY_SHARE or (missing and closed < CLOSED) or uncertain
     return "partly_explained" if partly else "explained"
 
 
-def power_of(chain: Chain, tones: Sequence[Tone]) -> float:
-    """Of tones, over the recordings asked about."""
-    samples = sum(one.time_s.size for one in chain.series if one.role == "recording")
-    return sum(float(tone.heard_N @ tone.heard_N) for tone in tones) / samples
+def tone_power(chain: Chain, tones: Sequence[Tone]) -> float:
+    """Mean square of tones over the diagnosed recordings [output unit^2]."""
+    samples = sum(series.time_s.size for series in chain.series if series.role == "recording")
+    return sum(float(tone.signal_N @ tone.signal_N) for tone in tones) / samples
 
 
-def rms_of(residuals: Sequence[Array], series: Sequence[Series]) -> float:
-    """Over the recordings asked about."""
+def residual_rms(residuals: Sequence[Array], series: Sequence[Series]) -> float:
+    """Rms residual over the diagnosed recordings [output unit]."""
     squares = [np.square(r[s.counts]) for r, s in zip(residuals, series, strict=True) if s.role == "recording"]
     return float(np.sqrt(np.mean(np.concatenate(squares))))
 
 
 def words_of(findings: Findings, wording: Wording) -> str:
-    """The verdict in a few sentences."""
-    parts = [effect_words(one, wording) for one in findings.effects]
+    """Summary of the findings: opening, unchanged effects, errors, and residual."""
+    parts = [effect_words(finding, wording) for finding in findings.effects]
     parts += [base_words(findings.base)] if findings.base.changed else []
     opening = {
         "matches": "The model matches the recordings",
@@ -184,28 +192,31 @@ def words_of(findings: Findings, wording: Wording) -> str:
         "unexplained": "Something is missing that no effect of the catalogue explains",
         "not_testable": "The recordings do not excite the bench enough to tell",
     }[findings.verdict]
-    more = f"{100 * findings.explainable:.0f} % of what is left is no noise"
-    if findings.explainable <= STILL_EXPLAINABLE and findings.above_noise:
-        more = "what is left is more than noise, and nothing tells what it is"
-    done = findings.explainable <= STILL_EXPLAINABLE and not findings.above_noise
+    clauses = (opening, unchanged_words(findings.kept), _error_words(findings), _residual_words(findings))
+    return "; ".join(clause for clause in clauses if clause)
+
+
+def _residual_words(findings: Findings) -> str:
+    """Clause about the residual; empty if the recordings do not suffice for a verdict."""
+    if findings.verdict == "not_testable":
+        return ""
+    structured = findings.explainable > MISSING_SHARE
+    if findings.verdict in ("matches", "explained") and not structured and not findings.above_noise:
+        return "nothing is missing" if findings.verdict == "matches" else "nothing else is left"
     if findings.unrecorded is not None:
-        more = unrecorded_words(findings.unrecorded, findings.unit)
-    rest = {
-        "matches": "nothing is missing" if done else more,
-        "explained": "nothing else is left" if done else more,
-        "partly_explained": more,
-        "unexplained": more,
-    }.get(findings.verdict)
-    return "; ".join(one for one in (opening, kept_words(findings.kept), _error_words(findings), rest) if one)
+        return unrecorded_words(findings.unrecorded, findings.unit)
+    if not structured and findings.above_noise:
+        return "what is left is more than noise, and nothing tells what it is"
+    return f"{100 * findings.explainable:.0f} % of what is left is no noise"
 
 
 def _error_words(findings: Findings) -> str:
-    """The error that simulation leaves, before and after."""
+    """Clause about the simulation error before and after, and the noise."""
     unit = findings.unit
-    told = f"error {findings.before:.3g} -> {findings.after:.3g} {unit}"
+    text = f"error {findings.before:.3g} -> {findings.after:.3g} {unit}"
     if findings.refitted is not None:
-        told += " with hysteresis and sampling refitted"
+        text += " with hysteresis and sampling refitted"
     if findings.after == findings.before:
-        told = f"error {findings.before:.3g} {unit}"
-    told += f", noise {findings.noise_text}"
-    return told if findings.law is None else f"{told}, with {law_words(findings.law)}"
+        text = f"error {findings.before:.3g} {unit}"
+    text += f", noise {findings.noise_text}"
+    return text if findings.law is None else f"{text}, with {law_words(findings.law)}"

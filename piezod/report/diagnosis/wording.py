@@ -9,12 +9,12 @@ from piezod.diagnose.verdict.words import (
     base_words,
     change_words,
     hedged,
-    kept_words,
     law_words,
     listed,
     percent,
     place_words,
     rounded,
+    unchanged_words,
     unit_words,
     unrecorded_words,
 )
@@ -76,7 +76,7 @@ def lead(findings: Findings) -> str:
     known = "noise floor" if findings.noise_is_known else "noise unknown, at most"
     floor = f"{known} {rounded(findings.floor)} {unit} ({FLOORS.get(findings.floor_from, findings.floor_from)})"
     before = f"Error that simulate leaves: {rounded(findings.before)} {unit}"
-    unchanged = kept_words(findings.kept)
+    unchanged = unchanged_words(findings.kept)
     unchanged = f" Of the given model: {unchanged}." if unchanged else ""
     if findings.after == findings.before:
         refit = f", {rounded(findings.least)} {unit} after a refit" if findings.least < findings.before else ""
@@ -270,7 +270,7 @@ def remaining_error(findings: Findings) -> list[str]:
     """
     unit, share = unit_words(findings.unit), percent(findings.explainable)
     error = (
-        f"The remaining error is {rounded(findings.left)} {unit} rms; the noise is {rounded(findings.floor)} {unit}."
+        f"The remaining error is {rounded(findings.after)} {unit} rms; the noise is {rounded(findings.floor)} {unit}."
     )
     if findings.verdict == "not_testable":
         return [error, "The recordings do not excite the bench enough to show what is missing."]

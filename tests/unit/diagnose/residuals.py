@@ -3,7 +3,7 @@
 import numpy as np
 from scipy.signal import lfilter
 
-from piezod.diagnose.candidates.rounding import lattice_step_N
+from piezod.diagnose.candidates.rounding import converter_step_N
 from piezod.diagnose.hypothesis.series import Series
 
 RATE_HZ = 1000.0
@@ -43,7 +43,7 @@ def noise(samples, rho, rng):
 
 def series(time_s, u, reading_N, noise_N=1.0, *, counts=None, temperature_C=None, role="recording", start_s=0.0):
     counts = np.ones(time_s.size, bool) if counts is None else counts
-    more = {"temperature_C": temperature_C, "start_s": start_s, "lattice_N": lattice_step_N(reading_N[counts])}
+    more = {"temperature_C": temperature_C, "start_s": start_s, "lattice_N": converter_step_N(reading_N[counts])}
     return Series("by hand", role, time_s, u, reading_N, counts, noise_N, **more)
 
 

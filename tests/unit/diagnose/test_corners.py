@@ -7,7 +7,7 @@ from piezod.diagnose.hypothesis.basis import ForceLaw, PlayDensity
 from piezod.diagnose.hypothesis.chain import Chain, empty_point
 from piezod.diagnose.hypothesis.fit import fit
 from piezod.diagnose.selection.acceptance import BETTER
-from piezod.diagnose.selection.corners import sharpened
+from piezod.diagnose.selection.corners import with_corners
 from piezod.diagnose.selection.search import search
 from tests.unit.diagnose.residuals import mixed_work, noise, played, series, time, triangles
 
@@ -48,7 +48,7 @@ def test_a_stack_of_few_plays_behind_a_kink_is_followed_down_to_the_noise(by_all
     chain, start = chain_over(few_plays)
     smooth = fit(chain, (), start)
     assert smooth.loss > 1.5
-    found = sharpened(chain, smooth, by_all=by_all)
+    found = with_corners(chain, smooth, by_all=by_all)
     assert found is not None
     sharp, fitted = found
     assert fitted.loss == pytest.approx(1.0, abs=0.05)
@@ -62,7 +62,7 @@ def test_a_stack_of_few_plays_behind_a_kink_is_followed_down_to_the_noise(by_all
 def test_a_smooth_stack_needs_no_corner(by_all):
     chain, start = chain_over(many_plays)
     smooth = fit(chain, (), start)
-    found = sharpened(chain, smooth, by_all=by_all)
+    found = with_corners(chain, smooth, by_all=by_all)
     assert found is None or found[1].loss > BETTER * smooth.loss
 
 
@@ -71,13 +71,13 @@ def test_what_corners_explain_gets_no_name_and_what_they_do_not_keeps_its_own():
     assert search(*chain_over(few_plays), lambda *_: None).names == ()
     bent = search(*chain_over(few_plays, lambda force_N: force_N + 1e-4 * force_N**2), lambda *_: None)
     assert bent.names == ("output_nonlinearity",)
-    assert bent.found.loss < 1.1
+    assert bent.hypothesis.loss < 1.1
 
 
 @pytest.mark.parametrize("by_all", [False, True])
 def test_plays_alone_bring_no_kink(by_all):
     chain, start = chain_over(lambda u: 0.7 * u + 0.9 * played(np.concatenate(([0.0], u)), 17.0)[1:])
-    found = sharpened(chain, fit(chain, (), start), by_all=by_all)
+    found = with_corners(chain, fit(chain, (), start), by_all=by_all)
     assert found is not None
     assert found[0].law.kinks_V.size == 0
     assert found[1].loss == pytest.approx(1.0, abs=0.05)

@@ -5,19 +5,26 @@ from types import SimpleNamespace
 import pytest
 
 import piezod
-from piezod.diagnose.command import checked_by, law_checked
+from piezod.diagnose.command import with_checked_law, with_held_out
 from piezod.diagnose.findings import Finding, Findings, HeldOut
 from piezod.diagnose.judgement import Diagnosis
-from piezod.diagnose.verdict.doubt import confidences, least_believed, needed, needless
+from piezod.diagnose.verdict.low_confidence import (
+    effects_without_gain,
+    highest_confidences,
+    is_required,
+    least_confident,
+)
 
 
 def doubted(*effects, before=2.0, after=1.0, surest=None):
     """Of effects given as name, confidence, and error without and with it."""
     names = [name for name, *_ in effects]
     found = [SimpleNamespace(name=n, confidence=c, before=b, after=a) for n, c, b, a in effects]
-    result = SimpleNamespace(names=names, new=names, given=(), found=SimpleNamespace(effects=names))
+    result = SimpleNamespace(names=names, new=names, given=(), hypothesis=SimpleNamespace(effects=names))
     findings = SimpleNamespace(effects=found, before=before, after=after)
-    return needless(result, findings, delivered=True) or least_believed(result, findings, confidences(findings, surest))
+    return effects_without_gain(result, findings, delivered=True) or least_confident(
+        result, findings, highest_confidences(findings, surest)
+    )
 
 
 def test_of_two_doubtful_effects_the_less_confident_is_dropped_first():
@@ -51,7 +58,7 @@ def test_a_confident_effect_without_gain_is_dropped(before):
 
 
 @pytest.mark.parametrize(
-    ("with_it", "without_it", "stays"),
+    ("with_effect", "without_effect", "stays"),
     [
         ("explained", "partly_explained", True),
         ("explained", "unexplained", True),
@@ -60,8 +67,8 @@ def test_a_confident_effect_without_gain_is_dropped(before):
         ("partly_explained", "unexplained", False),
     ],
 )
-def test_what_is_doubtful_stays_where_a_recording_is_explained_with_it_alone(with_it, without_it, stays):
-    assert needed(SimpleNamespace(verdict=with_it), SimpleNamespace(verdict=without_it)) == stays
+def test_what_is_doubtful_stays_where_a_recording_is_explained_with_it_alone(with_effect, without_effect, stays):
+    assert is_required(SimpleNamespace(verdict=with_effect), SimpleNamespace(verdict=without_effect)) == stays
 
 
 @pytest.mark.parametrize(
@@ -77,7 +84,7 @@ def test_a_recording_held_out_that_gets_worse_lowers_verdict_and_confidence(held
     given, extended = piezod.Model.load("config/model.yaml"), object()
     creep = Finding("creep", "creep of the stack", 0.9, "since", (), {}, 2.0, 1.0)
     findings = Findings("explained", "creep", "N", 1.0, "quiet", (), (creep,), 2.0, 1.0, 90.0, 99.0, 0.0)
-    found = checked_by(Diagnosis(findings, extended, [], [], []), given, [HeldOut("later.csv", "", *held_out)])
+    found = with_held_out(Diagnosis(findings, extended, [], [], []), given, [HeldOut("later.csv", "", *held_out)])
     assert found.findings.verdict == verdict
     assert found.findings.effects[0].confidence == most
     assert (found.model is given) == stays
@@ -91,7 +98,7 @@ def test_an_unnamed_law_goes_where_it_makes_one_recording_held_out_worse(after, 
     plain = Diagnosis(findings, object(), [], [], [])
     with_law = Diagnosis(findings, object(), [], [], [], without_law=plain)
     errors, others = (tuple(HeldOut("later.csv", "", 2.0, one) for one in some) for some in (after, (1.0, 1.0)))
-    found, told = law_checked(with_law, errors, others)
+    found, told = with_checked_law(with_law, errors, others)
     assert (found is with_law) == stays
     assert told == (errors if stays else others)
     assert any("left out" in note for note in found.findings.notes) != stays

@@ -5,7 +5,8 @@ import pytest
 
 import piezod
 from piezod.diagnose.command import diagnose_files
-from piezod.diagnose.prepare import even, read_source
+from piezod.diagnose.prepare import evenly_spaced
+from piezod.diagnose.sources import read_source
 from piezod.errors import RecordingError
 from piezod.model import load_model
 from tests.benches.plain_stack import NOISE_N, RATE_HZ, read, triangles, work
@@ -79,6 +80,6 @@ def test_a_copy_of_a_column_is_no_temperature(tmp_path, given, copy):
     path = tmp_path / "work.csv"
     np.savetxt(path, columns, "%.6f", ",", header="time_s,voltage_V,force_N,temperature_C", comments="")
     source = read_source(path, "recording", (model.input.channel, model.output.channel))
-    series, notes = even(source, model)
+    series, notes = evenly_spaced(source, model)
     assert series.temperature_C is None
     assert any(f"temperature_C is a copy of {copy}, no temperature" in note for note in notes)

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from piezod.diagnose.verdict.evidence import OFF, WIDER, _with_the_form, read_off, standing
+from piezod.diagnose.verdict.direct_findings import confirmed_frozen, direct_findings
+from piezod.diagnose.verdict.evidence import FORM_ERROR, INTERVAL_FACTOR, widened
 from piezod.effects import EFFECTS
 from tests.unit.diagnose.residuals import mixed_work, noise, series, time
 
@@ -21,17 +22,23 @@ def test_a_reading_that_the_found_model_explains_does_not_stand_still(stands, na
     elif stands == "to the last bit":
         reading_N[first:end] = force_N[first]
     recorded = series(time_s, mixed_work(time_s), reading_N)
-    found = read_off([recorded], {0: [STRETCH]}, [reading_N - force_N], 1.0)
+    found = direct_findings([recorded], {0: [STRETCH]}, [reading_N - force_N], 1.0)
     assert [one.name for one in found] == ["sensor_dropout"] * named
-    left = standing([recorded], {0: [STRETCH], 1: []}, [reading_N - force_N, reading_N])
+    left = confirmed_frozen([recorded], {0: [STRETCH], 1: []}, [reading_N - force_N, reading_N])
     assert left == {0: [STRETCH] * named, 1: []}
 
 
 @pytest.mark.parametrize(
     ("effect", "name", "value", "half", "expected"),
     [
-        ("slew_limit", "limit_V_per_s", 300.0, 0.0, (300.0 * (1.0 - OFF), 300.0 * (1.0 + OFF))),  # told exactly
-        ("feedthrough", "coefficient_N_s_per_V", 1.0, 0.2, (1.0 - WIDER * 0.2, 1.0 + WIDER * 0.2)),
+        (
+            "slew_limit",
+            "limit_V_per_s",
+            300.0,
+            0.0,
+            (300.0 * (1.0 - FORM_ERROR), 300.0 * (1.0 + FORM_ERROR)),
+        ),  # told exactly
+        ("feedthrough", "coefficient_N_s_per_V", 1.0, 0.2, (1.0 - INTERVAL_FACTOR * 0.2, 1.0 + INTERVAL_FACTOR * 0.2)),
         ("creep", "per_decade", 0.02, 0.01, (0.01, 0.04)),  # above 0, by a factor
         ("creep", "per_decade", 0.02, 1.0, (0.0, 0.3)),  # within the range of the parameter
     ],
@@ -39,7 +46,7 @@ def test_a_reading_that_the_found_model_explains_does_not_stand_still(stands, na
 def test_an_interval_holds_what_the_form_of_the_model_is_off_by(effect, name, value, half, expected):
     one = EFFECTS[effect].parameter(name)
     in_fit = max(value - half, one.low), min(value + half, one.high)
-    low, high = _with_the_form(one, value, in_fit)
+    low, high = widened(one, value, in_fit)
     assert (low, high) == pytest.approx(expected, rel=1e-3)
     assert one.low <= low <= in_fit[0]
     assert in_fit[1] <= high <= one.high

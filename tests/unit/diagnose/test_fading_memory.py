@@ -42,4 +42,4 @@ def test_memory_that_fades_is_no_friction_and_a_wrong_start_does_not_hide_it():
     found = search(chain, empty_point(chain, 1.8, 0.0), lambda *_: None)
     assert found.names == ("noncongruent_minor_loops",)
     assert found.chain.series[1].path_V == ()
-    assert found.found.loss < 1.1
+    assert found.hypothesis.loss < 1.1

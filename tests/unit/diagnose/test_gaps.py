@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 import piezod
-from piezod.diagnose.prepare import made_ready, read_source
+from piezod.diagnose.prepare import prepared
+from piezod.diagnose.sources import read_source
 from tests.benches.plain_stack import RATE_HZ, read, triangles
 
 U = triangles([90, 50, 100, 70, 35])
@@ -21,7 +22,7 @@ def ready(model, folder, there, force_N):
     path = folder / "work.csv"
     columns = np.column_stack((np.arange(U.size) / RATE_HZ, U, force_N))[there]
     np.savetxt(path, columns, "%.6f", ",", header="time_s,voltage_V,force_N", comments="")
-    return made_ready([read_source(path, "recording", ("voltage_V", "force_N"))], model)
+    return prepared([read_source(path, "recording", ("voltage_V", "force_N"))], model)
 
 
 @pytest.mark.parametrize(

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from piezod.diagnose.adequacy.guard import explainable
-from piezod.diagnose.verdict.verdict import STILL_EXPLAINABLE, SURE
+from piezod.diagnose.verdict.verdict import MISSING_SHARE, SIGNIFICANT
 from tests.unit.diagnose.residuals import (
     crept,
     lagged,
@@ -48,7 +48,7 @@ def seeds(few, many):
 def test_nothing_of_a_noise_is_explainable_whatever_its_colour(drive, rho, seeds):
     u = drive(time(20_000))
     guards = [guard_of(u, 0.0, rho=rho, seed=seed) for seed in range(seeds)]
-    assert max(one.share for one in guards) < STILL_EXPLAINABLE
+    assert max(one.share for one in guards) < MISSING_SHARE
     assert sum(one.p <= 0.01 for one in guards) == 0
     assert sum(one.local_p <= 0.01 for one in guards) <= 1
 
@@ -64,7 +64,7 @@ def quick(time_s):
 def test_nothing_of_a_noise_is_explainable_in_a_short_recording(seconds, rho, seeds):
     u = quick(time(int(1000 * seconds)))
     guards = [guard_of(u, 0.0, rho=rho, seed=seed) for seed in range(seeds)]
-    assert sum(one.p <= SURE and one.share > STILL_EXPLAINABLE for one in guards) <= 1
+    assert sum(one.p <= SIGNIFICANT and one.share > MISSING_SHARE for one in guards) <= 1
 
 
 @pytest.mark.parametrize("name", ["quadratic", "slip", "lag", "tone"])
@@ -78,8 +78,8 @@ def test_what_is_missing_from_a_short_recording_is_explainable(name):
         "tone": 3.0 * np.sin(2.0 * np.pi * 121.5 * time_s),
     }[name]
     guard = guard_of(u, missing_N)
-    assert guard.p <= SURE
-    assert guard.share > STILL_EXPLAINABLE
+    assert guard.p <= SIGNIFICANT
+    assert guard.share > MISSING_SHARE
 
 
 @seeds(1, 8)

@@ -5,7 +5,7 @@ import pytest
 
 import piezod
 from piezod.diagnose.experiment.isolability import LARGE, Isolability, isolability, separated_by
-from piezod.diagnose.prepare import Source
+from piezod.diagnose.sources import Source
 from piezod.effects import EFFECTS
 from tests.unit.diagnose.residuals import mixed_work
 

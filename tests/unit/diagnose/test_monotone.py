@@ -69,9 +69,9 @@ def test_what_fits_by_plays_that_fold_alone_gives_way_to_what_gains_without(monk
     result = Search(chain, base, folded, base.point, [Round(base, folded, (delay,))])
     straight = replace(lag, losses=base.losses)
     monkeypatch.setattr(diagnosis, "unfolded", lambda _, one: straight if one is folded else one)
-    monkeypatch.setattr(diagnosis, "instead", lambda *_: [delay])
-    found = diagnosis.rising(result)
-    assert found.found is (delay if taken else folded)
+    monkeypatch.setattr(diagnosis, "with_each_rival", lambda *_: [delay])
+    found = diagnosis.with_monotone_curve(result)
+    assert found.hypothesis is (delay if taken else folded)
     if taken:
         finding = finding_of(found, "transport_delay")
         assert [one.name for one in finding.rivals] == ["electrical_lag"]

@@ -1,4 +1,4 @@
-"""Two effects at once: what both promise together is what least squares says, and they are found."""
+"""Two effects at once: what add_pair promise together is what least squares says, and they are found."""
 
 from dataclasses import replace
 
@@ -8,9 +8,9 @@ from scipy import signal
 
 from piezod.diagnose.candidates.screening import screened, screened_pairs
 from piezod.diagnose.hypothesis.fit import Normal, fit
-from piezod.diagnose.selection.search import both
+from piezod.diagnose.selection.search import add_pair
 from piezod.diagnose.selection.search_state import Search
-from piezod.diagnose.selection.trials import two_at_once
+from piezod.diagnose.selection.trials import fitted_pairs
 from tests.unit.diagnose.residuals import time
 from tests.unit.diagnose.test_corners import many_plays
 from tests.unit.diagnose.test_search import RATE_HZ, SAMPLES, worked
@@ -67,10 +67,10 @@ def test_a_filter_and_a_coupling_that_nearly_cancel_are_found_together():
     chain, start = worked(np.random.default_rng(5), behind(12.0, 0.033))
     base = fit(chain, (), start)
     result = Search(chain, base, base, start)
-    assert both(result, [])
+    assert add_pair(result, [])
     assert set(result.names) == {"sensor_filter", "feedthrough"}
     assert [one.accepted.effects for one in result.rounds] == [result.names[:1], result.names]
-    values = {name: value for one in result.found.point.values for name, value in one.items()}
+    values = {name: value for one in result.hypothesis.point.values for name, value in one.items()}
     assert values["coefficient_N_s_per_V"] == pytest.approx(0.033, rel=0.01)
     assert values["cutoff_Hz"] == pytest.approx(12.0, rel=0.01)
 
@@ -81,7 +81,7 @@ def test_a_coupling_behind_a_delay_is_found_where_its_jumps_are():
         return read_N if role == "identification" else np.concatenate((np.full(4, read_N[0]), read_N[:-4]))
 
     chain, start = worked(np.random.default_rng(6), late_and_coupled, stairs(np.random.default_rng(7)))
-    pairs = two_at_once(chain, fit(chain, (), start))
+    pairs = fitted_pairs(chain, fit(chain, (), start))
     best = min(pairs, key=lambda one: one.loss)
     assert best.effects == ("transport_delay", "feedthrough")
     assert [term.scope for term in best.terms] == ["since", "already"]

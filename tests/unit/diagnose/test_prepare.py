@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from piezod.diagnose.hypothesis.basis import PlayDensity
-from piezod.diagnose.prepare import Source, chain_of, even, started, with_unknown_start, without_frozen
+from piezod.diagnose.prepare import chain_of, evenly_spaced, with_start, with_unknown_start, without_frozen
+from piezod.diagnose.sources import Source
 from piezod.errors import RecordingError
 from piezod.estimation.unknown_past import fitted_past
 from piezod.model import load_model
@@ -31,7 +32,7 @@ def a_recording(time_s, model):
 def test_where_a_tick_was_missed_the_voltage_stays_and_no_reading_counts(model):
     missed = [100, 400, 401, 402]
     time_s = np.delete(np.arange(2000) / RATE_Hz, missed)
-    series, notes = even(a_recording(time_s, model), model)
+    series, notes = evenly_spaced(a_recording(time_s, model), model)
     assert series.time_s.size == 2000
     assert np.flatnonzero(~series.counts).tolist() == missed
     assert series.command_V[100] == series.command_V[99]
@@ -43,7 +44,7 @@ def test_where_a_tick_was_missed_the_voltage_stays_and_no_reading_counts(model):
 
 def test_samples_that_follow_no_clock_are_resampled(model):
     time_s = np.cumsum(np.random.default_rng(1).uniform(0.5, 1.5, 2000)) / RATE_Hz
-    series, notes = even(a_recording(time_s, model), model)
+    series, notes = evenly_spaced(a_recording(time_s, model), model)
     steps_s = np.diff(series.time_s)
     np.testing.assert_allclose(steps_s, steps_s[0], rtol=1e-9)
     assert series.counts.all()
@@ -56,20 +57,20 @@ def test_a_converter_of_a_few_levels_moves(model, levels):
     output = source.recording.channels[model.output.channel]
     step_N = np.ptp(output) / (levels - 1)
     output[:] = step_N * np.round(output / step_N)
-    series, _ = even(source, model)
+    series, _ = evenly_spaced(source, model)
     assert without_frozen(series, model)[0].counts.mean() > 0.5
 
 
 def test_a_recording_whose_reading_never_moves_is_refused_in_one_line(model):
     source = a_recording(np.arange(2000) / RATE_Hz, model)
     source.recording.channels[model.output.channel][:] = 41.25
-    series, _ = even(source, model)
+    series, _ = evenly_spaced(source, model)
     with pytest.raises(
         RecordingError, match=r"some\.csv: the reading stands still at 41\.25 N .* 9\.99 s; look at the sensor"
     ):
         without_frozen(series, model)
     source.recording.channels[model.output.channel][1500:] = 1.5 * source.recording.channels[model.input.channel][1500:]
-    left, stretches = without_frozen(even(source, model)[0], model)
+    left, stretches = without_frozen(evenly_spaced(source, model)[0], model)
     assert stretches == [(0, 1500)]
     assert np.count_nonzero(left.counts) == 500
 
@@ -83,7 +84,7 @@ def test_what_came_before_a_start_amid_the_range_lies_in_its_columns(model, hist
     source = a_recording(time_s, model)
     source.recording.channels[model.input.channel][:] = u
     source.recording.channels[model.output.channel][:] = driven(model, history_V, u) + noise_N
-    series, said = with_unknown_start(started(even(source, model)[0], model), model)
+    series, said = with_unknown_start(with_start(evenly_spaced(source, model)[0], model), model)
     assert series.time_s.size == u.size
     first = series.past_matters_until
     assert f"its first {first / RATE_Hz:.3g} s depend on what came before" in said[0]
@@ -104,7 +105,7 @@ def test_without_noise_the_later_cycles_judge(model):
     u = source.recording.channels[model.input.channel]
     u[:] = 50.0 + 40.0 * (1.0 + 2e-4 * time_s) * np.sin(2.0 * time_s)  # it keeps growing a little
     source.recording.channels[model.output.channel][:] = driven(model, (140.0, 0.0), u)
-    series, said = with_unknown_start(started(even(source, model)[0], model), model)
+    series, said = with_unknown_start(with_start(evenly_spaced(source, model)[0], model), model)
     assert "drive the whole range" not in " ".join(said)
     judged = [series.judges(block) for block in series.blocks]
     assert judged[-1]

@@ -21,7 +21,7 @@ def fitted(*losses):
 
 def test_each_hypothesis_is_written_once_with_its_losses(tmp_path):
     base, first, second = fitted(4.0, 5.0), fitted(2.0, np.inf), fitted(3.0, 1.0)
-    attempts = [Attempt("one", 0, base, one, degenerate=False, believed=one is second) for one in (first, second)]
+    attempts = [Attempt("one", 0, base, one, degenerate=False, accepted=one is second) for one in (first, second)]
     write_replay(tmp_path / "replay.json", attempts)
     content = json.loads((tmp_path / "replay.json").read_text())
     assert [(one["before"], one["after"], one["believed"]) for one in content["attempts"]] == [

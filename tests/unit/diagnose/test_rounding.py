@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from piezod.diagnose.candidates.rounding import lattice_step_N, unrounded
+from piezod.diagnose.candidates.rounding import converter_step_N, unrounded
 from piezod.diagnose.hypothesis.series import Series
 
 Array = NDArray[np.float64]
@@ -22,7 +22,9 @@ def recorded(force_N: Array, step_N: float, noise_N: float) -> Series:
     noise = noise_N * np.random.default_rng(3).standard_normal(force_N.size)
     readings = step_N * np.rint((force_N + noise) / step_N) if step_N else force_N + noise
     everywhere = np.ones(force_N.size, dtype=bool)
-    return Series("r", "recording", TIME_S, force_N, readings, everywhere, noise_N, lattice_N=lattice_step_N(readings))
+    return Series(
+        "r", "recording", TIME_S, force_N, readings, everywhere, noise_N, lattice_N=converter_step_N(readings)
+    )
 
 
 @pytest.mark.parametrize("step_N", [0.25, 2.0])

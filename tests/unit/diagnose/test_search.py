@@ -7,13 +7,13 @@ import pytest
 from scipy import signal
 
 from piezod.diagnose.candidates.screening import screened
-from piezod.diagnose.candidates.tones import Tone, heard_again, without_tones
+from piezod.diagnose.candidates.tones import Tone, reestimated_tones, without_tones
 from piezod.diagnose.hypothesis.basis import ForceLaw, PlayDensity
 from piezod.diagnose.hypothesis.chain import Chain, Term, empty_point
 from piezod.diagnose.hypothesis.fit import fit
-from piezod.diagnose.selection.search import begin_anew, both, search, swap
+from piezod.diagnose.selection.search import add_pair, refit_earlier_effects, replace_by_rivals, search
 from piezod.diagnose.selection.search_state import Round, Search
-from piezod.diagnose.selection.tone_search import listen_again
+from piezod.diagnose.selection.tone_search import update_tones
 from piezod.diagnose.verdict.evidence import finding_of
 from piezod.diagnose.verdict.extended import stored_parameters
 from piezod.effects import EFFECTS
@@ -49,7 +49,7 @@ def test_a_step_that_goes_again_does_not_hide_a_drift():
     temperature_C = 20.0 + 8.0 * (1.0 - np.exp(-time(SAMPLES, RATE_HZ) / 25.0))
     found = search(*chain_over(missing_N, temperature_C), lambda *_: None)
     assert set(found.names) == {"thermal_drift", "load_step"}
-    assert found.found.loss < 1.05
+    assert found.hypothesis.loss < 1.05
 
 
 @pytest.mark.slow
@@ -65,9 +65,9 @@ def test_a_hum_that_was_there_already_hides_nothing_that_is_a_hundredth_of_it():
     temperature_C = 20.0 + 8.0 * (1.0 - np.exp(-time(SAMPLES, RATE_HZ) / 25.0))
     found = search(*chain_over(missing_N, temperature_C, hum_N), lambda *_: None)
     assert set(found.names) == {"thermal_drift", "mains_hum"}
-    assert found.found.loss < 1.05
+    assert found.hypothesis.loss < 1.05
     assert [found.chain.series[tone.number].role for tone in found.tones] == ["recording", "identification"]
-    assert len(found.tones_asked_about) == 1
+    assert len(found.diagnosed_tones) == 1
 
 
 @pytest.mark.slow
@@ -84,7 +84,7 @@ def test_a_start_that_was_estimated_without_an_effect_is_no_part_of_what_the_eff
     assert found.names == ("thermal_drift",)
     assert [one.path_V for one in found.chain.series] == [(), ()]
     assert abs(found.base.loss / right - 1.0) < 0.01
-    assert found.found.loss < 1.05
+    assert found.hypothesis.loss < 1.05
 
 
 def recordings_late_and_bent():
@@ -117,12 +117,12 @@ def test_what_fits_better_beside_all_else_that_was_found_is_swapped_in_and_the_o
         base, with_effects(sensor_filter={"cutoff_Hz": 5.0}), (with_effects(transport_delay={"delay_s": 0.02}),)
     )
     result = Search(chain, base, found, base.point, [early])
-    swap(result)
-    assert set(result.found.effects) == {"output_nonlinearity", "transport_delay"}
-    delay = next(v for v in result.found.point.values if "delay_s" in v)
+    replace_by_rivals(result)
+    assert set(result.hypothesis.effects) == {"output_nonlinearity", "transport_delay"}
+    delay = next(v for v in result.hypothesis.point.values if "delay_s" in v)
     assert abs(delay["delay_s"] - 6 / RATE_HZ) < 0.1 / RATE_HZ
-    assert result.beside["transport_delay"].rivals["sensor_filter"] == found.loss
-    assert result.beside["transport_delay"].with_it < found.loss
+    assert result.rivalries["transport_delay"].rivals["sensor_filter"] == found.loss
+    assert result.rivalries["transport_delay"].with_effect < found.loss
 
 
 def sliding(force_N):
@@ -162,7 +162,7 @@ def test_what_bends_to_any_hysteresis_gives_way_to_what_has_a_shape_and_says_nea
     loops = with_one("noncongruent_minor_loops", {one.name: one.search.starts[0] for one in weights})
     rubbing = with_one("friction", {"force_N": 1.0, "presliding_N": 10.0, "exponent": 1.5, "closing": 0.7})
     result = Search(chain, base, loops, base.point, [Round(base, loops, (rubbing,))])
-    swap(result)
+    replace_by_rivals(result)
     assert result.names == (taken,)
     rival = next(iter(finding_of(result, taken).rivals), None)
     assert taken != "friction" or (rival.name == "noncongruent_minor_loops" and rival.separation > 0.15)
@@ -175,7 +175,7 @@ def test_an_effect_of_the_hypothesis_is_no_rival_of_another():
     round_ = Round(base, first, (replace(second, losses=first.losses),))  # as near as can be, before both were found
     found = Search(chain, base, first, base.point, [round_])
     assert [one.name for one in finding_of(found, "transport_delay").rivals] == ["output_nonlinearity"]
-    found.found = with_effects(transport_delay=delay, output_nonlinearity=bent)
+    found.hypothesis = with_effects(transport_delay=delay, output_nonlinearity=bent)
     alone = finding_of(found, "transport_delay")
     assert alone.rivals == ()
     assert alone.confidence > 0.8
@@ -201,19 +201,19 @@ def test_a_tone_that_was_the_ringing_of_a_mode_is_given_back_to_it(vibration_N):
     base = fit(chain, (), empty_point(chain, 1.8, 0.0))
     residuals_N = [one.reading_N - chain.run(k, (), base.point).reading_N for k, one in enumerate(chain.series)]
     guess = Tone("vibration", 1, {"frequency_Hz": 11.05}, np.zeros(SAMPLES))
-    group = heard_again(chain.series, residuals_N, [guess])
-    assert float(np.std(group[0].heard_N)) > NOISE_N
+    group = reestimated_tones(chain.series, residuals_N, [guess])
+    assert float(np.std(group[0].signal_N)) > NOISE_N
     quiet = chain.like(without_tones(chain.series, group))
     mode = Term(EFFECTS["resonance"], "already")
     start = replace(base.point, values=({"frequency_Hz": 11.3, "damping_ratio": 0.04},))
     result = Search(quiet, fit(quiet, (), base.point), fit(quiet, (mode,), start), base.point, tones=group)
-    listen_again(result)
-    assert [tone.name for tone in result.tones_asked_about] == (["vibration"] if vibration_N else [])
-    assert result.found.point.values[0]["frequency_Hz"] == pytest.approx(
+    update_tones(result)
+    assert [tone.name for tone in result.diagnosed_tones] == (["vibration"] if vibration_N else [])
+    assert result.hypothesis.point.values[0]["frequency_Hz"] == pytest.approx(
         mode_Hz, rel=2e-3 if vibration_N == 0.0 else 0.02
     )
     if vibration_N == 0.0:
-        assert result.found.loss < 1.05
+        assert result.hypothesis.loss < 1.05
 
 
 @pytest.mark.slow
@@ -231,8 +231,8 @@ def test_a_bessel_filter_of_the_reading_is_one_filter_without_a_rival_that_does_
     chain = Chain(made, PlayDensity.up_to(119.4), ForceLaw(-4.0, 120.0), 216.0)
     found = search(chain, empty_point(chain, 1.8, 0.0), lambda *_: None)
     assert found.names == ("sensor_filter",)
-    assert abs(found.found.point.values[0]["cutoff_Hz"] / cutoff_Hz - 1.0) < 0.01
-    assert abs(found.found.point.values[0]["damping_ratio"] - np.sqrt(0.75)) < 0.03
+    assert abs(found.hypothesis.point.values[0]["cutoff_Hz"] / cutoff_Hz - 1.0) < 0.01
+    assert abs(found.hypothesis.point.values[0]["damping_ratio"] - np.sqrt(0.75)) < 0.03
     assert "resonance" not in {one.effects[-1] for round_ in found.rounds for one in round_.others}
 
 
@@ -252,7 +252,7 @@ def test_a_large_step_of_the_load_is_found_in_front_of_a_filter_and_of_a_delay()
     chain = Chain(made, PlayDensity.up_to(119.4), ForceLaw(-4.0, 120.0), 216.0)
     found = search(chain, empty_point(chain, 1.8, 0.0), lambda *_: None)
     assert set(found.names) == {"transport_delay", "sensor_filter", "load_step"}
-    step = found.found.point.values[found.names.index("load_step")]
+    step = found.hypothesis.point.values[found.names.index("load_step")]
     assert abs(step["step_N"] - 60.0) < 1.0
     assert abs(step["on_s"] - 12.2) < 0.02
     assert abs(step["off_s"] - 25.3) < 0.02
@@ -262,7 +262,7 @@ def test_a_large_step_of_the_load_is_found_in_front_of_a_filter_and_of_a_delay()
     assert told["on_s"].low <= told["on_s"].value <= told["on_s"].high
     assert told["on_s"].value == pytest.approx(152.2, abs=0.02)
     assert told["off_s"].value == pytest.approx(165.3, abs=0.02)
-    term = later.found.terms[later.names.index("load_step")]
+    term = later.hypothesis.terms[later.names.index("load_step")]
     stored = stored_parameters(term, step)
     assert (stored["on_s"], stored["off_s"]) == pytest.approx((12.2, 25.3), abs=0.02)  # from its first sample
     step["off_s"] = 1e7
@@ -295,7 +295,7 @@ def test_a_vibration_that_was_taken_off_beside_a_larger_effect_is_followed_anew_
     found = search(*worked(np.random.default_rng(8), missing), lambda *_: None)
     assert set(found.names) == {"slew_limit", "vibration"}
     assert abs(found.tones[0].values["amplitude_N"] - 20.0) < 0.03
-    assert found.found.loss < 1.05
+    assert found.hypothesis.loss < 1.05
 
 
 def slipping(force_N, force, presliding_N):
@@ -326,13 +326,13 @@ def test_two_effects_are_found_at_once_where_each_leaves_what_the_other_one_is(c
     terms = (*leak.terms, Term(EFFECTS["friction"], "since"))
     alone = fit(chain, terms, replace(leak.point, values=(*leak.point.values, values)))
     result = Search(chain, base, leak, start)
-    assert both(result, [(chain, alone)]) == (coupled_N_s_per_V > 0.0)
+    assert add_pair(result, [(chain, alone)]) == (coupled_N_s_per_V > 0.0)
     if coupled_N_s_per_V:
         assert result.names == ("charge_leakage", "friction", "feedthrough")
-        assert result.found.loss < 1.05
-        assert abs(result.found.point.values[2]["coefficient_N_s_per_V"] / coupled_N_s_per_V - 1.0) < 0.05
+        assert result.hypothesis.loss < 1.05
+        assert abs(result.hypothesis.point.values[2]["coefficient_N_s_per_V"] / coupled_N_s_per_V - 1.0) < 0.05
     else:
-        assert result.found is leak
+        assert result.hypothesis is leak
 
 
 @pytest.mark.parametrize("coupled_N_s_per_V", [0.004, -0.004])
@@ -364,6 +364,6 @@ def test_a_choice_that_was_made_before_another_effect_was_found_is_made_anew():
     early = fit(chain, of_voltage, replace(base.point, values=begun))
     assert early.loss > 1.05
     result = Search(chain, base, early, base.point)
-    begin_anew(result)
-    assert dict(result.found.terms[0].choices)["driven_by"] == 0.0
-    assert result.found.loss < 1.02
+    refit_earlier_effects(result)
+    assert dict(result.hypothesis.terms[0].choices)["driven_by"] == 0.0
+    assert result.hypothesis.loss < 1.02

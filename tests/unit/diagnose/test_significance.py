@@ -6,33 +6,33 @@ import pytest
 from piezod.diagnose.hypothesis.chain import Point, Term
 from piezod.diagnose.hypothesis.fit import fit
 from piezod.diagnose.selection.search_state import Search
-from piezod.diagnose.selection.significance import adjusted, by_signs, p_value, seldom
+from piezod.diagnose.selection.significance import discovery_rates, is_concentrated, p_value, sign_test_p
 from piezod.effects import EFFECTS
 from tests.unit.diagnose.test_pairs import stairs, worked
 
 
 def test_gains_by_chance_give_p_values_that_are_spread_evenly():
     rng = np.random.default_rng(1)
-    found = np.array([by_signs(rng.normal(0.0, 0.1, 24)) for _ in range(400)])
+    found = np.array([sign_test_p(rng.normal(0.0, 0.1, 24)) for _ in range(400)])
     for level in (0.05, 0.2, 0.5):
         spread = np.sqrt(level * (1.0 - level) / found.size)
         assert abs(np.mean(found <= level) - level) < 3.0 * spread
 
 
 def test_a_gain_in_every_block_is_as_unlikely_as_the_signs_allow():
-    assert by_signs(np.full(8, 0.1)) == pytest.approx(2.0**-8, rel=0.2)
+    assert sign_test_p(np.full(8, 0.1)) == pytest.approx(2.0**-8, rel=0.2)
 
 
 def test_one_block_alone_proves_nothing():
-    assert by_signs(np.concatenate(([5.0], np.zeros(11)))) > 0.3
-    assert by_signs(np.array([5.0])) == 1.0
+    assert sign_test_p(np.concatenate(([5.0], np.zeros(11)))) > 0.3
+    assert sign_test_p(np.array([5.0])) == 1.0
 
 
 @pytest.mark.parametrize(("blocks", "few"), [(2, True), (4, True), (6, False), (30, False)])
 def test_what_acts_in_less_than_five_blocks_cannot_be_tested_by_signs(blocks, few):
     gains = np.random.default_rng(3).normal(0.0, 0.005, 60)
     gains[:blocks] += 1.0
-    assert seldom(gains) == few
+    assert is_concentrated(gains) == few
 
 
 @pytest.mark.parametrize(
@@ -47,7 +47,7 @@ def test_what_acts_in_less_than_five_blocks_cannot_be_tested_by_signs(blocks, fe
 )
 def test_values_are_adjusted_over_the_22_names_of_the_catalogue(p_values, expected):
     assert len(EFFECTS) == 22
-    assert adjusted(p_values) == pytest.approx(expected)
+    assert discovery_rates(p_values) == pytest.approx(expected)
 
 
 def searched(read, name, values):

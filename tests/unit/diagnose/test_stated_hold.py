@@ -8,7 +8,7 @@ import pytest
 from piezod.diagnose.hypothesis.basis import ForceLaw, PlayDensity
 from piezod.diagnose.hypothesis.chain import Chain, Term, empty_point
 from piezod.diagnose.hypothesis.fit import fit
-from piezod.diagnose.selection.stated_hold import as_told
+from piezod.diagnose.selection.stated_hold import with_stated_hold
 from piezod.effects import EFFECTS
 from piezod.recording import HELD_ONE_SAMPLE, Hold
 from tests.unit.diagnose.residuals import lagged, mixed_work, noise, series, time
@@ -51,7 +51,7 @@ def with_a_filter(chain):
 
 def test_a_filter_that_is_part_of_a_sample_gives_way_to_the_delay_that_the_told_course_needs():
     chain = chain_over(DELAY_S, recorded_hold=HELD_ONE_SAMPLE)
-    _, found = as_told(chain, with_a_filter(chain))
+    _, found = with_stated_hold(chain, with_a_filter(chain))
     assert set(found.effects) == {"electrical_lag", "transport_delay"}
     values = dict(zip((term.effect.name for term in found.terms), found.point.values, strict=True))
     assert values["transport_delay"]["delay_s"] == pytest.approx(
@@ -63,4 +63,4 @@ def test_a_filter_that_is_part_of_a_sample_gives_way_to_the_delay_that_the_told_
 def test_a_recording_that_does_not_say_leaves_a_hypothesis_as_it_is():
     chain = chain_over(DELAY_S, recorded_hold=None)
     found = with_a_filter(chain)
-    assert as_told(chain, found) == (chain, found)
+    assert with_stated_hold(chain, found) == (chain, found)

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from piezod.diagnose.candidates.steps import NEVER_S, Step, edge_near, sharp, shown_late_s
+from piezod.diagnose.candidates.steps import NEVER_S, Step, edge_near, has_clear_edges, shown_late_s
 from piezod.diagnose.hypothesis.basis import ForceLaw, PlayDensity
 from piezod.diagnose.hypothesis.chain import Chain, Term, empty_point
 from piezod.effects import EFFECTS
@@ -35,7 +35,7 @@ def test_an_edge_where_no_reading_counts_stays_where_it_was():
 
 def left_by(one, residual, height_N):
     step = Step(height_N, round(ON_S / one.dt_s), round(NEVER_S / one.dt_s))
-    return sharp(one, residual - height_N * (TIME_S >= ON_S), step)
+    return has_clear_edges(one, residual - height_N * (TIME_S >= ON_S), step)
 
 
 def test_a_step_of_the_load_has_a_sharp_edge_and_a_drift_has_none():
@@ -72,7 +72,7 @@ def test_a_jump_at_a_step_of_the_command_must_be_larger_than_at_its_other_steps(
     step = Step(HEIGHT_N, round(steps_s[6] / 1e-3), TIME_S.size)
     height_N = np.where(steps_s[6] <= TIME_S, HEIGHT_N - answer, 0.0)  # with the command's own part HEIGHT_N in all
     left = residual + height_N - HEIGHT_N * (steps_s[6] <= TIME_S)
-    assert sharp(series(TIME_S, u, residual), left, step) == believed
+    assert has_clear_edges(series(TIME_S, u, residual), left, step) == believed
 
 
 @pytest.mark.parametrize("edges", [(7.3, NEVER_S), (7.3, 12.0), (-1.0, 7.3)])

@@ -21,7 +21,7 @@ def test_a_harmonic_at_half_the_sampling_rate_goes_with_its_hum(rate_Hz, harmoni
     one = Series("by hand", "recording", time_s, u, model_of(u) + residual_N, np.ones(time_s.size, bool), NOISE_N)
     groups = tones([one], [residual_N], ())
     assert [tone.name for group in groups for tone in group] == ["mains_hum"]
-    left_N = residual_N - groups[0][0].heard_N
+    left_N = residual_N - groups[0][0].signal_N
     assert float(np.std(left_N)) < 1.1 * NOISE_N
     assert groups[0][0].values["amplitude_N"] == pytest.approx(20.0, rel=0.01)
 
@@ -35,7 +35,7 @@ def test_harmonics_that_appear_beside_each_other_are_both_the_hums(mains_Hz):
     one = Series("by hand", "recording", time_s, u, model_of(u) + residual_N, np.ones(time_s.size, bool), NOISE_N)
     groups = tones([one], [residual_N], ())
     assert [tone.name for group in groups for tone in group] == ["mains_hum"]
-    left_N = residual_N - groups[0][0].heard_N
+    left_N = residual_N - groups[0][0].signal_N
     assert float(np.std(left_N)) < 1.1 * NOISE_N
     assert not tones([one], [white_N + 0.5 * np.sin(7.0 * angle)], groups[0])  # no vibration either when it is alone
 

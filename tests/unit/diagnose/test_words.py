@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import pytest
 
-from piezod.diagnose.findings import Base, Finding, Findings, Kept, Place, Value
+from piezod.diagnose.findings import Base, Finding, Findings, Place, UnchangedEffect, Value
 from piezod.diagnose.verdict import words
 from piezod.diagnose.verdict.verdict import words_of
 from piezod.effects import EFFECTS
@@ -181,7 +181,7 @@ def changed(name, now, was, status="changed"):
 
 def test_a_change_is_told_from_and_to_and_what_is_kept_beside_it():
     effects = changed("creep", 0.021, 0.013), changed("transport_delay", 0.0, 0.0015, "gone")
-    kept = Kept("electrical_lag", {}, seen=True), Kept("resonance", {}, seen=False)
+    kept = UnchangedEffect("electrical_lag", {}, seen=True), UnchangedEffect("resonance", {}, seen=False)
     findings = Findings("explained", "", "N", 0.1, "quiet", (), effects, 2.0, 0.1, 90.0, 99.0, 0.0, kept=kept)
     said = words_of(findings, WORDING)
     assert "creep of the stack grew from 1.30 % per decade (1.17 to 1.43) to 2.10 % per decade (1.89 to 2.31)" in said

@@ -58,7 +58,7 @@ def memory(recordings: Sequence[Residuals]) -> Memory:
 
 def _bands(recording: Residuals, times_s: Array) -> Array:
     """Differences of neighbouring low-passes of the command, without mean, 0 at rejected readings, shape (N, B)."""
-    low_passes = coordinates.faded_columns(recording.series.command_V, recording.series.dt_s, times_s)
+    low_passes = coordinates.low_passed(recording.series.command_V, recording.series.dt_s, times_s)
     bands = low_passes[:, :-1] - low_passes[:, 1:]
     counts = recording.series.counts
     bands -= bands[counts].mean(axis=0)

@@ -1,0 +1,98 @@
+"""Recordings of a diagnosis as they are read: the diagnosed ones and those of the identification."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from piezod.diagnose.hypothesis.series import Role
+from piezod.identify.layout import stated_layout
+from piezod.model import Model, file_sha256
+from piezod.recording import Recording, TextOptions, read_recording
+from piezod.recording.conversion import in_units_of
+from piezod.recording.formats.repairs import repair_notes
+
+
+@dataclass(frozen=True)
+class Source:
+    """Recording as read.
+
+    Parameters
+    ----------
+    recording, sha256
+        Recording, and hash of its file.
+    role
+        Whether it is diagnosed or was used for the identification.
+    condition
+        COLUMN=VALUE at which its readings count; None: everywhere.
+    notes
+        Remarks about the file format and converted channels.
+    text
+        Options for a text file; None: defaults.
+    """
+
+    recording: Recording
+    sha256: str
+    role: Role
+    condition: str | None = None
+    notes: tuple[str, ...] = ()
+    text: TextOptions | None = None
+
+    @property
+    def name(self) -> str:
+        """Name of the file."""
+        return Path(self.recording.source).name or self.recording.source
+
+
+def read_source(
+    path: Path, role: Role, columns: Sequence[str], condition: str | None = None, text: TextOptions | None = None
+) -> Source:
+    """Read a recording.
+
+    Parameters
+    ----------
+    path, role
+        File of any format, and its role.
+    columns
+        Required channels; a channel in another multiple of its unit is converted.
+    condition
+        COLUMN=VALUE at which the readings count; None: everywhere.
+    text
+        Options for a text file; None: determined from the file.
+
+    Raises
+    ------
+    RecordingError
+        The file cannot be read.
+    """
+    recording, notes = in_units_of(read_recording(path, text), columns)
+    if "understood" in recording.metadata:
+        notes.insert(0, f"read as: {recording.metadata['understood']}")
+    notes += repair_notes(recording.metadata)
+    return Source(recording, file_sha256(path), role, condition, tuple(f"{path}: {note}" for note in notes), text)
+
+
+def past_sources(model: Model, folder: Path, diagnosed: Sequence[Source]) -> tuple[list[Source], list[str]]:
+    """Identification recordings of a model that still exist unchanged, and a note about each other one.
+
+    Parameters
+    ----------
+    model
+        Model; its provenance names the recordings.
+    folder
+        Folder of the model file, where relative paths are looked up too.
+    diagnosed
+        Diagnosed recordings; they are not used as identification recordings.
+    """
+    sources, notes = [], []
+    hashes = {source.sha256 for source in diagnosed}
+    for entry in model.provenance.recordings:
+        places = (Path(entry.path), folder / entry.path, folder / Path(entry.path).name)
+        path = next((place for place in places if place.is_file() and file_sha256(place) == entry.sha256), None)
+        if entry.sha256 in hashes:
+            continue
+        if path is None:
+            notes.append(f"{entry.path}, which the model was identified on, is not there or not the same any more")
+        else:
+            columns = (model.input.channel, model.output.channel)
+            sources.append(read_source(path, "identification", columns, text=stated_layout(entry)))
+    return sources, notes
