@@ -12,8 +12,8 @@ from piezod.api.results import Diagnosed, Identified
 from piezod.diagnose.diagnosis import diagnose as diagnosis_of
 from piezod.diagnose.sources import Source, past_sources
 from piezod.errors import UsageError
-from piezod.identify.identification import Options
 from piezod.identify.identification import identify as identification_of
+from piezod.identify.options import Options
 from piezod.identify.simulation import simulate_recording
 from piezod.recording import Recording, TextOptions
 from piezod.recording import read_recording as recording_from

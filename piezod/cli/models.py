@@ -86,7 +86,7 @@ def identify(
         recordings[0], column_names(recordings[0], text), {"input": input_column, "output": output_column}
     )
     from piezod.api.functions import identified  # a wrong file is refused before the libraries are there
-    from piezod.identify.identification import Options
+    from piezod.identify.options import Options
     from piezod.report.identification import print_identification
     from piezod.report.progress import steps
 

@@ -1,6 +1,5 @@
-"""From recordings to a model: split the samples, select the orders, fit, and compute the figures of the fit."""
+"""From recordings to a model: check the recordings, select the orders, and describe the result."""
 
-import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
@@ -10,33 +9,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piezod.errors import UsageError
-from piezod.estimation.columns import Samples, Structure
+from piezod.estimation.columns import Samples
 from piezod.estimation.noise import Noise, noise_of
-from piezod.estimation.normal_equations import GROUPS, group_of
-from piezod.estimation.quadratic_program import Variant
-from piezod.estimation.reduction import reduced
-from piezod.estimation.smooth_base import Base, fit_smooth_base, refit
-from piezod.identify.figures import Run, fit_figures
-from piezod.identify.fit import Fit, fit_of_base
 from piezod.identify.intake import OnStep
-from piezod.identify.order import PLAYS, ZONES, Candidate, best_of, choose, fit_orders, prune, residual
-from piezod.identify.scores import rms
-from piezod.identify.stretches import Stretch, Structures, split_stretch, unsplit_stretch
+from piezod.identify.options import Options
+from piezod.identify.order import Candidate
+from piezod.identify.selection import Selection, reduce_smooth_base, select_by_orders
 from piezod.identify.suitability import check_suitable, falls
 from piezod.model import Model, file_sha256
-from piezod.model.parameters import Channel, FitFigures, Provenance, RecordingSource, Start
-from piezod.operators import EPS, PrandtlIshlinskii
+from piezod.model.parameters import Channel, Provenance, RecordingSource, Start
 from piezod.recording import Recording
 from piezod.recording.names import unit_of
 
 Array = NDArray[np.float64]
-
-FINE_PLAYS, FINE_ZONES = 40, 20
-"""Tables of the smooth base. Twice as fine, the error on new recordings of three concealed plants with coloured noise
-falls from 1.04, 1.08 and 1.11 of the noise to 1.03, 1.07 and 1.10; a tick takes twice as long."""
-
-MOST_GROWTH = 1.02
-"""Growth of the squared error on the other groups above which a single step is too inexact and a full refit follows."""
 
 LEAST_EXPLAINED = 0.5
 """Share of the output's variance that a useful model must explain."""
@@ -46,46 +31,6 @@ STRUCTURED = 3.0
 
 AT_THE_NOISE = 1.1
 """Error, in multiples of the noise, up to which no effect is missing: the noise is known to 5 %."""
-
-WORSE_START = 1.5
-"""Largest error of the first samples, in multiples of the error of the other samples, before they are excluded."""
-
-
-@dataclass(frozen=True)
-class Options:
-    """Options of the identification.
-
-    Parameters
-    ----------
-    input, output
-        Columns of the recordings.
-    plays, zones
-        Orders n and m; None: the fewest operators that fit as well as the smooth base. With `orders`: the pair with
-        the least held-out error.
-    orders
-        Whether every pair of orders is fitted and compared, as in the thesis. A given n or m, or variant A, implies it.
-    variant
-        "A": no play weight negative; "B": no partial sum below eps.
-    eps
-        Smallest partial sum.
-    prune
-        Whether operators with negligible weights are removed after a comparison of orders.
-    fit_share
-        After a comparison of orders: leading share of each recording that is fitted, 0.1 to 0.95; the rest is held out.
-    name
-        Name of the model.
-    """
-
-    input: str = "voltage_V"
-    output: str = "force_N"
-    plays: int | None = None
-    zones: int | None = None
-    orders: bool = False
-    variant: Variant = "B"
-    eps: float = EPS
-    prune: bool = True
-    fit_share: float = 0.7
-    name: str = "stack"
 
 
 @dataclass(frozen=True)
@@ -196,70 +141,22 @@ def identify(
     lines += [warning for r in recordings for warning in check_suitable(r, options.input, options.output)]
     if not 0.1 <= options.fit_share <= 0.95:
         raise UsageError(f"the fitted share is {options.fit_share:g}, must be within 0.1 and 0.95")
-    by_orders = options.orders or options.plays is not None or options.zones is not None or options.variant == "A"
-    on_step("fitting", 0.0 if by_orders else None)
-    if not by_orders:
-        return _smooth(recordings, pairs, options, by, sources, lines)
-    stretches = [
-        split_stretch(recording, u, y, options.input, options.fit_share, options.eps)
-        for recording, (u, y) in zip(recordings, pairs, strict=True)
-    ]
-    fitted, held_out = [stretch.fitted for stretch in stretches], [stretch.held_out for stretch in stretches]
-    orders = [
-        (n, m)
-        for n in ((options.plays,) if options.plays is not None else PLAYS)
-        for m in ((options.zones,) if options.zones is not None else ZONES)
-    ]
-    structures = Structures(stretches)
-    done = itertools.count()
-
-    def structure_of(plays: int, zones: int) -> Structure:
-        on_step("fitting", next(done) / len(orders))
-        return structures.of(plays, zones)
-
-    candidates = fit_orders(structure_of, fitted, held_out, orders=orders, variant=options.variant, eps=options.eps)
-    before_pruning = chosen = choose(candidates)
-    if options.prune:
-        chosen = prune(chosen, best_of(candidates), fitted, held_out, variant=options.variant, eps=options.eps)
-    assert chosen.fit is not None
-    operator = chosen.fit.hysteresis.operator()
-    figures = fit_figures(*([_run(operator, samples) for samples in part] for part in (fitted, held_out)))
-    model = _model(recordings, pairs, options, chosen.fit, stretches[0], figures, by, sources, lines)
-    lines += [note for stretch in stretches for note in stretch.notes] + _undetermined(chosen)
-    return Identification(model, candidates, before_pruning, chosen, lines, _noise(recordings, fitted))
-
-
-def _smooth(
-    recordings: Sequence[Recording],
-    pairs: Sequence[tuple[Array, Array]],
-    options: Options,
-    by: str,
-    sources: Sequence[RecordingSource],
-    lines: list[str],
-) -> Identification:
-    """The fewest operators that fit as well as the smooth base; every sample counts."""
-    stretches = [
-        unsplit_stretch(recording, u, y, options.input, options.eps)
-        for recording, (u, y) in zip(recordings, pairs, strict=True)
-    ]
-    base = _base(stretches, options.eps)
-    trimmed = [_without_uncertain(recording, s, base) for recording, s in zip(recordings, stretches, strict=True)]
-    if any(new is not old for new, old in zip(trimmed, stretches, strict=True)):
-        stretches = trimmed
-        base = _base(stretches, options.eps)
-    fitted = [stretch.fitted for stretch in stretches]
-    loss = sum(float(np.sum(_run(fit_of_base(base).hysteresis.operator(), samples).error ** 2)) for samples in fitted)
-    fewest = reduced(base, fitted, loss)
-    fit = fit_of_base(fewest)
-    figures = fit_figures([_run(fit.hysteresis.operator(), samples) for samples in fitted], _held_out(fewest, fitted))
-    plays, zones = fit.structure.plays - 1, fit.structure.zones
-    chosen = Candidate(
-        plays, zones, fit, figures.rms_fit or 0.0, figures.rms_held_out or 0.0, np.array([figures.rms_held_out or 0.0])
+    on_step("fitting", 0.0 if options.by_orders else None)
+    if options.by_orders:
+        selection = select_by_orders(recordings, pairs, options, on_step)
+    else:
+        selection = reduce_smooth_base(recordings, pairs, options)
+    stretch_notes = [note for stretch in selection.stretches for note in stretch.notes]
+    model_notes = lines if options.by_orders else lines + stretch_notes
+    model = _model(recordings, pairs, options, selection, by, sources, model_notes)
+    return Identification(
+        model,
+        selection.candidates,
+        selection.before_pruning,
+        selection.chosen,
+        [*lines, *stretch_notes, *_undetermined(selection.chosen)],
+        _noise(recordings, [stretch.fitted for stretch in selection.stretches]),
     )
-    lines += [note for stretch in stretches for note in stretch.notes]
-    model = _model(recordings, pairs, options, fit, stretches[0], figures, by, sources, lines)
-    noise = _noise(recordings, fitted)
-    return Identification(model, [], chosen, chosen, lines + _undetermined(chosen), noise)
 
 
 def _noise(recordings: Sequence[Recording], fitted: Sequence[Samples]) -> Noise | None:
@@ -272,83 +169,17 @@ def _noise(recordings: Sequence[Recording], fitted: Sequence[Samples]) -> Noise 
     return Noise(float(np.sqrt(power)), known[0][0].seen_in)
 
 
-def _base(stretches: Sequence[Stretch], eps: float) -> Base:
-    tables = Structures(stretches).smooth(FINE_PLAYS, FINE_ZONES)
-    return fit_smooth_base(*tables, [stretch.fitted for stretch in stretches], eps)
-
-
-def _without_uncertain(recording: Recording, stretch: Stretch, base: Base) -> Stretch:
-    """Exclude the first samples if they fit worse than the others: then no tried start fits them."""
-    first, samples = stretch.uncertain, stretch.fitted
-    counts = samples.counts.copy()
-    counts[:first] = False
-    if not samples.counts[:first].any() or counts.sum() < 0.5 * samples.counts.sum():
-        return stretch
-    error = residual(fit_of_base(base).hysteresis.operator(), samples)
-    if rms(error[:first][samples.counts[:first]]) < WORSE_START * rms(error[counts]):
-        return stretch
-    note = (
-        f"{recording.source}: its first {recording.time_s[first] - recording.time_s[0]:.3g} s depend on what came "
-        "before and are not used"
-    )
-    trimmed = replace(samples, counts=counts)
-    return Stretch(trimmed, trimmed, stretch.at_rest, 0, (*stretch.notes, note))
-
-
-def _held_out(base: Base, recordings: Sequence[Samples]) -> list[Run]:
-    """Each group of bands, simulated by a fit of the other groups; start and penalty come from all groups."""
-    groups = [group_of(samples.u).astype(np.int8) for samples in recordings]
-    powers = sum(map(_powers, _errors(base, base.parameters, recordings), recordings, groups))
-    held_out = [np.zeros(samples.u.size) for samples in recordings]
-    for group in range(GROUPS):
-        rest = np.arange(GROUPS) != group
-        errors = _errors(base, base.without(group), recordings)
-        power = np.sum(sum(map(_powers, errors, recordings, groups)), where=rest)
-        if not power <= MOST_GROWTH * np.sum(powers, where=rest):
-            others = [
-                replace(samples, counts=samples.counts & (numbers != group))
-                for samples, numbers in zip(recordings, groups, strict=True)
-            ]
-            full = refit(base.structure, base.zones, others, base.eps, base.parameters, base.penalty)
-            errors = _errors(base, full.parameters, recordings)
-        for result, error, numbers in zip(held_out, errors, groups, strict=True):
-            np.copyto(result, error, where=numbers == group)
-    return [_counted(samples, error) for samples, error in zip(recordings, held_out, strict=True)]
-
-
-def _errors(base: Base, parameters: Array, recordings: Sequence[Samples]) -> list[Array]:
-    """Errors of the base with other parameters, over every sample of each recording [output unit]."""
-    operator = fit_of_base(replace(base, parameters=parameters)).hysteresis.operator()
-    return [residual(operator, samples) for samples in recordings]
-
-
-def _powers(error: Array, samples: Samples, groups: NDArray[np.int8]) -> Array:
-    """Squared error of the samples that count, by group, shape (GROUPS,)."""
-    result: Array = np.bincount(groups, np.where(samples.counts, error, 0.0) ** 2, GROUPS).astype(np.float64)
-    return result
-
-
-def _counted(samples: Samples, error: Array) -> Run:
-    if samples.counts.all():
-        return Run(samples.u, samples.y, error)
-    return Run(samples.u[samples.counts], samples.y[samples.counts], error[samples.counts])
-
-
-def _run(operator: PrandtlIshlinskii, samples: Samples) -> Run:
-    return _counted(samples, residual(operator, samples))
-
-
 def _model(
     recordings: Sequence[Recording],
     pairs: Sequence[tuple[Array, Array]],
     options: Options,
-    fit: Fit,
-    first: Stretch,
-    figures: FitFigures,
+    selection: Selection,
     by: str,
     sources: Sequence[RecordingSource],
     notes: Sequence[str],
 ) -> Model:
+    fit, first = selection.chosen.fit, selection.stretches[0]
+    assert fit is not None
     sources = tuple(sources) or tuple(
         RecordingSource(path=r.source, sha256=file_sha256(Path(r.source)), samples=int(r.time_s.size))
         for r in recordings
@@ -364,7 +195,7 @@ def _model(
             created=datetime.now(UTC).isoformat(timespec="seconds"),
             by=by,
             recordings=sources,
-            fit=figures,
+            fit=selection.figures,
             notes="; ".join(notes),
         ),
     )
@@ -380,11 +211,7 @@ def _start(path: tuple[float, ...], *, at_rest: bool) -> Start:
 def _channel(name: str, values: Sequence[Array]) -> Channel:
     low = min(float(np.nanmin(v)) for v in values)
     high = max(float(np.nanmax(v)) for v in values)
-    return Channel(channel=name, unit=_unit(name), low=low, high=high)
-
-
-def _unit(column: str) -> str:
-    return unit_of(column) or column
+    return Channel(channel=name, unit=unit_of(name) or name, low=low, high=high)
 
 
 def _undetermined(chosen: Candidate) -> list[str]:

@@ -19,8 +19,9 @@ from firmware_sim.physics.bench import Bench
 from firmware_sim.physics.scenario import load_scenario
 from piezod.effects import EFFECTS
 from piezod.excitation import IDENTIFICATION, excitation
-from piezod.identify.identification import Options, identify
+from piezod.identify.identification import identify
 from piezod.identify.intake import load_recordings
+from piezod.identify.options import Options
 from piezod.model import save_model
 from piezod.recording import Recording, write_csv
 from tests.benchmarks.table import NotMeasuredError, Row

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from piezod.commissioning.shipped_files import shipped
-from piezod.identify.identification import Options, identify
+from piezod.identify.identification import identify
+from piezod.identify.options import Options
 from piezod.model import load_model
 from piezod.recording import Recording, read_recording, write_recording
 from piezod.report.diagnosis.page import write_diagnosis_page

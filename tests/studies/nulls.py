@@ -22,8 +22,9 @@ import numpy as np
 
 from firmware_sim.concealed.study.nulls import FAMILIES, NullBench, draw_null
 from piezod.errors import PiezodError
-from piezod.identify.identification import Options, identify
+from piezod.identify.identification import identify
 from piezod.identify.intake import load_for_simulation, load_recordings
+from piezod.identify.options import Options
 from piezod.identify.simulation import simulate_recording
 
 COLUMNS = "{family:14} {record:22} {bench:16} {ratio:>8} {plays:>5} {zones:>5} {cpu_s:>6}  {said}"

@@ -14,7 +14,8 @@ from piezod.estimation.quadratic_program import Constraints
 from piezod.estimation.thresholds import Reach, dead_zone_thresholds, play_reach, play_thresholds
 from piezod.excitation import constant_triangles, varying_triangles
 from piezod.identify.fit import fit_hysteresis
-from piezod.identify.identification import Options, identify
+from piezod.identify.identification import identify
+from piezod.identify.options import Options
 from piezod.identify.simulation import simulate, simulate_recording
 from piezod.identify.tables import dead_zone_rows, play_rows
 from piezod.model import Plant, load_model

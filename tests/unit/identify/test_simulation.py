@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from piezod.errors import RecordingError, UsageError
-from piezod.identify.identification import Options, identify
+from piezod.identify.identification import identify
+from piezod.identify.options import Options
 from piezod.identify.simulation import FORGOTTEN, Agreement, outside, simulate_recording, where
 from piezod.model import load_model
 from piezod.recording import Recording, read_csv

@@ -7,7 +7,8 @@ from hypothesis import strategies as st
 
 from firmware_sim.concealed.study.nulls import FAMILIES, draw_null
 from piezod.errors import ModelError
-from piezod.identify.identification import Options, identify
+from piezod.identify.identification import identify
+from piezod.identify.options import Options
 from piezod.model import Plant, save_model
 from piezod.model.reach import MOST_BEYOND, beyond_measured, output_reach
 from piezod.recording import read_recording
