@@ -76,13 +76,16 @@ for _package in ("firmware_sim", "piezod"):
         ROOMS.setdefault(room_of(_path), []).append(_path)
 
 
-def nodes(node):
-    """All nodes below a node; three times as fast as `ast.walk`."""
-    yield node
-    for value in vars(node).values():
-        for child in value if isinstance(value, list) else (value,):
-            if isinstance(child, ast.AST):
-                yield from nodes(child)
+def nodes(root):
+    """All nodes of a tree; three times as fast as `ast.walk`."""
+    collected = [root]
+    for node in collected:
+        for value in vars(node).values():
+            if isinstance(value, ast.AST):
+                collected.append(value)
+            elif isinstance(value, list):
+                collected.extend(child for child in value if isinstance(child, ast.AST))
+    return collected
 
 
 def name_of(node):
@@ -105,7 +108,7 @@ def words_of(name):
 
 def puzzles(source):
     """Puzzling names and phrases of a source, and its lines of code and words of prose."""
-    tree = list(nodes(ast.parse(source)))
+    tree = nodes(ast.parse(source))
     texts = [node for node in tree if is_text(node)]
     in_texts = {number for node in texts for number in range(node.lineno, node.end_lineno + 1)}
     code = [
