@@ -16,7 +16,7 @@ from piezod.diagnose.findings import Unnamed, Verdict
 from piezod.diagnose.hypothesis.fit import fit
 from piezod.diagnose.hypothesis.monotone import rises, unfolded
 from piezod.diagnose.hypothesis.series import Series
-from piezod.diagnose.judgement import Diagnosis, DiagnosisInputs, diagnosed_nrmse_percent, with_words
+from piezod.diagnose.judgement import Diagnosis, DiagnosisInputs, diagnosed_nrmse_percent, residuals_of, with_words
 from piezod.diagnose.prepare import prepared, substitute_recording
 from piezod.diagnose.selection.acceptance import BETTER, comparison_loss, penalised_loss
 from piezod.diagnose.selection.given_effects import as_given, refitted_without, without
@@ -89,7 +89,7 @@ def _diagnosed(
     result = with_monotone_curve(result)
     progress("judging what is left", 0.9)
     diagnosis = inputs.diagnosis_of(result)
-    residuals = [s.reading_N - readings for s, readings in zip(diagnosis.series, diagnosis.extended, strict=True)]
+    residuals = residuals_of(diagnosis.series, diagnosis.extended)
     # frozen stretches are confirmed once, with all effects: a stretch that the full model explains is not frozen
     inputs = replace(inputs, frozen=confirmed_frozen(diagnosis.series, inputs.frozen, residuals))
     diagnosis = _without_weak_effects(inputs, result, diagnosis, progress)
@@ -156,7 +156,7 @@ def with_unrecorded_input(diagnosis: Diagnosis) -> Diagnosis:
     findings = diagnosis.findings
     if findings.law is not None:
         return diagnosis
-    residuals = [s.reading_N - readings for s, readings in zip(diagnosis.series, diagnosis.extended, strict=True)]
+    residuals = residuals_of(diagnosis.series, diagnosis.extended)
     compared = [s.as_judged() for s in diagnosis.series]
     unrecorded = unrecorded_input(compared, residuals, diagnosis.extended, findings.explainable)
     findings = with_words(replace(findings, unrecorded=unrecorded), diagnosis.model)
@@ -184,7 +184,7 @@ def with_unnamed_law(diagnosis: Diagnosis, diagnosed: Sequence[tuple[Source, Ser
     if after >= BETTER * findings.after:
         return diagnosis
     extended = _readings_with_law(diagnosis.series, modelled, fitted, runs)
-    residuals = [s.reading_N - readings for s, readings in zip(diagnosis.series, extended, strict=True)]
+    residuals = residuals_of(diagnosis.series, extended)
     compared = [s.as_judged() for s in diagnosis.series]
     guard, motion = explainable(compared, residuals, extended), motion_of(compared, residuals, extended)
     findings = replace(

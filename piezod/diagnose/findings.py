@@ -107,8 +107,8 @@ class Finding:
     parameters
         Parameters by name.
     before, after
-        Rms error on left-out blocks without and with the effect [output unit]. Of a changed effect the first is that
-        with its old values; of a gone effect the first is that with it. Equal for a finding without a fit.
+        Rms error on left-out blocks without and with the effect [output unit]. A changed effect has its old values in
+        the first. A gone effect is in the hypothesis of the first. Equal for a finding without a fit.
     rivals
         Rivals, the closest first.
     handling, why

@@ -200,14 +200,13 @@ class DiagnosisInputs:
         simulated = [s.reading_N - residual for s, residual in zip(chain.series, remainder.residuals, strict=True)]
         for k, run in enumerate(runs, start=len(series) - len(runs)):
             simulated[k] = run.at_samples_of(series[k])
-        residuals = [s.reading_N - readings for s, readings in zip(series, given, strict=True)]
         findings = Findings(
             verdict=verdict,
             words="",
             unit=self.model.output.unit,
             floor=min(remainder.floor, least),
             floor_from=remainder.floor_from,
-            where=tuple(locate([s.as_judged() for s in series], residuals, given)),
+            where=tuple(locate([s.as_judged() for s in series], residuals_of(series, given), given)),
             effects=tuple(effects),
             kept=tuple(unchanged),
             base=base,
@@ -231,7 +230,7 @@ class DiagnosisInputs:
         """Residuals of the final hypothesis, with the share that could still be explained."""
         chain, fitted = result.chain, result.hypothesis
         modelled = Normal.at(chain, fitted.terms, fitted.point).readings()
-        residuals = [s.reading_N - readings for s, readings in zip(chain.series, modelled, strict=True)]
+        residuals = residuals_of(chain.series, modelled)
         compared = [s.as_judged() for s in chain.series]
         guard = explainable(compared, residuals, modelled)
         share, closed = shares_explained(result, guard, motion_of(compared, residuals, modelled))
@@ -339,6 +338,11 @@ def _without_model(findings: Findings, obstacle: str) -> Findings:
         effects=tuple(replace(finding, confidence=NO_MODEL * finding.confidence) for finding in findings.effects),
         notes=(*findings.notes, f"no extended model, model.yaml holds the given one: {obstacle}"),
     )
+
+
+def residuals_of(series: Sequence[Series], readings: Sequence[Array]) -> list[Array]:
+    """Measured readings minus simulated ones of every recording, shape (N,) each."""
+    return [s.reading_N - simulated for s, simulated in zip(series, readings, strict=True)]
 
 
 def with_words(findings: Findings, model: Model) -> Findings:

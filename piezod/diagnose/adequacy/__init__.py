@@ -1,1 +1,1 @@
-"""Adequacy: what a flexible model could still explain."""
+"""Adequacy: the explainable part of the residual."""

@@ -1,4 +1,4 @@
-"""Share of a residual that a flexible model explains: a lower bound of what named effects leave unexplained.
+"""Share of a residual that a flexible model explains: a lower bound of the share that named effects do not explain.
 
 The flexible model (`absorber`) predicts every block of the recordings from the other blocks.
 """

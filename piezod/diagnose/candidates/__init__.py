@@ -1,1 +1,1 @@
-"""Where a search may begin: what the catalogue and direct tests of the readings suggest."""
+"""Starts of a search, from the catalogue and from direct tests of the readings; and unusable readings."""

@@ -105,7 +105,8 @@ def _is_a_signed_sum(effect: Effect) -> bool:
     return effect.form == "additive" and effect.parameters[0].low < 0.0
 
 
-def _inside(effect: Effect, values: Mapping[str, float]) -> dict[str, float]:
+def within_ranges(effect: Effect, values: Mapping[str, float]) -> dict[str, float]:
+    """Values, limited to the ranges of the effect's parameters."""
     return {
         name: float(np.clip(value, effect.parameter(name).low, effect.parameter(name).high))
         for name, value in values.items()
@@ -233,7 +234,7 @@ class _Change:
         if len(names) > 1 or _is_a_signed_sum(effect):
             named = names if len(names) > 1 else (effect.parameters[0].name,)
             sizes = {name: multiple * part * self.values[name] for name, part in zip(named, self.parts, strict=True)}
-            return Candidate(self.term, {**self.values, **_inside(effect, sizes)}, gain)
+            return Candidate(self.term, {**self.values, **within_ranges(effect, sizes)}, gain)
         return Candidate(self.term, self.values, gain)
 
 

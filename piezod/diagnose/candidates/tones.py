@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piezod.diagnose.candidates.direct import Line, lines
+from piezod.diagnose.candidates.screening import within_ranges
 from piezod.diagnose.hypothesis.series import Series
 from piezod.effects import EFFECTS
 from piezod.effects.mains_hum import HARMONICS
@@ -189,14 +190,14 @@ def _hum(number: int, series: Series, residual_N: Array, frequency_Hz: float) ->
     for h, part in parts.items():
         mean = complex(np.mean(part[series.counts])) * np.exp(-0.5j * np.pi * h) / (0.5 * values["amplitude_N"])
         values[f"cosine_{h}"], values[f"sine_{h}"] = mean.real, -mean.imag
-    return Tone("mains_hum", number, _inside("mains_hum", values), signal_N)
+    return Tone("mains_hum", number, within_ranges(EFFECTS["mains_hum"], values), signal_N)
 
 
 def _vibration(number: int, series: Series, residual_N: Array, frequency_Hz: float) -> Tone:
     envelope, carrier = _envelope_and_carrier(series, residual_N, frequency_Hz)
     values = _mean_values("vibration", series, envelope, frequency_Hz)
     values |= _breathing(series, 2.0 * np.abs(envelope))
-    return Tone("vibration", number, _inside("vibration", values), 2.0 * (envelope * carrier).real)
+    return Tone("vibration", number, within_ranges(EFFECTS["vibration"], values), 2.0 * (envelope * carrier).real)
 
 
 def _envelope_and_carrier(series: Series, residual_N: Array, frequency_Hz: float) -> tuple[Complex, Complex]:
@@ -267,11 +268,3 @@ def _breathing(series: Series, amplitude_N: Array) -> dict[str, float]:
                 "breathing_phase_rad": float(np.arctan2(cosine, sine)),
             }
     return best
-
-
-def _inside(name: str, values: dict[str, float]) -> dict[str, float]:
-    effect = EFFECTS[name]
-    return {
-        key: float(np.clip(value, effect.parameter(key).low, effect.parameter(key).high))
-        for key, value in values.items()
-    }

@@ -36,7 +36,7 @@ class Experiment:
     voltage_V
         Drive, shape (N,) [input unit].
     dt_s
-        Sampling period, that of the first recording [s].
+        Sampling period of the first recording [s].
     segments
         Names of the segments.
     pairs
@@ -84,7 +84,7 @@ def next_experiment(
     fitted
         Fitted effects, as for `before`.
     slew
-        Largest rate of the drive [input unit/s]; None: that of the first recording.
+        Largest rate of the drive [input unit/s]; None: the largest of the first recording.
     """
     pairs = tuple(before.pairs() if wanted is None else _pairs(before, wanted))
     if not pairs:

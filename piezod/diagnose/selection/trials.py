@@ -7,7 +7,13 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from piezod.diagnose.candidates.screening import Candidate, screened, screened_pairs, since_identification
+from piezod.diagnose.candidates.screening import (
+    Candidate,
+    screened,
+    screened_pairs,
+    since_identification,
+    within_ranges,
+)
 from piezod.diagnose.candidates.steps import NEVER_S, edge_near, jump_steps, likely_steps, shown_late_s
 from piezod.diagnose.hypothesis.chain import Chain, Point, Scope, Term
 from piezod.diagnose.hypothesis.fit import MOST_STEPS, Fitted, Normal, fit
@@ -263,9 +269,7 @@ def _candidate(name: str, number: int, known: dict[str, float], scope: Scope = "
     effect = EFFECTS[name]
     values = {p.name: p.search.starts[0] for p in effect.parameters if not p.search.choices}
     choices = tuple((p.name, p.search.choices[0]) for p in effect.parameters if p.search.choices)
-    for key, value in known.items():
-        values[key] = float(np.clip(value, effect.parameter(key).low, effect.parameter(key).high))
-    return Candidate(Term(effect, scope, number, choices), values)
+    return Candidate(Term(effect, scope, number, choices), {**values, **within_ranges(effect, known)})
 
 
 def _loss(fitted: Fitted) -> float:
