@@ -19,7 +19,7 @@ from piezod.control import check_safeguards
 from piezod.daemon.preview import missing_preview
 from piezod.effects import EFFECTS
 from piezod.errors import PiezodError
-from piezod.model import ExtendedCompensator, Model, Plant, acting_effects, load_model
+from piezod.model import ExtendedCompensator, Model, acting_effects, load_model, steady_range
 from piezod.model.unnamed_law import NAME as UNNAMED
 from piezod.session.assembly import check_effects, check_units, check_wire
 
@@ -121,7 +121,7 @@ def _law_check(bench: BenchConfig, model: Model) -> Check:
 
 def _force_range(bench: BenchConfig, model: Model) -> Check:
     """Check the force range of the model against the limits."""
-    bottom, top = Plant(model).steady_range()
+    bottom, top = steady_range(model)
     finding = f"{bottom:.1f} to {top:.1f} N over {model.input.low:g} to {model.input.high:g} V"
     if top > bench.limits.force_trip_N:
         return Check(

@@ -11,7 +11,7 @@ from piezod.config import BenchConfig
 from piezod.config.reference import RegisterReference, StreamReference
 from piezod.control import TableReference
 from piezod.errors import PiezodError
-from piezod.model import Model, Plant, make_compensator
+from piezod.model import Model, make_compensator, steady_range
 from piezod.session.assembly import plan_ahead, reference_table
 
 MOST_PLANNED = 500_000
@@ -65,7 +65,7 @@ def planned_voltage_V(bench: BenchConfig, model: Model, table: TableReference) -
 
 def _force_check(bench: BenchConfig, model: Model, force_N: NDArray[np.float64], *, loops: bool) -> Check:
     """Range, ends, largest rate and length of the force, against the reach of the model."""
-    bottom, top = Plant(model).steady_range()
+    bottom, top = steady_range(model)
     ticks = f"{force_N.size} ticks, {force_N.size / bench.rate_Hz:.10g} s{', repeated' if loops else ''}"
     finding = f"{_course(force_N, bench.rate_Hz, 'N', loops=loops)}, {ticks}"
     if force_N.min() < bottom or force_N.max() > top:

@@ -9,7 +9,7 @@ from pathlib import Path
 from piezod.config import BenchConfig
 from piezod.config.reference import WaveformReference
 from piezod.errors import ConfigurationError, UsageError
-from piezod.model import Model, Plant
+from piezod.model import Model, steady_range
 from piezod.recording import Recording
 from piezod.session.assembly import load_bench_without_model, load_drivable_model
 from piezod.session.follow import OnRows, follow_session
@@ -123,7 +123,7 @@ def common_range_N(bench: BenchConfig, models: dict[str, Model]) -> tuple[float,
                 f"{bench.limits.voltage_min_V:g} to {bench.limits.voltage_max_V:g} V; must overlap"
             )
         driven = model.input.model_copy(update={"low": low_V, "high": high_V})
-        bottom_N, top_N = Plant(model.model_copy(update={"input": driven})).steady_range()
+        bottom_N, top_N = steady_range(model.model_copy(update={"input": driven}))
         low_N, high_N = max(low_N, bottom_N), min(high_N, top_N)
     if low_N >= high_N:
         raise ConfigurationError(

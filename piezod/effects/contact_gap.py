@@ -82,7 +82,14 @@ EFFECT = Effect(
     location=Location.MECHANICS,
     form="memoryless",
     parameters=(
-        Parameter("gap_N", "N", 1e-3, 1e4, Search((2.0, 20.0, 100.0), logarithmic=True)),
+        Parameter(
+            "gap_N",
+            "N",
+            1e-3,
+            1e4,
+            Search((2.0, 20.0, 100.0), logarithmic=True),
+            shown_by=lambda driven: (0.0, 0.9 * driven.force_span_N),
+        ),
         Parameter("softness_N", "N", 0.0, 100.0, Search((0.5,), nuisance=True)),
     ),
     forward=forward,

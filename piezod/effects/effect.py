@@ -1,7 +1,7 @@
 """The record of a physical effect: its location in the signal chain, its parameters and its equations."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import IntEnum
 from typing import Literal
 
@@ -65,6 +65,34 @@ class Search:
 
 
 @dataclass(frozen=True)
+class Driven:
+    """What recordings drive, for the range that they can show of a parameter.
+
+    Parameters
+    ----------
+    force_span_N
+        Force range on which the model was identified [N].
+    slow_V_per_s, fastest_V_per_s
+        Lowest tenth and highest of the rates of the command [V/s].
+    dt_s
+        Shortest spacing of the samples [s].
+    """
+
+    force_span_N: float
+    slow_V_per_s: float
+    fastest_V_per_s: float
+    dt_s: float
+
+
+FASTEST_MODE = 0.45  # of the sampling rate; a faster oscillation cannot be told from a delay
+
+
+def below_the_fastest_mode(driven: Driven) -> tuple[float, float]:
+    """Frequencies that the samples can show [Hz]."""
+    return 0.0, FASTEST_MODE / driven.dt_s
+
+
+@dataclass(frozen=True)
 class Parameter:
     """One number of an effect.
 
@@ -82,6 +110,8 @@ class Parameter:
         Whether it is an instant of the recording [s].
     optional
         Whether a model file may omit it. The value then is the first start.
+    shown_by
+        Function from `Driven` to the range that recordings can show [unit]; None: the range of validity.
     """
 
     name: str
@@ -91,11 +121,22 @@ class Parameter:
     search: Search
     instant: bool = False
     optional: bool = False
+    shown_by: Callable[[Driven], tuple[float, float]] | None = None
 
     def __post_init__(self) -> None:
         assert self.low < self.high
         assert all(self.low <= value <= self.high for value in (*self.search.starts, *self.search.choices))
         assert not self.search.logarithmic or self.low > 0.0
+
+    def within(self, driven: Driven) -> "Parameter":
+        """Parameter in the range that recordings can show, with its starts inside."""
+        if self.shown_by is None:
+            return self
+        low, high = (float(np.clip(value, self.low, self.high)) for value in self.shown_by(driven))
+        if not low < high:
+            return self
+        starts = tuple(float(np.clip(start, low, high)) for start in self.search.starts)
+        return replace(self, low=low, high=high, search=replace(self.search, starts=starts))
 
 
 @dataclass(frozen=True)

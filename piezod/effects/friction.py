@@ -41,7 +41,14 @@ EFFECT = Effect(
     form="other",
     parameters=(
         Parameter("force_N", "N", -1e3, 1e3, Search((1.0,))),
-        Parameter("presliding_N", "N", 1e-2, 1e4, Search((3.0, 20.0, 100.0), logarithmic=True)),
+        Parameter(
+            "presliding_N",
+            "N",
+            1e-2,
+            1e4,
+            Search((3.0, 20.0, 100.0), logarithmic=True),
+            shown_by=lambda driven: (1e-3 * driven.force_span_N, driven.force_span_N),
+        ),
         Parameter("exponent", "1", 0.5, 8.0, Search((1.5,), logarithmic=True, nuisance=True)),
         Parameter("closing", "1", 0.3, 1.0, Search((0.7,), logarithmic=True, nuisance=True)),
     ),

@@ -15,7 +15,18 @@ import math
 
 import numpy as np
 
-from piezod.effects.effect import Array, Checks, Context, Effect, Location, Parameter, Search, Values, at_its_frequency
+from piezod.effects.effect import (
+    Array,
+    Checks,
+    Context,
+    Effect,
+    Location,
+    Parameter,
+    Search,
+    Values,
+    at_its_frequency,
+    below_the_fastest_mode,
+)
 from piezod.effects.tick import Memory, Tick, TickSetting
 
 TURN = 2.0 * math.pi
@@ -74,7 +85,7 @@ EFFECT = Effect(
     form="additive",
     parameters=(
         Parameter("amplitude_N", "N", 0.0, 1e3, Search((0.3,))),
-        Parameter("frequency_Hz", "Hz", 45.0, 65.0, Search((50.0, 60.0))),
+        Parameter("frequency_Hz", "Hz", 45.0, 65.0, Search((50.0, 60.0)), shown_by=below_the_fastest_mode),
         Parameter("phase_rad", "rad", -TURN, 2.0 * TURN, Search((0.0, 1.57, 3.14, 4.71), nuisance=True)),
         *(
             Parameter(f"{part}_{h}", "1", -2.0, 2.0, Search((0.0,), nuisance=True))

@@ -163,7 +163,14 @@ EFFECT = Effect(
     form="other",
     parameters=(
         Parameter("growth", "1", 0.0, 1.0, Search((0.05,))),
-        Parameter("reference_V_per_s", "V/s", 0.1, 1e4, Search((3.0, 30.0, 300.0), logarithmic=True)),
+        Parameter(
+            "reference_V_per_s",
+            "V/s",
+            0.1,
+            1e4,
+            Search((3.0, 30.0, 300.0), logarithmic=True),
+            shown_by=lambda driven: (0.03 * driven.slow_V_per_s, 3.0 * driven.fastest_V_per_s),
+        ),
         Parameter(
             "rate_way_V",
             "V",

@@ -14,7 +14,18 @@ import math
 
 import numpy as np
 
-from piezod.effects.effect import Array, Checks, Context, Effect, Location, Parameter, Search, Values, at_its_frequency
+from piezod.effects.effect import (
+    Array,
+    Checks,
+    Context,
+    Effect,
+    Location,
+    Parameter,
+    Search,
+    Values,
+    at_its_frequency,
+    below_the_fastest_mode,
+)
 from piezod.effects.kernels import (
     second_order,
     second_order_matrices,
@@ -86,7 +97,14 @@ EFFECT = Effect(
     location=Location.MECHANICS,
     form="linear",
     parameters=(
-        Parameter("frequency_Hz", "Hz", 2.0, 5000.0, Search((20.0, 50.0, 120.0, 300.0), logarithmic=True)),
+        Parameter(
+            "frequency_Hz",
+            "Hz",
+            2.0,
+            5000.0,
+            Search((20.0, 50.0, 120.0, 300.0), logarithmic=True),
+            shown_by=below_the_fastest_mode,
+        ),
         Parameter("damping_ratio", "1", 1e-3, 1.0, Search((0.03, 0.3), logarithmic=True)),
     ),
     forward=forward,

@@ -90,7 +90,16 @@ EFFECT = Effect(
     title="current limit of the amplifier",
     location=Location.AMPLIFIER,
     form="other",
-    parameters=(Parameter("limit_V_per_s", "V/s", 0.1, 1e6, Search((20.0, 100.0, 500.0, 5000.0), logarithmic=True)),),
+    parameters=(
+        Parameter(
+            "limit_V_per_s",
+            "V/s",
+            0.1,
+            1e6,
+            Search((20.0, 100.0, 500.0, 5000.0), logarithmic=True),
+            shown_by=lambda driven: (0.1 * driven.slow_V_per_s, driven.fastest_V_per_s),
+        ),
+    ),
     forward=forward,
     handling="compensated",
     smooths=True,

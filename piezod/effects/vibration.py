@@ -13,7 +13,18 @@ import math
 
 import numpy as np
 
-from piezod.effects.effect import Array, Checks, Context, Effect, Location, Parameter, Search, Values, at_its_frequency
+from piezod.effects.effect import (
+    Array,
+    Checks,
+    Context,
+    Effect,
+    Location,
+    Parameter,
+    Search,
+    Values,
+    at_its_frequency,
+    below_the_fastest_mode,
+)
 
 TURN = 2.0 * math.pi
 PHASES = (0.0, 1.57, 3.14, 4.71)
@@ -42,7 +53,14 @@ EFFECT = Effect(
     form="additive",
     parameters=(
         Parameter("amplitude_N", "N", 0.0, 1e3, Search((0.3,))),
-        Parameter("frequency_Hz", "Hz", 0.1, 5000.0, Search((10.0, 25.0, 75.0, 150.0), logarithmic=True)),
+        Parameter(
+            "frequency_Hz",
+            "Hz",
+            0.1,
+            5000.0,
+            Search((10.0, 25.0, 75.0, 150.0), logarithmic=True),
+            shown_by=below_the_fastest_mode,
+        ),
         Parameter("phase_rad", "rad", -TURN, 2.0 * TURN, Search(PHASES, nuisance=True)),
         Parameter("breathing_depth", "1", 0.0, 0.9, Search((0.0,), nuisance=True)),
         Parameter("breathing_period_s", "s", 0.5, 500.0, Search((5.0,), logarithmic=True, nuisance=True)),

@@ -1,11 +1,12 @@
 """The model of a bench: its file, its forward chain and its inverse."""
 
 from piezod.model.chain.acting import acting_effects, refuse_uncompensated
+from piezod.model.chain.forward import decays_of, run_chain
 from piezod.model.compensator import Compensator, DirectDrive, make_compensator
 from piezod.model.extended_compensator import ExtendedCompensator
 from piezod.model.model_file import dump_model, file_sha256, load_model, save_model
 from piezod.model.parameters import Model
-from piezod.model.plant import Plant, decays_of, run_chain
+from piezod.model.reach import steady_range
 
 __all__ = [
     "Compensator",
@@ -22,4 +23,5 @@ __all__ = [
     "refuse_uncompensated",
     "run_chain",
     "save_model",
+    "steady_range",
 ]

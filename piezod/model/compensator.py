@@ -9,7 +9,7 @@ import numpy as np
 from piezod.model.chain.acting import acting_effects
 from piezod.model.extended_compensator import ExtendedCompensator
 from piezod.model.parameters import Model
-from piezod.model.plant import Plant
+from piezod.model.reach import steady_range
 from piezod.operators import ImplicitInverse
 from piezod.operators.prandtl_ishlinskii import commit_step, output_of, plan_step
 
@@ -80,7 +80,7 @@ class GainCompensator:
     """
 
     def __init__(self, model: Model) -> None:
-        bottom, top = Plant(model).steady_range()
+        bottom, top = steady_range(model)
         self._slope = (model.input.high - model.input.low) / (top - bottom)
         self._offset = model.input.low - self._slope * bottom
         self._voltage_V = math.nan

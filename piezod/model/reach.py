@@ -32,6 +32,13 @@ def output_reach(model: Model) -> tuple[float, float]:
     return float(outputs[2]), float(outputs[3])
 
 
+def steady_range(model: Model) -> tuple[float, float]:
+    """Force of the steady major loop at the low and at the high end of the input range [output unit]."""
+    low, high = model.input.low, model.input.high
+    _, _, top, bottom = model.operator().run(np.array([low, high, high, low]))
+    return float(bottom), float(top)
+
+
 def beyond_measured(model: Model) -> float:
     """Share of the measured range by which the output may leave it, at least 0."""
     least, largest = output_reach(model)

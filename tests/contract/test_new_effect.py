@@ -8,8 +8,8 @@ from piezod.effects import EFFECTS
 from piezod.effects.effect import Effect, Location, Parameter, Search
 from piezod.effects.tick import Tick
 from piezod.model import ExtendedCompensator
+from piezod.model.chain.forward import run_chain
 from piezod.model.expected import ExpectedReading
-from piezod.model.plant import run_chain
 from tests.unit.model.chains import DT_S, held_model, with_effects
 
 SHARE, SLOW_V = range(2)  # memory

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from piezod.effects import EFFECTS
+from piezod.model.chain.forward import run_chain
 from piezod.model.expected import ExpectedReading
-from piezod.model.plant import run_chain
 from tests.unit.model.chains import DT_S, FOUND, held_model, with_effects
 
 SHARES = (1.0, 0.5)  # of the range that the model was identified on

@@ -17,7 +17,7 @@ import numpy as np
 from piezod.effects import EFFECTS
 from piezod.identify.simulation import simulate_recording
 from piezod.model import ExtendedCompensator, Model, acting_effects, load_model
-from piezod.model.plant import run_chain
+from piezod.model.chain.forward import run_chain
 from piezod.recording import Recording, read_csv, write_csv
 from tests.studies.scenarios import ROOT, run
 

@@ -7,7 +7,7 @@ from piezod.commissioning.check_reference import check_reference
 from piezod.commissioning.shipped_files import shipped
 from piezod.config import load_bench
 from piezod.config.reference import FileReference
-from piezod.model import Plant, load_model
+from piezod.model import load_model
 
 BENCH = shipped("bench.yaml")
 
@@ -31,7 +31,7 @@ def test_the_planned_voltage_gives_the_force_in_the_model(tmp_path):
     _, (_, voltage) = checks_of(tmp_path, force_N)
     words = voltage.found.replace(",", "").split()
     last_V, highest_V = float(words[words.index("last") + 1]), float(words[2])
-    plant = Plant(load_model(shipped("model.yaml")))
+    plant = load_model(shipped("model.yaml")).operator()
     low_V = float(words[words.index("first") + 1])
     simulated = plant.run(np.concatenate([np.linspace(0, low_V, 5), np.linspace(low_V, highest_V, 50), [last_V]]))
     assert simulated[-1] == pytest.approx(120.0, abs=0.01)

@@ -8,7 +8,7 @@ import pytest
 from piezod.config import DriftConfig, load_bench
 from piezod.control import ROW_DTYPE, State
 from piezod.daemon.drift import WINDOWS, DriftWatch
-from piezod.model import Plant, load_model
+from piezod.model import load_model
 from piezod.recording import read_csv
 
 CONFIG = Path(__file__).parents[3] / "config"
@@ -38,7 +38,7 @@ def rows_of(model, seconds, extra=lambda t: 0.0, first_tick=0):
     rows = np.zeros(count, ROW_DTYPE)
     t = np.arange(count) / RATE_HZ
     voltage_V = 60.0 * (1.0 - np.cos(2.0 * np.pi * 0.3 * np.maximum(t - 0.5, 0.0)))
-    force_N = Plant(model).run(voltage_V) + np.array([extra(one) for one in t])
+    force_N = model.operator().run(voltage_V) + np.array([extra(one) for one in t])
     rows["tick"] = first_tick + np.arange(count)
     rows["voltage_V"], rows["force_N"][1:], rows["temperature_C"] = voltage_V, force_N[:-1], 20.0
     rows["state"] = np.where(t < 0.2, State.DISARMED, np.where(t < 0.5, State.ARMING, State.RUNNING))

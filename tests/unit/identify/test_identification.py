@@ -18,7 +18,7 @@ from piezod.identify.identification import identify
 from piezod.identify.options import Options
 from piezod.identify.simulation import simulate, simulate_recording
 from piezod.identify.tables import dead_zone_rows, play_rows
-from piezod.model import Plant, load_model
+from piezod.model import load_model
 from piezod.operators import PrandtlIshlinskii
 from piezod.operators.dead_zone import inverse_dead_zone
 from piezod.recording import Recording, read_csv
@@ -227,7 +227,7 @@ def test_what_a_first_rise_before_the_recording_moved_is_found_and_kept():
     found = identify([recording_of(sine, y + np.random.default_rng(1).normal(0.0, 0.1, y.size))], Options(), "a test")
     assert found.chosen.rms_fit < 0.105
     assert not any("not used" in note for note in found.notes)
-    again = Plant(found.model).run(np.concatenate((rise, sine)))[rise.size :]
+    again = found.model.operator().run(np.concatenate((rise, sine)))[rise.size :]
     assert np.sqrt(np.mean((again - y) ** 2)) < 0.05
 
 
@@ -246,7 +246,7 @@ def test_missing_forces_are_left_out_and_do_not_change_the_model():
     y = operator.run(u)
     y[1000:1400] = np.nan
     model = identify([recording_of(u, y)], Options(plays=14, zones=4), "a test").model
-    error = Plant(model).run(u) - operator_again(operator, u)
+    error = model.operator().run(u) - operator_again(operator, u)
     assert np.sqrt(np.mean(error**2)) < 0.003 * np.ptp(operator_again(operator, u))
 
 

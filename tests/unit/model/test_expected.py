@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
+from piezod.model.chain.forward import run_chain
 from piezod.model.expected import ExpectedReading
 from piezod.model.parameters import EffectValues
-from piezod.model.plant import run_chain
 from tests.unit.model.chains import DT_S, FOUND, held_model, with_effects
 
 LOAD_CELL = ("charge_leakage", "sensor_filter", "feedthrough", "transport_delay")

@@ -5,9 +5,9 @@ import pytest
 
 from piezod.effects.resonance import invert
 from piezod.errors import ModelError
+from piezod.model.chain.forward import run_chain
 from piezod.model.chain.tick_chain import ticks_late
 from piezod.model.extended_compensator import ExtendedCompensator
-from piezod.model.plant import run_chain
 from tests.unit.model.chains import DT_S, held_model, with_effects
 
 FROM_START = ("rate_dependent_hysteresis", "creep", "electrical_lag", "output_nonlinearity", "voltage_clamp")

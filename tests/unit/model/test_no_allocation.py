@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from piezod.control import TableReference
-from piezod.model import ExtendedCompensator, Model, Plant
+from piezod.model import ExtendedCompensator, Model
 from piezod.model.compensator import InverseCompensator
 from piezod.model.parameters import Channel, Hysteresis, Provenance, Start, Superposition
 from piezod.model.unnamed_law import UnnamedLaw
@@ -45,7 +45,7 @@ def model(request):
 def forces_N(model):
     """Forces up and down over the whole range, as plain floats."""
     ramp_V = np.linspace(0.0, 140.0, PASS // 2)
-    return Plant(model).run(np.concatenate((ramp_V, ramp_V[::-1]))).tolist()
+    return model.operator().run(np.concatenate((ramp_V, ramp_V[::-1]))).tolist()
 
 
 @pytest.fixture

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from piezod.model.plant import run_chain
+from piezod.model.chain.forward import run_chain
 from tests.unit.model.chains import held_model, with_effects
 
 

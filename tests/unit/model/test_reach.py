@@ -9,7 +9,7 @@ from firmware_sim.concealed.study.nulls import FAMILIES, draw_null
 from piezod.errors import ModelError
 from piezod.identify.identification import identify
 from piezod.identify.options import Options
-from piezod.model import Plant, save_model
+from piezod.model import save_model
 from piezod.model.reach import MOST_BEYOND, beyond_measured, output_reach
 from piezod.recording import read_recording
 from piezod.session.assembly import load_drivable_model
@@ -37,7 +37,7 @@ def test_no_course_after_a_first_rise_leads_out_of_the_reach_nor_a_tenth_beyond_
 ):
     model = models(which)
     low, high = model.input.low, model.input.high
-    outputs = Plant(model).run(low + (high - low) * np.array([0.0, 1.0, *levels]))[1:]
+    outputs = model.operator().run(low + (high - low) * np.array([0.0, 1.0, *levels]))[1:]
     least, largest = output_reach(model)
     rounding = 1e-9 * (largest - least)
     assert least - rounding <= outputs.min() <= outputs.max() <= largest + rounding

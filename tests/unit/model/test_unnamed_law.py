@@ -7,8 +7,8 @@ from hypothesis import strategies as st
 from pydantic import ValidationError
 
 from piezod.model import ExtendedCompensator, load_model, save_model
+from piezod.model.chain.forward import run_chain
 from piezod.model.law_inverse import LARGEST
-from piezod.model.plant import run_chain
 from piezod.model.unnamed_law import (
     DIRECTION,
     DRIVERS,

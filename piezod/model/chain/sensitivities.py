@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piezod.effects.effect import Context, Effect
-from piezod.model.plant import behind
+from piezod.model.chain.forward import behind
 
 Array = NDArray[np.float64]
 
