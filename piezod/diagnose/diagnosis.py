@@ -14,7 +14,7 @@ from piezod.diagnose.candidates.rounding import unrounded
 from piezod.diagnose.candidates.tones import with_tones
 from piezod.diagnose.findings import Unnamed, Verdict
 from piezod.diagnose.hypothesis.fit import fit
-from piezod.diagnose.hypothesis.monotone import rises, unfolded
+from piezod.diagnose.hypothesis.monotone import is_monotone, monotone_fit
 from piezod.diagnose.hypothesis.series import Series
 from piezod.diagnose.judgement import Diagnosis, DiagnosisInputs, diagnosed_nrmse_percent, residuals_of, with_words
 from piezod.diagnose.prepare import prepared, substitute_recording
@@ -236,14 +236,14 @@ def with_monotone_curve(result: Search) -> Search:
     """
     fitted = result.hypothesis
     gain = result.base.loss - fitted.loss
-    monotone = unfolded(result.chain, fitted)
+    monotone = monotone_fit(result.chain, fitted)
     if monotone.loss <= fitted.loss + COSTS * max(gain, fitted.loss):
         return replace(result, hypothesis=monotone)
     alternatives = [
         (name, rival)
         for name in fitted.effects
-        for rival in (unfolded(result.chain, rival) for rival in with_each_rival(result, name))
-        if rises(result.chain, rival) and result.base.loss - rival.loss >= STILL_GAINS * gain
+        for rival in (monotone_fit(result.chain, rival) for rival in with_each_rival(result, name))
+        if is_monotone(result.chain, rival) and result.base.loss - rival.loss >= STILL_GAINS * gain
     ]
     if not alternatives:
         return result

@@ -84,7 +84,7 @@ class Driven:
     dt_s: float
 
 
-FASTEST_MODE = 0.45  # of the sampling rate; a faster oscillation cannot be told from a delay
+FASTEST_MODE = 0.45  # of the sampling rate; samples show a faster oscillation as a delay
 
 
 def below_the_fastest_mode(driven: Driven) -> tuple[float, float]:

@@ -132,7 +132,7 @@ class _Sums:
         scale = 1.0 / np.sqrt(np.maximum(np.diag(hessian), 1e-300))
         values, vectors = np.linalg.eigh(hessian * np.outer(scale, scale))
         whiten = (scale[:, None] * vectors) / np.sqrt(np.maximum(values, 1e-12))
-        change = normal.told[number] / normal.chain.series[number].noise_N  # derivative of the residual by the height
+        change = normal.trust[number] / normal.chain.series[number].noise_N  # derivative of the residual by the height
         columns = (normal.weights[number] * change)[:, None] * normal.jacobians[number]
         return cls(
             np.concatenate(([0.0], np.cumsum(normal.weighted[number] * change))),

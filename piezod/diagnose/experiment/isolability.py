@@ -16,7 +16,7 @@ from piezod.diagnose.candidates.screening import DIRECT, Start, catalogue_starts
 from piezod.diagnose.hypothesis.chain import Chain, Setting, Term
 from piezod.diagnose.hypothesis.fit import Fitted, Normal, fit
 from piezod.diagnose.hypothesis.parallel import each
-from piezod.diagnose.hypothesis.sampling import best_course, coarse
+from piezod.diagnose.hypothesis.sampling import best_intersample, coarse
 from piezod.diagnose.prepare import chain_of, prepared, substitute_recording
 from piezod.diagnose.selection.given_effects import given_effects
 from piezod.diagnose.sources import Source
@@ -164,7 +164,7 @@ def isolability(
         chain = coarse(chain.like([replace(s, hold=model.hold) for s in series]))
         base = fit(chain, terms, replace(start, values=values))
     else:
-        chain, base = best_course(coarse(chain), (), start)
+        chain, base = best_intersample(coarse(chain), (), start)
         base = fit(chain, (), base.point)
     diagnosed = [s for s in series if s.role == "recording"]
     noise = float(np.sqrt(np.mean(np.square([s.noise_N for s in diagnosed]))))

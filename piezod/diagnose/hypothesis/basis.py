@@ -1,11 +1,10 @@
-"""The base that is refitted inside every hypothesis: a smooth density of plays in front of a smooth force law.
+"""The base of every hypothesis: a smooth density of plays in front of a smooth force law.
 
     v = u + sum_k c_k B_k(u),   B_k = sum_i h_k(i) (z_i - u) dr_i / R,        F = sum_j d_j N_j(v)
 
-z_i are 56 plays, h_k fourteen hat functions over their index, N_j quadratic B-splines. The plays enter by what they
-lag behind u (less a stop, |z_i - u| <= r_i), so v stays about as large as u, which fixes the scale between plays and
-force law. A coarse density or a force law of few straight pieces leaves errors that look like friction or like a curved
-force law; this one is as smooth as a stack is.
+z_i are 56 plays, h_k fourteen hat functions over their index, N_j quadratic B-splines. The plays enter by their lag
+z_i - u, so v is about as large as u. This fixes the scale between plays and force law. A coarse base would leave errors
+that look like friction or like a curved force law.
 """
 
 import functools
@@ -23,19 +22,19 @@ Array = NDArray[np.float64]
 PLAYS = 56
 HATS = 14
 SPLINES = 12
-PAIR = 5  # plays between two hats at most
-FINER_NEAR_ZERO = 2.0
-MARGIN = 0.15  # of the voltage range, beyond which the force law is continued straight
+PAIR = 5  # largest number of plays between two hats
+FINER_NEAR_ZERO = 2.0  # exponent of the spacing of the thresholds
+MARGIN = 0.15  # [voltage range] beyond it the force law is straight
 
 
 @dataclass(frozen=True)
 class PlayDensity:
-    """Thresholds and the hats over them.
+    """Thresholds of the plays, and hat functions over them.
 
     Parameters
     ----------
     thresholds_V
-        r_i, shape (PLAYS,) and more, rising from above 0 [V].
+        r_i, shape (plays,), above 0, rising [V].
     hats
         Weight of play i in column k, shape (plays, columns) [1]: in two neighbouring hats, or in a further column.
     """
@@ -45,7 +44,7 @@ class PlayDensity:
 
     @classmethod
     def up_to(cls, reach_V: float) -> "PlayDensity":
-        """Plays up to a threshold, denser near zero."""
+        """Plays with thresholds up to `reach_V` [V], denser near zero."""
         edges = reach_V * (np.arange(PLAYS + 1) / PLAYS) ** FINER_NEAR_ZERO
         places = np.linspace(0, PLAYS - 1, HATS)
         index = np.arange(PLAYS)[:, None]
@@ -54,11 +53,11 @@ class PlayDensity:
 
     @property
     def count(self) -> int:
-        """How many columns: the hats', then those of plays of their own width."""
+        """Number of columns: of the hats, then further ones."""
         return int(self.hats.shape[1])
 
     def smooth(self) -> "PlayDensity":
-        """The hats alone."""
+        """Density without further columns."""
         rows = ~np.any(self.hats[:, HATS:] != 0.0, axis=1)
         return PlayDensity(self.thresholds_V[rows], self.hats[rows, :HATS])
 
@@ -68,14 +67,14 @@ class PlayDensity:
         return self.thresholds_V[own], self.hats[own, HATS:] @ coefficients[HATS:]
 
     def beside(self, thresholds_V: Array, parts: Array) -> "PlayDensity":
-        """The same with further columns of plays of their own width.
+        """Density with further columns.
 
         Parameters
         ----------
         thresholds_V
-            Their thresholds, shape (K,) [V].
+            Thresholds of further plays, shape (K,) [V].
         parts
-            Of each in the new columns, in one of them only, shape (K, C) [1].
+            Weight of each further play in the further columns, shape (K, C) [1]; each is in one column.
         """
         hats = np.zeros((self.hats.shape[0] + parts.shape[0], self.count + parts.shape[1]))
         hats[: self.hats.shape[0], : self.count] = self.hats
@@ -101,9 +100,9 @@ class PlayDensity:
         path_V
             Voltages since the de-energised state, before the first sample [V].
         factor, offset_V
-            What the thresholds are multiplied by and what is added to them, shape (N,) or None.
+            Factor [1] and offset [V] of the thresholds, shape (N,) or None.
         step
-            Samples from a row to the next.
+            Samples from one row to the next.
         """
         forget_outdated_steps(_columns.stats.cache_path)
         out = np.empty((self.count, -(-applied_V.size // step)))
@@ -121,29 +120,29 @@ class PlayDensity:
 
     @functools.cached_property
     def _laid_out(self) -> tuple[Array, Array, Array, NDArray[np.int64]]:
-        """Thresholds and both weights of the plays between two hats, five to each pair; then those of further columns.
+        """Thresholds and both weights of the plays, five between two hats, then those of further columns.
 
-        Places that are left have the weight 0. Of the plays of further columns, which follow column by column, the
-        first weight counts; the last array says where each column's begin, shape (further columns + 1,).
+        Unused places have the weight 0. In a further column the first weight counts. The last array holds the first
+        place of each further column, shape (further columns + 1,).
         """
         smooth = ~np.any(self.hats[:, HATS:] != 0.0, axis=1)
         laid = np.zeros((3, PAIR * (HATS - 1)))
         rows = np.flatnonzero(smooth)
         first = np.minimum(np.argmax(self.hats[rows] != 0.0, axis=1), HATS - 2)
         for pair in range(HATS - 1):
-            mine = rows[first == pair]
-            here = slice(PAIR * pair, PAIR * pair + mine.size)
-            laid[:, here] = self.thresholds_V[mine], self.hats[mine, pair], self.hats[mine, pair + 1]
+            plays = rows[first == pair]
+            places = slice(PAIR * pair, PAIR * pair + plays.size)
+            laid[:, places] = self.thresholds_V[plays], self.hats[plays, pair], self.hats[plays, pair + 1]
         further, starts = [laid], [laid.shape[1]]
         for column in range(HATS, self.count):
-            mine = np.flatnonzero(self.hats[:, column])
-            further.append(np.array([self.thresholds_V[mine], self.hats[mine, column], np.zeros(mine.size)]))
-            starts.append(starts[-1] + mine.size)
+            plays = np.flatnonzero(self.hats[:, column])
+            further.append(np.array([self.thresholds_V[plays], self.hats[plays, column], np.zeros(plays.size)]))
+            starts.append(starts[-1] + plays.size)
         thresholds_V, near, far = np.hstack(further)
         return thresholds_V, near, far, np.array(starts)
 
     def weights(self, coefficients: Array) -> Array:
-        """Weight of u itself and of every play, shape (1 + plays,) [1]."""
+        """Weights of u and of every play, shape (1 + plays,) [1]."""
         plays = self.hats @ coefficients
         return np.concatenate(([1.0 - plays.sum()], plays))
 
@@ -161,30 +160,30 @@ def _columns(
     step: int,
     out: Array,
 ) -> None:
-    """Plays at every `step`-th sample; between these, those of constant width need only what turns the voltage."""
+    """Columns at every `step`-th sample. Plays of constant width are updated at these and at reversals only."""
     plays = r.size
     z, lag, wide = np.zeros(plays), np.zeros(plays), r.copy()
     for k in range(path.size):
         for i in range(plays):
             z[i] = next_state(z[i], r[i], path[k])
     for k in range(u.size):
-        asked = k % step == 0
+        is_row = k % step == 0
         now = u[k]
         if factor.size:
             for i in range(plays):
                 wide[i] = r[i] * factor[k] + offset[k]
-        elif not asked and k + 1 < u.size and (now == u[k - 1] or (now - u[k - 1]) * (u[k + 1] - now) > 0.0):
+        elif not is_row and k + 1 < u.size and (now == u[k - 1] or (now - u[k - 1]) * (u[k + 1] - now) > 0.0):
             continue
         for i in range(plays):
             z[i] = next_state(z[i], wide[i], now)
             lag[i] = z[i] - now
-        if asked:
+        if is_row:
             _gather(lag, near, far, starts, out[:, k // step])
 
 
 @numba.njit(cache=True, nogil=True, inline="always")
 def _gather(lag: Array, near: Array, far: Array, starts: NDArray[np.int64], row: Array) -> None:
-    """Columns at one sample. Five plays a pair of hats, written out: a loop takes three times as long."""
+    """Columns at one sample; the five plays between two hats are written out: a loop takes thrice as long."""
     before, pairs = 0.0, starts[0] // 5
     for j in range(pairs):
         i = 5 * j
@@ -201,16 +200,16 @@ def _gather(lag: Array, near: Array, far: Array, starts: NDArray[np.int64], row:
 
 @dataclass(frozen=True)
 class ForceLaw:
-    """Quadratic B-splines on equal intervals, continued straight outside, and kinks beside them.
+    """Quadratic B-splines on equal intervals, continued straight outside, with further kinks.
 
     Parameters
     ----------
     low_V, high_V
-        Where the intervals begin and end [V].
+        Ends of the intervals [V].
     kinks_V
-        Where the slope leaps besides, shape (K,) [V].
+        Voltages of further changes of slope, shape (K,) [V].
     leaps
-        By how much in each further column, shape (K, C) [N/V].
+        Changes of slope in each further column, shape (K, C) [N/V].
     """
 
     low_V: float
@@ -220,11 +219,11 @@ class ForceLaw:
 
     @property
     def count(self) -> int:
-        """How many columns: the splines, then those of kinks."""
+        """Number of columns: splines, then further ones."""
         return SPLINES + int(self.leaps.shape[1])
 
     def smooth(self) -> "ForceLaw":
-        """The splines alone."""
+        """Force law without further columns."""
         return ForceLaw(self.low_V, self.high_V)
 
     def corners(self, coefficients: Array) -> tuple[Array, Array]:
@@ -232,14 +231,14 @@ class ForceLaw:
         return self.kinks_V, self.leaps @ coefficients[SPLINES:]
 
     def beside(self, kinks_V: Array, leaps: Array) -> "ForceLaw":
-        """The same with further columns of kinks, shape (K,) [V], whose leaps in each have the shape (K, C) [N/V]."""
+        """Force law with further kinks, shape (K,) [V], and their changes of slope, shape (K, C) [N/V]."""
         known, columns = self.leaps.shape
         wider = np.zeros((known + leaps.shape[0], columns + leaps.shape[1]))
         wider[:known, :columns], wider[known:, columns:] = self.leaps, leaps
         return ForceLaw(self.low_V, self.high_V, np.append(self.kinks_V, kinks_V), wider)
 
     def columns(self, v: Array) -> tuple[Array, Array]:
-        """N_j(v) and dN_j/dv, each shape (N, count) [1], [1/V]; those of kinks [N], [N/V]."""
+        """N_j(v) and dN_j/dv, each of shape (N, count) [1], [1/V]; of kinks [N], [N/V]."""
         values, slopes = np.empty((v.size, SPLINES)), np.empty((v.size, SPLINES))
         _splines(v, self.low_V, (SPLINES - 2) / (self.high_V - self.low_V), values, slopes)
         if not self.kinks_V.size:
@@ -258,7 +257,7 @@ class ForceLaw:
         return out
 
     def straight(self, offset: float, slope: float) -> Array:
-        """Coefficients of offset + slope v: the splines' own places are the interval's middles."""
+        """Coefficients of the law offset + slope v; a spline belongs to the middle of its interval."""
         step = (self.high_V - self.low_V) / (SPLINES - 2)
         middles = self.low_V + step * (np.arange(SPLINES) - 0.5)
         return np.concatenate((offset + slope * middles, np.zeros(self.count - SPLINES)))

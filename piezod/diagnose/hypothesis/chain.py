@@ -17,9 +17,9 @@ from piezod.diagnose.hypothesis.basis import HATS, SPLINES, ForceLaw, PlayDensit
 from piezod.diagnose.hypothesis.series import Series
 from piezod.effects import EFFECTS
 from piezod.effects.effect import Context, Driven, Effect, Location, Parameter, Past
-from piezod.model.chain.cache import Kept, Key
+from piezod.model.chain.cache import Cache, Key
 from piezod.model.chain.forward import Acting, amplified, as_sampled, behind, through, widening
-from piezod.model.chain.sensitivities import Passage, passages, unlike_signal
+from piezod.model.chain.sensitivities import Linearised, linearised, unlike_signal
 from piezod.recording.hold import Hold
 
 Array = NDArray[np.float64]
@@ -192,10 +192,10 @@ class Chain:
         slow, _, _, fastest = self.rates_V_per_s
         self.driven = Driven(force_span_N, slow, fastest, min(recording.dt_s for recording in self.series))
         sizes = [CACHED if recording.time_s.size < LONG else CACHED_WHEN_LONG for recording in self.series]
-        self._plays: list[Kept[tuple[Context, Array]]] = [*map(Kept, sizes)]
-        self._sums: list[Kept[Array]] = [*map(Kept, sizes)]
-        self._strokes: list[Kept[tuple[Array, Hold]]] = [*map(Kept, sizes)]
-        self._additions: list[Kept[Array]] = [*map(Kept, sizes)]
+        self._plays: list[Cache[tuple[Context, Array]]] = [*map(Cache, sizes)]
+        self._sums: list[Cache[Array]] = [*map(Cache, sizes)]
+        self._strokes: list[Cache[tuple[Array, Hold]]] = [*map(Cache, sizes)]
+        self._additions: list[Cache[Array]] = [*map(Cache, sizes)]
 
     def like(self, series: Sequence[Series], most_rows: int | None = None) -> "Chain":
         """Chain of other recordings with this base."""
@@ -212,7 +212,7 @@ class Chain:
         """Empty the caches: the plays of a recording take a hundred bytes a sample."""
         for caches in zip(self._plays, self._sums, self._strokes, self._additions, strict=True):
             for cache in caches:
-                cache.forget()
+                cache.clear()
 
     def parameter(self, effect: Effect, name: str) -> Parameter:
         """Parameter in the range that these recordings can show."""
@@ -398,10 +398,10 @@ class Chain:
         in_stack = [term for term, _ in acting if term.effect.location == Location.STACK]
         stroke_V = applied_V[::step] + columns @ point.density + self._started_V(number, point, step)
         stack = _effects(acting, Location.STACK, Location.STACK)
-        through_stack, stroke_V, context = passages(stack, stroke_V, context, step)
+        through_stack, stroke_V, context = linearised(stack, stroke_V, context, step)
         after = _effects(acting, Location.MECHANICS, Location.ACQUISITION)
-        through_rest, _, _ = passages(after, self.law.value(stroke_V, point.law), context, step)
-        remembers = any(passage.linear for passage in through_rest)
+        through_rest, _, _ = linearised(after, self.law.value(stroke_V, point.law), context, step)
+        remembers = any(effect.linear for effect in through_rest)
         rows = self.rows[number] if step == 1 else slice(None)
         simulated = slice(None) if remembers else rows
         splines, slopes = self.law.columns(stroke_V[simulated])
@@ -409,8 +409,8 @@ class Chain:
         del slopes
 
         def compared(column: Array) -> Array:
-            for passage in through_rest:
-                column = passage.through(column, simulated)
+            for effect in through_rest:
+                column = effect.through(column, simulated)
             return column[rows] if remembers else column
 
         starts = self.start_counts(terms)
@@ -418,11 +418,11 @@ class Chain:
         count = sum(starts) + sum(len(term.weights) for term in terms)
         tangents = np.zeros((self.series[number].counts[self.rows[number]].size, base + count), order="F")
 
-        def carry(first: int, columns: Array, stack: Sequence[Passage]) -> None:
+        def carry(first: int, columns: Array, stack: Sequence[Linearised]) -> None:
             for place, column in enumerate(columns.T, start=first):
                 carried = np.ascontiguousarray(column)
-                for passage in stack:
-                    carried = passage.through(carried)
+                for effect in stack:
+                    carried = effect.through(carried)
                 tangents[:, place] = compared(slope * carried[simulated])
 
         carry(0, columns, through_stack)

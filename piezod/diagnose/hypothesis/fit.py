@@ -1,4 +1,4 @@
-"""Robust Gauss-Newton over base and effects together, and what each block of a recording says when it is left out."""
+"""Robust Gauss-Newton fit of base and effects together, with the leave-one-block-out losses."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -12,30 +12,29 @@ from piezod.diagnose.hypothesis.layout import Layout, scaled, step_of, unscaled
 Array = NDArray[np.float64]
 
 MOST_STEPS = 14
-REUSED, SETTLED = 2, 0.3  # how often tangents serve again after steps that change the loss less than this
+REUSES, MOST_FALL = 2, 0.3  # tangents serve for two further steps while a step lowers the loss by less than 30 %
 DONE = 1e-5  # relative fall of the loss below which a fit ends
 FIRST_DAMPING, MOST_DAMPING = 1e-4, 1e4  # after a step that did not help
-HUBER = 3.0  # residuals beyond so many standard deviations count less
-SMOOTH = 1e-10  # weight of the density's and the law's bends, in parts of the mean diagonal
+HUBER = 3.0  # [standard deviations] larger residuals count linearly (Huber 1964)
+SMOOTH = 1e-10  # weight of second differences of density and force law, relative to the mean diagonal
 
 
 @dataclass(frozen=True)
 class Fitted:
-    """A hypothesis and how well it fits.
+    """A fitted hypothesis.
 
     Parameters
     ----------
     terms, point
-        The hypothesis and its parameters.
+        Effects of the hypothesis, and all parameters.
     losses
-        Mean square residual of every block in units of its recording's noise, the block left out of the fit (by one
-        linear step), shape (B,).
+        Leave-one-block-out loss of every block, by one linear step: mean square residual [noise variance], shape (B,).
     in_fit
-        The same with the block in the fit, shape (B,).
+        Mean square residual of every block in the fit [noise variance], shape (B,).
     samples
-        How many samples of every block count, each as far as it is trusted, shape (B,).
+        Weighted number of samples in every block, shape (B,).
     spread
-        Standard errors of the searched parameters on their scale, from the curvature and the blocks' scatter.
+        Standard errors of the searched parameters of each term, on their scale, by the jackknife over blocks.
     """
 
     terms: tuple[Term, ...]
@@ -47,12 +46,12 @@ class Fitted:
 
     @property
     def effects(self) -> tuple[str, ...]:
-        """Their names, each once, in the order of the search."""
+        """Names of the effects, each once, in the order of the search."""
         return tuple(dict.fromkeys(term.effect.name for term in self.terms))
 
     @property
     def loss(self) -> float:
-        """Mean over all samples."""
+        """Mean leave-one-block-out loss over all samples [noise variance]."""
         return float(self.losses @ self.samples / self.samples.sum())
 
 
@@ -64,28 +63,28 @@ def fit(chain: Chain, terms: Sequence[Term], start: Point, *, most_steps: int = 
     chain
         Recordings and base.
     terms
-        Effects.
+        Effects of the hypothesis.
     start
-        Where to begin.
+        Parameters to begin from.
     most_steps
-        Of Gauss-Newton.
+        Largest number of Gauss-Newton steps.
     """
     layout = Layout(chain, terms)
     vector, damping = layout.vector(start), 1e-8
     current = Normal.at(chain, terms, layout.point(vector, start))
     steps, age = 0, 0  # age: of the tangents, which change little from step to step
     while steps < most_steps and damping < MOST_DAMPING:
-        trial = _within(layout, vector, current, damping)
+        trial = _step_within(layout, vector, current, damping)
         beyond = current.loss_at(layout.point(trial, start))
         if beyond < current.loss:
             fell = (current.loss - beyond) / current.loss
             vector, damping, steps = trial, max(damping * 0.1, 1e-12), steps + 1
-            age = age + 1 if age < REUSED and fell < SETTLED else 0
+            age = age + 1 if age < REUSES and fell < MOST_FALL else 0
             current = Normal.at(chain, terms, layout.point(vector, start), current if age else None)
             if fell < DONE:
                 if not age:
                     break
-                age = REUSED
+                age = REUSES
         elif age:
             age, current = 0, Normal.at(chain, terms, layout.point(vector, start))
         else:
@@ -95,8 +94,8 @@ def fit(chain: Chain, terms: Sequence[Term], start: Point, *, most_steps: int = 
     return current.fitted(layout.point(vector, start))
 
 
-def _within(layout: Layout, vector: Array, current: "Normal", damping: float) -> Array:
-    """A step that stays in every range: what would leave it stops at its end, and the others are solved for anew."""
+def _step_within(layout: Layout, vector: Array, current: "Normal", damping: float) -> Array:
+    """Step within all ranges: a parameter stops at the end of its range, and the step of the others is solved again."""
     held = np.full(vector.size, np.nan)
     for _ in range(vector.size - layout.effects + 1):
         trial: Array = vector + current.step(damping, held)
@@ -116,26 +115,26 @@ class Normal:
     terms: tuple[Term, ...]
     point: Point
     layout: Layout
-    compared: list[Array]  # simulated, of the samples that are compared, one a recording
-    jacobians: list[Array]  # (N, P), 0 where a reading does not count
-    tangents: list[Array]  # (N, base and effects' weights), as they are simulated
-    told: list[Array]  # weights of the readings that tell
+    compared: list[Array]  # simulated readings of the compared samples, one array per recording
+    jacobians: list[Array]  # (N, P) per noise, 0 where a reading does not count
+    tangents: list[Array]  # (N, columns) of `Chain.tangents`
+    trust: list[Array]  # weights of the readings, 0 to 1
     weighted: list[Array]  # residuals times the robust weights
-    weights: list[Array]
+    weights: list[Array]  # robust weights
     hessian: Array  # (B, P, P)
     gradient: Array  # (B, P)
     squares: Array  # (B,) plain squares
     samples: Array  # (B,)
-    judged: NDArray[np.bool_]  # (B,) whether the block tells of a hypothesis
-    loss: float  # robust
-    scales: list[float]
-    stiff: Array  # curvature that draws stiff parameters to zero
-    ridge: Array
-    pull: Array  # towards zero, of stiff parameters
+    judged: NDArray[np.bool_]  # (B,) whether the block counts
+    loss: float  # Huber's loss with the penalties
+    scales: list[float]  # robust standard deviation of the residuals [noise], one per recording
+    stiff: Array  # (P,) curvature of the ridge penalties
+    ridge: Array  # (P, P) curvature of all penalties
+    pull: Array  # (P,) gradient of the ridge penalties
 
     @classmethod
     def at(cls, chain: Chain, terms: Sequence[Term], point: Point, near: "Normal | None" = None) -> "Normal":
-        """Normal equations of a hypothesis at a point, with the tangents of one that is near or its own."""
+        """Normal equations of a hypothesis at a point; `near` lends the tangents of a near point."""
         layout = Layout(chain, terms)
         none = np.empty(0)
         made = cls(
@@ -165,11 +164,11 @@ class Normal:
             tangents = chain.tangents(number, terms, point) if near is None else near.tangents[number]
             reading, jacobian = _jacobian(chain, terms, point, layout, number, tangents)
             rows = chain.rows[number]
-            residual, told = series.residual(rows, reading)
-            jacobian *= told[:, None] / series.noise_N
-            trusted = series.weights(rows)
-            made.told.append(told)
-            scale = max(1.4826 * float(np.median(np.abs(residual[told > 0.0]))), 1e-6)
+            residual, trust = series.residual(rows, reading)
+            jacobian *= trust[:, None] / series.noise_N
+            weights = series.weights(rows)
+            made.trust.append(trust)
+            scale = max(1.4826 * float(np.median(np.abs(residual[trust > 0.0]))), 1e-6)
             weight = np.minimum(1.0, HUBER * scale / np.maximum(np.abs(residual), 1e-12))
             made.loss += _robust(residual, scale)
             made.scales.append(scale)
@@ -178,13 +177,13 @@ class Normal:
             made.tangents.append(tangents)
             made.weighted.append(weight * residual)
             made.weights.append(weight)
-            for whole, block in zip(series.blocks, _thinned(series.blocks, rows.step), strict=True):
+            for stretch, block in zip(series.blocks, _thinned(series.blocks, rows.step), strict=True):
                 part = jacobian[block]
                 hessian.append(_weighted_square(part, weight[block]))
                 gradient.append(part.T @ made.weighted[-1][block])
                 squares.append(float(residual[block] @ residual[block]))
-                samples.append(float(trusted[block] @ trusted[block]))
-                judged.append(series.judges(whole))
+                samples.append(float(weights[block] @ weights[block]))
+                judged.append(series.judges(stretch))
         made.hessian, made.gradient = np.array(hessian), np.array(gradient)
         made.squares, made.samples, made.judged = np.array(squares), np.array(samples), np.array(judged)
         made.stiff, vector = layout.stiffness(float(made.samples.sum())), layout.vector(point)
@@ -193,11 +192,11 @@ class Normal:
         return made
 
     def readings(self) -> list[Array]:
-        """Simulated readings of all samples, one array a recording, shape (N,) [N]."""
+        """Simulated readings of all samples, an array of shape (N,) per recording [N]."""
         return [self.chain.run(number, self.terms, self.point).reading_N for number in range(len(self.chain.series))]
 
     def loss_at(self, point: Point) -> float:
-        """The robust loss alone, at another point."""
+        """Huber's loss with the penalties at another point."""
         vector = self.layout.vector(point)
         loss = float(self.stiff @ vector**2)
         for number, series in enumerate(self.chain.series):
@@ -206,7 +205,7 @@ class Normal:
         return loss if np.isfinite(loss) else np.inf
 
     def step(self, damping: float, held: Array) -> Array:
-        """Levenberg's and Marquardt's step; parameters that are `held` (not nan) move by just that."""
+        """Levenberg-Marquardt step, shape (P,); a parameter whose `held` is not nan moves by that amount."""
         hessian = self.hessian.sum(axis=0) + self.ridge
         hessian += damping * np.diag(np.diag(hessian))
         free, step = np.isnan(held), np.nan_to_num(held)
@@ -215,20 +214,20 @@ class Normal:
         return step
 
     def gain_of(self, changes: Sequence[Sequence[Array | None]]) -> tuple[float, Array]:
-        """Fall of the squared residual when multiples of changes are fitted with everything else, and the multiples.
+        """Fall of the squared residual when multiples of changes join the fit, and the multiples.
 
         Parameters
         ----------
         changes
-            Of the readings that are compared, for every recording, shape (rows,), or None where nothing changes [N].
-            One that what is fitted follows by itself has the size 0.
+            Changes of the compared readings: for every recording an array of shape (rows,) [N], or None for no change.
+            A change that the fit can follow by itself gets the multiple 0.
         """
         count = len(changes)
         columns = []
         for number in range(len(self.chain.series)):
             acting = [change[number] for change in changes]
-            size = self.told[number].size
-            columns.append(np.array([np.zeros(size) if one is None else one for one in acting]).T)
+            size = self.trust[number].size
+            columns.append(np.array([np.zeros(size) if change is None else change for change in acting]).T)
         free, along, squares = self.projected(columns)
         sizes = np.zeros(count)
         own = np.diag(free) > 1e-9 * squares
@@ -237,23 +236,22 @@ class Normal:
         return float(along[own] @ sizes[own]), sizes
 
     def projected(self, columns: Sequence[Array]) -> tuple[Array, Array, Array]:
-        """Normal equations of further columns, everything that is fitted projected off.
+        """Normal equations of further columns, with the fitted parameters projected off.
 
         Parameters
         ----------
         columns
-            Of the readings that are compared, for every recording, shape (rows, K) [N].
+            Columns of the compared readings, an array of shape (rows, K) per recording [N].
 
         Returns
         -------
         tuple
-            Of the columns with each other, shape (K, K), and with the residual, shape (K,); the square of each before,
-            shape (K,).
+            Hessian, shape (K, K); gradient, shape (K,); square of each column before the projection, shape (K,).
         """
         count = columns[0].shape[1]
         across, inner, along = np.zeros((self.ridge.shape[0], count)), np.zeros((count, count)), np.zeros(count)
         for number, series in enumerate(self.chain.series):
-            scaled = columns[number] * (self.told[number] / series.noise_N)[:, None]
+            scaled = columns[number] * (self.trust[number] / series.noise_N)[:, None]
             weighted = self.weights[number][:, None] * scaled
             across += self.jacobians[number].T @ weighted
             inner += scaled.T @ weighted
@@ -263,27 +261,27 @@ class Normal:
         return inner - across.T @ fitted, along - fitted.T @ gradient, np.diag(inner)
 
     def free_energy(self, change: Sequence[Array | None]) -> float:
-        """Square of a change of the readings, in units of the noise, that nothing which is fitted can follow.
+        """Square of the part of a change that the fitted parameters cannot follow [noise variance].
 
         Parameters
         ----------
         change
-            Of every recording, shape (rows,), or None where nothing changes [N].
+            Change of the compared readings: an array of shape (rows,) per recording [N], or None for no change.
         """
         across, inner = np.zeros(self.ridge.shape[0]), 0.0
-        for number, one in enumerate(change):
-            if one is not None:
+        for number, change_N in enumerate(change):
+            if change_N is not None:
                 series = self.chain.series[number]
-                scaled = one * self.told[number] / series.noise_N
+                scaled = change_N * self.trust[number] / series.noise_N
                 weighted = self.weights[number] * scaled
                 across += self.jacobians[number].T @ weighted
                 inner += float(scaled @ weighted)
         return inner - float(solved(self.hessian.sum(axis=0) + self.ridge, across) @ across)
 
     def fitted(self, point: Point) -> Fitted:
-        """What every block says when it is left out, by one linear step.
+        """Fit with the leave-one-block-out losses, by one linear step.
 
-        A parameter that one block alone determines stays within reason without it: a weak prior holds it.
+        A weak prior holds a parameter that one block alone determines.
         """
         hessian = self.hessian.sum(axis=0) + self.ridge + self.layout.prior(self.chain, point)
         gradient = self.gradient.sum(axis=0) + self.pull
@@ -295,8 +293,8 @@ class Normal:
             losses[b] = self.squares[b] - 2.0 * move @ self.gradient[b] + move @ self.hessian[b] @ move
         jackknife = np.sqrt((losses.size - 1) / losses.size * np.sum((moves - moves.mean(axis=0)) ** 2, axis=0))
         spread: tuple[dict[str, float], ...] = tuple({} for _ in self.terms)
-        for place, (term, one) in enumerate(self.layout.searched, start=self.layout.effects):
-            spread[term][one.name] = float(jackknife[place])
+        for place, (term, parameter) in enumerate(self.layout.searched, start=self.layout.effects):
+            spread[term][parameter.name] = float(jackknife[place])
         counted = np.where(self.judged, self.samples, 0.0)
         samples = np.maximum(self.samples, 1.0)
         left_out = np.where(self.judged, np.maximum(losses, 1e-12), 1e-12) / samples
@@ -306,25 +304,25 @@ class Normal:
 def _jacobian(
     chain: Chain, terms: Sequence[Term], point: Point, layout: Layout, number: int, tangents: Array
 ) -> tuple[Array, Array]:
-    """Simulated readings of a recording that are compared, and how they change with every parameter."""
+    """Compared readings of a recording, shape (rows,) [N], and their derivatives, shape (rows, P)."""
     series = chain.series[number]
     compared_N = chain.compared(number, terms, point)
     jacobian = np.zeros((compared_N.size, layout.size), order="F")  # it is filled and read by columns
     jacobian[:, layout.carried] = tangents
     if number:
         jacobian[:, layout.offsets + number - 1] = 1.0
-    for place, (term, one) in enumerate(layout.searched, start=layout.effects):
+    for place, (term, parameter) in enumerate(layout.searched, start=layout.effects):
         if place not in layout.carried and terms[term].acts_on(number, series):
-            here = scaled(one, point.values[term][one.name])
-            size = step_of(one, here)
-            moved = _moved(point, term, one.name, unscaled(one, here + size))
+            value = scaled(parameter, point.values[term][parameter.name])
+            size = step_of(parameter, value)
+            moved = _moved(point, term, parameter.name, unscaled(parameter, value + size))
             change = chain.compared(number, terms, moved) - compared_N
             jacobian[:, place] = change / size
     return compared_N, jacobian
 
 
 def _weighted_square(rows: Array, weights: Array) -> Array:
-    """Sum of w j j^T over rows j. Few weights are not 1, and a plain square is computed by half."""
+    """Sum of w j j^T over rows j. Few weights differ from 1, so the plain square is corrected for those."""
     few = np.flatnonzero(weights != 1.0)
     square: Array = rows.T @ rows
     if few.size:
@@ -333,7 +331,7 @@ def _weighted_square(rows: Array, weights: Array) -> Array:
 
 
 def _thinned(blocks: Sequence[slice], step: int) -> list[slice]:
-    """The same blocks among every `step`-th sample."""
+    """Blocks in a record of every `step`-th sample."""
     return [slice(-(-block.start // step), -(-block.stop // step)) for block in blocks]
 
 
@@ -344,12 +342,12 @@ def _robust(residual: Array, scale: float) -> float:
 
 
 def _moved(point: Point, term: int, name: str, value: float) -> Point:
-    values = tuple({**one, name: value} if number == term else one for number, one in enumerate(point.values))
+    values = tuple({**known, name: value} if number == term else known for number, known in enumerate(point.values))
     return replace(point, values=values)
 
 
 def _ridge(blocks: Array, layout: Layout) -> Array:
-    """Keeps density and law from bending where no sample tells."""
+    """Penalty of the second differences of density and force law, for columns that no sample determines."""
     size = blocks.shape[1]
     diagonal = np.einsum("bii->i", blocks)
     ridge = np.diag(1e-12 * diagonal + 1e-12)
@@ -362,7 +360,7 @@ def _ridge(blocks: Array, layout: Layout) -> Array:
 
 
 def solved(matrix: Array, side: Array) -> Array:
-    """Of normal equations, each parameter scaled to its own curvature; zeros where there is no solution."""
+    """Solution of normal equations, with each parameter scaled to its curvature; zeros where there is none."""
     scale = 1.0 / np.sqrt(np.maximum(np.diag(matrix), 1e-300))
     try:
         result: Array = scale * np.linalg.solve(

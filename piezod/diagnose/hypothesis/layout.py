@@ -1,4 +1,4 @@
-"""Where the parameters of a hypothesis stand in the vector that is fitted, and on which scale."""
+"""Layout of the fitted vector: the places of a hypothesis' parameters, and their scales."""
 
 import itertools
 from collections.abc import Sequence
@@ -11,13 +11,13 @@ from piezod.effects.effect import Parameter
 
 Array = NDArray[np.float64]
 
-LAW_WITHIN = 0.02  # of the force's range; a part of the force law that one block alone tells
-LAW_BENDS = 0.02  # of the force's range, from one spline to the next and the next
-FACTOR = 0.3  # of a parameter on a logarithmic scale, or of a column's part
+LAW_WITHIN = 0.02  # [force range] prior width of a part of the force law
+LAW_BENDS = 0.02  # [force range] prior width of a second difference of the force law
+FACTOR = 0.3  # prior width of a parameter on a logarithmic scale, or of a further column
 
 
 class Layout:
-    """Where the parameters of a hypothesis stand in the vector: density, law, offsets, starts, effects."""
+    """Places of the parameters in the vector: density, law, offsets, starts, effects."""
 
     def __init__(self, chain: Chain, terms: Sequence[Term]) -> None:
         self.plays = chain.density.count
@@ -32,25 +32,25 @@ class Layout:
         self.size = self.effects + len(self.searched)
         weights = [
             place
-            for place, (number, one) in enumerate(self.searched, start=self.effects)
-            if one.name in terms[number].weights
+            for place, (number, parameter) in enumerate(self.searched, start=self.effects)
+            if parameter.name in terms[number].weights
         ]
-        # those of which the chain knows the tangents
+        # places of the parameters in which the chain is linear, see `Chain.tangents`
         self.carried = [*range(self.offsets), *range(self.starts, self.effects), *weights]
 
     def vector(self, point: Point) -> Array:
-        """All parameters of a point."""
-        searched = [scaled(one, point.values[number][one.name]) for number, one in self.searched]
+        """Vector of a point, shape (size,)."""
+        searched = [scaled(parameter, point.values[term][parameter.name]) for term, parameter in self.searched]
         starts = [np.zeros(count) for count in np.diff(self.start_edges)]
-        for now, known in zip(starts, point.starts, strict=False):  # without decays where nothing remembers long
+        for now, known in zip(starts, point.starts, strict=False):  # an effect that comes or goes changes the decays
             now[: known.size] = known[: now.size]
         return np.concatenate((point.density, point.law, point.offsets_N[1:], *starts, searched))
 
     def point(self, vector: Array, like: Point) -> Point:
-        """The point of a vector, with what is not searched as in another."""
-        values = [dict(one) for one in like.values]
-        for place, (number, one) in enumerate(self.searched):
-            values[number][one.name] = unscaled(one, float(vector[self.effects + place]))
+        """Point of a vector; parameters that are not searched have the values of the point `like`."""
+        values = [dict(known) for known in like.values]
+        for place, (term, parameter) in enumerate(self.searched):
+            values[term][parameter.name] = unscaled(parameter, float(vector[self.effects + place]))
         return Point(
             vector[: self.plays],
             vector[self.plays : self.offsets],
@@ -60,18 +60,18 @@ class Layout:
         )
 
     def stiffness(self, samples: float) -> Array:
-        """Curvature of what draws stiff parameters to zero, shape (size,)."""
+        """Curvature of the ridge penalties, shape (size,)."""
         stiff = np.zeros(self.size)
-        stiff[self.effects :] = [samples * one.search.ridge for _, one in self.searched]
+        stiff[self.effects :] = [samples * parameter.search.ridge for _, parameter in self.searched]
         return stiff
 
     def prior(self, chain: Chain, point: Point) -> Array:
-        """Curvature of a weak prior: by how much a parameter may differ where nothing tells, shape (size, size).
+        """Curvature of a weak prior about the fitted parameters, shape (size, size).
 
-        Density and law may bend only so much; what one block alone tells of them is continued from beside it. An edge
-        stays within a sample of where it was found: what moving it does is straight no further.
+        Second differences of density and force law are bounded, so a part that no block determines continues its
+        neighbours. An instant moves by one sample, because the linear step holds no further.
         """
-        span_N, sample_s = chain.force_span_N, max(one.dt_s for one in chain.series)
+        span_N, sample_s = chain.force_span_N, max(series.dt_s for series in chain.series)
         wide = np.empty(self.size)
         wide[: self.plays] = max(float(np.abs(point.density[:HATS]).max()), 0.1)
         wide[self.plays : self.starts] = LAW_WITHIN * span_N
@@ -79,13 +79,14 @@ class Layout:
             wide[first:end] = LAW_WITHIN * span_N
             wide[first : first + series.start_columns.shape[1]] = LAW_WITHIN * chain.voltage_span_V
         wide[HATS : self.plays] = wide[self.plays + SPLINES : self.offsets] = FACTOR
-        for place, (number, one) in enumerate(self.searched, start=self.effects):
-            if one.search.logarithmic:
+        for place, (term, parameter) in enumerate(self.searched, start=self.effects):
+            if parameter.search.logarithmic:
                 wide[place] = FACTOR
-            elif one.instant:
+            elif parameter.instant:
                 wide[place] = sample_s
             else:
-                wide[place] = max(abs(float(point.values[number][one.name])), 1e-3 * min(one.high - one.low, 1e3))
+                least = 1e-3 * min(parameter.high - parameter.low, 1e3)
+                wide[place] = max(abs(float(point.values[term][parameter.name])), least)
         prior = np.diag(wide**-2.0)
         for first, count, bend in ((0, HATS, 0.5 * wide[0]), (self.plays, SPLINES, LAW_BENDS * span_N)):
             bends = np.diff(np.eye(count), 2, axis=0) / bend
@@ -93,24 +94,30 @@ class Layout:
         return prior
 
     def clipped(self, vector: Array) -> Array:
-        """The same within every parameter's range."""
+        """Vector with every effect parameter inside its range."""
         result = vector.copy()
-        for place, (_, one) in enumerate(self.searched, start=self.effects):
-            result[place] = np.clip(result[place], scaled(one, one.low), scaled(one, one.high))
+        for place, (_, parameter) in enumerate(self.searched, start=self.effects):
+            low, high = scaled(parameter, parameter.low), scaled(parameter, parameter.high)
+            result[place] = np.clip(result[place], low, high)
         return result
 
 
-def scaled(one: Parameter, value: float) -> float:
-    """A parameter's value on the scale that it is fitted on."""
-    return float(np.log(np.clip(value, one.low, one.high))) if one.search.logarithmic else value
+def scaled(parameter: Parameter, value: float) -> float:
+    """Value on the scale that is fitted: its logarithm where the search is logarithmic."""
+    if not parameter.search.logarithmic:
+        return value
+    return float(np.log(np.clip(value, parameter.low, parameter.high)))
 
 
-def unscaled(one: Parameter, value: float) -> float:
-    """The value of what stands on that scale, within the parameter's range."""
-    return float(np.clip(np.exp(value) if one.search.logarithmic else value, one.low, one.high))
+def unscaled(parameter: Parameter, value: float) -> float:
+    """Inverse of `scaled`, inside the range of the parameter."""
+    plain = np.exp(value) if parameter.search.logarithmic else value
+    return float(np.clip(plain, parameter.low, parameter.high))
 
 
-def step_of(one: Parameter, value: float) -> float:
-    """How far a parameter is moved to see what it does, on its scale; inwards at a bound."""
-    size = 1e-3 if one.search.logarithmic else 1e-3 * max(abs(value), 1e-2 * min(one.high - one.low, 1e3))
-    return -size if unscaled(one, value + size) >= one.high else size
+def step_of(parameter: Parameter, value: float) -> float:
+    """Step of the finite difference on the scale of the parameter; inwards at the upper bound."""
+    size = 1e-3
+    if not parameter.search.logarithmic:
+        size *= max(abs(value), 1e-2 * min(parameter.high - parameter.low, 1e3))
+    return -size if unscaled(parameter, value + size) >= parameter.high else size

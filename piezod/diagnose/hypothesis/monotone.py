@@ -1,7 +1,6 @@
-"""A hypothesis whose refitted plays fold, fitted again so that they do not: a stack's loading curve only rises.
+"""Refit of a hypothesis with a monotone loading curve, as a stack has it.
 
-The damped Gauss-Newton steps of `fit`, each a quadratic program in which every slope of the loading curve stays
-positive.
+Each damped Gauss-Newton step is a quadratic program in which every slope of the loading curve stays positive.
 """
 
 import numpy as np
@@ -17,30 +16,30 @@ from piezod.operators import EPS
 Array = NDArray[np.float64]
 
 STEPS = 80
-SMALLEST = 5.0 * EPS  # slope of the loading curve
+SMALLEST_SLOPE = 5.0 * EPS  # of the loading curve [1]
 
 
 def loading_slopes(chain: Chain, density: Array) -> Array:
-    """Slopes of the loading curve, shape (1 + plays,) [1]; where one is not positive it folds and has no inverse."""
+    """Slopes of the loading curve, shape (1 + plays,) [1]; the curve has an inverse where all are positive."""
     return np.cumsum(chain.density.weights(density))
 
 
-def rises(chain: Chain, found: Fitted) -> bool:
+def is_monotone(chain: Chain, fitted: Fitted) -> bool:
     """Whether the loading curve rises everywhere."""
-    return bool(loading_slopes(chain, found.point.density).min() >= EPS)
+    return bool(loading_slopes(chain, fitted.point.density).min() >= EPS)
 
 
-def unfolded(chain: Chain, found: Fitted) -> Fitted:
-    """The same hypothesis, fitted where its plays do not fold; itself where they do not, or where no fit is found."""
-    if rises(chain, found):
-        return found
-    layout = Layout(chain, found.terms)
+def monotone_fit(chain: Chain, fitted: Fitted) -> Fitted:
+    """Hypothesis refitted with a monotone loading curve; unchanged where it is monotone or no fit is found."""
+    if is_monotone(chain, fitted):
+        return fitted
+    layout = Layout(chain, fitted.terms)
     constraints = _rising(chain, layout)
-    normal, vector, damping = Normal.at(chain, found.terms, found.point), layout.vector(found.point), FIRST_DAMPING
-    least = np.inf  # the first step leaves what folds, whatever that costs
+    normal, vector, damping = Normal.at(chain, fitted.terms, fitted.point), layout.vector(fitted.point), FIRST_DAMPING
+    least = np.inf  # the first step makes the curve monotone at any cost
     for _ in range(STEPS):
         trial = _trial(normal, constraints, vector, damping)
-        beyond = np.inf if trial is None else normal.loss_at(layout.point(trial, found.point))
+        beyond = np.inf if trial is None else normal.loss_at(layout.point(trial, fitted.point))
         if trial is None or beyond >= least:
             damping *= 10.0
             if damping > MOST_DAMPING:
@@ -48,24 +47,24 @@ def unfolded(chain: Chain, found: Fitted) -> Fitted:
             continue
         fell = np.inf if np.isinf(least) else (least - beyond) / least
         vector, damping = trial, 0.1 * damping
-        normal = Normal.at(chain, found.terms, layout.point(vector, found.point))
+        normal = Normal.at(chain, fitted.terms, layout.point(vector, fitted.point))
         least = normal.loss
         if fell < DONE:
             break
-    return normal.fitted(normal.point) if np.isfinite(least) else found
+    return normal.fitted(normal.point) if np.isfinite(least) else fitted
 
 
 def _rising(chain: Chain, layout: Layout) -> Constraints:
-    """Every slope of the loading curve at least the smallest, in what a hypothesis fits."""
+    """Constraints of the vector: every slope of the loading curve is at least `SMALLEST_SLOPE`."""
     count = chain.density.count
     at_zero = loading_slopes(chain, np.zeros(count))
     rows = np.zeros((at_zero.size, layout.size))
-    rows[:, :count] = np.array([loading_slopes(chain, one) - at_zero for one in np.eye(count)]).T
-    return Constraints(rows, SMALLEST - at_zero)
+    rows[:, :count] = np.array([loading_slopes(chain, unit) - at_zero for unit in np.eye(count)]).T
+    return Constraints(rows, SMALLEST_SLOPE - at_zero)
 
 
 def _trial(normal: Normal, constraints: Constraints, vector: Array, damping: float) -> Array | None:
-    """Where a damped step within the constraints ends; None where it is too ill-conditioned to be solved."""
+    """Vector after a damped step within the constraints; None where the program is too ill-conditioned."""
     hessian, gradient = normal.hessian.sum(axis=0) + normal.ridge, normal.gradient.sum(axis=0) + normal.pull
     hessian += damping * np.diag(np.diag(hessian))
     try:

@@ -1,31 +1,31 @@
-"""Independent fits beside each other, in threads: compiled loops and linear algebra let go of the interpreter."""
+"""Independent fits in threads: compiled loops and linear algebra release the interpreter."""
 
 import os
 from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
 from typing import TypeVar
 
-One = TypeVar("One")
+Argument = TypeVar("Argument")
 Result = TypeVar("Result")
 
 
 def threads() -> int:
-    """How many: OMP_NUM_THREADS where it is set, else the processor cores that this process may use."""
-    asked = os.environ.get("OMP_NUM_THREADS", "")
-    return int(asked) if asked.isdecimal() and int(asked) > 0 else len(os.sched_getaffinity(0))
+    """Number of threads: OMP_NUM_THREADS where it is set, else the cores that this process may use."""
+    stated = os.environ.get("OMP_NUM_THREADS", "")
+    return int(stated) if stated.isdecimal() and int(stated) > 0 else len(os.sched_getaffinity(0))
 
 
-def each(work: Callable[[One], Result], of: Iterable[One]) -> list[Result]:
+def each(work: Callable[[Argument], Result], arguments: Iterable[Argument]) -> list[Result]:
     """Results in the order of the arguments.
 
     Raises
     ------
     Exception
-        The first that a piece of work raised.
+        The first exception that `work` raised.
     """
-    todo = list(of)
-    count = min(threads(), len(todo))
+    waiting = list(arguments)
+    count = min(threads(), len(waiting))
     if count < 2:
-        return [work(one) for one in todo]
+        return [work(argument) for argument in waiting]
     with ThreadPoolExecutor(count) as pool:
-        return list(pool.map(work, todo))
+        return list(pool.map(work, waiting))

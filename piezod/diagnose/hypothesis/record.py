@@ -1,4 +1,4 @@
-"""What recordings tell about the place and the sense of an effect that was fitted to them."""
+"""Quantities of the recordings that the place and the plausibility of a fitted effect depend on."""
 
 import numpy as np
 
@@ -7,16 +7,16 @@ from piezod.effects.effect import Record
 
 
 def record_of(term: Term, chain: Chain) -> Record:
-    """Of the recordings asked about, and of the one in which an effect happened once."""
-    asked = [one for one in chain.series if one.role == "recording"] or list(chain.series)
-    acts_in = chain.series[term.series] if term.scope == "once" else asked[0]
+    """Record of the recordings to explain; its times are those of the recording that a term acts in."""
+    recordings = [series for series in chain.series if series.role == "recording"] or list(chain.series)
+    acts_in = chain.series[term.series] if term.scope == "once" else recordings[0]
     return Record(
         start_s=acts_in.start_s,
         end_s=acts_in.start_s + acts_in.duration_s,
-        longest_s=max(one.duration_s for one in asked),
-        dt_s=min(one.dt_s for one in chain.series),
-        nyquist_Hz=0.5 / asked[0].dt_s,
-        highest_V=max(float(one.command_V.max()) for one in asked),
-        fastest_V_per_s=max(float(np.abs(np.diff(one.command_V)).max()) / one.dt_s for one in asked),
-        highest={one.name: chain.parameter(term.effect, one.name).high for one in term.effect.parameters},
+        longest_s=max(series.duration_s for series in recordings),
+        dt_s=min(series.dt_s for series in chain.series),
+        nyquist_Hz=0.5 / recordings[0].dt_s,
+        highest_V=max(float(series.command_V.max()) for series in recordings),
+        fastest_V_per_s=max(float(np.abs(np.diff(series.command_V)).max()) / series.dt_s for series in recordings),
+        highest={known.name: chain.parameter(term.effect, known.name).high for known in term.effect.parameters},
     )

@@ -1,4 +1,4 @@
-"""A recording made ready to be fitted: equal steps, what is believed, how it starts, and its blocks."""
+"""A recording prepared for a fit: equal steps, weights, initial state and blocks."""
 
 import itertools
 from dataclasses import dataclass, field, replace
@@ -14,50 +14,49 @@ Mask = NDArray[np.bool_]
 Role = Literal["identification", "recording"]
 
 BLOCK_S = 2.0
-FEWEST_BLOCKS, MOST_BLOCKS = 12, 40  # with six, no chance of a sign in each of them would fall below 0.01
+FEWEST_BLOCKS, MOST_BLOCKS = 12, 40  # six blocks could not show significance: 2^-6 is above 0.01
 
 
 @dataclass(frozen=True)
 class Series:
-    """One recording on equal steps.
+    """A recording on equal steps.
 
     Parameters
     ----------
     name
-        Where it came from.
+        Name of the file.
     role
-        Whether the model was identified on it, or it is asked about.
+        "identification": the model was identified on it. "recording": to explain.
     time_s, command_V, reading_N
-        Shape (N,); time from 0, readings that are missing are 0 and do not count.
+        Times from 0 [s], commands [V] and readings [N], shape (N,). A missing reading is 0 and does not count.
     counts
-        Which readings are believed, shape (N,).
+        Readings that count, shape (N,).
     noise_N
-        Standard deviation of its noise, for the weights between recordings [N].
+        Standard deviation of the noise [N]; it weights the recordings against each other.
     path_V
-        Voltages since the de-energised state before the first sample.
+        Voltages from the de-energised state to the first sample [V].
     temperature_C
-        Shape (N,), or None.
+        Temperatures, shape (N,) [degC]; None: not recorded.
     start_s
-        Time of the first sample in the recording's own time [s].
+        Time of the first sample in the file [s].
     start_columns
-        What an unknown past can have added to the stroke, shape (N, columns) [1]; no columns where it is known.
+        Columns of an unknown past in the stroke, shape (N, columns) [1]; no columns where the past is known.
     past_matters_until
-        Sample from which the start columns stay as they are.
+        Sample from which the start columns are constant.
     past_known
-        Where what is fitted for an unknown past can be judged by, shape (N,). None: the past is known.
+        Samples at which the fit of an unknown past may judge a hypothesis, shape (N,). None: the past is known.
     hold
         How the command runs between samples.
     recorded_hold
-        The same as the recording states it; None: it does not state it.
+        Hold that the recording states; None: it states none.
     lattice_N
-        Step of a converter's lattice on which all readings stand; 0 where there is none [N].
+        Step of the converter [N]; 0: the readings are not on steps.
     rounding_N
-        What the converter seems to have added to the readings, shape (N,); None where they are taken as they are [N].
+        Estimated rounding of the converter, shape (N,) [N]; None: the readings are fitted as they are.
     trust
-        How much less than `noise_N` each reading is off, as a factor, shape (N,), 0 where it tells nothing; None where
-        all are alike.
+        Weight of each reading, shape (N,), 0 to 1; None: all 1.
     within_N
-        How far from it the force may be without a reading telling, shape (N,); None: not at all [N].
+        Deviation of the force that a reading does not show, shape (N,) [N]; None: 0.
     blocks
         Stretches that are left out one by one.
     """
@@ -90,45 +89,40 @@ class Series:
         blocks = tuple(slice(int(a), int(b)) for a, b in itertools.pairwise(edges))
         object.__setattr__(self, "blocks", blocks)
 
-    def told_N(self, rows: slice) -> Array:
-        """What is fitted: the readings, a coarse converter's rounding undone, shape (rows,) [N]."""
+    def fitted_N(self, rows: slice) -> Array:
+        """Readings to fit, shape (rows,) [N]: less the rounding of a coarse converter."""
         readings = self.reading_N[rows]
         return readings if self.rounding_N is None else readings - self.rounding_N[rows]
 
     def weights(self, rows: slice) -> Array:
-        """Of the residuals, 0 where a reading does not count, shape (rows,)."""
+        """Weights of the residuals, shape (rows,); 0 where a reading does not count."""
         counts = self.counts[rows].astype(np.float64)
         return counts if self.trust is None else self.trust[rows] * counts
 
     def residual(self, rows: slice, reading_N: Array) -> tuple[Array, Array]:
-        """What a simulation leaves of the readings, and how far each tells of it.
+        """Residuals of simulated readings, shape (rows,) [noise], and their weights, shape (rows,).
 
         Parameters
         ----------
         rows
-            Which samples are compared.
+            Samples that are compared.
         reading_N
-            Simulated there, shape (rows,) [N].
-
-        Returns
-        -------
-        residual, told
-            In units of the noise, and its weights, both of shape (rows,).
+            Simulated readings, shape (rows,) [N].
         """
-        error_N, told = self.told_N(rows) - reading_N, self.weights(rows)
+        error_N, weights = self.fitted_N(rows) - reading_N, self.weights(rows)
         if self.within_N is not None:
             beyond_N = error_N - np.clip(error_N, -self.within_N[rows], self.within_N[rows])
-            error_N, told = beyond_N, told * (beyond_N != 0.0)
-        return np.where(told > 0.0, told * error_N, 0.0) / self.noise_N, told
+            error_N, weights = beyond_N, weights * (beyond_N != 0.0)
+        return np.where(weights > 0.0, weights * error_N, 0.0) / self.noise_N, weights
 
     def as_judged(self) -> "Series":
-        """The same without readings that an unknown past still matters for: straight pieces leave a little of it."""
+        """Series in which only readings count that no longer depend on an unknown past."""
         if self.past_known is None:
             return self
         return replace(self, counts=self.counts & self.past_known)
 
     def judges(self, block: slice) -> bool:
-        """Whether a block tells of a hypothesis: one before which nothing is known fits any."""
+        """Whether a block may judge a hypothesis: with an unknown past, any hypothesis fits the first ones."""
         return self.past_known is None or bool(self.past_known[block].all())
 
     @property
@@ -138,5 +132,5 @@ class Series:
 
     @property
     def duration_s(self) -> float:
-        """From the first sample to the last [s]."""
+        """Time from the first to the last sample [s]."""
         return float(self.time_s[-1])

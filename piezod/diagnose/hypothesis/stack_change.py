@@ -1,7 +1,7 @@
 """A change of the stack itself since the identification: its gain, and the width of its loops.
 
-Both act in the recordings asked about only. They are no effects of the catalogue: the written model has them in its
-base, and a diagnosis reports them as a change of the base.
+Both act in the recordings to explain only. They are not in the catalogue: the written model has them in its base, and
+a diagnosis reports them as a change of the base.
 """
 
 from collections.abc import Sequence
@@ -40,24 +40,24 @@ LOOPS = Effect(
 NAMES = (GAIN.name, LOOPS.name)
 
 
-def with_stack_changed(chain: Chain, found: Fitted, past: Point) -> Fitted:
-    """The hypothesis with another gain and wider or narrower loops since the identification.
+def with_stack_changed(chain: Chain, fitted: Fitted, past: Point) -> Fitted:
+    """Hypothesis with a change of gain and of loop width since the identification.
 
-    It is fitted from where it stands, and from the base as the identification alone shows it: a change bends the base.
+    The fit begins at the hypothesis, and at the base of the identification alone, because a change bends the base.
     """
-    terms = (*found.terms, Term(GAIN, "since"), Term(LOOPS, "since"))
-    values = (*found.point.values, {"gain": 1.0}, {"loops": 1.0})
-    starts = [replace(found.point, values=values)]
-    if past.alike(found.point):
+    terms = (*fitted.terms, Term(GAIN, "since"), Term(LOOPS, "since"))
+    values = (*fitted.point.values, {"gain": 1.0}, {"loops": 1.0})
+    starts = [replace(fitted.point, values=values)]
+    if past.alike(fitted.point):
         starts.append(replace(past, values=values))
-    return min((fit(chain, terms, start) for start in starts), key=lambda one: one.loss)
+    return min((fit(chain, terms, start) for start in starts), key=lambda result: result.loss)
 
 
-def factors(found: Fitted) -> tuple[float, float]:
-    """Gain and width of the loops, in parts of those at the identification; 1 where they have not changed [1]."""
-    known = {name: values[name] for term, values in _pairs(found) for name in NAMES if term.effect.name == name}
+def factors(fitted: Fitted) -> tuple[float, float]:
+    """Gain and loop width relative to the identification [1]."""
+    known = {name: values[name] for term, values in _pairs(fitted) for name in NAMES if term.effect.name == name}
     return known.get("gain", 1.0), known.get("loops", 1.0)
 
 
-def _pairs(found: Fitted) -> Sequence[tuple[Term, Values]]:
-    return list(zip(found.terms, found.point.values, strict=True))
+def _pairs(fitted: Fitted) -> Sequence[tuple[Term, Values]]:
+    return list(zip(fitted.terms, fitted.point.values, strict=True))

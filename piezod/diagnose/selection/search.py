@@ -10,7 +10,13 @@ from piezod.diagnose.candidates.screening import catalogue_starts
 from piezod.diagnose.hypothesis.chain import Chain, Point, Term
 from piezod.diagnose.hypothesis.fit import MOST_STEPS, Fitted, fit
 from piezod.diagnose.hypothesis.parallel import each
-from piezod.diagnose.hypothesis.sampling import best_course, coarse, settled, started_as_usual, suited_anew
+from piezod.diagnose.hypothesis.sampling import (
+    best_intersample,
+    coarse,
+    with_best_hold,
+    with_refitted_starts,
+    with_usual_start,
+)
 from piezod.diagnose.hypothesis.stack_change import NAMES, with_stack_changed
 from piezod.diagnose.selection.acceptance import (
     BETTER,
@@ -84,9 +90,9 @@ def _begin(chain: Chain, start: Point, given: tuple[Term, ...]) -> Search:
     if given:
         base = fit(chain, given, start)
     else:
-        chain, base = best_course(chain, (), start)
+        chain, base = best_intersample(chain, (), start)
         base = fit(chain, (), base.point)  # a base that has not converged would make any effect seem useful
-    chain, base = started_as_usual(chain, base)
+    chain, base = with_usual_start(chain, base)
     result = Search(chain, base, base, _past(chain, start, given))
     while _change_given(result):
         pass
@@ -190,8 +196,8 @@ def _best_trials(result: Search, tried: list[Trial]) -> list[Trial]:
         )
     limit = accepted[0][1].loss if accepted else result.hypothesis.loss
     rejected = [trial for trial in tried if trial[1].loss < limit and not degenerate(*trial)][:RECONSIDERED]
-    refitted = [trial for trial in each(suited_anew, rejected) if trial is not None and is_accepted(trial)]
-    return each(settled, sorted(accepted + refitted, key=lambda trial: trial[1].loss)[:BEST_TRIALS])
+    refitted = [trial for trial in each(with_refitted_starts, rejected) if trial is not None and is_accepted(trial)]
+    return each(with_best_hold, sorted(accepted + refitted, key=lambda trial: trial[1].loss)[:BEST_TRIALS])
 
 
 def _accepts(chain: Chain, before: Fitted, after: Fitted) -> bool:
@@ -206,7 +212,7 @@ def add_pair(result: Search, tried: Sequence[Trial]) -> bool:
     pairs = [pair for pair in fitted_pairs(result.chain, result.hypothesis) if worth(result.hypothesis, pair)]
     best_pairs = sorted(pairs, key=penalised_loss)[:BEST_PAIRS]
     accepted = []
-    for chain, pair in each(settled, [(result.chain, pair) for pair in best_pairs]):
+    for chain, pair in each(with_best_hold, [(result.chain, pair) for pair in best_pairs]):
         count = len(pair.terms)
         orders = pair, reordered(pair, [*range(count - 2), count - 1, count - 2])
         firsts = [fit(chain, h.terms[:-1], replace(h.point, values=h.point.values[:-1])) for h in orders]

@@ -7,7 +7,7 @@ import numpy as np
 
 from piezod.diagnose.hypothesis.chain import Chain, Point, Term
 from piezod.diagnose.hypothesis.fit import Fitted, fit
-from piezod.diagnose.hypothesis.sampling import SAME
+from piezod.diagnose.hypothesis.sampling import EQUAL
 from piezod.diagnose.selection.acceptance import worth
 from piezod.diagnose.selection.given_effects import without
 from piezod.effects import EFFECTS
@@ -83,4 +83,4 @@ def _lag_s(fitted: Fitted, name: str) -> float:
 
 
 def _fits_as_well(hypothesis: Fitted, other: Fitted) -> bool:
-    return hypothesis.loss <= (1.0 + SAME) * other.loss
+    return hypothesis.loss <= (1.0 + EQUAL) * other.loss

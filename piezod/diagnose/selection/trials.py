@@ -18,7 +18,7 @@ from piezod.diagnose.candidates.steps import NEVER_S, edge_near, jump_steps, lik
 from piezod.diagnose.hypothesis.chain import Chain, Point, Scope, Term
 from piezod.diagnose.hypothesis.fit import MOST_STEPS, Fitted, Normal, fit
 from piezod.diagnose.hypothesis.parallel import each
-from piezod.diagnose.hypothesis.sampling import coarse, started_alike
+from piezod.diagnose.hypothesis.sampling import coarse, with_equal_starts
 from piezod.effects import EFFECTS
 from piezod.recording.hold import STRAIGHT
 
@@ -55,7 +55,7 @@ def with_each_effect(chain: Chain, fitted: Fitted, past: Point) -> list[tuple[Ch
         tried = _tried(few, known, past)
         few.forget()
         trials += [(variant, hypothesis) for hypothesis in _fitted_finely(variant, known, tried)]
-    restarted = started_alike(chain)
+    restarted = with_equal_starts(chain)
     if restarted is not None:
         few = coarse(restarted)
         tried = _from_past(few, fitted, past)

@@ -1,4 +1,4 @@
-"""The last few results of a computation, kept for who asks again."""
+"""Cache of the last results of a computation."""
 
 import threading
 from collections.abc import Callable
@@ -8,25 +8,31 @@ Key = tuple[object, ...]
 Value = TypeVar("Value")
 
 
-class Kept(Generic[Value]):
-    """The last few results of a computation by what they depend on; threads may share it."""
+class Cache(Generic[Value]):
+    """Last results of a computation, by the key of what they depend on; safe for threads.
 
-    def __init__(self, most: int) -> None:
-        self._most, self._lock = most, threading.Lock()
-        self._known: dict[Key, Value] = {}
+    Parameters
+    ----------
+    size
+        Largest number of results; the oldest one is removed first.
+    """
+
+    def __init__(self, size: int) -> None:
+        self._size, self._lock = size, threading.Lock()
+        self._results: dict[Key, Value] = {}
 
     def get(self, key: Key, compute: Callable[[], Value]) -> Value:
-        """What was computed for a key, computed now where it is not known (any more)."""
-        known = self._known.get(key)
-        if known is None:
-            known = compute()
+        """Result for a key, computed where it is not in the cache."""
+        result = self._results.get(key)
+        if result is None:
+            result = compute()
             with self._lock:
-                while len(self._known) >= self._most:
-                    del self._known[next(iter(self._known))]
-                self._known[key] = known
-        return known
+                while len(self._results) >= self._size:
+                    del self._results[next(iter(self._results))]
+                self._results[key] = result
+        return result
 
-    def forget(self) -> None:
-        """Let go of everything."""
+    def clear(self) -> None:
+        """Remove all results."""
         with self._lock:
-            self._known.clear()
+            self._results.clear()

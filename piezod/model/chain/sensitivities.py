@@ -1,4 +1,4 @@
-"""How a small change of the signal passes through the effects that lie behind it."""
+"""Derivatives of the chain: a small change of the signal passes through the effects behind it."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -13,15 +13,15 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class Passage:
-    """How a small change of the signal passes through an effect.
+class Linearised:
+    """Linearised effect.
 
     Parameters
     ----------
     effect, context, values
-        Which effect.
+        Effect, and what its output depends on besides the signal.
     slope
-        Of a memoryless effect, or the factor of a scaling one, at every sample, shape (N,).
+        Slope of a memoryless effect, or factor of a scaling one, at every sample, shape (N,); None: neither.
     """
 
     effect: Effect
@@ -31,54 +31,39 @@ class Passage:
 
     @property
     def linear(self) -> bool:
-        """Whether it may remember, and needs the whole signal."""
+        """Whether the effect is linear with a memory, so that it needs every sample."""
         return self.effect.form == "linear"
 
-    def through(self, change: Array, kept: slice = slice(None)) -> Array:  # a slice is not mutable
-        """The change behind the effect; `kept` are the samples that it has of the signal's."""
+    def through(self, change: Array, rows: slice = slice(None)) -> Array:  # a slice is not mutable
+        """Change behind the effect; `rows` are the samples of the signal that `change` has."""
         if self.linear:
             return self.effect.forward(change, replace(self.context, stroke_per_V=0.0), self.values)
-        return change if self.slope is None else change * self.slope[kept]
+        return change if self.slope is None else change * self.slope[rows]
 
 
 def unlike_signal(effect: Effect, values: Mapping[str, float], context: Context) -> Array:
-    """What an effect does that depends on no signal: the factor of a scaling one, what an additive one adds.
-
-    Parameters
-    ----------
-    effect
-        Of one of these forms.
-    values
-        Of its parameters.
-    context
-        What it may look at.
-
-    Returns
-    -------
-    Array
-        At every sample, shape (N,).
-    """
+    """Factor of a scaling effect, or term that an additive effect adds, shape (N,); neither depends on the signal."""
     size = context.time_s.size
     return effect.forward(np.ones(size) if effect.form == "scaling" else np.zeros(size), context, values)
 
 
-def passages(
+def linearised(
     effects: Sequence[tuple[Effect, Mapping[str, float]]], signal: Array, context: Context, step: int = 1
-) -> tuple[list[Passage], Array, Context]:
-    """How small changes pass through effects that follow each other, with the signal and the context behind them.
+) -> tuple[list[Linearised], Array, Context]:
+    """Linearised effects in a row, the signal behind them and the context there.
 
     Parameters
     ----------
     effects
-        With their values.
+        Effects with their values, in the order of the chain.
     signal
-        In front of them, at every `step`-th sample, shape (rows,). Beyond 1, none of them remembers the signal.
+        Signal in front of them at every `step`-th sample, shape (rows,).
     context
-        What they may look at, of all samples.
+        Context of all samples.
     step
-        Samples from one of the signal's to the next.
+        Samples from one row to the next; above 1 no effect may have a memory.
     """
-    found = []
+    result = []
     for effect, values in effects:
         forward, slope = effect.forward, None
         if effect.form == "memoryless":
@@ -87,7 +72,7 @@ def passages(
             slope = (above - below) / (2.0 * little)
         elif effect.form == "scaling":
             slope = unlike_signal(effect, values, context)[::step]
-        found.append(Passage(effect, context, values, slope))
+        result.append(Linearised(effect, context, values, slope))
         if slope is not None and effect.form == "scaling":
             signal = signal * slope
         elif step > 1 and effect.form == "additive":
@@ -95,4 +80,4 @@ def passages(
         else:
             signal = forward(signal, context, values)
         context = behind(effect, context)
-    return found, signal, context
+    return result, signal, context

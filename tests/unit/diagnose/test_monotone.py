@@ -9,7 +9,7 @@ from piezod.diagnose import diagnosis
 from piezod.diagnose.hypothesis.basis import ForceLaw, PlayDensity
 from piezod.diagnose.hypothesis.chain import Chain, Term, empty_point
 from piezod.diagnose.hypothesis.fit import fit
-from piezod.diagnose.hypothesis.monotone import SMALLEST, loading_slopes, unfolded
+from piezod.diagnose.hypothesis.monotone import SMALLEST_SLOPE, loading_slopes, monotone_fit
 from piezod.diagnose.selection.search_state import Round, Search
 from piezod.diagnose.verdict.evidence import finding_of
 from piezod.effects import EFFECTS
@@ -35,9 +35,9 @@ def test_what_folds_is_fitted_within_the_bound_and_better_than_its_neighbour():
     chain = chain_over(folding)
     folded = fit(chain, (), empty_point(chain, 0.8, 0.0))
     assert loading_slopes(chain, folded.point.density).min() < 0.0
-    found = unfolded(chain, folded)
+    found = monotone_fit(chain, folded)
     slopes = loading_slopes(chain, found.point.density)
-    assert slopes.min() > SMALLEST - 1e-6
+    assert slopes.min() > SMALLEST_SLOPE - 1e-6
     # One that does not fold either: the same plays, a little less of them, behind the best law for them.
     u, reading_N = chain.series[0].command_V, chain.series[0].reading_N
     less = 0.945 * np.ones(DENSITY.count)
@@ -50,7 +50,7 @@ def test_what_folds_is_fitted_within_the_bound_and_better_than_its_neighbour():
 def test_a_monotone_fit_is_returned_unchanged():
     chain = chain_over(lambda u: 0.7 * u + 0.2 * played(np.concatenate(([0.0], u)), 15.0)[1:])
     found = fit(chain, (), empty_point(chain, 0.8, 0.0))
-    assert unfolded(chain, found) is found
+    assert monotone_fit(chain, found) is found
 
 
 @pytest.mark.parametrize(("kept", "taken"), [(0.9, True), (0.3, False)])
@@ -68,7 +68,7 @@ def test_what_fits_by_plays_that_fold_alone_gives_way_to_what_gains_without(monk
     folded = replace(lag, point=replace(lag.point, density=lag.point.density - 2.0))
     result = Search(chain, base, folded, base.point, [Round(base, folded, (delay,))])
     straight = replace(lag, losses=base.losses)
-    monkeypatch.setattr(diagnosis, "unfolded", lambda _, one: straight if one is folded else one)
+    monkeypatch.setattr(diagnosis, "monotone_fit", lambda _, one: straight if one is folded else one)
     monkeypatch.setattr(diagnosis, "with_each_rival", lambda *_: [delay])
     found = diagnosis.with_monotone_curve(result)
     assert found.hypothesis is (delay if taken else folded)

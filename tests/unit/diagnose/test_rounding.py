@@ -50,7 +50,7 @@ def test_an_unrounded_force_is_within_its_claimed_error(force_N: Array) -> None:
     assert one.within_N is not None
     tells = one.within_N == 0.0
     claimed_N = one.noise_N / one.trust[tells]
-    in_claims = (one.told_N(ALL) - force_N)[tells] / claimed_N
+    in_claims = (one.fitted_N(ALL) - force_N)[tells] / claimed_N
     assert np.sqrt(np.mean(in_claims**2)) < 1.3
     assert claimed_N.min() < 2.0 * NOISE_N or not np.any(np.abs(np.diff(force_N)) < 0.2)
 
@@ -61,14 +61,14 @@ def test_the_force_is_hardly_ever_farther_off_than_a_long_run_allows(force_N: Ar
     assert one.within_N is not None
     long = one.within_N > 0.0
     assert long.any()
-    assert np.mean((np.abs(one.told_N(ALL) - force_N) > one.within_N)[long]) < 0.01
+    assert np.mean((np.abs(one.fitted_N(ALL) - force_N) > one.within_N)[long]) < 0.01
     assert np.all(one.within_N[long] < 0.75 * STEP_N)
 
 
 def test_a_moving_force_is_told_better_than_by_the_readings() -> None:
     one = unrounded(recorded(MOVING_N, STEP_N, NOISE_N))
     weights = np.where(one.within_N == 0.0, one.weights(ALL), 0.0)
-    error_N = np.sqrt(np.mean((weights * (one.told_N(ALL) - MOVING_N)) ** 2) / np.mean(weights**2))
+    error_N = np.sqrt(np.mean((weights * (one.fitted_N(ALL) - MOVING_N)) ** 2) / np.mean(weights**2))
     assert error_N < 0.5 * STEP_N / np.sqrt(12.0)
 
 
@@ -76,5 +76,5 @@ def test_a_tone_taken_off_leaves_the_rounding_undone() -> None:
     one = unrounded(recorded(MOVING_N, STEP_N, NOISE_N))
     tone = np.cos(2.0 * np.pi * 50.0 * TIME_S)
     np.testing.assert_allclose(
-        replace(one, reading_N=one.reading_N - tone).told_N(ALL), one.told_N(ALL) - tone, atol=1e-12
+        replace(one, reading_N=one.reading_N - tone).fitted_N(ALL), one.fitted_N(ALL) - tone, atol=1e-12
     )

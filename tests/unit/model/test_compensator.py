@@ -16,7 +16,7 @@ def model():
 def test_the_inverse_reaches_every_reachable_reference(model):
     plant, compensator = model.operator(), make_compensator("inverse", model, 1e-3)
     rng = np.random.default_rng(3)
-    bottom, top = plant.steady_range()
+    bottom, top = steady_range(model)
     for reference in rng.uniform(bottom + 0.2 * (top - bottom), bottom + 0.8 * (top - bottom), 500):
         voltage = compensator.plan(reference)
         compensator.commit(voltage)
