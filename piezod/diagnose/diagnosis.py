@@ -18,9 +18,11 @@ from piezod.diagnose.hypothesis.monotone import is_monotone, monotone_fit
 from piezod.diagnose.hypothesis.series import Series
 from piezod.diagnose.judgement import Diagnosis, DiagnosisInputs, diagnosed_nrmse_percent, residuals_of, with_words
 from piezod.diagnose.prepare import prepared, substitute_recording
-from piezod.diagnose.selection.acceptance import BETTER, comparison_loss, penalised_loss
+from piezod.diagnose.selection.acceptance import comparison_loss, penalised_loss
+from piezod.diagnose.selection.finish import with_each_rival
 from piezod.diagnose.selection.given_effects import as_given, refitted_without, without
-from piezod.diagnose.selection.search import OnProgress, search, with_each_rival
+from piezod.diagnose.selection.rules import RULES
+from piezod.diagnose.selection.search import OnProgress, search
 from piezod.diagnose.selection.search_state import Rivalry, Search
 from piezod.diagnose.selection.stated_hold import with_stated_hold
 from piezod.diagnose.selection.unnamed import FittedLaw, fit_unnamed
@@ -85,7 +87,8 @@ def _diagnosed(
     chain, start, given = inputs.search_start()
     result = search(chain, start, progress, given)
     result.chain.forget()
-    result.chain, result.hypothesis = with_stated_hold(result.chain, result.hypothesis)
+    chain, hypothesis = with_stated_hold(result.chain, result.hypothesis)
+    result = replace(result, chain=chain, hypothesis=hypothesis)
     result = with_monotone_curve(result)
     progress("judging what is left", 0.9)
     diagnosis = inputs.diagnosis_of(result)
@@ -181,7 +184,7 @@ def with_unnamed_law(diagnosis: Diagnosis, diagnosed: Sequence[tuple[Source, Ser
     with_law = model.model_copy(update={"unnamed_law": fitted.law})
     runs = [free_run(with_law, *pair) for pair in diagnosed]
     after = tared_rms(runs)
-    if after >= BETTER * findings.after:
+    if after >= RULES.better * findings.after:
         return diagnosis
     extended = _readings_with_law(diagnosis.series, modelled, fitted, runs)
     residuals = residuals_of(diagnosis.series, extended)
@@ -256,16 +259,17 @@ def with_monotone_curve(result: Search) -> Search:
 
 def _without_effects(result: Search, names: Sequence[str]) -> Search:
     """Result without some effects: new ones are removed, those of the given model get their old values."""
-    fitted = result.hypothesis
+    fitted, statuses = result.hypothesis, dict(result.statuses)
     for name in names:
         if name in result.given:
             fitted = as_given(result.chain, fitted, result.base, name)
-            result.statuses[name] = "kept"
+            statuses[name] = "kept"
             continue
         terms, values = without(fitted, name)
         fitted = replace(fitted, terms=tuple(terms), point=replace(fitted.point, values=tuple(values)))
     removed = [tone for tone in result.tones if tone.name in names]
     chain = result.chain.like(with_tones(result.chain.series, removed))
-    tones = [tone for tone in result.tones if tone.name not in names]
+    tones = tuple(tone for tone in result.tones if tone.name not in names)
     base = fit(chain, result.base.terms, result.base.point) if removed else result.base
-    return replace(result, chain=chain, tones=tones, base=base, hypothesis=fit(chain, fitted.terms, fitted.point))
+    fitted = fit(chain, fitted.terms, fitted.point)
+    return replace(result, chain=chain, tones=tones, base=base, hypothesis=fitted, statuses=statuses)

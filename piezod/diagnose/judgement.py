@@ -19,9 +19,9 @@ from piezod.diagnose.hypothesis.sampling import coarse
 from piezod.diagnose.hypothesis.series import Series
 from piezod.diagnose.localisation.locate import locate
 from piezod.diagnose.prepare import chain_of
-from piezod.diagnose.selection.acceptance import BETTER
 from piezod.diagnose.selection.given_effects import given_effects, with_likelier_scope
 from piezod.diagnose.selection.replay import Attempt, fitted_in
+from piezod.diagnose.selection.rules import RULES
 from piezod.diagnose.selection.search_state import Search
 from piezod.diagnose.selection.significance import with_discovery_rates
 from piezod.diagnose.sources import Source
@@ -314,7 +314,7 @@ class DiagnosisInputs:
             extended = self._with_new_base(extended)
         runs = [free_run(extended, *pair) for pair in self.given_runs.diagnosed]
         after = tared_rms(runs)
-        if not result.differs and (after >= BETTER * before or above_noise(after, floor, span)):
+        if not result.differs and (after >= RULES.better * before or above_noise(after, floor, span)):
             return given
         return _WrittenModel(with_error(extended, after), after, runs)
 

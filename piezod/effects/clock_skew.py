@@ -37,7 +37,7 @@ EFFECT = Effect(
     title="clocks of different rates",
     location=Location.ACQUISITION,
     form="linear",
-    parameters=(Parameter("skew_ppm", "ppm", -2e4, 2e4, Search((-100.0, 100.0, -1000.0, 1000.0))),),
+    parameters=(Parameter("skew_ppm", "ppm", -2e4, 2e4, Search((-100.0, 100.0, -1000.0, 1000.0), seen_in="clock")),),
     forward=forward,
     handling="corrected in the reading",
     docstring=__doc__,

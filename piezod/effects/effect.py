@@ -53,6 +53,8 @@ class Search:
         Whether all choices are screened, because they show in different places; else the first one stands for them.
     only_if
         Name and choice of another parameter: this one is searched with that choice only. None: always.
+    seen_in
+        Test of the residual that gives further starts: peaks of its spectrum, or the rate of its clock. None: no test.
     """
 
     starts: tuple[float, ...]
@@ -62,11 +64,12 @@ class Search:
     ridge: float = 0.0
     all_screened: bool = False
     only_if: tuple[str, float] | None = None
+    seen_in: Literal["spectrum", "clock"] | None = None
 
 
 @dataclass(frozen=True)
 class Driven:
-    """What recordings drive, for the range that they can show of a parameter.
+    """Drive of recordings, for the range that they can show of a parameter.
 
     Parameters
     ----------
@@ -254,7 +257,7 @@ class Checks:
 
 @dataclass(frozen=True)
 class Record:
-    """What recordings tell about the place and the sense of an effect that was found in them.
+    """Quantities of recordings that the place and the plausibility of an effect depend on.
 
     Parameters
     ----------
@@ -304,7 +307,7 @@ def all_the_time(values: Values, record: Record) -> Where | None:  # noqa: ARG00
 
 
 def always(values: Values, record: Record) -> bool:  # noqa: ARG001  # see `Effect.plausible`
-    """Any values within the ranges of the parameters are what the name says."""
+    """Any values within the ranges of the parameters suit the name."""
     return True
 
 
@@ -329,7 +332,7 @@ class Effect:
     forward
         Function from input signal to output signal, both of shape (N,). It is at rest at the first sample.
     handling
-        What the compensator does about the effect.
+        Handling by the compensator.
     docstring
         Docstring of the file: six fields.
     why
@@ -347,7 +350,7 @@ class Effect:
     smooths
         Whether the output runs straight between samples when the input is held.
     past
-        What a past that is not known adds to the readings; None: the state is forgotten within seconds.
+        Decays of an unknown past in the readings; None: the state is forgotten within seconds.
     needs
         Channel that a recording must have; None: no further channel.
     separate_by
@@ -355,15 +358,17 @@ class Effect:
     place
         Function from values and `Record` to where the effect acts; None: everywhere.
     plausible
-        Function from values and `Record` to whether fitted values are what the name of the effect says.
+        Function from values and `Record` to whether fitted values suit the name of the effect.
     flexible
         Whether it bends to nearly whatever is left, so that it must gain in many blocks of time.
     soft
         Whether it bends to whatever is left at low force.
     general
         Whether it bends to nearly whatever is a hysteresis: one with a shape of its own goes before it.
+    narrow
+        Whether its response to a step is a sample wide, so that it is searched behind a delay at its own place.
     found_by
-        "search": hypotheses that are fitted. "test": a test of its own on what is left.
+        "search": hypotheses that are fitted. "test": a test of the residual.
     repeats
         Whether another recording of the same drive shows it again.
     checks
@@ -393,6 +398,7 @@ class Effect:
     flexible: bool = False
     soft: bool = False
     general: bool = False
+    narrow: bool = False
     found_by: Literal["search", "test"] = "search"
     repeats: bool = True
     checks: Checks = field(default_factory=Checks)
@@ -410,6 +416,21 @@ class Effect:
     def catalogued(self) -> tuple[Parameter, ...]:
         """Parameters that a finding reports."""
         return tuple(one for one in self.parameters if not one.search.nuisance)
+
+    @property
+    def is_delay(self) -> bool:
+        """Whether the effect shifts the readings in time."""
+        return self.preview is not None and self.preview.shifts
+
+    @property
+    def is_step(self) -> bool:
+        """Whether the effect adds a constant between two instants."""
+        return self.form == "additive" and any(parameter.instant for parameter in self.parameters)
+
+    @property
+    def is_tone(self) -> bool:
+        """Whether the effect adds a sine and its harmonics."""
+        return self.form == "additive" and any(parameter.name == "frequency_Hz" for parameter in self.parameters)
 
     def parameter(self, name: str) -> Parameter:
         """Parameter of that name.

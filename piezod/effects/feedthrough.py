@@ -114,5 +114,6 @@ EFFECT = Effect(
     docstring=__doc__,
     why="it is no force: driving against it would make one",
     separate_by="the same drive with the load cell taken off the stack",
+    narrow=True,
     checks=Checks(values={"rise_s": 0.05}),
 )

@@ -102,7 +102,7 @@ EFFECT = Effect(
             "Hz",
             2.0,
             5000.0,
-            Search((20.0, 50.0, 120.0, 300.0), logarithmic=True),
+            Search((20.0, 50.0, 120.0, 300.0), logarithmic=True, seen_in="spectrum"),
             shown_by=below_the_fastest_mode,
         ),
         Parameter("damping_ratio", "1", 1e-3, 1.0, Search((0.03, 0.3), logarithmic=True)),

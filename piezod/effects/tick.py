@@ -26,9 +26,9 @@ class Shared(NamedTuple):
     """Memory that all effects of a chain share: places in `shared`."""
 
     before_V: int  # voltage at the stack at the end of the tick before
-    now_V: int  # the same at the end of this tick; while a voltage is planned, the best guess of it
-    committed_V: int  # the same at the end of the tick committed last
-    start_V: int  # the same at the start
+    now_V: int  # voltage at the stack at the end of this tick; the best guess while it is planned
+    committed_V: int  # voltage at the stack at the end of the tick committed last
+    start_V: int  # voltage at the stack at the start
     start_stroke_V: int  # output of the plays at the start
     runs_straight: int  # 1: the voltage runs straight through this tick; 0: it is held
     factor: int  # factor of the play thresholds in this tick
@@ -45,7 +45,7 @@ SHARED = Shared(*range(len(Shared._fields)))
 
 @dataclass(frozen=True)
 class TickSetting:
-    """What the memory of an effect depends on besides its parameters.
+    """Quantities that the memory of an effect depends on, besides its parameters.
 
     Parameters
     ----------
@@ -100,8 +100,7 @@ class Tick:
     settle
         Step as `advance`, which sets the states to rest at the input. None: the effect has no state.
     measure
-        Step that takes a reading of the channel that the effect `needs`, in place of the signal. Its result counts
-        nothing.
+        Step that takes a reading of the channel that the effect `needs`, in place of the signal; its result is unused.
     follow
         Step from (reading - expected reading) to the part of it that the effect causes, estimated from tick to tick.
     risen

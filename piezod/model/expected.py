@@ -4,7 +4,7 @@
 cell follow it; the compensator ignores them.
 
     force       amplifier -> plays -> stack -> force law -> mechanics
-    expected    force -> load cell -> delay, and what is followed from tick to tick, as a hum
+    expected    force -> load cell -> delay; a hum is followed from tick to tick
     corrected   reading + force - expected
 
 The correction takes the influence of the load cell from the model and everything else from the reading. It amplifies no
@@ -33,8 +33,8 @@ class ExpectedReading:
     Parameters
     ----------
     model
-        Model with its effects. Effects without an inverse are left out; their influence is in the difference between
-        reading and expected reading.
+        Model with its effects. Refused effects do not act; their influence is in the difference between reading and
+        expected reading.
     dt_s
         Tick period [s].
 

@@ -1,8 +1,8 @@
-"""The inverse of a model with an unnamed law: what the law will add is taken off the reference, by iteration.
+"""The inverse of a model with an unnamed law: its expected addition is subtracted from the reference, by iteration.
 
     F(k) = reference(k) - law(u(k), F(k)),   u(k) = plan(F(k))
 
-The iteration contracts while the law changes less within a tick than the force; a law that does not is left out.
+The iteration contracts while the law changes less within a tick than the force; otherwise the law is not compensated.
 """
 
 from collections.abc import Collection
@@ -91,7 +91,7 @@ class LawInverse:
 
     @property
     def added_N(self) -> float:
-        """What the law adds to the force at the tick committed last [N]."""
+        """Addition of the law to the force at the tick committed last [N]."""
         return float(self._memo[ADDED])
 
     def plan(self, reference: float) -> float:
@@ -113,7 +113,7 @@ def law_inverse(model: Model, chain: TickChain, without: Collection[str] = ()) -
     chain
         Chain of the compensator.
     without
-        Names of what is deliberately not compensated.
+        Names of effects that are deliberately not compensated.
     """
     if model.unnamed_law is None or NAME in without:
         return None

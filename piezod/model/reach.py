@@ -1,4 +1,4 @@
-"""How far the output of a model goes beyond what was measured."""
+"""Reach of the output of a model beyond the measured range."""
 
 import numpy as np
 
@@ -7,7 +7,7 @@ from piezod.model.parameters import Model
 MOST_BEYOND = 0.1
 """Share of the measured range by which a model that drives a bench may leave it."""
 LEAST_REACHED = 0.5
-"""Share of the measured range that such a model must reach. What it leaves out, as a gap or a drift, is far smaller."""
+"""Share of the measured range that such a model must reach. A gap or a drift takes far less."""
 
 
 def output_reach(model: Model) -> tuple[float, float]:
@@ -15,7 +15,7 @@ def output_reach(model: Model) -> tuple[float, float]:
 
     Every branch rises with the input, since the sums of the play weights are positive. So the largest output is that at
     the highest input, and the least one that at the lowest. A first rise from the de-energised state may begin below; a
-    recording that begins amid the range has not measured it, and it is left out.
+    recording that begins amid the range has not measured it, so it does not count.
 
     Parameters
     ----------

@@ -24,14 +24,12 @@ from firmware_sim.concealed.study.truth import TrueCase, read_truth
 from piezod.diagnose.hypothesis.chain import Point, Term
 from piezod.diagnose.hypothesis.fit import Fitted
 from piezod.diagnose.selection.acceptance import (
-    STEADILY,
-    STEADY,
-    WORTH,
     comparable,
     least_gain,
     penalised_loss,
     steadiness,
 )
+from piezod.diagnose.selection.rules import RULES
 from piezod.effects import EFFECTS
 
 BY_OTHER_MEANS = {"mains_hum", "vibration", "sensor_dropout", "quantisation"}
@@ -88,7 +86,7 @@ class Decision:
     def error(self, rule: Rule) -> str:
         """What a rule does wrong here; empty: nothing."""
         worth = [one for one in self.candidates if one.gain > least_gain(one.steadiness, *rule)]
-        taken = [one for one in worth if not EFFECTS[one.name].flexible or one.steadiness > STEADY]
+        taken = [one for one in worth if not EFFECTS[one.name].flexible or one.steadiness > RULES.steady]
         if taken:
             right = min(taken, key=lambda one: one.weighed).name in self.left
             kinds = {"null": "false in a null", "foreign": "false in a foreign case"}
@@ -159,7 +157,7 @@ def table(rounds: Sequence[Decision]) -> str:
     """Errors of the rule as it is, and as three families choose it, on each family and on all."""
     header = f"{'':<14}{'rule':<16}{'decisions':>10}" + "".join(f"{name:>25}" for name in COSTS)
     lines = [header]
-    present = (WORTH, STEADILY)
+    present = (RULES.worth, RULES.steadily)
 
     def line(label: str, rule: str, number: int, errors: Mapping[str, int]) -> str:
         return f"{label:<14}{rule:<16}{number:>10}" + "".join(f"{errors.get(name, 0):>25}" for name in COSTS)

@@ -197,8 +197,18 @@ def _skews(chain: Chain, terms: Sequence[Term], point: Point) -> dict[str, tuple
         for number, series in enumerate(chain.series)
         if series.role == "recording"
     ]
-    starts = EFFECTS["clock_skew"].parameter("skew_ppm").search.starts
-    return {"clock_skew skew_ppm": (*starts, *(ppm for ppm in visible if ppm is not None))}
+    shown_ppm = tuple(ppm for ppm in visible if ppm is not None)
+    return {key: (*starts, *shown_ppm) for key, starts in _starts_seen_in("clock").items()}
+
+
+def _starts_seen_in(test: str) -> dict[str, tuple[float, ...]]:
+    """Starts of the parameters that a test of the residual shows, by effect and parameter."""
+    return {
+        f"{name} {parameter.name}": parameter.search.starts
+        for name, effect in EFFECTS.items()
+        for parameter in effect.parameters
+        if parameter.search.seen_in == test
+    }
 
 
 @dataclass(frozen=True)
@@ -285,8 +295,8 @@ def _changes(chain: Chain, terms: Sequence[Term], point: Point) -> tuple[Normal,
         if series.role == "recording"
         for peak_Hz in peaks_Hz(series, series.reading_N - modelled)
     ]
-    modes_Hz += EFFECTS["resonance"].parameter("frequency_Hz").search.starts
-    known = {"resonance frequency_Hz": tuple(modes_Hz), **_skews(chain, terms, point)}
+    known = {key: (*modes_Hz, *starts) for key, starts in _starts_seen_in("spectrum").items()}
+    known |= _skews(chain, terms, point)
 
     def changes_by(start: Start) -> list[_Change]:
         effect, values, choices = start

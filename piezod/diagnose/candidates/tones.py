@@ -14,11 +14,13 @@ from numpy.typing import NDArray
 from piezod.diagnose.candidates.direct import Line, lines
 from piezod.diagnose.candidates.screening import within_ranges
 from piezod.diagnose.hypothesis.series import Series
-from piezod.effects import EFFECTS
+from piezod.effects import EFFECTS, mains_hum, vibration
 from piezod.effects.mains_hum import HARMONICS
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
+
+HUM, VIBRATION = mains_hum.EFFECT.name, vibration.EFFECT.name  # the effects that this test finds
 
 WINDOW_S = 3.0  # length of the Hann window for amplitude and phase; its band is a third of a hertz
 MOST_OF_RECORDING = 0.25  # largest length of the window, relative to the recording
@@ -76,7 +78,7 @@ def tones(series: Sequence[Series], residuals: Sequence[Array], known: Sequence[
     `residuals` have shape (N,) each [N]. The effects of subtracted tones (`known`) are not proposed again.
     """
     names = {tone.name for tone in known}
-    hum_Hz = [tone.values["frequency_Hz"] for tone in known if tone.name == "mains_hum"]
+    hum_Hz = [tone.values["frequency_Hz"] for tone in known if tone.name == HUM]
     groups: list[list[Tone]] = []
     for number in sorted(range(len(series)), key=lambda k: series[k].role != "recording"):
         for tone in _tones_of(number, series[number], residuals[number], hum_Hz):
@@ -95,7 +97,7 @@ def reestimated_tones(series: Sequence[Series], residuals: Sequence[Array], know
     """
     remainders, estimates = [residual.copy() for residual in residuals], []
     for tone in known:
-        estimate = _hum if tone.name == "mains_hum" else _vibration
+        estimate = _hum if tone.name == HUM else _vibration
         with_tone_N = remainders[tone.number] + tone.signal_N
         estimates.append(estimate(tone.number, series[tone.number], with_tone_N, tone.values["frequency_Hz"]))
         remainders[tone.number] = with_tone_N - estimates[-1].signal_N
@@ -104,7 +106,7 @@ def reestimated_tones(series: Sequence[Series], residuals: Sequence[Array], know
 
 def _is_same_machine(group: Sequence[Tone], tone: Tone) -> bool:
     first = group[0]
-    within_Hz = MAINS_WITHIN_HZ if tone.name == "mains_hum" else MACHINE_HZ
+    within_Hz = MAINS_WITHIN_HZ if tone.name == HUM else MACHINE_HZ
     near = abs(first.values["frequency_Hz"] - tone.values["frequency_Hz"]) < within_Hz
     return first.name == tone.name and near and tone.number not in {known.number for known in group}
 
@@ -175,7 +177,7 @@ def _aliased(frequency_Hz: float, dt_s: float) -> float:
 
 def _hum(number: int, series: Series, residual_N: Array, frequency_Hz: float) -> Tone:
     envelope, carrier = _envelope_and_carrier(series, residual_N, frequency_Hz)
-    values = _mean_values("mains_hum", series, envelope, frequency_Hz)
+    values = _mean_values(HUM, series, envelope, frequency_Hz)
     signal_N = 2.0 * (envelope * carrier).real
     unit = carrier * np.exp(1j * np.angle(envelope))
     sampled_Hz = {h: _aliased(h * frequency_Hz, series.dt_s) for h in (1, *HARMONICS)}
@@ -190,14 +192,14 @@ def _hum(number: int, series: Series, residual_N: Array, frequency_Hz: float) ->
     for h, part in parts.items():
         mean = complex(np.mean(part[series.counts])) * np.exp(-0.5j * np.pi * h) / (0.5 * values["amplitude_N"])
         values[f"cosine_{h}"], values[f"sine_{h}"] = mean.real, -mean.imag
-    return Tone("mains_hum", number, within_ranges(EFFECTS["mains_hum"], values), signal_N)
+    return Tone(HUM, number, within_ranges(EFFECTS[HUM], values), signal_N)
 
 
 def _vibration(number: int, series: Series, residual_N: Array, frequency_Hz: float) -> Tone:
     envelope, carrier = _envelope_and_carrier(series, residual_N, frequency_Hz)
-    values = _mean_values("vibration", series, envelope, frequency_Hz)
+    values = _mean_values(VIBRATION, series, envelope, frequency_Hz)
     values |= _breathing(series, 2.0 * np.abs(envelope))
-    return Tone("vibration", number, within_ranges(EFFECTS["vibration"], values), 2.0 * (envelope * carrier).real)
+    return Tone(VIBRATION, number, within_ranges(EFFECTS[VIBRATION], values), 2.0 * (envelope * carrier).real)
 
 
 def _envelope_and_carrier(series: Series, residual_N: Array, frequency_Hz: float) -> tuple[Complex, Complex]:

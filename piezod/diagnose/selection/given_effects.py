@@ -19,14 +19,12 @@ from piezod.model.parameters import EffectValues
 Status = Literal["kept", "changed", "gone", "not seen"]
 Values = Mapping[str, float]
 
-TONES = ("vibration", "mains_hum")  # estimated anew in every recording, not held
-
 
 def given_effects(model: Model, hashes: Sequence[str]) -> tuple[tuple[Term, ...], tuple[Values, ...]]:
     """Held terms and values of the given model's effects that act in the recordings with these SHA-256 `hashes`."""
     terms, values = [], []
     for entry in model.effects:
-        if entry.name in TONES or (entry.recording is not None and entry.recording not in hashes):
+        if EFFECTS[entry.name].is_tone or (entry.recording is not None and entry.recording not in hashes):
             continue
         number = -1 if entry.recording is None else hashes.index(entry.recording)
         effect = EFFECTS[entry.name]

@@ -1,11 +1,13 @@
-"""State of a search: current hypothesis, rounds, rivals, and subtracted tones."""
+"""The state of a search, which never changes: a move makes a new one."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
+import numpy as np
+
 from piezod.diagnose.candidates.tones import Tone
 from piezod.diagnose.hypothesis import stack_change
-from piezod.diagnose.hypothesis.chain import Chain, Point
+from piezod.diagnose.hypothesis.chain import Chain, Point, Term
 from piezod.diagnose.hypothesis.fit import MOST_STEPS, Fitted, fit
 from piezod.diagnose.selection.given_effects import Status
 from piezod.diagnose.selection.replay import Attempt
@@ -13,7 +15,15 @@ from piezod.diagnose.selection.replay import Attempt
 
 @dataclass(frozen=True)
 class Round:
-    """Accepted effect (`accepted`), hypothesis before it, and the other plausible hypotheses that were tried."""
+    """An accepted effect.
+
+    Parameters
+    ----------
+    before, accepted
+        Hypothesis without and with the effect.
+    others
+        Hypotheses with another effect that was plausible too.
+    """
 
     before: Fitted
     accepted: Fitted
@@ -24,7 +34,7 @@ class Round:
 class Rivalry:
     """Losses of the final hypothesis without an effect, with it, and with each rival in its place.
 
-    The losses with an effect are comparison losses (`acceptance.comparison_loss`).
+    Losses with an effect are those of `acceptance.comparison_loss`.
     """
 
     without: float
@@ -32,28 +42,28 @@ class Rivalry:
     rivals: Mapping[str, float]
 
 
-@dataclass
+@dataclass(frozen=True)
 class Search:
     """State of a search.
 
     Parameters
     ----------
     chain
-        Recordings with the best hold.
+        Recordings with the hold of the command that fits best; the readings are without the removed tones.
     base
-        Base with the effects of the given model held at their values: the hypothesis that nothing has changed.
+        Base with the effects of the given model at their values: the hypothesis that nothing has changed.
     hypothesis
-        Current hypothesis.
+        Hypothesis so far.
     past
-        Base fitted to the identification recordings.
+        Base as the recordings of the identification alone show it.
     rounds
-        Accepted effects in their order.
+        Accepted effects, in the order of the search.
     tones
-        Tones subtracted from the readings of the chain's series.
+        Tones that were removed from the readings.
     rivalries
-        Losses with each rival in place of an effect of the final hypothesis, by effect.
+        Comparison with the rivals at the end, by effect.
     attempts
-        Compared hypotheses, for the replay file.
+        Comparisons for the replay file.
     statuses
         Status of each effect of the given model, by name.
     """
@@ -62,11 +72,11 @@ class Search:
     base: Fitted
     hypothesis: Fitted
     past: Point
-    rounds: list[Round] = field(default_factory=list)
-    tones: list[Tone] = field(default_factory=list)
-    rivalries: dict[str, Rivalry] = field(default_factory=dict)
-    attempts: list[Attempt] = field(default_factory=list)
-    statuses: dict[str, Status] = field(default_factory=dict)
+    rounds: tuple[Round, ...] = ()
+    tones: tuple[Tone, ...] = ()
+    rivalries: Mapping[str, Rivalry] = field(default_factory=dict)
+    attempts: tuple[Attempt, ...] = ()
+    statuses: Mapping[str, Status] = field(default_factory=dict)
 
     @property
     def given(self) -> tuple[str, ...]:
@@ -75,7 +85,7 @@ class Search:
 
     @property
     def new(self) -> tuple[str, ...]:
-        """Effects that the given model lacks, tones last."""
+        """Effects of the hypothesis that the given model lacks, tones last."""
         names = dict.fromkeys((*self.hypothesis.effects, *(tone.name for tone in self.diagnosed_tones)))
         return tuple(name for name in names if name not in (*self.given, *stack_change.NAMES))
 
@@ -86,20 +96,48 @@ class Search:
 
     @property
     def differs(self) -> bool:
-        """Whether an effect or the stack is new, changed or gone."""
-        return bool(self.new) or self.stack_changed or bool({"changed", "gone"} & set(self.statuses.values()))
-
-    def fit_base(self, most_steps: int = MOST_STEPS) -> None:
-        """Refit the base to the readings of the chain, from the current hypothesis."""
-        point = replace(self.hypothesis.point, values=self.base.point.values)
-        self.base = fit(self.chain, self.base.terms, point, most_steps=most_steps)
+        """Whether anything is new, changed or gone."""
+        return bool(self.new) or self.stack_changed or not {"changed", "gone"}.isdisjoint(self.statuses.values())
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Effects of the current hypothesis, tones last."""
+        """All effects of the hypothesis, tones last."""
         return tuple(dict.fromkeys((*self.hypothesis.effects, *(tone.name for tone in self.tones))))
 
     @property
-    def diagnosed_tones(self) -> list[Tone]:
-        """Tones of the diagnosed recordings."""
-        return [tone for tone in self.tones if self.chain.series[tone.number].role == "recording"]
+    def diagnosed_tones(self) -> tuple[Tone, ...]:
+        """Tones in the recordings to explain."""
+        return tuple(tone for tone in self.tones if self.chain.series[tone.number].role == "recording")
+
+    def on_chain(self, chain: Chain, fitted: Fitted, **changes: object) -> "Search":
+        """State with a hypothesis on another chain; the base is fitted to it too."""
+        base = fit(chain, self.base.terms, self.base.point)
+        return replace(self, chain=chain, hypothesis=fitted, base=base, **changes)  # type: ignore[arg-type]
+
+    def with_corners(self, chain: Chain, fitted: Fitted) -> "Search":
+        """State with corners in the base."""
+        start = replace(fitted.point, values=self.base.point.values)
+        base = fit(chain, self.base.terms, start, most_steps=MOST_STEPS)
+        past = identified_base(chain, base.point, base.terms)
+        return replace(self, chain=chain, hypothesis=fitted, base=base, past=past)
+
+
+def identified_base(chain: Chain, start: Point, given: tuple[Term, ...]) -> Point:
+    """Base fitted to the recordings of the identification alone; the offsets of the others start at 0.
+
+    Parameters
+    ----------
+    chain
+        Recordings and base.
+    start
+        Point to begin from.
+    given
+        Effects of the given model, held.
+    """
+    identified = [k for k, series in enumerate(chain.series) if series.role == "identification"]
+    point = fit(chain.like([chain.series[k] for k in identified]), given, start.of(identified)).point
+    offsets_N, starts = np.zeros(len(chain.series)), list(start.starts)
+    offsets_N[identified] = point.offsets_N
+    for k, fitted_start in zip(identified, point.starts, strict=True):
+        starts[k] = fitted_start
+    return replace(point, offsets_N=offsets_N, starts=tuple(starts))

@@ -18,7 +18,7 @@ from piezod.diagnose.hypothesis.chain import Chain, Point, Term
 from piezod.diagnose.hypothesis.fit import Fitted, fit
 from piezod.diagnose.hypothesis.sampling import coarse
 from piezod.diagnose.hypothesis.series import Series
-from piezod.diagnose.selection.acceptance import MOST_OF_A_BLOCK
+from piezod.diagnose.selection.rules import RULES
 from piezod.diagnose.selection.search_state import Search
 from piezod.effects import EFFECTS
 
@@ -101,11 +101,11 @@ def _losses(chain: Chain, number: int, terms: Sequence[Term], point: Point) -> A
 def sign_test_p(gains: Array) -> float:
     """Probability that the sum of the gains of the blocks, shape (B,), is as large with random signs.
 
-    The gain of a single block is limited to `MOST_OF_A_BLOCK` median gains.
+    The gain of a single block is limited to `RULES.largest_share` median gains.
     """
     if gains.size < 2:
         return 1.0
-    most = MOST_OF_A_BLOCK * float(np.median(np.abs(gains)))
+    most = RULES.largest_share * float(np.median(np.abs(gains)))
     gains = np.clip(gains, -most, most)
     signs = np.random.default_rng(0).choice((-1.0, 1.0), (FLIPS, gains.size))
     return float((1 + np.count_nonzero(signs @ gains >= gains.sum() - 1e-12)) / (FLIPS + 1))

@@ -12,6 +12,7 @@ from piezod.diagnose.selection.acceptance import worth
 from piezod.diagnose.selection.given_effects import without
 from piezod.effects import EFFECTS
 
+DELAY = next(effect for effect in EFFECTS.values() if effect.is_delay)
 STEP_MARGIN = 1e-3  # distance of the starts from the step of a held command [samples]
 
 
@@ -26,7 +27,7 @@ def with_stated_hold(chain: Chain, fitted: Fitted) -> tuple[Chain, Fitted]:
         return chain, fitted
     series = [s if s.recorded_hold is None else replace(s, hold=hold) for s in chain.series]
     later_s = (hold.read_after - fitted_hold.read_after) * chain.series[-1].dt_s
-    place = next((k for k, term in enumerate(fitted.terms) if term.effect.name == "transport_delay"), None)
+    place = next((k for k, term in enumerate(fitted.terms) if term.effect.is_delay), None)
     if place is None:
         refitted = None if fitted_hold == hold else _with_new_delay(chain.like(series), fitted, later_s)
     elif fitted.terms[place].scope == "already" and any(s.recorded_hold is None for s in series):
@@ -44,7 +45,7 @@ def _with_new_delay(chain: Chain, fitted: Fitted, later_s: float) -> Fitted | No
     if _fits_as_well(plain, fitted):
         return None
     all_stated = all(series.recorded_hold is not None for series in chain.series)
-    terms = (*fitted.terms, Term(EFFECTS["transport_delay"], "already" if all_stated else "since"))
+    terms = (*fitted.terms, Term(DELAY, "already" if all_stated else "since"))
     values = (*fitted.point.values, {"delay_s": 0.0})
     delayed = _with_delay_near(chain, terms, replace(fitted.point, values=values), len(terms) - 1, later_s)
     return _without_lags(chain, delayed) if _fits_as_well(delayed, fitted) and worth(plain, delayed) else None
@@ -66,7 +67,7 @@ def _without_lags(chain: Chain, fitted: Fitted) -> Fitted:
     """Hypothesis without the lags that the delay makes redundant."""
     for name in [term.effect.name for term in fitted.terms if term.effect.smooths]:
         terms, values = without(fitted, name)
-        place = next(k for k, term in enumerate(terms) if term.effect.name == "transport_delay")
+        place = next(k for k, term in enumerate(terms) if term.effect.is_delay)
         point = replace(fitted.point, values=tuple(values))
         reduced = _with_delay_near(chain, terms, point, place, _lag_s(fitted, name))
         if _fits_as_well(reduced, fitted):

@@ -1,7 +1,7 @@
-"""Tones in a search: the strongest one is subtracted if that pays, and all are estimated again after a new effect."""
+"""Tones within a search: the strongest is removed where that gains, and all are fitted again when more is found."""
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,97 +11,108 @@ from piezod.diagnose.candidates.tones import Tone, reestimated_tones, tones, wit
 from piezod.diagnose.hypothesis.chain import Chain
 from piezod.diagnose.hypothesis.fit import Fitted, Normal, fit
 from piezod.diagnose.hypothesis.series import Series
-from piezod.diagnose.selection.acceptance import BETTER, worth
+from piezod.diagnose.selection.acceptance import worth
+from piezod.diagnose.selection.rules import RULES
 from piezod.diagnose.selection.search_state import Search
 
 Array = NDArray[np.float64]
 
-NEAR_A_MODE = 0.05  # relative distance from a resonance below which a line is its ringing
-DOMINANT = 0.3  # loss ratio of its recordings below which a tone is subtracted before effects are tried
-
-ToneTrial = tuple[Chain, Fitted, list[Tone]]
-"""Recordings without the tones of a group, the hypothesis refitted to them, and the tones."""
+NEAR_A_MODE = 0.05  # relative distance in frequency within which a line is the ringing of a mode
+TRIED = 2  # strongest tones that are tried
 
 
-def strongest_tone(result: Search) -> ToneTrial | None:
-    """Trial with the strongest group of tones that lowers the loss enough; None if there is none."""
-    for group in tones(result.chain.series, _residuals(result), result.tones)[:2]:
-        if _is_near_a_mode(result, group[0]):
+@dataclass(frozen=True)
+class RemovedTone:
+    """A tone that may be removed.
+
+    Parameters
+    ----------
+    chain, fitted
+        Recordings without it, and the hypothesis there.
+    group
+        The tone in each recording.
+    """
+
+    chain: Chain
+    fitted: Fitted
+    group: Sequence[Tone]
+
+
+def strongest_tone(state: Search) -> RemovedTone | None:
+    """Strongest tone whose removal lowers the loss enough."""
+    residuals = residuals_of(state)
+    for group in tones(state.chain.series, residuals, state.tones)[:TRIED]:
+        if _near_a_mode(state, group[0]):
             continue
-        chain = result.chain.like(without_tones(result.chain.series, group))
-        fitted = fit(chain, result.hypothesis.terms, result.hypothesis.point, most_steps=6)
-        trial = chain, fitted, group
-        if worth(result.hypothesis, fitted) or dominates(result, trial):
-            return trial
+        chain = state.chain.like(without_tones(state.chain.series, group))
+        removed = RemovedTone(chain, fit(chain, state.hypothesis.terms, state.hypothesis.point, most_steps=6), group)
+        if worth(state.hypothesis, removed.fitted) or dominates(state, removed):
+            return removed
     return None
 
 
-def _residuals(result: Search) -> list[Array]:
-    readings = Normal.at(result.chain, result.hypothesis.terms, result.hypothesis.point).readings()
-    return [series.reading_N - modelled for series, modelled in zip(result.chain.series, readings, strict=True)]
+def residuals_of(state: Search) -> list[Array]:
+    """Residuals of all samples, an array of shape (N,) per recording [N]."""
+    modelled_N = Normal.at(state.chain, state.hypothesis.terms, state.hypothesis.point).readings()
+    return [series.reading_N - model_N for series, model_N in zip(state.chain.series, modelled_N, strict=True)]
 
 
-def _is_near_a_mode(result: Search, tone: Tone) -> bool:
+def _near_a_mode(state: Search, tone: Tone) -> bool:
+    """Whether the hypothesis has a mode at the frequency of a tone."""
     modes_Hz = [
         values["frequency_Hz"]
-        for term, values in zip(result.hypothesis.terms, result.hypothesis.point.values, strict=True)
-        if term.effect.name == "resonance"
+        for term, values in zip(state.hypothesis.terms, state.hypothesis.point.values, strict=True)
+        if "frequency_Hz" in values and term.effect.form == "linear"
     ]
     return any(abs(tone.values["frequency_Hz"] / mode_Hz - 1.0) < NEAR_A_MODE for mode_Hz in modes_Hz)
 
 
-def dominates(result: Search, trial: ToneTrial) -> bool:
-    """Whether a tone explains most of the loss of its own recordings."""
-    chain, fitted, group = trial
-    numbers = {tone.number for tone in group}
-    affected = np.repeat([k in numbers for k in range(len(chain.series))], [len(s.blocks) for s in chain.series])
-    before, after = (h.losses[affected] @ h.samples[affected] for h in (result.hypothesis, fitted))
-    return bool(after < DOMINANT * before)
+def dominates(state: Search, removed: RemovedTone) -> bool:
+    """Whether a tone is most of the loss of its recordings."""
+    numbers = {tone.number for tone in removed.group}
+    series = state.chain.series
+    blocks = np.repeat([k in numbers for k in range(len(series))], [len(one.blocks) for one in series])
+    before, after = (fit.losses[blocks] @ fit.samples[blocks] for fit in (state.hypothesis, removed.fitted))
+    return bool(after < RULES.dominant_tone * before)
 
 
-def subtract(result: Search, trial: ToneTrial) -> None:
-    """Subtract the tones of a trial."""
-    chain, _, group = trial
-    result.tones += group
-    _continue_with(result, chain.series, group)
+def subtract(state: Search, removed: RemovedTone) -> Search:
+    """State without a tone in the readings."""
+    state = replace(state, tones=(*state.tones, *removed.group))
+    return _refitted(state, removed.chain.series, removed.group)
 
 
-def update_tones(result: Search) -> None:
-    """Estimate the subtracted tones again: the first estimate contained a part of the effects found since."""
-    if not result.tones:
-        return
-    _restore_ringing(result)
-    if not result.tones:
-        return
-    series = result.chain.series
-    updated = reestimated_tones(series, _residuals(result), result.tones)
-    restored = with_tones(series, result.tones)
-    result.tones = updated
-    _continue_with(result, without_tones(restored, updated), updated)
+def update_tones(state: Search) -> Search:
+    """State with the tones fitted again, because the first fit contained effects that were not known then."""
+    state = _give_back(state)
+    if not state.tones:
+        return state
+    series = state.chain.series
+    again = reestimated_tones(series, residuals_of(state), state.tones)
+    whole = with_tones(series, state.tones)
+    return _refitted(replace(state, tones=tuple(again)), without_tones(whole, again), again)
 
 
-def _restore_ringing(result: Search) -> None:
-    """Add tones near a resonance to the readings again, if the resonance explains them as well."""
-    ringing = [tone for tone in result.tones if _is_near_a_mode(result, tone)]
-    others = [tone for tone in result.tones if not _is_near_a_mode(result, tone)]
-    if not ringing:
-        return
-    chain = result.chain.like(with_tones(result.chain.series, ringing))
-    fitted = fit(chain, result.hypothesis.terms, result.hypothesis.point)
-    if BETTER * fitted.loss < result.hypothesis.loss:
-        result.chain, result.hypothesis = chain, fitted
-        result.base = fit(chain, result.base.terms, result.base.point)
-        result.tones = others
+def _give_back(state: Search) -> Search:
+    """State with the tones near a mode in the readings again, where the mode explains them as well."""
+    near = [tone for tone in state.tones if _near_a_mode(state, tone)]
+    others = tuple(tone for tone in state.tones if not _near_a_mode(state, tone))
+    if not near:
+        return state
+    chain = state.chain.like(with_tones(state.chain.series, near))
+    fitted = fit(chain, state.hypothesis.terms, state.hypothesis.point)
+    if RULES.better * fitted.loss >= state.hypothesis.loss:
+        return state
+    return state.on_chain(chain, fitted, tones=others)
 
 
-def _continue_with(result: Search, series: Sequence[Series], subtracted: Sequence[Tone]) -> None:
-    """Refit hypothesis and base to these readings; the noise without the tones is estimated again."""
+def _refitted(state: Search, series: Sequence[Series], removed: Sequence[Tone]) -> Search:
+    """State on other readings; the noise is estimated again, because it may have held the tone."""
     series = list(series)
-    for number in {tone.number for tone in subtracted}:
+    for number in {tone.number for tone in removed}:
         recording = series[number]
         if recording.trust is None:
             noise_N = noise_of(recording.command_V, recording.reading_N, recording.counts)
             series[number] = replace(recording, noise_N=noise_N)
-    result.chain = result.chain.like(series)
-    result.hypothesis = fit(result.chain, result.hypothesis.terms, result.hypothesis.point)
-    result.base = fit(result.chain, result.base.terms, result.base.point)
+    chain = state.chain.like(series)
+    return state.on_chain(chain, fit(chain, state.hypothesis.terms, state.hypothesis.point))

@@ -24,6 +24,9 @@ from piezod.recording.hold import STRAIGHT
 
 Array = NDArray[np.float64]
 
+DELAY = next(name for name, effect in EFFECTS.items() if effect.is_delay)
+STEP = next(name for name, effect in EFFECTS.items() if effect.is_step)
+
 TRIED = 7  # effects that are fitted in a round, first coarsely
 TRIED_FROM_PAST = 3  # effects that are fitted from the base of the identification
 REFINED = 4  # largest number of effects that are fitted thoroughly
@@ -98,13 +101,15 @@ def _is_specific(candidate: Candidate) -> bool:
 
 def _delayed_feedthroughs(chain: Chain, fitted: Fitted) -> list[Fitted]:
     """Hypotheses with a delay and a feedthrough: its jumps are a sample wide, so screening does not find the delay."""
-    names = "transport_delay", "feedthrough"
+    names = [name for name, effect in EFFECTS.items() if effect.is_delay or effect.narrow]
     if any(name in fitted.effects for name in names):
         return []
     dt_s = min(series.dt_s for series in chain.series)
     scopes: tuple[Scope, ...] = ("since", "already")
     starts = [
-        (_candidate(names[0], -1, {"delay_s": delay * dt_s}, scope), _candidate(names[1], -1, {}, other))
+        (_candidate(DELAY, -1, {"delay_s": delay * dt_s}, scope), _candidate(narrow, -1, {}, other))
+        for narrow in names
+        if narrow != DELAY
         for delay in DELAYS
         for scope in scopes
         for other in scopes
@@ -140,7 +145,7 @@ def _fitted_finely(chain: Chain, before: Fitted, tried: Sequence[Fitted]) -> lis
 def _with_edges_at_jumps(chain: Chain, fitted: Fitted) -> Point:
     """Point with the edges of a last step of the load moved to the jumps of the readings."""
     term, values = fitted.terms[-1], fitted.point.values[-1]
-    if term.effect.name != "load_step":
+    if not term.effect.is_step:
         return fitted.point
     series = chain.series[term.series]
     without = replace(fitted.point, values=(*fitted.point.values[:-1], {**values, "step_N": 0.0}))
@@ -244,7 +249,7 @@ def _variant(
 
 def suggested_steps(chain: Chain, fitted: Fitted) -> list[Candidate]:
     """Steps of the load that the residuals of the diagnosed recordings suggest."""
-    if "load_step" in fitted.effects:
+    if STEP in fitted.effects:
         return []
     normal = Normal.at(chain, fitted.terms, fitted.point)
     modelled = normal.readings()
@@ -256,11 +261,11 @@ def suggested_steps(chain: Chain, fitted: Fitted) -> list[Candidate]:
         for step in (*likely_steps(normal, number), *jump_steps(series, residual_N)):
             end_s = NEVER_S if step.end == series.time_s.size else step.end * series.dt_s
             values = {"step_N": step.height_N, "on_s": step.first * series.dt_s, "off_s": end_s}
-            visible = _candidate("load_step", number, values)
+            visible = _candidate(STEP, number, values)
             point = replace(fitted.point, values=(*fitted.point.values, visible.values))
             late_s = shown_late_s(chain, (*fitted.terms, visible.term), point)
             values |= {name: values[name] - late_s for name in ("on_s", "off_s")}
-            candidates.append(_candidate("load_step", number, values))
+            candidates.append(_candidate(STEP, number, values))
     return candidates
 
 

@@ -87,10 +87,10 @@ def _parameters(result: Search, place: int) -> dict[str, Value]:
         begin_s = series.start_s if parameter.instant else 0.0
         low, high = in_fit if parameter.instant else widened(parameter, value, in_fit)
         parameters[parameter.name] = Value(begin_s + value, parameter.unit, begin_s + low, begin_s + high, in_fit)
-    if term.effect.name == "transport_delay":
+    if term.effect.is_delay:
         smoothed = any(other.effect.smooths for other in fitted.terms)
         parameters["delay_s"] = _with_hold_error(parameters["delay_s"], chain.series[-1], smoothed=smoothed)
-    if term.effect.name == "noncongruent_minor_loops":
+    if term.effect.weights:
         parameters["share"] = _noncongruent_share(result, place)
     return parameters
 

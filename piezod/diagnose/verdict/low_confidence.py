@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 
 from piezod.diagnose.findings import Finding, Findings
 from piezod.diagnose.hypothesis.stack_change import NAMES
-from piezod.diagnose.selection.acceptance import BETTER
+from piezod.diagnose.selection.rules import RULES
 from piezod.diagnose.selection.search_state import Search
 from piezod.diagnose.verdict.words import Wording, label_of, value_words
 from piezod.effects import EFFECTS
@@ -30,10 +30,10 @@ def effects_without_gain(result: Search, findings: Findings, *, delivered: bool)
     """
     differences = [*result.new, *(finding.name for finding in findings.effects if finding.name in result.given)]
     differences += [name for name in NAMES if name in result.hypothesis.effects]
-    if differences and delivered and findings.after**2 > BETTER * findings.before**2:
+    if differences and delivered and findings.after**2 > RULES.better * findings.before**2:
         return differences
     named = (finding for finding in findings.effects if finding.name in result.names)
-    return [finding.name for finding in named if BETTER * finding.before**2 < finding.after**2][:1]
+    return [finding.name for finding in named if RULES.better * finding.before**2 < finding.after**2][:1]
 
 
 def undetermined_effect(findings: Findings) -> list[str]:

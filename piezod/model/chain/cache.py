@@ -9,7 +9,7 @@ Value = TypeVar("Value")
 
 
 class Cache(Generic[Value]):
-    """Last results of a computation, by the key of what they depend on; safe for threads.
+    """Last results of a computation, by a key of their inputs; safe for threads.
 
     Parameters
     ----------

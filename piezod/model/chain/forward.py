@@ -105,7 +105,7 @@ def run_chain(
 
 
 def decays_of(model: Model, time_s: Array, sha256: str | None = None) -> list[Array]:
-    """What a past that is not known adds to the readings through each effect, each shape (N, columns) [1].
+    """Decays of an unknown past in the readings, for each effect with a long memory; shape (N, columns) [1].
 
     Parameters
     ----------

@@ -19,7 +19,7 @@ class Linearised:
     Parameters
     ----------
     effect, context, values
-        Effect, and what its output depends on besides the signal.
+        Effect, its context and its parameter values.
     slope
         Slope of a memoryless effect, or factor of a scaling one, at every sample, shape (N,); None: neither.
     """

@@ -6,8 +6,8 @@ import pytest
 from piezod.diagnose.hypothesis.basis import ForceLaw, PlayDensity
 from piezod.diagnose.hypothesis.chain import Chain, empty_point
 from piezod.diagnose.hypothesis.fit import fit
-from piezod.diagnose.selection.acceptance import BETTER
 from piezod.diagnose.selection.corners import with_corners
+from piezod.diagnose.selection.rules import RULES
 from piezod.diagnose.selection.search import search
 from tests.unit.diagnose.residuals import mixed_work, noise, played, series, time, triangles
 
@@ -63,7 +63,7 @@ def test_a_smooth_stack_needs_no_corner(by_all):
     chain, start = chain_over(many_plays)
     smooth = fit(chain, (), start)
     found = with_corners(chain, smooth, by_all=by_all)
-    assert found is None or found[1].loss > BETTER * smooth.loss
+    assert found is None or found[1].loss > RULES.better * smooth.loss
 
 
 @pytest.mark.slow

@@ -66,7 +66,7 @@ def test_what_fits_by_plays_that_fold_alone_gives_way_to_what_gains_without(monk
     gained = base.losses - lag.losses
     delay = replace(delay, losses=base.losses - kept * gained)
     folded = replace(lag, point=replace(lag.point, density=lag.point.density - 2.0))
-    result = Search(chain, base, folded, base.point, [Round(base, folded, (delay,))])
+    result = Search(chain, base, folded, base.point, (Round(base, folded, (delay,)),))
     straight = replace(lag, losses=base.losses)
     monkeypatch.setattr(diagnosis, "monotone_fit", lambda _, one: straight if one is folded else one)
     monkeypatch.setattr(diagnosis, "with_each_rival", lambda *_: [delay])

@@ -8,12 +8,12 @@ from scipy import signal
 
 from piezod.diagnose.candidates.screening import screened, screened_pairs
 from piezod.diagnose.hypothesis.fit import Normal, fit
-from piezod.diagnose.selection.search import add_pair
+from piezod.diagnose.selection.moves import add_pair
 from piezod.diagnose.selection.search_state import Search
 from piezod.diagnose.selection.trials import fitted_pairs
 from tests.unit.diagnose.residuals import time
 from tests.unit.diagnose.test_corners import many_plays
-from tests.unit.diagnose.test_search import RATE_HZ, SAMPLES, worked
+from tests.unit.diagnose.test_search import RATE_HZ, SAMPLES, candidates_of, worked
 
 FINE = 20  # steps of the plant in a sample
 
@@ -67,7 +67,7 @@ def test_a_filter_and_a_coupling_that_nearly_cancel_are_found_together():
     chain, start = worked(np.random.default_rng(5), behind(12.0, 0.033))
     base = fit(chain, (), start)
     result = Search(chain, base, base, start)
-    assert add_pair(result, [])
+    result = add_pair(candidates_of(result, []))
     assert set(result.names) == {"sensor_filter", "feedthrough"}
     assert [one.accepted.effects for one in result.rounds] == [result.names[:1], result.names]
     values = {name: value for one in result.hypothesis.point.values for name, value in one.items()}
