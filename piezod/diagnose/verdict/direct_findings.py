@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from piezod.diagnose.findings import Finding, Place, Value
 from piezod.diagnose.hypothesis.series import Series
 from piezod.diagnose.verdict.evidence import finding_about
-from piezod.effects import EFFECTS
+from piezod.effects import quantisation, sensor_dropout
 
 Array = NDArray[np.float64]
 Stretches = Mapping[int, list[tuple[int, int]]]
@@ -36,12 +36,12 @@ def direct_findings(
         ends = {"from_s": places[0].low, "to_s": places[0].high}
         values = {name: Value(value, "s", value, value) for name, value in ends.items()}
         errors = before, before
-        findings.append(finding_about(EFFECTS["sensor_dropout"], FROZEN_CONFIDENCE, "once", places, values, errors))
+        findings.append(finding_about(sensor_dropout.EFFECT, FROZEN_CONFIDENCE, "once", places, values, errors))
     step, noise = _coarsest(series, residuals)
     if step > 0.0 and step / np.sqrt(12.0) > COARSE_STEP * noise:
         values = {"step_N": Value(step, "N", 0.99 * step, 1.01 * step)}
         findings.append(
-            finding_about(EFFECTS["quantisation"], COARSE_CONFIDENCE, "since", (), values, (before, before))
+            finding_about(quantisation.EFFECT, COARSE_CONFIDENCE, "since", (), values, (before, before))
         )
     return findings
 
