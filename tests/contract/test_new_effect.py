@@ -1,15 +1,21 @@
 """Adding an effect is one file and one line: a made-up effect, put into the catalogue, acts everywhere."""
 
+from dataclasses import replace
+
 import numba
 import numpy as np
 import pytest
 
+from piezod.diagnose.candidates.screening import catalogue_starts
+from piezod.diagnose.hypothesis.chain import Term
+from piezod.diagnose.hypothesis.fit import fit
 from piezod.effects import EFFECTS
 from piezod.effects.effect import Effect, Location, Parameter, Search
 from piezod.effects.tick import Tick
 from piezod.model import ExtendedCompensator
 from piezod.model.chain.forward import run_chain
 from piezod.model.expected import ExpectedReading
+from tests.unit.diagnose.test_search import worked
 from tests.unit.model.chains import DT_S, held_model, with_effects
 
 SHARE, SLOW_V = range(2)  # memory
@@ -71,3 +77,17 @@ def test_a_new_effect_acts_in_the_record_in_the_expected_reading_and_in_the_inve
     from_rest_V = np.concatenate(([0.0], voltage_V))
     record_N = run_chain(model, model.operator(), np.arange(from_rest_V.size) * DT_S, from_rest_V)
     np.testing.assert_allclose(record_N[1:], wanted_N, atol=1e-8)
+
+
+def test_a_new_effect_is_a_candidate_of_the_search_and_is_fitted(monkeypatch):
+    monkeypatch.setitem(EFFECTS, SPONGE.name, SPONGE)
+
+    def missing(force_N, _u, role):
+        return force_N if role == "identification" else _run(force_N, 0.3)
+
+    chain, start = worked(np.random.default_rng(5), missing)
+    base = fit(chain, (), start)
+    effect, values, _ = next(start for start in catalogue_starts(chain, [], {}) if start[0] is SPONGE)
+    fitted = fit(chain, (Term(effect, "since"),), replace(base.point, values=(values,)))
+    assert fitted.point.values[0]["share"] == pytest.approx(0.3, abs=0.01)
+    assert fitted.loss < 1.05 < base.loss

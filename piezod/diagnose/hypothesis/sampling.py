@@ -16,7 +16,7 @@ Array = NDArray[np.float64]
 
 HELD_PARTS = (0.3, 0.7)  # [samples] from the command to the reading: where the search of that time begins
 SMALLEST_PART = 0.04  # [samples] where it ends
-START_WINDOW_S = 20.0  # first seconds of a recording, by which its initial state is judged
+START_WINDOW_S = 20.0  # first seconds of a recording, by which its initial state is chosen
 EQUAL = 0.005  # relative difference of two losses that counts as none
 COARSE_ROWS = 6000  # compared samples of a recording while many hypotheses are tried
 

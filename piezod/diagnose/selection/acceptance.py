@@ -70,8 +70,8 @@ def comparison_loss(name: str, without_it: float, with_it: float) -> float:
 
 def steadiness(before: Fitted, after: Fitted) -> float:
     """Sum of the blocks' logarithmic gains, over its standard deviation for random signs."""
-    judged = (before.samples > 0) & (after.samples > 0)
-    gains = np.log(before.losses[judged] / after.losses[judged])
+    counts = (before.samples > 0) & (after.samples > 0)
+    gains = np.log(before.losses[counts] / after.losses[counts])
     gains = gains[np.abs(gains) > SMALLEST_CHANGE]
     if gains.size < FEWEST_BLOCKS:
         return 0.0

@@ -16,7 +16,7 @@ from piezod.diagnose.selection.trials import with_each_effect, with_own_step
 
 FINALISTS = 3  # accepted hypotheses that are tried with every hold of the command
 BESIDE_A_STEP = 2  # effects that a step was preferred to are tried beside a step of their own
-REFITTED = 3  # rejected hypotheses that fit better and are judged again with their own initial state
+REFITTED = 3  # rejected hypotheses that fit better and are compared again with their own initial state
 
 Trial = tuple[Chain, Fitted]
 
@@ -68,7 +68,7 @@ class Candidates:
     def _finalists(self) -> list[Trial]:
         """Best accepted hypotheses, each with the hold and the initial states that fit best.
 
-        A hypothesis that fits better but is rejected is refitted with its own initial state and hold, and judged again.
+        A hypothesis that fits better but is rejected is refitted with its own initial state and hold, and compared again.
         It is compared with the state on its own chain, because the other hold may explain most of its gain.
         """
         state = self.state

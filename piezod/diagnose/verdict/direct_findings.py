@@ -40,9 +40,7 @@ def direct_findings(
     step, noise = _coarsest(series, residuals)
     if step > 0.0 and step / np.sqrt(12.0) > COARSE_STEP * noise:
         values = {"step_N": Value(step, "N", 0.99 * step, 1.01 * step)}
-        findings.append(
-            finding_about(quantisation.EFFECT, COARSE_CONFIDENCE, "since", (), values, (before, before))
-        )
+        findings.append(finding_about(quantisation.EFFECT, COARSE_CONFIDENCE, "since", (), values, (before, before)))
     return findings
 
 
