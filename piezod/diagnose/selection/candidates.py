@@ -68,7 +68,7 @@ class Candidates:
     def _finalists(self) -> list[Trial]:
         """Best accepted hypotheses, each with the hold and the initial states that fit best.
 
-        A hypothesis that fits better but is rejected is refitted with its own initial state and hold, and compared again.
+        A rejected hypothesis that fits better is refitted with its own initial state and hold, and compared again.
         It is compared with the state on its own chain, because the other hold may explain most of its gain.
         """
         state = self.state
