@@ -90,7 +90,7 @@ def _diagnosed(
     chain, hypothesis = with_stated_hold(result.chain, result.hypothesis)
     result = replace(result, chain=chain, hypothesis=hypothesis)
     result = with_monotone_curve(result)
-    progress("judging what is left", 0.9)
+    progress("checking the residual", 0.9)
     diagnosis = inputs.diagnosis_of(result)
     residuals = residuals_of(diagnosis.series, diagnosis.extended)
     # frozen stretches are confirmed once, with all effects: a stretch that the full model explains is not frozen

@@ -125,7 +125,7 @@ class Normal:
     gradient: Array  # (B, P)
     squares: Array  # (B,) plain squares
     samples: Array  # (B,)
-    judged: NDArray[np.bool_]  # (B,) whether the block counts
+    counting: NDArray[np.bool_]  # (B,) whether the block counts
     loss: float  # Huber's loss with the penalties
     scales: list[float]  # robust standard deviation of the residuals [noise], one per recording
     stiff: Array  # (P,) curvature of the ridge penalties
@@ -159,7 +159,7 @@ class Normal:
             none,
             none,
         )
-        hessian, gradient, squares, samples, judged = [], [], [], [], []
+        hessian, gradient, squares, samples, counting = [], [], [], [], []
         for number, series in enumerate(chain.series):
             tangents = chain.tangents(number, terms, point) if near is None else near.tangents[number]
             reading, jacobian = _jacobian(chain, terms, point, layout, number, tangents)
@@ -183,9 +183,9 @@ class Normal:
                 gradient.append(part.T @ made.weighted[-1][block])
                 squares.append(float(residual[block] @ residual[block]))
                 samples.append(float(weights[block] @ weights[block]))
-                judged.append(series.judges(stretch))
+                counting.append(series.block_counts(stretch))
         made.hessian, made.gradient = np.array(hessian), np.array(gradient)
-        made.squares, made.samples, made.judged = np.array(squares), np.array(samples), np.array(judged)
+        made.squares, made.samples, made.counting = np.array(squares), np.array(samples), np.array(counting)
         made.stiff, vector = layout.stiffness(float(made.samples.sum())), layout.vector(point)
         made.ridge, made.pull = _ridge(made.hessian, layout) + np.diag(made.stiff), -made.stiff * vector
         made.loss += float(made.stiff @ vector**2)
@@ -295,10 +295,10 @@ class Normal:
         spread: tuple[dict[str, float], ...] = tuple({} for _ in self.terms)
         for place, (term, parameter) in enumerate(self.layout.searched, start=self.layout.effects):
             spread[term][parameter.name] = float(jackknife[place])
-        counted = np.where(self.judged, self.samples, 0.0)
+        counted = np.where(self.counting, self.samples, 0.0)
         samples = np.maximum(self.samples, 1.0)
-        left_out = np.where(self.judged, np.maximum(losses, 1e-12), 1e-12) / samples
-        return Fitted(self.terms, point, left_out, self.judged * self.squares / samples, counted, spread)
+        left_out = np.where(self.counting, np.maximum(losses, 1e-12), 1e-12) / samples
+        return Fitted(self.terms, point, left_out, self.counting * self.squares / samples, counted, spread)
 
 
 def _jacobian(

@@ -44,7 +44,7 @@ class Series:
     past_matters_until
         Sample from which the start columns are constant.
     past_known
-        Samples at which the fit of an unknown past may judge a hypothesis, shape (N,). None: the past is known.
+        Samples at which the unknown past no longer matters, shape (N,). None: the past is known.
     hold
         How the command runs between samples.
     recorded_hold
@@ -121,8 +121,8 @@ class Series:
             return self
         return replace(self, counts=self.counts & self.past_known)
 
-    def judges(self, block: slice) -> bool:
-        """Whether a block may judge a hypothesis: with an unknown past, any hypothesis fits the first ones."""
+    def block_counts(self, block: slice) -> bool:
+        """Whether a block counts: with an unknown past, any hypothesis fits the first ones."""
         return self.past_known is None or bool(self.past_known[block].all())
 
     @property

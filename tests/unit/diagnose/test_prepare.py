@@ -107,7 +107,7 @@ def test_without_noise_the_later_cycles_judge(model):
     source.recording.channels[model.output.channel][:] = driven(model, (140.0, 0.0), u)
     series, said = with_unknown_start(with_start(evenly_spaced(source, model)[0], model), model)
     assert "drive the whole range" not in " ".join(said)
-    judged = [series.judges(block) for block in series.blocks]
+    judged = [series.block_counts(block) for block in series.blocks]
     assert judged[-1]
     assert sum(judged) > len(judged) // 2
 
