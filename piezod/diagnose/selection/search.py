@@ -47,7 +47,7 @@ def search(chain: Chain, start: Point, progress: OnProgress, given: tuple[Term, 
         state = replace(following or state, attempts=(*state.attempts, *candidates.attempts))
         if following is None:
             break
-    progress("trying to replace_by_rivals and to drop", SEARCHED)
+    progress("comparing with rivals, leaving out what gains nothing", SEARCHED)
     state = replace_by_rivals(state)
     hypothesis, statuses = classify_given(state.chain, state.hypothesis, state.base)
     return fit_all_samples(remove_redundant(replace(state, hypothesis=hypothesis, statuses=statuses)))
