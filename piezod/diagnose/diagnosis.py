@@ -107,15 +107,14 @@ def _inputs(
 ) -> DiagnosisInputs:
     """Prepared recordings with the free runs of the given model."""
     sources = [*past, *recordings]
-    series, stretches, more = prepared(sources, model)
-    all_notes, series = [*notes, *more], [unrounded(recording) for recording in series]
+    series = [unrounded(recording) for recording in prepared(sources, model)]
+    all_notes = [*notes, *(note for recording in series for note in recording.notes)]
     given_runs = GivenRuns.of(model, sources, series)
     if not past:
         series.insert(0, substitute_recording(model))
-        stretches.insert(0, [])
     if not given_runs.law_holds:
         all_notes.append("the unnamed law of the given model makes the recordings worse, and is left out")
-    frozen = {number: known for number, known in enumerate(stretches) if known}
+    frozen = {number: list(recording.frozen) for number, recording in enumerate(series) if recording.frozen}
     return DiagnosisInputs(model, sources, series, given_runs, frozen, all_notes, substitutes=int(not past))
 
 

@@ -25,7 +25,6 @@ from piezod.recording import Hold, Recording
 from piezod.recording.strays import without_strays
 
 Array = NDArray[np.float64]
-Stretches = list[tuple[int, int]]
 
 FEWEST_SAMPLES = 500  # a shorter recording has too few samples for the blocks that are left out
 UNEVEN = 0.01  # largest relative deviation of a time step; beyond it the recording is resampled
@@ -36,30 +35,24 @@ SIGNIFICANT_PAST = 3.0  # difference between possible pasts above which the hist
 COPY = 0.9999  # correlation above which a temperature column is a copy of another channel
 
 
-def prepared(sources: Sequence[Source], model: Model) -> tuple[list[Series], list[Stretches], list[str]]:
-    """Series of the recordings, the frozen stretches of each, and notes.
+def prepared(sources: Sequence[Source], model: Model) -> list[Series]:
+    """Series of the recordings, each with its initial state, its frozen stretches and its notes.
 
     Raises
     ------
     RecordingError
         A recording cannot be used.
     """
-    all_series: list[Series] = []
-    frozen: list[Stretches] = []
-    notes: list[str] = []
+    all_series = []
     for source in sources:
-        series, more = evenly_spaced(source, model)
-        series, unknown = with_unknown_start(with_start(series, model), model)
-        series, clipped = without_clipped(series, model)
-        series, stretches = without_frozen(series, model)
-        all_series.append(series)
-        frozen.append(stretches)
-        notes += more + unknown + clipped
-    return all_series, frozen, notes
+        series = with_start(evenly_spaced(source, model), model)
+        series = with_unknown_start(series, model)
+        all_series.append(without_frozen(without_clipped(series, model), model))
+    return all_series
 
 
-def evenly_spaced(source: Source, model: Model) -> tuple[Series, list[str]]:
-    """Series of a recording on equal time steps, and notes.
+def evenly_spaced(source: Source, model: Model) -> Series:
+    """Series of a recording on equal time steps.
 
     Raises
     ------
@@ -92,7 +85,7 @@ def evenly_spaced(source: Source, model: Model) -> tuple[Series, list[str]]:
             f"{recording.source}: {model.output.channel} has {np.count_nonzero(good)} readings, needs {FEWEST_SAMPLES}"
         )
     readings = np.nan_to_num(y)
-    series = Series(
+    return Series(
         source.name,
         source.role,
         recording.time_s - recording.time_s[0],
@@ -104,8 +97,8 @@ def evenly_spaced(source: Source, model: Model) -> tuple[Series, list[str]]:
         start_s=float(recording.time_s[0]),
         lattice_N=converter_step_N(readings[good]),
         recorded_hold=Hold.from_metadata(recording.metadata),
+        notes=tuple(notes),
     )
-    return series, notes
 
 
 def _on_equal_steps(recording: Recording, held: str) -> tuple[Recording, list[str]]:
@@ -219,25 +212,26 @@ def with_start(series: Series, model: Model) -> Series:
     return replace(series, path_V=estimate_path(operator, u, known - np.nanmedian(known - operator.run(u)), window))
 
 
-def with_unknown_start(series: Series, model: Model) -> tuple[Series, list[str]]:
-    """Series with columns for its unknown past if it starts amid the range, and notes."""
+def with_unknown_start(series: Series, model: Model) -> Series:
+    """Series with columns for its unknown past if it starts amid the range."""
     u = series.command_V
     if starts_at_rest(u):
-        return series, []
+        return series
     ends = model.input.low, model.input.high
     gain = (model.output.high - model.output.low) / (ends[1] - ends[0])
     longest = max(block.stop - block.start for block in series.blocks)
     least_V = SIGNIFICANT_PAST * series.noise_N / gain
     past = unknown_past(u, model.hysteresis.operator, ends, least_V, 2 * longest)
     if past is None:
-        return replace(series, past_known=np.ones(u.size, bool)), []
+        return replace(series, past_known=np.ones(u.size, bool))
     fitted_s = past.until * series.dt_s
-    notes = [f"{series.name}: its first {fitted_s:.3g} s depend on what came before, which is fitted"]
+    notes = [*series.notes, f"{series.name}: its first {fitted_s:.3g} s depend on what came before, which is fitted"]
     known = past.known
     if not any(known[block].all() for block in series.blocks):
         notes.append(f"{series.name}: what came before matters to its end; drive the whole range once, then record")
         known = np.ones(u.size, bool)
-    return replace(series, start_columns=past.columns, past_matters_until=past.until, past_known=known), notes
+    series = replace(series, start_columns=past.columns, past_matters_until=past.until, past_known=known)
+    return replace(series, notes=tuple(notes))
 
 
 def _expected_N(series: Series, model: Model) -> Array:
@@ -247,8 +241,8 @@ def _expected_N(series: Series, model: Model) -> Array:
     return operator.run(series.command_V)
 
 
-def without_clipped(series: Series, model: Model) -> tuple[Series, list[str]]:
-    """Series without readings at a limit of the converter's range, and a note about each limit."""
+def without_clipped(series: Series, model: Model) -> Series:
+    """Series without readings at a limit of the converter's range."""
     expected = _expected_N(series, model)
     readings = series.reading_N[series.counts]
     within = series.counts & (series.reading_N > readings.min()) & (series.reading_N < readings.max())
@@ -259,13 +253,13 @@ def without_clipped(series: Series, model: Model) -> tuple[Series, list[str]]:
     for first, end in (stretch for stretches in clipped.values() for stretch in stretches):
         counts[first:end] = False
     if not counts.any():
-        return series, []
+        return series
     notes = [clipped_note(series, limit_N, stretches, model.output.unit) for limit_N, stretches in clipped.items()]
-    return replace(series, counts=counts), notes
+    return replace(series, counts=counts, notes=(*series.notes, *notes))
 
 
-def without_frozen(series: Series, model: Model) -> tuple[Series, Stretches]:
-    """Series without frozen readings, and first sample and end of each frozen stretch.
+def without_frozen(series: Series, model: Model) -> Series:
+    """Series without frozen readings.
 
     Raises
     ------
@@ -280,12 +274,12 @@ def without_frozen(series: Series, model: Model) -> tuple[Series, Stretches]:
         counts[first:end] = False  # the first reading may be a limit of the converter
     if stretches and not counts.any():
         if np.ptp(series.reading_N[series.counts]) > 0.0:
-            return series, []  # a coarse converter holds each of a few levels
+            return series  # a coarse converter holds each of a few levels
         raise RecordingError(
             f"{series.name}: the reading stands still at {series.reading_N[0]:g} {model.output.unit} from the first "
             f"sample to the last, {series.duration_s:.3g} s; look at the sensor and its converter, then record again"
         )
-    return replace(series, counts=counts), stretches
+    return replace(series, counts=counts, frozen=tuple(stretches))
 
 
 def chain_of(series: Sequence[Series], model: Model) -> tuple[Chain, Point]:

@@ -154,7 +154,8 @@ def isolability(
         A recording cannot be used.
     """
     fitted = {name: setting for name, setting in (settings or {}).items() if only is None or name in only}
-    series, _, notes = prepared([*past, *recordings], model)
+    series = prepared([*past, *recordings], model)
+    notes = [note for recording in series for note in recording.notes]
     if not past:
         series.insert(0, substitute_recording(model))
     hashes = [""] * (not past) + [source.sha256 for source in (*past, *recordings)]

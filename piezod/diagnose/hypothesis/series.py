@@ -57,6 +57,10 @@ class Series:
         Weight of each reading, shape (N,), 0 to 1; None: all 1.
     within_N
         Deviation of the force that a reading does not show, shape (N,) [N]; None: 0.
+    frozen
+        First sample and end of each stretch of frozen readings, which do not count.
+    notes
+        Remarks of the preparation.
     blocks
         Stretches that are left out one by one.
     """
@@ -80,6 +84,8 @@ class Series:
     start_columns: Array = field(default_factory=lambda: np.empty((0, 0)))
     past_matters_until: int = 0
     past_known: NDArray[np.bool_] | None = None
+    frozen: tuple[tuple[int, int], ...] = ()
+    notes: tuple[str, ...] = ()
     blocks: tuple[slice, ...] = field(init=False)
 
     def __post_init__(self) -> None:

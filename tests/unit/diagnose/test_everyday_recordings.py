@@ -80,6 +80,6 @@ def test_a_copy_of_a_column_is_no_temperature(tmp_path, given, copy):
     path = tmp_path / "work.csv"
     np.savetxt(path, columns, "%.6f", ",", header="time_s,voltage_V,force_N,temperature_C", comments="")
     source = read_source(path, "recording", (model.input.channel, model.output.channel))
-    series, notes = evenly_spaced(source, model)
+    series = evenly_spaced(source, model)
     assert series.temperature_C is None
-    assert any(f"temperature_C is a copy of {copy}, no temperature" in note for note in notes)
+    assert any(f"temperature_C is a copy of {copy}, no temperature" in note for note in series.notes)

@@ -31,17 +31,17 @@ def ready(model, folder, there, force_N):
 )
 def test_missing_rows_do_not_count_and_are_no_frozen_reading(model, tmp_path, missing):
     there = ~np.isin(np.arange(U.size), missing)
-    (one,), frozen, notes = ready(model, tmp_path, there, read(U, 2))
-    assert frozen == [[]]
+    (one,) = ready(model, tmp_path, there, read(U, 2))
+    assert one.frozen == ()
     np.testing.assert_array_equal(one.counts, there)
-    assert any(f"{len(missing)} of {U.size} samples are missing" in note for note in notes)
+    assert any(f"{len(missing)} of {U.size} samples are missing" in note for note in one.notes)
 
 
 @pytest.mark.parametrize("value", [1e12, 5000.0])
 def test_a_wild_cell_is_named_and_does_not_count(model, tmp_path, value):
     force_N = read(U, 2)
     force_N[1234] = value
-    (one,), frozen, notes = ready(model, tmp_path, np.full(U.size, fill_value=True), force_N)
-    assert frozen == [[]]
+    (one,) = ready(model, tmp_path, np.full(U.size, fill_value=True), force_N)
+    assert one.frozen == ()
     np.testing.assert_array_equal(np.flatnonzero(~one.counts), [1234])
-    assert any(f"row 1235 ({value:.6g} at 6.17 s)" in note for note in notes)
+    assert any(f"row 1235 ({value:.6g} at 6.17 s)" in note for note in one.notes)

@@ -32,23 +32,23 @@ def a_recording(time_s, model):
 def test_where_a_tick_was_missed_the_voltage_stays_and_no_reading_counts(model):
     missed = [100, 400, 401, 402]
     time_s = np.delete(np.arange(2000) / RATE_Hz, missed)
-    series, notes = evenly_spaced(a_recording(time_s, model), model)
+    series = evenly_spaced(a_recording(time_s, model), model)
     assert series.time_s.size == 2000
     assert np.flatnonzero(~series.counts).tolist() == missed
     assert series.command_V[100] == series.command_V[99]
     assert np.all(series.command_V[400:403] == series.command_V[399])
     whole = 50.0 + 40.0 * np.sin(2.0 * series.time_s)
     np.testing.assert_allclose(series.command_V[series.counts], whole[series.counts], rtol=1e-12)
-    assert notes == ["some.csv: 4 of 2000 samples are missing; they do not count"]
+    assert series.notes == ("some.csv: 4 of 2000 samples are missing; they do not count",)
 
 
 def test_samples_that_follow_no_clock_are_resampled(model):
     time_s = np.cumsum(np.random.default_rng(1).uniform(0.5, 1.5, 2000)) / RATE_Hz
-    series, notes = evenly_spaced(a_recording(time_s, model), model)
+    series = evenly_spaced(a_recording(time_s, model), model)
     steps_s = np.diff(series.time_s)
     np.testing.assert_allclose(steps_s, steps_s[0], rtol=1e-9)
     assert series.counts.all()
-    assert "resampled" in notes[0]
+    assert "resampled" in series.notes[0]
 
 
 @pytest.mark.parametrize("levels", [2, 3, 5])
@@ -57,21 +57,21 @@ def test_a_converter_of_a_few_levels_moves(model, levels):
     output = source.recording.channels[model.output.channel]
     step_N = np.ptp(output) / (levels - 1)
     output[:] = step_N * np.round(output / step_N)
-    series, _ = evenly_spaced(source, model)
-    assert without_frozen(series, model)[0].counts.mean() > 0.5
+    series = evenly_spaced(source, model)
+    assert without_frozen(series, model).counts.mean() > 0.5
 
 
 def test_a_recording_whose_reading_never_moves_is_refused_in_one_line(model):
     source = a_recording(np.arange(2000) / RATE_Hz, model)
     source.recording.channels[model.output.channel][:] = 41.25
-    series, _ = evenly_spaced(source, model)
+    series = evenly_spaced(source, model)
     with pytest.raises(
         RecordingError, match=r"some\.csv: the reading stands still at 41\.25 N .* 9\.99 s; look at the sensor"
     ):
         without_frozen(series, model)
     source.recording.channels[model.output.channel][1500:] = 1.5 * source.recording.channels[model.input.channel][1500:]
-    left, stretches = without_frozen(evenly_spaced(source, model)[0], model)
-    assert stretches == [(0, 1500)]
+    left = without_frozen(evenly_spaced(source, model), model)
+    assert left.frozen == ((0, 1500),)
     assert np.count_nonzero(left.counts) == 500
 
 
@@ -84,10 +84,10 @@ def test_what_came_before_a_start_amid_the_range_lies_in_its_columns(model, hist
     source = a_recording(time_s, model)
     source.recording.channels[model.input.channel][:] = u
     source.recording.channels[model.output.channel][:] = driven(model, history_V, u) + noise_N
-    series, said = with_unknown_start(with_start(evenly_spaced(source, model)[0], model), model)
+    series = with_unknown_start(with_start(evenly_spaced(source, model), model), model)
     assert series.time_s.size == u.size
     first = series.past_matters_until
-    assert f"its first {first / RATE_Hz:.3g} s depend on what came before" in said[0]
+    assert f"its first {first / RATE_Hz:.3g} s depend on what came before" in series.notes[0]
     assert 0 < first < 0.75 * u.size
     apart_N = driven(model, history_V, u) - driven(model, (0.0,), u)
     operator = model.hysteresis.operator()
@@ -105,8 +105,8 @@ def test_without_noise_the_later_cycles_judge(model):
     u = source.recording.channels[model.input.channel]
     u[:] = 50.0 + 40.0 * (1.0 + 2e-4 * time_s) * np.sin(2.0 * time_s)  # it keeps growing a little
     source.recording.channels[model.output.channel][:] = driven(model, (140.0, 0.0), u)
-    series, said = with_unknown_start(with_start(evenly_spaced(source, model)[0], model), model)
-    assert "drive the whole range" not in " ".join(said)
+    series = with_unknown_start(with_start(evenly_spaced(source, model), model), model)
+    assert "drive the whole range" not in " ".join(series.notes)
     judged = [series.block_counts(block) for block in series.blocks]
     assert judged[-1]
     assert sum(judged) > len(judged) // 2
