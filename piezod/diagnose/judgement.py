@@ -12,11 +12,12 @@ from piezod.diagnose.adequacy.remainder import motion_of
 from piezod.diagnose.candidates.screening import DIRECT
 from piezod.diagnose.experiment.testable import untestable
 from piezod.diagnose.findings import Base, Finding, Findings, Verdict, above_noise, gap_closed
-from piezod.diagnose.hypothesis.chain import Chain, Point, Setting, Term
+from piezod.diagnose.hypothesis.chain import Chain
 from piezod.diagnose.hypothesis.fit import Normal
 from piezod.diagnose.hypothesis.parallel import each
 from piezod.diagnose.hypothesis.sampling import coarse
 from piezod.diagnose.hypothesis.series import Series
+from piezod.diagnose.hypothesis.terms import Point, Setting, Term
 from piezod.diagnose.localisation.locate import locate
 from piezod.diagnose.prepare import chain_of
 from piezod.diagnose.selection.given_effects import given_effects, with_likelier_scope

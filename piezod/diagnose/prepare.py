@@ -11,8 +11,9 @@ from piezod.diagnose.candidates.direct import noise_of
 from piezod.diagnose.candidates.frozen import frozen_stretches, still_stretches
 from piezod.diagnose.candidates.rounding import converter_step_N
 from piezod.diagnose.hypothesis.basis import ForceLaw, PlayDensity
-from piezod.diagnose.hypothesis.chain import Chain, Point, empty_point
+from piezod.diagnose.hypothesis.chain import Chain, empty_point
 from piezod.diagnose.hypothesis.series import Series
+from piezod.diagnose.hypothesis.terms import Point
 from piezod.diagnose.sources import Source
 from piezod.errors import RecordingError
 from piezod.estimation.initial_state import estimate_path, start_at_zero, starts_at_rest

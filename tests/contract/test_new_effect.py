@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from piezod.diagnose.candidates.screening import catalogue_starts
-from piezod.diagnose.hypothesis.chain import Term
 from piezod.diagnose.hypothesis.fit import fit
+from piezod.diagnose.hypothesis.terms import Term
 from piezod.effects import EFFECTS
 from piezod.effects.effect import Effect, Location, Parameter, Search
 from piezod.effects.tick import Tick

@@ -21,8 +21,8 @@ from typing import Any
 import numpy as np
 
 from firmware_sim.concealed.study.truth import TrueCase, read_truth
-from piezod.diagnose.hypothesis.chain import Point, Term
 from piezod.diagnose.hypothesis.fit import Fitted
+from piezod.diagnose.hypothesis.terms import Point, Term
 from piezod.diagnose.selection.acceptance import (
     comparable,
     least_gain,

@@ -8,10 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piezod.diagnose.candidates.direct import peaks_Hz, skew_ppm
-from piezod.diagnose.hypothesis.chain import Chain, Point, Term
+from piezod.diagnose.hypothesis.chain import Chain
 from piezod.diagnose.hypothesis.fit import Normal
 from piezod.diagnose.hypothesis.parallel import each
 from piezod.diagnose.hypothesis.series import Series
+from piezod.diagnose.hypothesis.terms import Point, Term
 from piezod.effects import EFFECTS
 from piezod.effects.effect import Effect, Parameter
 

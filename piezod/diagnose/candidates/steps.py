@@ -6,9 +6,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from piezod.diagnose.hypothesis.chain import Chain, Point, Term
+from piezod.diagnose.hypothesis.chain import Chain
 from piezod.diagnose.hypothesis.fit import Normal
 from piezod.diagnose.hypothesis.series import Series
+from piezod.diagnose.hypothesis.terms import Point, Term
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]

@@ -13,10 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piezod.diagnose.candidates.screening import DIRECT, Start, catalogue_starts, parts_of, recorded_channels
-from piezod.diagnose.hypothesis.chain import Chain, Setting, Term
+from piezod.diagnose.hypothesis.chain import Chain
 from piezod.diagnose.hypothesis.fit import Fitted, Normal, fit
 from piezod.diagnose.hypothesis.parallel import each
 from piezod.diagnose.hypothesis.sampling import best_intersample, coarse
+from piezod.diagnose.hypothesis.terms import Setting, Term
 from piezod.diagnose.prepare import chain_of, prepared, substitute_recording
 from piezod.diagnose.selection.given_effects import given_effects
 from piezod.diagnose.sources import Source

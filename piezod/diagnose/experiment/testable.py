@@ -6,9 +6,10 @@ from dataclasses import replace
 import numpy as np
 
 from piezod.diagnose.candidates.screening import DIRECT, Start, catalogue_starts, parts_of, recorded_channels
-from piezod.diagnose.hypothesis.chain import Chain, Point, Term
+from piezod.diagnose.hypothesis.chain import Chain
 from piezod.diagnose.hypothesis.fit import Normal
 from piezod.diagnose.hypothesis.parallel import each
+from piezod.diagnose.hypothesis.terms import Point, Term
 
 VISIBLE = 0.04  # least change by an effect of usual size, relative to the squared residual
 ROWS = 6000  # samples of a recording that are compared

@@ -6,8 +6,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from piezod.diagnose.hypothesis.chain import HATS, SPLINES, Chain, Point, Term
+from piezod.diagnose.hypothesis.basis import HATS, SPLINES
+from piezod.diagnose.hypothesis.chain import Chain
 from piezod.diagnose.hypothesis.layout import Layout, scaled, step_of, unscaled
+from piezod.diagnose.hypothesis.terms import Point, Term
 
 Array = NDArray[np.float64]
 

@@ -6,7 +6,9 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from piezod.diagnose.hypothesis.chain import HATS, SPLINES, Chain, Point, Term
+from piezod.diagnose.hypothesis.basis import HATS, SPLINES
+from piezod.diagnose.hypothesis.chain import Chain
+from piezod.diagnose.hypothesis.terms import Point, Term
 from piezod.effects.effect import Parameter
 
 Array = NDArray[np.float64]

@@ -2,7 +2,8 @@
 
 import numpy as np
 
-from piezod.diagnose.hypothesis.chain import Chain, Term
+from piezod.diagnose.hypothesis.chain import Chain
+from piezod.diagnose.hypothesis.terms import Term
 from piezod.effects.effect import Record
 
 

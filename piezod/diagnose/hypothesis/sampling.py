@@ -7,8 +7,9 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from piezod.diagnose.hypothesis.chain import Chain, Point, Term
+from piezod.diagnose.hypothesis.chain import Chain
 from piezod.diagnose.hypothesis.fit import MOST_STEPS, Fitted, fit
+from piezod.diagnose.hypothesis.terms import Point, Term
 from piezod.estimation.initial_state import CLEARLY, start_at_zero, starts_at_rest
 from piezod.recording.hold import HELD_BEFORE, STRAIGHT, Hold
 

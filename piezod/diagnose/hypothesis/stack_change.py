@@ -7,8 +7,9 @@ a diagnosis reports them as a change of the base.
 from collections.abc import Sequence
 from dataclasses import replace
 
-from piezod.diagnose.hypothesis.chain import Chain, Point, Term
+from piezod.diagnose.hypothesis.chain import Chain
 from piezod.diagnose.hypothesis.fit import Fitted, fit
+from piezod.diagnose.hypothesis.terms import Point, Term
 from piezod.effects.effect import Array, Context, Effect, Location, Parameter, Search, Values, unchanged
 
 

@@ -11,9 +11,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from piezod.diagnose.hypothesis.chain import LONG, Chain, Point
+from piezod.diagnose.hypothesis.chain import LONG, Chain
 from piezod.diagnose.hypothesis.fit import Fitted, Normal, fit, solved
 from piezod.diagnose.hypothesis.sampling import coarse
+from piezod.diagnose.hypothesis.terms import Point
 
 Array = NDArray[np.float64]
 

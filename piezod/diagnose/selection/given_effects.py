@@ -8,9 +8,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Literal
 
-from piezod.diagnose.hypothesis.chain import Chain, Point, Scope, Term
+from piezod.diagnose.hypothesis.chain import Chain
 from piezod.diagnose.hypothesis.fit import Fitted, fit
 from piezod.diagnose.hypothesis.parallel import each
+from piezod.diagnose.hypothesis.terms import Point, Scope, Term
 from piezod.diagnose.selection.acceptance import degenerate, worth
 from piezod.effects import EFFECTS
 from piezod.model import Model

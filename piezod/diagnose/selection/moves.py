@@ -9,11 +9,12 @@ from dataclasses import replace
 import numpy as np
 
 from piezod.diagnose.candidates.screening import catalogue_starts
-from piezod.diagnose.hypothesis.chain import Chain, Point, Term
+from piezod.diagnose.hypothesis.chain import Chain
 from piezod.diagnose.hypothesis.fit import Fitted, fit
 from piezod.diagnose.hypothesis.parallel import each
 from piezod.diagnose.hypothesis.sampling import coarse, with_best_hold
 from piezod.diagnose.hypothesis.stack_change import NAMES, with_stack_changed
+from piezod.diagnose.hypothesis.terms import Point, Term
 from piezod.diagnose.selection.acceptance import accepted, degenerate, penalised_loss, worth
 from piezod.diagnose.selection.candidates import Candidates, Trial
 from piezod.diagnose.selection.corners import with_corners

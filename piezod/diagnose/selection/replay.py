@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from piezod.diagnose.hypothesis.chain import Setting
 from piezod.diagnose.hypothesis.fit import Fitted
+from piezod.diagnose.hypothesis.terms import Setting
 from piezod.errors import ConfigurationError
 
 Array = NDArray[np.float64]

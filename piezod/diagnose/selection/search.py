@@ -6,10 +6,11 @@ A state never changes, and a move makes a new one (`moves.py`). Every constant t
 from collections.abc import Callable
 from dataclasses import replace
 
-from piezod.diagnose.hypothesis.chain import Chain, Point, Term
+from piezod.diagnose.hypothesis.chain import Chain
 from piezod.diagnose.hypothesis.fit import fit
 from piezod.diagnose.hypothesis.sampling import best_intersample, with_usual_start
 from piezod.diagnose.hypothesis.stack_change import with_stack_changed
+from piezod.diagnose.hypothesis.terms import Point, Term
 from piezod.diagnose.selection.acceptance import worth
 from piezod.diagnose.selection.candidates import Candidates
 from piezod.diagnose.selection.finish import fit_all_samples, remove_redundant, replace_by_rivals

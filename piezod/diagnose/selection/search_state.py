@@ -7,8 +7,9 @@ import numpy as np
 
 from piezod.diagnose.candidates.tones import Tone
 from piezod.diagnose.hypothesis import stack_change
-from piezod.diagnose.hypothesis.chain import Chain, Point, Term
+from piezod.diagnose.hypothesis.chain import Chain
 from piezod.diagnose.hypothesis.fit import MOST_STEPS, Fitted, fit
+from piezod.diagnose.hypothesis.terms import Point, Term
 from piezod.diagnose.selection.given_effects import Status
 from piezod.diagnose.selection.replay import Attempt
 

@@ -5,9 +5,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from piezod.diagnose.hypothesis.chain import Chain, Point, Term
+from piezod.diagnose.hypothesis.chain import Chain
 from piezod.diagnose.hypothesis.fit import Fitted, fit
 from piezod.diagnose.hypothesis.sampling import EQUAL
+from piezod.diagnose.hypothesis.terms import Point, Term
 from piezod.diagnose.selection.acceptance import worth
 from piezod.diagnose.selection.given_effects import without
 from piezod.effects import EFFECTS

@@ -15,10 +15,11 @@ from piezod.diagnose.candidates.screening import (
     within_ranges,
 )
 from piezod.diagnose.candidates.steps import NEVER_S, edge_near, jump_steps, likely_steps, shown_late_s
-from piezod.diagnose.hypothesis.chain import Chain, Point, Scope, Term
+from piezod.diagnose.hypothesis.chain import Chain
 from piezod.diagnose.hypothesis.fit import MOST_STEPS, Fitted, Normal, fit
 from piezod.diagnose.hypothesis.parallel import each
 from piezod.diagnose.hypothesis.sampling import coarse, with_equal_starts
+from piezod.diagnose.hypothesis.terms import Point, Scope, Term
 from piezod.effects import EFFECTS
 from piezod.recording.hold import STRAIGHT
 

@@ -7,9 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piezod.diagnose.findings import Base, Finding, Place, Rival, Status, UnchangedEffect, Value
-from piezod.diagnose.hypothesis.chain import Term
 from piezod.diagnose.hypothesis.series import Series
 from piezod.diagnose.hypothesis.stack_change import NAMES
+from piezod.diagnose.hypothesis.terms import Term
 from piezod.diagnose.selection.acceptance import comparison_loss
 from piezod.diagnose.selection.given_effects import as_given, refitted_without
 from piezod.diagnose.selection.search_state import Search

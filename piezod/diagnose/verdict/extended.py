@@ -6,9 +6,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piezod.diagnose.findings import Value
-from piezod.diagnose.hypothesis.chain import Chain, Term
+from piezod.diagnose.hypothesis.chain import Chain
 from piezod.diagnose.hypothesis.fit import Fitted
 from piezod.diagnose.hypothesis.stack_change import factors
+from piezod.diagnose.hypothesis.terms import Term
 from piezod.effects import EFFECTS
 from piezod.errors import ModelError
 from piezod.estimation.initial_state import starts_at_rest

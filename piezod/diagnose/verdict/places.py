@@ -3,8 +3,9 @@
 from collections.abc import Mapping
 
 from piezod.diagnose.findings import Place
-from piezod.diagnose.hypothesis.chain import Chain, Term
+from piezod.diagnose.hypothesis.chain import Chain
 from piezod.diagnose.hypothesis.record import record_of
+from piezod.diagnose.hypothesis.terms import Term
 
 
 def place_of(term: Term, values: Mapping[str, float], chain: Chain) -> tuple[Place, ...]:

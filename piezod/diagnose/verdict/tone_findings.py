@@ -8,8 +8,8 @@ import numpy as np
 from piezod.diagnose.candidates.direct import level_about
 from piezod.diagnose.candidates.tones import Tone
 from piezod.diagnose.findings import Finding, Value
-from piezod.diagnose.hypothesis.chain import Term
 from piezod.diagnose.hypothesis.fit import Fitted
+from piezod.diagnose.hypothesis.terms import Term
 from piezod.diagnose.selection.search_state import Search
 from piezod.diagnose.verdict.evidence import NORMAL_95, confidence_of, finding_about, given_values
 from piezod.diagnose.verdict.places import place_of

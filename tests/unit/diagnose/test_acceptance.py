@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from piezod.diagnose.candidates.steps import NEVER_S
-from piezod.diagnose.hypothesis.basis import ForceLaw, PlayDensity
-from piezod.diagnose.hypothesis.chain import HATS, SPLINES, Chain, Point, Term, empty_point
+from piezod.diagnose.hypothesis.basis import HATS, SPLINES, ForceLaw, PlayDensity
+from piezod.diagnose.hypothesis.chain import Chain, empty_point
 from piezod.diagnose.hypothesis.fit import Fitted
+from piezod.diagnose.hypothesis.terms import Point, Term
 from piezod.diagnose.selection.acceptance import degenerate, steadiness, steady_enough, worth
 from piezod.effects import EFFECTS
 from tests.unit.diagnose.residuals import mixed_work, noise, series, time

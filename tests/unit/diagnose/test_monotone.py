@@ -7,9 +7,10 @@ import pytest
 
 from piezod.diagnose import diagnosis
 from piezod.diagnose.hypothesis.basis import ForceLaw, PlayDensity
-from piezod.diagnose.hypothesis.chain import Chain, Term, empty_point
+from piezod.diagnose.hypothesis.chain import Chain, empty_point
 from piezod.diagnose.hypothesis.fit import fit
 from piezod.diagnose.hypothesis.monotone import SMALLEST_SLOPE, loading_slopes, monotone_fit
+from piezod.diagnose.hypothesis.terms import Term
 from piezod.diagnose.selection.search_state import Round, Search
 from piezod.diagnose.verdict.evidence import finding_of
 from piezod.effects import EFFECTS

@@ -5,8 +5,8 @@ import json
 import numpy as np
 import pytest
 
-from piezod.diagnose.hypothesis.chain import Point
 from piezod.diagnose.hypothesis.fit import Fitted
+from piezod.diagnose.hypothesis.terms import Point
 from piezod.diagnose.selection.replay import Attempt, write_replay
 from piezod.errors import ConfigurationError
 

@@ -9,8 +9,9 @@ from scipy import signal
 from piezod.diagnose.candidates.screening import screened
 from piezod.diagnose.candidates.tones import Tone, reestimated_tones, without_tones
 from piezod.diagnose.hypothesis.basis import ForceLaw, PlayDensity
-from piezod.diagnose.hypothesis.chain import Chain, Term, empty_point
+from piezod.diagnose.hypothesis.chain import Chain, empty_point
 from piezod.diagnose.hypothesis.fit import fit
+from piezod.diagnose.hypothesis.terms import Term
 from piezod.diagnose.selection.candidates import Candidates
 from piezod.diagnose.selection.finish import replace_by_rivals
 from piezod.diagnose.selection.moves import add_pair, refit_earlier_effects

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from piezod.diagnose.hypothesis.chain import Point, Term
 from piezod.diagnose.hypothesis.fit import fit
+from piezod.diagnose.hypothesis.terms import Point, Term
 from piezod.diagnose.selection.search_state import Search
 from piezod.diagnose.selection.significance import discovery_rates, is_concentrated, p_value, sign_test_p
 from piezod.effects import EFFECTS

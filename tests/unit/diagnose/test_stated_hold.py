@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from piezod.diagnose.hypothesis.basis import ForceLaw, PlayDensity
-from piezod.diagnose.hypothesis.chain import Chain, Term, empty_point
+from piezod.diagnose.hypothesis.chain import Chain, empty_point
 from piezod.diagnose.hypothesis.fit import fit
+from piezod.diagnose.hypothesis.terms import Term
 from piezod.diagnose.selection.stated_hold import with_stated_hold
 from piezod.effects import EFFECTS
 from piezod.recording import HELD_ONE_SAMPLE, Hold

@@ -7,7 +7,8 @@ import pytest
 
 from piezod.diagnose.candidates.steps import NEVER_S, Step, edge_near, has_clear_edges, shown_late_s
 from piezod.diagnose.hypothesis.basis import ForceLaw, PlayDensity
-from piezod.diagnose.hypothesis.chain import Chain, Term, empty_point
+from piezod.diagnose.hypothesis.chain import Chain, empty_point
+from piezod.diagnose.hypothesis.terms import Term
 from piezod.effects import EFFECTS
 from tests.unit.diagnose.residuals import mixed_work, noise, series, time
 

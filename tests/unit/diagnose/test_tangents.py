@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from piezod.diagnose.hypothesis.basis import ForceLaw, PlayDensity
-from piezod.diagnose.hypothesis.chain import Chain, Point, Term
+from piezod.diagnose.hypothesis.chain import Chain
+from piezod.diagnose.hypothesis.terms import Point, Term
 from piezod.effects import EFFECTS
 from tests.unit.diagnose.residuals import mixed_work, series, time
 from tests.unit.diagnose.test_corners import many_plays
