@@ -91,12 +91,11 @@ class Device:
         self.bench.advance_steps(behind)
         self._done_steps += behind
 
-    def sample(self, *, measures: bool = True) -> Sample:
+    def sample(self) -> Sample:
         """Return the present sample; in virtual time, a repeated reading first advances by one tick."""
-        if measures:
-            if self.virtual and self._was_read:
-                self._pass_tick()
-            self._was_read = True
+        if self.virtual and self._was_read:
+            self._pass_tick()
+        self._was_read = True
         self.catch_up()
         return self.bench.sample()
 
@@ -129,8 +128,10 @@ class Device:
             With code 2: an address outside the map.
         """
         _require(address, count, _READABLE)
-        if address + count > 200:
-            self._refresh(measures=(address, count) != (205, 1))
+        if (address, count) == (205, 1):
+            self._words[205] = self._words[102]
+        elif address + count > 200:
+            self._refresh()
         return self._words[address : address + count]
 
     def write(self, address: int, values: Sequence[int]) -> None:
@@ -189,8 +190,8 @@ class Device:
         firmware = self._firmware
         self.bench.set_watchdog(1e-3 * timeout_ms, safe_V=firmware.safe_V, ramp_V_per_s=firmware.watchdog_ramp_V_per_s)
 
-    def _refresh(self, *, measures: bool) -> None:
-        sample = self.sample(measures=measures)
+    def _refresh(self) -> None:
+        sample = self.sample()
         measured = struct.pack(
             ">ffHHHf",
             sample.force_N,
