@@ -6,16 +6,19 @@ The iteration contracts while the law changes less within a tick than the force;
 """
 
 from collections.abc import Collection
+from pathlib import Path
 
 import numba
 import numpy as np
 from numpy.typing import NDArray
 
 from piezod.effects.tick import SHARED
+from piezod.model.chain.compiled_steps import CALLED
 from piezod.model.chain.tick_chain import TickChain
 from piezod.model.chain.tick_steps import Program, commit_chain, plan_chain
 from piezod.model.parameters import Model
 from piezod.model.unnamed_law import NAME, LawStep, advance_drivers, advance_law
+from piezod.operators.compiled_cache import forget_outdated_steps
 
 Array = NDArray[np.float64]
 
@@ -79,6 +82,7 @@ class LawInverse:
     """
 
     def __init__(self, law: LawStep, chain: TickChain) -> None:
+        forget_outdated_steps(_plan.stats.cache_path, (*CALLED, Path(__file__).parent))
         self._chain = chain.program, chain.state
         self._state, self._tables = law.arrays[0], law.arrays[1:]
         self._scratch, self._memo = self._state.copy(), np.empty(3)

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from piezod.effects import EFFECTS, Location
 from piezod.effects.tick import SHARED, Tick, TickSetting
 from piezod.model.chain.acting import acting_effects
-from piezod.model.chain.compiled_steps import address_of
+from piezod.model.chain.compiled_steps import CALLED, address_of
 from piezod.model.chain.delay_line import delay_line
 from piezod.model.chain.tick_steps import (
     AMPLIFIER,
@@ -31,13 +31,16 @@ from piezod.model.chain.tick_steps import (
     FORCE,
     HYSTERESIS,
     MEASURED,
+    OWN_AT,
     READING,
     STACK,
     measure_chain,
+    plan_chain,
     settle_chain,
 )
 from piezod.model.parameters import Model
 from piezod.operators import ImplicitInverse
+from piezod.operators.compiled_cache import forget_outdated_steps
 from piezod.recording.hold import HELD_ONE_SAMPLE, STRAIGHT, Hold
 
 Array = NDArray[np.float64]
@@ -75,6 +78,7 @@ class TickChain:
     """
 
     def __init__(self, model: Model, dt_s: float, without: Collection[str] = (), *, reads: bool = False) -> None:
+        forget_outdated_steps(plan_chain.stats.cache_path, CALLED)
         self.acting = acting_effects(model, without)
         self.delay_s = _delay_s(model, self.acting, without)
         self.dt_s = dt_s
@@ -136,9 +140,10 @@ class TickChain:
 
     def reset(self) -> None:
         """Return to the model's start state at rest; estimates of followed effects stay."""
-        first = FIRST_EFFECT if self.program[1 + FOLLOWED, FIRST] < self.program[1 + FOLLOWED, END] else None
-        kept = self.state.size if first is None else int(self.program[self.program[1 + FOLLOWED, FIRST], 3])
-        self.state[:kept] = self._initial[:kept]
+        followed = int(self.program[1 + FOLLOWED, FIRST])
+        any_followed = followed < self.program[1 + FOLLOWED, END]
+        end = int(self.program[followed, OWN_AT]) if any_followed else self.state.size
+        self.state[:end] = self._initial[:end]
         settle_chain(self.program, self.state)
 
     def measure(self, value: float) -> None:

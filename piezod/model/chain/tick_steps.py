@@ -25,10 +25,10 @@ Program = NDArray[np.int64]
 
 AMPLIFIER, HYSTERESIS, STACK, FORCE, READING, FOLLOWED, MEASURED = range(7)
 """Stages of a chain. MEASURED holds the effects that take a further channel."""
-SHARED_AT, ZONES_AT, ZONES = range(3)  # row 0 of a program: places of the shared memory and of the direct dead zones
+SHARED_AT, ZONES_AT, ZONES, LAST_OF_FORCE = range(4)  # row 0: shared memory, dead zones, last row of the true force
 FIRST, END = range(2)  # row 1 + stage: rows of its effects
 ADVANCE, INVERT, SETTLE, OWN_AT = range(4)  # a row of an effect: addresses of its steps, and the place of its memory
-FIRST_EFFECT = 8
+FIRST_EFFECT = 1 + len((AMPLIFIER, HYSTERESIS, STACK, FORCE, READING, FOLLOWED, MEASURED))
 
 MOST_PASSES, SAME_V = 40, 1e-9  # of the iteration for the voltage, whose rate widens the plays
 FROZEN = 3.0  # [samples]; so many equal readings are a frozen reading
@@ -195,7 +195,7 @@ def read_chain(
         force_N = expected = state[at + SHARED.force_N]
         for row in range(program[1 + READING, FIRST], program[1 + READING, END]):
             expected = call_step(program[row, ADVANCE], base + BYTES * program[row, OWN_AT], shared, expected)
-            if row == program[0, 3]:  # the last effect that changes the true force
+            if row == program[0, LAST_OF_FORCE]:
                 force_N = expected
         difference_N = reading_N[k] - expected
         for row in range(program[1 + FOLLOWED, FIRST], program[1 + FOLLOWED, END]):
