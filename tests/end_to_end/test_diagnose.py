@@ -88,7 +88,9 @@ def test_no_recording_of_held_commands_tells_a_delay_better_than_to_a_sample(ide
 
 
 def held_out_rms(tmp_path, model):
-    done = piezod("simulate", tmp_path / "later.csv", "--model", model, "-o", tmp_path / "simulated.csv", "--json")
+    done = piezod(
+        "simulate", tmp_path / "later.csv", "--model", model, "-o", tmp_path / "simulated.csv", "--json", "--force"
+    )
     assert done.returncode == 0, done.stderr
     return json.loads(done.stdout)["compared"]["rms"]
 
