@@ -3,25 +3,10 @@
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
 from piezod.effects.tick import Memory, Tick
 
-Array = NDArray[np.float64]
-
 TICKS, SIZE, COUNT, RING = range(4)  # memory: delay [ticks], numbers of the ring, ticks so far; then the ring
-
-
-def delay_line_memory(ticks: float) -> Array:
-    """Memory of a delay line, shape (numbers,).
-
-    Parameters
-    ----------
-    ticks
-        Delay [ticks], at least 0.
-    """
-    size = math.ceil(ticks) + 2
-    return np.concatenate(([ticks, size, 0.0], np.zeros(size)))
 
 
 def _advance(own: Memory, _shared: Memory, force_N: float) -> float:
@@ -48,4 +33,6 @@ def delay_line(ticks: float) -> Tick:
     ticks
         Delay [ticks], at least 0.
     """
-    return Tick(lambda _values, _setting: delay_line_memory(ticks), _advance, settle=_settle)
+    size = math.ceil(ticks) + 2
+    memory = np.concatenate(([ticks, size, 0.0], np.zeros(size)))
+    return Tick(lambda _values, _setting: memory, _advance, settle=_settle)

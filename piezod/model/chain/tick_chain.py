@@ -13,6 +13,7 @@ on the expected reading only.
 import math
 from collections.abc import Collection, Mapping
 from dataclasses import replace
+from typing import NoReturn
 
 import numpy as np
 from numpy.typing import NDArray
@@ -98,6 +99,11 @@ class TickChain:
         self.state = np.concatenate(self._parts)
         self._initial = self.state.copy()
         settle_chain(self.program, self.state)
+        self.measure(math.nan)  # compiled here, not in the first tick that has a temperature
+
+    def __reduce__(self) -> NoReturn:
+        """Refuse a copy for another process, in which the addresses of the steps would be wrong."""
+        raise TypeError("a TickChain holds addresses of this process; build it from its model in the other process")
 
     def _lay_out(self, model: Model, *, reads: bool) -> int:
         """Append memory and rows of all effects; the number of READING rows that change the true force."""
