@@ -45,11 +45,12 @@ class DeviceGuard:
         Clock of the loop.
     """
 
-    __slots__ = ("_clock", "_confirmed_ns", "_due_ns", "_link", "_supervisor")
+    __slots__ = ("_at_once", "_clock", "_confirmed_ns", "_due_ns", "_link", "_supervisor")
 
     def __init__(self, link: Link, supervisor: Supervisor, rate_keeper: RateKeeper) -> None:
         self._link, self._supervisor, self._clock = link, supervisor, rate_keeper
         self._due_ns = self._confirmed_ns = 0
+        self._at_once = 0  # registers still to read without a pause, after a failed exchange
 
     def evaluate(self, result: int) -> None:
         """Trip where the result of an exchange or a read names another device or a changed setting."""
@@ -74,6 +75,7 @@ class DeviceGuard:
             return
         if result != _OK:
             self._due_ns = min(self._due_ns, done_ns)
+            self._at_once = self._link.supervised
             return
         count = self._link.supervised
         if count == 0:
@@ -89,7 +91,8 @@ class DeviceGuard:
         """Read one register and evaluate the result."""
         found = self._link.supervise(time_limit_s)
         if found == _OK:
-            self._confirmed_ns, self._due_ns = now_ns, now_ns + interval_ns
+            self._at_once = max(self._at_once - 1, 0)
+            self._confirmed_ns, self._due_ns = now_ns, now_ns + (0 if self._at_once else interval_ns)
             return
         self._due_ns = now_ns + RETRY_NS
         self.evaluate(found)
