@@ -17,9 +17,9 @@ from firmware_sim.concealed.study.make import make
 from firmware_sim.physics.bench import Bench
 from firmware_sim.physics.scenario import load_scenario
 from piezod.diagnose.command import diagnose_files
+from piezod.estimation.recordings.intake import load_recordings
 from piezod.excitation import varying_triangles
 from piezod.identify.identification import identify
-from piezod.identify.intake import load_recordings
 from piezod.identify.options import Options
 from piezod.model import save_model
 from piezod.recording import Recording, write_csv

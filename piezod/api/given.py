@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from piezod.errors import UsageError
-from piezod.identify.intake import LoadedRecording, OnStep, load_recordings, usable
+from piezod.estimation.recordings.intake import LoadedRecording, OnStep, load_recordings, usable
 from piezod.model import file_sha256
 from piezod.recording import Recording, TextOptions, column_names, read_recording
 from piezod.recording.conversion import in_units_of

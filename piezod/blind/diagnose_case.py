@@ -9,8 +9,8 @@ from piezod.blind.case import Description, read_description
 from piezod.diagnose.command import diagnose_files
 from piezod.diagnose.selection.replay import write_replay
 from piezod.effects import EFFECTS
+from piezod.estimation.recordings.intake import load_recordings
 from piezod.identify.identification import identify
-from piezod.identify.intake import load_recordings
 from piezod.identify.options import Options
 from piezod.identify.simulation import simulate_recording
 from piezod.model import Model, save_model

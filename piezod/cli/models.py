@@ -139,8 +139,8 @@ def simulate(
     check_recording_target(output, [recording])
     check_absent(output, force=force)
     check_readable(recording, model, text)  # a wrong file is refused before the libraries are there
-    from piezod.identify.intake import load_for_simulation
-    from piezod.identify.layout import layout_of
+    from piezod.estimation.recordings.intake import load_for_simulation
+    from piezod.estimation.recordings.layout import layout_of
     from piezod.identify.simulation import outside, simulate_recording, where
     from piezod.model import load_model
     from piezod.report.progress import steps
@@ -213,7 +213,7 @@ def resid(
 
     check_page(report)
     column_names(recording)  # a wrong file is refused before the libraries are there
-    from piezod.identify.intake import load_for_simulation
+    from piezod.estimation.recordings.intake import load_for_simulation
     from piezod.model import load_model
     from piezod.report.comparison.whiteness import residual_of, whiteness_test
     from piezod.report.comparison.whiteness_page import whiteness_as_dict, whiteness_text, write_whiteness_page

@@ -157,7 +157,7 @@ def check_readable(path: Path, model: Path, text: "TextOptions") -> None:
     try:
         column_names(path, text)
     except RecordingError:
-        from piezod.identify.layout import layout_of
+        from piezod.estimation.recordings.layout import layout_of
         from piezod.model import load_model
 
         layout_of(path, load_model(model), text)

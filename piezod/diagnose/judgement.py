@@ -44,7 +44,7 @@ from piezod.diagnose.verdict.verdict import (
 from piezod.diagnose.verdict.words import Wording
 from piezod.effects import EFFECTS
 from piezod.errors import ModelError
-from piezod.identify.layout import entry_of
+from piezod.estimation.recordings.layout import entry_of
 from piezod.identify.scores import nrmse_percent
 from piezod.model import Model
 

@@ -16,14 +16,14 @@ from piezod.diagnose.hypothesis.series import Series
 from piezod.diagnose.hypothesis.terms import Point
 from piezod.diagnose.sources import Source
 from piezod.errors import RecordingError
-from piezod.estimation.initial_state import estimate_path, start_at_zero, starts_at_rest
-from piezod.estimation.unknown_past import unknown_past
+from piezod.estimation.recordings.start import estimate_path, start_at_zero, starts_at_rest
+from piezod.estimation.recordings.strays import without_strays
+from piezod.estimation.recordings.suitability import falls
+from piezod.estimation.recordings.unknown_past import unknown_past
 from piezod.excitation import varying_triangles
 from piezod.identify.simulation import where
-from piezod.identify.suitability import falls
 from piezod.model import Model, run_chain
 from piezod.recording import Hold, Recording
-from piezod.recording.strays import without_strays
 
 Array = NDArray[np.float64]
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from piezod.diagnose.hypothesis.series import Role
-from piezod.identify.layout import stated_layout
+from piezod.estimation.recordings.layout import stated_layout
 from piezod.model import Model, file_sha256
 from piezod.recording import Recording, TextOptions, read_recording
 from piezod.recording.conversion import in_units_of

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from piezod.estimation.columns import (
+from piezod.estimation.base.smooth_base import Base
+from piezod.estimation.fit.columns import (
     Samples,
     Structure,
     accumulate_gram,
@@ -16,10 +17,9 @@ from piezod.estimation.columns import (
     zone_slopes_of,
     zone_weights_of,
 )
-from piezod.estimation.gauss_newton import minimise
-from piezod.estimation.normal_equations import Piece, Sums, merged, pieces_of, sums_of
-from piezod.estimation.quadratic_program import Constraints, Variant, solve
-from piezod.estimation.smooth_base import Base
+from piezod.estimation.fit.gauss_newton import minimise
+from piezod.estimation.fit.normal_equations import Piece, Sums, merged, pieces_of, sums_of
+from piezod.estimation.fit.quadratic_program import Constraints, Variant, solve
 from piezod.model.parameters import Hysteresis, Superposition
 from piezod.operators import EPS
 from piezod.operators.dead_zone import inverse_dead_zone, shifted

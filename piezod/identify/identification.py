@@ -9,13 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piezod.errors import UsageError
-from piezod.estimation.columns import Samples
-from piezod.estimation.noise import Noise, noise_of
-from piezod.identify.intake import OnStep
+from piezod.estimation.fit.columns import Samples
+from piezod.estimation.recordings.intake import OnStep
+from piezod.estimation.recordings.noise import Noise, noise_of
+from piezod.estimation.recordings.suitability import check_suitable, falls
 from piezod.identify.options import Options
 from piezod.identify.order import Candidate
 from piezod.identify.selection import Selection, reduce_smooth_base, select_by_orders
-from piezod.identify.suitability import check_suitable, falls
 from piezod.model import Model, file_sha256
 from piezod.model.parameters import Channel, Provenance, RecordingSource, Start
 from piezod.recording import Recording

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from piezod.estimation.quadratic_program import Variant
+from piezod.estimation.fit.quadratic_program import Variant
 from piezod.operators import EPS
 
 

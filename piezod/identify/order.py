@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piezod.errors import RecordingError
-from piezod.estimation.columns import Samples, Structure
-from piezod.estimation.quadratic_program import Variant
+from piezod.estimation.fit.columns import Samples, Structure
+from piezod.estimation.fit.quadratic_program import Variant
 from piezod.identify.fit import Fit, fit_hysteresis
 from piezod.identify.tables import dead_zone_rows, play_rows
 from piezod.operators import PrandtlIshlinskii

@@ -7,13 +7,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from piezod.estimation.columns import Samples, Structure
-from piezod.estimation.normal_equations import GROUPS, group_of
-from piezod.estimation.reduction import reduced
-from piezod.estimation.smooth_base import Base, fit_smooth_base, refit
+from piezod.estimation.base.reduction import reduced
+from piezod.estimation.base.smooth_base import Base, fit_smooth_base, refit
+from piezod.estimation.fit.columns import Samples, Structure
+from piezod.estimation.fit.normal_equations import GROUPS, group_of
+from piezod.estimation.recordings.intake import OnStep
 from piezod.identify.figures import Run, fit_figures
 from piezod.identify.fit import fit_of_base
-from piezod.identify.intake import OnStep
 from piezod.identify.options import Options
 from piezod.identify.order import PLAYS, ZONES, Candidate, best_of, choose, fit_orders, prune, residual
 from piezod.identify.scores import rms

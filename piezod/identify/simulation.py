@@ -2,7 +2,7 @@
 
 The input drives the model. The measured output serves only to estimate the start, from a stated number of first
 seconds. If the recording begins amid the range, the effect of its unknown past is fitted over all samples
-(`estimation/unknown_past.py`).
+(`estimation/recordings/unknown_past.py`).
 """
 
 from collections.abc import Sequence
@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piezod.errors import UsageError
-from piezod.estimation.initial_state import estimate_start, starts_at_rest
-from piezod.estimation.unknown_past import fitted_past, unknown_past
+from piezod.estimation.recordings.start import estimate_start, starts_at_rest
+from piezod.estimation.recordings.unknown_past import fitted_past, unknown_past
 from piezod.identify.scores import largest, nrmse_percent, rms
 from piezod.model import Model, decays_of, run_chain
 from piezod.recording import Recording

@@ -7,8 +7,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piezod.errors import RecordingError
-from piezod.estimation.columns import Samples, Structure
-from piezod.estimation.initial_state import (
+from piezod.estimation.base.smooth_base import fit_roughly
+from piezod.estimation.base.thresholds import INSIDE, dead_zone_thresholds, play_reach, play_thresholds, widest
+from piezod.estimation.fit.columns import Samples, Structure
+from piezod.estimation.recordings.start import (
     Start,
     clipped_mean_square,
     start_amid,
@@ -16,11 +18,9 @@ from piezod.estimation.initial_state import (
     starts_at_rest,
     wipe_out_sample,
 )
-from piezod.estimation.smooth_base import fit_roughly
-from piezod.estimation.thresholds import INSIDE, dead_zone_thresholds, play_reach, play_thresholds, widest
+from piezod.estimation.recordings.suitability import FEWEST_SAMPLES
 from piezod.identify.fit import fit_hysteresis, fit_of_base
 from piezod.identify.order import residual
-from piezod.identify.suitability import FEWEST_SAMPLES
 from piezod.recording import Recording
 from piezod.recording.names import unit_of
 

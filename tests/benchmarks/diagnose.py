@@ -18,9 +18,9 @@ import numpy as np
 from firmware_sim.physics.bench import Bench
 from firmware_sim.physics.scenario import load_scenario
 from piezod.effects import EFFECTS
+from piezod.estimation.recordings.intake import load_recordings
 from piezod.excitation import IDENTIFICATION, excitation
 from piezod.identify.identification import identify
-from piezod.identify.intake import load_recordings
 from piezod.identify.options import Options
 from piezod.model import save_model
 from piezod.recording import Recording, write_csv

@@ -6,8 +6,8 @@ from time import perf_counter
 
 import numpy as np
 
-from piezod.estimation.columns import Samples, Structure
-from piezod.estimation.thresholds import dead_zone_thresholds, play_thresholds
+from piezod.estimation.base.thresholds import dead_zone_thresholds, play_thresholds
+from piezod.estimation.fit.columns import Samples, Structure
 from piezod.excitation import varying_triangles
 from piezod.identify.fit import fit_hysteresis
 from piezod.operators import PrandtlIshlinskii

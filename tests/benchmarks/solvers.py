@@ -11,9 +11,9 @@ import numpy as np
 from scipy.optimize import nnls
 
 from piezod.errors import RecordingError
-from piezod.estimation.columns import Samples, Structure, accumulate_gram, slopes_of
-from piezod.estimation.quadratic_program import Constraints, solve
-from piezod.estimation.thresholds import dead_zone_thresholds, play_thresholds
+from piezod.estimation.base.thresholds import dead_zone_thresholds, play_thresholds
+from piezod.estimation.fit.columns import Samples, Structure, accumulate_gram, slopes_of
+from piezod.estimation.fit.quadratic_program import Constraints, solve
 from piezod.excitation import varying_triangles
 from piezod.operators import EPS, PrandtlIshlinskii
 from piezod.operators.dead_zone import inverse_dead_zone

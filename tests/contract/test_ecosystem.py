@@ -17,7 +17,7 @@ from piezod.control import ROW_DTYPE, Cause, State
 from piezod.daemon.metrics import BenchMetrics
 from piezod.daemon.service import COMMANDS
 from piezod.daemon.statistics import TickStatistics
-from piezod.identify.intake import load_recordings
+from piezod.estimation.recordings.intake import load_recordings
 from piezod.recording import Recording, convert, read_recording, write_recording
 
 CONFIG = Path(__file__).parents[2] / "config"

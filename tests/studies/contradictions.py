@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from piezod.identify.intake import load_for_simulation
+from piezod.estimation.recordings.intake import load_for_simulation
 from piezod.identify.simulation import outside, simulate_recording
 from piezod.model import Model, load_model
 

@@ -22,8 +22,8 @@ import numpy as np
 
 from firmware_sim.concealed.study.nulls import FAMILIES, NullBench, draw_null
 from piezod.errors import PiezodError
+from piezod.estimation.recordings.intake import load_for_simulation, load_recordings
 from piezod.identify.identification import identify
-from piezod.identify.intake import load_for_simulation, load_recordings
 from piezod.identify.options import Options
 from piezod.identify.simulation import simulate_recording
 

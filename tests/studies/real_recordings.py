@@ -19,8 +19,8 @@ from pathlib import Path
 
 from piezod.diagnose.command import diagnose_files
 from piezod.errors import PiezodError
+from piezod.estimation.recordings.intake import load_recordings
 from piezod.identify.identification import identify
-from piezod.identify.intake import load_recordings
 from piezod.identify.options import Options
 from piezod.model import load_model, save_model
 from tests.studies.contradictions import Result, contradictions, simulated_rms

@@ -10,7 +10,7 @@ from piezod.diagnose.hypothesis.chain import Chain
 from piezod.diagnose.hypothesis.fit import DONE, FIRST_DAMPING, MOST_DAMPING, Fitted, Normal
 from piezod.diagnose.hypothesis.layout import Layout
 from piezod.errors import RecordingError
-from piezod.estimation.quadratic_program import Constraints, solve_step
+from piezod.estimation.fit.quadratic_program import Constraints, solve_step
 from piezod.operators import EPS
 
 Array = NDArray[np.float64]

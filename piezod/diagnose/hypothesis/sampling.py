@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from piezod.diagnose.hypothesis.chain import Chain
 from piezod.diagnose.hypothesis.fit import MOST_STEPS, Fitted, fit
 from piezod.diagnose.hypothesis.terms import Point, Term
-from piezod.estimation.initial_state import CLEARLY, start_at_zero, starts_at_rest
+from piezod.estimation.recordings.start import CLEARLY, start_at_zero, starts_at_rest
 from piezod.recording.hold import HELD_BEFORE, STRAIGHT, Hold
 
 Array = NDArray[np.float64]

@@ -12,7 +12,7 @@ from piezod.diagnose.hypothesis.stack_change import factors
 from piezod.diagnose.hypothesis.terms import Term
 from piezod.effects import EFFECTS
 from piezod.errors import ModelError
-from piezod.estimation.initial_state import starts_at_rest
+from piezod.estimation.recordings.start import starts_at_rest
 from piezod.model import Model
 from piezod.model.parameters import EffectValues, FitFigures, Hysteresis, Start, Superposition
 from piezod.operators import EPS

@@ -10,7 +10,7 @@ from piezod.diagnose.hypothesis.series import Series
 from piezod.diagnose.prepare import as_identified
 from piezod.diagnose.sources import Source
 from piezod.errors import RecordingError
-from piezod.identify.intake import fit_for_simulation
+from piezod.estimation.recordings.intake import fit_for_simulation
 from piezod.identify.simulation import simulate
 from piezod.model import Model
 from piezod.recording import Recording

@@ -22,7 +22,7 @@ from piezod.diagnose.verdict.words import (
     unchanged_words,
     unrecorded_words,
 )
-from piezod.estimation.noise import noise_of
+from piezod.estimation.recordings.noise import noise_of
 
 Array = NDArray[np.float64]
 

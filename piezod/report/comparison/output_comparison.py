@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piezod.errors import UsageError
-from piezod.identify.intake import load_for_simulation
+from piezod.estimation.recordings.intake import load_for_simulation
 from piezod.identify.simulation import Agreement, simulate_recording
 from piezod.model import Model, load_model
 from piezod.recording import Recording, read_recording

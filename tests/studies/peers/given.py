@@ -12,8 +12,8 @@ import numpy as np
 from piezod.blind.case import Description, read_description
 from piezod.blind.diagnose_case import BASE, PLAYS, ZONES
 from piezod.errors import ConfigurationError
+from piezod.estimation.recordings.intake import load_recordings
 from piezod.identify.identification import identify
-from piezod.identify.intake import load_recordings
 from piezod.identify.options import Options
 from piezod.identify.simulation import simulate_recording
 from piezod.model import Model

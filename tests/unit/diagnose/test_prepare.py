@@ -10,7 +10,7 @@ from piezod.diagnose.hypothesis.basis import PlayDensity
 from piezod.diagnose.prepare import chain_of, evenly_spaced, with_start, with_unknown_start, without_frozen
 from piezod.diagnose.sources import Source
 from piezod.errors import RecordingError
-from piezod.estimation.unknown_past import fitted_past
+from piezod.estimation.recordings.unknown_past import fitted_past
 from piezod.model import load_model
 from piezod.recording import Recording
 from tests.unit.diagnose.residuals import mixed_work, series, time

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from piezod.estimation.noise import COARSE, _period, noise_of
+from piezod.estimation.recordings.noise import COARSE, _period, noise_of
 
 RATE_HZ = 500.0
 TIME_S = np.arange(20_000) / RATE_HZ

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from piezod.estimation.quadratic_program import Constraints, solve_step
+from piezod.estimation.fit.quadratic_program import Constraints, solve_step
 
 
 def test_a_row_of_nothing_constrains_nothing():

@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from piezod.estimation.columns import Samples, Structure
-from piezod.estimation.normal_equations import GROUPS, group_of, pieces_of, sums_of
-from piezod.estimation.reduction import reduced
-from piezod.estimation.smooth_base import fit_smooth_base
-from piezod.estimation.thresholds import dead_zone_thresholds, play_thresholds
+from piezod.estimation.base.reduction import reduced
+from piezod.estimation.base.smooth_base import fit_smooth_base
+from piezod.estimation.base.thresholds import dead_zone_thresholds, play_thresholds
+from piezod.estimation.fit.columns import Samples, Structure
+from piezod.estimation.fit.normal_equations import GROUPS, group_of, pieces_of, sums_of
 from piezod.excitation import varying_triangles
 
 PEAK_V, RANGE_N, EPS = 120.0, 250.0, 0.01

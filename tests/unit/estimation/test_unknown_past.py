@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from piezod.estimation.unknown_past import fitted_past, unknown_past
+from piezod.estimation.recordings.unknown_past import fitted_past, unknown_past
 from piezod.model import load_model
 
 RATE_Hz = 200.0

@@ -8,10 +8,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from piezod.errors import RecordingError
-from piezod.estimation.columns import Samples, Structure, zone_segments, zone_slopes_of, zone_weights_of
-from piezod.estimation.normal_equations import pieces_of, sums_of
-from piezod.estimation.quadratic_program import Constraints
-from piezod.estimation.thresholds import Reach, dead_zone_thresholds, play_reach, play_thresholds
+from piezod.estimation.base.thresholds import Reach, dead_zone_thresholds, play_reach, play_thresholds
+from piezod.estimation.fit.columns import Samples, Structure, zone_segments, zone_slopes_of, zone_weights_of
+from piezod.estimation.fit.normal_equations import pieces_of, sums_of
+from piezod.estimation.fit.quadratic_program import Constraints
 from piezod.excitation import constant_triangles, varying_triangles
 from piezod.identify.fit import fit_hysteresis
 from piezod.identify.identification import identify

@@ -4,7 +4,7 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from piezod.estimation.columns import Structure
+from piezod.estimation.fit.columns import Structure
 from piezod.identify.order import _without_negligible
 from piezod.model.parameters import Hysteresis, Superposition
 

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from piezod.errors import RecordingError
-from piezod.identify.intake import usable
-from piezod.identify.suitability import check_suitable
+from piezod.estimation.recordings.intake import usable
+from piezod.estimation.recordings.suitability import check_suitable
 from piezod.recording import Recording
 
 RATE_HZ, DAMPING = 1000.0, 0.1

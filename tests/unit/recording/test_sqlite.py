@@ -269,7 +269,7 @@ def test_a_user_with_read_access_only_reads_the_file_in_every_state(open_folder,
 
 
 def test_damaged_blocks_are_a_note_of_the_identification(tmp_path):
-    from piezod.identify.intake import load_for_simulation
+    from piezod.estimation.recordings.intake import load_for_simulation
 
     path = tmp_path / "a.sqlite"
     closed_file(path)

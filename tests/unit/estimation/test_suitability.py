@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from piezod import cli
+from piezod.estimation.recordings.suitability import check_suitable
 from piezod.excitation import constant_triangles, staircase_minor_loops_multisine, varying_triangles
-from piezod.identify.suitability import check_suitable
 from piezod.operators import PrandtlIshlinskii
 from piezod.recording import Recording
 

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from piezod.errors import RecordingError
-from piezod.identify.intake import load_recordings
-from piezod.identify.layout import layout_of
+from piezod.estimation.recordings.intake import load_recordings
+from piezod.estimation.recordings.layout import layout_of
 from piezod.model import load_model
 from piezod.recording import TextOptions
 from tests.benches.plain_stack import RATE_HZ, read, triangles

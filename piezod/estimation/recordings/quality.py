@@ -4,9 +4,9 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from piezod.estimation.recordings.stuck import StuckStretches
 from piezod.recording.recording import Recording
 from piezod.recording.stretches import Stretch, extreme_periods, gaps
-from piezod.recording.stuck import StuckStretches
 
 MOST_PLACES = 5
 """Gaps that a line lists."""

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
+from piezod.estimation.recordings.quality import describe_missing, describe_stuck, describe_timing
+from piezod.estimation.recordings.stuck import find_stuck
 from piezod.recording import Recording, read_recording
-from piezod.recording.quality import describe_missing, describe_stuck, describe_timing
-from piezod.recording.stuck import find_stuck
 from tests.unit.recording.formats import REAL
 
 

@@ -5,8 +5,8 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from piezod.estimation.normal_equations import Sums
-from piezod.estimation.quadratic_program import Constraints, solve_step
+from piezod.estimation.fit.normal_equations import Sums
+from piezod.estimation.fit.quadratic_program import Constraints, solve_step
 
 Array = NDArray[np.float64]
 

@@ -7,11 +7,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piezod.errors import RecordingError
+from piezod.estimation.recordings.white_noise import white_noise
 from piezod.operators.play import play_states_run
 from piezod.recording import Recording
 from piezod.recording.names import unit_of
 from piezod.recording.quantities import UNITS
-from piezod.recording.white_noise import white_noise
 
 Array = NDArray[np.float64]
 

@@ -10,7 +10,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from piezod.estimation.initial_state import wipe_out_sample
+from piezod.estimation.recordings.start import wipe_out_sample
 
 Array = NDArray[np.float64]
 

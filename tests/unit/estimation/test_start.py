@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from piezod.estimation.initial_state import clipped_mean_square, estimate_path
+from piezod.estimation.recordings.start import clipped_mean_square, estimate_path
 from piezod.model import load_model
 
 MODEL = load_model(Path(__file__).parents[3] / "config" / "model.yaml")

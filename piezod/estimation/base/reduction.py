@@ -11,10 +11,10 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from piezod.estimation.columns import Samples
-from piezod.estimation.normal_equations import pieces_of, sums_of
-from piezod.estimation.quadratic_program import Constraints, solve_step
-from piezod.estimation.smooth_base import Base, base_at
+from piezod.estimation.base.smooth_base import Base, base_at
+from piezod.estimation.fit.columns import Samples
+from piezod.estimation.fit.normal_equations import pieces_of, sums_of
+from piezod.estimation.fit.quadratic_program import Constraints, solve_step
 
 Array = NDArray[np.float64]
 

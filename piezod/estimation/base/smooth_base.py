@@ -16,10 +16,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from piezod.estimation.columns import Samples, Structure, clocks_of
-from piezod.estimation.gauss_newton import minimise, penalised_step
-from piezod.estimation.normal_equations import GROUPS, Piece, Sums, merged, pieces_of, sums_of
-from piezod.estimation.quadratic_program import Constraints, solve_step
+from piezod.estimation.fit.columns import Samples, Structure, clocks_of
+from piezod.estimation.fit.gauss_newton import minimise, penalised_step
+from piezod.estimation.fit.normal_equations import GROUPS, Piece, Sums, merged, pieces_of, sums_of
+from piezod.estimation.fit.quadratic_program import Constraints, solve_step
 
 Array = NDArray[np.float64]
 

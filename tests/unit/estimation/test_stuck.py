@@ -5,10 +5,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from piezod.estimation.recordings.stuck import find_stuck
 from piezod.excitation import constant_triangles, staircase_minor_loops_multisine
 from piezod.operators import PrandtlIshlinskii
 from piezod.recording.stretches import BLOCK, long_runs
-from piezod.recording.stuck import find_stuck
 
 RATE_HZ = 200.0
 TRIANGLES = constant_triangles(140.0, 0.2, 5, RATE_HZ)

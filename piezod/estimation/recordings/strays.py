@@ -14,9 +14,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from piezod.estimation.recordings.white_noise import white_noise
 from piezod.recording.recording import Recording
 from piezod.recording.stretches import BLOCK, Array
-from piezod.recording.white_noise import white_noise
 
 Mask = NDArray[np.bool_]
 

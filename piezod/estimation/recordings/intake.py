@@ -13,18 +13,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piezod.errors import RecordingError, UsageError
-from piezod.identify.layout import entry_of
-from piezod.identify.suitability import FEWEST_SAMPLES
+from piezod.estimation.recordings.layout import entry_of
+from piezod.estimation.recordings.quality import describe_missing, describe_stuck, describe_timing
+from piezod.estimation.recordings.strays import LARGEST, without_strays
+from piezod.estimation.recordings.stuck import find_stuck
+from piezod.estimation.recordings.suitability import FEWEST_SAMPLES
 from piezod.model import file_sha256
 from piezod.model.parameters import RecordingSource
 from piezod.recording import TIME, Recording, TextOptions, column_names, open_stream
 from piezod.recording.conversion import factor_to, stored_column
 from piezod.recording.formats.access import library_errors
 from piezod.recording.formats.repairs import repair_notes
-from piezod.recording.quality import describe_missing, describe_stuck, describe_timing
-from piezod.recording.strays import LARGEST, without_strays
 from piezod.recording.stretches import gaps
-from piezod.recording.stuck import find_stuck
 
 Array = NDArray[np.float64]
 OnStep = Callable[[str, float | None], None]

@@ -9,9 +9,9 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from piezod.errors import RecordingError, UsageError
+from piezod.estimation.recordings.intake import load_for_simulation, load_recordings
+from piezod.estimation.recordings.suitability import check_suitable
 from piezod.excitation import constant_triangles, staircase_minor_loops_multisine
-from piezod.identify.intake import load_for_simulation, load_recordings
-from piezod.identify.suitability import check_suitable
 from piezod.operators import PrandtlIshlinskii
 from piezod.recording import Recording, write_recording
 from tests.unit.recording.formats import suffixes

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from piezod.identify.intake import usable
+from piezod.estimation.recordings.intake import usable
+from piezod.estimation.recordings.strays import without_strays
 from piezod.recording import Recording
-from piezod.recording.strays import without_strays
 from tests.benches.plain_stack import RATE_HZ, read, triangles
 
 U = triangles([100, 40, 80, 60, 100, 30])

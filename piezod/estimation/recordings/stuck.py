@@ -17,8 +17,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from piezod.estimation.recordings.white_noise import white_noise
 from piezod.recording.stretches import Array, Stretch, long_runs, pairs
-from piezod.recording.white_noise import white_noise
 
 SHORTEST = 5
 """Shortest run that is tested [samples]; a shorter one does not affect a fit."""

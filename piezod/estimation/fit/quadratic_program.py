@@ -15,7 +15,7 @@ import proxsuite
 from numpy.typing import NDArray
 
 from piezod.errors import RecordingError
-from piezod.estimation.columns import Structure
+from piezod.estimation.fit.columns import Structure
 
 Array = NDArray[np.float64]
 Variant = Literal["A", "B"]

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from piezod.estimation.columns import CHUNK, PlaySegments, Samples, Structure, clocks_of, zone_segments
+from piezod.estimation.fit.columns import CHUNK, PlaySegments, Samples, Structure, clocks_of, zone_segments
 
 Array = NDArray[np.float64]
 

@@ -1,0 +1,1 @@
+"""The smooth base: a fine grid of plays before a fine force law, and its reduction to few operators."""

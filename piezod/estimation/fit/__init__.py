@@ -1,0 +1,1 @@
+"""Columns, normal equations, Gauss-Newton steps within bounds, and the quadratic program."""
