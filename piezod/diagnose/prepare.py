@@ -7,7 +7,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piezod.diagnose.candidates.clipped import clipped_note, clipped_stretches
-from piezod.diagnose.candidates.direct import noise_of
 from piezod.diagnose.candidates.frozen import frozen_stretches, still_stretches
 from piezod.diagnose.candidates.rounding import converter_step_N
 from piezod.diagnose.hypothesis.basis import ForceLaw, PlayDensity
@@ -16,6 +15,7 @@ from piezod.diagnose.hypothesis.series import Series
 from piezod.diagnose.hypothesis.terms import Point
 from piezod.diagnose.sources import Source
 from piezod.errors import RecordingError
+from piezod.estimation.recordings.noise import white_noise_of
 from piezod.estimation.recordings.start import estimate_path, start_at_zero, starts_at_rest
 from piezod.estimation.recordings.strays import without_strays
 from piezod.estimation.recordings.suitability import falls
@@ -93,7 +93,7 @@ def evenly_spaced(source: Source, model: Model) -> Series:
         np.ascontiguousarray(u),
         readings,
         good,
-        noise_of(u, readings, good),
+        white_noise_of(u, readings, good),
         temperature_C=None if temperature is None else np.nan_to_num(temperature, nan=float(np.nanmedian(temperature))),
         start_s=float(recording.time_s[0]),
         lattice_N=converter_step_N(readings[good]),

@@ -1,4 +1,4 @@
-"""Direct estimates from the readings: noise, spectral lines, resonance peaks, and skew of the clocks."""
+"""Direct estimates from the readings: spectral lines, resonance peaks, and skew of the clocks."""
 
 import itertools
 from dataclasses import dataclass
@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 from piezod.diagnose.hypothesis.series import Series
 
 Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 LINE_OVER_MEDIAN = 30.0  # least power of a line over the median around it; noise reaches 18 in 1e6 bins
 PEAK_PARTS_S = (4.0, 0.5, 0.25)  # lengths of the averaged parts of a recording
@@ -28,17 +27,6 @@ class Line:
     amplitude_N: float
     phase_rad: float
     over_median: float
-
-
-def noise_of(u: Array, y: Array, good: NDArray[np.bool_]) -> float:
-    """Standard deviation of the noise of y, from its second differences where the drive u curves least."""
-    curvature, drive = np.diff(y, 2), np.abs(np.diff(u, 2))
-    usable = good[2:] & good[1:-1] & good[:-2]
-    if np.count_nonzero(usable) < 100:
-        return max(1e-4 * float(np.ptp(y[good])), 1e-12)
-    quiet = usable & (drive <= np.percentile(drive[usable], 50))
-    spread = 1.4826 * float(np.median(np.abs(curvature[quiet]))) / float(np.sqrt(6.0))
-    return max(spread, 2e-5 * float(np.ptp(y[good])), 1e-12)
 
 
 def lines(series: Series, residual_N: Array, most: int = 6) -> list[Line]:

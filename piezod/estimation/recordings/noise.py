@@ -1,6 +1,7 @@
 """Noise of a recording, from its samples without a model, because a misfit of a model may be repeatable.
 
-It is the spread of the output between repetitions of a periodic input, else while the input rests.
+`noise_of`: spread of the output between repetitions of a periodic input, else while the input rests.
+`white_noise`: white part of the noise, from second differences. The median ignores corners and steps of the signal.
 """
 
 import itertools
@@ -21,6 +22,8 @@ MOVING = 0.5  # share of the input's range that the repeated part must cover
 AS_GOOD = 4.0  # the period is the shortest lag whose squared difference is below this multiple of the smallest
 DIFFERENT_INPUT = 0.25  # share of the variance; only lags beyond a larger squared difference can be a period
 COARSE = 1 << 18  # samples in which a period is searched; a longer recording is thinned to so many
+NORMAL = 1.4826  # standard deviation over the median magnitude of a normal distribution
+FEWEST_BENDS = 100  # second differences that determine a noise
 REST_S, FEWEST_SAMPLES, FEWEST_RESTS = 0.5, 20, 3  # duration of a rest [s], samples and rests that are needed
 
 
@@ -47,6 +50,26 @@ def noise_of(u: Array, y: Array, counts: NDArray[np.bool_], dt_s: float) -> Nois
         return Noise(repeats, "repeats")
     rests = _in_rests(u, y, counts, max(round(REST_S / dt_s), FEWEST_SAMPLES))
     return None if len(rests) < FEWEST_RESTS else Noise(float(np.sqrt(np.mean(np.square(rests)))), "rests")
+
+
+def white_noise(bends: Array) -> float:
+    """Standard deviation of white noise; 0 without a finite difference. A second difference has 6 times its variance.
+
+    `bends`: magnitudes of second differences, shape (N,), nan where unknown.
+    """
+    bends = bends[np.isfinite(bends)]
+    return NORMAL * float(np.median(bends)) / float(np.sqrt(6.0)) if bends.size else 0.0
+
+
+def white_noise_of(u: Array, y: Array, counts: NDArray[np.bool_]) -> float:
+    """White noise of an output where its input curves least, above 0; parameters as for `noise_of`."""
+    curvature, drive = np.diff(y, 2), np.abs(np.diff(u, 2))
+    usable = counts[2:] & counts[1:-1] & counts[:-2]
+    span = float(np.ptp(y[counts]))
+    if np.count_nonzero(usable) < FEWEST_BENDS:
+        return max(1e-4 * span, 1e-12)
+    quiet = usable & (drive <= np.percentile(drive[usable], 50))
+    return max(white_noise(np.abs(curvature[quiet])), 2e-5 * span, 1e-12)
 
 
 def _in_repeats(u: Array, y: Array, counts: NDArray[np.bool_]) -> float | None:

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from piezod.estimation.recordings.white_noise import white_noise
+from piezod.estimation.recordings.noise import white_noise
 from piezod.recording.recording import Recording
 from piezod.recording.stretches import BLOCK, Array
 

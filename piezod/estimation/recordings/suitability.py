@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piezod.errors import RecordingError
-from piezod.estimation.recordings.white_noise import white_noise
+from piezod.estimation.recordings.noise import white_noise
 from piezod.operators.play import play_states_run
 from piezod.recording import Recording
 from piezod.recording.names import unit_of
