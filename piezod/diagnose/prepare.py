@@ -16,7 +16,14 @@ from piezod.diagnose.hypothesis.terms import Point
 from piezod.diagnose.sources import Source
 from piezod.errors import RecordingError
 from piezod.estimation.recordings.noise import white_noise_of
-from piezod.estimation.recordings.start import estimate_path, start_at_zero, starts_at_rest
+from piezod.estimation.recordings.start import (
+    estimate_path,
+    loss_of_start,
+    output_after,
+    start_at_zero,
+    starts_at_rest,
+    tared_mean_square,
+)
 from piezod.estimation.recordings.strays import without_strays
 from piezod.estimation.recordings.suitability import falls
 from piezod.estimation.recordings.unknown_past import unknown_past
@@ -198,17 +205,13 @@ def with_start(series: Series, model: Model) -> Series:
     """Series with its initial state, estimated under the given model."""
     u, y = series.command_V, series.reading_N
     window = int(min(max(START_WINDOW_S / series.dt_s, 0.2 * u.size), u.size))
-    counts = series.counts[:window]
-    if starts_at_rest(u):
-
-        def loss(path: tuple[float, ...]) -> float:
-            operator = model.hysteresis.operator()
-            operator.run(np.array(path))
-            error = (y[:window] - operator.run(u[:window]))[counts]
-            return float(np.mean((error - np.median(error)) ** 2))
-
-        return replace(series, path_V=start_at_zero(u[:window], model.input.unit, loss).path)
     operator = model.hysteresis.operator()
+    if starts_at_rest(u):
+        begin = u[:window]
+        loss = loss_of_start(
+            lambda path: output_after(operator, path, begin), y[:window], series.counts[:window], tared_mean_square
+        )
+        return replace(series, path_V=start_at_zero(begin, model.input.unit, loss).path)
     known = np.where(series.counts, y, np.nan)
     return replace(series, path_V=estimate_path(operator, u, known - np.nanmedian(known - operator.run(u)), window))
 
@@ -235,16 +238,9 @@ def with_unknown_start(series: Series, model: Model) -> Series:
     return replace(series, notes=tuple(notes))
 
 
-def _expected_N(series: Series, model: Model) -> Array:
-    """Readings that the hysteresis of the model expects, shape (N,) [N]."""
-    operator = model.hysteresis.operator()
-    operator.run(np.array(series.path_V))
-    return operator.run(series.command_V)
-
-
 def without_clipped(series: Series, model: Model) -> Series:
     """Series without readings at a limit of the converter's range."""
-    expected = _expected_N(series, model)
+    expected = output_after(model.hysteresis.operator(), series.path_V, series.command_V)
     readings = series.reading_N[series.counts]
     within = series.counts & (series.reading_N > readings.min()) & (series.reading_N < readings.max())
     tared = within if within.any() else series.counts  # clipped readings do not determine the tare
@@ -267,7 +263,7 @@ def without_frozen(series: Series, model: Model) -> Series:
     RecordingError
         All readings are frozen.
     """
-    expected = _expected_N(series, model)
+    expected = output_after(model.hysteresis.operator(), series.path_V, series.command_V)
     stretches = frozen_stretches(series, expected) or still_stretches(series, expected)
     stretches = [(first, end) for first, end in stretches if series.counts[first:end].any()]
     counts = series.counts.copy()

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from piezod.errors import RecordingError
 from piezod.estimation.fit.columns import Samples, Structure
 from piezod.estimation.fit.quadratic_program import Variant
+from piezod.estimation.recordings.start import output_after
 from piezod.identify.fit import Fit, fit_hysteresis
 from piezod.identify.tables import dead_zone_rows, play_rows
 from piezod.operators import PrandtlIshlinskii
@@ -56,9 +57,7 @@ class Candidate:
 
 def residual(operator: PrandtlIshlinskii, samples: Samples) -> Array:
     """Measured minus simulated output in free run from the start of the samples, shape (N,) [output unit]."""
-    operator.set_states(np.zeros(operator.plays[0].size))
-    operator.run(np.array(samples.path))
-    error: Array = samples.y - operator.run(samples.u)
+    error: Array = samples.y - output_after(operator, samples.path, samples.u)
     return error
 
 

@@ -11,8 +11,12 @@ from piezod.estimation.base.smooth_base import fit_roughly
 from piezod.estimation.base.thresholds import INSIDE, dead_zone_thresholds, play_reach, play_thresholds, widest
 from piezod.estimation.fit.columns import Samples, Structure
 from piezod.estimation.recordings.start import (
+    Path,
     Start,
     clipped_mean_square,
+    loss_of_start,
+    mean_square,
+    output_after,
     start_amid,
     start_at_zero,
     starts_at_rest,
@@ -20,7 +24,6 @@ from piezod.estimation.recordings.start import (
 )
 from piezod.estimation.recordings.suitability import FEWEST_SAMPLES
 from piezod.identify.fit import fit_hysteresis, fit_of_base
-from piezod.identify.order import residual
 from piezod.recording import Recording
 from piezod.recording.names import unit_of
 
@@ -103,7 +106,7 @@ def split_stretch(recording: Recording, u: Array, y: Array, column: str, share: 
     """A recording whose leading share is fitted; the rest is held out. Parameters as for `unsplit_stretch`."""
     counts = np.isfinite(y)
     clock: Array | None = None
-    path: tuple[float, ...]
+    path: Path
     boundary = int(share * u.size)
     at_rest = starts_at_rest(u)
     if at_rest:
@@ -136,25 +139,25 @@ def _start_notes(recording: Recording, start: Start) -> list[str]:
     return [note] if start.path else []
 
 
-def _loss_of_start(u: Array, y: Array, counts: NDArray[np.bool_], eps: float) -> Callable[[tuple[float, ...]], float]:
-    """Mean square output error of a fit with `START_ORDERS`, as a function of the start path."""
+def _loss_of_start(u: Array, y: Array, counts: NDArray[np.bool_], eps: float) -> Callable[[Path], float]:
+    """Output error of a fit with `START_ORDERS`, as a function of the start path."""
     part = slice(None, None, max(1, u.size // START_SAMPLES))
     u, y, counts = u[part], np.nan_to_num(y[part]), counts[part]
     if not np.ptp(u) > 0.0 or counts.sum() < FEWEST_SAMPLES:
         return lambda path: 0.0 if not path else np.inf
     at_rest = starts_at_rest(u)
 
-    def loss(path: tuple[float, ...]) -> float:
+    def outputs(path: Path) -> Array:
         samples = Samples(u, y, counts, None, path)
         structures = Structures([Stretch(samples, samples, at_rest)])
-        if not at_rest:
-            base = fit_roughly(*structures.smooth(*START_ORDERS), [samples], eps, max(1, u.size // START_ROWS))
-            error = residual(fit_of_base(base).hysteresis.operator(), samples)
-            return clipped_mean_square(error[counts], y[counts])
-        # no smoothness penalty here: it would flatten the kink at an old peak
-        return fit_hysteresis(structures.of(*START_ORDERS), [samples], eps=eps).rms ** 2
+        if at_rest:  # no smoothness penalty here: it would flatten the kink at an old peak
+            fit = fit_hysteresis(structures.of(*START_ORDERS), [samples], eps=eps)
+        else:
+            every = max(1, u.size // START_ROWS)
+            fit = fit_of_base(fit_roughly(*structures.smooth(*START_ORDERS), [samples], eps, every))
+        return output_after(fit.hysteresis.operator(), path, u)
 
-    return loss
+    return loss_of_start(outputs, y, counts, mean_square if at_rest else clipped_mean_square)
 
 
 class Structures:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from piezod.diagnose.hypothesis.chain import Chain
 from piezod.diagnose.hypothesis.fit import MOST_STEPS, Fitted, fit
 from piezod.diagnose.hypothesis.terms import Point, Term
-from piezod.estimation.recordings.start import CLEARLY, start_at_zero, starts_at_rest
+from piezod.estimation.recordings.start import CLEARLY, loss_of_start, start_at_zero, starts_at_rest
 from piezod.recording.hold import HELD_BEFORE, STRAIGHT, Hold
 
 Array = NDArray[np.float64]
@@ -81,7 +81,9 @@ def refit_starts(chain: Chain, fitted: Fitted) -> tuple[Chain, Fitted]:
     series, resting = list(chain.series), _resting(chain)
     for number in resting:
         recording = chain.series[number]
-        loss = partial(_loss_of_start, chain, fitted, number)
+        first = slice(0, int(START_WINDOW_S / recording.dt_s))
+        readings = partial(_readings_after, chain, fitted, number)
+        loss = loss_of_start(readings, recording.reading_N[first], recording.counts[first])
         path = start_at_zero(recording.command_V, "V", loss).path
         usual = series[resting[0]].path_V  # a bench that is not used between its recordings starts them alike
         if loss(path) >= CLEARLY * loss(usual):
@@ -95,14 +97,11 @@ def refit_starts(chain: Chain, fitted: Fitted) -> tuple[Chain, Fitted]:
     return (other, again) if again.loss < fitted.loss else (chain, fitted)
 
 
-def _loss_of_start(chain: Chain, fitted: Fitted, number: int, path_V: tuple[float, ...]) -> float:
-    """Mean square residual in the first seconds of a recording that starts after `path_V` [N^2]."""
+def _readings_after(chain: Chain, fitted: Fitted, number: int, path_V: tuple[float, ...]) -> Array:
+    """Simulated readings of a recording that starts after `path_V`, shape (N,) [N]."""
     series = list(chain.series)
     series[number] = replace(series[number], path_V=path_V)
-    recording = series[number]
-    error = recording.reading_N - chain.like(series).run(number, fitted.terms, fitted.point).reading_N
-    window = slice(0, int(START_WINDOW_S / recording.dt_s))
-    return float(np.mean(np.square(error[window][recording.counts[window]])))
+    return chain.like(series).run(number, fitted.terms, fitted.point).reading_N
 
 
 def best_intersample(

@@ -58,6 +58,47 @@ def clipped_mean_square(error: Array, y: Array) -> float:
     return float(np.mean(np.minimum(size, most) ** 2))
 
 
+def mean_square(error: Array, _: Array) -> float:
+    """Mean square error."""
+    return float(np.mean(error**2))
+
+
+def tared_mean_square(error: Array, _: Array) -> float:
+    """Mean square error without its median: the tare of the load cell is no error of a start."""
+    return float(np.mean((error - np.median(error)) ** 2))
+
+
+def output_after(operator: PrandtlIshlinskii, path: Path, u: Array) -> Array:
+    """Output of an operator over an input after a path from the de-energised state, shape (N,); its states change."""
+    operator.set_states(np.zeros(operator.plays[0].size))
+    operator.run(np.array(path))
+    return operator.run(u)
+
+
+def loss_of_start(
+    outputs: Callable[[Path], Array],
+    y: Array,
+    counts: NDArray[np.bool_],
+    measure: Callable[[Array, Array], float] = mean_square,
+) -> Callable[[Path], float]:
+    """Loss of a start in the first samples, as a function of the path before them.
+
+    Parameters
+    ----------
+    outputs
+        Simulated output after a path, at least N samples; what is fitted anew for each path is up to it.
+    y, counts
+        Measured output, and mask of the samples that are compared, shape (N,).
+    measure
+        Loss of the errors and the measured output of these samples.
+    """
+
+    def loss(path: Path) -> float:
+        return measure((y - outputs(path)[: y.size])[counts], y[counts])
+
+    return loss
+
+
 def wipe_out_sample(u: Array) -> int:
     """First sample at which the input has reached both ends of its range.
 
@@ -161,14 +202,10 @@ def estimate_start(
     if not starts_at_rest(u):
         return Start(estimate_path(operator, u, y, window), f"start found from the first {window} samples")
 
-    def loss(path: Path) -> float:
-        operator.set_states(np.zeros(operator.plays[0].size))
-        operator.run(np.array(path))
-        return float(np.nanmean(np.square(operator.run(u[:window]) - y[:window])))
-
     if not np.isfinite(y[:window]).any():
         return None
     present = float(np.nanvar(operator.run(u[:window]) - y[:window]))  # variance: a tare is no old peak
+    loss = loss_of_start(lambda path: output_after(operator, path, u[:window]), y[:window], np.isfinite(y[:window]))
     estimate = start_at_zero(u, unit, loss, reach)
     if loss(estimate.path) >= FAR_BETTER * present:
         return None
@@ -190,10 +227,7 @@ def estimate_path(operator: PrandtlIshlinskii, u: Array, y: Array, window: int) 
     low, high = float(u.min()), float(u.max())
     reversals = np.linspace(low, high, REVERSALS_TRIED).tolist()
     paths: list[Path] = [(0.0,), *((high, low, end, back) for end, back in product((low, high), reversals))]
-    nothing = np.zeros(operator.plays[0].size)
-    errors = []
-    for path in paths:
-        operator.set_states(nothing)
-        operator.run(path)
-        errors.append(clipped_mean_square(operator.run(u[:window]) - y[:window], y[:window]))
-    return paths[int(np.argmin(errors))]
+    first = slice(0, window)
+    known = np.isfinite(y[first])
+    loss = loss_of_start(lambda path: output_after(operator, path, u[first]), y[first], known, clipped_mean_square)
+    return min(paths, key=loss)
