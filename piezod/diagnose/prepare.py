@@ -15,8 +15,10 @@ from piezod.diagnose.hypothesis.series import Series
 from piezod.diagnose.hypothesis.terms import Point
 from piezod.diagnose.sources import Source
 from piezod.errors import RecordingError
+from piezod.estimation.recordings.intake import TEMPERATURES
 from piezod.estimation.recordings.noise import white_noise_of
 from piezod.estimation.recordings.start import (
+    START_WINDOW_S,
     estimate_path,
     loss_of_start,
     output_after,
@@ -31,6 +33,7 @@ from piezod.excitation import varying_triangles
 from piezod.identify.simulation import where
 from piezod.model import Model, run_chain
 from piezod.recording import Hold, Recording
+from piezod.recording.stretches import stretches_of
 
 Array = NDArray[np.float64]
 
@@ -38,7 +41,6 @@ FEWEST_SAMPLES = 500  # a shorter recording has too few samples for the blocks t
 UNEVEN = 0.01  # largest relative deviation of a time step; beyond it the recording is resampled
 MOST_MISSED = 1.5  # largest number of clock ticks per sample if samples are missing; beyond it there is no such clock
 SUBSTITUTE_SAMPLES = 6000  # length of the excitation that replaces missing identification recordings
-START_WINDOW_S = 20.0  # first part of a recording, which estimates its initial state
 SIGNIFICANT_PAST = 3.0  # difference between possible pasts above which the history matters [noise rms]
 COPY = 0.9999  # correlation above which a temperature column is a copy of another channel
 
@@ -125,28 +127,26 @@ def _on_equal_steps(recording: Recording, held: str) -> tuple[Recording, list[st
 
 def _without_input_gaps(recording: Recording, channel: str) -> tuple[Recording, list[str]]:
     """Longest part of a recording without a missing sample of its input, and notes."""
-    missing = np.flatnonzero(~np.isfinite(recording.channel(channel)))
-    if not missing.size:
+    known = np.isfinite(recording.channel(channel))
+    if known.all():
         return recording, []
-    edges = np.concatenate(([-1], missing, [recording.time_s.size]))
-    widest = int(np.argmax(np.diff(edges)))
-    part = slice(int(edges[widest]) + 1, int(edges[widest + 1]))
-    channels = {name: values[part] for name, values in recording.channels.items()}
-    longest = Recording(recording.time_s[part], channels, recording.metadata, recording.source)
+    first, end = max(stretches_of(known), key=lambda part: part[1] - part[0], default=(0, 0))
+    longest = recording.part(slice(first, end))
     if longest.time_s.size < FEWEST_SAMPLES:
         raise RecordingError(
             f"{recording.source}: {channel} has {longest.time_s.size} samples in its longest stretch without a "
             f"missing one, needs at least {FEWEST_SAMPLES} to be diagnosed"
         )
     span_s = longest.time_s[-1] - longest.time_s[0]
-    note = f"{channel} has {missing.size} missing samples; the longest stretch without one, {span_s:.3g} s, is used"
+    missing = np.count_nonzero(~known)
+    note = f"{channel} has {missing} missing samples; the longest stretch without one, {span_s:.3g} s, is used"
     return longest, [note]
 
 
 def _temperature_of(recording: Recording, model: Model, notes: list[str]) -> Array | None:
     """Temperature of the bench; None if there is no column, or only the input, the output or a copy of them."""
     own = (model.input.channel, model.output.channel)
-    names = [name for name in ("temperature_C", "temperature_degC") if name in recording.channels and name not in own]
+    names = [name for name in TEMPERATURES if name in recording.channels and name not in own]
     for name in names:
         values = recording.channels[name]
         known = np.isfinite(values)

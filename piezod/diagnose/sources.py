@@ -5,11 +5,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from piezod.diagnose.hypothesis.series import Role
+from piezod.estimation.recordings.intake import file_notes
 from piezod.estimation.recordings.layout import stated_layout
 from piezod.model import Model, file_sha256
 from piezod.recording import Recording, TextOptions, read_recording
 from piezod.recording.conversion import in_units_of
-from piezod.recording.formats.repairs import repair_notes
 
 
 @dataclass(frozen=True)
@@ -64,11 +64,9 @@ def read_source(
     RecordingError
         The file cannot be read.
     """
-    recording, notes = in_units_of(read_recording(path, text), columns)
-    if "understood" in recording.metadata:
-        notes.insert(0, f"read as: {recording.metadata['understood']}")
-    notes += repair_notes(recording.metadata)
-    return Source(recording, file_sha256(path), role, condition, tuple(f"{path}: {note}" for note in notes), text)
+    recording, converted = in_units_of(read_recording(path, text), columns)
+    notes = tuple(f"{path}: {note}" for note in file_notes(recording.metadata, converted))
+    return Source(recording, file_sha256(path), role, condition, notes, text)
 
 
 def past_sources(model: Model, folder: Path, diagnosed: Sequence[Source]) -> tuple[list[Source], list[str]]:

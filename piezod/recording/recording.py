@@ -148,6 +148,11 @@ class Recording:
         """
         return np.isnan(self.channel(channel))
 
+    def part(self, rows: slice) -> "Recording":
+        """Some of the rows, with all channels."""
+        channels = {name: values[rows] for name, values in self.channels.items()}
+        return Recording(self.time_s[rows], channels, self.metadata, self.source)
+
     def resampled(self, dt_s: float) -> "Recording":
         """Recording with a uniform time axis from the first sample on, every channel interpolated linearly.
 

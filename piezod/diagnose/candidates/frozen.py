@@ -4,6 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piezod.diagnose.hypothesis.series import Series
+from piezod.recording.stretches import stretches_of
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -37,14 +38,11 @@ def frozen_stretches(series: Series, model_N: Array) -> list[tuple[int, int]]:
     - Stretches in which the model moves only near the end, where the reading is late.
     """
     counts = series.counts
-    equal = np.concatenate(([False], (np.diff(series.reading_N) == 0.0) & counts[1:] & counts[:-1], [False]))
-    edges = np.flatnonzero(np.diff(equal.astype(np.int8)))
-    stretches = [(int(a), int(b) + 1) for a, b in zip(edges[::2], edges[1::2], strict=True)]
+    equal = (np.diff(series.reading_N) == 0.0) & counts[1:] & counts[:-1]
+    stretches = [(first, last + 1) for first, last in stretches_of(equal)]
     shortest = max(FROZEN_SAMPLES, 4 * _long_run(stretches))
     short = [end - first for first, end in stretches if end - first < shortest]
-    moves_N = (
-        -1.0 if _never_repeats(series, equal[1:-1], short) else FROZEN_MOVES * max(series.noise_N, series.lattice_N)
-    )
+    moves_N = -1.0 if _never_repeats(series, equal, short) else FROZEN_MOVES * max(series.noise_N, series.lattice_N)
     readings = series.reading_N[series.counts]
     limits = float(readings.min()), float(readings.max())
     coarse = series.lattice_N > series.noise_N
@@ -74,10 +72,9 @@ def still_stretches(series: Series, model_N: Array) -> list[tuple[int, int]]:
             break
         still = _spread(y, window) < STILL * noise_N
         still &= _spread(model_N, window) > MOVING * noise_N
-        edges = np.flatnonzero(np.diff(np.concatenate(([False], still, [False])).astype(np.int8)))
-        runs = sorted(zip(edges[::2], edges[1::2], strict=True), key=lambda run: run[0] - run[1])
+        runs = sorted(stretches_of(still), key=lambda run: run[0] - run[1])
         for first, last in runs[:MOST_RUNS]:
-            stretch = _extended(y, int(first), int(last) - 1 + window, noise_N)
+            stretch = _extended(y, first, last - 1 + window, noise_N)
             if all(stretch[0] >= end or stretch[1] <= begin for begin, end in frozen):
                 recovered = _with_recovery(y, model_N, stretch, noise_N)
                 frozen += [] if recovered is None else [recovered]

@@ -10,14 +10,13 @@ from numpy.typing import NDArray
 from piezod.diagnose.hypothesis.chain import Chain
 from piezod.diagnose.hypothesis.fit import MOST_STEPS, Fitted, fit
 from piezod.diagnose.hypothesis.terms import Point, Term
-from piezod.estimation.recordings.start import CLEARLY, loss_of_start, start_at_zero, starts_at_rest
+from piezod.estimation.recordings.start import CLEARLY, START_WINDOW_S, loss_of_start, start_at_zero, starts_at_rest
 from piezod.recording.hold import HELD_BEFORE, STRAIGHT, Hold
 
 Array = NDArray[np.float64]
 
 HELD_PARTS = (0.3, 0.7)  # [samples] from the command to the reading: where the search of that time begins
 SMALLEST_PART = 0.04  # [samples] where it ends
-START_WINDOW_S = 20.0  # first seconds of a recording, by which its initial state is chosen
 EQUAL = 0.005  # relative difference of two losses that counts as none
 COARSE_ROWS = 6000  # compared samples of a recording while many hypotheses are tried
 

@@ -235,11 +235,16 @@ def _read(
             column: _scaled(columns[name].values(), factor, keep=column in wanted)
             for column, (name, factor) in stored.items()
         }
-        notes = [f"read as: {metadata['understood']}"] if "understood" in metadata else []
-        notes += [f"{column}: is {name} times {factor:g}" for column, (name, factor) in stored.items() if factor != 1.0]
-        notes += repair_notes(metadata)
-        notes += [f"damaged: {metadata['damaged']}"] if "damaged" in metadata else []
-        return Recording(columns[TIME].values(), channels, {}, str(path)), sha256.result(), notes
+        converted = [f"{column}: is {name} times {by:g}" for column, (name, by) in stored.items() if by != 1.0]
+        recording = Recording(columns[TIME].values(), channels, {}, str(path))
+        return recording, sha256.result(), file_notes(metadata, converted)
+
+
+def file_notes(metadata: dict[str, str], converted: Sequence[str]) -> list[str]:
+    """Lines on how a file was read, on converted channels, repairs, and damaged blocks."""
+    notes = [f"read as: {metadata['understood']}"] if "understood" in metadata else []
+    notes += [*converted, *repair_notes(metadata)]
+    return notes + ([f"damaged: {metadata['damaged']}"] if "damaged" in metadata else [])
 
 
 class _Column:
@@ -313,7 +318,6 @@ def _longest(recording: Recording, column: str, holes: Sequence[tuple[int, int]]
     start, stop = start + int(np.argmax(present)), stop - int(np.argmax(present[::-1]))
     if (start, stop) == (0, u.size):
         return recording, []
-    part = slice(start, stop)
     why = f"; {_pause(recording, holes[0])}" if holes else ""
     more = f" and {len(holes) - 1} more" if len(holes) > 1 else ""
     if stop - start < FEWEST_SAMPLES <= u.size:
@@ -321,9 +325,7 @@ def _longest(recording: Recording, column: str, holes: Sequence[tuple[int, int]]
             f"{recording.source}: {column} is there for {stop - start} samples at a stretch, must be for "
             f"{FEWEST_SAMPLES}{why}{more}; record without pauses"
         )
-    longest = Recording(
-        recording.time_s[part], {k: values[part] for k, values in recording.channels.items()}, {}, recording.source
-    )
+    longest = recording.part(slice(start, stop))
     where = f"{longest.time_s[0]:.6g} to {longest.time_s[-1]:.6g} s, {stop - start} of {u.size} samples"
     return longest, [f"{column}: only {where}, are used: the memory cannot be followed where it is missing{why}{more}"]
 

@@ -19,6 +19,7 @@ Array = NDArray[np.float64]
 Path = tuple[float, ...]
 
 AT_REST = 0.02  # share of the input's swing around zero that counts as a drive at zero
+START_WINDOW_S = 20.0  # first part of a recording that a diagnosis estimates its start from
 REVERSALS_TRIED = 41
 PEAKS_TRIED = (0.15, 0.3, 0.45, 0.6, 0.75, 0.9, 1.0)  # old peaks before a start at zero, as shares of the largest input
 REFINEMENTS = 5  # bisections of the distance between tried peaks

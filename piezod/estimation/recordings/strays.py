@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from piezod.estimation.recordings.noise import white_noise
 from piezod.recording.recording import Recording
-from piezod.recording.stretches import BLOCK, Array
+from piezod.recording.stretches import BLOCK, Array, stretches_of
 
 Mask = NDArray[np.bool_]
 
@@ -216,8 +216,7 @@ def _explained(values: Array, other: Array, run: tuple[int, int], ratio: float, 
 def _longer_than(mask: Mask, samples: int) -> Mask:
     """Which samples lie in runs longer than this."""
     result = np.zeros(mask.size, bool)
-    edges = np.flatnonzero(np.diff(np.concatenate(([False], mask, [False])).astype(np.int8)))
-    for first, end in zip(edges[::2], edges[1::2], strict=True):
+    for first, end in stretches_of(mask):
         result[first:end] = end - first > samples
     return result
 
