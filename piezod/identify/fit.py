@@ -11,15 +11,14 @@ from piezod.estimation.base.smooth_base import Base
 from piezod.estimation.fit.columns import (
     Samples,
     Structure,
-    accumulate_gram,
     clocks_of,
     weights_of,
     zone_slopes_of,
     zone_weights_of,
 )
 from piezod.estimation.fit.gauss_newton import minimise
-from piezod.estimation.fit.normal_equations import Piece, Sums, merged, pieces_of, sums_of
-from piezod.estimation.fit.quadratic_program import Constraints, Variant, solve
+from piezod.estimation.fit.normal_equations import Piece, Sums, accumulate_gram, merged, pieces_of, sums_of
+from piezod.estimation.fit.quadratic_program import Constraints, Variant, solve_step
 from piezod.model.parameters import Hysteresis, Superposition
 from piezod.operators import EPS
 from piezod.operators.dead_zone import inverse_dead_zone, shifted
@@ -73,13 +72,14 @@ def fit_hysteresis(
         The recordings do not determine the model.
     """
     constraints = Constraints.of(structure, clocks_of(recordings), variant=variant, eps=eps)
-    gram = accumulate_gram(structure, recordings)
-    slopes = solve(gram, constraints)
+    pieces = _pieces(structure, recordings)
+    gram = accumulate_gram(structure, pieces())
+    nothing = np.zeros(gram.shape[0])
+    slopes = solve_step(gram, nothing, constraints, nothing)
     free = structure.plays + 1 + clocks_of(recordings)
     inverse_weights = zone_weights_of(structure.zone_thresholds, slopes[free:])
     zones, zone_weights = inverse_dead_zone(structure.zone_thresholds, inverse_weights)
     parameters = np.concatenate((slopes[:free], zone_slopes_of(zones, zone_weights)))
-    pieces = _pieces(structure, recordings)
     for _ in range(MOST_RESCALED):  # the bound is a share of the steepest slope, which the fit may raise
         steepest = float(parameters[free:].max())
         direct = constraints.for_direct(zones.size, eps * steepest)

@@ -12,8 +12,9 @@ from scipy.optimize import nnls
 
 from piezod.errors import RecordingError
 from piezod.estimation.base.thresholds import dead_zone_thresholds, play_thresholds
-from piezod.estimation.fit.columns import Samples, Structure, accumulate_gram, slopes_of
-from piezod.estimation.fit.quadratic_program import Constraints, solve
+from piezod.estimation.fit.columns import Samples, Structure
+from piezod.estimation.fit.normal_equations import accumulate_gram, pieces_of
+from piezod.estimation.fit.quadratic_program import Constraints, solve_step
 from piezod.excitation import varying_triangles
 from piezod.operators import EPS, PrandtlIshlinskii
 from piezod.operators.dead_zone import inverse_dead_zone
@@ -57,14 +58,20 @@ def known_program(plays: int, zones: int) -> tuple[Array, Constraints, Array]:
     u = varying_triangles(U_MAX, 0.1, 2 * plays + 1, 100.0)
     y = PrandtlIshlinskii(thresholds, weights, *direct).run(u)
     structure = Structure(thresholds, zone_thresholds, 0.0, U_MAX, U_MAX / Y_MAX)
-    gram = accumulate_gram(structure, [Samples(u, y, np.ones(u.size, bool))])
+    gram = accumulate_gram(structure, pieces_of(structure, [Samples(u, y, np.ones(u.size, bool))]))
     constraints = Constraints.of(structure, 0, variant="B", eps=EPS)
-    return gram, constraints, np.concatenate((slopes_of(weights), [0.0], zone_slopes))
+    return gram, constraints, np.concatenate((np.cumsum(weights), [0.0], zone_slopes))
+
+
+def by_proxqp(gram: Array, constraints: Constraints) -> Array:
+    """Slopes by the program of the identification."""
+    nothing = np.zeros(gram.shape[0])
+    return solve_step(gram, nothing, constraints, nothing)
 
 
 def solvers() -> dict[str, Solver]:
     """The installed solvers."""
-    found: dict[str, Solver] = {"ProxQP": solve, "nnls": by_nnls}
+    found: dict[str, Solver] = {"ProxQP": by_proxqp, "nnls": by_nnls}
     with contextlib.suppress(ImportError):
         import quadprog
 

@@ -11,7 +11,7 @@ nearly orthogonal: for 7 to 30 plays their condition number is 10 to 35, against
 weights. A recording of any length passes through once; only matrices as large as the number of slopes stay in memory.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -64,11 +64,6 @@ class Structure:
     def columns(self) -> int:
         """Number of columns: plays, a constant, dead zones."""
         return int(self.play_thresholds.size + 1 + self.zone_thresholds.size)
-
-
-def slopes_of(weights: Array) -> Array:
-    """Partial sums of the weights."""
-    return np.cumsum(weights)
 
 
 def weights_of(slopes: Array) -> Array:
@@ -146,44 +141,7 @@ class Samples:
     clock: Array | None = None
     path: tuple[float, ...] = ()
 
-    def chunks(self, structure: Structure) -> Iterator[tuple[Array, Array, Array | None]]:
-        """Play columns, output and clock of the samples that count, chunk by chunk."""
-        plays = PlaySegments(structure.play_thresholds)
-        plays.run(np.array(self.path))
-        for start in range(0, self.u.size, CHUNK):
-            part = slice(start, start + CHUNK)
-            columns, chosen = plays.run(self.u[part]), self.counts[part]
-            if chosen.all():
-                yield columns, self.y[part], None if self.clock is None else self.clock[part]
-            elif chosen.any():
-                clock = None if self.clock is None else self.clock[part][chosen]
-                yield columns[chosen], self.y[part][chosen], clock
-
 
 def clocks_of(recordings: Sequence[Samples]) -> int:
     """Number of recordings with a fitted drift."""
     return sum(samples.clock is not None for samples in recordings)
-
-
-def chunks_of(structure: Structure, recordings: Sequence[Samples]) -> Iterator[tuple[Array, Array, Array]]:
-    """Play columns, output and clock columns of all samples that count, chunk by chunk."""
-    count, number = clocks_of(recordings), 0
-    for samples in recordings:
-        for plays, y, clock in samples.chunks(structure):
-            drifts = np.zeros((y.size, count))
-            if clock is not None:
-                drifts[:, number] = clock
-            yield plays, y, drifts
-        number += samples.clock is not None
-
-
-def accumulate_gram(structure: Structure, recordings: Sequence[Samples]) -> Array:
-    """Sum of phi phi' with phi = [play segments, 1, clocks, -dead-zone segments], shape (q, q)."""
-    size = structure.columns + clocks_of(recordings)
-    gram = np.zeros((size, size))
-    for plays, y, drifts in chunks_of(structure, recordings):
-        phi = np.hstack(
-            (plays, np.ones((y.size, 1)), drifts, -zone_segments(structure.zone_thresholds, y - structure.origin))
-        )
-        gram += phi.T @ phi
-    return gram

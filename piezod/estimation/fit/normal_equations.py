@@ -184,6 +184,16 @@ def sums_of(pieces: Iterable[Piece], structure: Structure, zones: Array, paramet
     return Sums(hessian, gradient, loss, samples)
 
 
+def accumulate_gram(structure: Structure, pieces: Iterable[Piece]) -> Array:
+    """Sum of phi phi' with phi = [play segments, 1, drifts, -inverse dead-zone segments], shape (q, q)."""
+    gram: Array = np.zeros(())
+    for piece in pieces:
+        zones = zone_segments(structure.zone_thresholds, piece.y - structure.origin)
+        phi = np.hstack((piece.segments, np.ones((piece.y.size, 1)), piece.drifts, -zones))
+        gram = gram + phi.T @ phi
+    return gram
+
+
 def slope_at(zones: Array, slopes: Array, v: Array) -> Array:
     """Slope of the force law at v, shape (N,); it changes at each threshold."""
     centre = int(np.flatnonzero(zones == 0.0)[0])

@@ -69,18 +69,6 @@ class Constraints:
         return replace(self, low=low)
 
 
-def solve(gram: Array, constraints: Constraints) -> Array:
-    """Slopes that minimise s' G s, shape (q,).
-
-    Raises
-    ------
-    RecordingError
-        The solver found no solution.
-    """
-    nothing = np.zeros(gram.shape[0])
-    return solve_step(gram, nothing, constraints, nothing)
-
-
 def solve_step(hessian: Array, gradient: Array, constraints: Constraints, start: Array) -> Array:
     """`start` + d, where d minimises d' A d / 2 - g' d and start + d satisfies the constraints.
 
