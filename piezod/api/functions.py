@@ -10,8 +10,8 @@ from piezod.api.given import Given, Some, each_of, loaded_of, names_of, recordin
 from piezod.api.model import Model
 from piezod.api.results import Diagnosed, Identified
 from piezod.diagnose.diagnosis import diagnose as diagnosis_of
-from piezod.diagnose.sources import Source, past_sources
 from piezod.errors import UsageError
+from piezod.estimation.recordings.sources import Source, past_sources
 from piezod.identify.identification import identify as identification_of
 from piezod.identify.options import Options
 from piezod.identify.simulation import simulate_recording

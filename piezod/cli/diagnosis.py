@@ -112,8 +112,8 @@ def what_is_testable(
         check_readable(path, model, text)  # a wrong file is refused before the libraries are there
     from piezod.diagnose.experiment.isolability import isolability
     from piezod.diagnose.experiment.planning import next_experiment
-    from piezod.diagnose.sources import past_sources, read_source
     from piezod.estimation.recordings.layout import layout_of
+    from piezod.estimation.recordings.sources import past_sources, read_source
     from piezod.model import load_model
     from piezod.report.isolability import experiment_as_dict, experiment_text, isolability_as_dict, isolability_text
     from piezod.report.progress import steps

@@ -139,9 +139,10 @@ def simulate(
     check_recording_target(output, [recording])
     check_absent(output, force=force)
     check_readable(recording, model, text)  # a wrong file is refused before the libraries are there
+    from piezod.estimation.recordings.chosen_samples import outside, where
     from piezod.estimation.recordings.intake import load_for_simulation
     from piezod.estimation.recordings.layout import layout_of
-    from piezod.identify.simulation import outside, simulate_recording, where
+    from piezod.identify.simulation import simulate_recording
     from piezod.model import load_model
     from piezod.report.progress import steps
 

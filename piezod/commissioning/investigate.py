@@ -15,7 +15,7 @@ from piezod.diagnose.experiment.isolability import Isolability, isolability
 from piezod.diagnose.experiment.planning import Experiment, next_experiment, separation
 from piezod.diagnose.findings import Findings
 from piezod.diagnose.judgement import Diagnosis
-from piezod.diagnose.sources import past_sources, read_source
+from piezod.estimation.recordings.sources import past_sources, read_source
 from piezod.model import load_model
 from piezod.recording import Recording, write_recording
 from piezod.report.isolability import promise_text

@@ -8,10 +8,10 @@ from pathlib import Path
 from piezod.diagnose.diagnosis import diagnose
 from piezod.diagnose.findings import HeldOut, Verdict, above_noise
 from piezod.diagnose.judgement import Diagnosis, with_words
-from piezod.diagnose.sources import Source, past_sources, read_source
 from piezod.diagnose.verdict.simulated import free_run, tared_rms
 from piezod.errors import ConfigurationError, UsageError
 from piezod.estimation.recordings.layout import layout_of
+from piezod.estimation.recordings.sources import Source, past_sources, read_source
 from piezod.model import Model, load_model, save_model
 from piezod.recording import TextOptions
 from piezod.recording.names import unit_of

@@ -10,14 +10,12 @@ from threadpoolctl import threadpool_limits
 from piezod.diagnose.adequacy.guard import explainable
 from piezod.diagnose.adequacy.remainder import motion_of
 from piezod.diagnose.adequacy.unrecorded import unrecorded_input
-from piezod.diagnose.candidates.rounding import unrounded
 from piezod.diagnose.candidates.tones import with_tones
 from piezod.diagnose.findings import Unnamed, Verdict
 from piezod.diagnose.hypothesis.fit import fit
 from piezod.diagnose.hypothesis.monotone import is_monotone, monotone_fit
-from piezod.diagnose.hypothesis.series import Series
 from piezod.diagnose.judgement import Diagnosis, DiagnosisInputs, diagnosed_nrmse_percent, residuals_of, with_words
-from piezod.diagnose.prepare import prepared, substitute_recording
+from piezod.diagnose.prepare import substitute_recording
 from piezod.diagnose.selection.acceptance import comparison_loss, penalised_loss
 from piezod.diagnose.selection.finish import with_each_rival
 from piezod.diagnose.selection.given_effects import as_given, refitted_without, without
@@ -26,7 +24,6 @@ from piezod.diagnose.selection.search import OnProgress, search
 from piezod.diagnose.selection.search_state import Rivalry, Search
 from piezod.diagnose.selection.stated_hold import with_stated_hold
 from piezod.diagnose.selection.unnamed import FittedLaw, fit_unnamed
-from piezod.diagnose.sources import Source
 from piezod.diagnose.verdict.direct_findings import confirmed_frozen
 from piezod.diagnose.verdict.extended import with_error
 from piezod.diagnose.verdict.low_confidence import (
@@ -41,6 +38,10 @@ from piezod.diagnose.verdict.low_confidence import (
 from piezod.diagnose.verdict.simulated import FreeRun, GivenRuns, free_run, tared_rms
 from piezod.diagnose.verdict.verdict import RECORD_NOISE, explainable_share
 from piezod.diagnose.verdict.words import Wording
+from piezod.estimation.recordings.converter import unrounded
+from piezod.estimation.recordings.preparation import prepared
+from piezod.estimation.recordings.series import Series
+from piezod.estimation.recordings.sources import Source
 from piezod.model import Model
 from piezod.model.unnamed_law import LawStep
 

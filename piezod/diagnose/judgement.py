@@ -16,7 +16,6 @@ from piezod.diagnose.hypothesis.chain import Chain
 from piezod.diagnose.hypothesis.fit import Normal
 from piezod.diagnose.hypothesis.parallel import each
 from piezod.diagnose.hypothesis.sampling import coarse
-from piezod.diagnose.hypothesis.series import Series
 from piezod.diagnose.hypothesis.terms import Point, Setting, Term
 from piezod.diagnose.localisation.locate import locate
 from piezod.diagnose.prepare import chain_of
@@ -25,7 +24,6 @@ from piezod.diagnose.selection.replay import Attempt, fitted_in
 from piezod.diagnose.selection.rules import RULES
 from piezod.diagnose.selection.search_state import Search
 from piezod.diagnose.selection.significance import with_discovery_rates
-from piezod.diagnose.sources import Source
 from piezod.diagnose.verdict.direct_findings import direct_findings
 from piezod.diagnose.verdict.evidence import base_of, finding_of, gone_finding, unchanged_effects
 from piezod.diagnose.verdict.extended import extended_model, with_error
@@ -45,6 +43,8 @@ from piezod.diagnose.verdict.words import Wording
 from piezod.effects import EFFECTS
 from piezod.errors import ModelError
 from piezod.estimation.recordings.layout import entry_of
+from piezod.estimation.recordings.series import Series
+from piezod.estimation.recordings.sources import Source
 from piezod.identify.scores import nrmse_percent
 from piezod.model import Model
 

@@ -12,8 +12,9 @@ from typing import Any
 
 import numpy as np
 
+from piezod.estimation.recordings.chosen_samples import outside
 from piezod.estimation.recordings.intake import load_for_simulation
-from piezod.identify.simulation import outside, simulate_recording
+from piezod.identify.simulation import simulate_recording
 from piezod.model import Model, load_model
 
 START_WINDOW_S = 1.0  # default of `piezod simulate`

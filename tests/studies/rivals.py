@@ -34,7 +34,7 @@ from piezod.diagnose.command import diagnose_files
 from piezod.diagnose.experiment.isolability import isolability
 from piezod.diagnose.experiment.planning import next_experiment, separation
 from piezod.diagnose.judgement import Diagnosis
-from piezod.diagnose.sources import past_sources, read_source
+from piezod.estimation.recordings.sources import past_sources, read_source
 from piezod.model import save_model
 
 Pairs = tuple[tuple[str, str], ...]

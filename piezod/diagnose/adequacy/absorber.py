@@ -17,8 +17,8 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from piezod.diagnose.hypothesis.series import Series
 from piezod.diagnose.localisation import coordinates
+from piezod.estimation.recordings.series import Series
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from piezod.diagnose.adequacy.absorber import Columns, Event
 from piezod.diagnose.adequacy.ridge import BlockPrediction, Blocks, predicted_blocks
-from piezod.diagnose.hypothesis.series import BLOCK_S, FEWEST_BLOCKS, MOST_BLOCKS, Series
 from piezod.diagnose.localisation import colour, events
 from piezod.diagnose.localisation.cells import NormalisedResidual
+from piezod.estimation.recordings.series import BLOCK_S, FEWEST_BLOCKS, MOST_BLOCKS, Series
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]

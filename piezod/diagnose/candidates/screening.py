@@ -11,10 +11,10 @@ from piezod.diagnose.candidates.direct import peaks_Hz, skew_ppm
 from piezod.diagnose.hypothesis.chain import Chain
 from piezod.diagnose.hypothesis.fit import Normal
 from piezod.diagnose.hypothesis.parallel import each
-from piezod.diagnose.hypothesis.series import Series
 from piezod.diagnose.hypothesis.terms import Point, Term
 from piezod.effects import EFFECTS
 from piezod.effects.effect import Effect, Parameter
+from piezod.estimation.recordings.series import Series
 
 Array = NDArray[np.float64]
 

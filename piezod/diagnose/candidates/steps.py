@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 
 from piezod.diagnose.hypothesis.chain import Chain
 from piezod.diagnose.hypothesis.fit import Normal
-from piezod.diagnose.hypothesis.series import Series
 from piezod.diagnose.hypothesis.terms import Point, Term
+from piezod.estimation.recordings.series import Series
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]

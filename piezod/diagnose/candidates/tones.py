@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 
 from piezod.diagnose.candidates.direct import Line, lines
 from piezod.diagnose.candidates.screening import within_ranges
-from piezod.diagnose.hypothesis.series import Series
 from piezod.effects import EFFECTS, mains_hum, vibration
 from piezod.effects.mains_hum import HARMONICS
+from piezod.estimation.recordings.series import Series
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]

@@ -18,11 +18,12 @@ from piezod.diagnose.hypothesis.fit import Fitted, Normal, fit
 from piezod.diagnose.hypothesis.parallel import each
 from piezod.diagnose.hypothesis.sampling import best_intersample, coarse
 from piezod.diagnose.hypothesis.terms import Setting, Term
-from piezod.diagnose.prepare import chain_of, prepared, substitute_recording
+from piezod.diagnose.prepare import chain_of, substitute_recording
 from piezod.diagnose.selection.given_effects import given_effects
-from piezod.diagnose.sources import Source
 from piezod.effects import EFFECTS
 from piezod.effects.effect import Effect, Location
+from piezod.estimation.recordings.preparation import prepared
+from piezod.estimation.recordings.sources import Source
 from piezod.model import Model
 
 Array = NDArray[np.float64]

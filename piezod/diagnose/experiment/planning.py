@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from piezod.diagnose.experiment.isolability import Isolability, Pair, Settings, isolability, separated_by
 from piezod.diagnose.hypothesis.parallel import each
-from piezod.diagnose.sources import Source
 from piezod.effects import EFFECTS
+from piezod.estimation.recordings.sources import Source
 from piezod.excitation import multisine, staircase, steps, triangle
 from piezod.model import Model, run_chain
 from piezod.recording import Recording

@@ -13,10 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piezod.diagnose.hypothesis.basis import ForceLaw, PlayDensity
-from piezod.diagnose.hypothesis.series import Series
 from piezod.diagnose.hypothesis.terms import Point, Term
 from piezod.effects import EFFECTS
 from piezod.effects.effect import Context, Driven, Effect, Location, Parameter, Past
+from piezod.estimation.recordings.series import Series
 from piezod.model.chain.cache import Cache, Key
 from piezod.model.chain.forward import Acting, amplified, as_sampled, behind, through, widening
 from piezod.model.chain.sensitivities import Linearised, linearised, unlike_signal

@@ -7,8 +7,8 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from piezod.diagnose.hypothesis.series import Series
 from piezod.effects import Effect
+from piezod.estimation.recordings.series import Series
 
 Array = NDArray[np.float64]
 

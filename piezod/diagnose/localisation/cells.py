@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from piezod.diagnose.hypothesis.series import Series
+from piezod.estimation.recordings.series import Series
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]

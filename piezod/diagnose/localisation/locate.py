@@ -17,10 +17,10 @@ from numpy.typing import NDArray
 
 from piezod.diagnose.candidates.direct import lines
 from piezod.diagnose.findings import Place
-from piezod.diagnose.hypothesis.series import Series
 from piezod.diagnose.localisation.cells import Cells, NormalisedResidual
 from piezod.diagnose.localisation.drive_cells import cells_of_drive
 from piezod.diagnose.localisation.time_cells import cells_of_lines, cells_of_time_and_temperature
+from piezod.estimation.recordings.series import Series
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]

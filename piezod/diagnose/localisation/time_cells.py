@@ -10,9 +10,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from piezod.diagnose.hypothesis.series import Series
 from piezod.diagnose.localisation import colour, coordinates
 from piezod.diagnose.localisation.cells import Cells, NormalisedResidual, distinct, references_at_once
+from piezod.estimation.recordings.series import Series
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]

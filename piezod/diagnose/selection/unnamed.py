@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piezod.diagnose.hypothesis.parallel import each
-from piezod.diagnose.hypothesis.series import Series
 from piezod.diagnose.selection.formula import Formula, candidates
 from piezod.diagnose.selection.significance import sign_test_p
+from piezod.estimation.recordings.series import Series
 from piezod.model.unnamed_law import (
     COMMAND,
     DIRECTION,

@@ -6,9 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piezod.diagnose.findings import Finding, Place, Value
-from piezod.diagnose.hypothesis.series import Series
 from piezod.diagnose.verdict.evidence import finding_about
 from piezod.effects import quantisation, sensor_dropout
+from piezod.estimation.recordings.series import Series
 
 Array = NDArray[np.float64]
 Stretches = Mapping[int, list[tuple[int, int]]]

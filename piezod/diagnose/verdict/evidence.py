@@ -7,7 +7,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piezod.diagnose.findings import Base, Finding, Place, Rival, Status, UnchangedEffect, Value
-from piezod.diagnose.hypothesis.series import Series
 from piezod.diagnose.hypothesis.stack_change import NAMES
 from piezod.diagnose.hypothesis.terms import Term
 from piezod.diagnose.selection.acceptance import comparison_loss
@@ -19,6 +18,7 @@ from piezod.diagnose.verdict.verdict import held_out_rms
 from piezod.effects import EFFECTS, Parameter
 from piezod.effects.effect import Effect
 from piezod.effects.noncongruent_minor_loops import DEGREES
+from piezod.estimation.recordings.series import Series
 from piezod.model import Model
 
 Array = NDArray[np.float64]

@@ -6,11 +6,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from piezod.diagnose.hypothesis.series import Series
 from piezod.diagnose.prepare import as_identified
-from piezod.diagnose.sources import Source
 from piezod.errors import RecordingError
 from piezod.estimation.recordings.intake import fit_for_simulation
+from piezod.estimation.recordings.series import Series
+from piezod.estimation.recordings.sources import Source
 from piezod.identify.simulation import simulate
 from piezod.model import Model
 from piezod.recording import Recording

@@ -12,7 +12,6 @@ from piezod.diagnose.candidates.tones import Tone
 from piezod.diagnose.findings import UNKNOWN, Base, Finding, Findings, Verdict
 from piezod.diagnose.hypothesis.chain import Chain
 from piezod.diagnose.hypothesis.fit import Fitted
-from piezod.diagnose.hypothesis.series import Series
 from piezod.diagnose.selection.search_state import Search
 from piezod.diagnose.verdict.words import (
     Wording,
@@ -23,6 +22,7 @@ from piezod.diagnose.verdict.words import (
     unrecorded_words,
 )
 from piezod.estimation.recordings.noise import noise_of
+from piezod.estimation.recordings.series import Series
 
 Array = NDArray[np.float64]
 

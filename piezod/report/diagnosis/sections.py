@@ -5,9 +5,9 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from piezod.diagnose.findings import Finding, Findings, Place
-from piezod.diagnose.hypothesis.series import Series
 from piezod.diagnose.verdict.words import Wording, label_of, percent, place_words, rounded, unit_words, value_words
 from piezod.effects import EFFECTS, Location
+from piezod.estimation.recordings.series import Series
 from piezod.report.diagnosis import wording as words
 
 MOST_PLACES_LINE, MOST_PLACES_TABLE = 3, 6

@@ -3,8 +3,8 @@
 import numpy as np
 from scipy.signal import lfilter
 
-from piezod.diagnose.candidates.rounding import converter_step_N
-from piezod.diagnose.hypothesis.series import Series
+from piezod.estimation.recordings.converter import converter_step_N
+from piezod.estimation.recordings.series import Series
 
 RATE_HZ = 1000.0
 GAIN_N_PER_V = 1.8

@@ -5,9 +5,9 @@ import pytest
 
 import piezod
 from piezod.diagnose.command import diagnose_files
-from piezod.diagnose.prepare import evenly_spaced
-from piezod.diagnose.sources import read_source
 from piezod.errors import RecordingError
+from piezod.estimation.recordings.preparation import evenly_spaced
+from piezod.estimation.recordings.sources import read_source
 from piezod.model import load_model
 from tests.benches.plain_stack import NOISE_N, RATE_HZ, read, triangles, work
 

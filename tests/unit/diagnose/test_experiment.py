@@ -7,7 +7,7 @@ import pytest
 
 from piezod.diagnose.experiment.isolability import isolability
 from piezod.diagnose.experiment.planning import _slewed, next_experiment
-from piezod.diagnose.sources import Source
+from piezod.estimation.recordings.sources import Source
 from piezod.recording import Recording
 from tests.unit.diagnose.test_isolability import slow_sine, source, stack  # noqa: F401
 

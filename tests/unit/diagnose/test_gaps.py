@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 import piezod
-from piezod.diagnose.prepare import prepared
-from piezod.diagnose.sources import read_source
+from piezod.estimation.recordings.preparation import prepared
+from piezod.estimation.recordings.sources import read_source
 from tests.benches.plain_stack import RATE_HZ, read, triangles
 
 U = triangles([90, 50, 100, 70, 35])

@@ -5,8 +5,8 @@ import pytest
 
 import piezod
 from piezod.diagnose.experiment.isolability import LARGE, Isolability, isolability, separated_by
-from piezod.diagnose.sources import Source
 from piezod.effects import EFFECTS
+from piezod.estimation.recordings.sources import Source
 from tests.unit.diagnose.residuals import mixed_work
 
 LATE = ("electrical_lag", "sensor_filter", "transport_delay")

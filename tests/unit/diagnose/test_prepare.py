@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 
 from piezod.diagnose.hypothesis.basis import PlayDensity
-from piezod.diagnose.prepare import chain_of, evenly_spaced, with_start, with_unknown_start, without_frozen
-from piezod.diagnose.sources import Source
+from piezod.diagnose.prepare import chain_of
 from piezod.errors import RecordingError
+from piezod.estimation.recordings.preparation import evenly_spaced, with_start, with_unknown_start, without_frozen
+from piezod.estimation.recordings.sources import Source
 from piezod.estimation.recordings.unknown_past import fitted_past
 from piezod.model import load_model
 from piezod.recording import Recording

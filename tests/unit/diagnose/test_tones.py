@@ -5,7 +5,7 @@ import pytest
 
 from piezod.diagnose.candidates.direct import level_about, lines
 from piezod.diagnose.candidates.tones import swing_with_command, tones
-from piezod.diagnose.hypothesis.series import Series
+from piezod.estimation.recordings.series import Series
 from tests.unit.diagnose.residuals import mixed_work, model_of, noise
 
 NOISE_N = 0.5

@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from piezod.diagnose.hypothesis.series import Series
 from piezod.diagnose.selection.formula import SHAPES, Formula
 from piezod.diagnose.selection.unnamed import fit_unnamed
+from piezod.estimation.recordings.series import Series
 from piezod.model.unnamed_law import LawStep
 
 NOISE_N, DT_S = 0.1, 0.01

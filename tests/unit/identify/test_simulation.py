@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from piezod.errors import RecordingError, UsageError
+from piezod.estimation.recordings.chosen_samples import outside, where
 from piezod.identify.identification import identify
 from piezod.identify.options import Options
-from piezod.identify.simulation import FORGOTTEN, Agreement, outside, simulate_recording, where
+from piezod.identify.simulation import FORGOTTEN, Agreement, simulate_recording
 from piezod.model import load_model
 from piezod.recording import Recording, read_csv
 

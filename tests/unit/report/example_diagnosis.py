@@ -5,8 +5,8 @@ from pathlib import Path
 import numpy as np
 
 from piezod.diagnose.findings import Finding, Findings, Place, Rival, Value
-from piezod.diagnose.hypothesis.series import Series
 from piezod.diagnose.judgement import Diagnosis
+from piezod.estimation.recordings.series import Series
 from piezod.model import load_model
 
 MODEL = load_model(Path(__file__).parents[3] / "config" / "model.yaml")

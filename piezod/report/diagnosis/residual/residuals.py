@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piezod.diagnose.findings import Place
-from piezod.diagnose.hypothesis.series import Series
+from piezod.estimation.recordings.series import Series
 
 Array = NDArray[np.float64]
 

@@ -4,9 +4,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from piezod.diagnose.hypothesis.series import Role
 from piezod.estimation.recordings.intake import file_notes
 from piezod.estimation.recordings.layout import stated_layout
+from piezod.estimation.recordings.series import Role
 from piezod.model import Model, file_sha256
 from piezod.recording import Recording, TextOptions, read_recording
 from piezod.recording.conversion import in_units_of

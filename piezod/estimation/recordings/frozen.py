@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from piezod.diagnose.hypothesis.series import Series
+from piezod.estimation.recordings.series import Series
 from piezod.recording.stretches import stretches_of
 
 Array = NDArray[np.float64]

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from piezod.diagnose.candidates.rounding import converter_step_N, unrounded
-from piezod.diagnose.hypothesis.series import Series
+from piezod.estimation.recordings.converter import converter_step_N, unrounded
+from piezod.estimation.recordings.series import Series
 
 Array = NDArray[np.float64]
 

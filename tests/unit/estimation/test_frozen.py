@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from piezod.diagnose.candidates.frozen import frozen_stretches
+from piezod.estimation.recordings.frozen import frozen_stretches
 from tests.unit.diagnose.residuals import lagged, mixed_work, model_of, noise, series, time
 
 SAMPLES = 20_000

@@ -1,0 +1,254 @@
+"""Preparation of the recordings: equal time steps, initial state, and exclusion of clipped and frozen readings."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from piezod.errors import RecordingError
+from piezod.estimation.recordings.chosen_samples import where
+from piezod.estimation.recordings.clipped import clipped_note, clipped_stretches
+from piezod.estimation.recordings.converter import converter_step_N
+from piezod.estimation.recordings.frozen import frozen_stretches, still_stretches
+from piezod.estimation.recordings.intake import TEMPERATURES
+from piezod.estimation.recordings.noise import white_noise_of
+from piezod.estimation.recordings.series import Series
+from piezod.estimation.recordings.sources import Source
+from piezod.estimation.recordings.start import (
+    START_WINDOW_S,
+    estimate_path,
+    loss_of_start,
+    output_after,
+    start_at_zero,
+    starts_at_rest,
+    tared_mean_square,
+)
+from piezod.estimation.recordings.strays import without_strays
+from piezod.estimation.recordings.suitability import falls
+from piezod.estimation.recordings.unknown_past import unknown_past
+from piezod.model import Model
+from piezod.recording import Hold, Recording
+from piezod.recording.stretches import stretches_of
+
+Array = NDArray[np.float64]
+
+FEWEST_SAMPLES = 500  # a shorter recording has too few samples for the blocks that are left out
+UNEVEN = 0.01  # largest relative deviation of a time step; beyond it the recording is resampled
+MOST_MISSED = 1.5  # largest number of clock ticks per sample if samples are missing; beyond it there is no such clock
+SIGNIFICANT_PAST = 3.0  # difference between possible pasts above which the history matters [noise rms]
+COPY = 0.9999  # correlation above which a temperature column is a copy of another channel
+
+
+def prepared(sources: Sequence[Source], model: Model) -> list[Series]:
+    """Series of the recordings, each with its initial state, its frozen stretches and its notes.
+
+    Raises
+    ------
+    RecordingError
+        A recording cannot be used.
+    """
+    all_series = []
+    for source in sources:
+        series = with_start(evenly_spaced(source, model), model)
+        series = with_unknown_start(series, model)
+        all_series.append(without_frozen(without_clipped(series, model), model))
+    return all_series
+
+
+def evenly_spaced(source: Source, model: Model) -> Series:
+    """Series of a recording on equal time steps.
+
+    Raises
+    ------
+    RecordingError
+        The recording lacks a channel of the model or has too few samples.
+    UsageError
+        The condition is invalid.
+    """
+    recording, strays = without_strays(source.recording, model.input.channel, model.output.channel)
+    notes = [f"{source.name}: {line}" for line in strays]
+    size = recording.channel(model.input.channel).size
+    recording.channel(model.output.channel)
+    if size < FEWEST_SAMPLES:
+        raise RecordingError(f"{recording.source}: has {size} samples, needs at least {FEWEST_SAMPLES} to be diagnosed")
+    if falls(recording, model.input.channel, model.output.channel):
+        raise RecordingError(
+            f"{recording.source}: {model.output.channel} falls where {model.input.channel} rises, in the model it "
+            "rises: turn the sign of the load cell (registers.force.scale, or the column), or identify the bench anew"
+        )
+    recording, resampled = _on_equal_steps(recording, model.input.channel)
+    recording, cut = _without_input_gaps(recording, model.input.channel)
+    notes += [f"{source.name}: {line}" for line in resampled + cut]
+    u, y = recording.channel(model.input.channel), recording.channel(model.output.channel)
+    temperature = _temperature_of(recording, model, notes)
+    good = np.isfinite(y)
+    if source.condition is not None:
+        good = good & where(recording, source.condition)
+    if np.count_nonzero(good) < FEWEST_SAMPLES:
+        raise RecordingError(
+            f"{recording.source}: {model.output.channel} has {np.count_nonzero(good)} readings, needs {FEWEST_SAMPLES}"
+        )
+    readings = np.nan_to_num(y)
+    return Series(
+        source.name,
+        source.role,
+        recording.time_s - recording.time_s[0],
+        np.ascontiguousarray(u),
+        readings,
+        good,
+        white_noise_of(u, readings, good),
+        temperature_C=None if temperature is None else np.nan_to_num(temperature, nan=float(np.nanmedian(temperature))),
+        start_s=float(recording.time_s[0]),
+        lattice_N=converter_step_N(readings[good]),
+        recorded_hold=Hold.from_metadata(recording.metadata),
+        notes=tuple(notes),
+    )
+
+
+def _on_equal_steps(recording: Recording, held: str) -> tuple[Recording, list[str]]:
+    """Recording with equal time steps: missing samples inserted (`held` channel held), or resampled; and notes."""
+    steps = np.diff(recording.time_s)
+    dt_s = float(np.median(steps))
+    if np.max(np.abs(steps - dt_s)) <= UNEVEN * dt_s:
+        return recording, []
+    ticks = _ticks(recording.time_s, dt_s)
+    if ticks is None:
+        return recording.resampled(dt_s), [f"samples are not evenly spaced; resampled to {dt_s:.6g} s"]
+    recording = _on_every_tick(recording, ticks, held)
+    missed = recording.time_s.size - ticks.size
+    return recording, [f"{missed} of {recording.time_s.size} samples are missing; they do not count"]
+
+
+def _without_input_gaps(recording: Recording, channel: str) -> tuple[Recording, list[str]]:
+    """Longest part of a recording without a missing sample of its input, and notes."""
+    known = np.isfinite(recording.channel(channel))
+    if known.all():
+        return recording, []
+    first, end = max(stretches_of(known), key=lambda part: part[1] - part[0], default=(0, 0))
+    longest = recording.part(slice(first, end))
+    if longest.time_s.size < FEWEST_SAMPLES:
+        raise RecordingError(
+            f"{recording.source}: {channel} has {longest.time_s.size} samples in its longest stretch without a "
+            f"missing one, needs at least {FEWEST_SAMPLES} to be diagnosed"
+        )
+    span_s = longest.time_s[-1] - longest.time_s[0]
+    missing = np.count_nonzero(~known)
+    note = f"{channel} has {missing} missing samples; the longest stretch without one, {span_s:.3g} s, is used"
+    return longest, [note]
+
+
+def _temperature_of(recording: Recording, model: Model, notes: list[str]) -> Array | None:
+    """Temperature of the bench; None if there is no column, or only the input, the output or a copy of them."""
+    own = (model.input.channel, model.output.channel)
+    names = [name for name in TEMPERATURES if name in recording.channels and name not in own]
+    for name in names:
+        values = recording.channels[name]
+        known = np.isfinite(values)
+        for other in own:
+            compared = known & np.isfinite(recording.channel(other))
+            pair = values[compared], recording.channel(other)[compared]
+            if compared.any() and min(map(np.ptp, pair)) > 0.0 and abs(np.corrcoef(*pair)[0, 1]) > COPY:
+                notes.append(f"{recording.source}: {name} is a copy of {other}, no temperature; it is not used")
+                break
+        else:
+            return np.asarray(values, dtype=np.float64)
+    return None
+
+
+def _ticks(time_s: Array, dt_s: float) -> NDArray[np.int64] | None:
+    """Tick number of every sample on a clock that skips a few ticks; None if the times fit no such clock."""
+    steps = np.diff(time_s) / dt_s
+    skipped = np.round(steps).astype(np.int64)
+    numbers = np.concatenate(([0], np.cumsum(skipped)))
+    steady = bool(np.max(np.abs(steps - skipped)) <= UNEVEN) and int(skipped.min()) > 0
+    return numbers if steady and numbers[-1] < MOST_MISSED * numbers.size else None
+
+
+def _on_every_tick(recording: Recording, ticks: NDArray[np.int64], held: str) -> Recording:
+    """Recording with a sample at every tick; at a missing one the `held` channel keeps its value, others are nan."""
+    count = int(ticks[-1]) + 1
+    time_s = np.linspace(recording.time_s[0], recording.time_s[-1], count)
+    channels = {name: np.full(count, np.nan) for name in recording.channels}
+    for name, values in recording.channels.items():
+        channels[name][ticks] = values
+    channels[held] = recording.channel(held)[np.searchsorted(ticks, np.arange(count), side="right") - 1]
+    return Recording(time_s, channels, dict(recording.metadata), recording.source)
+
+
+def with_start(series: Series, model: Model) -> Series:
+    """Series with its initial state, estimated under the given model."""
+    u, y = series.command_V, series.reading_N
+    window = int(min(max(START_WINDOW_S / series.dt_s, 0.2 * u.size), u.size))
+    operator = model.hysteresis.operator()
+    if starts_at_rest(u):
+        begin = u[:window]
+        loss = loss_of_start(
+            lambda path: output_after(operator, path, begin), y[:window], series.counts[:window], tared_mean_square
+        )
+        return replace(series, path_V=start_at_zero(begin, model.input.unit, loss).path)
+    known = np.where(series.counts, y, np.nan)
+    return replace(series, path_V=estimate_path(operator, u, known - np.nanmedian(known - operator.run(u)), window))
+
+
+def with_unknown_start(series: Series, model: Model) -> Series:
+    """Series with columns for its unknown past if it starts amid the range."""
+    u = series.command_V
+    if starts_at_rest(u):
+        return series
+    ends = model.input.low, model.input.high
+    gain = (model.output.high - model.output.low) / (ends[1] - ends[0])
+    longest = max(block.stop - block.start for block in series.blocks)
+    least_V = SIGNIFICANT_PAST * series.noise_N / gain
+    past = unknown_past(u, model.hysteresis.operator, ends, least_V, 2 * longest)
+    if past is None:
+        return replace(series, past_known=np.ones(u.size, bool))
+    fitted_s = past.until * series.dt_s
+    notes = [*series.notes, f"{series.name}: its first {fitted_s:.3g} s depend on what came before, which is fitted"]
+    known = past.known
+    if not any(known[block].all() for block in series.blocks):
+        notes.append(f"{series.name}: what came before matters to its end; drive the whole range once, then record")
+        known = np.ones(u.size, bool)
+    series = replace(series, start_columns=past.columns, past_matters_until=past.until, past_known=known)
+    return replace(series, notes=tuple(notes))
+
+
+def without_clipped(series: Series, model: Model) -> Series:
+    """Series without readings at a limit of the converter's range."""
+    expected = output_after(model.hysteresis.operator(), series.path_V, series.command_V)
+    readings = series.reading_N[series.counts]
+    within = series.counts & (series.reading_N > readings.min()) & (series.reading_N < readings.max())
+    tared = within if within.any() else series.counts  # clipped readings do not determine the tare
+    expected += float(np.median((series.reading_N - expected)[tared]))
+    clipped = clipped_stretches(series, expected, frozen_stretches(series, expected))
+    counts = series.counts.copy()
+    for first, end in (stretch for stretches in clipped.values() for stretch in stretches):
+        counts[first:end] = False
+    if not counts.any():
+        return series
+    notes = [clipped_note(series, limit_N, stretches, model.output.unit) for limit_N, stretches in clipped.items()]
+    return replace(series, counts=counts, notes=(*series.notes, *notes))
+
+
+def without_frozen(series: Series, model: Model) -> Series:
+    """Series without frozen readings.
+
+    Raises
+    ------
+    RecordingError
+        All readings are frozen.
+    """
+    expected = output_after(model.hysteresis.operator(), series.path_V, series.command_V)
+    stretches = frozen_stretches(series, expected) or still_stretches(series, expected)
+    stretches = [(first, end) for first, end in stretches if series.counts[first:end].any()]
+    counts = series.counts.copy()
+    for first, end in stretches:
+        counts[first:end] = False  # the first reading may be a limit of the converter
+    if stretches and not counts.any():
+        if np.ptp(series.reading_N[series.counts]) > 0.0:
+            return series  # a coarse converter holds each of a few levels
+        raise RecordingError(
+            f"{series.name}: the reading stands still at {series.reading_N[0]:g} {model.output.unit} from the first "
+            f"sample to the last, {series.duration_s:.3g} s; look at the sensor and its converter, then record again"
+        )
+    return replace(series, counts=counts, frozen=tuple(stretches))
