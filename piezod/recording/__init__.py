@@ -10,8 +10,9 @@ from piezod.recording.files import (
     read_recording,
     write_recording,
 )
-from piezod.recording.formats.csv import read_csv, write_csv
+from piezod.recording.formats.csv import write_csv
 from piezod.recording.formats.strict_csv import StrictTable, read_strict_csv
+from piezod.recording.formats.text import read_csv
 from piezod.recording.formats.text_layout import TextOptions
 from piezod.recording.hold import HELD_ONE_SAMPLE, Hold
 from piezod.recording.recording import TIME, Recording

@@ -10,7 +10,7 @@ import numpy as np
 
 from piezod.errors import ConfigurationError, RecordingError, UsageError
 from piezod.recording.formats.access import import_library, library_errors, open_file
-from piezod.recording.formats.csv import is_own_csv, open_csv, write_csv
+from piezod.recording.formats.csv import write_csv
 from piezod.recording.formats.hdf5 import open_hdf5, write_hdf5
 from piezod.recording.formats.mat import open_mat, write_mat
 from piezod.recording.formats.mdf4 import open_mdf4, write_mdf4
@@ -63,7 +63,7 @@ SPREADSHEETS = {".xlsx": _SPREADSHEET, ".xls": _SPREADSHEET, ".ods": _SPREADSHEE
 """Workbooks, which are only read."""
 
 FORMATS = {
-    ".csv": Format("CSV", (), open_csv, write_csv),
+    ".csv": Format("CSV", (), open_text, write_csv),
     ".h5": _HDF5,
     ".hdf5": _HDF5,
     ".mat": Format("MAT", (b"MATLAB 5.0 MAT-file", b"MATLAB 7.3 MAT-file"), open_mat, write_mat),
@@ -262,8 +262,7 @@ def _open(path: Path, options: TextOptions | None = None) -> Iterator[RecordingS
 
 
 def _opened(path: Path, file_format: Format, options: TextOptions | None) -> AbstractContextManager[RecordingStream]:
-    """Open a file; text that is no recording as `write_csv` writes it is read by its layout."""
-    if file_format.name == "CSV" and (options not in (None, TextOptions()) or not is_own_csv(path)):
+    if file_format.name == "CSV":
         return open_text(path, options or TextOptions())
     if file_format is _SPREADSHEET:
         return open_spreadsheet(path, options or TextOptions())

@@ -32,7 +32,7 @@ def channel_name(name: str, unit: str = "") -> str:
     bracketed = _BRACKETED.match(name)
     if bracketed:
         name, unit = bracketed["name"], unit.strip() or bracketed["unit"]
-    words = "_".join(name.split())
+    words = re.sub(r'[\s,"]+', "_", name.strip(' ,"'))
     suffix = _spell(unit)
     if suffix and not words.endswith((f"_{suffix}", f"_{unit.strip()}")):
         words = f"{words}_{suffix}"

@@ -1,13 +1,10 @@
-"""Recordings as CSV: lines of metadata that begin with `#`, one header row, then one row per sample.
+"""Recordings as CSV as piezod writes them: lines of metadata that begin with `#`, one header row, one row per sample.
 
-The first column is `time_s`, the separator is a comma, the encoding is UTF-8. An empty cell is a missing sample, and so
-is a word for one (`repairs.py`). A last line without its end is skipped.
-Library: numpy; pyarrow 17 or later for large files, if installed. Limits: a line up to 4 MiB, 10,000 lines of metadata,
-2**29 numbers. A file is read in blocks of complete lines, and one block is in memory at a time.
+The first column is `time_s`, the separator is a comma, the encoding is UTF-8. `text.py` reads the rows. Library: numpy;
+pyarrow 17 or later for large files, if installed. Limits: a line up to 4 MiB, 10,000 lines of metadata, 2**29 numbers.
 """
 
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from itertools import repeat
 from pathlib import Path
 from typing import BinaryIO
@@ -15,19 +12,17 @@ from typing import BinaryIO
 import numpy as np
 
 from piezod.errors import RecordingError
-from piezod.recording.formats.access import library_errors, replaced_file
-from piezod.recording.formats.csv_cells import arrow_parser, parse
-from piezod.recording.formats.repairs import CUT_LINE, ZEROS, Repairs
-from piezod.recording.formats.stream import MOST_VALUES, RecordingStream, Table, chunk_ranges, increasing, read_all
+from piezod.recording.formats.access import replaced_file
+from piezod.recording.formats.repairs import is_missing
+from piezod.recording.formats.stream import chunk_ranges
+from piezod.recording.formats.text_cells import is_number
+from piezod.recording.formats.text_layout import Layout
 from piezod.recording.names import TIME, channel_name, name_columns
-from piezod.recording.quantities import is_unit
+from piezod.recording.quantities import Column, is_unit
 from piezod.recording.recording import Recording
 
-BLOCK = 2**22
-"""Bytes that are parsed together: the numbers fit into the processor's cache, and calls cost little."""
-
-LARGE = 2**24
-"""File size above which parsing by pyarrow saves more time than its import costs [bytes]."""
+LONGEST_LINE = 2**22
+"""Length of a line [bytes]."""
 
 MOST_HEAD_LINES = 10_000
 """Lines within which the header row must come."""
@@ -36,58 +31,51 @@ WRITTEN_ROWS = 2**14
 """Rows that are formatted together."""
 
 
-def read_csv(path: Path) -> Recording:
-    """Read a CSV recording with any suffix.
+def own_layout(path: Path, *, required: bool = False) -> Layout | None:
+    """Layout of a recording as `write_csv` writes it; None for another text.
+
+    Parameters
+    ----------
+    required
+        Whether any other text is refused.
 
     Raises
     ------
     RecordingError
-        The file cannot be read; the message names file, line, column and the wrong value.
-    """
-    with library_errors(path, "read"), open_csv(path) as stream:
-        return read_all(stream)
-
-
-@contextmanager
-def open_csv(path: Path) -> Iterator[RecordingStream]:
-    """Open a CSV file: metadata and header are read at once, rows with the chunks.
-
-    Raises
-    ------
-    RecordingError
-        The file has no valid header row.
+        The file is empty, or its header row has a name twice.
     """
     with path.open("rb") as file:
-        metadata, names = _read_head(file, path)
-        arrow = arrow_parser(len(names)) if path.stat().st_size > LARGE else None
+        metadata, line, number = _read_head(file, path, required=required)
+        following = [file.readline(LONGEST_LINE).decode("latin-1").strip("\r\n").split(",") for _ in range(2)]
+    cells = line.split(",")
+    if required and channel_name(cells[0]) != TIME:
+        raise RecordingError(f"{path}: first column is {cells[0].strip()[:40]!r}, must be {TIME}")
+    if not required and not _is_own(cells, following):
+        return None
+    names = name_columns(path, [(cell, "") for cell in cells])
+    columns = tuple(Column(name, "time" if name == TIME else "", "s" if name == TIME else "") for name in names)
+    return Layout(
+        *("utf-8-sig", ",", ".", False, number, columns, tuple(range(len(names))), len(names)),
+        time=names.index(TIME),
+        metadata=metadata,
+        own=True,
+        header=frozenset([line.strip()]),
+    )
 
-        def chunks(wanted: Sequence[str], _: int) -> Iterator[Table]:
-            columns = [names.index(name) for name in wanted]
-            values = 0
-            repairs = Repairs(metadata)
-            for position, block in _blocks(file, path, repairs):
-                table = parse(block, path, names, position, arrow, repairs)
-                values += table.size
-                if values > MOST_VALUES:
-                    raise RecordingError(f"{path}: has more than {MOST_VALUES:.3g} numbers; split it")
-                if table.size:
-                    yield {name: np.ascontiguousarray(table[:, k]) for name, k in zip(wanted, columns, strict=True)}
 
-        yield RecordingStream(path, names, lambda *request: increasing(chunks(*request), metadata), None, metadata)
-
-
-def is_own_csv(path: Path) -> bool:
-    """Whether a text file is a recording as `write_csv` writes it: its header begins with `time_s` and a comma."""
-    with path.open("rb") as file:
-        for _ in range(MOST_HEAD_LINES):
-            line = file.readline(BLOCK)
-            if not line or (line.strip() and not line.lstrip(b"\xef\xbb\xbf").startswith(b"#")):
-                following = file.readline(BLOCK).decode("latin-1")
-                if '"' in following or all(is_unit(cell) for cell in following.split(",")):
-                    return False
-                cells = line.removeprefix(b"\xef\xbb\xbf").decode("latin-1").split(",")
-                return len(cells) > 1 and cells[0].strip() == TIME and all(cell.strip() for cell in cells)
-    return False
+def _is_own(cells: Sequence[str], following: Sequence[Sequence[str]]) -> bool:
+    """Whether a header begins with `time_s`, without quotes, and no column below it holds units or words."""
+    if len(cells) < 2 or cells[0].strip() != TIME or not all(cell.strip() and '"' not in cell for cell in cells):
+        return False
+    if any('"' in cell for cell in following[0]) or all(is_unit(cell) for cell in following[0]):
+        return False
+    return not any(
+        all(
+            len(row) == len(cells) and not is_missing(cell := row[k].strip()) and not is_number(cell, ".")
+            for row in following
+        )
+        for k in range(len(cells))
+    )
 
 
 def write_csv(recording: Recording, path: Path) -> None:
@@ -117,44 +105,24 @@ def write_csv(recording: Recording, path: Path) -> None:
             file.write("".join(repeat(row, len(block))) % tuple(block.ravel().tolist()))
 
 
-def _read_head(file: BinaryIO, path: Path) -> tuple[dict[str, str], tuple[str, ...]]:
-    """Metadata and column names; the file's position is then the first row."""
+def _read_head(file: BinaryIO, path: Path, *, required: bool) -> tuple[dict[str, str], str, int]:
+    """Metadata, header row, and number of lines up to it; the file's position is then the first row."""
     metadata: dict[str, str] = {}
     for number in range(1, MOST_HEAD_LINES):
-        raw = file.readline(BLOCK)
-        if not raw or len(raw) == BLOCK:
+        raw = file.readline(LONGEST_LINE)
+        if not raw or len(raw) == LONGEST_LINE:
             break
         try:
             line = raw.decode("utf-8-sig" if number == 1 else "utf-8")
         except UnicodeDecodeError as error:
+            if not required:
+                break
             raise RecordingError(f"{path}: cannot be read: line {number} is not UTF-8 text: {error}") from error
         if line.startswith("#"):
             key, _, value = line[1:].partition(":")
             metadata[key.strip()] = value.strip()
         elif line.strip():
-            return metadata, _header(line, path)
-    raise RecordingError(f"{path}: is empty, must hold a header row and samples")
-
-
-def _header(line: str, path: Path) -> tuple[str, ...]:
-    cells = line.split(",")
-    if channel_name(cells[0]) != TIME:
-        raise RecordingError(f"{path}: first column is {cells[0].strip()[:40]!r}, must be {TIME}")
-    return name_columns(path, [(cell, "") for cell in cells])
-
-
-def _blocks(file: BinaryIO, path: Path, repairs: Repairs) -> Iterator[tuple[int, bytes]]:
-    """(position in the file [bytes], complete lines) of block after block; a last line without its end is skipped."""
-    position = file.tell()
-    rest = b""
-    while read := file.read(BLOCK):
-        end = read.rfind(b"\n") + 1
-        if end:
-            block = b"".join([rest, memoryview(read)[:end]])
-            yield position, block
-            position += len(block)
-        rest = read[end:] if end else rest + read
-        if len(rest) > BLOCK:
-            raise RecordingError(f"{path}: has a line longer than {BLOCK} bytes, at byte {position}")
-    if rest.strip():
-        repairs.skipped(CUT_LINE if rest.strip(b"\0") else ZEROS, rest[:BLOCK].decode("utf-8", "replace"))
+            return metadata, line, number
+    if required:
+        raise RecordingError(f"{path}: is empty, must hold a header row and samples")
+    return {}, "", 0

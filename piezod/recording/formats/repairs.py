@@ -4,19 +4,26 @@ import re
 from collections import Counter
 
 MISSING = {
-    *("", ".", "?", "*", "na", "n/a", "n.a.", "<na>", "#n/a", "#na", "#nv", "#n/v", "#value!", "#wert!", "#num!"),
-    *("#zahl!", "#ref!", "#bezug!", "#name?", "#null!", "#div/0!", "null", "none", "nil", "missing", "inf", "infinity"),
-    *("ovld", "ol", "overload", "over", "ovrflw", "bad", "error", "invalid"),
+    *("", ".", "?", "na", "n/a", "n.a.", "n/d", "n.d.", "nd", "n.def.", "k.a.", "n.v.", "<na>", "#na", "#nv", "\\n"),
+    *("null", "none", "nil", "nat", "missing", "undefined", "undef", "unavailable", "not available", "not a number"),
+    *("ovld", "ol", "o.l", "ovl", "overload", "over", "under", "ovrflw", "ovfl", "overflow", "underflow", "over range"),
+    *("under range", "overrange", "underrange", "out of range", "bad", "error", "invalid", "fault", "fail"),
+    *("failed", "bad input", "no data", "no value", "no sample", "i/o timeout", "timeout", "pt created", "shutdown"),
+    *("calc failed", "comm fail", "not connect", "out of serv", "intf shut", "scan off", "bad quality"),
 }
-"""Words for a missing sample in lower case, of spreadsheets, databases, languages and instruments."""
+"""Words for a missing sample in lower case, of spreadsheets, databases, historians, languages and instruments."""
 
 _MISSING_FORM = re.compile(
-    r"-+|\u2013|\u2014"  # dashes
-    r"|[+-]?(?:\d\.)?#?(?:nan|qnan|snan|ind|inf|infinity)\d*(?:\(\w*\))?"  # -1.#IND, 1.#INF00, -nan(ind), nan(0x8000)
+    r"-+\.?-*|\u2013|\u2014|#+|\*+"  # dashes, and a number that is wider than its cell
+    r"|#[^\s,;#\d][^\s,;#]*[!?]|#n/[av]"  # errors of a spreadsheet in any language: #VALEUR! #DIV/0! #NOM?
+    r"|\[-\d+\] \D*"  # [-11059] No Good Data For Calculation
+    r"|[+-]?(?:over|under|ovld|ol|inf|infinity|ovfl|\u221e)"
+    r"|[+-]?1[.,]#(?:r|j|io|in|qo|qn|qna|infi?)"  # -1.#IND and 1.#QNAN, rounded to fewer digits by printf
+    r"|[+-]?(?:\d[.,])?#?(?:nan|qnan|snan|ind|inf|infinity)\d*(?: ?\(\w*\))?"  # -1.#IND, 1.#INF00, -nan(ind), nan(0x80)
 )
 
-MINUS = "\u2212"
-"""The typographic minus, which some programs write before numbers."""
+MINUS = str.maketrans(dict.fromkeys("\u2212\u2010\u2011\u2012\u2013\ufe63\uff0d", "-"))
+"""The typographic minus and the dashes that programs write before numbers."""
 
 MOST_QUOTED = 40
 """Characters of a line that a note quotes."""
@@ -91,6 +98,9 @@ class Repairs:
 CUT_LINE = "the last line, which has no line end and may be cut short"
 ZEROS = "zero bytes, as after a power cut"
 COMMENT = "text behind a row"
+HEADER = "a repeated header"
+SUMMARY = "lines behind the last sample"
+EXTRA = "text of a further column"
 
 
 def repair_notes(metadata: dict[str, str]) -> list[str]:

@@ -1,50 +1,81 @@
-"""Recordings as text that a person, a spreadsheet or an instrument wrote: any separator, decimal mark and preamble.
+"""Recordings as text, of piezod itself or as a person, a spreadsheet or an instrument wrote it.
 
-`text_layout.find_layout` determines the layout. The rows are read in blocks of complete lines: a block of plain numbers
-is brought to points and commas and parsed by numpy, any other one cell by cell. `metadata["understood"]` describes the
-layout in a line.
+`find_layout` or `own_layout` determines the layout. The rows are read in blocks of complete lines. A line of other than
+plain numbers is brought to plain numbers by itself or left out; then the block is parsed by pyarrow or numpy.
 """
 
 import re
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from math import inf, isnan, nan
+from math import inf, isnan
 from pathlib import Path
 
 import numpy as np
 
 from piezod.errors import RecordingError
+from piezod.recording.formats.access import library_errors
 from piezod.recording.formats.clock_change import ClockChange
-from piezod.recording.formats.csv_cells import parse_plain
-from piezod.recording.formats.repairs import CUT_LINE, ZEROS, Repairs
-from piezod.recording.formats.stream import MOST_VALUES, Array, RecordingStream, Table, increasing
-from piezod.recording.formats.text_cells import COMMENTS, clock_s, number, split_cells, unwrapped
+from piezod.recording.formats.csv import own_layout
+from piezod.recording.formats.plain_rows import row_parser
+from piezod.recording.formats.repairs import COMMENT, CUT_LINE, EXTRA, HEADER, SUMMARY, ZEROS, Repairs, is_missing
+from piezod.recording.formats.stream import MOST_VALUES, Array, RecordingStream, Table, increasing, read_all
+from piezod.recording.formats.text_cells import (
+    COMMENTS,
+    ZONE,
+    clock_s,
+    is_clock,
+    is_number,
+    number,
+    split_cells,
+    unwrapped,
+)
 from piezod.recording.formats.text_layout import Layout, TextOptions, find_layout
 from piezod.recording.names import TIME
 from piezod.recording.quantities import UNITS
+from piezod.recording.recording import Recording
 
 BLOCK = 2**22
-"""Characters that are parsed together."""
+"""Characters that are parsed together: the numbers fit into the processor's cache, and calls cost little."""
+
+LARGE = 2**24
+"""File size above which parsing by pyarrow saves more time than its import costs [bytes]."""
+
+_EMPTY_CELL = re.compile(rb"(?m)(?<=,)[ \t]*(?=,|$)|^[ \t]*(?=,)")
+_NAN = re.compile(rb"NaN(?=[,;\t|\n])")
+_BEHIND = re.compile(r"\s#")
+
+
+def read_csv(path: Path) -> Recording:
+    """Read a CSV recording as `write_csv` writes it, with any suffix.
+
+    Raises
+    ------
+    RecordingError
+        The file cannot be read; the message names file, line, column and the wrong value.
+    """
+    with library_errors(path, "read"), open_text(path, own=True) as stream:
+        return read_all(stream)
 
 
 @contextmanager
-def open_text(path: Path, options: TextOptions = TextOptions()) -> Iterator[RecordingStream]:  # noqa: B008  frozen
+def open_text(path: Path, options: TextOptions = TextOptions(), *, own: bool = False) -> Iterator[RecordingStream]:  # noqa: B008  frozen
     """Open a text file: its layout is found at once, rows are read with the chunks.
 
     Parameters
     ----------
     options
         Layout as the user states it.
+    own
+        Whether a text of another layout than that of `write_csv` is refused.
 
     Raises
     ------
     RecordingError
         It holds no table of numbers, or a question that only the user can answer.
     """
-    layout = find_layout(path, options)
+    layout = (None if options.is_stated else own_layout(path, required=own)) or find_layout(path, options)
     names = (TIME, *(column.channel for k, column in enumerate(layout.columns) if k != layout.time))
-
-    metadata = layout.metadata | {"understood": layout.understood()}
+    metadata = layout.metadata | ({} if layout.own else {"understood": layout.understood()})
 
     def chunks(wanted: Sequence[str], _: int) -> Iterator[Table]:
         reader = _Rows(path, layout, Repairs(metadata))
@@ -55,6 +86,16 @@ def open_text(path: Path, options: TextOptions = TextOptions()) -> Iterator[Reco
     yield RecordingStream(path, names, lambda *request: increasing(chunks(*request), metadata), None, metadata)
 
 
+def with_empty_cells(rows: bytes) -> bytes:
+    """Rows of plain numbers with `nan` in empty cells."""
+    return _EMPTY_CELL.sub(b"nan", rows)
+
+
+def without_empty_ends(rows: bytes) -> bytes:
+    """Rows of plain numbers without the empty cells at their ends, `nan` in the other empty cells."""
+    return with_empty_cells(re.sub(rb"[, \t]+\n", b"\n", rows))
+
+
 class _Rows:
     """Reads the rows of a file once."""
 
@@ -63,11 +104,13 @@ class _Rows:
         self._line, self._samples = layout.head_lines, 0
         self._before_s = -inf
         self._clock = ClockChange(layout.first_day)
-        self._plain = layout.date_form is None and layout.separator in "\t;, |"
-        # Only these characters: digits, signs, exponents, the decimal mark, the separator and line ends.
-        marks = re.escape(layout.separator + layout.decimal)
-        self._other = re.compile(rf"[^0-9eE+\-\r\n \t{marks}]")
-        self._widths = len(layout.columns)
+        self._tail: RecordingError | None = None  # the first line that may belong to a summary
+        self._width = layout.width
+        self._parse_rows = row_parser(self._width, layout.places, large=path.stat().st_size > LARGE)
+        self._words = len(layout.places) < self._width
+        self._usual = b"0123456789eEna+- \t\n" + (layout.separator + layout.decimal).encode()
+        # Bytes of a line that is cleaned by itself; beside words, every character may be part of a word.
+        self._odd = re.compile(rb'["#\0]' if self._words else rb"[^" + re.escape(self._usual) + rb"]")
 
     def tables(self) -> Iterator[list[Array]]:
         """Time [s] and the other columns, block after block."""
@@ -79,69 +122,134 @@ class _Rows:
             while text := file.read(BLOCK):
                 block, mark, rest = (rest + text).rpartition("\n")
                 if mark:
-                    table = self._parse(block + mark)
+                    table = self._parse((block + mark).encode())
+                    self._repairs.end_block()
                     values += table.size
                     if values > MOST_VALUES:
                         raise RecordingError(f"{self._path}: has more than {MOST_VALUES:.3g} numbers; split it")
                     if table.size:
                         yield self._columns(table)
                 elif len(rest) > BLOCK:
-                    raise RecordingError(f"{self._path}: line {self._line + 1} is longer than {BLOCK} characters")
+                    raise RecordingError(f"{self._path}: has a line longer than {BLOCK} bytes, line {self._line + 1}")
             if rest.strip():
                 self._repairs.skipped(CUT_LINE if rest.strip("\0") else ZEROS, rest)
 
-    def _parse(self, block: str) -> Array:
+    def _parse(self, block: bytes) -> Array:
         """Numbers of a block of lines, shape (rows, columns)."""
-        begun, self._line = self._line, self._line + block.count("\n")
-        if self._plain and not self._other.search(block):
-            try:
-                return self._by_numpy(block)
-            except ValueError:
-                pass  # an empty cell, a row of another length: cell by cell
-        return self._by_cells(block, begun)
+        begun, self._line = self._line, self._line + block.count(b"\n")
+        if self._layout.date_form is None:
+            plain = self._with_clean_lines(block, begun)
+            for repaired in (None, with_empty_cells, without_empty_ends):
+                try:
+                    return self._parse_rows(repaired(plain) if repaired else plain)
+                except ValueError:
+                    pass  # an empty cell, a word, a row of another length
+        lines = block.split(b"\n")
+        return self._parse_rows(b"".join(self._clean(line, at) for at, line in enumerate(lines, begun + 1)))
 
-    def _by_numpy(self, block: str) -> Array:
-        separator, decimal = self._layout.separator, self._layout.decimal
-        if separator in "\t ":
-            block = (
-                re.sub(r"[ \t]*[\t ][ \t]*", separator, block) if separator == "\t" else re.sub(r"[ \t]+", " ", block)
-            )
-        block = re.sub(rf"[{re.escape(separator)} \t\r]+\n", "\n", block)
-        if separator == " ":
-            block = re.sub(r"(?m)^ ", "", block)
-        block = block.translate({ord(decimal): ".", ord(separator): ","})
-        table = parse_plain(block.encode("ascii"))
-        if table.size and table.shape[1] != self._widths:
-            raise ValueError
-        return table
+    def _with_clean_lines(self, block: bytes, begun: int) -> bytes:
+        """Rows with commas and points; lines with other than plain numbers are cleaned one by one."""
+        if not self._words:
+            if not block.translate(None, self._usual):
+                return self._plain(block)
+            block = _NAN.sub(b"nan", block)
+        parts, at, number_at = [], 0, begun + 1
+        while odd := self._odd.search(block, at):
+            start = block.rfind(b"\n", at, odd.start()) + 1 or at
+            end = block.index(b"\n", odd.start())
+            parts.append(self._plain(block[at:start]))
+            number_at += block.count(b"\n", at, start)
+            parts.append(self._clean(block[start:end], number_at))
+            at, number_at = end + 1, number_at + 1
+        return b"".join([*parts, self._plain(block[at:])])
 
-    def _by_cells(self, block: str, begun: int) -> Array:
-        layout, rows = self._layout, []
-        for at, line in enumerate(block.split("\n"), begun + 1):
-            if not line.strip() or line.lstrip().startswith(COMMENTS):
-                continue
-            cells = split_cells(line, layout.separator)
-            cells += [""] * (self._widths - len(cells))
-            if len(cells) != self._widths:
-                raise RecordingError(
-                    f"{self._path}: line {at} has {len(cells)} cells, the first row has {self._widths}"
-                )
-            rows.append([self._value(k, cell, at) for k, cell in enumerate(cells)])
-        self._repairs.end_block()
-        return np.array(rows, dtype=np.float64).reshape(-1, self._widths)
+    def _plain(self, rows: bytes) -> bytes:
+        """Rows of plain numbers with commas and points instead of the file's own marks."""
+        if self._tail is not None and rows.strip():
+            raise self._tail
+        separator, decimal = self._layout.separator.encode(), self._layout.decimal.encode()
+        if separator == b" ":
+            rows = re.sub(rb"(?m)^ | (?=\n)", b"", re.sub(rb"[ \t]+", b" ", rows))
+        if separator != b"," or decimal != b".":
+            rows = rows.translate(bytes.maketrans(decimal + separator, b".,"))
+        return rows
+
+    def _clean(self, raw: bytes, line: int) -> bytes:
+        """A line as a row of plain numbers; empty if it holds no row."""
+        text = raw.decode("utf-8", "replace").strip("\r\n")
+        if "\0" in text:
+            self._repairs.skipped(ZEROS, text)
+            text = text.rpartition("\0")[2]
+        bare = text.strip()
+        marks = "#" if self._layout.own else COMMENTS
+        if not bare or (bare.startswith(marks) and not is_missing(self._cells(bare)[0])):
+            return b""
+        if bare in self._layout.header:
+            self._repairs.skipped(HEADER, bare)
+            return b""
+        try:
+            values = self._values(text, line)
+        except RecordingError as error:
+            if self._is_time(text):
+                raise
+            self._tail = self._tail or error
+            self._repairs.skipped(SUMMARY, bare)
+            return b""
+        if self._tail is not None:
+            raise self._tail
+        row = ["0"] * self._width
+        for place, value in zip(self._layout.places, values, strict=True):
+            row[place] = repr(value)
+        return ",".join(row).encode() + b"\n"
+
+    def _cells(self, text: str) -> list[str]:
+        return split_cells(text, self._layout.separator) or [""]
+
+    def _is_time(self, text: str) -> bool:
+        """Whether a line begins a sample: it has a time."""
+        layout = self._layout
+        cells, place = self._cells(text), layout.places[max(layout.time, 0)]
+        return place < len(cells) and (is_number(cells[place], layout.decimal) or is_clock(cells[place]))
+
+    def _values(self, text: str, line: int) -> list[float]:
+        """Numbers of a row. Text behind it is left out."""
+        try:
+            return self._numbers(text, line)
+        except RecordingError:
+            behind = _BEHIND.search(text)
+            if behind is None:
+                raise
+            values = self._numbers(text[: behind.start()], line)
+            self._repairs.skipped(COMMENT, text[behind.start() :])
+            return values
+
+    def _numbers(self, text: str, line: int) -> list[float]:
+        layout, width = self._layout, self._width
+        cells = self._cells(text)
+        further = cells[width : width + len(layout.extra)]
+        present = len(cells) if layout.separator == " " else max(len(cells), text.count(layout.separator) + 1)
+        if len(cells) > width + len(further) or present <= max(layout.places):
+            raise RecordingError(f"{self._path}: line {line} has {len(cells)} cells, the header names {width} columns")
+        for name, cell in zip(layout.extra, further, strict=False):
+            self._repairs.skipped(EXTRA, f"{name}: {cell}")
+        cells += [""] * (width - len(cells))
+        if layout.date_place >= 0:
+            cells[layout.places[layout.time]] = f"{cells[layout.date_place]} {cells[layout.places[layout.time]]}"
+        return [self._value(k, cells[place], line) for k, place in enumerate(layout.places)]
 
     def _value(self, k: int, cell: str, line: int) -> float:
         layout = self._layout
         try:
-            if k == layout.time and layout.interval_s is not None:
-                return nan
             if k == layout.time and layout.date_form is not None:
                 return clock_s(cell, layout.date_form, layout.first_day)
             value = number(cell, layout.decimal, grouped=layout.grouped)
         except ValueError:
-            what, name = ("a time" if k == layout.time else "a number"), layout.columns[k].written
+            written = layout.columns[k].written
+            name = written if layout.own else f"'{written}'"
+            wanted = "a time" if k == layout.time and not layout.own else "a number"
+            hint = "" if layout.own else ", or give --decimal"
             raise RecordingError(
-                f"{self._path}: line {line}: '{name}' is {cell[:40]!r}, must be {what} or empty, or give --decimal"
+                f"{self._path}: line {line}: {name} is {cell.strip()[:40]!r}, must be {wanted} or empty{hint}"
             ) from None
         if isnan(value):
             self._repairs.missing(cell)
@@ -154,15 +262,19 @@ class _Rows:
         else:
             time_s = self._time_s(table[:, layout.time])
         self._samples += rows
-        others = [np.ascontiguousarray(table[:, k]) for k in range(self._widths) if k != layout.time]
+        others = [np.ascontiguousarray(table[:, k]) for k in range(table.shape[1]) if k != layout.time]
         return [time_s, *others]
 
     def _time_s(self, column: Array) -> Array:
         layout = self._layout
         if layout.date_form is None:
+            if self._samples == 0:
+                self._origin_s = float(column[0]) if layout.since_1970 else 0.0
             factor = UNITS["time"][layout.columns[layout.time].unit]
-            return np.ascontiguousarray(column) if factor == 1.0 else np.round(column * factor, 12)
-        times_s = column.tolist() if layout.date_form else unwrapped(column.tolist(), self._before_s)
+            since = column - self._origin_s if layout.since_1970 else column
+            return np.ascontiguousarray(since) if factor == 1.0 else np.round(since * factor, 12)
+        has_date = layout.date_form not in ("", ZONE)
+        times_s = column.tolist() if has_date else unwrapped(column.tolist(), self._before_s)
         self._before_s = times_s[-1]
         corrected_s = self._clock.corrected(np.array(times_s))
         self._repairs.clock(self._clock.notes)

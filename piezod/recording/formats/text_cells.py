@@ -1,6 +1,7 @@
 """Numbers and times from the cells of delimited text: decimal commas, thousands, missing values, dates, clock times."""
 
 import csv
+import functools
 import re
 from datetime import datetime
 from math import inf, nan
@@ -9,6 +10,25 @@ from piezod.recording.formats.repairs import MINUS, is_missing
 
 COMMENTS = ("#", "%", "//", "!")
 """Marks at the start of a line without samples."""
+
+ZONE = "%z"
+"""End of the form of a date or time that states its time zone."""
+
+ZONES_H = {
+    "z": 0,
+    "utc": 0,
+    "gmt": 0,
+    "bst": 1,
+    "cet": 1,
+    "met": 1,
+    "cest": 2,
+    "mest": 2,
+    "eet": 2,
+    "eest": 3,
+    "jst": 9,
+}
+ZONES_H |= {"est": -5, "edt": -4, "cst": -6, "cdt": -5, "mst": -7, "mdt": -6, "pst": -8, "pdt": -7}
+"""Hours before UTC of the zones that programs write as a word. Only differences within a file count."""
 
 _NUMBER = {
     ".": re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eEdD][+-]?\d+)?", re.ASCII),
@@ -20,9 +40,21 @@ _GROUPED = {
 }
 _UNDECIDED = re.compile(r"[+-]?[1-9]\d{0,2},\d{3}")
 _CLOCK = re.compile(
-    r"(?:(?P<date>.+?)[T ]+)?(?P<h>\d{1,2}):(?P<m>\d{2})(?::(?P<s>\d{2}(?:[.,:]\d+)?))?\s*(?P<half>[AaPp][Mm])?Z?"
+    r"(?:(?P<date>.+?)[T ]+)?(?P<h>\d{1,2}):(?P<m>\d{2})(?::(?P<s>\d{2}(?:[.,:]\d+)?))?\s*(?P<half>[AaPp]\.?[Mm]\.?)?"
+    rf"\s*(?P<zone>(?i:{'|'.join(ZONES_H)})|[+-]\d{{2}}(?::?\d{{2}})?)?"
 )
-_DATES = ("%Y-%m-%d", "%Y/%m/%d", "%d.%m.%Y", "%d.%m.%y", "%d/%m/%Y", "%m/%d/%Y")
+_DATES: tuple[str, ...] = (
+    "%Y-%m-%d",
+    "%Y/%m/%d",
+    "%Y.%m.%d",
+    "%Y%m%d",
+    "%d.%m.%Y",
+    "%d.%m.%y",
+    "%d/%m/%Y",
+    "%m/%d/%Y",
+    "%d/%m/%y",
+)
+_DATES += ("%m/%d/%y", "%d-%m-%Y", "%m-%d-%Y", "%d-%b-%Y", "%d-%b-%y", "%d %b %Y", "%b %d, %Y", "%a %b %d %Y")
 DAY_S = 86400.0
 
 
@@ -44,6 +76,8 @@ def number(cell: str, decimal: str, *, grouped: bool) -> float:
         The cell holds no number.
     """
     text = _plain(cell)
+    if text.lower().lstrip("+-") in ("inf", "infinity"):
+        return float(text)  # as `write_csv` writes an infinite value
     if is_missing(text):
         return nan
     if _NUMBER[decimal].fullmatch(text):
@@ -63,7 +97,7 @@ def is_number(cell: str, decimal: str) -> bool:
 
 def _plain(cell: str) -> str:
     """The cell without surrounding blanks, with a plain minus."""
-    return cell.strip().replace(MINUS, "-")
+    return cell.strip().translate(MINUS)
 
 
 def is_grouped(cell: str, decimal: str) -> bool:
@@ -89,7 +123,7 @@ def clock_s(cell: str, form: str, first_day: int) -> float:
     cell
         `12:30:01.250`, `2026-11-25T12:30:01`, `25.11.2026 12:30:01,25`.
     form
-        Form of the date for `datetime.strptime`; empty: there is none.
+        Form of the date for `datetime.strptime`, empty without a date; ends in `ZONE` where times state their zone.
     first_day
         Ordinal of the first day, see `day_of`.
 
@@ -102,35 +136,54 @@ def clock_s(cell: str, form: str, first_day: int) -> float:
     if is_missing(text):
         return nan
     clock = _CLOCK.fullmatch(text)
-    if clock is None:
+    if clock is None or (clock["zone"] is not None) != form.endswith(ZONE):
         raise ValueError(text)
     hour = int(clock["h"])
     if clock["half"]:
-        hour = hour % 12 + (12 if clock["half"].lower() == "pm" else 0)
+        hour = hour % 12 + (12 if clock["half"].lower().startswith("p") else 0)
     seconds = float(re.sub("[,:]", ".", clock["s"] or "0"))
-    of_day_s = 3600.0 * hour + 60.0 * int(clock["m"]) + seconds
+    of_day_s = 3600.0 * hour + 60.0 * int(clock["m"]) + seconds - _zone_s(clock["zone"] or "z")
+    form = form.removesuffix(ZONE)
     if not form:
         return of_day_s
-    return (day_of(cell, form) - first_day) * DAY_S + of_day_s
+    return (_day_of(clock["date"] or "", form) - first_day) * DAY_S + of_day_s
+
+
+def _zone_s(zone: str) -> float:
+    """Time of a zone before UTC [s]."""
+    if zone.lower() in ZONES_H:
+        return 3600.0 * ZONES_H[zone.lower()]
+    digits = zone[1:].replace(":", "").ljust(4, "0")
+    return float(f"{zone[0]}1") * (3600.0 * int(digits[:2]) + 60.0 * int(digits[2:]))
 
 
 def day_of(cell: str, form: str) -> int:
     """Ordinal of the day of a cell; 0 for a time without a date."""
     clock = _CLOCK.fullmatch(cell.strip())
-    if not form or clock is None:
-        return 0
-    return datetime.strptime(clock["date"] or "", form).toordinal()  # noqa: DTZ007  only differences count
+    form = form.removesuffix(ZONE)
+    return 0 if not form or clock is None else _day_of(clock["date"] or "", form)
+
+
+@functools.lru_cache(maxsize=64)
+def _day_of(date: str, form: str) -> int:
+    return datetime.strptime(date, form).toordinal()  # noqa: DTZ007  only differences count
 
 
 def date_forms(cell: str) -> list[str]:
-    """Forms of dates that a cell may have; [''] for a time without a date."""
+    """Forms of dates that a cell may have; [''] for a time without a date. Each ends in `ZONE` with a zone."""
     clock = _CLOCK.fullmatch(cell.strip())
+    zone = ZONE if clock is not None and clock["zone"] else ""
     if clock is None or not clock["date"]:
-        return [""]
+        return [zone]
+    return [form + zone for form in forms_of_date(clock["date"])]
+
+
+def forms_of_date(date: str) -> list[str]:
+    """Forms that a date without a time may have."""
     forms = []
     for form in _DATES:
         try:
-            datetime.strptime(clock["date"], form)  # noqa: DTZ007
+            datetime.strptime(date, form)  # noqa: DTZ007
         except ValueError:
             continue
         forms.append(form)

@@ -6,10 +6,12 @@ refused with the option that does.
 """
 
 import functools
+import re
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import NamedTuple
 
 from piezod.errors import RecordingError, UsageError
 from piezod.recording.formats.text_cells import (
@@ -27,6 +29,7 @@ from piezod.recording.formats.text_head import (
     check_names,
     columns_of,
     head_of,
+    joined,
     metadata_of,
     stated_interval_s,
     time_column,
@@ -39,6 +42,12 @@ SAMPLE = 2**18
 """Bytes from the begin of the file that decide about its layout."""
 
 SEPARATORS = {"\t": "tab", ";": "semicolon", ",": "comma", "|": "bar", " ": "spaces"}
+MOST_LEFT_OUT = 200
+"""Characters of the list of columns that are left out."""
+
+FEWEST_NUMBERS = 2
+"""Columns of numbers of a table that has columns of words too."""
+
 FEWEST_ROWS = 2
 """Rows of numbers that a table must begin with, so that a line of the preamble is not taken for one."""
 
@@ -50,39 +59,52 @@ class TextOptions:
     Parameters
     ----------
     columns
-        Names of the columns in their order, such as `time_ms`, `voltage_V`; empty: from the file's header.
+        Names of all columns in their order, such as `time_ms`, `voltage_V`. Or the wanted ones as `NAME=WRITTEN`, by
+        their name or path in the file. Empty: from the file's header.
     rate_Hz
         Samples per second, for a file without a column of time; None: from the file.
     decimal
         Decimal mark, a point or a comma; empty: from the file.
+    scale
+        Conversions of columns, such as `CH2=100 N/V`.
     """
 
     columns: tuple[str, ...] = ()
     rate_Hz: float | None = None
     decimal: str = ""
+    scale: tuple[str, ...] = ()
+
+    @property
+    def is_stated(self) -> bool:
+        """Whether the user states anything that the reader of a text must know."""
+        return bool(self.columns or self.rate_Hz or self.decimal)
 
     @classmethod
-    def of(cls, columns: str | None, rate_Hz: float | None, decimal: str | None) -> "TextOptions":
+    def of(
+        cls, columns: str | None, rate_Hz: float | None, decimal: str | None, scale: Sequence[str] | None = None
+    ) -> "TextOptions":
         """Options of a command.
 
         Parameters
         ----------
         columns
             Names with commas between; None: not given.
-        rate_Hz, decimal
+        rate_Hz, decimal, scale
             As for the class; None: not given.
 
         Raises
         ------
         UsageError
-            A name is empty, or the decimal mark is neither a point nor a comma.
+            A name is empty, the decimal mark is neither a point nor a comma, or a conversion has another form.
         """
         names = () if columns is None else tuple(name.strip() for name in columns.split(","))
         if not all(names):
             raise UsageError(f"--columns is '{columns}', must be names with commas between")
         if decimal not in (None, ".", ","):
             raise UsageError(f"--decimal is '{decimal}', must be . or ,")
-        return cls(names, rate_Hz, decimal or "")
+        for conversion in scale or ():
+            parse_scale(conversion)
+        return cls(names, rate_Hz, decimal or "", tuple(scale or ()))
 
 
 @dataclass(frozen=True)
@@ -100,9 +122,13 @@ class Layout:
     head_lines
         Lines before the first row.
     columns
-        Name, quantity and unit of each column.
+        Name, quantity and unit of each column that is read.
+    places
+        Numbers of their cells in a row, increasing.
+    width
+        Cells of a row.
     time
-        Index of the column of time; -1: there is none.
+        Index of the column of time in `columns`; -1: there is none.
     date_form
         Form of its dates for `datetime.strptime`, empty for times of day; None: it holds numbers.
     first_day
@@ -113,6 +139,16 @@ class Layout:
         Keys and values of the preamble.
     notes
         Assumptions, one line each.
+    own
+        Whether the file is a recording as piezod writes it.
+    header
+        Lines of names and units, which may be repeated amid the rows.
+    extra
+        Names of columns behind the last cell of a row, which only few rows fill.
+    date_place
+        Number of the cell with the date, where it is another one than that of the time of day; -1: there is none.
+    since_1970
+        Whether times count from 1970; they are read from the first sample on.
     """
 
     encoding: str
@@ -121,12 +157,19 @@ class Layout:
     grouped: bool
     head_lines: int
     columns: tuple[Column, ...]
+    places: tuple[int, ...]
+    width: int
     time: int = -1
     date_form: str | None = None
     first_day: int = 0
     interval_s: float | None = None
     metadata: dict[str, str] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
+    own: bool = False
+    header: frozenset[str] = frozenset()
+    extra: tuple[str, ...] = ()
+    date_place: int = -1
+    since_1970: bool = False
 
     def understood(self) -> str:
         """The layout in a line."""
@@ -140,6 +183,29 @@ class Layout:
         others = [column for k, column in enumerate(self.columns) if k != self.time]
         words += [f"{column.channel} from '{column.written}'" for column in others]
         return ", ".join([*words, *self.notes])
+
+
+_SCALE = re.compile(
+    r"(?P<column>[^=]+)=\s*(?P<factor>[+-]?[0-9.]+(?:[eE][+-]?[0-9]+)?)\s*(?P<unit>[^\s/\d]+)(?:/(?P<per>\S+))?"
+)
+
+
+def parse_scale(conversion: str) -> tuple[str, float, str, str]:
+    """Column, factor, unit and unit in the file (empty: not stated) of a conversion such as `CH2=100 N/V`.
+
+    Raises
+    ------
+    UsageError
+        It has another form, or the factor is 0.
+    """
+    match = _SCALE.fullmatch(conversion.strip())
+    try:
+        factor = float(match["factor"]) if match else 0.0
+    except ValueError:
+        factor = 0.0
+    if match is None or factor == 0.0:
+        raise UsageError(f"--scale is '{conversion}', must be COLUMN=FACTOR UNIT, such as 'CH2=100 N/V'")
+    return match["column"].strip(), factor, match["unit"], match["per"] or ""
 
 
 def encoding_of(raw: bytes) -> str:
@@ -178,97 +244,147 @@ def find_layout(path: Path, options: TextOptions) -> Layout:
 
 @functools.lru_cache(maxsize=8)  # the names of the columns are wanted before the columns
 def _layout_of(path: Path, _changed_ns: int, _size: int, options: TextOptions) -> Layout:
-    with path.open("rb") as file:
-        raw = file.read(SAMPLE)
-    if not raw.strip():
-        raise RecordingError(f"{path}: is empty, must hold a header row and samples")
-    encoding = encoding_of(raw)
-    text = raw.decode(encoding, errors="replace")
-    lines = text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
-    if len(raw) == SAMPLE:
-        lines.pop()  # perhaps cut
-    separator, decimal, first, width = _table(path, lines[: 2 * MOST_PREAMBLE_LINES], options.decimal)
+    encoding, lines = _begin(path)
+    table = _table(path, lines[: 2 * MOST_PREAMBLE_LINES], options.decimal)
+    separator, decimal, first, width, words = table.separator, table.decimal, table.first, table.width, table.words
     if separator == ";" and not options.decimal and not any("," in line for line in lines[first:]):
         decimal = "."  # a point is a decimal mark where no comma is
-    rows = [cells for line in lines[first:] if len(cells := split_cells(line, separator)) == width]
+    rows = [
+        cells
+        for line in lines[first:]
+        if _row_width(line, separator, decimal, words) == width and (cells := split_cells(line, separator))
+    ]
     _check_decimal(path, rows, separator, decimal, options)
-    header, units, above = head_of(lines[:first], separator, width)
+    head = head_of(lines[:first], separator, width)
     notes: list[str] = []
-    columns = columns_of(path, options.columns, header, units, rows, width)
-    if columns[0].written == ROW != header[0]:
+    columns = columns_of(path, options.columns, head, rows, width)
+    if columns[0].written == ROW != head.names[0]:
         notes.append(f"the first column has no name and counts rows, it is called {ROW}")
-    time, date_form = time_column(path, columns, rows, decimal)
-    interval_s = None
+    time, date_form, date_place = time_column(path, columns, rows, decimal)
+    interval_s, since_1970 = None, False
     if options.rate_Hz:
         interval_s, date_form = 1.0 / options.rate_Hz, None
         if time >= 0:
             notes.append(f"'{columns[time].written}' is not used, --rate-Hz is given")
+            words, time = words | {time}, -1
     elif time >= 0:
-        columns = with_time_unit(path, columns, time, rows, date_form, notes)
+        columns, since_1970 = with_time_unit(path, columns, time, rows, date_form, notes)
     elif (interval_s := stated_interval_s(lines[:first], decimal)) is None:
         raise RecordingError(
             f"{path}: has no column of time, has {', '.join(column.written for column in columns)[:120]}; "
             "give --rate-Hz, or name the columns with --columns time_s,..."
         )
-    columns = tuple(with_unit(column, notes) for column in columns)
-    grouped = any(is_grouped(cell, decimal) for cells in rows for cell in cells)
-    first_day = day_of(rows[0][time], date_form) if date_form else 0
+    unused = {k for k, column in enumerate(columns) if column.quantity == "time" and k != time}
+    unwanted = {k for k, column in enumerate(columns) if options.columns and not column.written} - {time}
+    places = tuple(k for k in range(width) if k == time or k not in words | unused | unwanted)
+    left_out = [columns[k].written for k in sorted(words | unused) if k not in (time, date_place)]
+    if left_out:
+        notes.append(f"left out: {', '.join(map(repr, left_out))[:MOST_LEFT_OUT]}, no column of numbers")
+    columns = tuple(with_unit(columns[k], notes) for k in places)
     check_names(path, columns)
+    if not any(k != time for k in places):
+        raise RecordingError(f"{path}: has no column of numbers beside the time; name the columns with --columns")
     return Layout(
         encoding,
         separator,
         decimal,
-        grouped,
+        any(is_grouped(cells[k], decimal) for cells in rows for k in places if k < len(cells)),
         first,
         columns,
-        time,
+        places,
+        width,
+        places.index(time) if time >= 0 else -1,
         date_form,
-        first_day,
+        day_of(joined(rows[0], date_place, time), date_form) if date_form else 0,
         interval_s,
-        metadata_of(above),
+        metadata_of(head.above),
         tuple(notes),
+        header=head.lines,
+        extra=head.extra,
+        date_place=date_place,
+        since_1970=since_1970,
     )
 
 
-def _table(path: Path, lines: Sequence[str], decimal: str) -> tuple[str, str, int, int]:
-    """Separator, decimal mark, number of the first row, and cells of a row."""
-    best = (0, 0, "", "", 0)
-    for separator in SEPARATORS:
-        marks = (",", ".") if separator == ";" else (".", ",")  # the first is taken where both read all rows
-        for mark in (decimal,) if decimal else marks:
-            if separator == mark and not any('"' in line for line in lines):
-                continue
-            rows, first, width = _rows(lines, separator, mark)
-            if (rows, width) > best[:2]:
-                best = (rows, width, separator, mark, first)
-    rows, width, separator, mark, first = best
-    if rows < FEWEST_ROWS:
+def _begin(path: Path) -> tuple[str, list[str]]:
+    """Encoding and first lines of a text."""
+    with path.open("rb") as file:
+        raw = file.read(SAMPLE)
+    if not raw.strip(b"\0 \t\r\n\xef\xbb\xbf"):
+        raise RecordingError(f"{path}: is empty, must hold a header row and samples")
+    encoding = encoding_of(raw)
+    text = raw.decode(encoding, errors="replace")
+    lines = text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
+    return encoding, lines[:-1] if len(raw) == SAMPLE else lines  # the last one is perhaps cut
+
+
+class _Table(NamedTuple):
+    """Rows of numbers under a separator and a decimal mark."""
+
+    rows: int
+    numbers: int
+    separator: str
+    decimal: str
+    first: int
+    width: int
+    words: frozenset[int]
+
+
+def _table(path: Path, lines: Sequence[str], decimal: str) -> _Table:
+    """The separator and decimal mark under which most lines are rows of numbers, then those with most numbers.
+
+    Columns of words are supposed where fewer than half of the lines are rows of numbers alone.
+    """
+    marks = {
+        separator: (decimal,) if decimal else (",", ".") if separator == ";" else (".", ",") for separator in SEPARATORS
+    }
+    pairs = [(separator, mark) for separator in SEPARATORS for mark in marks[separator]]
+    quoted = any('"' in line for line in lines)
+    tables = [_rows(lines, *pair, frozenset()) for pair in pairs if quoted or pair[0] != pair[1]]
+    best = max(tables, key=lambda table: table[:2])
+    if 2 * best.rows < sum(1 for line in lines if line.strip()):
+        words = {pair: _word_cells(lines, *pair) for pair in pairs if pair[0] != pair[1]}
+        tables = [_rows(lines, *pair, cells) for pair, cells in words.items() if cells]
+        tables = [table for table in tables if table.numbers >= FEWEST_NUMBERS and table.rows > 2 * best.rows]
+        best = max([best, *tables], key=lambda table: table[:2])
+    if best.rows < FEWEST_ROWS:
         raise RecordingError(f"{path}: holds no table of numbers within its first {len(lines)} lines")
-    return separator, mark, first, width
+    return best
 
 
-def _rows(lines: Sequence[str], separator: str, decimal: str) -> tuple[int, int, int]:
-    """Number of rows of numbers, the first of them, and their number of cells."""
-    widths = [_row_width(line, separator, decimal) for line in lines]
+def _word_cells(lines: Sequence[str], separator: str, decimal: str) -> frozenset[int]:
+    """Cells that hold words in most lines of the most frequent number of cells."""
+    rows = [split_cells(line, separator) for line in lines]
+    widths = Counter(len(cells) for cells in rows if len(cells) > FEWEST_NUMBERS)
+    width = max(widths, key=lambda width: (widths[width], width), default=0)
+    table = [cells for cells in rows if len(cells) == width]
+    return frozenset(
+        k
+        for k in range(width)
+        if 2 * sum(1 for cells in table if not (is_number(cells[k], decimal) or is_clock(cells[k]))) > len(table)
+    )
+
+
+def _rows(lines: Sequence[str], separator: str, decimal: str, words: frozenset[int]) -> _Table:
+    """Rows of numbers with the most frequent number of cells."""
+    widths = [_row_width(line, separator, decimal, words) for line in lines]
     counts = Counter(width for width in widths if width)
-    if not counts:
-        return 0, 0, 0
-    width, rows = max(counts.items(), key=lambda item: (item[1], item[0]))
+    width, rows = max(counts.items(), key=lambda item: (item[1], item[0]), default=(0, 0))
     first = next(
         (k for k in range(len(widths) - 1) if widths[k] == width and widths[k + 1] in (width, 0)), len(widths) - 1
     )
-    return rows, first, width
+    return _Table(rows, width - len(words), separator, decimal, first, width, words)
 
 
-def _row_width(line: str, separator: str, decimal: str) -> int:
-    """Cells of a row of numbers; 0 for another line."""
+def _row_width(line: str, separator: str, decimal: str, words: frozenset[int]) -> int:
+    """Cells of a row of numbers, beside cells of words; 0 for another line."""
     if line.lstrip().startswith(COMMENTS):
         return 0
     cells = split_cells(line, separator)
-    filled = [cell for cell in cells if cell]
-    if not filled or not any(cell[-1:].isdigit() or cell[-1:] in ".,MmZ" for cell in filled):
+    numbers = [cell for k, cell in enumerate(cells) if k not in words]
+    if not any(cell[-1:].isdigit() or cell[-1:] in (*".,MmZ",) or is_clock(cell) for cell in numbers if cell):
         return 0
-    return len(cells) if all(is_number(cell, decimal) or is_clock(cell) for cell in cells) else 0
+    return len(cells) if all(is_number(cell, decimal) or is_clock(cell) for cell in numbers) else 0
 
 
 def _check_decimal(

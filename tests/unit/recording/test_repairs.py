@@ -11,6 +11,8 @@ OWN = "time_s,voltage_V,force_N\n"
 FOREIGN = "Zeit [s];Spannung [V];Kraft [N]\n"
 WORDS = (
     *("-1.#IND", "1.#INF", "-1.#INF00", "1.#QNAN", "1.#SNAN0", "nan(ind)", "-nan(ind)", "nan(0x8000000000000)", "#N/A"),
+    *("1.#R", "-1.#J", "#VALEUR!", "#DIV/0!", "#NOM?", "####", "***", "-OVER", "Over Range", "UNDER", "-.-", "\\N"),
+    *("Bad Input", "I/O Timeout", "[-11059] No Good Data For Calculation", "n.def.", "k.A.", "NaT", "NaN (ind)"),
     *("NA", "N/A", "null", "NULL", "None", "-", "---", "NaN", "-nan", "#NUM!", "#VALUE!", "<NA>", "inf", "-Infinity"),
 )
 
@@ -87,12 +89,13 @@ def test_zero_bytes_after_a_power_cut_are_left_out_and_said(tmp_path, tail):
 
 
 @pytest.mark.parametrize(("head", "separator"), [(OWN, ","), (FOREIGN, ";")])
-def test_a_typographic_minus_is_a_minus(tmp_path, head, separator):
-    recording, _ = read(tmp_path, head + rows(separator, "\u22123.5"))
+@pytest.mark.parametrize("minus", ["\u2212", "\u2013", "\u2010", "\uff0d"])
+def test_a_typographic_minus_is_a_minus(tmp_path, head, separator, minus):
+    recording, _ = read(tmp_path, head + rows(separator, f"{minus}3.5"))
     assert recording.channel("force_N")[7] == -3.5
 
 
-@pytest.mark.parametrize("first", [0, 1])
+@pytest.mark.parametrize("first", [0, 1, 1000])
 def test_an_index_without_a_name_is_named_and_said(tmp_path, first):
     lines = [f"{k + first},{k / 100:.2f},{k},{100 + k}" for k in range(40)]
     recording, _ = read(tmp_path, ",time_s,voltage_V,force_N\n" + "\n".join(lines) + "\n")
@@ -104,6 +107,68 @@ def test_a_column_without_a_name_that_does_not_count_is_refused(tmp_path):
     lines = [f"{2 * k},{k / 100:.2f},{k},{100 + k}" for k in range(40)]
     with pytest.raises(RecordingError, match="column 1 has no name"):
         read(tmp_path, ",time_s,voltage_V,force_N\n" + "\n".join(lines) + "\n")
+
+
+FORMS = pytest.mark.parametrize(("head", "separator"), [(OWN, ","), (FOREIGN, ";")])
+
+
+@FORMS
+@pytest.mark.parametrize("tail", ["Min;1;2\nMax;3;4\n", "\nEnd of file, 40 samples\n", "Mean 3.5\n\nSigma 1.2\n"])
+def test_lines_behind_the_last_sample_are_left_out_and_said(tmp_path, head, separator, tail):
+    recording, notes = read(tmp_path, head + rows(separator) + tail.replace(";", separator))
+    assert recording.channel("force_N").tolist() == [100 + k for k in range(40)]
+    assert notes[0].startswith("left out: lines behind the last sample (")
+
+
+@FORMS
+def test_such_a_line_amid_the_rows_is_refused_with_its_number(tmp_path, head, separator):
+    with pytest.raises(RecordingError, match="line 42"):
+        read(tmp_path, head + rows(separator) + "Pause\n" + rows(separator))
+
+
+@FORMS
+def test_a_repeated_header_is_left_out_and_said(tmp_path, head, separator):
+    lines = rows(separator).splitlines(keepends=True)
+    recording, notes = read(tmp_path, head + "".join(lines[:20]) + head + "".join(lines[20:]))
+    assert recording.channel("force_N").tolist() == [100 + k for k in range(40)]
+    assert notes == [f"left out: a repeated header ({head.strip()!r})"]
+
+
+@FORMS
+def test_a_row_that_is_too_short_is_refused(tmp_path, head, separator):
+    with pytest.raises(RecordingError, match="line 9 has 2 cells, the header names 3 columns"):
+        read(tmp_path, head + rows(separator).replace(f"0.07{separator}7{separator}107", f"0.07{separator}7"))
+
+
+@FORMS
+@pytest.mark.parametrize("words", [["OK"], ["0x1F", "True"], ["running", "idle", ""]])
+def test_a_column_of_words_is_left_out_and_said(tmp_path, head, separator, words):
+    lines = [f"{row}{separator}{words[k % len(words)]}" for k, row in enumerate(rows(separator).splitlines())]
+    recording, _ = read(tmp_path, f"{head.strip()}{separator}state\n" + "\n".join(lines) + "\n")
+    assert recording.channel("force_N").tolist() == [100 + k for k in range(40)]
+    assert list(recording.channels) == ["voltage_V", "force_N"]
+    assert "left out: 'state'" in recording.metadata["understood"]
+
+
+def test_text_of_a_further_column_is_left_out_and_said(tmp_path):
+    recording, notes = read(tmp_path, FOREIGN.strip() + ";Remark\n" + rows(";", "107;door opened"))
+    assert recording.channel("force_N").tolist() == [100 + k for k in range(40)]
+    assert notes == ["left out: text of a further column ('Remark: door opened')"]
+
+
+@pytest.mark.parametrize(
+    ("header", "voltage"),
+    [
+        ('time_s,"voltage, set [V]",force_N', "voltage_set_V"),
+        ('time_s,"Voltage (V)",force_N', "voltage_V"),
+        ('"Time\n[s]","Voltage\n[V]","Force\n[N]"', "voltage_V"),
+        ('time_s,"U ""mon"" [V]",force_N', "U_mon_V"),
+    ],
+)
+def test_names_in_quotes_are_read_as_the_rules_of_csv_say(tmp_path, header, voltage):
+    recording, _ = read(tmp_path, header + "\n" + rows(","))
+    assert list(recording.channels) == [voltage, "force_N"]
+    assert recording.channel("force_N").tolist() == [100 + k for k in range(40)]
 
 
 def test_a_file_whose_only_row_is_cut_says_so(tmp_path):
