@@ -28,6 +28,7 @@ def read_recording(
     columns: str | None = None,
     rate_Hz: float | None = None,
     decimal: Literal[".", ","] | None = None,
+    scale: Sequence[str] = (),
 ) -> Recording:
     """Read a recording of any supported format.
 
@@ -36,18 +37,21 @@ def read_recording(
     path
         File: text of any layout, xlsx, sqlite, HDF5, MAT, TDMS, Parquet, MDF4, LabVIEW measurement.
     columns
-        Names of the columns of a text file with commas between, such as `"time_ms,voltage_V,force_N"`.
+        Names of the columns with commas between, such as `"time_ms,voltage_V,force_N"`, or the wanted ones as
+        `"time_s=run1/t,voltage_V=run1/u"`.
     rate_Hz
         Samples per second of a text file without a column of time [Hz].
     decimal
         Decimal mark of a text file.
+    scale
+        Conversions such as `"CH2=100 N/V"`.
 
     Raises
     ------
     RecordingError
         The file cannot be read, or needs a parameter, which the message names.
     """
-    return recording_from(Path(path), TextOptions.of(columns, rate_Hz, decimal))
+    return recording_from(Path(path), TextOptions.of(columns, rate_Hz, decimal, scale))
 
 
 def identify(

@@ -6,7 +6,16 @@ from typing import Annotated
 
 import typer
 
-from piezod.cli.root import ColumnsOption, DecimalOption, ForceOption, JsonOption, RateOption, app, check_readable
+from piezod.cli.root import (
+    ColumnsOption,
+    DecimalOption,
+    ForceOption,
+    JsonOption,
+    RateOption,
+    ScaleOption,
+    app,
+    check_readable,
+)
 from piezod.errors import UsageError
 
 
@@ -40,6 +49,7 @@ def diagnose(
     columns: ColumnsOption = None,
     rate_hz: RateOption = None,
     decimal: DecimalOption = None,
+    scale: ScaleOption = None,
     force: ForceOption = False,
     as_json: JsonOption = False,
 ) -> None:
@@ -49,7 +59,7 @@ def diagnose(
     check_folder(output, ("findings.json", "model.yaml"), force=force)
     check_page(replay)
     recordings = list(recordings or ())
-    text = TextOptions.of(columns, rate_hz, decimal)
+    text = TextOptions.of(columns, rate_hz, decimal, scale)
     if from_bench is not None:
         from piezod.daemon.drift import find_drift_recording
 
@@ -98,6 +108,7 @@ def what_is_testable(
     columns: ColumnsOption = None,
     rate_hz: RateOption = None,
     decimal: DecimalOption = None,
+    scale: ScaleOption = None,
     force: ForceOption = False,
     as_json: JsonOption = False,
 ) -> None:
@@ -107,7 +118,7 @@ def what_is_testable(
     if next_file is not None:
         check_recording_target(next_file, recordings)
         check_absent(next_file, force=force)
-    text = TextOptions.of(columns, rate_hz, decimal)
+    text = TextOptions.of(columns, rate_hz, decimal, scale)
     for path in recordings:
         check_readable(path, model, text)  # a wrong file is refused before the libraries are there
     from piezod.diagnose.experiment.isolability import isolability

@@ -14,6 +14,7 @@ from piezod.cli.root import (
     ForceOption,
     JsonOption,
     RateOption,
+    ScaleOption,
     app,
     check_readable,
 )
@@ -61,6 +62,7 @@ def identify(
     columns: ColumnsOption = None,
     rate_hz: RateOption = None,
     decimal: DecimalOption = None,
+    scale: ScaleOption = None,
     force: ForceOption = False,
     as_json: JsonOption = False,
 ) -> None:
@@ -81,7 +83,7 @@ def identify(
     check_page(model)
     check_absent(model, force=force)
     check_folder(report)
-    text = TextOptions.of(columns, rate_hz, decimal)
+    text = TextOptions.of(columns, rate_hz, decimal, scale)
     input_name, output_name, chosen = choose_columns(
         recordings[0], column_names(recordings[0], text), {"input": input_column, "output": output_column}
     )
@@ -129,13 +131,14 @@ def simulate(
     columns: ColumnsOption = None,
     rate_hz: RateOption = None,
     decimal: DecimalOption = None,
+    scale: ScaleOption = None,
     force: ForceOption = False,
     as_json: JsonOption = False,
 ) -> None:
     """Simulate a model over the input of a recording, in free run; compare with its output, if it has one."""
     from piezod.recording import TextOptions, check_absent, check_recording_target, write_recording
 
-    text = TextOptions.of(columns, rate_hz, decimal)
+    text = TextOptions.of(columns, rate_hz, decimal, scale)
     check_recording_target(output, [recording])
     check_absent(output, force=force)
     check_readable(recording, model, text)  # a wrong file is refused before the libraries are there

@@ -8,7 +8,16 @@ from typing import Annotated
 import typer
 
 from piezod.cli import INTERRUPTED
-from piezod.cli.root import ColumnsOption, ConfigArgument, DecimalOption, ForceOption, JsonOption, RateOption, app
+from piezod.cli.root import (
+    ColumnsOption,
+    ConfigArgument,
+    DecimalOption,
+    ForceOption,
+    JsonOption,
+    RateOption,
+    ScaleOption,
+    app,
+)
 
 
 @app.command(epilog="Example: piezod record config/bench.yaml --excitation varying-triangles -o varying.csv")
@@ -77,6 +86,7 @@ def convert(
     columns: ColumnsOption = None,
     rate_hz: RateOption = None,
     decimal: DecimalOption = None,
+    scale: ScaleOption = None,
     force: ForceOption = False,
     as_json: JsonOption = False,
 ) -> None:
@@ -87,7 +97,7 @@ def convert(
 
     check_recording_target(output, [recording])
     check_absent(output, force=force)
-    converted = convert_file(recording, output, TextOptions.of(columns, rate_hz, decimal))
+    converted = convert_file(recording, output, TextOptions.of(columns, rate_hz, decimal, scale))
     names = ["time_s", *converted.channels]
     understood, repairs = converted.metadata.get("understood", ""), repair_notes(converted.metadata)
     if as_json:

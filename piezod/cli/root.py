@@ -46,14 +46,22 @@ SocketOption = Annotated[
 ]
 ColumnsOption = Annotated[
     str | None,
-    typer.Option("--columns", metavar="NAME,...", help="Columns of a text file, such as time_ms,voltage_V,force_N."),
+    typer.Option(
+        "--columns",
+        metavar="NAME,...",
+        help="Names of all columns, time_ms,voltage_V,force_N, or of some: time_s=run1/t,...",
+    ),
 ]
 RateOption = Annotated[
     float | None,
-    typer.Option("--rate-Hz", metavar="HZ", min=1e-9, help="Rate of a text file without a column of time."),
+    typer.Option("--rate-Hz", metavar="HZ", min=1e-9, help="Rate of a file without a column of time."),
 ]
 DecimalOption = Annotated[
     str | None, typer.Option("--decimal", metavar="MARK", help="Decimal mark of a text file, a point or a comma.")
+]
+ScaleOption = Annotated[
+    list[str] | None,
+    typer.Option("--scale", metavar="COLUMN=FACTOR UNIT", help="Conversion of a column, such as 'CH2=100 N/V'."),
 ]
 ForceOption = Annotated[bool, typer.Option("--force", help="Replace existing files.")]
 WaitOption = Annotated[bool, typer.Option(help="Wait for the result.")]

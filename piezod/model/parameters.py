@@ -87,11 +87,12 @@ class Start(Section):
 
 
 class TextLayout(Section):
-    """What the user said about a text file: names of its columns, samples per second, decimal mark."""
+    """What the user said about a text file: names of its columns, rate, decimal mark, conversions."""
 
     columns: Annotated[tuple[str, ...], Field(strict=False)] = ()
     rate_Hz: Annotated[float, Field(gt=0)] | None = None
     decimal: Literal["", ".", ","] = ""
+    scale: Annotated[tuple[str, ...], Field(strict=False)] = ()
 
 
 class RecordingSource(Section):

@@ -3,7 +3,7 @@
 import os
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +15,7 @@ from piezod.recording.formats.hdf5 import open_hdf5, write_hdf5
 from piezod.recording.formats.mat import open_mat, write_mat
 from piezod.recording.formats.mdf4 import open_mdf4, write_mdf4
 from piezod.recording.formats.parquet import open_parquet, write_parquet
+from piezod.recording.formats.scale import scaled
 from piezod.recording.formats.spreadsheet import open_spreadsheet, write_spreadsheet
 from piezod.recording.formats.sqlite import open_sqlite, write_sqlite
 from piezod.recording.formats.stream import RecordingStream, chunk_ranges, read_all
@@ -41,7 +42,7 @@ class Format:
 
     name: str
     magic: tuple[bytes, ...]
-    open: Callable[[Path], AbstractContextManager[RecordingStream]]
+    open: Callable[[Path, TextOptions], AbstractContextManager[RecordingStream]]
     write: Callable[[Recording, Path], None]
     needs: tuple[str, str] | tuple[()] = ()
 
@@ -253,20 +254,15 @@ def _wanted(stream: RecordingStream, columns: Sequence[str] | None) -> tuple[str
 @contextmanager
 def _open(path: Path, options: TextOptions | None = None) -> Iterator[RecordingStream]:
     file_format = _format_of(path, to_read=True)
-    if options not in (None, TextOptions()) and file_format.name not in ("CSV", _SPREADSHEET.name):
+    options = options or TextOptions()
+    if file_format.name == "SQLite" and options.is_stated:
         raise UsageError(f"{path}: --columns, --rate-Hz and --decimal are for text files, this is {file_format.name}")
+    if options.decimal and file_format.name not in ("CSV", _SPREADSHEET.name):
+        raise UsageError(f"{path}: --decimal is for text files, this is {file_format.name}")
     with library_errors(path, "read"):
         _check_magic(path, file_format)
-        with _opened(path, file_format, options) as stream:
-            yield stream
-
-
-def _opened(path: Path, file_format: Format, options: TextOptions | None) -> AbstractContextManager[RecordingStream]:
-    if file_format.name == "CSV":
-        return open_text(path, options or TextOptions())
-    if file_format is _SPREADSHEET:
-        return open_spreadsheet(path, options or TextOptions())
-    return file_format.open(path)
+        with file_format.open(path, replace(options, scale=())) as stream:
+            yield scaled(stream, options.scale) if options.scale else stream
 
 
 def _format_of(path: Path, *, to_read: bool = False) -> Format:

@@ -54,8 +54,21 @@ The pound-force is 0.45359237 kg times 9.80665 m/s2 (NIST Special Publication 81
 """
 
 SPELT = {"Volt": "V", "Volts": "V", "volt": "V", "volts": "V", "Newton": "N", "newton": "N"}
-SPELT |= dict.fromkeys(("sec", "Sec", "sek", "Sek", "second", "seconds", "Second", "Seconds", "S"), "s")
-"""Other spellings of units."""
+SPELT |= {"S": "s", "\u00b5s": "us", "\u03bcs": "us"}
+SPELT |= {
+    word: unit
+    for unit, words in {
+        "s": "sec sek second seconds sekunden",
+        "ms": "msec millisec millisecond milliseconds millisekunden",
+        "us": "usec microsec microsecond microseconds mikrosekunden",
+        "ns": "nsec nanosecond nanoseconds",
+        "min": "minute minutes minuten",
+        "h": "hr hour hours stunden",
+        "d": "day days tage",
+    }.items()
+    for word in words.split()
+}
+"""Other spellings of units; words in lower case."""
 
 COUNTS = ("sequence", "index", "sample", "samples", "no", "nr", "#")
 """Words in place of a unit for a column that counts the rows."""
@@ -102,13 +115,13 @@ def column_of(written: str, unit: str = "") -> Column:
     """
     if not unit and (quantity := _QUANTITY.get(_plain(written))):
         return Column(written.strip(), quantity, "")
-    name = channel_name(written.strip().strip('"'), SPELT.get(unit.strip("[]() "), unit.strip("[]() ")))
+    name = channel_name(written.strip().strip('"'), _spelt(unit.strip("[]() ")))
     given = unit_of(name)
     base = name.removesuffix(f"_{given}") if given else name
     if not given and (match := _TRAILING_UNIT.match(written.strip())):
         base, given = match["name"], channel_name("x", match["unit"]).removeprefix("x_")
     quantity = _QUANTITY.get(_plain(base), "")
-    given = SPELT.get(given, given)
+    given = _spelt(given)
     known = UNITS.get(quantity, {})
     if given and quantity and known and given not in known:
         lower = {name.lower(): name for name in known}
@@ -124,10 +137,14 @@ def is_unit(text: str) -> bool:
     """Whether a cell holds only a unit, perhaps in brackets, as in a row of units."""
     bare = channel_name("x", text.strip().strip("[]()").strip()).removeprefix("x_")
     return (
-        any(SPELT.get(bare, bare) in units for units in UNITS.values())
+        any(_spelt(bare) in units for units in UNITS.values())
         or text.strip() in ("-", "[-]", "%")
         or text.strip().lower() in COUNTS
     )
+
+
+def _spelt(unit: str) -> str:
+    return SPELT.get(unit) or SPELT.get(unit.lower(), unit)
 
 
 def _plain(text: str) -> str:

@@ -21,7 +21,7 @@ def entry_of(recording: Recording, sha256: str, text: TextOptions | None) -> Rec
 def stated_layout(source: RecordingSource) -> TextOptions | None:
     """Layout that the user stated when a recording was identified; None: not stated."""
     layout = source.read_as
-    return None if layout is None else TextOptions(layout.columns, layout.rate_Hz, layout.decimal)
+    return None if layout is None else TextOptions(layout.columns, layout.rate_Hz, layout.decimal, layout.scale)
 
 
 def layout_of(path: Path, model: Model, text: TextOptions | None) -> TextOptions | None:
@@ -30,7 +30,7 @@ def layout_of(path: Path, model: Model, text: TextOptions | None) -> TextOptions
     Parameters
     ----------
     model
-        The layouts of its recordings are tried in turn if `text` does not fit the file.
+        The layouts of its recordings are tried in turn if `text` does not fit the file, those with a scale before it.
     text
         Layout stated by the user, tried first; None: not stated.
 
@@ -39,11 +39,15 @@ def layout_of(path: Path, model: Model, text: TextOptions | None) -> TextOptions
     RecordingError
         The file cannot be read with any of the layouts.
     """
+    layouts = [layout for layout in map(stated_layout, model.provenance.recordings) if layout is not None]
+    for layout in layouts if text in (None, TextOptions()) else []:
+        if layout.scale and _is_readable(path, layout):
+            return layout
     try:
         column_names(path, text)
     except RecordingError:
-        for layout in map(stated_layout, model.provenance.recordings):
-            if layout is not None and _is_readable(path, layout):
+        for layout in layouts:
+            if _is_readable(path, layout):
                 return layout
         raise
     return text

@@ -1,77 +1,104 @@
 """Recordings as HDF5: one dataset per channel, its unit as an attribute, metadata as attributes of the root group.
 
 Library: h5py 3.11 or later; reads every version of the file format that h5py reads, writes the format of HDF5 1.8.
-Limits: vectors and matrices of one row or column, in the root group or a group directly below it; 2**29 numbers.
+Limits: vectors, the columns of matrices and the fields of tables, in groups of any depth up to 16; 2**29 numbers.
+`scale_factor`, `add_offset`, `_FillValue` and `missing_value` are applied (NetCDF Climate and Forecast conventions
+1.11, sections 2.5.1 and 8.1); other attributes that may change numbers are named.
 Skipped are external links, external storage and virtual datasets, because they lead to other files. References, text
-and tables are skipped, because they hold no numbers.
+and scalars are skipped, because they hold no samples.
 """
 
-from collections import Counter
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from piezod.recording.formats.access import import_library, replaced_file
 from piezod.recording.formats.hdf5_heap import check_heaps
-from piezod.recording.formats.stream import RecordingStream, Table, chunk_ranges, common_length, skipped_parts
-from piezod.recording.names import TIME, name_columns, unit_of
+from piezod.recording.formats.named_columns import Raw, Stored, named_stream
+from piezod.recording.formats.stream import RecordingStream, chunk_ranges, skipped_parts
+from piezod.recording.formats.text_layout import TextOptions
+from piezod.recording.names import TIME, unit_of
 from piezod.recording.recording import Recording
 
 UNIT_ATTRIBUTES = ("unit", "units", "Unit", "Units")
 """Names of the attribute that holds a dataset's unit, in the order in which they are tried."""
 
+MISSING_ATTRIBUTES = ("_FillValue", "missing_value")
+UNKNOWN_ATTRIBUTES = ("slope", "intercept", "offset", "gain", "scale", "factor", "sensitivity", "calibration", "lsb")
+"""Attributes that may change numbers and have no common meaning."""
+
+DEEPEST = 16
+MOST_COLUMNS = 64
+"""Columns of a matrix that is a table; the longer side counts the samples."""
+
+
+class Vector(NamedTuple):
+    """A vector of an open file: its dataset, and the column of a matrix or the field of a table."""
+
+    dataset: Any
+    part: int | str | None = None
+
+    @property
+    def samples(self) -> int:
+        """Its length."""
+        return int(self.dataset.size if self.part is None or isinstance(self.part, str) else max(self.dataset.shape))
+
+    def read(self, start: int, stop: int) -> NDArray[Any]:
+        """Stored values of a range, converted by the attributes of the conventions."""
+        dataset = self.dataset
+        if isinstance(self.part, str):
+            return np.ascontiguousarray(dataset[self.part, start:stop])
+        if dataset.ndim == 1:
+            values = dataset[start:stop]
+        elif dataset.shape[0] < dataset.shape[1]:
+            values = dataset[self.part or 0, start:stop]
+        else:
+            values = dataset[start:stop, self.part or 0]
+        return _converted(np.ascontiguousarray(values), dataset.attrs)
+
 
 @contextmanager
-def open_hdf5(path: Path) -> Iterator[RecordingStream]:
+def open_hdf5(path: Path, options: TextOptions = TextOptions()) -> Iterator[RecordingStream]:  # noqa: B008  frozen
     """Open an HDF5 file: its datasets are listed at once, numbers are read with the chunks.
-
-    Parameters
-    ----------
-    path
-        HDF5 file.
 
     Raises
     ------
     RecordingError
-        h5py is not installed, the datasets differ in length, or none is `time_s`.
+        h5py is not installed, the datasets differ in length, or as for `named_stream`.
     """
     h5py = import_library("h5py", "hdf5", path)
     check_heaps(path)
     with h5py.File(path, "r") as file:
-        datasets, skipped = numeric_datasets(h5py, file)
+        vectors, skipped = vectors_of(h5py, file)
         metadata = {key: text for key in file.attrs if (text := attribute_text(file.attrs.get(key)))}
-        yield stream_of(path, datasets, metadata | skipped_parts(skipped))
+        yield stream_of(path, vectors, metadata | skipped_parts(skipped), options)
 
 
-def stream_of(path: Path, datasets: dict[str, Any], metadata: dict[str, str]) -> RecordingStream:
-    """Stream whose columns are these datasets, each a vector or a matrix of one row or column.
+def stream_of(
+    path: Path, vectors: dict[str, Vector], metadata: dict[str, str], options: TextOptions
+) -> RecordingStream:
+    """Stream of the vectors of an open file, by their paths; errors as for `named_stream`."""
 
-    Parameters
-    ----------
-    path
-        File of the datasets, for messages.
-    datasets
-        Datasets of an open file, by name, each of N numbers.
-    metadata
-        Keys and values of the file's own description.
+    def pieces(wanted: Sequence[str], chunk: int) -> Iterator[Raw]:
+        for start, stop in chunk_ranges(vectors[wanted[0]].samples, chunk):
+            yield {name: vectors[name].read(start, stop) for name in wanted}
 
-    Raises
-    ------
-    RecordingError
-        The datasets differ in length, two have equal names, or none is `time_s`.
-    """
-    names = name_columns(path, [(name, _unit(dataset)) for name, dataset in datasets.items()])
-    vectors = dict(zip(names, datasets.values(), strict=True))
-    samples = common_length(path, {name: int(vector.size) for name, vector in vectors.items()})
-
-    def chunks(wanted: Sequence[str], chunk: int) -> Iterator[Table]:
-        for start, stop in chunk_ranges(samples, chunk):
-            yield {name: _piece(vectors[name], start, stop) for name in wanted}
-
-    return RecordingStream(path, names, chunks, samples, metadata)
+    unknown = [name for name, vector in vectors.items() if _unknown_attributes(vector.dataset)]
+    if unknown:
+        attributes = ", ".join(f"{name}: {' '.join(_unknown_attributes(vectors[name].dataset))}" for name in unknown)
+        metadata["attributes"] = f"attributes that are not applied: {attributes[:200]}; state them with --scale"
+    every = [
+        Stored(
+            *(name, vector.samples, _unit(vector), name.rpartition("/")[2].replace(":", "_")),
+            of_matrix=isinstance(vector.part, int),
+        )
+        for name, vector in vectors.items()
+    ]
+    return named_stream(path, every, pieces, metadata, options)
 
 
 def write_hdf5(recording: Recording, path: Path) -> None:
@@ -94,10 +121,8 @@ def write_hdf5(recording: Recording, path: Path) -> None:
             dataset.attrs["unit"] = unit_of(name)
 
 
-def numeric_datasets(h5py: Any, file: Any) -> tuple[dict[str, Any], list[str]]:  # noqa: ANN401  h5py has no types
-    """Datasets of numbers in the root group and one level below, and the paths of the skipped parts.
-
-    The key is the dataset's name, or its path if another dataset has this name.
+def vectors_of(h5py: Any, file: Any) -> tuple[dict[str, Vector], list[str]]:  # noqa: ANN401  h5py has no types
+    """Vectors of numbers in the groups of a file by their paths, and the paths of the skipped parts.
 
     Parameters
     ----------
@@ -106,17 +131,11 @@ def numeric_datasets(h5py: Any, file: Any) -> tuple[dict[str, Any], list[str]]: 
     file
         Open file of h5py.
     """
-    datasets: dict[str, Any] = {}
+    vectors: dict[str, Vector] = {}
     skipped: list[str] = []
-    for path, item in _items(h5py, file, skipped):
-        if isinstance(item, h5py.Group) and item != file["/"]:
-            for below, dataset in _items(h5py, item, skipped):
-                _add_dataset(h5py, f"{path}/{below}", dataset, datasets, skipped)
-        else:
-            _add_dataset(h5py, path, item, datasets, skipped)
-    names = {path: path.rpartition("/")[2] for path in datasets}
-    count = Counter(names.values())
-    return {name if count[name] == 1 else path: datasets[path] for path, name in names.items()}, skipped
+    for path, dataset in _datasets(h5py, file["/"], "", skipped, [file["/"]]):
+        _add(path, dataset, vectors, skipped)
+    return vectors, skipped
 
 
 def attribute_text(value: Any) -> str:  # noqa: ANN401  an attribute is of any type
@@ -132,34 +151,71 @@ def attribute_text(value: Any) -> str:  # noqa: ANN401  an attribute is of any t
     return value if isinstance(value, str) else ""
 
 
-def _items(h5py: Any, group: Any, skipped: list[str]) -> Iterator[tuple[str, Any]]:  # noqa: ANN401
-    """(name, item) of each member of a group that is stored in this file; names of links are added to `skipped`."""
+def _datasets(h5py: Any, group: Any, above: str, skipped: list[str], parents: list[Any]) -> Iterator[tuple[str, Any]]:  # noqa: ANN401
+    """(path, dataset) of each dataset below a group that is stored in this file; links are added to `skipped`."""
     for name in group:
+        path = f"{above}{name}"
         if name.startswith("#"):
             continue  # MATLAB stores its internal objects under such names
-        if isinstance(group.get(name, getlink=True), h5py.HardLink):
-            yield name, group[name]
+        if not isinstance(group.get(name, getlink=True), h5py.HardLink):
+            skipped.append(f"link {path}")
+        elif not isinstance(item := group[name], h5py.Group):
+            yield path, item
+        elif item in parents or len(parents) > DEEPEST:
+            skipped.append(path)
         else:
-            skipped.append(f"link {name}")
+            yield from _datasets(h5py, item, f"{path}/", skipped, [*parents, item])
 
 
-def _add_dataset(h5py: Any, path: str, item: Any, datasets: dict[str, Any], skipped: list[str]) -> None:  # noqa: ANN401
-    vector = isinstance(item, h5py.Dataset) and item.ndim in {1, 2} and item.size in item.shape
-    if vector and item.dtype.kind in "fiub" and not item.is_virtual and not item.external:
-        datasets[path] = item
+def _add(path: str, dataset: Any, vectors: dict[str, Vector], skipped: list[str]) -> None:  # noqa: ANN401
+    """Add the vectors of a dataset, or the dataset to the skipped parts."""
+    shape = getattr(dataset, "shape", None) or ()
+    if not shape or dataset.size < 1 or dataset.is_virtual or dataset.external:
+        skipped.append(path)
+    elif dataset.dtype.names and len(shape) == 1:
+        fields = [name for name in dataset.dtype.names if dataset.dtype[name].kind in "fiub"]
+        vectors |= {f"{path}/{name}": Vector(dataset, name) for name in fields}
+        skipped += [f"{path}/{name}" for name in dataset.dtype.names if name not in fields]
+    elif dataset.dtype.kind not in "fiub":
+        skipped.append(path)
+    elif len(shape) < 3 and dataset.size in shape:
+        vectors[path] = Vector(dataset)
+    elif len(shape) == 2 and min(shape) <= MOST_COLUMNS:
+        vectors |= {f"{path}:{k + 1}": Vector(dataset, k) for k in range(min(shape))}
     else:
         skipped.append(path)
 
 
-def _unit(dataset: Any) -> str:  # noqa: ANN401
-    return next((unit for key in UNIT_ATTRIBUTES if (unit := attribute_text(dataset.attrs.get(key)))), "")
+def _converted(values: NDArray[Any], attributes: Any) -> NDArray[Any]:  # noqa: ANN401
+    """Values by `scale_factor` and `add_offset`, nan for fill values; as stored without these attributes."""
+    missing = [value for key in MISSING_ATTRIBUTES if (value := _number(attributes.get(key))) is not None]
+    factor, offset = (_number(attributes.get(key)) for key in ("scale_factor", "add_offset"))
+    if factor is None and offset is None and not missing:
+        return values
+    numbers = values * (1.0 if factor is None else factor) + (0.0 if offset is None else offset)
+    return np.where(np.isin(values, np.asarray(missing, dtype=values.dtype)), np.nan, numbers) if missing else numbers
 
 
-def _piece(dataset: Any, start: int, stop: int) -> np.ndarray[Any, np.dtype[np.float64]]:  # noqa: ANN401
-    if dataset.ndim == 1:
-        values = dataset[start:stop]
-    elif dataset.shape[0] == 1:
-        values = dataset[0, start:stop]
-    else:
-        values = dataset[start:stop, 0]
-    return np.ascontiguousarray(values, dtype=np.float64)
+def _number(value: Any) -> float | None:  # noqa: ANN401
+    """An attribute as a number, also of text; None: it is none."""
+    try:
+        return float(np.asarray(attribute_text(value) or value).ravel()[0])
+    except (TypeError, ValueError, IndexError):
+        return None
+
+
+def _unknown_attributes(dataset: Any) -> list[str]:  # noqa: ANN401
+    """Attributes that may change the numbers and are not applied."""
+    applied = ("scale_factor", "add_offset", *MISSING_ATTRIBUTES)
+    return [
+        key
+        for key in dataset.attrs
+        if (key in applied and _number(dataset.attrs.get(key)) is None)
+        or (key not in applied and key.lower().split("_")[0] in UNKNOWN_ATTRIBUTES)
+    ]
+
+
+def _unit(vector: Vector) -> str:
+    if vector.part is not None:
+        return ""
+    return next((unit for key in UNIT_ATTRIBUTES if (unit := attribute_text(vector.dataset.attrs.get(key)))), "")

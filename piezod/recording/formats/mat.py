@@ -3,24 +3,28 @@
 Versions: 5 is read and written, 7.3 (an HDF5 file) is read. Libraries: scipy writes version 5, `mat5` reads it, and
 h5py 3.11 or later reads 7.3. Limits: vectors of real numbers; 31 characters for a name; 10**6 for the metadata;
 2**29 numbers.
-Cells, structs, objects and function handles are skipped and never interpreted.
+Structs are searched where no vector beside them is a time. Cells, objects (`timetable`, `timeseries`) and function
+handles are skipped and never interpreted.
 """
 
 import importlib
 from collections.abc import Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 
 from piezod.errors import RecordingError
 from piezod.recording.formats.access import import_library, replaced_file
-from piezod.recording.formats.hdf5 import numeric_datasets, stream_of
+from piezod.recording.formats.hdf5 import stream_of, vectors_of
 from piezod.recording.formats.hdf5_heap import check_heaps
-from piezod.recording.formats.mat5 import NUMBERS, read_numbers, read_text, read_variables
-from piezod.recording.formats.stream import RecordingStream, Table, check_claimed_size, common_length, skipped_parts
-from piezod.recording.names import TIME, name_columns
+from piezod.recording.formats.mat5 import NUMBERS, Variable, read_fields, read_numbers, read_text, read_variables
+from piezod.recording.formats.named_columns import Raw, Stored, named_stream
+from piezod.recording.formats.stream import Array, RecordingStream, check_claimed_size, skipped_parts
+from piezod.recording.formats.text_layout import TextOptions
+from piezod.recording.names import TIME
 from piezod.recording.recording import Recording
 
 VERSION_7_3 = b"MATLAB 7.3"
@@ -30,26 +34,33 @@ METADATA = "metadata"
 MOST_TEXT = 10**6
 """Characters that the metadata may have."""
 
+LABELS, VALUES = ("name", "label", "signalname"), ("values", "data", "value", "samples", "y")
+"""Fields of a struct that name a vector, and that hold it."""
+
+UNITS = ("unit", "units")
+"""Fields of a struct that hold the unit of the vector beside it."""
+
+MOST_LABEL = 100
+"""Characters of such a name."""
+
 LONGEST_NAME = 31
 """Characters that the name of a variable may have in version 5."""
 
 
-def open_mat(path: Path) -> AbstractContextManager[RecordingStream]:
+def open_mat(
+    path: Path,
+    options: TextOptions = TextOptions(),  # noqa: B008  frozen
+) -> AbstractContextManager[RecordingStream]:
     """Open a MAT file. A file of version 5 is one chunk, a file of 7.3 is read in chunks.
-
-    Parameters
-    ----------
-    path
-        MAT file of version 5 or 7.3.
 
     Raises
     ------
     RecordingError
-        h5py is not installed, the vectors differ in length, or none is `time_s`.
+        h5py is not installed, the vectors differ in length, or as for `named_stream`.
     """
     with path.open("rb") as file:
         hdf5 = file.read(len(VERSION_7_3)) == VERSION_7_3
-    return _open_7_3(path) if hdf5 else _open_5(path)
+    return _open_7_3(path, options) if hdf5 else _open_5(path, options)
 
 
 def write_mat(recording: Recording, path: Path) -> None:
@@ -74,36 +85,90 @@ def write_mat(recording: Recording, path: Path) -> None:
 
 
 @contextmanager
-def _open_5(path: Path) -> Iterator[RecordingStream]:
+def _open_5(path: Path, options: TextOptions) -> Iterator[RecordingStream]:
     with path.open("rb") as file:
         every = list(read_variables(file))
-        vectors = [variable for variable in every if variable.is_vector]
-        names = name_columns(path, [(vector.name, "") for vector in vectors])
-        samples = common_length(path, dict(zip(names, (vector.count for vector in vectors), strict=True)))
-        check_claimed_size(path, samples * len(names))
-        skipped = [f"{v.kind} {v.name}" for v in every if not v.is_vector and v.name != METADATA]
         texts = [read_text(file, v) for v in every if v.name == METADATA and v.kind == "char" and v.count < MOST_TEXT]
-        stored = dict(zip(names, vectors, strict=True))
+        flat = {v.name: v for v in every if v.is_vector}
+        if options.columns or not any(stored.is_time for stored in _stored(flat)):
+            flat, every = _with_fields(file, path, flat, every)
+        check_claimed_size(path, sum(variable.count for variable in flat.values()))
+        skipped = [f"{v.kind} {v.name}" for v in every if v.name not in flat and v.name != METADATA]
 
-        def chunks(wanted: Sequence[str], _: int) -> Iterator[Table]:
-            if samples:
-                yield {name: read_numbers(file, stored[name]) for name in wanted}
+        def pieces(wanted: Sequence[str], _: int) -> Iterator[Raw]:
+            yield {name: _vector(file, flat, name) for name in wanted}
 
-        yield RecordingStream(path, names, chunks, samples, _metadata("".join(texts)) | skipped_parts(skipped))
+        metadata = _metadata("".join(texts)) | skipped_parts(skipped)
+        yield named_stream(path, _stored(flat), pieces, metadata, options)
+
+
+def _with_fields(
+    file: BinaryIO, path: Path, flat: dict[str, Variable], every: list[Variable]
+) -> tuple[dict[str, Variable], list[Variable]]:
+    """The vectors and matrices by their paths, those in structs too, and the other variables.
+
+    A field that is called `name` or `label` names the vector beside it: `signals(2)/values` is `signals(2)/force`.
+    """
+    structs = [variable for variable in every if variable.kind == "struct"]
+    check_claimed_size(path, sum(variable.size for variable in structs) // 8)
+    fields = {name: field for struct in structs for name, field in read_fields(file, struct)}
+    texts = {name: field for name, field in fields.items() if field.kind == "char" and 0 < field.count < MOST_LABEL}
+    labels = {_above(name): read_text(file, f).strip() for name, f in texts.items() if _own(name).lower() in LABELS}
+    units = {_above(name): read_text(file, f).strip() for name, f in texts.items() if _own(name).lower() in UNITS}
+    tables = dict(flat)
+    for name, field in fields.items():
+        above, is_labelled = _above(name), _above(name) in labels and _own(name).lower() in VALUES
+        if field.is_vector or field.is_matrix:
+            unit = units.get(above, "") if is_labelled else ""
+            tables[f"{above}/{labels[above]}" if is_labelled else name] = replace(field, unit=unit)
+    tables |= {variable.name: variable for variable in every if variable.is_matrix}
+    if len(tables) < 2 and not flat and not any(variable.is_matrix for variable in every):
+        return flat, every
+    return tables, [variable for variable in every if variable not in structs and not variable.is_matrix]
+
+
+def _above(name: str) -> str:
+    return name.rpartition("/")[0]
+
+
+def _own(name: str) -> str:
+    return name.rpartition("/")[2]
+
+
+def _stored(variables: dict[str, Variable]) -> list[Stored]:
+    """The vectors, and the columns of the matrices."""
+    stored = []
+    for name, variable in variables.items():
+        if variable.is_vector:
+            stored.append(Stored(name, variable.count, variable.unit, _own(name)))
+        else:
+            rows, columns = max(variable.shape), range(1, min(variable.shape) + 1)
+            stored += [Stored(f"{name}:{k}", rows, "", f"{_own(name)}_{k}", of_matrix=True) for k in columns]
+    return stored
+
+
+def _vector(file: BinaryIO, variables: dict[str, Variable], name: str) -> Array:
+    if name in variables:
+        return read_numbers(file, variables[name])
+    base, _, place = name.rpartition(":")
+    variable = variables[base]
+    matrix = read_numbers(file, variable).reshape(variable.shape, order="F")
+    column: Array = matrix[:, int(place) - 1] if variable.shape[0] >= variable.shape[1] else matrix[int(place) - 1]
+    return column
 
 
 @contextmanager
-def _open_7_3(path: Path) -> Iterator[RecordingStream]:
+def _open_7_3(path: Path, options: TextOptions) -> Iterator[RecordingStream]:
     h5py = import_library("h5py", "hdf5", path)
     check_heaps(path)
     with h5py.File(path, "r") as file:
-        datasets, skipped = numeric_datasets(h5py, file)
-        kinds = {name: _kind(dataset) for name, dataset in datasets.items()}
-        vectors = {name: dataset for name, dataset in datasets.items() if kinds[name] in {*NUMBERS, "logical", ""}}
-        skipped += [f"{kinds[name]} {name}" for name in datasets if name not in vectors and name != METADATA]
-        text = kinds.get(METADATA) == "char" and datasets[METADATA].size < MOST_TEXT
-        metadata = _metadata("".join(map(chr, datasets[METADATA][()].ravel()))) if text else {}
-        yield stream_of(path, vectors, metadata | skipped_parts(skipped))
+        every, skipped = vectors_of(h5py, file)
+        kinds = {name: _kind(vector.dataset) for name, vector in every.items()}
+        vectors = {name: vector for name, vector in every.items() if kinds[name] in {*NUMBERS, "logical", ""}}
+        skipped += [f"{kinds[name]} {name}" for name in every if name not in vectors and name != METADATA]
+        text = kinds.get(METADATA) == "char" and every[METADATA].dataset.size < MOST_TEXT
+        metadata = _metadata("".join(map(chr, every[METADATA].dataset[()].ravel()))) if text else {}
+        yield stream_of(path, vectors, metadata | skipped_parts(skipped), options)
 
 
 def _kind(dataset: Any) -> str:  # noqa: ANN401  h5py has no types

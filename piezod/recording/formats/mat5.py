@@ -42,6 +42,13 @@ COMPLEX = 0x0800
 """Flag of a matrix with an imaginary part."""
 
 
+MOST_COLUMNS = 64
+"""Columns of a matrix that is a table; the longer side counts the samples."""
+
+DEEPEST = 16
+"""Structs within structs."""
+
+
 @dataclass(frozen=True)
 class Variable:
     """Description of a variable, from the first bytes of its element.
@@ -62,6 +69,10 @@ class Variable:
         Position of the real part in the decompressed data [bytes].
     order
         Byte order as in `struct`: `<` or `>`.
+    body
+        The decompressed data, for the field of a struct; None: they are read from the file.
+    unit
+        Unit that the struct states beside it; empty: none.
     """
 
     name: str
@@ -73,6 +84,8 @@ class Variable:
     size: int
     data: int
     order: str
+    body: bytes | None = None
+    unit: str = ""
 
     @property
     def count(self) -> int:
@@ -86,6 +99,11 @@ class Variable:
     def is_vector(self) -> bool:
         """Whether the variable holds real numbers in one row or one column."""
         return self.kind in NUMBERS and len(self.shape) == 2 and 1 in self.shape
+
+    @property
+    def is_matrix(self) -> bool:
+        """Whether the variable holds a table of real numbers of few columns, or few rows."""
+        return self.kind in NUMBERS and len(self.shape) == 2 and 1 < min(self.shape) <= MOST_COLUMNS
 
 
 def read_variables(file: BinaryIO) -> Iterator[Variable]:
@@ -119,6 +137,42 @@ def read_variables(file: BinaryIO) -> Iterator[Variable]:
         else:
             yield _parse_head(head, order, position + 8, stored, stored, deflated=False)
         position += 8 + stored
+
+
+def read_fields(file: BinaryIO, struct_: Variable) -> Iterator[tuple[str, Variable]]:
+    """(path, variable) of the fields of a struct and of the structs in it, such as `out/signals(2)/values`.
+
+    Raises
+    ------
+    ValueError
+        The struct is damaged.
+    """
+    file.seek(struct_.position)
+    body = file.read(struct_.stored)
+    if struct_.deflated:
+        body = zlib.decompressobj().decompress(body, 8 + struct_.size)[8:]
+    yield from _fields(body, struct_, struct_.name, 0)
+
+
+def _fields(body: bytes, struct_: Variable, path: str, depth: int) -> Iterator[tuple[str, Variable]]:
+    order = struct_.order
+    _, length, at = _element(body, struct_.data, order)
+    _, names, at = _element(body, at, order)
+    size = int.from_bytes(length[:4], "little" if order == "<" else "big")
+    if not 0 < size <= 64 or depth > DEEPEST:
+        raise ValueError(f"struct {path} is damaged, its field names have {size} characters")
+    fields = [names[k : k + size].split(b"\0")[0].decode("latin-1") for k in range(0, len(names), size)]
+    for k in range(min(struct_.count, MOST_COLUMNS)):
+        element = path if struct_.count == 1 else f"{path}({k + 1})"
+        for field in fields:
+            _, inner, at = _element(body, at, order)
+            if not inner:
+                continue
+            variable = _parse_head(inner, order, 0, len(inner), len(inner), deflated=False, body=inner)
+            if variable.kind == "struct":
+                yield from _fields(inner, variable, f"{element}/{field}", depth + 1)
+            else:
+                yield f"{element}/{field}", variable
 
 
 def read_numbers(file: BinaryIO, variable: Variable) -> Array:
@@ -159,7 +213,9 @@ def read_text(file: BinaryIO, variable: Variable) -> str:
     return data.decode(encoding + suffix, "replace")
 
 
-def _parse_head(head: bytes, order: str, position: int, stored: int, size: int, *, deflated: bool) -> Variable:
+def _parse_head(
+    head: bytes, order: str, position: int, stored: int, size: int, *, deflated: bool, body: bytes | None = None
+) -> Variable:
     _, flags, after = _element(head, 0, order)
     _, dimensions, after = _element(head, after, order)
     _, name, after = _element(head, after, order)
@@ -169,11 +225,14 @@ def _parse_head(head: bytes, order: str, position: int, stored: int, size: int, 
     if any(length < 0 for length in shape):
         raise ValueError(f"a variable at byte {position} has a negative dimension")
     kind = "complex" if flag & COMPLEX else kind
-    return Variable(name.decode("latin-1"), kind, shape, position, stored, deflated, size, after, order)
+    return Variable(name.decode("latin-1"), kind, shape, position, stored, deflated, size, after, order, body)
 
 
 def _read_data(file: BinaryIO, variable: Variable) -> tuple[int, bytes]:
     """Type and bytes of a variable's real part or of its characters."""
+    if variable.body is not None:
+        kind, data, _ = _element(variable.body, variable.data, variable.order)
+        return kind, data
     file.seek(variable.position)
     most = variable.data + 8 + 8 * variable.count  # a value takes at most 8 bytes
     if variable.deflated:

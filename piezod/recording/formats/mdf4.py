@@ -7,6 +7,7 @@ file is ever evaluated. A channel of text is skipped too.
 
 import html
 import re
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -17,8 +18,10 @@ import numpy as np
 from piezod.errors import RecordingError
 from piezod.recording.formats.access import import_library, replaced_file
 from piezod.recording.formats.mdf4_blocks import check_blocks
-from piezod.recording.formats.stream import Array, RecordingStream, Table, common_length, skipped_parts
-from piezod.recording.names import TIME, channel_name, name_columns, unit_of
+from piezod.recording.formats.named_columns import Raw, Stored, named_stream
+from piezod.recording.formats.stream import Array, RecordingStream, common_length, skipped_parts
+from piezod.recording.formats.text_layout import TextOptions
+from piezod.recording.names import TIME, channel_name, unit_of
 from piezod.recording.recording import Recording
 
 PLAIN_CONVERSIONS = {0, 1, 2, 4, 5, 6}
@@ -32,7 +35,7 @@ NUMBERS = {0, 1, 2, 3, 4, 5}
 
 
 @contextmanager
-def open_mdf4(path: Path) -> Iterator[RecordingStream]:
+def open_mdf4(path: Path, options: TextOptions = TextOptions()) -> Iterator[RecordingStream]:  # noqa: B008  frozen
     """Open an MDF 4 file: its structure is checked and read at once, numbers are read with the only chunk.
 
     Parameters
@@ -50,7 +53,7 @@ def open_mdf4(path: Path) -> Iterator[RecordingStream]:
     # An open file instead of a path: asammdf maps a path to memory and prints to stderr after an error.
     with path.open("rb") as raw, asammdf.MDF(raw) as file:
         columns, skipped = _columns(file)
-        yield _stream(path, file, columns, _metadata(file.header.comment) | skipped_parts(skipped))
+        yield _stream(path, file, columns, _metadata(file.header.comment) | skipped_parts(skipped), options)
 
 
 def write_mdf4(recording: Recording, path: Path) -> None:
@@ -108,16 +111,17 @@ def _stream(
     file: Any,  # noqa: ANN401  asammdf has no types
     columns: dict[tuple[int, int], tuple[str, str]],
     metadata: dict[str, str],
+    options: TextOptions,
 ) -> RecordingStream:
     named = {place: column for place, column in columns.items() if channel_name(*column) != TIME}
-    names = name_columns(path, [*named.values(), *([(TIME, "")] if columns else [])])
-    places = dict(zip(names, named, strict=False))
+    count = Counter(name for name, _ in named.values())
+    places = {name if count[name] == 1 else f"group {place[0] + 1}/{name}": place for place, (name, _) in named.items()}
     groups = sorted({group for group, _ in named})
     samples = common_length(
         path, {f"group {group + 1}": int(file.groups[group].channel_group.cycles_nr) for group in groups}
     )
 
-    def chunks(wanted: Sequence[str], _: int) -> Iterator[Table]:
+    def pieces(wanted: Sequence[str], _: int) -> Iterator[Raw]:
         # asammdf reads the complete group for any part of it: smaller chunks would save no memory and take longer.
         times = [np.asarray(file.get_master(group), dtype=np.float64) for group in groups]
         if any(not np.array_equal(time_s, times[0]) for time_s in times[1:]):
@@ -125,7 +129,9 @@ def _stream(
         if samples:
             yield {name: times[0] if name == TIME else _values(file, places[name]) for name in wanted}
 
-    return RecordingStream(path, names, chunks, samples, metadata)
+    every = [Stored(name, samples, named[place][1], named[place][0]) for name, place in places.items()]
+    times = [Stored(TIME, samples, "", TIME)] if every else []
+    return named_stream(path, every + times, pieces, metadata, options)
 
 
 def _values(file: Any, place: tuple[int, int]) -> Array:  # noqa: ANN401

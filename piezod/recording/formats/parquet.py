@@ -1,7 +1,7 @@
 """Recordings as Parquet: one column per channel, its unit in the metadata of the field, a null for a missing sample.
 
 Library: pyarrow 17 or later, with the versions of the format that it reads and writes. Limits: columns of integers,
-floating point numbers and booleans; 2**29 numbers. Columns of other types are skipped.
+floating point numbers, booleans and dates; 2**29 numbers. Columns of other types are skipped.
 """
 
 from collections.abc import Iterator, Sequence
@@ -10,10 +10,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from piezod.recording.formats.access import import_library, replaced_file
-from piezod.recording.formats.stream import Array, RecordingStream, Table, skipped_parts
-from piezod.recording.names import TIME, name_columns, unit_of
+from piezod.recording.formats.named_columns import Raw, Stored, named_stream
+from piezod.recording.formats.stream import RecordingStream, skipped_parts
+from piezod.recording.formats.text_layout import TextOptions
+from piezod.recording.names import TIME, unit_of
 from piezod.recording.recording import Recording
 
 FOREIGN_KEYS = {b"ARROW:schema", b"pandas"}
@@ -21,32 +24,31 @@ FOREIGN_KEYS = {b"ARROW:schema", b"pandas"}
 
 
 @contextmanager
-def open_parquet(path: Path) -> Iterator[RecordingStream]:
+def open_parquet(path: Path, options: TextOptions = TextOptions()) -> Iterator[RecordingStream]:  # noqa: B008  frozen
     """Open a Parquet file: its schema is read at once, numbers are read with the chunks.
 
     Raises
     ------
     RecordingError
-        pyarrow is not installed, two columns have equal names, or none is `time_s`.
+        pyarrow is not installed, two columns have equal names, or as for `named_stream`.
     """
     arrow, parquet = import_library("pyarrow", "parquet", path), import_library("pyarrow.parquet", "parquet", path)
     # No buffering in advance: it would hold the compressed bytes of all wanted columns in memory.
     with parquet.ParquetFile(path, pre_buffer=False) as file:
-        fields = list(file.schema_arrow)
-        numeric = [field for field in fields if _is_numeric(arrow, field)]
-        names = name_columns(path, [(field.name, _unit(field)) for field in numeric])
-        stored = dict(zip(names, (field.name for field in numeric), strict=True))
+        schema, samples = file.schema_arrow, file.metadata.num_rows
+        fields = [field for field in schema if _is_numeric(arrow, field)]
+        every = [
+            Stored(field.name, samples, _unit(field), field.name, arrow.types.is_timestamp(field.type))
+            for field in fields
+        ]
 
-        def chunks(wanted: Sequence[str], chunk: int) -> Iterator[Table]:
-            columns = [stored[name] for name in wanted]
-            for batch in file.iter_batches(batch_size=chunk, columns=columns, use_threads=False):
+        def pieces(wanted: Sequence[str], chunk: int) -> Iterator[Raw]:
+            for batch in file.iter_batches(batch_size=chunk, columns=list(dict.fromkeys(wanted)), use_threads=False):
                 if batch.num_rows:
-                    yield {name: _values(arrow, batch.column(stored[name])) for name in wanted}
+                    yield {name: _values(arrow, batch.column(name)) for name in wanted}
 
-        skipped = [field.name for field in fields if not _is_numeric(arrow, field)]
-        yield RecordingStream(
-            path, names, chunks, file.metadata.num_rows, _metadata(file.schema_arrow) | skipped_parts(skipped)
-        )
+        skipped = [field.name for field in schema if field not in fields]
+        yield named_stream(path, every, pieces, _metadata(schema) | skipped_parts(skipped), options)
 
 
 def write_parquet(recording: Recording, path: Path) -> None:
@@ -70,7 +72,8 @@ def write_parquet(recording: Recording, path: Path) -> None:
 
 def _is_numeric(arrow: Any, field: Any) -> bool:  # noqa: ANN401
     kind = arrow.types
-    return bool(kind.is_floating(field.type) or kind.is_integer(field.type) or kind.is_boolean(field.type))
+    tests = (kind.is_floating, kind.is_integer, kind.is_boolean, kind.is_timestamp)
+    return any(test(field.type) for test in tests)
 
 
 def _unit(field: Any) -> str:  # noqa: ANN401
@@ -83,7 +86,13 @@ def _metadata(schema: Any) -> dict[str, str]:  # noqa: ANN401
     return {key.decode("utf-8", "replace"): value.decode("utf-8", "replace") for key, value in own.items()}
 
 
-def _values(arrow: Any, column: Any) -> Array:  # noqa: ANN401
+def _values(arrow: Any, column: Any) -> NDArray[Any]:  # noqa: ANN401
+    """Dates in UTC, whole numbers without a null as they are, else floating point numbers."""
+    if arrow.types.is_timestamp(column.type):
+        dates = column.cast(arrow.timestamp("ns")).to_numpy(zero_copy_only=False)
+        return np.asarray(dates, dtype="datetime64[ns]")
+    if arrow.types.is_integer(column.type) and not column.null_count:
+        return np.asarray(column.to_numpy(zero_copy_only=False))
     # safe=False: integers beyond 2**53 are rounded to the nearest double, as in every format
     numbers = column.cast(arrow.float64(), safe=False)
     return np.ascontiguousarray(numbers.to_numpy(zero_copy_only=False), dtype=np.float64)

@@ -111,4 +111,6 @@ def repair_notes(metadata: dict[str, str]) -> list[str]:
     metadata
         Metadata of a recording that was read completely.
     """
-    return [metadata[key] for key in ("time", "clock", "missing", "left_out") if key in metadata]
+    return [
+        metadata[key] for key in ("time", "clock", "missing", "left_out", "attributes", "scaled") if key in metadata
+    ]

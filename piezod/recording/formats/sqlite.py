@@ -23,6 +23,7 @@ from piezod.recording.formats.stream import (
     check_claimed_size,
     chunk_ranges,
 )
+from piezod.recording.formats.text_layout import TextOptions
 from piezod.recording.hold import HELD_ONE_SAMPLE
 from piezod.recording.names import TIME, name_columns
 from piezod.recording.recording import Recording
@@ -57,7 +58,7 @@ def write_sqlite(recording: Recording, path: Path) -> None:
 
 
 @contextmanager
-def open_sqlite(path: Path) -> Iterator[RecordingStream]:
+def open_sqlite(path: Path, _: TextOptions = TextOptions()) -> Iterator[RecordingStream]:  # noqa: B008  frozen
     """Open a recording, complete or still being written; it holds the blocks that are committed now.
 
     Raises

@@ -1,23 +1,26 @@
 """Recordings as TDMS (LabVIEW): one TDMS channel per column, its unit as the property `unit_string`.
 
-Time is a channel `time_s`, or follows from the waveform properties `wf_start_offset` and `wf_increment`. Library:
-nptdms 1.9 or later, with the versions of the format that it reads. Limits: channels of real numbers, all of one
+Time is a channel, or follows from the waveform properties `wf_start_time`, `wf_start_offset` and `wf_increment`.
+Library: nptdms 1.9 or later, with the versions of the format that it reads. Limits: channels of numbers, all of one
 length; one waveform time; 2**29 numbers. Channels of other types and empty channels are skipped.
 """
 
 import io
 import logging
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from piezod.errors import RecordingError
 from piezod.recording.formats.access import import_library, replaced_file
-from piezod.recording.formats.stream import Array, RecordingStream, Table, chunk_ranges, common_length, skipped_parts
-from piezod.recording.names import TIME, channel_name, name_columns, unit_of
+from piezod.recording.formats.named_columns import Raw, Stored, named_stream
+from piezod.recording.formats.stream import Array, RecordingStream, chunk_ranges, skipped_parts
+from piezod.recording.formats.text_layout import TextOptions
+from piezod.recording.names import TIME, unit_of
 from piezod.recording.recording import Recording
 
 GROUP = "recording"
@@ -31,7 +34,7 @@ SHORTEST_CHUNK = 2**20
 
 
 @contextmanager
-def open_tdms(path: Path) -> Iterator[RecordingStream]:
+def open_tdms(path: Path, options: TextOptions = TextOptions()) -> Iterator[RecordingStream]:  # noqa: B008  frozen
     """Open a TDMS file: its properties are read at once, numbers are read with the chunks.
 
     Raises
@@ -42,11 +45,12 @@ def open_tdms(path: Path) -> Iterator[RecordingStream]:
     nptdms = import_library("nptdms", "tdms", path)
     nptdms.log.log_manager.set_level(logging.ERROR)  # it would print the content of damaged files
     with _BoundedReader(io.FileIO(path)) as raw, nptdms.TdmsFile.open(raw) as file:
+        begins = _begins_of_waveforms(nptdms, path)
         every = [channel for group in file.groups() for channel in group.channels()]
-        channels = [channel for channel in every if channel.dtype.kind in "fiub" and len(channel)]
+        channels = [channel for channel in every if channel.dtype.kind in "fiubM" and len(channel)]
         skipped = [channel.path for channel in every if channel not in channels]
         metadata = {key: str(value) for key, value in file.properties.items() if isinstance(value, str) and value}
-        yield _stream(path, channels, metadata | skipped_parts(skipped))
+        yield _stream(path, channels, begins, metadata | skipped_parts(skipped), options)
 
 
 def write_tdms(recording: Recording, path: Path) -> None:
@@ -86,35 +90,98 @@ class _BoundedReader(io.BufferedReader):
         return super().read(min(size, max(remaining, 0)))
 
 
-def _stream(path: Path, channels: list[Any], metadata: dict[str, str]) -> RecordingStream:
-    columns = [(channel.name, str(channel.properties.get("unit_string", ""))) for channel in channels]
-    own_time = any(channel_name(*column) == TIME for column in columns)
-    step = None if own_time else _waveform_step(path, channels)
-    names = name_columns(path, columns if step is None else [*columns, (TIME, "")])
-    by_name = dict(zip(names, channels, strict=False))
-    samples = common_length(path, {name: len(channel) for name, channel in by_name.items()})
-
-    def chunks(wanted: Sequence[str], chunk: int) -> Iterator[Table]:
-        for start, stop in chunk_ranges(samples, max(chunk, SHORTEST_CHUNK)):
-            yield {name: _piece(by_name.get(name), step, start, stop) for name in wanted}
-
-    return RecordingStream(path, names, chunks, samples, metadata)
+Begins = list[tuple[int, Any]]
+"""(sample, `wf_start_time`) of each session of a waveform."""
 
 
-def _waveform_step(path: Path, channels: list[Any]) -> tuple[float, float] | None:
-    """(start [s], period [s]) of the waveforms; None: the channels are no waveforms."""
-    steps = {
-        (float(channel.properties.get("wf_start_offset", 0.0)), float(channel.properties["wf_increment"]))
+def _begins_of_waveforms(nptdms: Any, path: Path) -> dict[str, Begins]:  # noqa: ANN401
+    """Sessions of each channel. nptdms keeps the last start time alone, of a file that was appended to."""
+    begins: dict[str, Begins] = {}
+
+    class _Reader(nptdms.reader.TdmsReader):  # type: ignore[misc]
+        def _update_object_metadata(self, segment: Any) -> None:  # noqa: ANN401
+            self.samples = {path: metadata.num_values for path, metadata in self.object_metadata.items()}
+            super()._update_object_metadata(segment)
+
+        def _update_object_properties(self, properties: Any) -> None:  # noqa: ANN401
+            for name, pairs in (properties or {}).items():
+                for time in [_date(value) for key, value in pairs if key == "wf_start_time"]:
+                    sessions = begins.setdefault(name, [])
+                    if not sessions or sessions[-1][1] != time:
+                        sessions.append((self.samples.get(name, 0), time))
+            super()._update_object_properties(properties)
+
+    with _BoundedReader(io.FileIO(path)) as raw:
+        _Reader(raw).read_metadata()
+    return begins
+
+
+def _stream(
+    path: Path, channels: list[Any], begins: dict[str, Begins], metadata: dict[str, str], options: TextOptions
+) -> RecordingStream:
+    every = [
+        Stored(
+            channel.path,
+            len(channel),
+            str(channel.properties.get("unit_string", "")),
+            channel.name,
+            channel.dtype.kind == "M",
+        )
         for channel in channels
-        if "wf_increment" in channel.properties
-    }
-    if len(steps) > 1:
-        times = ", ".join(f"{period:g} s from {start:g} s" for start, period in sorted(steps))
-        raise RecordingError(f"{path}: waveforms differ in time: {times}; export waveforms of one time")
-    return next(iter(steps), None)
+    ]
+    by_path = {channel.path: channel for channel in channels}
+    times = [stored for stored in every if stored.is_time]
+    even_time = None if times else _waveform_time(path, channels, begins, metadata)
+
+    def pieces(wanted: Sequence[str], chunk: int) -> Iterator[Raw]:
+        for start, stop in chunk_ranges(len(by_path[wanted[0]]), max(chunk, SHORTEST_CHUNK)):
+            yield {name: np.asarray(by_path[name].read_data(offset=start, length=stop - start)) for name in wanted}
+
+    return named_stream(path, every, pieces, metadata, options, even_time)
 
 
-def _piece(channel: Any, step: tuple[float, float] | None, start: int, stop: int) -> Array:  # noqa: ANN401
-    if channel is None and step is not None:
-        return step[0] + step[1] * np.arange(start, stop, dtype=np.float64)
-    return np.ascontiguousarray(channel.read_data(offset=start, length=stop - start), dtype=np.float64)
+def _waveform_time(
+    path: Path, channels: list[Any], begins: dict[str, Begins], metadata: dict[str, str]
+) -> Callable[[NDArray[np.int64]], Array] | None:
+    """Function from sample numbers to times [s]; None: the channels are no waveforms."""
+    waves = [channel for channel in channels if "wf_increment" in channel.properties]
+    if not waves:
+        return None
+    steps = {(float(w.properties.get("wf_start_offset", 0.0)), float(w.properties["wf_increment"])) for w in waves}
+    sessions = [begins.get(channel.path, []) for channel in waves]
+    offset_s, period_s = steps.pop()
+    if steps or not all(_are_equal(session, sessions[0], period_s) for session in sessions):
+        starts = [f"{w.name} from {s[0][1] if s else '?'}" for w, s in zip(waves, sessions, strict=True)]
+        times = ", ".join(f"{period:g} s from {start:g} s" for start, period in sorted({*steps, (offset_s, period_s)}))
+        raise RecordingError(
+            f"{path}: waveforms differ in time: {times}; {', '.join(starts)[:200]}; export waveforms of one time"
+        )
+    first = [sample for sample, _ in sessions[0]] or [0]
+    begin_s = [_since(time, sessions[0][0][1]) for _, time in sessions[0]] or [0.0]
+    if len(first) > 1:
+        gaps = ", ".join(f"{begin_s[k]:.6g} s" for k in range(1, len(first)))
+        metadata["time"] = f"the file was appended to: {len(first)} sessions, the others begin at {gaps[:200]}"
+
+    def even_time(samples: NDArray[np.int64]) -> Array:
+        session = np.searchsorted(first, samples, side="right") - 1
+        start_s = offset_s + np.array(begin_s)[session]
+        times_s: Array = start_s + period_s * (samples - np.array(first)[session])
+        return times_s
+
+    return even_time
+
+
+def _are_equal(one: Begins, other: Begins, period_s: float) -> bool:
+    """Whether two channels have the same sessions, within a hundredth of a sample."""
+    return [sample for sample, _ in one] == [sample for sample, _ in other] and all(
+        abs(_since(a, b)) <= 0.01 * period_s for (_, a), (_, b) in zip(one, other, strict=True)
+    )
+
+
+def _date(value: Any) -> Any:  # noqa: ANN401
+    """A time of nptdms as datetime64[ns]."""
+    return np.array(getattr(value, "as_datetime64", lambda: value)(), "datetime64[ns]")[()]
+
+
+def _since(time: Any, first: Any) -> float:  # noqa: ANN401
+    return float((time - first) / np.timedelta64(1, "ns")) * 1e-9

@@ -6,7 +6,6 @@ refused with the option that does.
 """
 
 import functools
-import re
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -14,6 +13,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from piezod.errors import RecordingError, UsageError
+from piezod.recording.formats.scale import parse_scale
 from piezod.recording.formats.text_cells import (
     COMMENTS,
     day_of,
@@ -183,29 +183,6 @@ class Layout:
         others = [column for k, column in enumerate(self.columns) if k != self.time]
         words += [f"{column.channel} from '{column.written}'" for column in others]
         return ", ".join([*words, *self.notes])
-
-
-_SCALE = re.compile(
-    r"(?P<column>[^=]+)=\s*(?P<factor>[+-]?[0-9.]+(?:[eE][+-]?[0-9]+)?)\s*(?P<unit>[^\s/\d]+)(?:/(?P<per>\S+))?"
-)
-
-
-def parse_scale(conversion: str) -> tuple[str, float, str, str]:
-    """Column, factor, unit and unit in the file (empty: not stated) of a conversion such as `CH2=100 N/V`.
-
-    Raises
-    ------
-    UsageError
-        It has another form, or the factor is 0.
-    """
-    match = _SCALE.fullmatch(conversion.strip())
-    try:
-        factor = float(match["factor"]) if match else 0.0
-    except ValueError:
-        factor = 0.0
-    if match is None or factor == 0.0:
-        raise UsageError(f"--scale is '{conversion}', must be COLUMN=FACTOR UNIT, such as 'CH2=100 N/V'")
-    return match["column"].strip(), factor, match["unit"], match["per"] or ""
 
 
 def encoding_of(raw: bytes) -> str:
