@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from piezod.diagnose.localisation import coordinates
 from piezod.estimation.recordings.series import Series
+from piezod.operators.play import play_states_run
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -265,13 +266,8 @@ def _fill_hats(values: Array, knots: Array, out: Array) -> None:
 def _plays(values: Array, widths: Array, state: Array) -> Array:
     """Play operators minus their input, shape (n, widths); `state` is updated."""
     out = np.empty((values.size, widths.size))
-    _fill_plays(np.ascontiguousarray(values), widths, state, out)
+    packed = np.concatenate((widths, np.zeros(widths.size), state))
+    play_states_run(packed, 0, widths.size, np.ascontiguousarray(values), out)
+    state[:] = packed[-widths.size :]
+    out -= values[:, None]
     return out
-
-
-@numba.njit(cache=True)
-def _fill_plays(values: Array, widths: Array, state: Array, out: Array) -> None:
-    for k in range(values.size):
-        for i in range(widths.size):
-            state[i] = max(values[k] - widths[i], min(values[k] + widths[i], state[i]))
-            out[k, i] = state[i] - values[k]

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piezod.diagnose.findings import Unrecorded
+from piezod.estimation.recordings.noise import white_noise
 from piezod.estimation.recordings.series import Series
 
 Array = NDArray[np.float64]
@@ -37,7 +38,7 @@ def unrecorded_input(
     ]
     compared = np.concatenate([residual[counts] for counts, residual, _, _ in recordings])
     differences = np.concatenate([np.diff(residual, 2)[counts[1:-1]] for counts, residual, _, _ in recordings])
-    fast = 1.4826 * float(np.median(np.abs(differences))) / np.sqrt(6.0)  # rms of white noise
+    fast = white_noise(np.abs(differences))
     size = float(np.sqrt(np.mean(compared**2)))
     if predicted > MOST_PREDICTED or size < SLOW * fast:
         return None

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from piezod.diagnose.hypothesis.chain import Chain
 from piezod.diagnose.hypothesis.fit import Normal
 from piezod.diagnose.hypothesis.terms import Point, Term
+from piezod.estimation.recordings.noise import MEDIAN_SPREAD
 from piezod.estimation.recordings.series import Series
 
 Array = NDArray[np.float64]
@@ -259,4 +260,4 @@ def _inside(places: Index, jumps: Array) -> Index:
 
 def _spread(jumps: Array) -> float:
     """Standard deviation from the median absolute jump."""
-    return max(1.4826 * float(np.median(np.abs(jumps))), 1e-300) if jumps.size else np.inf
+    return max(MEDIAN_SPREAD * float(np.median(np.abs(jumps))), 1e-300) if jumps.size else np.inf

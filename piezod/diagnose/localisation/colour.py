@@ -7,13 +7,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piezod.diagnose.localisation import coordinates
+from piezod.estimation.recordings.noise import MEDIAN_SPREAD
 
 Array = NDArray[np.float64]
 
 ORDER = 12  # order of the autoregression
 SHORTEST_STRETCH, MOST_STRETCHES = 1000, 24  # samples in a stretch and stretches for the autoregression
 QUIET_SHARE = 0.75  # share of the stretches, those with the least power, that are used: bursts and steps are not
-MEDIAN_SPREAD = 1.4826  # standard deviation over median absolute deviation of a normal distribution
 WIDEST, NARROWEST, GROWTH = 101, 16, 0.25  # width of the bins around a line, and its growth with frequency
 SLOWEST_LINE = 16  # lowest frequency of a line [cycles per record]
 DRIVEN, DRIVEN_SHARE = 50.0, 1e-5  # power of a driven bin over that around it, and over the total power

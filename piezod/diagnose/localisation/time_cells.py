@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from piezod.diagnose.localisation import colour, coordinates
 from piezod.diagnose.localisation.cells import Cells, NormalisedResidual, distinct, references_at_once
+from piezod.estimation.recordings.noise import MEDIAN_SPREAD
 from piezod.estimation.recordings.series import Series
 
 Array = NDArray[np.float64]
@@ -80,7 +81,7 @@ def _in_spreads(values: Array) -> Array:
     scales = []
     for lag in (1, 2, 3):
         steps = np.abs(values[:, lag:] - values[:, :-lag])
-        scales.append(colour.MEDIAN_SPREAD * np.median(steps, axis=1, keepdims=True) / np.sqrt(2.0))
+        scales.append(MEDIAN_SPREAD * np.median(steps, axis=1, keepdims=True) / np.sqrt(2.0))
     result: Array = centred / np.maximum(np.maximum.reduce(scales), 1e-12)
     return result
 

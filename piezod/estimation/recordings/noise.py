@@ -22,7 +22,7 @@ MOVING = 0.5  # share of the input's range that the repeated part must cover
 AS_GOOD = 4.0  # the period is the shortest lag whose squared difference is below this multiple of the smallest
 DIFFERENT_INPUT = 0.25  # share of the variance; only lags beyond a larger squared difference can be a period
 COARSE = 1 << 18  # samples in which a period is searched; a longer recording is thinned to so many
-NORMAL = 1.4826  # standard deviation over the median magnitude of a normal distribution
+MEDIAN_SPREAD = 1.4826  # standard deviation over the median magnitude of a normal distribution
 FEWEST_BENDS = 100  # second differences that determine a noise
 REST_S, FEWEST_SAMPLES, FEWEST_RESTS = 0.5, 20, 3  # duration of a rest [s], samples and rests that are needed
 
@@ -58,7 +58,7 @@ def white_noise(bends: Array) -> float:
     `bends`: magnitudes of second differences, shape (N,), nan where unknown.
     """
     bends = bends[np.isfinite(bends)]
-    return NORMAL * float(np.median(bends)) / float(np.sqrt(6.0)) if bends.size else 0.0
+    return MEDIAN_SPREAD * float(np.median(bends)) / float(np.sqrt(6.0)) if bends.size else 0.0
 
 
 def white_noise_of(u: Array, y: Array, counts: NDArray[np.bool_]) -> float:
