@@ -3,7 +3,7 @@
 A pair is sufficient if its held-out error is within a standard error of the best one.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -61,30 +61,7 @@ def residual(operator: PrandtlIshlinskii, samples: Samples) -> Array:
     return error
 
 
-def fit_orders(
-    structure_of: Callable[[int, int], Structure],
-    fitted: Sequence[Samples],
-    held_out: Sequence[Samples],
-    *,
-    orders: Sequence[tuple[int, int]],
-    variant: Variant,
-    eps: float,
-) -> list[Candidate]:
-    """Fit every pair of orders (n, m), and compute its errors.
-
-    Parameters
-    ----------
-    structure_of
-        Returns the thresholds for n plays and m dead zones.
-    fitted, held_out
-        All samples of the recordings; `counts` marks the fitted or held-out ones.
-    variant, eps
-        Constraints of the quadratic program, see `Constraints.of`.
-    """
-    return [_candidate(structure_of(n, m), n, m, fitted, held_out, variant, eps) for n, m in orders]
-
-
-def _candidate(
+def candidate_of(
     structure: Structure,
     plays: int,
     zones: int,
@@ -93,6 +70,7 @@ def _candidate(
     variant: Variant,
     eps: float,
 ) -> Candidate:
+    """Fit of a pair of orders with its errors; `counts` marks the fitted and the held-out samples."""
     try:
         fit = fit_hysteresis(structure, fitted, variant=variant, eps=eps)
     except RecordingError:
@@ -121,12 +99,7 @@ def choose(candidates: Sequence[Candidate]) -> Candidate:
     """Smallest candidate whose held-out error lies within one standard error of the best.
 
     The standard error belongs to the block-wise differences from the best candidate. A difference below 1 % of the rms
-    error is always accepted.
-
-    Raises
-    ------
-    RecordingError
-        No candidate has a fit.
+    error is always accepted. Raises as `best_of`.
     """
     best = best_of(candidates)
     good = (candidate for candidate in candidates if candidate.fit is not None and _as_good(candidate, best))
@@ -134,13 +107,7 @@ def choose(candidates: Sequence[Candidate]) -> Candidate:
 
 
 def best_of(candidates: Sequence[Candidate]) -> Candidate:
-    """The candidate with the smallest held-out error.
-
-    Raises
-    ------
-    RecordingError
-        No candidate has a fit.
-    """
+    """The candidate with the smallest held-out error; raises `RecordingError` if none has a fit."""
     usable = [candidate for candidate in candidates if candidate.fit is not None]
     if not usable:
         raise RecordingError("no order could be fitted: record triangles over the whole range, from rest")
@@ -160,15 +127,7 @@ def prune(
 
     First all negligible operators are removed. If the error grows too much, the smaller half of them is removed, and so
     on. The inverse is computed from the direct table, so both agree (piezod/operators/README.md, "Slopes and weights").
-
-    Parameters
-    ----------
-    chosen
-        Candidate to prune, from `choose`.
-    best
-        Candidate with whose held-out error the pruned one is compared.
-    fitted, held_out, variant, eps
-        As for `fit_orders`.
+    The held-out error is compared with that of `best`.
     """
     share = 1.0
     while chosen.fit is not None and share > SMALLEST_SHARE_PRUNED:
@@ -176,7 +135,7 @@ def prune(
         if structure is None:
             break
         plays, zones = structure.plays - 1, structure.zones
-        smaller = _candidate(structure, plays, zones, fitted, held_out, variant, eps)
+        smaller = candidate_of(structure, plays, zones, fitted, held_out, variant, eps)
         if smaller.fit is not None and _as_good(smaller, best):
             chosen = smaller
         else:

@@ -1,6 +1,5 @@
 """Selection of the orders: by held-out errors, as in the thesis, or by a reduction of the smooth base."""
 
-import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -9,13 +8,13 @@ from numpy.typing import NDArray
 
 from piezod.estimation.base.reduction import reduced
 from piezod.estimation.base.smooth_base import Base, fit_smooth_base, refit
-from piezod.estimation.fit.columns import Samples, Structure
+from piezod.estimation.fit.columns import Samples
 from piezod.estimation.fit.normal_equations import GROUPS, group_of
 from piezod.estimation.recordings.intake import OnStep
 from piezod.identify.figures import Run, fit_figures
 from piezod.identify.fit import fit_of_base
 from piezod.identify.options import Options
-from piezod.identify.order import PLAYS, ZONES, Candidate, best_of, choose, fit_orders, prune, residual
+from piezod.identify.order import PLAYS, ZONES, Candidate, best_of, candidate_of, choose, prune, residual
 from piezod.identify.scores import rms
 from piezod.identify.stretches import Stretch, Structures, split_stretch, unsplit_stretch
 from piezod.model.parameters import FitFigures
@@ -61,13 +60,11 @@ def select_by_orders(
         for m in ((options.zones,) if options.zones is not None else ZONES)
     ]
     structures = Structures(stretches)
-    done = itertools.count()
-
-    def structure_of(plays: int, zones: int) -> Structure:
-        on_step("fitting", next(done) / len(orders))
-        return structures.of(plays, zones)
-
-    candidates = fit_orders(structure_of, fitted, held_out, orders=orders, variant=options.variant, eps=options.eps)
+    candidates = []
+    for done, (n, m) in enumerate(orders):
+        on_step("fitting", done / len(orders))
+        structure = structures.of(n, m)
+        candidates.append(candidate_of(structure, n, m, fitted, held_out, options.variant, options.eps))
     before_pruning = chosen = choose(candidates)
     if options.prune:
         chosen = prune(chosen, best_of(candidates), fitted, held_out, variant=options.variant, eps=options.eps)

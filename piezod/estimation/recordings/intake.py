@@ -90,8 +90,6 @@ def load_recordings(
 
     Parameters
     ----------
-    paths
-        Files of any supported format.
     input_column, output_column
         Column names, such as `voltage_V`; a file may hold the column in another multiple of its unit, `voltage_kV`.
     on_step
@@ -108,7 +106,11 @@ def load_recordings(
     """
     if input_column == output_column:
         raise UsageError(f"--input and --output are both {input_column}, must be different columns")
-    return [_load(path, input_column, output_column, on_step, text) for path in paths]
+    loaded = []
+    for path in paths:
+        recording, sha256, notes = _read(path, column_names(path, text), [input_column, output_column], on_step, text)
+        loaded.append(replace(usable(recording, input_column, output_column, sha256, notes), text=text))
+    return loaded
 
 
 def load_for_simulation(
@@ -119,14 +121,7 @@ def load_for_simulation(
     on_step: OnStep = lambda *_: None,
     text: TextOptions | None = None,
 ) -> LoadedRecording:
-    """Read a recording for simulation: every row stays, and the output column may be absent.
-
-    Parameters
-    ----------
-    path, input_column, output_column, on_step, text
-        As for `load_recordings`.
-    also
-        Names of further columns.
+    """Read a recording for simulation, with further columns `also`: every row stays, the output may be absent.
 
     Raises
     ------
@@ -173,25 +168,10 @@ def fit_for_simulation(recording: Recording, input_column: str, output_column: s
     return bridged, notes
 
 
-def _load(
-    path: Path, input_column: str, output_column: str, on_step: OnStep, text: TextOptions | None
-) -> LoadedRecording:
-    names = column_names(path, text)
-    recording, sha256, notes = _read(path, names, [input_column, output_column], on_step, text)
-    return replace(usable(recording, input_column, output_column, sha256, notes), text=text)
-
-
 def usable(
     recording: Recording, input_column: str, output_column: str, sha256: str, notes: Sequence[str] = ()
 ) -> LoadedRecording:
-    """Make a recording fit for identification, as `load_recordings` does. The argument is not changed.
-
-    Parameters
-    ----------
-    sha256
-        Hash of the recording's file or samples, as hexadecimal text.
-    notes
-        Lines that stand before the new ones.
+    """Make a recording fit for identification, as `load_recordings` does; `notes` stand before the new ones.
 
     Raises
     ------

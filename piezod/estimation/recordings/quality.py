@@ -1,7 +1,5 @@
 """Warnings about a recording: irregular time, gaps, missing samples, frozen and clipped readings, one line each."""
 
-from collections.abc import Iterator
-
 import numpy as np
 
 from piezod.estimation.recordings.stuck import StuckStretches
@@ -13,13 +11,7 @@ MOST_PLACES = 5
 
 
 def describe_timing(recording: Recording) -> list[str]:
-    """Lines about unequal sample periods and gaps in time, for a recording of at least two samples.
-
-    Parameters
-    ----------
-    recording
-        Recording of at least two samples.
-    """
+    """Lines about unequal sample periods and gaps in time, for a recording of at least two samples."""
     time_s = recording.time_s
     lines = []
     if not recording.uniform:
@@ -51,24 +43,15 @@ def describe_missing(recording: Recording, name: str) -> list[str]:
 
 
 def describe_stuck(recording: Recording, name: str, stuck: StuckStretches) -> list[str]:
-    """Lines about the frozen and clipped samples of a channel.
-
-    Parameters
-    ----------
-    stuck
-        Result of `find_stuck` for this channel.
-    """
-    return list(_stuck_lines(recording, name, stuck))
-
-
-def _stuck_lines(recording: Recording, name: str, stuck: StuckStretches) -> Iterator[str]:
+    """Lines about the frozen and clipped samples of a channel, as `find_stuck` found them."""
     values = recording.channel(name)
-    for extreme, stretches in (("largest", stuck.at_largest), ("smallest", stuck.at_smallest)):
-        if stretches:
-            value = f"{values[stretches[0][0]]:.6g}"
-            yield f"{name}: clipped at its {extreme} value {value}, {_places(recording, stretches)}"
-    if stuck.frozen:
-        yield f"{name}: constant while its drive moves, {_places(recording, stuck.frozen)}"
+    lines = [
+        f"{name}: clipped at its {extreme} value {values[stretches[0][0]]:.6g}, {_places(recording, stretches)}"
+        for extreme, stretches in (("largest", stuck.at_largest), ("smallest", stuck.at_smallest))
+        if stretches
+    ]
+    frozen = [f"{name}: constant while its drive moves, {_places(recording, stuck.frozen)}"] if stuck.frozen else []
+    return lines + frozen
 
 
 def _places(recording: Recording, stretches: list[Stretch]) -> str:

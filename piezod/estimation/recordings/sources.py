@@ -48,16 +48,7 @@ def read_source(
 ) -> Source:
     """Read a recording.
 
-    Parameters
-    ----------
-    path, role
-        File of any format, and its role.
-    columns
-        Required channels; a channel in another multiple of its unit is converted.
-    condition
-        COLUMN=VALUE at which the readings count; None: everywhere.
-    text
-        Options for a text file; None: determined from the file.
+    `columns`: required channels; a channel in another multiple of its unit is converted. Others as in `Source`.
 
     Raises
     ------
@@ -72,14 +63,7 @@ def read_source(
 def past_sources(model: Model, folder: Path, diagnosed: Sequence[Source]) -> tuple[list[Source], list[str]]:
     """Identification recordings of a model that still exist unchanged, and a note about each other one.
 
-    Parameters
-    ----------
-    model
-        Model; its provenance names the recordings.
-    folder
-        Folder of the model file, where relative paths are looked up too.
-    diagnosed
-        Diagnosed recordings; they are not used as identification recordings.
+    `folder`: folder of the model file, where relative paths are looked up too. Diagnosed recordings are not used again.
     """
     sources, notes = [], []
     hashes = {source.sha256 for source in diagnosed}

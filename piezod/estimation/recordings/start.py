@@ -44,13 +44,7 @@ def starts_at_rest(u: Array) -> bool:
 
 
 def clipped_mean_square(error: Array, y: Array) -> float:
-    """Mean square error with the largest errors clipped; 0 without a finite error.
-
-    Parameters
-    ----------
-    error, y
-        Errors, nan where unknown, and measured output, shape (N,) [output unit].
-    """
+    """Mean square error with the largest errors clipped, nan where unknown; 0 without a finite error."""
     known = np.isfinite(error)
     if not known.any():
         return 0.0
@@ -111,15 +105,9 @@ def wipe_out_sample(u: Array) -> int:
 
 @dataclass(frozen=True)
 class Start:
-    """Initial state of a recording.
+    """Initial state of a recording."""
 
-    Parameters
-    ----------
-    path
-        Inputs from the de-energised state up to the first sample [input unit]; empty: it starts de-energised.
-    """
-
-    path: Path
+    path: Path  # inputs from the de-energised state up to the first sample; empty: it starts de-energised
     words: str
 
 
@@ -130,8 +118,6 @@ def start_at_zero(u: Array, unit: str, loss: Callable[[Path], float], reach: flo
     ----------
     u
         Input from zero, shape (N,).
-    unit
-        Unit of the input.
     loss
         Mean square error as a function of the path; raises `RecordingError` or `ModelError` if a fit fails.
     reach
@@ -191,12 +177,8 @@ def estimate_start(
     ----------
     operator
         In the start state of its model; its states change.
-    u, y
-        Input and output, shape (N,).
-    window
-        Number of samples that are used, above 0.
-    unit
-        Unit of the input.
+    u, y, window
+        Input and output, shape (N,), and number of samples that are used, above 0.
     reach
         Largest input of the model.
     """
@@ -214,17 +196,7 @@ def estimate_start(
 
 
 def estimate_path(operator: PrandtlIshlinskii, u: Array, y: Array, window: int) -> Path:
-    """Path before the first sample with which `operator` fits the first `window` samples best.
-
-    Parameters
-    ----------
-    operator
-        In any state; its states change.
-    u, y
-        Input and output, shape (N,).
-    window
-        Number of samples that are used, above 0.
-    """
+    """Path before the first sample with which `operator` fits the first `window` samples best; its states change."""
     low, high = float(u.min()), float(u.max())
     reversals = np.linspace(low, high, REVERSALS_TRIED).tolist()
     paths: list[Path] = [(0.0,), *((high, low, end, back) for end, back in product((low, high), reversals))]

@@ -47,17 +47,7 @@ FEWEST_LOST, MOST_NAMED = 3, 3
 
 @dataclass(frozen=True)
 class Strays:
-    """Stray samples of one channel.
-
-    Parameters
-    ----------
-    rows
-        Sample numbers from 0, increasing, shape (n,).
-    values
-        Values that stand there, shape (n,).
-    times_s
-        Times of these samples, shape (n,) [s].
-    """
+    """Stray samples of one channel: numbers from 0, values that stand there, and times [s], shape (n,) each."""
 
     channel: str
     rows: NDArray[np.intp]
@@ -65,13 +55,7 @@ class Strays:
     times_s: Array
 
     def notes(self, consequence: str) -> list[str]:
-        """One line for each kind of strays.
-
-        Parameters
-        ----------
-        consequence
-            Consequence for the strays, such as `left out`.
-        """
+        """One line for each kind of strays; `consequence` for them, such as `left out`."""
         counts = Counter(self.values.tolist())
         lost = [value for value, count in counts.items() if count >= FEWEST_LOST]
         lines = [self._line(self.values == value, f"lost frames at {value:.6g}", consequence) for value in lost]
@@ -119,21 +103,14 @@ def without_strays(recording: Recording, input_column: str, output_column: str) 
 
 
 def find_strays(values: Array, other: Array | None, *, answers_later: bool) -> Mask:
-    """Which samples of a channel are stray.
+    """Mask of the samples of a channel that are stray, shape (N,).
 
     Parameters
     ----------
-    values
-        Channel, shape (N,); nan: missing sample.
-    other
-        Channel that causes its leaps or answers them, shape (N,); None: there is none.
+    values, other
+        Channel, nan where missing, and the channel that causes or answers its leaps, shape (N,); None: there is none.
     answers_later
         Whether the other channel answers (`values` is a command) or causes (it is a reading).
-
-    Returns
-    -------
-    Mask
-        Shape (N,).
     """
     strays: Mask = np.abs(values) > LARGEST
     finite = np.flatnonzero(np.isfinite(values) & ~strays)

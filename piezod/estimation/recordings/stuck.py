@@ -47,15 +47,7 @@ Runs = tuple[NDArray[np.intp], NDArray[np.intp]]
 
 @dataclass(frozen=True)
 class StuckStretches:
-    """Stretches in which a reading is stuck.
-
-    Parameters
-    ----------
-    frozen
-        Stretches at a value within the range of the reading.
-    at_largest, at_smallest
-        Stretches at the largest or smallest value of the reading, where it is clipped.
-    """
+    """Stretches in which a reading is stuck: frozen within its range, or clipped at its largest or smallest value."""
 
     frozen: list[Stretch]
     at_largest: list[Stretch]
@@ -69,39 +61,17 @@ class StuckStretches:
 
 @dataclass(frozen=True)
 class _TypicalMotion:
-    """Usual motion of reading and drive.
+    """Usual motion of reading and drive."""
 
-    Parameters
-    ----------
-    move
-        Move of the drive between two changes of the reading; moves up to it make up half of the drive's travel.
-    drive_noise
-        Standard deviation of the drive's noise.
-    step
-        Median of the reading's steps.
-    noisy
-        Whether the reading rarely repeats a value.
-    correlation
-        Correlation of reading and drive, -1 to 1.
-    """
-
-    move: float
-    drive_noise: float
-    step: float
-    noisy: bool
-    correlation: float
+    move: float  # of the drive between two changes of the reading; moves up to it make up half of the drive's travel
+    drive_noise: float  # standard deviation
+    step: float  # median of the reading's steps
+    noisy: bool  # whether the reading rarely repeats a value
+    correlation: float  # of reading and drive, -1 to 1
 
 
 def find_stuck(values: Array, drive: Array) -> StuckStretches:
-    """Find the stretches in which a reading does not follow its drive.
-
-    Parameters
-    ----------
-    values
-        Reading, shape (N,); nan: missing sample.
-    drive
-        Quantity that moves the reading, such as the voltage, shape (N,).
-    """
+    """Stretches in which a reading (nan: missing) does not follow its drive, such as the voltage; shape (N,) each."""
     low, high = np.nanmin(values, initial=np.inf), np.nanmax(values, initial=-np.inf)
     swing = float(np.nanmax(drive, initial=-np.inf) - np.nanmin(drive, initial=np.inf))
     if not (low < high and swing > 0.0) or not ((values > low) & (values < high)).any():

@@ -55,8 +55,6 @@ def unknown_past(
 
     Parameters
     ----------
-    u
-        Input, shape (N,).
     operator
         Returns a de-energised operator.
     ends
