@@ -73,21 +73,11 @@ class Value:
 
 @dataclass(frozen=True)
 class Rival:
-    """Other effect that explains the recordings almost as well.
+    """Other effect that explains the recordings almost as well."""
 
-    Parameters
-    ----------
-    name
-        Name in the catalogue.
-    separation
-        Rms difference of the readings that both effects predict [noise rms].
-    separate_by
-        Experiment that separates them.
-    """
-
-    name: str
-    separation: float
-    separate_by: str
+    name: str  # name in the catalogue
+    separation: float  # rms difference of the readings that both effects predict [noise rms]
+    separate_by: str  # experiment
 
 
 @dataclass(frozen=True)
@@ -158,21 +148,11 @@ class Finding:
 
 @dataclass(frozen=True)
 class UnchangedEffect:
-    """Effect of the given model that has not changed.
+    """Effect of the given model that has not changed."""
 
-    Parameters
-    ----------
-    name
-        Name in the catalogue.
-    parameters
-        Parameters of the given model by name.
-    seen
-        Whether the recordings fit worse without it; otherwise they do not determine it.
-    """
-
-    name: str
-    parameters: dict[str, Value]
-    seen: bool
+    name: str  # name in the catalogue
+    parameters: dict[str, Value]  # of the given model
+    seen: bool  # whether the recordings fit worse without it; otherwise they do not determine it
 
     def as_dict(self) -> dict[str, Any]:
         """Entry in `findings.json`."""
@@ -233,34 +213,16 @@ class HeldOut:
 
 @dataclass(frozen=True)
 class Unnamed:
-    """Unnamed law: its drivers, memory and errors.
+    """Unnamed law: its drivers, memory and errors."""
 
-    Parameters
-    ----------
-    drivers
-        One or two of `piezod.model.unnamed_law.DRIVERS`.
-    memories_s
-        Shortest and longest relevant memory [s]; empty: none.
-    already
-        Whether it also holds in the identification recordings.
-    before, after
-        Rms error on left-out blocks without and with the law [output unit].
-    p
-        Probability that a useless law gains as much, over all candidates.
-    gain
-        Whether it multiplies the stroke of the reading; otherwise it adds to the reading.
-    formula
-        Short formula with units that predicts as well; empty: none.
-    """
-
-    drivers: tuple[str, ...]
-    memories_s: tuple[float, ...]
-    already: bool
-    before: float
+    drivers: tuple[str, ...]  # one or two of `piezod.model.unnamed_law.DRIVERS`
+    memories_s: tuple[float, ...]  # shortest and longest relevant memory [s]; empty: none
+    already: bool  # whether it also holds in the identification recordings
+    before: float  # before, after: rms error on left-out blocks without and with the law [output unit]
     after: float
-    p: float
-    gain: bool = False
-    formula: str = ""
+    p: float  # probability that a useless law gains as much, over all candidates
+    gain: bool = False  # whether it multiplies the stroke of the reading; otherwise it adds to the reading
+    formula: str = ""  # short formula with units that predicts as well; empty: none
 
     def as_dict(self, unit: str) -> dict[str, Any]:
         """Entry in `findings.json`."""
@@ -277,21 +239,11 @@ class Unnamed:
 
 @dataclass(frozen=True)
 class Unrecorded:
-    """Input that is not recorded, estimated from the residual.
+    """Input that is not recorded, estimated from the residual."""
 
-    Parameters
-    ----------
-    size
-        Rms of the gain [1], or rms added to the reading [output unit].
-    gain
-        Whether it is a gain.
-    keeps_s
-        Duration for which it keeps its value [s].
-    """
-
-    size: float
+    size: float  # rms of the gain [1], or rms added to the reading [output unit]
     gain: bool
-    keeps_s: float
+    keeps_s: float  # duration for which it keeps its value [s]
 
     def as_dict(self, unit: str) -> dict[str, Any]:
         """Entry in `findings.json`."""

@@ -92,22 +92,12 @@ class Diagnosis:
 
 @dataclass(frozen=True)
 class _WrittenModel:
-    """Model that a diagnosis writes.
-
-    Parameters
-    ----------
-    model, rms
-        Model, and the rms error of its simulation over the diagnosed recordings [output unit].
-    runs
-        Its free runs over these recordings; empty for the given model.
-    obstacle
-        Reason why the extended model cannot be written; empty if there is none.
-    """
+    """Model that a diagnosis writes."""
 
     model: Model
-    rms: float
-    runs: Sequence[FreeRun] = ()
-    obstacle: str = ""
+    rms: float  # error of its simulation over the diagnosed recordings [output unit]
+    runs: Sequence[FreeRun] = ()  # its free runs over these recordings; empty for the given model
+    obstacle: str = ""  # reason why the extended model cannot be written; empty if there is none
 
 
 @dataclass(frozen=True)
@@ -123,31 +113,13 @@ class _Remainder:
 
 @dataclass(frozen=True)
 class DiagnosisInputs:
-    """Inputs of a diagnosis.
-
-    Parameters
-    ----------
-    model
-        Given model.
-    sources
-        Recordings as read, identification recordings first.
-    series
-        Prepared recordings, preceded by a substitute if the identification recordings are missing.
-    given_runs
-        Free runs of the given model over the recordings.
-    frozen
-        First sample and end of each frozen stretch, by the number of the series.
-    notes
-        Remarks.
-    substitutes
-        Number of substitute series.
-    """
+    """Inputs of a diagnosis."""
 
     model: Model
-    sources: Sequence[Source]
-    series: list[Series]
-    given_runs: GivenRuns
-    frozen: dict[int, list[tuple[int, int]]]
+    sources: Sequence[Source]  # recordings as read, identification recordings first
+    series: list[Series]  # prepared recordings, preceded by a substitute if the identification recordings are missing
+    given_runs: GivenRuns  # free runs of the given model over the recordings
+    frozen: dict[int, list[tuple[int, int]]]  # first sample and end of each frozen stretch, by the number of the series
     notes: Sequence[str]
     substitutes: int
 

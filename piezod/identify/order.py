@@ -28,26 +28,14 @@ BLOCKS = 8  # blocks of each held-out stretch; their scatter gives the standard 
 
 @dataclass(frozen=True)
 class Candidate:
-    """A pair of orders with its fit and errors.
+    """A pair of orders with its fit and errors."""
 
-    Parameters
-    ----------
-    plays, zones
-        Orders n and m.
-    fit
-        None: the recordings do not determine it.
-    rms_fit, rms_held_out
-        Root mean square errors in free run [output unit].
-    block_powers
-        Mean square error of each held-out block [output unit^2].
-    """
-
-    plays: int
-    zones: int
-    fit: Fit | None
-    rms_fit: float
+    plays: int  # order n
+    zones: int  # order m
+    fit: Fit | None  # None: the recordings do not determine it
+    rms_fit: float  # rms_fit, rms_held_out: root mean square errors in free run [output unit]
     rms_held_out: float
-    block_powers: Array
+    block_powers: Array  # mean square error of each held-out block [output unit^2]
 
     @property
     def size(self) -> int:

@@ -43,25 +43,13 @@ START_ORDERS = (11, 3)
 
 @dataclass(frozen=True)
 class Stretch:
-    """One recording with its fitted and held-out samples.
+    """One recording with its fitted and held-out samples."""
 
-    Parameters
-    ----------
-    fitted, held_out
-        All samples of the recording; `counts` marks the fitted or held-out ones.
-    at_rest
-        Whether the input starts at zero.
-    uncertain
-        Number of samples at the start that may depend on the time before the recording.
-    notes
-        Lines for the user.
-    """
-
-    fitted: Samples
+    fitted: Samples  # fitted, held_out: all samples of the recording; `counts` marks the fitted or held-out ones
     held_out: Samples
-    at_rest: bool
-    uncertain: int = 0
-    notes: tuple[str, ...] = ()
+    at_rest: bool  # whether the input starts at zero
+    uncertain: int = 0  # number of samples at the start that may depend on the time before the recording
+    notes: tuple[str, ...] = ()  # lines for the user
 
     @property
     def rises_first(self) -> bool:

@@ -19,18 +19,10 @@ SIGNIFICANT = 0.005  # largest share of circular shifts that correlate as strong
 
 @dataclass(frozen=True)
 class Motion:
-    """Shares of the residual's power that depend on motion or level.
+    """Shares of the residual's power that depend on motion or level."""
 
-    Parameters
-    ----------
-    share
-        Share of the power within windows that exceeds the power at rest; 0 if not significant.
-    level_share
-        Share of the power that exceeds the power at the smallest force; 0 if not significant.
-    """
-
-    share: float
-    level_share: float
+    share: float  # share of the power within windows that exceeds the power at rest; 0 if not significant
+    level_share: float  # share of the power that exceeds the power at the smallest force; 0 if not significant
 
 
 def motion_of(

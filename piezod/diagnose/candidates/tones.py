@@ -38,22 +38,12 @@ MULTIPLES, MULTIPLE_HZ = 20, 0.3  # multiples of the mains frequency that are no
 
 @dataclass(frozen=True)
 class Tone:
-    """Tone in one recording.
+    """Tone in one recording."""
 
-    Parameters
-    ----------
-    name, number
-        mains_hum or vibration, and number of the recording.
-    values
-        Parameters of the effect, averaged over the recording.
-    signal_N
-        Tone with its harmonics, shape (N,) [N].
-    """
-
-    name: str
-    number: int
-    values: dict[str, float]
-    signal_N: Array
+    name: str  # mains_hum or vibration
+    number: int  # of the recording
+    values: dict[str, float]  # parameters of the effect, averaged over the recording
+    signal_N: Array  # tone with its harmonics, shape (N,) [N]
 
 
 def without_tones(series: Sequence[Series], subtracted: Sequence[Tone]) -> list[Series]:

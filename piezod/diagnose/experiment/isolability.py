@@ -48,22 +48,12 @@ BEHIND = {
 
 @dataclass(frozen=True)
 class Pair:
-    """Two effects that the recordings hardly separate.
-
-    Parameters
-    ----------
-    first, second
-        Names of the effects.
-    size
-        Smallest size at which they are separable: rms change of the reading [noise rms].
-    separate_by
-        Further channel or experiment that separates them.
-    """
+    """Two effects that the recordings hardly separate."""
 
     first: str
     second: str
-    size: float
-    separate_by: str
+    size: float  # smallest size at which they are separable: rms change of the reading [noise rms]
+    separate_by: str  # further channel or experiment that separates them
 
 
 @dataclass(frozen=True)

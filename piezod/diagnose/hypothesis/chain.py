@@ -31,21 +31,11 @@ LONG = 250_000  # samples of a recording
 
 @dataclass(frozen=True)
 class Trace:
-    """A simulated recording.
+    """A simulated recording."""
 
-    Parameters
-    ----------
-    columns
-        Play columns, shape (N, columns) [V].
-    stroke_V
-        Stroke in front of the force law, shape (N,) [V].
-    reading_N
-        Readings, shape (N,) [N].
-    """
-
-    columns: Array
-    stroke_V: Array
-    reading_N: Array
+    columns: Array  # play columns, shape (N, columns) [V]
+    stroke_V: Array  # stroke in front of the force law, shape (N,) [V]
+    reading_N: Array  # readings, shape (N,) [N]
 
 
 ActingTerms = Sequence[tuple[Term, Mapping[str, float]]]

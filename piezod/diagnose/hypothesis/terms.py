@@ -20,27 +20,13 @@ Setting = tuple[dict[str, float], tuple[tuple[str, float], ...]]
 
 @dataclass(frozen=True)
 class Term:
-    """An effect in a hypothesis.
+    """An effect in a hypothesis."""
 
-    Parameters
-    ----------
-    effect
-        Entry of the catalogue, or a change of the stack.
-    scope
-        "already": acts in every recording. "since": in the recordings to explain. "once": in one recording.
-    series
-        Number of that recording; -1 unless the scope is "once".
-    choices
-        Names and values of the parameters that take a few values only.
-    held
-        Whether the parameters stay at their values: an effect of the given model that has not changed.
-    """
-
-    effect: Effect
-    scope: Scope
-    series: int = -1
-    choices: tuple[tuple[str, float], ...] = ()
-    held: bool = False
+    effect: Effect  # entry of the catalogue, or a change of the stack
+    scope: Scope  # "already": acts in every recording. "since": in the recordings to explain. "once": in one recording
+    series: int = -1  # number of that recording; -1 unless the scope is "once"
+    choices: tuple[tuple[str, float], ...] = ()  # names and values of the parameters that take a few values only
+    held: bool = False  # whether the parameters stay at their values: an effect of the given model that has not changed
 
     def acts_on(self, number: int, series: Series) -> bool:
         """Whether the effect acts in a recording."""

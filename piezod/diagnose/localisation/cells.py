@@ -46,28 +46,14 @@ class NormalisedResidual:
 
 @dataclass(frozen=True)
 class Cells:
-    """Cells of an axis.
+    """Cells of an axis."""
 
-    Parameters
-    ----------
-    axis
-        Axis of a `Place`.
-    low, high
-        Ends of every cell, shape (C,).
-    score
-        Scores of the residual (first row) and of every reference, shape (1 + references, C).
-    energy
-        Energy in every cell beyond the references [noise variance], shape (C,).
-    kind
-        Neighbouring cells of one kind form one place, shape (C,).
-    """
-
-    axis: str
-    low: Array
+    axis: str  # axis of a `Place`
+    low: Array  # low, high: ends of every cell, shape (C,)
     high: Array
-    score: Array
-    energy: Array
-    kind: Index
+    score: Array  # scores of the residual (first row) and of every reference, shape (1 + references, C)
+    energy: Array  # energy in every cell beyond the references [noise variance], shape (C,)
+    kind: Index  # neighbouring cells of one kind form one place, shape (C,)
 
 
 def distinct(edges: Array) -> Array:

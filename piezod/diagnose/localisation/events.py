@@ -21,18 +21,10 @@ COARSE = 2.0  # converter step above which rounding shapes the residual [spread 
 
 @dataclass(frozen=True)
 class Bursts:
-    """Stretches with more power than noise of the residual's spectrum has.
+    """Stretches with more power than noise of the residual's spectrum has."""
 
-    Parameters
-    ----------
-    energy
-        Sum of squares in them above that of the other samples.
-    p
-        Family-wise p-value of the strongest.
-    """
-
-    energy: float
-    p: float
+    energy: float  # sum of squares in them above that of the other samples
+    p: float  # family-wise p-value of the strongest
 
 
 def tones_Hz(values: Array, dt_s: float) -> list[float]:

@@ -42,29 +42,15 @@ MOST_ROWS = 100_000
 
 @dataclass(frozen=True)
 class Base:
-    """A fit with its normal equations.
-
-    Parameters
-    ----------
-    zones
-        Thresholds of the force law, shape (m + 1,), from 0 [input unit].
-    parameters
-        p: play slopes, a constant, drifts, slopes of the force law, shape (q,).
-    sums
-        Normal equations at the parameters, over every sample.
-    penalty
-        Shape (q, q) [output unit^2]; the fit minimises loss + p' penalty p.
-    eps
-        Smallest slope, see `fit_smooth_base`.
-    """
+    """A fit with its normal equations."""
 
     structure: Structure
-    zones: Array
-    parameters: Array
-    sums: Sums
-    penalty: Array
+    zones: Array  # thresholds of the force law, shape (m + 1,), from 0 [input unit]
+    parameters: Array  # p: play slopes, a constant, drifts, slopes of the force law, shape (q,)
+    sums: Sums  # normal equations at the parameters, over every sample
+    penalty: Array  # shape (q, q) [output unit^2]; the fit minimises loss + p' penalty p
     constraints: Constraints
-    eps: float
+    eps: float  # smallest slope, see `fit_smooth_base`
 
     def without(self, group: int) -> Array:
         """Parameters of the fit without a group of bands, shape (q,), within the bounds."""

@@ -15,18 +15,10 @@ TWO_SIDED_FROM = 0.1  # dead zones lie on both sides if the output goes below it
 
 @dataclass(frozen=True)
 class Reach:
-    """Range of the thresholds that an input determines.
+    """Range of the thresholds that an input determines."""
 
-    Parameters
-    ----------
-    end
-        Largest threshold of the dense grid [input unit].
-    beyond
-        Another threshold above it, or None [input unit].
-    """
-
-    end: float
-    beyond: float | None = None
+    end: float  # largest threshold of the dense grid [input unit]
+    beyond: float | None = None  # another threshold above it, or None [input unit]
 
 
 def play_thresholds(count: int, reach: float, *, beyond: float | None = None, growth: float = FINER_NEAR_ZERO) -> Array:

@@ -27,27 +27,13 @@ CHUNK = 16_384  # samples; a chunk's columns stay in the cache of a small machin
 
 @dataclass(frozen=True)
 class Structure:
-    """Thresholds of the operators that are identified.
+    """Thresholds of the operators that are identified."""
 
-    Parameters
-    ----------
-    play_thresholds
-        r_i [input unit], shape (n + 1,), from 0.
-    zone_thresholds
-        r'_j [output unit above `origin`], shape (m + 1,) or (2m + 1,), with a 0.
-    origin
-        Output where the dead zones start [output unit].
-    u_max
-        Input where the loading curve's height is fixed to the input itself (3.17).
-    zone_scale
-        Input range over output range [input unit per output unit].
-    """
-
-    play_thresholds: Array
-    zone_thresholds: Array
-    origin: float
-    u_max: float
-    zone_scale: float
+    play_thresholds: Array  # r_i [input unit], shape (n + 1,), from 0
+    zone_thresholds: Array  # r'_j [output unit above `origin`], shape (m + 1,) or (2m + 1,), with a 0
+    origin: float  # output where the dead zones start [output unit]
+    u_max: float  # input where the loading curve's height is fixed to the input itself (3.17)
+    zone_scale: float  # input range over output range [input unit per output unit]
 
     @property
     def plays(self) -> int:

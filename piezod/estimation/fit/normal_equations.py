@@ -34,51 +34,26 @@ STILL = 0.005
 
 @dataclass(frozen=True)
 class Piece:
-    """Successive samples of a group, or means over them.
+    """Successive samples of a group, or means over them."""
 
-    Parameters
-    ----------
-    segments
-        z_i - z_{i+1}, shape (R, plays) [input unit].
-    y
-        Output, shape (R,) [output unit].
-    drifts
-        Clock of the recording in its own column, shape (R, clocks) [1].
-    group
-        Group number, from 0.
-    samples
-        Number of samples per row.
-    """
-
-    segments: Array
-    y: Array
-    drifts: Array
-    group: int
-    samples: int = 1
+    segments: Array  # z_i - z_{i+1}, shape (R, plays) [input unit]
+    y: Array  # output, shape (R,) [output unit]
+    drifts: Array  # clock of the recording in its own column, shape (R, clocks) [1]
+    group: int  # group number, from 0
+    samples: int = 1  # number of samples per row
 
 
 @dataclass(frozen=True)
 class Sums:
     """Squared error of each group as a function of the parameters p + d near p.
 
-        loss(p + d) = loss - 2 gradient' d + d' hessian d
-
-    Parameters
-    ----------
-    hessian
-        J'J, shape (groups, q, q).
-    gradient
-        J'e, shape (groups, q).
-    loss
-        e'e, shape (groups,) [output unit^2].
-    samples
-        Samples in each group, shape (groups,).
+    loss(p + d) = loss - 2 gradient' d + d' hessian d
     """
 
-    hessian: Array
-    gradient: Array
-    loss: Array
-    samples: NDArray[np.int64]
+    hessian: Array  # J'J, shape (groups, q, q)
+    gradient: Array  # J'e, shape (groups, q)
+    loss: Array  # e'e, shape (groups,) [output unit^2]
+    samples: NDArray[np.int64]  # samples in each group, shape (groups,)
 
     @property
     def rms(self) -> float:

@@ -14,28 +14,14 @@ from piezod.recording.conversion import in_units_of
 
 @dataclass(frozen=True)
 class Source:
-    """Recording as read.
-
-    Parameters
-    ----------
-    recording, sha256
-        Recording, and hash of its file.
-    role
-        Whether it is diagnosed or was used for the identification.
-    condition
-        COLUMN=VALUE at which its readings count; None: everywhere.
-    notes
-        Remarks about the file format and converted channels.
-    text
-        Options for a text file; None: defaults.
-    """
+    """Recording as read."""
 
     recording: Recording
     sha256: str
-    role: Role
-    condition: str | None = None
-    notes: tuple[str, ...] = ()
-    text: TextOptions | None = None
+    role: Role  # whether it is diagnosed or was used for the identification
+    condition: str | None = None  # COLUMN=VALUE at which its readings count; None: everywhere
+    notes: tuple[str, ...] = ()  # remarks about the file format and converted channels
+    text: TextOptions | None = None  # options for a text file; None: defaults
 
     @property
     def name(self) -> str:
