@@ -60,14 +60,8 @@ def diagnose(
 
     Parameters
     ----------
-    model
-        Given model.
-    recordings
-        Recordings to diagnose.
     past
         Identification recordings; empty: a recording simulated from the model replaces them.
-    notes
-        Remarks so far.
     progress
         Called with the current step, and the share of the work that is done at least.
 

@@ -52,8 +52,6 @@ class Value:
 
     Parameters
     ----------
-    value, unit
-        Fitted value and its unit.
     low, high
         Ends of the interval [unit].
     in_fit
@@ -170,8 +168,6 @@ class Base:
         Whether the gain or the loops differ.
     gain, loops
         Gain and width of the loops relative to the identification [1]; None: unchanged.
-    where
-        Voltages of the diagnosed recordings.
     confidence
         Share of such findings that are right [1]; 1 without a change.
     """
@@ -199,8 +195,6 @@ class HeldOut:
 
     Parameters
     ----------
-    path, sha256
-        Path and hash of the file.
     before, after
         Rms error of the given and of the extended model, each without its mean [output unit].
     """

@@ -61,16 +61,10 @@ class Diagnosis:
 
     Parameters
     ----------
-    findings
-        Findings.
     model
         Written model: the given model with the effects found, or the given model itself.
-    series
-        All prepared recordings.
     base, extended
         Simulated readings of every recording with the given and with the extended model, shape (N,) each.
-    attempts
-        Hypotheses that were compared.
     without_law
         Diagnosis without the unnamed law; None if there is no law.
     """

@@ -64,10 +64,6 @@ def unsplit_stretch(recording: Recording, u: Array, y: Array, column: str, eps: 
     ----------
     u, y
         Input and output, shape (N,); a missing output is nan.
-    column
-        Name of the input.
-    eps
-        Smallest slope.
 
     Raises
     ------

@@ -71,13 +71,7 @@ class InverseCompensator:
 
 
 class GainCompensator:
-    """Linear conversion by the chord of the steady major loop: a comparison without compensation of the hysteresis.
-
-    Parameters
-    ----------
-    model
-        Identified model, for its range.
-    """
+    """Linear conversion by the chord of the steady major loop: a comparison without compensation of the hysteresis."""
 
     def __init__(self, model: Model) -> None:
         bottom, top = steady_range(model)
@@ -127,10 +121,6 @@ def make_compensator(kind: str, model: Model, dt_s: float, without: Collection[s
     ----------
     kind
         "inverse": inverse of the hysteresis and of the model's effects. "gain": linear conversion.
-    model
-        Identified or diagnosed model.
-    dt_s
-        Tick period [s].
     without
         Names of effects that are deliberately not compensated.
 

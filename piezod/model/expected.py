@@ -35,8 +35,6 @@ class ExpectedReading:
     model
         Model with its effects. Refused effects do not act; their influence is in the difference between reading and
         expected reading.
-    dt_s
-        Tick period [s].
 
     Raises
     ------

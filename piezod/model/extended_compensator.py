@@ -23,8 +23,6 @@ class ExtendedCompensator:
     ----------
     model
         Identified or diagnosed model. Effects that belong to a single recording do not act.
-    dt_s
-        Tick period [s].
     without
         Names of effects that are deliberately not compensated.
 

@@ -71,15 +71,7 @@ def _commit(
 
 
 class LawInverse:
-    """Plan and commit with an unnamed law, for `ExtendedCompensator`; allocates nothing.
-
-    Parameters
-    ----------
-    law
-        Law in its start state.
-    chain
-        Chain of the compensator.
-    """
+    """Plan and commit with an unnamed law, for `ExtendedCompensator`; allocates nothing."""
 
     def __init__(self, law: LawStep, chain: TickChain) -> None:
         forget_outdated_steps(_plan.stats.cache_path, (*CALLED, Path(__file__).parent))
@@ -112,10 +104,6 @@ def law_inverse(model: Model, chain: TickChain, without: Collection[str] = ()) -
 
     Parameters
     ----------
-    model
-        Diagnosed model.
-    chain
-        Chain of the compensator.
     without
         Names of effects that are deliberately not compensated.
     """

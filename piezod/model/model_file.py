@@ -21,11 +21,6 @@ SCHEMA = "piezod.model/1"
 def load_model(path: Path) -> Model:
     """Read and check a model file.
 
-    Parameters
-    ----------
-    path
-        Model file.
-
     Raises
     ------
     ConfigurationError
@@ -46,13 +41,7 @@ def load_model(path: Path) -> Model:
 
 
 def dump_model(model: Model) -> str:
-    """Text of the model file of `model`.
-
-    Parameters
-    ----------
-    model
-        Identified or diagnosed model.
-    """
+    """Text of the model file of `model`."""
     content = model.model_dump(by_alias=True, exclude_none=True)
     if not model.effects:
         del content["effects"]
@@ -65,13 +54,6 @@ def dump_model(model: Model) -> str:
 
 def save_model(model: Model, path: Path) -> None:
     """Write a model file; a failed write leaves an existing file unchanged.
-
-    Parameters
-    ----------
-    model
-        Model to write.
-    path
-        Model file.
 
     Raises
     ------
@@ -101,11 +83,6 @@ def _refuse_other_file(path: Path) -> None:
 
 def file_sha256(path: Path) -> str:
     """SHA-256 of a file, as `Provenance` stores it.
-
-    Parameters
-    ----------
-    path
-        The file.
 
     Returns
     -------

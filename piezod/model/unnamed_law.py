@@ -144,8 +144,6 @@ def lagged(columns: Array, keep: float) -> Array:
     ----------
     columns
         Shape (N, K).
-    keep
-        Kept part in a sample.
     """
     behind = columns.copy()
     for k in range(1, columns.shape[0]):
@@ -214,15 +212,7 @@ def _track(state: Array, settings: Array, command: Array, reading: Array) -> Arr
 
 
 class LawStep:
-    """An unnamed law that advances sample by sample and allocates nothing.
-
-    Parameters
-    ----------
-    law
-        Drivers, memories and tables.
-    dt_s
-        Sample period [s].
-    """
+    """An unnamed law that advances sample by sample and allocates nothing."""
 
     def __init__(self, law: UnnamedLaw, dt_s: float) -> None:
         self._axes = np.array([[DRIVERS.index(one.driver), one.low, one.high, one.nodes] for one in law.drivers])
@@ -303,20 +293,12 @@ def driver_tracks(command: Array, reading: Array, dead_band: float, smoothing_s:
         Largest reversal that counts as none [input unit].
     smoothing_s
         Time constant of the lag that smooths the rates [s].
-    dt_s
-        Sample period [s].
     """
     return _track(np.zeros(STATES), settings_of(dead_band, smoothing_s, dt_s), command, reading)
 
 
 def node_values(axis: Axis) -> Array:
-    """Values of a driver at the nodes, shape (nodes,): the inverse of `positions`.
-
-    Parameters
-    ----------
-    axis
-        Driver and range.
-    """
+    """Values of a driver at the nodes, shape (nodes,): the inverse of `positions`."""
     place, driver = np.linspace(0.0, 1.0, axis.nodes), DRIVERS.index(axis.driver)
     if driver in (RATE, READING_RATE):
         part = 2.0 * place - 1.0
@@ -331,8 +313,6 @@ def positions(axis: Axis, values: Array) -> Array:
 
     Parameters
     ----------
-    axis
-        Driver and range.
     values
         Shape (N,).
     """

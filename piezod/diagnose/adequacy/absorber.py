@@ -41,8 +41,6 @@ class Event:
     ----------
     kind
         "tone", "beat" (a tone at a frequency of the drive), "gain" (a tone in the gain of the model) or "jump".
-    series
-        Number of the recording.
     at
         Frequency [Hz], or time of the jump since the first sample [s].
     """
@@ -64,8 +62,6 @@ class Columns:
     ----------
     series, modelled
         Recordings and their simulated readings, shape (N,) each [N].
-    events
-        Tones and jumps.
 
     Attributes
     ----------

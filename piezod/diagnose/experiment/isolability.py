@@ -71,8 +71,6 @@ class Isolability:
         effects); 0 on the diagonal.
     noise
         Rms noise [output unit].
-    notes
-        Remarks about the recordings.
     """
 
     effects: tuple[str, ...]
@@ -128,10 +126,6 @@ def isolability(
 
     Parameters
     ----------
-    model
-        Identified model.
-    recordings
-        Recordings to examine.
     past
         Identification recordings; empty: a recording simulated from the model replaces them.
     settings

@@ -37,8 +37,6 @@ class Experiment:
         Drive, shape (N,) [input unit].
     dt_s
         Sampling period of the first recording [s].
-    segments
-        Names of the segments.
     pairs
         Pairs of effects with their separable sizes before.
     sizes
@@ -71,12 +69,8 @@ def next_experiment(
 
     Parameters
     ----------
-    model
-        Identified model.
     recordings, past
         Recordings, as for `isolability`.
-    before
-        Isolability in the recordings.
     longest_s
         Longest duration of the drive [s].
     wanted

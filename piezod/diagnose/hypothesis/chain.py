@@ -63,8 +63,6 @@ class Chain:
     ----------
     series
         Recordings; those of the identification come first.
-    density, law
-        Play columns and force law.
     force_span_N
         Force range of the identification [N].
     most_rows

@@ -4,7 +4,6 @@ Both act in the recordings to explain only. They are not in the catalogue: the w
 a diagnosis reports them as a change of the base.
 """
 
-from collections.abc import Sequence
 from dataclasses import replace
 
 from piezod.diagnose.hypothesis.chain import Chain
@@ -56,9 +55,6 @@ def with_stack_changed(chain: Chain, fitted: Fitted, past: Point) -> Fitted:
 
 def factors(fitted: Fitted) -> tuple[float, float]:
     """Gain and loop width relative to the identification [1]."""
-    known = {name: values[name] for term, values in _pairs(fitted) for name in NAMES if term.effect.name == name}
+    pairs = zip(fitted.terms, fitted.point.values, strict=True)
+    known = {name: values[name] for term, values in pairs for name in NAMES if term.effect.name == name}
     return known.get("gain", 1.0), known.get("loops", 1.0)
-
-
-def _pairs(fitted: Fitted) -> Sequence[tuple[Term, Values]]:
-    return list(zip(fitted.terms, fitted.point.values, strict=True))

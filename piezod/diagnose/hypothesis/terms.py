@@ -63,8 +63,6 @@ class Point:
         Coefficients of the force law, shape (columns,) [N].
     offsets_N
         Offset of every recording, shape (R,); the first is 0.
-    values
-        Parameter values of every term.
     starts
         Coefficients of the columns of an unknown past, an array per recording: of the stroke [V], then of the readings
         [N]. Empty: every past is known.

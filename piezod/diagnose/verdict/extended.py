@@ -32,14 +32,8 @@ def extended_model(
 
     Parameters
     ----------
-    model
-        Given model.
-    chain, fitted
-        Result of the search.
     hashes
         SHA-256 of every recording; an effect of a single recording refers to it by its hash.
-    intervals
-        Parameters with intervals, by effect.
 
     Raises
     ------

@@ -28,8 +28,6 @@ class FreeRun:
 
     Parameters
     ----------
-    recording
-        The simulated recording.
     left_out_s
         First and last time of each stretch whose readings do not count, such as frozen ones [s].
     expected, error
@@ -58,8 +56,6 @@ def free_run(model: Model, source: Source, series: Series | None = None) -> Free
     ----------
     model
         Given or written model, with its effects, unnamed law, hold and signs.
-    source
-        Recording.
     series
         Prepared recording; its excluded readings are not compared. It replaces a recording that cannot be simulated
         because its input has a long gap. None: a held-out recording.
@@ -116,8 +112,6 @@ class GivenRuns:
     ----------
     runs
         Free run over each recording; over an identification recording without effects that appeared later.
-    diagnosed
-        Diagnosed recordings with their series.
     without_law
         Free runs without the unnamed law of the model; empty if it has no law.
     """

@@ -52,8 +52,6 @@ def play_reach(u: Array, path: Sequence[float], *, at_rest: bool) -> Reach:
     ----------
     u, path
         Input, shape (N,), and the inputs from the de-energised state up to its first sample [input unit].
-    at_rest
-        Whether the record starts at zero.
     """
     half, peak = 0.5 * float(np.ptp(u)), float(np.abs(u).max())
     if not at_rest:

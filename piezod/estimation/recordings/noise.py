@@ -42,8 +42,6 @@ def noise_of(u: Array, y: Array, counts: NDArray[np.bool_], dt_s: float) -> Nois
     ----------
     u, y, counts
         Input, output, and mask of the samples that count, shape (N,).
-    dt_s
-        Sample period [s].
     """
     repeats = _in_repeats(u, y, counts)
     if repeats is not None:

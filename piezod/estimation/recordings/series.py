@@ -110,8 +110,6 @@ class Series:
 
         Parameters
         ----------
-        rows
-            Samples that are compared.
         reading_N
             Simulated readings, shape (rows,) [N].
         """

@@ -17,8 +17,6 @@ def acting_effects(model: Model, without: Collection[str] = ()) -> ActingEffects
 
     Parameters
     ----------
-    model
-        Identified or diagnosed model.
     without
         Names of the effects to leave out.
     """
@@ -31,8 +29,6 @@ def acting_in(model: Model, sha256: str | None) -> list[tuple[Effect, Mapping[st
 
     Parameters
     ----------
-    model
-        Identified or diagnosed model.
     sha256
         SHA-256 of the recording's file. Effects that belong to another recording do not act.
     """

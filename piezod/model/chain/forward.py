@@ -109,8 +109,6 @@ def decays_of(model: Model, time_s: Array, sha256: str | None = None) -> list[Ar
 
     Parameters
     ----------
-    model
-        Model with its effects.
     time_s
         Times of the recording, shape (N,) [s].
     sha256

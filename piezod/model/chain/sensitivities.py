@@ -58,8 +58,6 @@ def linearised(
         Effects with their values, in the order of the chain.
     signal
         Signal in front of them at every `step`-th sample, shape (rows,).
-    context
-        Context of all samples.
     step
         Samples from one row to the next; above 1 no effect may have a memory.
     """

@@ -56,8 +56,6 @@ class TickChain:
     ----------
     model
         Identified or diagnosed model. Effects that belong to a single recording do not act.
-    dt_s
-        Tick period [s].
     without
         Names of the effects to leave out.
     reads
@@ -194,8 +192,6 @@ def ticks_late(delay_s: float, acting: Mapping[str, Mapping[str, float]], dt_s: 
         Time from the end of a tick to the reading that shows its force [s].
     acting
         Values of the effects that act, by name.
-    dt_s
-        Tick period [s].
     """
     late = delay_s / dt_s
     whole = math.floor(late)
