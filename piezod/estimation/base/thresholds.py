@@ -1,4 +1,4 @@
-"""Thresholds of plays and dead zones (3.25-3.27); those of the plays are denser near zero."""
+"""Thresholds of plays and dead zones (3.25-3.27); play thresholds are denser near zero."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -2,7 +2,7 @@
 
 A superposition is written in slopes instead of weights: s_i = w_0 + ... + w_i is the slope of the loading curve between
 the thresholds i and i+1.
-Its column is the part of the input that lies between them:
+Its column is the part of the input between both thresholds:
 
     H(u) = sum_i s_i (z_i - z_{i+1}),   S'(y) = sum_j s'_j (S_j(y) - S_{j+1}(y)),   the last columns: z_n, S_m
 

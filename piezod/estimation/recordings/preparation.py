@@ -139,7 +139,7 @@ def _without_input_gaps(recording: Recording, channel: str) -> tuple[Recording, 
 
 
 def _temperature_of(recording: Recording, model: Model, notes: list[str]) -> Array | None:
-    """Temperature of the bench; None if there is no column, or only the input, the output or a copy of them."""
+    """Temperature of the bench; None if there is no column, or only the input, the output or a copy."""
     own = (model.input.channel, model.output.channel)
     names = [name for name in TEMPERATURES if name in recording.channels and name not in own]
     for name in names:

@@ -1,4 +1,4 @@
-"""Recordings of a diagnosis as they are read: the diagnosed ones and those of the identification."""
+"""Recordings of a diagnosis as they are read: the diagnosed recordings, and the identification recordings."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
