@@ -49,8 +49,23 @@ class Format:
 
 _HDF5 = Format("HDF5", (b"\x89HDF\r\n\x1a\n",), open_hdf5, write_hdf5, ("h5py", "hdf5"))
 
-READ_ONLY = (".txt", ".tsv", ".dat", ".asc", ".lvm")
-"""Suffixes of text that other programs write."""
+READ_ONLY = (".txt", ".tsv", ".dat", ".asc", ".lvm", ".nc")
+"""Suffixes of text that other programs write, and of netCDF, which is HDF5."""
+
+FOREIGN = {
+    **dict.fromkeys((".dxd", ".d7d", ".dxz"), "DEWESoft"),
+    **dict.fromkeys((".wfm", ".trc", ".isf", ".psdata"), "an oscilloscope"),
+    **dict.fromkeys((".opj", ".opju"), "Origin"),
+    **dict.fromkeys((".mdf", ".tdm", ".tdx"), "MDF 3 or DIAdem"),
+    ".idf": "dSPACE ControlDesk",
+    ".raw": "imc FAMOS",
+    ".bin": "catman or another program",
+}
+"""Binary formats of other programs that are not read, by suffix."""
+
+EXPORT = "export it there as text (.csv), .mat, .tdms or .mf4"
+
+FOREIGN_MAGIC = {b"|CF,": "imc FAMOS", b"CDF\x01": "netCDF 3", b"CDF\x02": "netCDF 3"}
 
 _SPREADSHEET = Format(
     "a workbook",
@@ -268,7 +283,9 @@ def _open(path: Path, options: TextOptions | None = None) -> Iterator[RecordingS
 def _format_of(path: Path, *, to_read: bool = False) -> Format:
     suffix = path.suffix.lower()
     if to_read and suffix in READ_ONLY:
-        return FORMATS[".csv"]
+        return _HDF5 if suffix == ".nc" else FORMATS[".csv"]
+    if to_read and suffix in FOREIGN:
+        raise RecordingError(f"{path}: is a file of {FOREIGN[suffix]}, which is not read; {EXPORT}")
     if suffix in SPREADSHEETS:
         return SPREADSHEETS[suffix]
     if suffix not in FORMATS:
@@ -283,6 +300,9 @@ def _check_magic(path: Path, file_format: Format) -> None:
         head = file.read(32)
     if file_format.magic and head.startswith(file_format.magic):
         return
+    for magic, program in FOREIGN_MAGIC.items():
+        if head.startswith(magic):
+            raise RecordingError(f"{path}: is a file of {program}, which is not read; {EXPORT}")
     others = [other.name for other in (*FORMATS.values(), _SPREADSHEET) if other.magic and head.startswith(other.magic)]
     if others:
         raise RecordingError(f"{path}: holds {others[0]}, its suffix says {file_format.name}; rename it")

@@ -212,12 +212,12 @@ def _time_of(
         listed = ", ".join(columns[key].path for key in times)
         raise RecordingError(f"{path}: {listed} all look like time; choose the columns with --columns NAME=PATH")
     if not times:
-        names = ", ".join(channel_name(key, column.unit) for key, column in columns.items())
+        present = ", ".join(channel_name(key, column.unit) for key, column in columns.items())
         skipped = metadata.get("skipped", "")
         remedy = "say which with --columns time_s=NAME,..., or give --rate-Hz"
         if not columns and skipped:
             remedy = f"left out is {skipped[:120]}; store each column as a vector of numbers, or export .csv"
-        raise RecordingError(f"{path}: has no {TIME}, has {names[:200] or 'no columns of numbers'}; {remedy}")
+        raise RecordingError(f"{path}: has no {TIME}, has {present[:200] or 'no columns of numbers'}; {remedy}")
     time = _unit_of(path, times[0], columns[times[0]], pieces, metadata)
     names = name_columns(path, [(TIME, "") if key in times else (key, columns[key].unit) for key in columns])
     return time, dict(zip(names, columns, strict=True))

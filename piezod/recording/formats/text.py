@@ -132,7 +132,7 @@ class _Rows:
                 elif len(rest) > BLOCK:
                     raise RecordingError(f"{self._path}: has a line longer than {BLOCK} bytes, line {self._line + 1}")
             if rest.strip():
-                self._repairs.skipped(CUT_LINE if rest.strip("\0") else ZEROS, rest)
+                self._repairs.skipped(ZEROS if "\0" in rest else CUT_LINE, rest)
 
     def _parse(self, block: bytes) -> Array:
         """Numbers of a block of lines, shape (rows, columns)."""

@@ -21,6 +21,12 @@ from piezod.recording.quantities import UNITS, Column, column_of, is_unit
 MOST_PREAMBLE_LINES = 1000
 """Lines before the first row of numbers."""
 
+MOST_HEAD_ROWS = 5
+"""Rows of names, units and information on the channels, directly above the samples."""
+
+SECONDS = ("s", "ms", "us", "ns")
+"""Units by which the only column that has one of them is the time."""
+
 ROW = "row"
 """Name of a first column without a name that counts rows."""
 
@@ -68,20 +74,25 @@ def head_of(lines: Sequence[str], separator: str, width: int) -> Head:
         if len(cells) < width:
             break
         rows.append((k, cells))
-        if len(rows) == 2:
+        if len(rows) == MOST_HEAD_ROWS:
             break
     if not rows:
         keys = metadata_of(lines)
         return Head([keys[f"NAME{k}"] for k in range(width) if f"NAME{k}" in keys], [], lines)
-    are_units = all(is_unit(cell) or not cell for cell in rows[0][1][:width]) and len(rows) > 1
-    place, names = rows[1] if are_units else rows[0]
+    at = next((k for k, (_, cells) in enumerate(rows[:-1]) if are_units(cells[:width])), -1)
+    place, names = rows[at + 1]
     return Head(
         names[:width],
-        rows[0][1][:width] if are_units else [],
+        rows[at][1][:width] if at >= 0 else [],
         lines[:place],
-        frozenset(lines[k].strip() for k, _ in rows[: 1 + are_units]),
+        frozenset(lines[k].strip() for k, _ in rows[: at + 2]),
         tuple(names[width:]),
     )
+
+
+def are_units(cells: Sequence[str]) -> bool:
+    """Whether a row holds nothing but units, at least one."""
+    return any(cells) and all(is_unit(cell) or not cell for cell in cells)
 
 
 def _with_whole_quotes(lines: Sequence[str]) -> list[str]:
@@ -134,6 +145,7 @@ def columns_of(
 def _further_unit(path: Path, name: str, unit: str) -> str:
     """Unit from the row of units; empty where the name has it already."""
     known, stated = unit_of(name.strip()), column_of("x", unit).unit
+    known = known if is_unit(known) else ""
     if known and stated and known != stated:
         both = f"is in {known}, in {stated} by the row of units"
         raise RecordingError(f"{path}: column {name} {both}; correct one of them")
@@ -164,6 +176,8 @@ def time_column(
         return all(is_such(cells[k]) for cells in rows[:20] if k < len(cells))
 
     named = [k for k, column in enumerate(columns) if column.quantity == "time"]
+    in_s = [k for k, column in enumerate(columns) if column.unit in SECONDS]
+    named = named or (in_s if len(in_s) == 1 else [])
     clocks = [k for k in range(len(columns)) if columns[k].written and all_are(k, is_clock)]
     numbers = [k for k in named if all_are(k, lambda cell: is_number(cell, decimal))]
     with_unit = [k for k in numbers if columns[k].unit]
@@ -200,7 +214,7 @@ def with_time_unit(
     """The columns with the unit of time, and whether it counts from 1970."""
     column = columns[time]
     if column.quantity != "time":
-        column = Column(column.written, "time", "")
+        column = Column(column.written, "time", column.unit if column.unit in SECONDS else "")
     since_1970 = False
     if date_form is None and not column.unit:
         cells = [row[time].strip() for row in rows if time < len(row)]
