@@ -12,6 +12,7 @@ from piezod.diagnose.hypothesis.stack_change import factors
 from piezod.diagnose.hypothesis.terms import Term
 from piezod.effects import EFFECTS
 from piezod.errors import ModelError
+from piezod.estimation.fit.columns import zone_weights_of
 from piezod.estimation.recordings.start import starts_at_rest
 from piezod.model import Model
 from piezod.model.parameters import EffectValues, FitFigures, Hysteresis, Start, Superposition
@@ -120,7 +121,9 @@ def hysteresis_of(chain: Chain, fitted: Fitted) -> Hysteresis:
         )
     return Hysteresis(
         plays=Superposition(thresholds=tuple(thresholds.tolist()), weights=tuple(weights.tolist())),
-        dead_zones=Superposition(thresholds=tuple(zones.tolist()), weights=_outward_weights(zones, slopes)),
+        dead_zones=Superposition(
+            thresholds=tuple(zones.tolist()), weights=tuple(zone_weights_of(zones, slopes).tolist())
+        ),
         offset=offset,
     )
 
@@ -150,10 +153,3 @@ def _pieces(chain: Chain, fitted: Fitted, low_V: float, high_V: float) -> tuple[
     zones = np.concatenate((knots[below], [0.0], knots[above]))
     slopes = np.concatenate((rises[below - 1], [rises[centre]], rises[above]))
     return zones, slopes, float(values[centre] - rises[centre] * knots[centre])
-
-
-def _outward_weights(zones: Array, slopes: Array) -> tuple[float, ...]:
-    """Weights whose partial sums from the centre outwards are the slopes."""
-    centre = int(np.flatnonzero(zones == 0.0)[0])
-    lower = np.diff(slopes[centre::-1])[::-1]
-    return tuple(np.concatenate((lower, [slopes[centre]], np.diff(slopes[centre:]))).tolist())

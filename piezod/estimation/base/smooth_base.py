@@ -82,8 +82,8 @@ def fit_smooth_base(structure: Structure, zones: Array, recordings: Sequence[Sam
 def fit_roughly(structure: Structure, zones: Array, recordings: Sequence[Samples], eps: float, every: int) -> Base:
     """Fit with a row for `every` samples and a fixed penalty, to compare starts; else as `fit_smooth_base`."""
     pieces = merged(pieces_of(structure, recordings, every))
-    solver, start = _Solver(structure, zones, clocks_of(recordings), eps), straight_line(structure, zones, recordings)
-    return solver.fit(pieces, start, solver.penalty(start, pieces, FIRST_WEIGHTS))
+    solver = _Solver(structure, zones, clocks_of(recordings), eps)
+    return solver.first_fit(pieces, straight_line(structure, zones, recordings))
 
 
 def refit(
@@ -116,7 +116,7 @@ def _fitted(
     pieces = merged(pieces_of(structure, recordings, every))
     solver = _Solver(structure, zones, clocks_of(recordings), eps)
     if penalty is None:
-        base = solver.fit(pieces, start, solver.penalty(start, pieces, FIRST_WEIGHTS))
+        base = solver.first_fit(pieces, start)
         start, penalty = base.parameters, solver.chosen_penalty(base)
     return solver.fit(pieces, start, penalty), solver, every
 
@@ -164,12 +164,13 @@ class _Solver:
         steepest = float(parameters[self._tables[1]].max())
         return self._constraints.for_direct(self._zones.size, self._eps * steepest)
 
-    def penalty(self, at: Array, pieces: Sequence[Piece], weights: tuple[float, float]) -> Array:
-        """Penalty with weights relative to the Hessian of the data at the parameters `at`, shape (q,)."""
-        sums = sums_of(pieces, self._structure, self._zones, at)
-        return self._weighted(sums, weights)
+    def first_fit(self, pieces: Sequence[Piece], start: Array) -> Base:
+        """Base with the penalty of `FIRST_WEIGHTS`."""
+        sums = sums_of(pieces, self._structure, self._zones, start)
+        return self.fit(pieces, start, self._weighted(sums, FIRST_WEIGHTS))
 
     def _weighted(self, sums: Sums, weights: tuple[float, float]) -> Array:
+        """Penalty with weights relative to the Hessian of the data, shape (q, q)."""
         hessian, result = sums.hessian.sum(axis=0), np.zeros((self._count, self._count))
         for part, weight in zip(self._tables, weights, strict=True):
             power = float(np.trace(hessian[part, part]))
