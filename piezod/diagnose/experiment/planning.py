@@ -29,25 +29,13 @@ LOOP_BIASES = (0.2, 0.5, 0.8)  # centres of the minor loops, relative to the ran
 
 @dataclass(frozen=True)
 class Experiment:
-    """Drive and the separable sizes that it promises.
+    """Drive and the separable sizes that it promises."""
 
-    Parameters
-    ----------
-    voltage_V
-        Drive, shape (N,) [input unit].
-    dt_s
-        Sampling period of the first recording [s].
-    pairs
-        Pairs of effects with their separable sizes before.
-    sizes
-        Separable sizes of these pairs with the drive added [noise rms].
-    """
-
-    voltage_V: Array
-    dt_s: float
+    voltage_V: Array  # drive, shape (N,) [input unit]
+    dt_s: float  # sampling period of the first recording [s]
     segments: tuple[str, ...]
-    pairs: tuple[Pair, ...]
-    sizes: tuple[float, ...]
+    pairs: tuple[Pair, ...]  # pairs of effects with their separable sizes before
+    sizes: tuple[float, ...]  # separable sizes of these pairs with the drive added [noise rms]
 
     def recording(self, channel: str) -> Recording:
         """Drive as a recording of the model input `channel`, for `piezod record --excitation`."""

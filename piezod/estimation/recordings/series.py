@@ -19,74 +19,30 @@ FEWEST_BLOCKS, MOST_BLOCKS = 12, 40  # six blocks could not show significance: 2
 
 @dataclass(frozen=True)
 class Series:
-    """A recording on equal steps.
+    """A recording on equal steps. A missing reading is 0 and does not count."""
 
-    Parameters
-    ----------
-    name
-        Name of the file.
-    role
-        "identification": the model was identified on it. "recording": to explain.
-    time_s, command_V, reading_N
-        Times from 0 [s], commands [V] and readings [N], shape (N,). A missing reading is 0 and does not count.
-    counts
-        Readings that count, shape (N,).
-    noise_N
-        Standard deviation of the noise [N]; it weights the recordings against each other.
-    path_V
-        Voltages from the de-energised state to the first sample [V].
-    temperature_C
-        Temperatures, shape (N,) [degC]; None: not recorded.
-    start_s
-        Time of the first sample in the file [s].
-    start_columns
-        Columns of an unknown past in the stroke, shape (N, columns) [1]; no columns where the past is known.
-    past_matters_until
-        Sample from which the start columns are constant.
-    past_known
-        Samples at which the unknown past no longer matters, shape (N,). None: the past is known.
-    hold
-        How the command runs between samples.
-    recorded_hold
-        Hold that the recording states; None: it states none.
-    lattice_N
-        Step of the converter [N]; 0: the readings are not on steps.
-    rounding_N
-        Estimated rounding of the converter, shape (N,) [N]; None: the readings are fitted as they are.
-    trust
-        Weight of each reading, shape (N,), 0 to 1; None: all 1.
-    within_N
-        Deviation of the force that a reading does not show, shape (N,) [N]; None: 0.
-    frozen
-        First sample and end of each stretch of frozen readings, which do not count.
-    notes
-        Remarks of the preparation.
-    blocks
-        Stretches that are left out one by one.
-    """
-
-    name: str
-    role: Role
-    time_s: Array
-    command_V: Array
-    reading_N: Array
-    counts: Mask
-    noise_N: float
-    path_V: tuple[float, ...] = ()
-    temperature_C: Array | None = None
-    start_s: float = 0.0
-    hold: Hold = STRAIGHT
-    recorded_hold: Hold | None = None
-    lattice_N: float = 0.0
-    rounding_N: Array | None = None
-    trust: Array | None = None
-    within_N: Array | None = None
-    start_columns: Array = field(default_factory=lambda: np.empty((0, 0)))
-    past_matters_until: int = 0
-    past_known: NDArray[np.bool_] | None = None
-    frozen: tuple[tuple[int, int], ...] = ()
-    notes: tuple[str, ...] = ()
-    blocks: tuple[slice, ...] = field(init=False)
+    name: str  # of the file
+    role: Role  # "identification": the model was identified on it. "recording": to explain
+    time_s: Array  # from 0, shape (N,) [s]
+    command_V: Array  # shape (N,) [V]
+    reading_N: Array  # shape (N,) [N]
+    counts: Mask  # readings that count, shape (N,)
+    noise_N: float  # standard deviation of the noise [N]; it weights the recordings against each other
+    path_V: tuple[float, ...] = ()  # voltages from the de-energised state to the first sample [V]
+    temperature_C: Array | None = None  # shape (N,) [degC]; None: not recorded
+    start_s: float = 0.0  # time of the first sample in the file [s]
+    hold: Hold = STRAIGHT  # how the command runs between samples
+    recorded_hold: Hold | None = None  # hold that the recording states; None: it states none
+    lattice_N: float = 0.0  # step of the converter [N]; 0: the readings are not on steps
+    rounding_N: Array | None = None  # estimated rounding of the converter, shape (N,) [N]; None: fitted as they are
+    trust: Array | None = None  # weight of each reading, shape (N,), 0 to 1; None: all 1
+    within_N: Array | None = None  # deviation of the force that a reading does not show, shape (N,) [N]; None: 0
+    start_columns: Array = field(default_factory=lambda: np.empty((0, 0)))  # of an unknown past, shape (N, columns) [1]
+    past_matters_until: int = 0  # sample from which the start columns are constant
+    past_known: NDArray[np.bool_] | None = None  # samples without effect of an unknown past, (N,); None: past is known
+    frozen: tuple[tuple[int, int], ...] = ()  # first sample and end of each stretch of frozen readings
+    notes: tuple[str, ...] = ()  # remarks of the preparation
+    blocks: tuple[slice, ...] = field(init=False)  # stretches that are left out one by one
 
     def __post_init__(self) -> None:
         size = self.time_s.size
