@@ -1,5 +1,5 @@
 # ruff: noqa: E501  the heads of the files are kept whole
-"""One recording as 45 programs write it: read right, asked about, or refused with what to do.
+"""One recording as 50 programs write it: read right, asked about, or refused with what to do.
 
 Each file names the program and where its form is described. `messy_files` has further forms of text.
 """
@@ -171,9 +171,13 @@ def tdms(path, *starts_s, mode="w"):
 
 
 def workbook(path):
-    import pandas as pd
+    from tests.unit.recording.test_spreadsheet import workbook as write
 
-    pd.DataFrame({"Zeit [s]": TIME_S, "Spannung [V]": U_V, "Kraft [N]": F_N}).to_excel(path, index=False)
+    head = ["Zeit [s]", "Spannung [V]", "Kraft [N]"]
+    write(
+        path,
+        {"Info": [["Prüfstand 3"]], "Daten": [head, *zip(TIME_S.tolist(), U_V.tolist(), F_N.tolist(), strict=True)]},
+    )
 
 
 def world_files():
@@ -375,7 +379,7 @@ def world_files():
             + rows(";", ([f"{46354.416666667 + s / 86400:.12f}" for s in TIME_S], U_V, F_N)),
             refused="may be s, ms, days",
         ),
-        WorldFile("Excel workbook", "ECMA-376", ".xlsx", workbook, needs="openpyxl"),
+        WorldFile("Excel workbook", "ECMA-376", ".xlsx", workbook, needs="python_calamine"),
         WorldFile(
             "pandas, to_csv with its index",
             PANDAS,

@@ -24,6 +24,7 @@ from piezod.recording import TIME, Recording, TextOptions, column_names, open_st
 from piezod.recording.conversion import factor_to, stored_column
 from piezod.recording.formats.access import library_errors
 from piezod.recording.formats.repairs import repair_notes
+from piezod.recording.formats.stream import GrowingColumn
 from piezod.recording.stretches import gaps
 
 Array = NDArray[np.float64]
@@ -31,9 +32,6 @@ OnStep = Callable[[str, float | None], None]
 
 CHUNK = 2**20
 """Samples read at once."""
-
-GROWTH = 1.25
-"""Factor by which a full buffer grows."""
 
 TEMPERATURES = ("temperature_C", "temperature_degC")
 """Names of temperature columns [degree Celsius]; the recording gets the first name."""
@@ -201,7 +199,7 @@ def _read(
         stored[TEMPERATURES[0]] = (name, 1.0)
     with ThreadPoolExecutor(1) as pool, library_errors(path, "read"):
         sha256 = pool.submit(file_sha256, path)  # in parallel: the disk reads the file once
-        columns = {name: _Column() for name in (TIME, *(name for name, _ in stored.values()))}
+        columns = {name: GrowingColumn() for name in (TIME, *(name for name, _ in stored.values()))}
         metadata: dict[str, str] = {}
         for piece in open_stream(path, list(columns), CHUNK, text):
             columns[TIME].add(piece.time_s)
@@ -225,27 +223,6 @@ def file_notes(metadata: dict[str, str], converted: Sequence[str]) -> list[str]:
     notes = [f"read as: {metadata['understood']}"] if "understood" in metadata else []
     notes += [*converted, *repair_notes(metadata)]
     return notes + ([f"damaged: {metadata['damaged']}"] if "damaged" in metadata else [])
-
-
-class _Column:
-    """Buffer for samples that arrive in pieces; joining the pieces at the end would need twice the memory."""
-
-    def __init__(self) -> None:
-        self._values = np.empty(0)
-        self.size = 0
-
-    def add(self, piece: Array) -> None:
-        """Append a piece."""
-        size = self.size + piece.size
-        if size > self._values.size:
-            self._values.resize(int(GROWTH * size), refcheck=False)  # the system moves pages, not numbers
-        self._values[self.size : size] = piece
-        self.size = size
-
-    def values(self) -> Array:
-        """All samples, shape (size,)."""
-        self._values.resize(self.size, refcheck=False)
-        return self._values
 
 
 def _scaled(values: Array, factor: float, *, keep: bool) -> Array:

@@ -120,7 +120,8 @@ def _with_fields(
         above, is_labelled = _above(name), _above(name) in labels and _own(name).lower() in VALUES
         if field.is_vector or field.is_matrix:
             unit = units.get(above, "") if is_labelled else ""
-            tables[f"{above}/{labels[above]}" if is_labelled else name] = replace(field, unit=unit)
+            labelled = f"{above}/{labels[above]}" if is_labelled else name
+            tables[name if labelled in tables else labelled] = replace(field, unit=unit)
     tables |= {variable.name: variable for variable in every if variable.is_matrix}
     if len(tables) < 2 and not flat and not any(variable.is_matrix for variable in every):
         return flat, every

@@ -78,6 +78,8 @@ def arrow_parser(width: int, used: Sequence[int]) -> Parser | None:
 
 def _by_numpy(rows: bytes, width: int, used: Sequence[int]) -> Array:
     every = len(used) == width
+    if not every and any(row.count(b",") != width - 1 for row in rows.split(b"\n") if row.strip()):
+        raise ValueError  # numpy would take the cells of a longer row
     with warnings.catch_warnings(action="ignore", category=UserWarning):  # numpy warns of a block of blank lines only
         table = np.loadtxt(
             io.StringIO(rows.decode("latin-1")),

@@ -28,6 +28,9 @@ VALUES_PER_BYTE = 1000
 READ_CHUNK = 2**20
 """Samples per chunk when a file is read completely."""
 
+GROWTH = 1.1
+"""Factor by which a full buffer grows."""
+
 MOST_SKIPPED_TEXT = 500
 """Characters of the list of skipped parts."""
 
@@ -79,13 +82,36 @@ def read_all(stream: RecordingStream) -> Recording:
     RecordingError
         The file holds no samples, or its time does not strictly increase.
     """
-    parts = list(stream.chunks(stream.names, READ_CHUNK))
-    if not parts:
+    columns = {name: GrowingColumn() for name in stream.names}
+    for part in stream.chunks(stream.names, READ_CHUNK):
+        for name, column in columns.items():
+            column.add(part[name])
+    if not columns[TIME].size:
         more = f"; {stream.metadata['left_out']}" if "left_out" in stream.metadata else ""
         raise RecordingError(f"{stream.path}: has a header but no samples{more}")
-    # Column by column, and each part is freed at once: the samples are never in memory twice.
-    columns = {name: np.concatenate([part.pop(name) for part in parts]) for name in stream.names}
-    return Recording(columns.pop(TIME), columns, stream.metadata, str(stream.path))
+    values = {name: column.values() for name, column in columns.items()}
+    return Recording(values.pop(TIME), values, stream.metadata, str(stream.path))
+
+
+class GrowingColumn:
+    """Buffer for samples that arrive in pieces; joining the pieces at the end would need twice the memory."""
+
+    def __init__(self) -> None:
+        self._values = np.empty(0)
+        self.size = 0
+
+    def add(self, piece: Array) -> None:
+        """Append a piece."""
+        size = self.size + piece.size
+        if size > self._values.size:
+            self._values.resize(int(GROWTH * size) if self.size else size, refcheck=False)  # the system moves pages
+        self._values[self.size : size] = piece
+        self.size = size
+
+    def values(self) -> Array:
+        """All samples, shape (size,)."""
+        self._values.resize(self.size, refcheck=False)
+        return self._values
 
 
 def increasing(tables: Iterator[Table], metadata: dict[str, str]) -> Iterator[Table]:

@@ -121,7 +121,7 @@ def _stream(
 ) -> RecordingStream:
     every = [
         Stored(
-            channel.path,
+            f"{channel.group_name}/{channel.name}",
             len(channel),
             str(channel.properties.get("unit_string", "")),
             channel.name,
@@ -129,8 +129,10 @@ def _stream(
         )
         for channel in channels
     ]
-    by_path = {channel.path: channel for channel in channels}
-    times = [stored for stored in every if stored.is_time]
+    by_path = {stored.path: channel for stored, channel in zip(every, channels, strict=True)}
+    wanted = {entry.rpartition("=")[2] for entry in options.columns}
+    channels = [channel for path, channel in by_path.items() if not wanted or path in wanted]
+    times = [stored for stored in every if stored.is_time and by_path[stored.path] in channels]
     even_time = None if times else _waveform_time(path, channels, begins, metadata)
 
     def pieces(wanted: Sequence[str], chunk: int) -> Iterator[Raw]:

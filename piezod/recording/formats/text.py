@@ -96,6 +96,10 @@ def without_empty_ends(rows: bytes) -> bytes:
     return with_empty_cells(re.sub(rb"[, \t]+\n", b"\n", rows))
 
 
+class _WordsWithCommasError(Exception):
+    """A comma in a file of another separator stands in a word or groups thousands."""
+
+
 class _Rows:
     """Reads the rows of a file once."""
 
@@ -137,8 +141,11 @@ class _Rows:
     def _parse(self, block: bytes) -> Array:
         """Numbers of a block of lines, shape (rows, columns)."""
         begun, self._line = self._line, self._line + block.count(b"\n")
-        if self._layout.date_form is None:
-            plain = self._with_clean_lines(block, begun)
+        try:
+            plain = None if self._layout.date_form is not None else self._with_clean_lines(block, begun)
+        except _WordsWithCommasError:
+            plain = None
+        if plain is not None:
             for repaired in (None, with_empty_cells, without_empty_ends):
                 try:
                     return self._parse_rows(repaired(plain) if repaired else plain)
@@ -168,6 +175,8 @@ class _Rows:
         if self._tail is not None and rows.strip():
             raise self._tail
         separator, decimal = self._layout.separator.encode(), self._layout.decimal.encode()
+        if self._words and separator != b"," != decimal and b"," in rows:
+            raise _WordsWithCommasError
         if separator == b" ":
             rows = re.sub(rb"(?m)^ | (?=\n)", b"", re.sub(rb"[ \t]+", b" ", rows))
         if separator != b"," or decimal != b".":
@@ -276,7 +285,8 @@ class _Rows:
         has_date = layout.date_form not in ("", ZONE)
         times_s = column.tolist() if has_date else unwrapped(column.tolist(), self._before_s)
         self._before_s = times_s[-1]
-        corrected_s = self._clock.corrected(np.array(times_s))
+        has_zone = layout.date_form.endswith(ZONE)
+        corrected_s = np.array(times_s) if has_zone else self._clock.corrected(np.array(times_s))
         self._repairs.clock(self._clock.notes)
         if self._samples == 0:
             self._origin_s = float(corrected_s[0])

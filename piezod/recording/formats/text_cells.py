@@ -55,6 +55,9 @@ _DATES: tuple[str, ...] = (
     "%d/%m/%y",
 )
 _DATES += ("%m/%d/%y", "%d-%m-%Y", "%m-%d-%Y", "%d-%b-%Y", "%d-%b-%y", "%d %b %Y", "%b %d, %Y", "%a %b %d %Y")
+YEARS = (1970, 2100)
+"""Years of a date; eight digits with another year are a number."""
+
 DAY_S = 86400.0
 
 
@@ -183,10 +186,11 @@ def forms_of_date(date: str) -> list[str]:
     forms = []
     for form in _DATES:
         try:
-            datetime.strptime(date, form)  # noqa: DTZ007
+            year = datetime.strptime(date, form).year  # noqa: DTZ007
         except ValueError:
             continue
-        forms.append(form)
+        if YEARS[0] <= year <= YEARS[1]:
+            forms.append(form)
     return forms
 
 

@@ -118,3 +118,15 @@ def test_days_as_a_spreadsheet_counts_them_are_asked_about_and_read(tmp_path, st
         read_recording(path)
     read = read_recording(path, TextOptions(columns=("time_d", "voltage_V", "force_N")))
     np.testing.assert_allclose(np.diff(read.time_s), 1.0, atol=1e-3)
+
+
+def test_a_pause_of_an_hour_stays_where_stamps_have_their_zone(tmp_path):
+    recording, notes = local_file(
+        tmp_path,
+        datetime.fromisoformat("2026-03-29 01:58"),
+        change_after=239,
+        hours=1,
+        form="%Y-%m-%d %H:%M:%S.%f+01:00",
+    )
+    assert notes == []
+    assert recording.time_s[-1] == pytest.approx(399 * STEP_S + 3600)

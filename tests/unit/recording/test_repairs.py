@@ -150,6 +150,31 @@ def test_a_column_of_words_is_left_out_and_said(tmp_path, head, separator, words
     assert "left out: 'state'" in recording.metadata["understood"]
 
 
+@pytest.mark.parametrize(
+    ("separator", "decimal", "word", "number"),
+    [
+        ("\t", ".", "OK", "1,234.5"),
+        (";", ".", "warm, dry", "1234.5"),
+        ("\t", ",", "v1.2", "1.234,5"),
+        ("|", ".", "a,b", "1234.5"),
+    ],
+)
+def test_commas_in_words_or_numbers_beside_words_shift_no_cell(tmp_path, separator, decimal, word, number):
+    lines = [[f"{k / 100:.2f}", word, "7.5", "8.25"] for k in range(40)]
+    lines = [[cell.replace(".", decimal) if at != 1 else cell for at, cell in enumerate(row)] for row in lines]
+    lines[9][2] = number
+    head = separator.join(["Time [s]", "state", "U [V]", "F [N]"])
+    recording, _ = read(tmp_path, "\n".join([head, *map(separator.join, lines)]) + "\n")
+    assert recording.channel("force_N").tolist() == [8.25] * 40
+    assert recording.channel("voltage_V").tolist() == [7.5] * 9 + [1234.5] + [7.5] * 30
+
+
+def test_a_word_with_an_unquoted_comma_is_refused(tmp_path):
+    lines = [f"{k / 100:.2f},{'warm, 5' if k == 9 else 'OK'},7.5,8.25" for k in range(40)]
+    with pytest.raises(RecordingError, match="line 11 has 5 cells, the header names 4 columns"):
+        read(tmp_path, "time_s,state,voltage_V,force_N\n" + "\n".join(lines) + "\n")
+
+
 def test_text_of_a_further_column_is_left_out_and_said(tmp_path):
     recording, notes = read(tmp_path, FOREIGN.strip() + ";Remark\n" + rows(";", "107;door opened"))
     assert recording.channel("force_N").tolist() == [100 + k for k in range(40)]
