@@ -41,8 +41,9 @@ class WaveformReference(_LimitedReference):
 class FileReference(_LimitedReference):
     """A column of a CSV file, interpolated at the ticks: `value * scale + offset_N` [N]. The file is read strictly.
 
-    `longest_step_s`: longest time between two rows; None: ten times the median. `closing_row`: use of the last row of a
-    loop if it equals the first; drop: the first row of the next pass; keep: a sample of its own.
+    `longest_step_s`: longest time between two rows; None: ten times the median, 1.5 times it for evenly spaced rows.
+    `closing_row`: use of the last row of a loop if it equals the first; drop: the first row of the next pass; keep: a
+    sample of its own.
     """
 
     kind: Literal["file"]

@@ -11,6 +11,12 @@ Array = NDArray[np.float64]
 GAP = 10.0
 """Longest step between two rows [median steps]. A file with a longer one lacks rows, or has two rates."""
 
+EVEN_GAP = 1.5
+"""The same for a file whose other rows are evenly spaced: there a single row is missing."""
+
+EVEN_SHARE, EVEN_WITHIN = 0.9, 0.02
+"""Share of the steps that make rows evenly spaced, and their largest deviation from the median [median steps]."""
+
 FLOAT_ERROR = 1e-6
 """Deviation of a time from a tick that summed or stored floating-point times have [ticks]."""
 
@@ -60,7 +66,7 @@ def check_gaps(table: StrictTable, longest_step_s: float | None, key: str = "") 
     table
         The file.
     longest_step_s
-        Longest step [s]; None: `GAP` times the median step.
+        Longest step [s]; None: `GAP` times the median step, `EVEN_GAP` times it for evenly spaced rows, with `key`.
     key
         Key that states it, for the message; empty: there is none.
 
@@ -73,13 +79,22 @@ def check_gaps(table: StrictTable, longest_step_s: float | None, key: str = "") 
     rising_s = steps_s[steps_s > 0.0]
     if not rising_s.size:
         return
-    longest_s = GAP * float(np.median(rising_s)) if longest_step_s is None else longest_step_s
+    median_s = float(np.median(rising_s))
+    is_even = bool(key) and rising_s.size >= FEWEST_ROUNDED and _is_even(rising_s, median_s, table.time_unit_s)
+    factor = EVEN_GAP if is_even else GAP
+    longest_s = factor * median_s if longest_step_s is None else longest_step_s
     gaps = np.flatnonzero(steps_s > longest_s * (1.0 + 1e-9))
     if gaps.size:
         k = gaps[0]
-        words = f"{GAP:g} times the median step" if longest_step_s is None else key
+        words = f"{factor:g} times the median step" if longest_step_s is None else key
         remedy = f"add the missing rows, or set {key}" if key else "add the missing rows"
         raise ConfigurationError(
             f"{table.path}: line {table.lines[k + 1]} is {steps_s[k]:.6g} s after line {table.lines[k]}, must be at "
             f"most {longest_s:.6g} s, {words}; {remedy}"
         )
+
+
+def _is_even(steps_s: Array, median_s: float, time_unit_s: float) -> bool:
+    """Whether nearly all steps are equal within the rounding of the times."""
+    rounding_s = 1.001 * time_unit_s if median_s > 2.0 * time_unit_s else 0.0
+    return bool(np.mean(np.abs(steps_s - median_s) <= EVEN_WITHIN * median_s + rounding_s) >= EVEN_SHARE)

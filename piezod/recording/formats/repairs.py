@@ -60,6 +60,14 @@ class Repairs:
         if cell.lower() not in ("", "nan", "-nan", "+nan"):
             self._words[cell] += 1
 
+    def counts(self) -> tuple[Counter[str], dict[str, tuple[int, str]]]:
+        """The counts so far, for `set_counts`."""
+        return Counter(self._words), dict(self._skipped)
+
+    def set_counts(self, counts: tuple[Counter[str], dict[str, tuple[int, str]]]) -> None:
+        """Forget what was counted since, because a block is read again."""
+        self._words, self._skipped = Counter(counts[0]), dict(counts[1])
+
     def end_block(self) -> None:
         """Write the count of missing samples into the metadata; done once a block, because cells are many."""
         if self._words:

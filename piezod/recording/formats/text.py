@@ -6,7 +6,7 @@ plain numbers is brought to plain numbers by itself or left out; then the block 
 
 import re
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from math import inf, isnan
 from pathlib import Path
 
@@ -112,6 +112,8 @@ class _Rows:
         self._width = layout.width
         self._parse_rows = row_parser(self._width, layout.places, large=path.stat().st_size > LARGE)
         self._words = len(layout.places) < self._width
+        self._has_dates = layout.date_form is not None
+        self._begins_with_date = layout.date_place < 0 and layout.places[layout.time] == 0 and layout.separator != " "
         self._usual = b"0123456789eEna+- \t\n" + (layout.separator + layout.decimal).encode()
         # Bytes of a line that is cleaned by itself; beside words, every character may be part of a word.
         self._odd = re.compile(rb'["#\0]' if self._words else rb"[^" + re.escape(self._usual) + rb"]")
@@ -141,18 +143,25 @@ class _Rows:
     def _parse(self, block: bytes) -> Array:
         """Numbers of a block of lines, shape (rows, columns)."""
         begun, self._line = self._line, self._line + block.count(b"\n")
-        try:
-            plain = None if self._layout.date_form is not None else self._with_clean_lines(block, begun)
-        except _WordsWithCommasError:
-            plain = None
-        if plain is not None:
-            for repaired in (None, with_empty_cells, without_empty_ends):
-                try:
-                    return self._parse_rows(repaired(plain) if repaired else plain)
-                except ValueError:
-                    pass  # an empty cell, a word, a row of another length
+        before = self._tail, self._repairs.counts()
+        for repaired in (bytes, with_empty_cells, without_empty_ends) if (rows := self._rows(block, begun)) else ():
+            try:
+                return self._parse_rows(repaired(rows))
+            except ValueError:
+                pass  # an empty cell, a word, a row of another length
+        self._tail = before[0]
+        self._repairs.set_counts(before[1])
         lines = block.split(b"\n")
         return self._parse_rows(b"".join(self._clean(line, at) for at, line in enumerate(lines, begun + 1)))
+
+    def _rows(self, block: bytes, begun: int) -> bytes:
+        """Rows of plain numbers, with few lines cleaned; empty where each line must be."""
+        try:
+            if not self._has_dates:
+                return self._with_clean_lines(block, begun)
+            return self._with_seconds(block, begun) if self._begins_with_date else b""
+        except _WordsWithCommasError:
+            return b""
 
     def _with_clean_lines(self, block: bytes, begun: int) -> bytes:
         """Rows with commas and points; lines with other than plain numbers are cleaned one by one."""
@@ -169,6 +178,19 @@ class _Rows:
             parts.append(self._clean(block[start:end], number_at))
             at, number_at = end + 1, number_at + 1
         return b"".join([*parts, self._plain(block[at:])])
+
+    def _with_seconds(self, block: bytes, begun: int) -> bytes:
+        """Rows with the time [s] in place of a date; a line with other than plain numbers behind it is cleaned."""
+        layout, parts = self._layout, []
+        separator = layout.separator.encode()
+        for at, line in enumerate(block.split(b"\n"), begun + 1):
+            stamp, mark, rest = line.partition(separator)
+            seconds = None
+            if mark and not rest.translate(None, self._usual):
+                with suppress(ValueError):
+                    seconds = clock_s(stamp.decode("utf-8", "replace"), layout.date_form or "", layout.first_day)
+            parts.append(self._clean(line, at) if seconds is None else b"%r,%b\n" % (seconds, self._plain(rest)))
+        return b"".join(parts)
 
     def _plain(self, rows: bytes) -> bytes:
         """Rows of plain numbers with commas and points instead of the file's own marks."""

@@ -175,6 +175,27 @@ def test_a_word_with_an_unquoted_comma_is_refused(tmp_path):
         read(tmp_path, "time_s,state,voltage_V,force_N\n" + "\n".join(lines) + "\n")
 
 
+def test_what_is_read_twice_is_counted_once(tmp_path):
+    """A short row with an empty end makes the fast path fail, after a word and a summary were counted there."""
+    lines = rows(";", "n/a").replace("0.09;9;109", "0.09;9;")
+    recording, notes = read(tmp_path, FOREIGN + lines.replace("0.10;10;110", "0.10; ;110\t") + "Mean;3;4\n")
+    assert recording.time_s.size == 40
+    assert np.flatnonzero(np.isnan(recording.channel("force_N"))).tolist() == [7, 9]
+    assert notes == ["cells read as missing: 1 ('n/a')", "left out: lines behind the last sample ('Mean;3;4')"]
+
+
+@pytest.mark.parametrize("separator", [";", "\t", ","])
+def test_repairs_of_rows_that_begin_with_a_date(tmp_path, separator):
+    lines = [separator.join([f"2026-11-28 10:00:{k:02}.5+01:00", str(k), str(100 + k)]) for k in range(40)]
+    lines[7] = lines[7].replace("107", "NA")
+    lines[9] = lines[9].replace("109", "")
+    text = separator.join(["time", "U [V]", "F [N]"]) + "\n" + "\n".join(lines) + "\nEnd\n"
+    recording, notes = read(tmp_path, text)
+    assert recording.time_s.tolist() == list(range(40))
+    assert np.flatnonzero(np.isnan(recording.channel("force_N"))).tolist() == [7, 9]
+    assert notes == ["cells read as missing: 1 ('NA')", "left out: lines behind the last sample ('End')"]
+
+
 def test_text_of_a_further_column_is_left_out_and_said(tmp_path):
     recording, notes = read(tmp_path, FOREIGN.strip() + ";Remark\n" + rows(";", "107;door opened"))
     assert recording.channel("force_N").tolist() == [100 + k for k in range(40)]
