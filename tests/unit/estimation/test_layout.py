@@ -46,3 +46,20 @@ def test_a_file_of_another_layout_is_refused_in_its_own_words(tmp_path):
     (tmp_path / "other.csv").write_text("no numbers here\n" * 30)
     with pytest.raises(RecordingError):
         layout_of(tmp_path / "other.csv", load_model(model), TextOptions())
+
+
+def test_a_scale_of_the_identification_is_used_again(tmp_path):
+    """Without it the second file would be read in volts of the monitor, a tenth of the command."""
+    scale = ["--scale", "voltage_V=10 V/V", "--scale", "cell_V=100 N/V"]
+    table = np.column_stack([np.arange(U.size) / RATE_HZ, U / 10.0, read(U, 1) / 100.0])
+    for name in ("first.csv", "second.csv"):
+        np.savetxt(tmp_path / name, table, "%.8f", ",", header="time_s,voltage_V,cell_V", comments="")
+    model, simulated = tmp_path / "model.yaml", tmp_path / "simulated.csv"
+    named = ["--input", "voltage_V", "--output", "cell_N"]
+    assert run_piezod("identify", tmp_path / "first.csv", *scale, *named, "-o", model)[0] == 0
+    told = layout_of(tmp_path / "second.csv", load_model(model), TextOptions())
+    assert told is not None
+    assert told.scale == ("voltage_V=10 V/V", "cell_V=100 N/V")
+    loaded = load_recordings([tmp_path / "second.csv"], "voltage_V", "cell_N", text=told)[0]
+    np.testing.assert_allclose(loaded.recording.channel("voltage_V"), U, atol=1e-6)
+    assert run_piezod("simulate", tmp_path / "second.csv", "--model", model, "-o", simulated)[0] == 0
