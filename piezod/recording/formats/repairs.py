@@ -14,7 +14,7 @@ MISSING = {
 """Words for a missing sample in lower case, of spreadsheets, databases, historians, languages and instruments."""
 
 _MISSING_FORM = re.compile(
-    r"-+\.?-*|\u2013|\u2014|#+|\*+"  # dashes, and a number that is wider than its cell
+    r"-+\.?-*|\u2013|\u2014|##+|\*+"  # dashes, and a number that is wider than its cell
     r"|#[^\s,;#\d][^\s,;#]*[!?]|#n/[av]"  # errors of a spreadsheet in any language: #VALEUR! #DIV/0! #NOM?
     r"|\[-\d+\] \D*"  # [-11059] No Good Data For Calculation
     r"|[+-]?(?:over|under|ovld|ol|inf|infinity|ovfl|\u221e)"

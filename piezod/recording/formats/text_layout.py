@@ -323,7 +323,7 @@ def _table(path: Path, lines: Sequence[str], decimal: str) -> _Table:
         words = {pair: _word_cells(lines, *pair) for pair in pairs if pair[0] != pair[1]}
         tables = [_rows(lines, *pair, cells) for pair, cells in words.items() if cells]
         tables = [table for table in tables if table.numbers >= FEWEST_NUMBERS and table.rows > 2 * best.rows]
-        best = max([best, *tables], key=lambda table: table[:2])
+        best = max(tables, key=lambda table: (table.rows, -len(table.words), table.numbers), default=best)
     if best.rows < FEWEST_ROWS:
         raise RecordingError(f"{path}: holds no table of numbers within its first {len(lines)} lines")
     return best

@@ -42,14 +42,25 @@ numbers = st.floats(-1e6, 1e6, allow_nan=False).map(lambda value: round(value, 4
     encoding=st.sampled_from(["utf-8", "utf-8-sig", "cp1252", "utf-16"]),
     preamble=st.sampled_from(["", "Prüfstand 3\n", "Operator: me\nDate: today\n\n", "# made by hand\n"]),
     units=st.booleans(),
+    word=st.sampled_from(["", "", "OK", "warm; dry, 5", "v1.2", "0x1F"]),
+    missing=st.sampled_from(["", "NaN", "n/a", "-1.#IND", "---", "Over Range"]),
 )
-def test_no_dialect_is_read_wrong(tmp_path, rows, separator, decimal, end, encoding, preamble, units):
+def test_no_dialect_is_read_wrong(tmp_path, rows, separator, decimal, end, encoding, preamble, units, word, missing):
     """The same numbers, or a refusal that names an option; expected values are those that were written."""
     head = ["Zeit", "Spannung", "Kraft"] if units else ["Zeit [s]", "Spannung [V]", "Kraft [N]"]
     lines = [separator.join(head)] + ([separator.join(["s", "V", "N"])] if units else [])
     lines += [
         separator.join(f"{value:.4f}".replace(".", decimal) for value in (0.25 * k, *row)) for k, row in enumerate(rows)
     ]
+    at = len(lines) - 1
+    lines[at] = separator.join([*lines[at].split(separator)[:-1], missing])  # the force of the last row
+    if word:
+        state = f'"{word}"' if separator in word else word
+        state_head = ["state"] + [""] * (len(lines) - len(rows) - 1)
+        lines = [
+            separator.join([*line.split(separator)[:-1], cell, line.split(separator)[-1]])
+            for line, cell in zip(lines, [*state_head, *[state] * len(rows)], strict=True)
+        ]
     path = tmp_path / "rec.csv"
     path.write_bytes((preamble + end.join(lines) + end).encode(encoding))
     if separator == decimal:  # no cell has an end
@@ -61,7 +72,8 @@ def test_no_dialect_is_read_wrong(tmp_path, rows, separator, decimal, end, encod
     read = read_recording(path)
     np.testing.assert_array_equal(read.time_s, 0.25 * np.arange(len(rows)))
     np.testing.assert_array_equal(read.channels["voltage_V"], [voltage for voltage, _ in rows])
-    np.testing.assert_array_equal(read.channels["force_N"], [force for _, force in rows])
+    np.testing.assert_array_equal(read.channels["force_N"], [*(force for _, force in rows[:-1]), np.nan])
+    assert not word or "left out: 'state'" in read.metadata["understood"]
 
 
 def test_a_large_file_is_read_in_pieces_with_the_same_numbers(tmp_path, monkeypatch):
