@@ -16,10 +16,10 @@ from piezod.diagnose.hypothesis.fit import fit
 from piezod.diagnose.hypothesis.monotone import is_monotone, monotone_fit
 from piezod.diagnose.judgement import Diagnosis, DiagnosisInputs, diagnosed_nrmse_percent, residuals_of, with_words
 from piezod.diagnose.prepare import substitute_recording
+from piezod.diagnose.rules import RULES
 from piezod.diagnose.selection.acceptance import comparison_loss, penalised_loss
 from piezod.diagnose.selection.finish import with_each_rival
 from piezod.diagnose.selection.given_effects import as_given, refitted_without, without
-from piezod.diagnose.selection.rules import RULES
 from piezod.diagnose.selection.search import OnProgress, search
 from piezod.diagnose.selection.search_state import Rivalry, Search
 from piezod.diagnose.selection.stated_hold import with_stated_hold

@@ -19,9 +19,9 @@ from piezod.diagnose.hypothesis.sampling import coarse
 from piezod.diagnose.hypothesis.terms import Point, Setting, Term
 from piezod.diagnose.localisation.locate import locate
 from piezod.diagnose.prepare import chain_of
+from piezod.diagnose.rules import RULES
 from piezod.diagnose.selection.given_effects import given_effects, with_likelier_scope
 from piezod.diagnose.selection.replay import Attempt, fitted_in
-from piezod.diagnose.selection.rules import RULES
 from piezod.diagnose.selection.search_state import Search
 from piezod.diagnose.selection.significance import with_discovery_rates
 from piezod.diagnose.verdict.direct_findings import direct_findings

@@ -49,8 +49,6 @@ class Search:
         All values of a parameter that takes a few values only. They are tried one after the other.
     ridge
         Ridge penalty of the value 1 per sample [noise variance], at least 0.
-    all_screened
-        Whether all choices are screened, because they show in different places; else the first one stands for them.
     only_if
         Name and choice of another parameter: this one is searched with that choice only. None: always.
     seen_in
@@ -62,7 +60,6 @@ class Search:
     nuisance: bool = False
     choices: tuple[float, ...] = ()
     ridge: float = 0.0
-    all_screened: bool = False
     only_if: tuple[str, float] | None = None
     seen_in: Literal["spectrum", "clock"] | None = None
 

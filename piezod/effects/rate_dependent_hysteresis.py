@@ -185,9 +185,7 @@ EFFECT = Effect(
             1.0,
             Search((USUAL_MEMORY_s,), logarithmic=True, nuisance=True, only_if=("rate_over", TIME)),
         ),
-        Parameter(
-            "rate_over", "1", 0.0, 1.0, Search((0.0,), nuisance=True, choices=(DISTANCE, TIME), all_screened=True)
-        ),
+        Parameter("rate_over", "1", 0.0, 1.0, Search((0.0,), nuisance=True, choices=(DISTANCE, TIME))),
         Parameter("kind", "1", 0.0, 2.0, Search((0.0,), nuisance=True, choices=(0.0, 1.0, 2.0))),
     ),
     forward=unchanged,

@@ -23,13 +23,13 @@ import numpy as np
 from firmware_sim.concealed.study.truth import TrueCase, read_truth
 from piezod.diagnose.hypothesis.fit import Fitted
 from piezod.diagnose.hypothesis.terms import Point, Term
+from piezod.diagnose.rules import RULES
 from piezod.diagnose.selection.acceptance import (
     comparable,
     least_gain,
     penalised_loss,
     steadiness,
 )
-from piezod.diagnose.selection.rules import RULES
 from piezod.effects import EFFECTS
 
 BY_OTHER_MEANS = {"mains_hum", "vibration", "sensor_dropout", "quantisation"}

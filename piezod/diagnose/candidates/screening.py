@@ -1,5 +1,10 @@
-"""Screening: the first-order gain of every effect of the catalogue at its starts, and of pairs of effects."""
+"""Screening: estimated loss with every effect of the catalogue at its starts, alone and in pairs.
 
+The estimates are algebra on one set of products (`hypothesis/gram.py`). They choose the hypotheses that are fitted.
+Acceptance needs the fit.
+"""
+
+import functools
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
@@ -10,18 +15,22 @@ from numpy.typing import NDArray
 from piezod.diagnose.candidates.direct import peaks_Hz, skew_ppm
 from piezod.diagnose.hypothesis.chain import Chain
 from piezod.diagnose.hypothesis.fit import Normal
+from piezod.diagnose.hypothesis.gram import Eliminated
 from piezod.diagnose.hypothesis.parallel import each
-from piezod.diagnose.hypothesis.terms import Point, Term
+from piezod.diagnose.hypothesis.terms import Point, Scope, Term
+from piezod.diagnose.rules import RULES
 from piezod.effects import EFFECTS
 from piezod.effects.effect import Effect, Parameter
 from piezod.estimation.recordings.series import Series
 
 Array = NDArray[np.float64]
 
-SHIFTED = 0.5  # largest loss ratio with a free offset at which the offset is used
-INDEPENDENT = 1e-6  # least share of a change that the fitted parameters do not follow
-INDEPENDENT_PAIR = 1e-4  # least share of a change that another one does not follow either
 PAIR_GAIN = 1.1  # least gain of a pair over the best single gain
+PAIRS = 40  # best pairs by the gain in all data, whose left-out losses are computed
+DELAYS = (1.0, 2.0, 4.0, 8.0, 16.0, 32.0)  # delays [samples] with which a narrow effect is tried
+MOVES = (1.0, 0.5, 0.0)  # parts of the joint move of the fitted parameters that a start is tried with
+SIZES = (1.0, 0.5)  # parts of the size that a start is tried with
+SCOPES: tuple[Scope, ...] = ("since", "already")
 DIRECT = tuple(name for name, effect in EFFECTS.items() if effect.found_by == "test")
 
 
@@ -39,20 +48,47 @@ class Candidate:
         Effect, scope and choices.
     values
         Start values of its searched parameters.
-    gain
-        Fall of the squared residual to first order, with the base and the size of the effect fitted [noise variance].
     """
 
     term: Term
     values: dict[str, float]
-    gain: float = 0.0
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """One or two further effects, and the estimated loss with them.
+
+    Parameters
+    ----------
+    candidates
+        The effects, with the sizes of the joint linear solution.
+    loss
+        Left-out loss of that solution [noise variance].
+    columns, multiples
+        Columns of the changes, and their multiples in the solution.
+    """
+
+    candidates: tuple[Candidate, ...]
+    loss: float
+    columns: tuple[int, ...]
+    multiples: Array
+
+    @property
+    def name(self) -> str:
+        """Name of the last effect."""
+        return self.candidates[-1].term.effect.name
+
+    @property
+    def penalised(self) -> float:
+        """Loss with the price of the parameters, for comparisons."""
+        searched = sum(min(len(candidate.term.searched), RULES.most_priced) for candidate in self.candidates)
+        return self.loss * (1.0 + RULES.parameter_price * searched)
 
 
 def catalogue_starts(chain: Chain, channels: Sequence[str], known: Mapping[str, tuple[float, ...]]) -> Iterator[Start]:
     """Every effect of the catalogue at each combination of its starts and choices.
 
-    Nuisance parameters have their first start only, and choices that are not screened their first value. `known`:
-    further starts by parameter.
+    Nuisance parameters have their first start only. `known`: further starts by parameter.
     """
     scales = {**_scales(chain), **known}
     for effect in EFFECTS.values():
@@ -61,7 +97,7 @@ def catalogue_starts(chain: Chain, channels: Sequence[str], known: Mapping[str, 
         searched = [p for p in effect.parameters if not p.search.choices]
         chosen = [p for p in effect.parameters if p.search.choices]
         starts = [_starts(effect.name, p, scales) for p in searched]
-        options = [p.search.choices if p.search.all_screened else p.search.choices[:1] for p in chosen]
+        options = [p.search.choices for p in chosen]
         for choices in product(*options):
             named = tuple(zip((p.name for p in chosen), choices, strict=True))
             for values in product(*starts):
@@ -122,73 +158,10 @@ def _starts(effect: str, parameter: Parameter, scales: dict[str, tuple[float, ..
     return starts[:1] if parameter.search.nuisance else starts
 
 
-def since_identification(
-    chain: Chain, terms: Sequence[Term], past: Point, offset_N: float
-) -> list[tuple[Candidate, Point]]:
-    """Effects that may have appeared after the identification, each at its best start, the best first.
-
-    Each is simulated with the base of the identification, with or without a free offset of the recordings.
-
-    Parameters
-    ----------
-    chain, terms
-        Recordings and current effects.
-    past
-        Base of the identification with the values of the effects.
-    offset_N
-        Fall of the readings since the identification, which may be a gap [N].
-    """
-    known = {"gap_N": (*_scales(chain)["gap_N"], max(offset_N, 0.0)), **_skews(chain, terms, past)}
-
-    def simulated(start: Start) -> tuple[Candidate, Point]:
-        effect, values, choices = start
-        term = Term(effect, "since", choices=choices)
-        point = replace(past, values=(*past.values, values))
-        shifts_N, losses, starts = np.zeros(len(chain.series)), [0.0, 0.0], list(past.starts)
-        for number, series in enumerate(chain.series):
-            if series.role == "recording":
-                rows = chain.rows[number]
-                error, weights = series.residual(rows, chain.compared(number, (*terms, term), point))
-                columns, stroke = _past_columns(chain, number, (*terms, term), point)
-                compared = weights > 0.0
-                if columns.shape[1]:
-                    sizes = np.linalg.lstsq(columns[compared], error[compared], rcond=1e-9)[0]
-                    error -= columns @ sizes
-                    starts[number] = series.noise_N * sizes / stroke
-                    starts[number][: past.starts[number].size] += past.starts[number][: sizes.size]
-                error = error[compared]
-                losses[0] += float(error @ error)
-                losses[1] += float(error.var()) * error.size
-                shifts_N[number] = float(error.mean()) * series.noise_N
-        shifted = losses[1] < SHIFTED * losses[0]
-        begin = replace(past, starts=tuple(starts))
-        if shifted:
-            begin = replace(begin, offsets_N=past.offsets_N + shifts_N)
-        return Candidate(term, values, -losses[shifted]), begin
-
-    best: dict[str, tuple[Candidate, Point]] = {}
-    for candidate, point in each(simulated, _new_starts(chain, terms, known)):
-        name = candidate.term.effect.name
-        if name not in best or candidate.gain > best[name][0].gain:
-            best[name] = candidate, point
-    return sorted(best.values(), key=lambda pair: -pair[0].gain)
-
-
 def _new_starts(chain: Chain, terms: Sequence[Term], known: Mapping[str, tuple[float, ...]]) -> list[Start]:
     """Starts of all effects that are not among the terms."""
     starts = catalogue_starts(chain, recorded_channels(chain.series), known)
     return [start for start in starts if all(term.effect is not start[0] for term in terms)]
-
-
-def _past_columns(chain: Chain, number: int, terms: tuple[Term, ...], point: Point) -> tuple[Array, Array]:
-    """Columns for the unknown past of a recording without their means, and the force per unit of each [N/V or 1]."""
-    rows = chain.rows[number]
-    stroke_columns = chain.series[number].start_columns
-    decays = chain.decays(number, terms, point, rows)
-    columns = np.hstack((stroke_columns[rows], decays)) if stroke_columns.size else decays
-    stroke = np.ones(columns.shape[1])
-    stroke[: stroke_columns.shape[1]] = chain.force_span_N / chain.voltage_span_V
-    return columns - columns.mean(axis=0), stroke
 
 
 def _skews(chain: Chain, terms: Sequence[Term], point: Point) -> dict[str, tuple[float, ...]]:
@@ -213,113 +186,212 @@ def _starts_seen_in(test: str) -> dict[str, tuple[float, ...]]:
 
 
 @dataclass(frozen=True)
-class _Change:
-    """Change of the compared readings by an effect at a start.
+class _Start:
+    """Effect at a start, and the columns of its changes: one for each part of a sum."""
+
+    effect: Effect
+    values: dict[str, float]
+    choices: tuple[tuple[str, float], ...]
+    columns: range
+
+    def candidate(self, scope: Scope, multiples: Array) -> Candidate:
+        """Candidate with the sizes of a solution; a parameter on a logarithmic scale stays at its start."""
+        sizes = list(parts_of(self.effect, self.values)) if len(self.columns) > 1 else [self.effect.size.name]
+        scaled = {
+            name: float(multiple) * self.values[name]
+            for name, multiple in zip(sizes, multiples, strict=True)
+            if not self.effect.parameter(name).search.logarithmic
+        }
+        term = Term(self.effect, scope, choices=self.choices)
+        return Candidate(term, {**self.values, **within_ranges(self.effect, scaled)})
+
+    def possible(self, multiples: Array) -> bool:
+        """Whether the effect can have these multiples of its size."""
+        return multiples.size > 1 or multiples[0] > 0.0 or (multiples[0] < 0.0 and self.effect.size.low < 0.0)
+
+
+class Screening:
+    """Estimated losses of a fitted hypothesis with further effects.
 
     Parameters
     ----------
-    term, values
-        Effect with its scope, and start values.
-    parts
-        Best multiples of its parts without another effect; 1 for an effect that is no sum.
-    readings_N
-        Change of every recording with these multiples, shape (rows,) each [N].
-    alone, gain
-        Best multiple without another effect, and its gain.
+    chain, terms, point
+        Recordings and the hypothesis.
+    assumptions
+        The same recordings under other assumptions, such as another course of the command.
     """
 
-    term: Term
-    values: dict[str, float]
-    parts: Array
-    readings_N: list[Array]
-    alone: float
-    gain: float
+    def __init__(self, chain: Chain, terms: Sequence[Term], point: Point, assumptions: Sequence[Chain] = ()) -> None:
+        self.chain, self.terms, self.point = chain, tuple(terms), point
+        self.normal = Normal.at(chain, terms, point, robust=False)
+        self._changes: list[list[Array]] = []  # of the readings, an array of shape (rows,) per recording and column
+        self._starts: list[_Start] = []
+        for start, changes in zip(found := self._catalogue(), each(self._changes_by, found), strict=True):
+            self._starts.append(_Start(*start, range(len(self._changes), len(self._changes) + len(changes))))
+            self._changes += changes
+        self._behind_delays = self._narrow_behind_delays()
+        self._assumed = len(self._changes)
+        self._changes += [self._change(terms, point, assumed) for assumed in assumptions]
+        numbers = range(len(chain.series))
+        acts = [
+            np.array([scope == "already" or series.role == "recording" for series in chain.series], float)
+            for scope in SCOPES
+        ]
+        columns = [np.array([change[number] for change in self._changes]).T for number in numbers]
+        self._products = Eliminated.at(self.normal, columns, acts)
+        del columns
 
-    def possible(self, multiple: float) -> bool:
-        """Whether the effect can have this multiple of its size."""
-        return multiple > 0.0 or self.parts.size > 1 or self.term.effect.parameters[0].low < 0.0
+    @property
+    def loss(self) -> float:
+        """Left-out loss of the hypothesis [noise variance]."""
+        return self._products.loss
 
-    def candidate(self, multiple: float, gain: float) -> Candidate:
-        """Candidate; a sum and an effect of either sign start with this multiple of their sizes."""
-        effect, names = self.term.effect, list(parts_of(self.term.effect, self.values))
-        if len(names) > 1 or _is_a_signed_sum(effect):
-            named = names if len(names) > 1 else (effect.parameters[0].name,)
-            sizes = {name: multiple * part * self.values[name] for name, part in zip(named, self.parts, strict=True)}
-            return Candidate(self.term, {**self.values, **within_ranges(effect, sizes)}, gain)
-        return Candidate(self.term, self.values, gain)
+    def _catalogue(self) -> list[Start]:
+        """Starts of all effects that the hypothesis lacks, also where the residual shows modes, skews or delays."""
+        modelled = self.normal.readings()
+        modes_Hz = [
+            peak_Hz
+            for series, readings_N in zip(self.chain.series, modelled, strict=True)
+            if series.role == "recording"
+            for peak_Hz in peaks_Hz(series, series.reading_N - readings_N)
+        ]
+        known = {key: (*modes_Hz, *starts) for key, starts in _starts_seen_in("spectrum").items()}
+        known |= _skews(self.chain, self.terms, self.point)
+        for effect in EFFECTS.values():
+            if effect.is_delay:
+                shortest_s = min(series.dt_s for series in self.chain.series)
+                delays = tuple(delay * shortest_s for delay in DELAYS)
+                known[f"{effect.name} {effect.size.name}"] = (*delays, *effect.size.search.starts)
+        return _new_starts(self.chain, self.terms, known)
 
+    def _change(self, terms: Sequence[Term], point: Point, chain: Chain | None = None) -> list[Array]:
+        """Change of the compared readings of every recording, by further terms or on another chain."""
+        on = chain or self.chain
+        return [on.compared(k, terms, point) - self.normal.compared[k] for k in range(len(on.series))]
 
-def screened(chain: Chain, terms: Sequence[Term], point: Point) -> list[Candidate]:
-    """Candidates for one more effect in a fitted hypothesis, the largest gain first.
-
-    Each start is one finite change, projected off the tangent space of all fitted parameters.
-    """
-    _, changes = _changes(chain, terms, point)
-    candidates = [change.candidate(change.alone, change.gain) for change in changes if change.possible(change.alone)]
-    return sorted(candidates, key=lambda candidate: -candidate.gain)
-
-
-def screened_pairs(chain: Chain, terms: Sequence[Term], point: Point) -> list[tuple[Candidate, Candidate]]:
-    """Pairs of candidates that gain more together than any candidate alone, the largest gain first.
-
-    For every two effects, the best pair of their starts, fitted together.
-    """
-    normal, changes = _changes(chain, terms, point)
-    columns = [np.array([change.readings_N[k] for change in changes]).T for k in range(len(chain.series))]
-    free, along, squares = normal.projected(columns)
-    own = np.diag(free)
-    determinants = np.outer(own, own) - free**2
-    independent = own > INDEPENDENT * squares
-    pairs = independent[:, None] & independent[None, :] & (determinants > INDEPENDENT_PAIR * np.outer(own, own))
-    with np.errstate(divide="ignore", invalid="ignore"):
-        multiples = (along[:, None] * own[None, :] - along[None, :] * free) / determinants  # of the first
-        gains = multiples * along[:, None] + multiples.T * along[None, :]
-    alone = max((change.gain for change in changes if change.possible(change.alone)), default=0.0)
-    best: dict[tuple[str, str], tuple[Candidate, Candidate]] = {}
-    for i, j in np.argwhere(np.triu(pairs & (gains > PAIR_GAIN * alone), 1)):
-        first, second = changes[i], changes[j]
-        names, gain = (first.term.effect.name, second.term.effect.name), float(gains[i, j])
-        sizes = float(multiples[i, j]), float(multiples[j, i])
-        if names[0] == names[1] or not (first.possible(sizes[0]) and second.possible(sizes[1])):
-            continue
-        if names not in best or gain > best[names][0].gain:
-            best[names] = first.candidate(sizes[0], gain), second.candidate(sizes[1], gain)
-    return sorted(best.values(), key=lambda pair: -pair[0].gain)
-
-
-def _changes(chain: Chain, terms: Sequence[Term], point: Point) -> tuple[Normal, list[_Change]]:
-    """Normal equations of the hypothesis, and the change by every start in both scopes."""
-    normal = Normal.at(chain, terms, point)
-    modes_Hz = [
-        peak_Hz
-        for series, modelled in zip(chain.series, normal.readings(), strict=True)
-        if series.role == "recording"
-        for peak_Hz in peaks_Hz(series, series.reading_N - modelled)
-    ]
-    known = {key: (*modes_Hz, *starts) for key, starts in _starts_seen_in("spectrum").items()}
-    known |= _skews(chain, terms, point)
-
-    def changes_by(start: Start) -> list[_Change]:
+    def _changes_by(self, start: Start) -> list[list[Array]]:
         effect, values, choices = start
-        term = Term(effect, "already", choices=choices)
-        parts = [
-            [
-                chain.compared(number, (*terms, term), replace(point, values=(*point.values, part)))
-                - normal.compared[number]
-                for number in range(len(chain.series))
-            ]
+        terms = (*self.terms, Term(effect, "already", choices=choices))
+        return [
+            self._change(terms, replace(self.point, values=(*self.point.values, part)))
             for part in parts_of(effect, values).values()
         ]
-        changes = []
-        for scope in ("since", "already"):
-            term = Term(effect, scope, choices=choices)
-            acts = [term.acts_on(k, series) for k, series in enumerate(chain.series)]
-            acting = [[c if acts[k] else np.zeros_like(c) for k, c in enumerate(part)] for part in parts]
-            gain, sizes = normal.gain_of(acting)
-            multiples, alone = (sizes, 1.0) if sizes.size > 1 else (np.ones(1), float(sizes[0]))
-            readings_N = [multiples @ np.array([part[k] for part in acting]) for k in range(len(chain.series))]
-            changes.append(_Change(term, values, multiples, readings_N, alone, gain))
-        return changes
 
-    starts = _new_starts(chain, terms, known)
-    return normal, [change for changes in each(changes_by, starts) for change in changes]
+    def _narrow_behind_delays(self) -> list[tuple[_Start, _Start]]:
+        """Each delay with each narrow effect behind it: its jumps are a sample wide, and late by the delay."""
+        pairs = []
+        for delay in [start for start in self._starts if start.effect.is_delay]:
+            late = Term(delay.effect, "already"), delay.values
+            for narrow in [start for start in self._starts if start.effect.narrow and not start.effect.is_delay]:
+                both = (*self.terms, late[0], Term(narrow.effect, "already", choices=narrow.choices))
+                point = replace(self.point, values=(*self.point.values, late[1], narrow.values))
+                (alone,) = (self._changes[column] for column in delay.columns)
+                change = [one - other for one, other in zip(self._change(both, point), alone, strict=True)]
+                pairs.append((delay, replace(narrow, columns=range(len(self._changes), len(self._changes) + 1))))
+                self._changes.append(change)
+        return pairs
+
+    def _of(self, start: _Start, scope: Scope) -> list[int]:
+        """Columns of an effect in a scope."""
+        return [SCOPES.index(scope) * len(self._changes) + column for column in start.columns]
+
+    def _estimate(self, starts: Sequence[tuple[_Start, Scope]]) -> Estimate | None:
+        """Estimate for effects together; None where one of them cannot have its size."""
+        groups = [self._of(*start) for start in starts]
+        columns = [column for group in groups for column in group]
+        multiples = self._products.multiples(columns)
+        parts = np.split(multiples, np.cumsum([len(group) for group in groups])[:-1])
+        if not all(start.possible(part) for (start, _), part in zip(starts, parts, strict=True)):
+            return None
+        candidates = tuple(start.candidate(scope, part) for (start, scope), part in zip(starts, parts, strict=True))
+        loss = self._products.loss_with(columns, multiples)
+        return Estimate(candidates, loss, tuple(columns), multiples)
+
+    @functools.cached_property
+    def singles(self) -> list[Estimate]:
+        """Each effect at each start, in both scopes; the smallest loss first."""
+        found = (self._estimate([(start, scope)]) for start in self._starts for scope in SCOPES)
+        return sorted((one for one in found if one is not None), key=_penalised)
+
+    @functools.cached_property
+    def pairs(self) -> list[Estimate]:
+        """Best pair of starts of each two effects; the smallest loss first."""
+        options = [(start, scope) for start in self._starts for scope in SCOPES]
+        groups = [self._of(*option) for option in options]
+        gains = self._products.pair_gains(groups)
+        limit = PAIR_GAIN * float(np.max(np.diag(gains), initial=0.0))
+        best: dict[tuple[str, str], Estimate] = {}
+        fitted = 0
+        for place in np.argsort(-gains, axis=None):
+            i, j = divmod(int(place), len(options))
+            names = options[i][0].effect.name, options[j][0].effect.name
+            if gains[i, j] <= limit or fitted == PAIRS:
+                break
+            if i >= j or names[0] == names[1] or names in best:
+                continue
+            estimate = self._estimate([options[i], options[j]])
+            if estimate is not None:
+                best[names], fitted = estimate, fitted + 1
+        late = [
+            estimate
+            for delay, narrow in self._behind_delays
+            for scope in SCOPES
+            for other in SCOPES
+            if (estimate := self._estimate([(delay, scope), (narrow, other)])) is not None
+        ]
+        late = sorted(late, key=_penalised)[:2]
+        return sorted([*best.values(), *late], key=_penalised)
+
+    def loss_under(self, assumption: int, estimate: Estimate) -> float:
+        """Left-out loss of a estimate under another assumption, by its number."""
+        columns = [*estimate.columns, SCOPES.index("already") * len(self._changes) + self._assumed + assumption]
+        return self._products.loss_with(columns, self._products.multiples(columns))
+
+    def start(self, estimate: Estimate) -> tuple[tuple[Term, ...], Point]:
+        """Terms and start of a fit: fitted parameters and sizes moved as far towards the solution as helps."""
+        terms = (*self.terms, *(candidate.term for candidate in estimate.candidates))
+        layout, moves = self.normal.layout, self._products.moves
+        vector = layout.vector(self.point)
+        best, least = self.point, np.inf
+        for size in SIZES:
+            values = tuple(_smaller(candidate, size) for candidate in estimate.candidates)
+            multiples = np.where(self._sized(estimate), size * estimate.multiples, 1.0)
+            step = moves[:, -1] - moves[:, list(estimate.columns)] @ multiples
+            for part in MOVES:
+                moved = layout.point(layout.clipped(vector + part * step), self.point)
+                point = replace(moved, values=(*moved.values, *values))
+                squares = squares_at(self.chain, terms, point)
+                if squares < least:
+                    best, least = point, squares
+        return terms, best
+
+    def _sized(self, estimate: Estimate) -> NDArray[np.bool_]:
+        """Which columns of a estimate belong to a size on a linear scale."""
+        flags: list[bool] = []
+        for candidate in estimate.candidates:
+            effect = candidate.term.effect
+            parts = parts_of(effect, candidate.values)
+            flags += [len(parts) > 1 or not effect.size.search.logarithmic] * len(parts)
+        return np.array(flags)
+
+
+def squares_at(chain: Chain, terms: Sequence[Term], point: Point) -> float:
+    """Squared residual of the compared readings [noise variance]."""
+    residuals = (
+        series.residual(chain.rows[k], chain.compared(k, terms, point))[0] for k, series in enumerate(chain.series)
+    )
+    squares = sum(float(residual @ residual) for residual in residuals)
+    return squares if np.isfinite(squares) else np.inf
+
+
+def _smaller(candidate: Candidate, part: float) -> dict[str, float]:
+    """Values of a candidate with a part of its size, where the size is on a linear scale."""
+    effect = candidate.term.effect
+    sizes = parts_of(effect, candidate.values)
+    names = list(sizes) if len(sizes) > 1 else [effect.size.name]
+    scaled = {name: part * candidate.values[name] for name in names if not effect.parameter(name).search.logarithmic}
+    return {**candidate.values, **within_ranges(effect, scaled)}
+
+
+def _penalised(estimate: Estimate) -> float:
+    return estimate.penalised

@@ -93,6 +93,7 @@ class Chain:
         slow, _, _, fastest = self.rates_V_per_s
         self.driven = Driven(force_span_N, slow, fastest, min(recording.dt_s for recording in self.series))
         sizes = [CACHED if recording.time_s.size < LONG else CACHED_WHEN_LONG for recording in self.series]
+        self._amplified: list[Cache[Context]] = [*map(Cache, sizes)]
         self._plays: list[Cache[tuple[Context, Array]]] = [*map(Cache, sizes)]
         self._sums: list[Cache[Array]] = [*map(Cache, sizes)]
         self._strokes: list[Cache[tuple[Array, Hold]]] = [*map(Cache, sizes)]
@@ -111,7 +112,7 @@ class Chain:
 
     def forget(self) -> None:
         """Empty the caches: the plays of a recording take a hundred bytes a sample."""
-        for caches in zip(self._plays, self._sums, self._strokes, self._additions, strict=True):
+        for caches in zip(self._amplified, self._plays, self._sums, self._strokes, self._additions, strict=True):
             for cache in caches:
                 cache.clear()
 
@@ -159,7 +160,7 @@ class Chain:
 
         def simulate() -> tuple[Context, Array]:
             front = _effects(acting, Location.AMPLIFIER, Location.HYSTERESIS)
-            context = amplified(front, self.context(number))
+            context = self._behind_amplifier(number, acting)
             factor, offset_V = widening(front, context)
             path_V = np.array(self.series[number].path_V)
             columns = self.density.columns(context.applied_V, path_V, factor, offset_V, step)
@@ -170,9 +171,15 @@ class Chain:
         context, columns = self._plays[number].get((*self._front(number, acting), step), simulate)
         return context.applied_V, columns, context
 
-    def _front(self, number: int, acting: ActingTerms) -> Key:
-        """Key of everything that the plays of a recording depend on."""
-        front = [(term, values) for term, values in acting if term.effect.location <= Location.HYSTERESIS]
+    def _behind_amplifier(self, number: int, acting: ActingTerms) -> Context:
+        """Context behind the amplifier; the cache of an effect in it serves for all plays."""
+        amplifier = _effects(acting, Location.AMPLIFIER, Location.AMPLIFIER)
+        key = self._front(number, acting, Location.AMPLIFIER)
+        return self._amplified[number].get(key, lambda: amplified(amplifier, self.context(number)))
+
+    def _front(self, number: int, acting: ActingTerms, last: Location = Location.HYSTERESIS) -> Key:
+        """Key of everything that the plays of a recording depend on, or the voltage behind the amplifier (`last`)."""
+        front = [(term, values) for term, values in acting if term.effect.location <= last]
         return (self.series[number].hold, self.series[number].path_V, _key(front))
 
     def stroke(self, number: int, acting: ActingTerms, point: Point, step: int = 1) -> tuple[Array, Context]:

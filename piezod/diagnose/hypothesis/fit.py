@@ -57,7 +57,9 @@ class Fitted:
         return float(self.losses @ self.samples / self.samples.sum())
 
 
-def fit(chain: Chain, terms: Sequence[Term], start: Point, *, most_steps: int = MOST_STEPS) -> Fitted:
+def fit(
+    chain: Chain, terms: Sequence[Term], start: Point, *, most_steps: int = MOST_STEPS, robust: bool = True
+) -> Fitted:
     """Fit a hypothesis from a start.
 
     Parameters
@@ -70,10 +72,12 @@ def fit(chain: Chain, terms: Sequence[Term], start: Point, *, most_steps: int = 
         Parameters to begin from.
     most_steps
         Largest number of Gauss-Newton steps.
+    robust
+        Whether large residuals count linearly. Not while the misfit is large: a strong effect would be an outlier.
     """
     layout = Layout(chain, terms)
     vector, damping = layout.vector(start), 1e-8
-    current = Normal.at(chain, terms, layout.point(vector, start))
+    current = Normal.at(chain, terms, layout.point(vector, start), robust=robust)
     steps, age = 0, 0  # age: of the tangents, which change little from step to step
     while steps < most_steps and damping < MOST_DAMPING:
         trial = _step_within(layout, vector, current, damping)
@@ -82,17 +86,17 @@ def fit(chain: Chain, terms: Sequence[Term], start: Point, *, most_steps: int = 
             fell = (current.loss - beyond) / current.loss
             vector, damping, steps = trial, max(damping * 0.1, 1e-12), steps + 1
             age = age + 1 if age < REUSES and fell < MOST_FALL else 0
-            current = Normal.at(chain, terms, layout.point(vector, start), current if age else None)
+            current = Normal.at(chain, terms, layout.point(vector, start), current if age else None, robust=robust)
             if fell < DONE:
                 if not age:
                     break
                 age = REUSES
         elif age:
-            age, current = 0, Normal.at(chain, terms, layout.point(vector, start))
+            age, current = 0, Normal.at(chain, terms, layout.point(vector, start), robust=robust)
         else:
             damping = max(10.0 * damping, FIRST_DAMPING)
     if age:
-        current = Normal.at(chain, terms, layout.point(vector, start))
+        current = Normal.at(chain, terms, layout.point(vector, start), robust=robust)
     return current.fitted(layout.point(vector, start))
 
 
@@ -135,7 +139,9 @@ class Normal:
     pull: Array  # (P,) gradient of the ridge penalties
 
     @classmethod
-    def at(cls, chain: Chain, terms: Sequence[Term], point: Point, near: "Normal | None" = None) -> "Normal":
+    def at(
+        cls, chain: Chain, terms: Sequence[Term], point: Point, near: "Normal | None" = None, *, robust: bool = True
+    ) -> "Normal":
         """Normal equations of a hypothesis at a point; `near` lends the tangents of a near point."""
         layout = Layout(chain, terms)
         none = np.empty(0)
@@ -170,7 +176,7 @@ class Normal:
             jacobian *= trust[:, None] / series.noise_N
             weights = series.weights(rows)
             made.trust.append(trust)
-            scale = max(1.4826 * float(np.median(np.abs(residual[trust > 0.0]))), 1e-6)
+            scale = max(1.4826 * float(np.median(np.abs(residual[trust > 0.0]))), 1e-6) if robust else np.inf
             weight = np.minimum(1.0, HUBER * scale / np.maximum(np.abs(residual), 1e-12))
             made.loss += _robust(residual, scale)
             made.scales.append(scale)
@@ -179,7 +185,7 @@ class Normal:
             made.tangents.append(tangents)
             made.weighted.append(weight * residual)
             made.weights.append(weight)
-            for stretch, block in zip(series.blocks, _thinned(series.blocks, rows.step), strict=True):
+            for stretch, block in zip(series.blocks, thinned(series.blocks, rows.step), strict=True):
                 part = jacobian[block]
                 hessian.append(_weighted_square(part, weight[block]))
                 gradient.append(part.T @ made.weighted[-1][block])
@@ -332,13 +338,15 @@ def _weighted_square(rows: Array, weights: Array) -> Array:
     return square
 
 
-def _thinned(blocks: Sequence[slice], step: int) -> list[slice]:
+def thinned(blocks: Sequence[slice], step: int) -> list[slice]:
     """Blocks in a record of every `step`-th sample."""
     return [slice(-(-block.start // step), -(-block.stop // step)) for block in blocks]
 
 
 def _robust(residual: Array, scale: float) -> float:
     """Huber's loss."""
+    if np.isinf(scale):
+        return float(residual @ residual)
     size, limit = np.abs(residual), HUBER * scale
     return float(np.sum(np.where(size <= limit, size * size, limit * (2.0 * size - limit))))
 

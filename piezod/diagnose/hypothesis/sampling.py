@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from piezod.diagnose.hypothesis.chain import Chain
 from piezod.diagnose.hypothesis.fit import MOST_STEPS, Fitted, fit
+from piezod.diagnose.hypothesis.parallel import each
 from piezod.diagnose.hypothesis.terms import Point, Term
 from piezod.estimation.recordings.start import CLEARLY, START_WINDOW_S, loss_of_start, start_at_zero, starts_at_rest
 from piezod.recording.hold import HELD_BEFORE, STRAIGHT, Hold
@@ -19,6 +20,7 @@ HELD_PARTS = (0.3, 0.7)  # [samples] from the command to the reading: where the 
 SMALLEST_PART = 0.04  # [samples] where it ends
 EQUAL = 0.005  # relative difference of two losses that counts as none
 COARSE_ROWS = 6000  # compared samples of a recording while many hypotheses are tried
+COARSE_STEPS, FINE_STEPS = 5, 6  # Gauss-Newton steps of a coarse fit, and of a fit from its result to more samples
 
 
 def with_best_hold(hypothesis: tuple[Chain, Fitted]) -> tuple[Chain, Fitted]:
@@ -39,7 +41,7 @@ def _refitted(chain: Chain, fitted: Fitted, *, holds: bool) -> tuple[Chain, Fitt
     if again is known:
         return None
     fine = chain.like(best.series)
-    return fine, fit(fine, again.terms, again.point, most_steps=6)
+    return fine, fit(fine, again.terms, again.point, most_steps=FINE_STEPS)
 
 
 def with_equal_starts(chain: Chain) -> Chain | None:
@@ -125,7 +127,7 @@ def best_intersample(
     def try_hold(hold: Hold) -> None:
         if hold not in results:
             other = chain.like([replace(known, hold=hold) for known in chain.series])
-            results[hold] = (other, fit(other, terms, point, most_steps=MOST_STEPS if known is None else 6))
+            results[hold] = (other, fit(other, terms, point, most_steps=MOST_STEPS if known is None else FINE_STEPS))
             other.forget()
 
     for hold in (STRAIGHT, *(Hold("held", part) for part in HELD_PARTS if smooth), HELD_BEFORE):
@@ -138,6 +140,14 @@ def best_intersample(
                 try_hold(Hold("held", read_after))
         width *= 0.5
     return results[best()]
+
+
+def fit_from_each(chain: Chain, terms: Sequence[Term], starts: Sequence[Point]) -> Fitted:
+    """Fit from the best of several starts, which is chosen by coarse fits."""
+    few = coarse(chain)
+    tried = each(lambda start: fit(few, terms, start, most_steps=COARSE_STEPS, robust=False), starts)
+    few.forget()
+    return fit(chain, terms, min(tried, key=lambda fitted: fitted.loss).point)
 
 
 def coarse(chain: Chain) -> Chain:

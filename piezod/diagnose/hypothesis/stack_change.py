@@ -7,7 +7,8 @@ a diagnosis reports them as a change of the base.
 from dataclasses import replace
 
 from piezod.diagnose.hypothesis.chain import Chain
-from piezod.diagnose.hypothesis.fit import Fitted, fit
+from piezod.diagnose.hypothesis.fit import Fitted
+from piezod.diagnose.hypothesis.sampling import fit_from_each
 from piezod.diagnose.hypothesis.terms import Point, Term
 from piezod.effects.effect import Array, Context, Effect, Location, Parameter, Search, Values, unchanged
 
@@ -50,7 +51,7 @@ def with_stack_changed(chain: Chain, fitted: Fitted, past: Point) -> Fitted:
     starts = [replace(fitted.point, values=values)]
     if past.alike(fitted.point):
         starts.append(replace(past, values=values))
-    return min((fit(chain, terms, start) for start in starts), key=lambda result: result.loss)
+    return fit_from_each(chain, terms, starts)
 
 
 def factors(fitted: Fitted) -> tuple[float, float]:

@@ -10,7 +10,7 @@ from piezod.diagnose.candidates.steps import Step, has_clear_edges, shown_late_s
 from piezod.diagnose.hypothesis.chain import Chain
 from piezod.diagnose.hypothesis.fit import Fitted
 from piezod.diagnose.hypothesis.record import record_of
-from piezod.diagnose.selection.rules import RULES
+from piezod.diagnose.rules import RULES
 from piezod.effects import EFFECTS
 
 Array = NDArray[np.float64]

@@ -7,14 +7,14 @@ from piezod.diagnose.hypothesis.chain import Chain
 from piezod.diagnose.hypothesis.fit import Fitted, fit
 from piezod.diagnose.hypothesis.parallel import each
 from piezod.diagnose.hypothesis.sampling import with_best_hold, with_refitted_starts
+from piezod.diagnose.rules import RULES
 from piezod.diagnose.selection.acceptance import accepted, degenerate, penalised_loss
 from piezod.diagnose.selection.replay import Attempt
-from piezod.diagnose.selection.rules import RULES
 from piezod.diagnose.selection.search_state import Search
 from piezod.diagnose.selection.tone_search import RemovedTone, strongest_tone
 from piezod.diagnose.selection.trials import with_each_effect, with_own_step
 
-FINALISTS = 3  # accepted hypotheses that are tried with every hold of the command
+FINALISTS = 2  # accepted hypotheses that are tried with every hold of the command
 BESIDE_A_STEP = 2  # effects that a step was preferred to are tried beside a step of their own
 REFITTED = 3  # rejected hypotheses that fit better and are compared again with their own initial state
 

@@ -8,12 +8,12 @@ import numpy as np
 from piezod.diagnose.hypothesis.chain import Chain
 from piezod.diagnose.hypothesis.fit import MOST_STEPS, Fitted, fit
 from piezod.diagnose.hypothesis.parallel import each
-from piezod.diagnose.hypothesis.sampling import coarse
+from piezod.diagnose.hypothesis.sampling import FINE_STEPS, coarse
+from piezod.diagnose.rules import RULES
 from piezod.diagnose.selection.acceptance import comparison_loss, degenerate, worth
 from piezod.diagnose.selection.candidates import first_of_each
 from piezod.diagnose.selection.given_effects import refitted_without, without
 from piezod.diagnose.selection.replay import Attempt
-from piezod.diagnose.selection.rules import RULES
 from piezod.diagnose.selection.search_state import Rivalry, Search
 from piezod.effects import EFFECTS
 
@@ -39,7 +39,7 @@ def _with_best_rival(state: Search, name: str, rivals: list[Fitted]) -> Search:
     tried = each(partial(_with_rival, few, state.hypothesis, name, most_steps=4), rivals)
     few.forget()
     best = sorted(tried, key=lambda fitted: fitted.loss)[:THOROUGH]
-    swapped = each(partial(_with_rival, state.chain, state.hypothesis, name), best)
+    swapped = each(lambda rival: fit(state.chain, rival.terms, rival.point, most_steps=FINE_STEPS), best)
     fitting = [fitted for fitted in swapped if worth(without_it, fitted) and not degenerate(state.chain, fitted)]
     losses = {name: comparison_loss(name, without_it.loss, state.hypothesis.loss)}
     losses |= {fitted.effects[-1]: np.inf for fitted in swapped}

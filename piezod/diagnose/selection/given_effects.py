@@ -10,7 +10,7 @@ from typing import Literal
 
 from piezod.diagnose.hypothesis.chain import Chain
 from piezod.diagnose.hypothesis.fit import Fitted, fit
-from piezod.diagnose.hypothesis.parallel import each
+from piezod.diagnose.hypothesis.sampling import fit_from_each
 from piezod.diagnose.hypothesis.terms import Point, Scope, Term
 from piezod.diagnose.selection.acceptance import degenerate, worth
 from piezod.effects import EFFECTS
@@ -75,8 +75,7 @@ def with_fitted_values(chain: Chain, fitted: Fitted, name: str, past: Point | No
         for factor in (0.5, 2.0):
             scaled = {**values[place], size.name: min(max(factor * values[place][size.name], size.low), size.high)}
             starts.append((*values[:place], scaled, *values[place + 1 :]))
-    tried = each(lambda start: fit(chain, terms, replace(base, values=start)), starts)
-    return min(tried, key=lambda hypothesis: hypothesis.loss)
+    return fit_from_each(chain, terms, [replace(base, values=start) for start in starts])
 
 
 def as_given(chain: Chain, fitted: Fitted, given: Fitted, name: str) -> Fitted:

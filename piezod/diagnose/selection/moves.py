@@ -12,15 +12,15 @@ from piezod.diagnose.candidates.screening import catalogue_starts
 from piezod.diagnose.hypothesis.chain import Chain
 from piezod.diagnose.hypothesis.fit import Fitted, fit
 from piezod.diagnose.hypothesis.parallel import each
-from piezod.diagnose.hypothesis.sampling import coarse, with_best_hold
+from piezod.diagnose.hypothesis.sampling import coarse, fit_from_each, with_best_hold
 from piezod.diagnose.hypothesis.stack_change import NAMES, with_stack_changed
 from piezod.diagnose.hypothesis.terms import Point, Term
-from piezod.diagnose.selection.acceptance import accepted, degenerate, penalised_loss, worth
+from piezod.diagnose.rules import RULES
+from piezod.diagnose.selection.acceptance import accepted, comparison_loss, degenerate, penalised_loss, worth
 from piezod.diagnose.selection.candidates import Candidates, Trial
 from piezod.diagnose.selection.corners import with_corners
 from piezod.diagnose.selection.given_effects import reordered
 from piezod.diagnose.selection.replay import Attempt
-from piezod.diagnose.selection.rules import RULES
 from piezod.diagnose.selection.search_state import Round, Search
 from piezod.diagnose.selection.tone_search import dominates, subtract, update_tones
 from piezod.diagnose.selection.trials import fitted_pairs
@@ -51,6 +51,8 @@ def add_corners(candidates: Candidates) -> Search | None:
     All recordings choose them only where no effect is left that may bend them.
     """
     state, best = candidates.state, candidates.best
+    if state.hypothesis.loss <= RULES.at_noise:
+        return None
     limit = min(RULES.better * state.hypothesis.loss, np.inf if best is None else best[1].loss)
     for by_all in (False, True) if best is None else (False,):
         sharp = with_corners(state.chain, state.hypothesis, by_all=by_all)
@@ -88,7 +90,8 @@ def add_pair(candidates: Candidates) -> Search | None:
     for chain, pair in each(with_best_hold, promising):
         count = len(pair.terms)
         orders = pair, reordered(pair, [*range(count - 2), count - 1, count - 2])
-        firsts = [fit(chain, one.terms[:-1], replace(one.point, values=one.point.values[:-1])) for one in orders]
+        starts = [(one.terms[:-1], replace(one.point, values=one.point.values[:-1])) for one in orders]
+        firsts = [fit_from_each(chain, terms, [start]) for terms, start in starts]
         both = zip(firsts, orders, strict=True)
         good = worth(state.hypothesis, pair) and all(accepted(chain, *order) for order in both)
         accepted_pairs += [(chain, firsts[0], pair)] * good
@@ -97,7 +100,7 @@ def add_pair(candidates: Candidates) -> Search | None:
         candidates.attempts.append(attempt)
     if not accepted_pairs:
         return None
-    chain, first, pair = min(accepted_pairs, key=lambda result: penalised_loss(result[2]))
+    chain, first, pair = min(accepted_pairs, key=lambda result: _pair_loss(state, result[2]))
     single = [
         one for on, one in tried if on is state.chain and worth(state.hypothesis, one) and not degenerate(on, one)
     ]
@@ -105,6 +108,11 @@ def add_pair(candidates: Candidates) -> Search | None:
     rounds = (*state.rounds, Round(state.hypothesis, first, others), Round(first, pair, ()))
     base = state.base if chain is state.chain else fit(chain, state.base.terms, state.base.point)
     return update_tones(replace(state, chain=chain, base=base, hypothesis=pair, rounds=rounds))
+
+
+def _pair_loss(state: Search, pair: Fitted) -> float:
+    """Loss by which a pair is compared with others; that of a general effect is raised."""
+    return max(comparison_loss(term.effect.name, state.hypothesis.loss, pair.loss) for term in pair.terms[-2:])
 
 
 def add_effect(candidates: Candidates) -> Search | None:

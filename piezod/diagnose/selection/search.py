@@ -11,12 +11,12 @@ from piezod.diagnose.hypothesis.fit import fit
 from piezod.diagnose.hypothesis.sampling import best_intersample, with_usual_start
 from piezod.diagnose.hypothesis.stack_change import with_stack_changed
 from piezod.diagnose.hypothesis.terms import Point, Term
+from piezod.diagnose.rules import RULES
 from piezod.diagnose.selection.acceptance import worth
 from piezod.diagnose.selection.candidates import Candidates
 from piezod.diagnose.selection.finish import fit_all_samples, remove_redundant, replace_by_rivals
 from piezod.diagnose.selection.given_effects import classify_given, with_fitted_values
 from piezod.diagnose.selection.moves import MOVES
-from piezod.diagnose.selection.rules import RULES
 from piezod.diagnose.selection.search_state import Search, identified_base
 
 OnProgress = Callable[[str, float], None]

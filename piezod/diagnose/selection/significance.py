@@ -18,7 +18,7 @@ from piezod.diagnose.hypothesis.chain import Chain
 from piezod.diagnose.hypothesis.fit import Fitted, fit
 from piezod.diagnose.hypothesis.sampling import coarse
 from piezod.diagnose.hypothesis.terms import Point, Term
-from piezod.diagnose.selection.rules import RULES
+from piezod.diagnose.rules import RULES
 from piezod.diagnose.selection.search_state import Search
 from piezod.effects import EFFECTS
 from piezod.estimation.recordings.series import Series

@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 from piezod.diagnose.candidates.tones import Tone, reestimated_tones, tones, with_tones, without_tones
 from piezod.diagnose.hypothesis.chain import Chain
 from piezod.diagnose.hypothesis.fit import Fitted, Normal, fit
+from piezod.diagnose.rules import RULES
 from piezod.diagnose.selection.acceptance import worth
-from piezod.diagnose.selection.rules import RULES
 from piezod.diagnose.selection.search_state import Search
 from piezod.estimation.recordings.noise import white_noise_of as noise_of
 from piezod.estimation.recordings.series import Series

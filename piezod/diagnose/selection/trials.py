@@ -1,4 +1,4 @@
-"""Trials of one more effect: all promising ones are fitted coarsely, and the best of them thoroughly."""
+"""Trials of further effects: the few with the smallest estimated losses are fitted, the best of them thoroughly."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -7,65 +7,104 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from piezod.diagnose.candidates.screening import (
-    Candidate,
-    screened,
-    screened_pairs,
-    since_identification,
-    within_ranges,
-)
+from piezod.diagnose.candidates.screening import Candidate, Estimate, Screening, within_ranges
 from piezod.diagnose.candidates.steps import NEVER_S, edge_near, jump_steps, likely_steps, shown_late_s
 from piezod.diagnose.hypothesis.chain import Chain
-from piezod.diagnose.hypothesis.fit import MOST_STEPS, Fitted, Normal, fit
+from piezod.diagnose.hypothesis.fit import Fitted, Normal, fit
 from piezod.diagnose.hypothesis.parallel import each
-from piezod.diagnose.hypothesis.sampling import coarse, with_equal_starts
+from piezod.diagnose.hypothesis.sampling import COARSE_STEPS, FINE_STEPS, coarse, with_equal_starts
 from piezod.diagnose.hypothesis.terms import Point, Scope, Term
 from piezod.effects import EFFECTS
 from piezod.recording.hold import STRAIGHT
 
 Array = NDArray[np.float64]
 
-DELAY = next(name for name, effect in EFFECTS.items() if effect.is_delay)
 STEP = next(name for name, effect in EFFECTS.items() if effect.is_step)
 
-TRIED = 7  # effects that are fitted in a round, first coarsely
-TRIED_FROM_PAST = 3  # effects that are fitted from the base of the identification
-REFINED = 4  # largest number of effects that are fitted thoroughly
-COMPARED = 6  # largest number of hypotheses that are fitted to more samples
-PAIRS = 4  # pairs of effects that are fitted
-DELAYS = (1.0, 2.0, 4.0, 8.0, 16.0, 32.0)  # delays [samples] that are tried with a feedthrough of the drive
-NEAR = 0.4  # share of the best gain from which a hypothesis is fitted thoroughly, or to more samples
-FEWEST_REFINED, FEWEST_COMPARED = 2, 3
-COARSE_STEPS, FINE_STEPS = 7, 6  # Gauss-Newton steps of a coarse fit, and of a fit to more samples or of a variant
-RACED_STEPS = 2  # Gauss-Newton steps after which only the best pairs continue
-LEAST_GAIN = 0.01  # share of the loss; a candidate with a smaller first-order gain is not tried
-PROMISING = 0.03  # share of the best first-order gain below which a candidate is not tried
-SECOND_START = 0.3  # share of the first start's gain from which another start is tried
+TRIED, FROM_PAST, FEWEST_TRIED = 4, 2, 3  # effects that are fitted coarsely, and at least so many
+PAIRS, REFINED = 6, 2  # pairs that are fitted coarsely; hypotheses of which other choices are tried
+COMPARED, FEWEST_COMPARED = 4, 3  # hypotheses that are fitted to more samples, and at least so many
+NEAR = 0.4  # share of the best gain from which an effect is fitted, coarsely or to more samples
+BOTH_SCOPES = 1.15  # loss of a scope relative to the other scope, up to which both are fitted
+ASSUMED = 0.97  # loss with another assumption relative to the best one without it, below which it is tried
+FAR = 3.0  # loss above which effects are also fitted from the base of the identification, since they have bent the base
+CHOICE_STEPS = 4  # Gauss-Newton steps with another choice
+LEAST_GAIN = 0.01  # share of the loss; an effect with a smaller estimated gain is not tried
 
 
 def with_each_effect(chain: Chain, fitted: Fitted, past: Point) -> list[tuple[Chain, Fitted]]:
     """Hypotheses with one more effect, each with the chain that it was fitted to.
 
-    Two assumptions are tried too, since a missing effect may have caused them. A held command may be straight, unless
-    an effect smooths it. A recording may start like those of the identification.
+    Two assumptions are tried too where they lower the estimated loss, since a missing effect may have caused them. A
+    held command may be straight, unless an effect smooths it. A recording may start like those of the identification.
     """
-    chains = [(chain, fitted)]
+    variants = []
     if not chain.series[0].hold.straight and not any(term.effect.smooths for term in fitted.terms):
-        straight = chain.like([replace(series, hold=STRAIGHT) for series in chain.series])
-        chains.append((straight, fit(straight, fitted.terms, fitted.point, most_steps=FINE_STEPS)))
-    trials = []
-    for variant, known in chains:
-        few = coarse(variant)
-        tried = _tried(few, known, past)
-        few.forget()
-        trials += [(variant, hypothesis) for hypothesis in _fitted_finely(variant, known, tried)]
+        variants.append(chain.like([replace(series, hold=STRAIGHT) for series in chain.series]))
     restarted = with_equal_starts(chain)
-    if restarted is not None:
-        few = coarse(restarted)
-        tried = _from_past(few, fitted, past)
-        few.forget()
-        trials += [(restarted, hypothesis) for hypothesis in _fitted_finely(restarted, fitted, tried)]
-    return trials
+    variants += [restarted] if restarted is not None else []
+    few, assumed = coarse(chain), [coarse(variant) for variant in variants]
+    screening = Screening(few, fitted.terms, fitted.point, assumed)
+    chosen = _chosen(screening)
+    tried = [(chain, fitted, _tried(screening, chosen, fitted, past))]
+    few.forget()
+    alone = min((estimate.loss for estimate in chosen), default=screening.loss)
+    for number, (variant, other) in enumerate(zip(variants, assumed, strict=True)):
+        if min((screening.loss_under(number, estimate) for estimate in chosen), default=np.inf) < ASSUMED * alone:
+            known = fit(variant, fitted.terms, fitted.point, most_steps=FINE_STEPS)
+            there = Screening(other, known.terms, known.point)
+            tried.append((variant, known, _tried(there, _chosen(there), known, past)))
+        other.forget()
+    return [(on, hypothesis) for on, known, coarsely in tried for hypothesis in _fitted_finely(on, known, coarsely)]
+
+
+def _chosen(screening: Screening) -> list[Estimate]:
+    """Best starts of the effects with the smallest estimated losses, in both scopes where these are alike."""
+    singles = [estimate for estimate in screening.singles if estimate.loss < (1.0 - LEAST_GAIN) * screening.loss]
+    limit = screening.loss - NEAR * (screening.loss - singles[0].loss) if singles else 0.0
+    best: dict[str, list[Estimate]] = {}
+    for estimate in singles:
+        known = best.setdefault(estimate.name, []) if len(best) < TRIED else best.get(estimate.name)
+        if known is None or (len(best) > FEWEST_TRIED and not known and estimate.loss > limit):
+            continue
+        scopes = [one.candidates[-1].term.scope for one in known]
+        if estimate.candidates[-1].term.scope not in scopes and (
+            not known or estimate.loss < BOTH_SCOPES * known[0].loss
+        ):
+            known.append(estimate)
+    return [estimate for estimates in best.values() for estimate in estimates]
+
+
+def _tried(screening: Screening, chosen: Sequence[Estimate], fitted: Fitted, past: Point) -> list[Fitted]:
+    """Hypotheses with one more effect, fitted coarsely; other choices of the best of them.
+
+    While the loss is large, some start from the base of the identification (`past`): a strong effect bends the base.
+    """
+    chain = screening.chain
+    starts = [screening.start(estimate) for estimate in chosen]
+    if screening.loss > FAR:
+        old = Screening(chain, fitted.terms, replace(past, values=fitted.point.values))
+        starts += [old.start(estimate) for estimate in _chosen(old)[:FROM_PAST]]
+    steps = [_with_candidate(fitted, candidate) for candidate in suggested_steps(chain, fitted)]
+    tried = _fitted_coarsely(chain, [*starts, *steps])
+    return _with_other_choices(chain, tried)
+
+
+def _fitted_coarsely(chain: Chain, starts: Sequence[tuple[tuple[Term, ...], Point]]) -> list[Fitted]:
+    """Best coarse fit of each effect, the best first."""
+    fitted = each(lambda start: fit(chain, *start, most_steps=COARSE_STEPS, robust=False), starts)
+    best: dict[tuple[str, ...], Fitted] = {}
+    for hypothesis in sorted(fitted, key=_loss):
+        best.setdefault(hypothesis.effects, hypothesis)
+    return list(best.values())
+
+
+def _with_other_choices(chain: Chain, tried: Sequence[Fitted], last: int = 1) -> list[Fitted]:
+    """Hypotheses, the best of them with the best scope and choices of their last effects."""
+    best = list(tried[:REFINED])
+    for back in range(last, 0, -1):
+        best = each(partial(_best_variant, chain, back=back), best)
+    return sorted([*best, *tried[REFINED:]], key=_loss)
 
 
 def with_own_step(chain: Chain, fitted: Fitted, others: Sequence[Fitted]) -> list[tuple[Chain, Fitted]]:
@@ -74,8 +113,8 @@ def with_own_step(chain: Chain, fitted: Fitted, others: Sequence[Fitted]) -> lis
     A lasting step may be fitted as a drift and a temporary step; then the drift is not recognised.
     """
     few = coarse(chain)
-    starts = [(other, candidate) for other in others for candidate in suggested_steps(few, other)]
-    tried = each(lambda start: _extended(few, *start), starts)
+    starts = [_with_candidate(other, step) for other in others for step in suggested_steps(few, other)]
+    tried = each(lambda start: fit(few, *start, most_steps=COARSE_STEPS, robust=False), starts)
     few.forget()
     return [(chain, hypothesis) for hypothesis in _fitted_finely(chain, fitted, tried)]
 
@@ -83,13 +122,11 @@ def with_own_step(chain: Chain, fitted: Fitted, others: Sequence[Fitted]) -> lis
 def fitted_pairs(chain: Chain, fitted: Fitted) -> list[Fitted]:
     """Hypotheses with two more effects, of the most promising pairs with at least one specific effect."""
     few = coarse(chain)
-    promising = screened_pairs(few, fitted.terms, fitted.point)
-    least = _least_gain(few, fitted)
-    pairs = [pair for pair in promising if pair[0].gain > least and any(_is_specific(effect) for effect in pair)]
-    tried = each(lambda pair: fit(few, *_with_candidates(fitted, pair)), pairs[:PAIRS])
-    tried = sorted(tried + _delayed_feedthroughs(few, fitted), key=_loss)
-    for place in (len(fitted.terms), len(fitted.terms) + 1):
-        tried = each(partial(_best_variant, few, place=place), tried[:FEWEST_REFINED])
+    screening = Screening(few, fitted.terms, fitted.point)
+    limit = (1.0 - LEAST_GAIN) * screening.loss
+    pairs = [pair for pair in screening.pairs if pair.loss < limit and any(map(_is_specific, pair.candidates))]
+    tried = _fitted_coarsely(few, [screening.start(pair) for pair in pairs[:PAIRS]])
+    tried = _with_other_choices(few, tried, last=2)
     few.forget()
     return _fitted_finely(chain, fitted, tried)
 
@@ -100,38 +137,9 @@ def _is_specific(candidate: Candidate) -> bool:
     return not effect.flexible and not effect.soft
 
 
-def _delayed_feedthroughs(chain: Chain, fitted: Fitted) -> list[Fitted]:
-    """Hypotheses with a delay and a feedthrough: its jumps are a sample wide, so screening does not find the delay."""
-    names = [name for name, effect in EFFECTS.items() if effect.is_delay or effect.narrow]
-    if any(name in fitted.effects for name in names):
-        return []
-    dt_s = min(series.dt_s for series in chain.series)
-    scopes: tuple[Scope, ...] = ("since", "already")
-    starts = [
-        (_candidate(DELAY, -1, {"delay_s": delay * dt_s}, scope), _candidate(narrow, -1, {}, other))
-        for narrow in names
-        if narrow != DELAY
-        for delay in DELAYS
-        for scope in scopes
-        for other in scopes
-    ]
-    first = each(lambda pair: fit(chain, *_with_candidates(fitted, pair), most_steps=RACED_STEPS), starts)
-    best = sorted(first, key=_loss)[:PAIRS]
-    tried = each(lambda hypothesis: fit(chain, hypothesis.terms, hypothesis.point, most_steps=COARSE_STEPS), best)
-    return sorted(tried, key=_loss)[:FEWEST_REFINED]
-
-
-def _with_candidates(fitted: Fitted, candidates: Sequence[Candidate]) -> tuple[tuple[Term, ...], Point]:
-    """Terms and start of a hypothesis with more effects."""
-    terms = (*fitted.terms, *(candidate.term for candidate in candidates))
-    values = (*fitted.point.values, *(candidate.values for candidate in candidates))
-    return terms, replace(fitted.point, values=values)
-
-
-def _least_gain(chain: Chain, fitted: Fitted) -> float:
-    """Least first-order gain of a candidate that is tried [noise variance]."""
-    samples = sum(float(s.counts[rows].sum()) for s, rows in zip(chain.series, chain.rows, strict=True))
-    return LEAST_GAIN * fitted.loss * samples
+def _with_candidate(fitted: Fitted, candidate: Candidate) -> tuple[tuple[Term, ...], Point]:
+    """Terms and start of a hypothesis with one more effect."""
+    return (*fitted.terms, candidate.term), replace(fitted.point, values=(*fitted.point.values, candidate.values))
 
 
 def _fitted_finely(chain: Chain, before: Fitted, tried: Sequence[Fitted]) -> list[Fitted]:
@@ -157,69 +165,9 @@ def _with_edges_at_jumps(chain: Chain, fitted: Fitted) -> Point:
     return replace(fitted.point, values=(*fitted.point.values[:-1], {**values, **moved}))
 
 
-def _tried(chain: Chain, fitted: Fitted, past: Point) -> list[Fitted]:
-    """Hypotheses with one more effect: all promising ones fitted in few steps, the best of them thoroughly.
-
-    They start from the current hypothesis. Effects since the identification also start from the base of the
-    identification (`past`), since a strong effect bends the base.
-    """
-    candidates = screened(chain, fitted.terms, fitted.point)
-    least = _least_gain(chain, fitted)
-    by_effect: dict[str, list[Candidate]] = {}
-    for candidate in candidates:
-        if candidate.gain < max(PROMISING * candidates[0].gain, least):
-            break
-        if len(by_effect) < TRIED or candidate.term.effect.name in by_effect:
-            by_effect.setdefault(candidate.term.effect.name, []).append(candidate)
-    coarse_fits = each(
-        lambda starts: (_extended(chain, fitted, starts[0], most_steps=COARSE_STEPS), starts), list(by_effect.values())
-    )
-    coarse_fits += [(hypothesis, []) for hypothesis in _from_past(chain, fitted, past)]
-    best: dict[str, tuple[Fitted, list[Candidate]]] = {}
-    for hypothesis, starts in sorted(coarse_fits, key=lambda coarse_fit: coarse_fit[0].loss):
-        best.setdefault(hypothesis.effects[-1], (hypothesis, starts))
-    ranked = list(best.values())
-    limit = fitted.loss - NEAR * (fitted.loss - ranked[0][0].loss) if ranked else 0.0
-    near = sum(hypothesis.loss < limit for hypothesis, _ in ranked[:REFINED])
-    refined = max(near, FEWEST_REFINED)
-    thorough = each(lambda coarse_fit: _refined(chain, fitted, *coarse_fit), ranked[:refined])
-    steps = each(lambda candidate: _extended(chain, fitted, candidate), suggested_steps(chain, fitted))
-    return [*thorough, *(hypothesis for hypothesis, _ in ranked[refined:]), *steps]
-
-
-def _from_past(chain: Chain, fitted: Fitted, past: Point) -> list[Fitted]:
-    """Hypotheses with one more effect since the identification, fitted from the base of the identification."""
-    bases = [replace(past, values=fitted.point.values), *([fitted.point] if fitted.terms else [])]
-    fall_N = -min(fitted.point.offsets_N[k] for k, series in enumerate(chain.series) if series.role == "recording")
-    starts = [
-        start for base in bases for start in since_identification(chain, fitted.terms, base, fall_N)[:TRIED_FROM_PAST]
-    ]
-
-    def from_base(start: tuple[Candidate, Point]) -> Fitted:
-        candidate, base = start
-        point = replace(base, values=(*base.values, candidate.values))
-        return fit(chain, (*fitted.terms, candidate.term), point, most_steps=COARSE_STEPS)
-
-    return each(from_base, starts)
-
-
-def _refined(chain: Chain, fitted: Fitted, first: Fitted, starts: Sequence[Candidate]) -> Fitted:
-    """Best fit of one effect, from up to three starts, in both scopes, with every choice."""
-    best = fit(chain, first.terms, first.point)
-    others = [
-        start for start in starts[1:] if _differs(start, starts[0]) and start.gain > SECOND_START * starts[0].gain
-    ]
-    for start in others[:2]:
-        best = min(best, _extended(chain, fitted, start), key=_loss)
-    return _best_variant(chain, best, len(best.terms) - 1)
-
-
-def _differs(first: Candidate, second: Candidate) -> bool:
-    return (first.values, first.term.choices) != (second.values, second.term.choices)
-
-
-def _best_variant(chain: Chain, best: Fitted, place: int) -> Fitted:
-    """Best fit with the other scope or another choice of the effect at this place."""
+def _best_variant(chain: Chain, best: Fitted, back: int) -> Fitted:
+    """Best fit with the other scope or another choice of an effect, counted from the last one, 1."""
+    place = len(best.terms) - back
     scopes: tuple[Scope, ...] = ("since", "already")
     for scope in scopes:
         if scope != best.terms[place].scope:
@@ -229,10 +177,6 @@ def _best_variant(chain: Chain, best: Fitted, place: int) -> Fitted:
             if (parameter.name, choice) not in best.terms[place].choices:
                 best = min(best, _variant(chain, best, place, choice=(parameter.name, choice)), key=_loss)
     return best
-
-
-def _extended(chain: Chain, fitted: Fitted, candidate: Candidate, most_steps: int = MOST_STEPS) -> Fitted:
-    return fit(chain, *_with_candidates(fitted, (candidate,)), most_steps=most_steps)
 
 
 def _variant(
@@ -245,7 +189,7 @@ def _variant(
     if choice is not None:
         term = replace(term, choices=tuple(choice if known[0] == choice[0] else known for known in term.choices))
     terms = (*fitted.terms[:place], term, *fitted.terms[place + 1 :])
-    return fit(chain, terms, fitted.point, most_steps=FINE_STEPS)
+    return fit(chain, terms, fitted.point, most_steps=CHOICE_STEPS, robust=False)
 
 
 def suggested_steps(chain: Chain, fitted: Fitted) -> list[Candidate]:

@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 
 from piezod.diagnose.findings import Finding, Findings
 from piezod.diagnose.hypothesis.stack_change import NAMES
-from piezod.diagnose.selection.rules import RULES
+from piezod.diagnose.rules import RULES
 from piezod.diagnose.selection.search_state import Search
 from piezod.diagnose.verdict.words import Wording, label_of, value_words
 from piezod.effects import EFFECTS

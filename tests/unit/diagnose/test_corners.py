@@ -6,8 +6,8 @@ import pytest
 from piezod.diagnose.hypothesis.basis import ForceLaw, PlayDensity
 from piezod.diagnose.hypothesis.chain import Chain, empty_point
 from piezod.diagnose.hypothesis.fit import fit
+from piezod.diagnose.rules import RULES
 from piezod.diagnose.selection.corners import with_corners
-from piezod.diagnose.selection.rules import RULES
 from piezod.diagnose.selection.search import search
 from tests.unit.diagnose.residuals import mixed_work, noise, played, series, time, triangles
 

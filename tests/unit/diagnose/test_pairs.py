@@ -1,13 +1,10 @@
 """Two effects at once: what add_pair promise together is what least squares says, and they are found."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from scipy import signal
 
-from piezod.diagnose.candidates.screening import screened, screened_pairs
-from piezod.diagnose.hypothesis.fit import Normal, fit
+from piezod.diagnose.hypothesis.fit import fit
 from piezod.diagnose.selection.moves import add_pair
 from piezod.diagnose.selection.search_state import Search
 from piezod.diagnose.selection.trials import fitted_pairs
@@ -33,33 +30,6 @@ def behind(cutoff_Hz, coupled_N_s_per_V):
         return read_N[::FINE]
 
     return missing
-
-
-@pytest.mark.slow
-def test_what_a_pair_promises_is_what_least_squares_gains_with_both():
-    chain, start = worked(np.random.default_rng(4), behind(12.0, 0.033))
-    point = fit(chain, (), start).point
-    first, second = screened_pairs(chain, (), point)[0]
-    assert first.gain > screened(chain, (), point)[0].gain
-    normal = Normal.at(chain, (), point)
-    columns, left = [], []
-    for number, one in enumerate(chain.series):
-        weight = np.sqrt(normal.weights[number])
-        moved = []
-        for idea in (first, second):
-            at = replace(point, values=(idea.values,))
-            change = chain.compared(number, (idea.term,), at) - normal.compared[number]
-            moved.append(change / one.noise_N * idea.term.acts_on(number, one))
-        columns.append(weight[:, None] * np.column_stack((normal.jacobians[number], *moved)))
-        residual, _ = one.residual(chain.rows[number], normal.compared[number])
-        left.append(weight * residual)
-    columns, left = np.concatenate(columns), np.concatenate(left)
-    columns /= np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
-
-    def squares(these):
-        return float(np.sum((left - these @ np.linalg.lstsq(these, left, rcond=1e-12)[0]) ** 2))
-
-    assert first.gain == pytest.approx(squares(columns[:, :-2]) - squares(columns), rel=0.02)
 
 
 @pytest.mark.slow

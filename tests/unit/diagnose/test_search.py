@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import signal
 
-from piezod.diagnose.candidates.screening import screened
+from piezod.diagnose.candidates.screening import Screening
 from piezod.diagnose.candidates.tones import Tone, reestimated_tones, without_tones
 from piezod.diagnose.hypothesis.basis import ForceLaw, PlayDensity
 from piezod.diagnose.hypothesis.chain import Chain, empty_point
@@ -351,8 +351,9 @@ def test_what_adds_so_much_of_either_sign_is_begun_at_its_own_sign_and_size(coup
         return force_N
 
     chain, start = worked(np.random.default_rng(6), missing)
-    ideas = screened(chain, (), fit(chain, (), start).point)
-    begun = [one for one in ideas if one.term.effect.name == "feedthrough" and one.term.scope == "since"]
+    estimates = Screening(chain, (), fit(chain, (), start).point).singles
+    begun = [one.candidates[0] for one in estimates if one.name == "feedthrough"]
+    assert begun[0].term.scope == "since"
     assert begun[0].values["coefficient_N_s_per_V"] == pytest.approx(coupled_N_s_per_V, rel=0.1)
 
 
