@@ -158,6 +158,7 @@ def diagnose(
     model: Model | Identified | str | os.PathLike[str],
     *,
     where: str | None = None,
+    within_s: float | None = None,
     on_step: OnStep = lambda *_: None,
 ) -> Diagnosed:
     """Find the effects that a model lacks.
@@ -171,8 +172,10 @@ def diagnose(
         too; with a result of `identify` they need no file.
     where
         Condition `COLUMN=VALUE` for the readings that count; None: all count.
+    within_s
+        Time for the diagnosis [s], above 0; None: no limit. Effects that were not compared in time are in the notes.
     on_step
-        Called with the current step in words, and the share done.
+        Called with the current step in words, and the share done or None.
 
     Raises
     ------
@@ -199,7 +202,7 @@ def diagnose(
         folder = Path() if isinstance(model, Model) else Path(model).parent
         past, notes = past_sources(plant, folder, sources)
     notes = [*(note for source in sources for note in source.notes), *notes]
-    return Diagnosed(diagnosis_of(plant, sources, past, notes, on_step))
+    return Diagnosed(diagnosis_of(plant, sources, past, notes, on_step, within_s))
 
 
 def _model(model: Model | str | os.PathLike[str]) -> Model:

@@ -46,6 +46,10 @@ def diagnose(
     replay: Annotated[
         Path | None, typer.Option(metavar="FILE", help="File for every hypothesis that was tried (JSON).")
     ] = None,
+    within: Annotated[
+        float | None,
+        typer.Option(metavar="S", min=1.0, help="Seconds after which it ends with the best answer so far."),
+    ] = None,
     columns: ColumnsOption = None,
     rate_hz: RateOption = None,
     decimal: DecimalOption = None,
@@ -76,7 +80,7 @@ def diagnose(
 
     with steps() as show:
         diagnosis = diagnose_files(
-            recordings, model, output, input_column, output_column, show, hold_out or (), condition, text
+            recordings, model, output, input_column, output_column, show, hold_out or (), condition, text, within
         )
         if replay is not None:
             from piezod.diagnose.selection.replay import write_replay

@@ -34,6 +34,7 @@ def diagnose_files(
     hold_out: Sequence[Path] = (),
     condition: str | None = None,
     text: TextOptions | None = None,
+    within_s: float | None = None,
 ) -> Diagnosis:
     """Diagnose recordings and write `findings.json` and `model.yaml` into a folder.
 
@@ -55,6 +56,8 @@ def diagnose_files(
         COLUMN=VALUE at which the readings of `recordings` count; the simulation runs over all samples.
     text
         Options for text files; None: determined from the files.
+    within_s
+        Time for the diagnosis [s]; None: no limit.
 
     Raises
     ------
@@ -75,9 +78,9 @@ def diagnose_files(
     past, past_notes = past_sources(model, model_path.parent, diagnosed)
     notes = [*(note for source in (*diagnosed, *held_out) for note in source.notes), *past_notes]
     before = [_rms(source, model) for source in held_out]  # an unusable file raises before the long search
-    diagnosis = diagnose(model, diagnosed, past, notes, on_step)
+    diagnosis = diagnose(model, diagnosed, past, notes, on_step, within_s)
     if held_out:
-        on_step("simulating what was held out", 0.98)
+        on_step("simulating what was held out", None)
         diagnosis = _checked(diagnosis, model, held_out, before)
     _write(diagnosis, output)
     return diagnosis

@@ -1,5 +1,6 @@
 """Diagnosis of recordings: prepare them, search for effects, assess the result, and describe the remainder."""
 
+import time
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -49,12 +50,18 @@ Array = NDArray[np.float64]
 
 WITHOUT_NOISE: dict[Verdict, Verdict] = {"matches": "not_testable", "explained": "partly_explained"}
 """Verdict if the noise is unknown: then nothing shows that the residual is noise."""
+SEARCHED = 0.65  # share of a limited time after which the search ends; the checks need the rest
 COSTS = 0.1  # largest cost of a monotone loading curve, as a share of the gain or of the loss
 STILL_GAINS = 0.5  # least gain of a rival with a monotone curve, as a share of the gain without
 
 
 def diagnose(
-    model: Model, recordings: Sequence[Source], past: Sequence[Source], notes: Sequence[str], progress: OnProgress
+    model: Model,
+    recordings: Sequence[Source],
+    past: Sequence[Source],
+    notes: Sequence[str],
+    progress: OnProgress,
+    within_s: float | None = None,
 ) -> Diagnosis:
     """Find what the model leaves out of the recordings.
 
@@ -63,7 +70,9 @@ def diagnose(
     past
         Identification recordings; empty: a recording simulated from the model replaces them.
     progress
-        Called with the current step, and the share of the work that is done at least.
+        Called with the current step, and the share of the work that is done; None where it is unknown.
+    within_s
+        Time for the diagnosis [s]; about a third of it is for the checks after the search. None: no limit.
 
     Raises
     ------
@@ -71,30 +80,47 @@ def diagnose(
         A recording cannot be used.
     """
     with threadpool_limits(1, user_api="blas"):  # fits run in parallel; more BLAS threads would compete for the cores
-        return _diagnosed(model, recordings, past, notes, progress)
+        until_s = np.inf if within_s is None else time.monotonic() + SEARCHED * within_s
+        return _diagnosed(model, recordings, past, notes, progress, until_s)
 
 
 def _diagnosed(
-    model: Model, recordings: Sequence[Source], past: Sequence[Source], notes: Sequence[str], progress: OnProgress
+    model: Model,
+    recordings: Sequence[Source],
+    past: Sequence[Source],
+    notes: Sequence[str],
+    progress: OnProgress,
+    until_s: float,
 ) -> Diagnosis:
-    progress("reading", 0.0)
+    progress("reading", None)
     inputs = _inputs(model, recordings, past, notes)
     chain, start, given = inputs.search_start()
-    result = search(chain, start, progress, given)
+    result = search(chain, start, progress, given, until_s)
+    if result.ended_early:
+        inputs = replace(inputs, notes=[*inputs.notes, _ended_early(result)])
     result.chain.forget()
     chain, hypothesis = with_stated_hold(result.chain, result.hypothesis)
     result = replace(result, chain=chain, hypothesis=hypothesis)
     result = with_monotone_curve(result)
-    progress("checking the residual", 0.9)
+    progress("checking the residual", None)
     diagnosis = inputs.diagnosis_of(result)
     residuals = residuals_of(diagnosis.series, diagnosis.extended)
     # frozen stretches are confirmed once, with all effects: a stretch that the full model explains is not frozen
     inputs = replace(inputs, frozen=confirmed_frozen(diagnosis.series, inputs.frozen, residuals))
     diagnosis = _without_weak_effects(inputs, result, diagnosis, progress)
-    if diagnosis.findings.verdict in ("unexplained", "partly_explained"):
-        progress("looking for a law without a name", 0.97)
+    if diagnosis.findings.verdict in ("unexplained", "partly_explained") and not result.ended_early:
+        progress("looking for a law without a name", None)
         diagnosis = with_unrecorded_input(with_unnamed_law(diagnosis, inputs.given_runs.diagnosed))
     return diagnosis if diagnosis.findings.noise_is_known else _with_unknown_noise(diagnosis)
+
+
+def _ended_early(result: Search) -> str:
+    """Note on a search whose time was over."""
+    found = ", ".join(result.new) or "none"
+    return (
+        f"the time was over before the search ended (--within); effects found by then: {found}; further effects and "
+        "their rivals were not compared, and no unnamed law was fitted; give more time, or a shorter recording"
+    )
 
 
 def _inputs(
@@ -130,7 +156,7 @@ def _without_weak_effects(
         removed = without_gain or undetermined or least_confident(result, findings, highest)
         if not removed:
             return diagnosis
-        progress("leaving out what is doubtful", 0.95)
+        progress("leaving out what is doubtful", None)
         notes = undetermined_notes(findings, undetermined, wording) or rejection_notes(findings, removed)
         inputs = replace(inputs, notes=[*inputs.notes, *notes])
         result = with_monotone_curve(_without_effects(result, removed))

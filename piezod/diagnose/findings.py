@@ -288,6 +288,8 @@ class Findings:
         Path, SHA-256, number of samples and left-out stretches of each recording.
     unrecorded
         Unrecorded input; None: none suspected.
+    ended_early
+        Whether the time was over before all effects were compared.
     """
 
     verdict: Verdict
@@ -312,6 +314,7 @@ class Findings:
     held_out: tuple[HeldOut, ...] = ()
     recordings: tuple[dict[str, Any], ...] = field(default_factory=tuple)
     unrecorded: Unrecorded | None = None
+    ended_early: bool = False
 
     @property
     def gap_closed(self) -> float | None:
@@ -350,6 +353,7 @@ class Findings:
         return {
             "schema": SCHEMA,
             "verdict": self.verdict,
+            "ended_early": self.ended_early,
             "words": self.words,
             "noise_floor": self._noise_as_dict(),
             "where": [asdict(place) for place in self.where],

@@ -187,6 +187,7 @@ class DiagnosisInputs:
             not_testable=untested,
             notes=tuple(self.notes),
             recordings=self._recordings(),
+            ended_early=result.ended_early,
         )
         if written.obstacle:
             findings = _without_model(findings, written.obstacle)

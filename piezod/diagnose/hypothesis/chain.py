@@ -6,6 +6,7 @@ The effects act as in `piezod.model.chain.forward`. Plays and force law are colu
 base pass through the effects behind them.
 """
 
+import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -69,6 +70,8 @@ class Chain:
         Largest number of samples of a recording that are compared, evenly spread. All samples are simulated.
     voltage_span_V
         Voltage range of the identification [V]; None: that of the recordings.
+    until_s
+        Monotonic time at which fits end where they are [s].
     seen_s
         Duration that the effects of the given model refer to [s]; None: that of each recording.
     """
@@ -82,9 +85,10 @@ class Chain:
         most_rows: int = MOST_ROWS,
         voltage_span_V: float | None = None,
         seen_s: float | None = None,
+        until_s: float = np.inf,
     ) -> None:
         self.series = list(series)
-        self.seen_s = seen_s
+        self.seen_s, self.until_s = seen_s, until_s
         self.voltage_span_V = voltage_span_V or max(float(np.ptp(recording.command_V)) for recording in series)
         self.density, self.law, self.force_span_N = density, law, force_span_N
         self.most_rows = most_rows
@@ -108,7 +112,19 @@ class Chain:
         return self._with(self.series, density, law, self.most_rows)
 
     def _with(self, series: Sequence[Series], density: PlayDensity, law: ForceLaw, most_rows: int) -> "Chain":
-        return Chain(series, density, law, self.force_span_N, most_rows, self.voltage_span_V, self.seen_s)
+        spans = self.force_span_N, most_rows, self.voltage_span_V, self.seen_s
+        return Chain(series, density, law, *spans, self.until_s)
+
+    def within(self, until_s: float) -> "Chain":
+        """Chain whose fits end at a monotonic time [s]."""
+        limited = self.like(self.series)
+        limited.until_s = until_s
+        return limited
+
+    @property
+    def is_late(self) -> bool:
+        """Whether the time of its fits is over."""
+        return time.monotonic() > self.until_s
 
     def forget(self) -> None:
         """Empty the caches: the plays of a recording take a hundred bytes a sample."""

@@ -60,7 +60,7 @@ class Fitted:
 def fit(
     chain: Chain, terms: Sequence[Term], start: Point, *, most_steps: int = MOST_STEPS, robust: bool = True
 ) -> Fitted:
-    """Fit a hypothesis from a start.
+    """Fit a hypothesis from a start; it ends early where the time of the chain is over.
 
     Parameters
     ----------
@@ -79,7 +79,7 @@ def fit(
     vector, damping = layout.vector(start), 1e-8
     current = Normal.at(chain, terms, layout.point(vector, start), robust=robust)
     steps, age = 0, 0  # age: of the tangents, which change little from step to step
-    while steps < most_steps and damping < MOST_DAMPING:
+    while steps < most_steps and damping < MOST_DAMPING and not chain.is_late:
         trial = _step_within(layout, vector, current, damping)
         beyond = current.loss_at(layout.point(trial, start))
         if beyond < current.loss:

@@ -6,6 +6,8 @@ A state never changes, and a move makes a new one (`moves.py`). Every constant t
 from collections.abc import Callable
 from dataclasses import replace
 
+import numpy as np
+
 from piezod.diagnose.hypothesis.chain import Chain
 from piezod.diagnose.hypothesis.fit import fit
 from piezod.diagnose.hypothesis.sampling import best_intersample, with_usual_start
@@ -19,12 +21,12 @@ from piezod.diagnose.selection.given_effects import classify_given, with_fitted_
 from piezod.diagnose.selection.moves import MOVES
 from piezod.diagnose.selection.search_state import Search, identified_base
 
-OnProgress = Callable[[str, float], None]
-
-BEGUN, SEARCHED, REST = 0.1, 0.85, 0.5  # progress at the first round and after the last; rest that a round leaves
+OnProgress = Callable[[str, float | None], None]
 
 
-def search(chain: Chain, start: Point, progress: OnProgress, given: tuple[Term, ...] = ()) -> Search:
+def search(
+    chain: Chain, start: Point, progress: OnProgress, given: tuple[Term, ...] = (), until_s: float = np.inf
+) -> Search:
     """Find the effects that the recordings show.
 
     Parameters
@@ -34,22 +36,27 @@ def search(chain: Chain, start: Point, progress: OnProgress, given: tuple[Term, 
     start
         Point to begin from, with the values of the given effects.
     progress
-        Called with the current step in words, and the least share of the work that is done.
+        Called with the current step in words, and None: the number of effects determines the time.
     given
         Effects of the given model, held at their values.
+    until_s
+        Monotonic time at which no further effect is looked for [s]; one that is not compared by then is not taken.
     """
-    progress("fitting the base", 0.02)
-    state = _begun(chain, start, given)
+    progress("fitting the base", None)
+    state = _begun(chain.within(until_s), start, given)
     while len(state.new) < RULES.most_effects:
         count = len(state.new)
-        progress(f"looking for effect {count + 1}", SEARCHED - (SEARCHED - BEGUN) * REST**count)
+        progress(f"looking for effect {count + 1}, at most {RULES.most_effects}", None)
         candidates = Candidates(state)
         following = next((moved for move in MOVES if (moved := move(candidates)) is not None), None)
-        state = replace(following or state, attempts=(*state.attempts, *candidates.attempts))
-        if following is None:
+        if state.chain.is_late or following is None:
+            state = replace(state, attempts=(*state.attempts, *candidates.attempts))
             break
-    progress("comparing with rivals, leaving out what gains nothing", SEARCHED)
-    state = replace_by_rivals(state)
+        state = replace(following, attempts=(*state.attempts, *candidates.attempts))
+    state = replace(state, chain=state.chain.within(np.inf), ended_early=state.chain.is_late)
+    if not state.ended_early:
+        progress("comparing with rivals, leaving out what gains nothing", None)
+        state = replace_by_rivals(state)
     hypothesis, statuses = classify_given(state.chain, state.hypothesis, state.base)
     return fit_all_samples(remove_redundant(replace(state, hypothesis=hypothesis, statuses=statuses)))
 

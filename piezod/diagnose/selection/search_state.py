@@ -67,6 +67,8 @@ class Search:
         Comparisons for the replay file.
     statuses
         Status of each effect of the given model, by name.
+    ended_early
+        Whether the time of the search was over before it ended by itself.
     """
 
     chain: Chain
@@ -78,6 +80,7 @@ class Search:
     rivalries: Mapping[str, Rivalry] = field(default_factory=dict)
     attempts: tuple[Attempt, ...] = ()
     statuses: Mapping[str, Status] = field(default_factory=dict)
+    ended_early: bool = False
 
     @property
     def given(self) -> tuple[str, ...]:

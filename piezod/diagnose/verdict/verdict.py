@@ -185,11 +185,14 @@ def words_of(findings: Findings, wording: Wording) -> str:
     """Summary of the findings: opening, unchanged effects, errors, and residual."""
     parts = [effect_words(finding, wording) for finding in findings.effects]
     parts += [base_words(findings.base)] if findings.base.changed else []
+    missing = "Something is missing that no effect of the catalogue explains"
+    if findings.ended_early:
+        missing = "Something is missing, and the time was over before all effects were compared"
     opening = {
         "matches": "The model matches the recordings",
         "explained": "; ".join(parts),
         "partly_explained": "; ".join(parts),
-        "unexplained": "Something is missing that no effect of the catalogue explains",
+        "unexplained": missing,
         "not_testable": "The recordings do not excite the bench enough to tell",
     }[findings.verdict]
     clauses = (opening, unchanged_words(findings.kept), _error_words(findings), _residual_words(findings))

@@ -1,6 +1,7 @@
 """The search: what was preferred at first does not hide what stands beside it."""
 
 from dataclasses import replace
+from time import monotonic
 
 import numpy as np
 import pytest
@@ -376,3 +377,25 @@ def test_a_choice_that_was_made_before_another_effect_was_found_is_made_anew():
     result = refit_earlier_effects(result)
     assert dict(result.hypothesis.terms[0].choices)["driven_by"] == 0.0
     assert result.hypothesis.loss < 1.02
+
+
+def test_a_search_whose_time_is_over_takes_no_effect_and_says_so():
+    def missing(force_N, u, role):
+        return force_N if role == "identification" else force_N * np.linspace(1.0, 1.1, force_N.size)
+
+    chain, start = worked(np.random.default_rng(8), missing)
+    steps = []
+    found = search(chain, start, lambda step, share: steps.append((step, share)), until_s=monotonic() - 1.0)
+    assert found.ended_early
+    assert found.names == ()
+    assert not found.chain.is_late
+    assert found.hypothesis.loss == pytest.approx(fit(found.chain, (), start).loss, rel=0.05)
+    assert all(share is None for _, share in steps)
+
+
+def test_a_fit_whose_time_is_over_stays_at_its_start_and_has_finite_losses():
+    chain, start = worked(np.random.default_rng(8), lambda force_N, _u, _role: force_N)
+    late = fit(chain.within(monotonic() - 1.0), (), start)
+    np.testing.assert_array_equal(late.point.law, start.law)
+    assert np.isfinite(late.losses).all()
+    assert fit(chain, (), start).loss < late.loss
