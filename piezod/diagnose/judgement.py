@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from piezod.diagnose.adequacy.guard import explainable
 from piezod.diagnose.adequacy.remainder import motion_of
-from piezod.diagnose.candidates.screening import DIRECT
+from piezod.diagnose.candidates.starts import DIRECT
 from piezod.diagnose.experiment.testable import untestable
 from piezod.diagnose.findings import Base, Finding, Findings, Verdict, above_noise, gap_closed
 from piezod.diagnose.hypothesis.chain import Chain

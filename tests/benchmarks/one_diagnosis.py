@@ -11,7 +11,7 @@ from collections.abc import ValuesView
 from pathlib import Path
 from time import perf_counter, process_time
 
-from piezod.diagnose.candidates import screening
+from piezod.diagnose.candidates import screening, starts
 from piezod.diagnose.command import diagnose_files
 from piezod.effects import EFFECTS
 from piezod.effects.effect import Effect
@@ -42,7 +42,7 @@ class Cut(dict[str, Effect]):
 def main() -> None:
     """Diagnose and print the figures as JSON."""
     folder, tried = Path(sys.argv[1]), int(sys.argv[2])
-    screening.EFFECTS = Cut(tried)
+    screening.EFFECTS = starts.EFFECTS = Cut(tried)
     at_start_MiB = most_resident_MiB()
     begun_s, begun_cpu_s = perf_counter(), process_time()
     found = diagnose_files([folder / "work.csv"], folder / "model.yaml", folder / "out", None, None, lambda *_: None)

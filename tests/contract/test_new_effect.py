@@ -6,7 +6,7 @@ import numba
 import numpy as np
 import pytest
 
-from piezod.diagnose.candidates.screening import catalogue_starts
+from piezod.diagnose.candidates.starts import catalogue_starts
 from piezod.diagnose.hypothesis.fit import fit
 from piezod.diagnose.hypothesis.terms import Term
 from piezod.effects import EFFECTS

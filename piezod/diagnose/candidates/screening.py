@@ -5,14 +5,21 @@ Acceptance needs the fit.
 """
 
 import functools
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
 
 from piezod.diagnose.candidates.direct import peaks_Hz, skew_ppm
+from piezod.diagnose.candidates.starts import (
+    Candidate,
+    Start,
+    catalogue_starts,
+    parts_of,
+    recorded_channels,
+    within_ranges,
+)
 from piezod.diagnose.hypothesis.chain import Chain
 from piezod.diagnose.hypothesis.fit import Normal
 from piezod.diagnose.hypothesis.gram import Eliminated
@@ -20,8 +27,7 @@ from piezod.diagnose.hypothesis.parallel import each
 from piezod.diagnose.hypothesis.terms import Point, Scope, Term
 from piezod.diagnose.rules import RULES
 from piezod.effects import EFFECTS
-from piezod.effects.effect import Effect, Parameter
-from piezod.estimation.recordings.series import Series
+from piezod.effects.effect import Effect
 
 Array = NDArray[np.float64]
 
@@ -31,27 +37,6 @@ DELAYS = (1.0, 2.0, 4.0, 8.0, 16.0, 32.0)  # delays [samples] with which a narro
 MOVES = (1.0, 0.5, 0.0)  # parts of the joint move of the fitted parameters that a start is tried with
 SIZES = (1.0, 0.5)  # parts of the size that a start is tried with
 SCOPES: tuple[Scope, ...] = ("since", "already")
-DIRECT = tuple(name for name, effect in EFFECTS.items() if effect.found_by == "test")
-
-
-Start = tuple[Effect, dict[str, float], tuple[tuple[str, float], ...]]
-"""Effect, start values of its searched parameters, and choices."""
-
-
-@dataclass(frozen=True)
-class Candidate:
-    """Effect with start values.
-
-    Parameters
-    ----------
-    term
-        Effect, scope and choices.
-    values
-        Start values of its searched parameters.
-    """
-
-    term: Term
-    values: dict[str, float]
 
 
 @dataclass(frozen=True)
@@ -83,85 +68,6 @@ class Estimate:
         """Loss with the price of the parameters, for comparisons."""
         searched = sum(min(len(candidate.term.searched), RULES.most_priced) for candidate in self.candidates)
         return self.loss * (1.0 + RULES.parameter_price * searched)
-
-
-def catalogue_starts(chain: Chain, channels: Sequence[str], known: Mapping[str, tuple[float, ...]]) -> Iterator[Start]:
-    """Every effect of the catalogue at each combination of its starts and choices.
-
-    Nuisance parameters have their first start only. `known`: further starts by parameter.
-    """
-    scales = {**_scales(chain), **known}
-    for effect in EFFECTS.values():
-        if effect.name in DIRECT or (effect.needs is not None and effect.needs not in channels):
-            continue
-        searched = [p for p in effect.parameters if not p.search.choices]
-        chosen = [p for p in effect.parameters if p.search.choices]
-        starts = [_starts(effect.name, p, scales) for p in searched]
-        options = [p.search.choices for p in chosen]
-        for choices in product(*options):
-            named = tuple(zip((p.name for p in chosen), choices, strict=True))
-            for values in product(*starts):
-                yield effect, dict(zip((p.name for p in searched), values, strict=True)), named
-
-
-def recorded_channels(series: Sequence[Series]) -> list[str]:
-    """Further channels that all recordings have and an effect may need."""
-    return ["temperature_C"] if all(s.temperature_C is not None for s in series) else []
-
-
-def _scales(chain: Chain) -> dict[str, tuple[float, ...]]:
-    """Starts by parameter: limits near the highest command or rate, other parameters at small parts of the range."""
-    top_V = max(float(s.command_V.max()) for s in chain.series if s.role == "recording")
-    _, median, fast, fastest = chain.rates_V_per_s
-    span_N = chain.force_span_N
-    return {
-        "limit_V": tuple(part * top_V for part in (0.5, 0.7, 0.85, 0.95)),
-        "knee_V": (0.003 * top_V,),
-        "limit_V_per_s": tuple(np.geomspace(0.3 * median, 0.8 * max(fastest, median), 10).tolist()),
-        "reference_V_per_s": (0.1 * median, median, fast),
-        "gap_N": tuple(part * span_N for part in (0.01, 0.03, 0.08, 0.16, 0.32, 0.64)),
-        "softness_N": (0.002 * span_N,),
-        "force_N": (0.005 * span_N,),
-        "presliding_N": (0.01 * span_N, 0.04 * span_N, 0.12 * span_N),
-    }
-
-
-def parts_of(effect: Effect, values: Mapping[str, float]) -> dict[str, dict[str, float]]:
-    """Values of each part of an effect that is a sum, with the sizes of the other parts 0; otherwise all values.
-
-    A sum has no single size, so its parts are fitted together. The key is the size parameter of the part.
-    """
-    if not effect.parameters[0].search.choices:
-        return {"": dict(values)}
-    sizes = [name for name in values if not effect.parameter(name).search.logarithmic]
-    return {name: {**values, **dict.fromkeys(sizes, 0.0), name: values[name]} for name in sizes}
-
-
-def _is_a_signed_sum(effect: Effect) -> bool:
-    """Whether an effect adds a signal of either sign; a fit from the wrong sign would bend its shape first."""
-    return effect.form == "additive" and effect.parameters[0].low < 0.0
-
-
-def within_ranges(effect: Effect, values: Mapping[str, float]) -> dict[str, float]:
-    """Values, limited to the ranges of the effect's parameters."""
-    return {
-        name: float(np.clip(value, effect.parameter(name).low, effect.parameter(name).high))
-        for name, value in values.items()
-    }
-
-
-def _starts(effect: str, parameter: Parameter, scales: dict[str, tuple[float, ...]]) -> tuple[float, ...]:
-    known = scales.get(f"{effect} {parameter.name}", scales.get(parameter.name)) if effect not in DIRECT else None
-    starts = parameter.search.starts
-    if known is not None:
-        starts = tuple(float(np.clip(value, parameter.low, parameter.high)) for value in known)
-    return starts[:1] if parameter.search.nuisance else starts
-
-
-def _new_starts(chain: Chain, terms: Sequence[Term], known: Mapping[str, tuple[float, ...]]) -> list[Start]:
-    """Starts of all effects that are not among the terms."""
-    starts = catalogue_starts(chain, recorded_channels(chain.series), known)
-    return [start for start in starts if all(term.effect is not start[0] for term in terms)]
 
 
 def _skews(chain: Chain, terms: Sequence[Term], point: Point) -> dict[str, tuple[float, ...]]:
@@ -262,7 +168,8 @@ class Screening:
                 shortest_s = min(series.dt_s for series in self.chain.series)
                 delays = tuple(delay * shortest_s for delay in DELAYS)
                 known[f"{effect.name} {effect.size.name}"] = (*delays, *effect.size.search.starts)
-        return _new_starts(self.chain, self.terms, known)
+        starts = catalogue_starts(self.chain, recorded_channels(self.chain.series), known)
+        return [start for start in starts if all(term.effect is not start[0] for term in self.terms)]
 
     def _change(self, terms: Sequence[Term], point: Point, chain: Chain | None = None) -> list[Array]:
         """Change of the compared readings of every recording, by further terms or on another chain."""

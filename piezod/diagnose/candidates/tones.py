@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piezod.diagnose.candidates.direct import Line, lines
-from piezod.diagnose.candidates.screening import within_ranges
+from piezod.diagnose.candidates.starts import within_ranges
 from piezod.effects import EFFECTS, mains_hum, vibration
 from piezod.effects.mains_hum import HARMONICS
 from piezod.estimation.recordings.series import Series

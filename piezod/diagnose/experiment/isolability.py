@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from piezod.diagnose.candidates.screening import DIRECT, Start, catalogue_starts, parts_of, recorded_channels
+from piezod.diagnose.candidates.starts import DIRECT, Start, catalogue_starts, parts_of, recorded_channels
 from piezod.diagnose.hypothesis.chain import Chain
 from piezod.diagnose.hypothesis.fit import Fitted, Normal, fit
 from piezod.diagnose.hypothesis.parallel import each

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from piezod.diagnose.candidates.screening import DIRECT, Start, catalogue_starts, parts_of, recorded_channels
+from piezod.diagnose.candidates.starts import DIRECT, Start, catalogue_starts, parts_of, recorded_channels
 from piezod.diagnose.hypothesis.chain import Chain
 from piezod.diagnose.hypothesis.fit import Normal
 from piezod.diagnose.hypothesis.parallel import each

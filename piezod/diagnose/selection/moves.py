@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from piezod.diagnose.candidates.screening import catalogue_starts
+from piezod.diagnose.candidates.starts import catalogue_starts
 from piezod.diagnose.hypothesis.chain import Chain
 from piezod.diagnose.hypothesis.fit import Fitted, fit
 from piezod.diagnose.hypothesis.parallel import each

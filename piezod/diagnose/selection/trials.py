@@ -7,7 +7,8 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from piezod.diagnose.candidates.screening import Candidate, Estimate, Screening, within_ranges
+from piezod.diagnose.candidates.screening import Estimate, Screening
+from piezod.diagnose.candidates.starts import Candidate, within_ranges
 from piezod.diagnose.candidates.steps import NEVER_S, edge_near, jump_steps, likely_steps, shown_late_s
 from piezod.diagnose.hypothesis.chain import Chain
 from piezod.diagnose.hypothesis.fit import Fitted, Normal, fit
