@@ -10,6 +10,7 @@ and scalars are skipped, because they hold no samples.
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from math import prod
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -30,6 +31,9 @@ UNIT_ATTRIBUTES = ("unit", "units", "Unit", "Units")
 MISSING_ATTRIBUTES = ("_FillValue", "missing_value")
 UNKNOWN_ATTRIBUTES = ("slope", "intercept", "offset", "gain", "scale", "factor", "sensitivity", "calibration", "lsb")
 """Attributes that may change numbers and have no common meaning."""
+
+MOST_ATTRIBUTE_BYTES = 2**16
+"""Size of an attribute: HDF5 keeps it in the header of its object, which has at most 64 KiB."""
 
 DEEPEST = 16
 MOST_COLUMNS = 64
@@ -74,7 +78,7 @@ def open_hdf5(path: Path, options: TextOptions = TextOptions()) -> Iterator[Reco
     check_heaps(path)
     with h5py.File(path, "r") as file:
         vectors, skipped = vectors_of(h5py, file)
-        metadata = {key: text for key in file.attrs if (text := attribute_text(file.attrs.get(key)))}
+        metadata = {key: text for key in file.attrs if (text := attribute_text(_attribute(file.attrs, key)))}
         yield stream_of(path, vectors, metadata | skipped_parts(skipped), options)
 
 
@@ -188,12 +192,20 @@ def _add(path: str, dataset: Any, vectors: dict[str, Vector], skipped: list[str]
 
 def _converted(values: NDArray[Any], attributes: Any) -> NDArray[Any]:  # noqa: ANN401
     """Values by `scale_factor` and `add_offset`, nan for fill values; as stored without these attributes."""
-    missing = [value for key in MISSING_ATTRIBUTES if (value := _number(attributes.get(key))) is not None]
-    factor, offset = (_number(attributes.get(key)) for key in ("scale_factor", "add_offset"))
+    missing = [value for key in MISSING_ATTRIBUTES if (value := _number(_attribute(attributes, key))) is not None]
+    factor, offset = (_number(_attribute(attributes, key)) for key in ("scale_factor", "add_offset"))
     if factor is None and offset is None and not missing:
         return values
     numbers = values * (1.0 if factor is None else factor) + (0.0 if offset is None else offset)
     return np.where(np.isin(values, np.asarray(missing, dtype=values.dtype)), np.nan, numbers) if missing else numbers
+
+
+def _attribute(attributes: Any, key: str) -> Any:  # noqa: ANN401
+    """Value of an attribute; None where it is absent, or claims more bytes than an attribute needs."""
+    if key not in attributes:
+        return None
+    stored = attributes.get_id(key)
+    return attributes[key] if stored.dtype.itemsize * prod(stored.shape or ()) <= MOST_ATTRIBUTE_BYTES else None
 
 
 def _number(value: Any) -> float | None:  # noqa: ANN401
@@ -210,7 +222,7 @@ def _unknown_attributes(dataset: Any) -> list[str]:  # noqa: ANN401
     return [
         key
         for key in dataset.attrs
-        if (key in applied and _number(dataset.attrs.get(key)) is None)
+        if (key in applied and _number(_attribute(dataset.attrs, key)) is None)
         or (key not in applied and key.lower().split("_")[0] in UNKNOWN_ATTRIBUTES)
     ]
 
@@ -218,4 +230,6 @@ def _unknown_attributes(dataset: Any) -> list[str]:  # noqa: ANN401
 def _unit(vector: Vector) -> str:
     if vector.part is not None:
         return ""
-    return next((unit for key in UNIT_ATTRIBUTES if (unit := attribute_text(vector.dataset.attrs.get(key)))), "")
+    return next(
+        (unit for key in UNIT_ATTRIBUTES if (unit := attribute_text(_attribute(vector.dataset.attrs, key)))), ""
+    )

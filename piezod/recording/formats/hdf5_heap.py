@@ -34,7 +34,7 @@ def check_heaps(path: Path) -> None:
     Raises
     ------
     RecordingError
-        An object reaches beyond the end of its heap, or its size is 0.
+        An object reaches beyond the end of its heap, a heap beyond the end of the file, or a size is 0.
     """
     with path.open("rb") as file:
         position = 0
@@ -50,6 +50,9 @@ def check_heaps(path: Path) -> None:
 def _check_heap(file: BinaryIO, position: int, path: Path) -> None:
     file.seek(position + 8)
     size = int.from_bytes(file.read(8), "little")
+    if position + size > file.seek(0, 2):
+        raise RecordingError(f"{path}: is damaged: text at byte {position} claims {size} bytes")
+    file.seek(position + 16)
     heap = file.read(min(size, BLOCK) - 16) if size > 16 else b""
     at = 0
     while len(heap) - at >= OBJECT.size:

@@ -141,7 +141,8 @@ def _seconds(values: NDArray[Any], time: Time, first: Any) -> Array:  # noqa: AN
         steps = (values - first).astype("timedelta64[ns]")
         return np.where(np.isnat(steps), np.nan, 1e-9 * steps.astype(np.int64))
     since = values - first if time.since_first else values
-    return _numbers(since) if time.factor == 1.0 else np.round(time.factor * _numbers(since), 12)
+    with np.errstate(over="ignore"):  # a damaged time is refused where it is checked
+        return _numbers(since) if time.factor == 1.0 else np.round(time.factor * _numbers(since), 12)
 
 
 def _wanted(path: Path, every: Sequence[Stored], options: TextOptions) -> dict[str, Stored]:

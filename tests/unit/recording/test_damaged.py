@@ -207,6 +207,15 @@ def test_hdf5_with_an_endless_heap_is_refused(tmp_path):
         read_recording(path)
 
 
+def test_hdf5_whose_heap_claims_gigabytes_is_refused(tmp_path):
+    pytest.importorskip("h5py", reason="h5py is not installed")
+    path = tmp_path / "rec.h5"
+    write_recording(sample(5), path)
+    overwrite(path, b"GCOL", 8, struct.pack("<Q", 2**32))
+    with pytest.raises(RecordingError, match=r"is damaged: text at byte .* claims 4294967296 bytes"):
+        read_recording(path)
+
+
 @pytest.mark.parametrize("deflated", [False, True])
 @pytest.mark.parametrize("kind", ["f4", "f8", "i1", "u1", "i2", "u2", "i4", "u4", "i8", "u8", "b1"])
 def test_mat_numbers_are_equal_to_those_of_scipy(tmp_path, kind, deflated):
