@@ -38,7 +38,7 @@ LABELS, VALUES = ("name", "label", "signalname"), ("values", "data", "value", "s
 """Fields of a struct that name a vector, and that hold it."""
 
 UNITS = ("unit", "units")
-"""Fields of a struct that hold the unit of the vector beside it."""
+"""Fields of a struct that hold the unit of its vector."""
 
 MOST_LABEL = 100
 """Characters of such a name."""
@@ -107,7 +107,7 @@ def _with_fields(
 ) -> tuple[dict[str, Variable], list[Variable]]:
     """The vectors and matrices by their paths, those in structs too, and the other variables.
 
-    A field that is called `name` or `label` names the vector beside it: `signals(2)/values` is `signals(2)/force`.
+    A field that is called `name` or `label` names its vector: `signals(2)/values` is `signals(2)/force`.
     """
     structs = [variable for variable in every if variable.kind == "struct"]
     check_claimed_size(path, sum(variable.size for variable in structs) // 8)

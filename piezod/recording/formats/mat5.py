@@ -72,7 +72,7 @@ class Variable:
     body
         The decompressed data, for the field of a struct; None: they are read from the file.
     unit
-        Unit that the struct states beside it; empty: none.
+        Unit that its struct states; empty: none.
     """
 
     name: str

@@ -46,7 +46,7 @@ class Stored(NamedTuple):
     is_date
         Whether it holds dates.
     of_matrix
-        Whether it is a column of a matrix; such a column is never the time, unless the user says it.
+        Whether it is a column of a matrix; such a column is never the time, unless the user names it.
     """
 
     path: str
@@ -63,7 +63,7 @@ class Stored(NamedTuple):
 
     @property
     def is_time(self) -> bool:
-        """Whether its name, its dates or its unit say that it is the time."""
+        """Whether it is the time by its name, dates or unit."""
         return not self.of_matrix and (
             self.is_date
             or " since " in self.unit
@@ -178,7 +178,7 @@ def _by_name(columns: Sequence[Stored]) -> dict[str, Stored]:
 
 
 def _one_table(path: Path, every: Sequence[Stored]) -> list[Stored]:
-    """The named columns; of a file with several tables those of the only one with a time."""
+    """The named columns; in a file of several tables, the only table with a time."""
     named = [column for column in every if not column.of_matrix]
     if not named and every:
         raise RecordingError(
@@ -196,7 +196,7 @@ def _one_table(path: Path, every: Sequence[Stored]) -> list[Stored]:
 
 
 def _belongs(column: Stored, time: Stored) -> bool:
-    """Whether a column has the length of a time and stands beside or below it."""
+    """Whether a column has the length of a time and is stored next to it or below it."""
     return column.samples == time.samples and f"{column.table}/".startswith(f"{time.table}/" if time.table else "")
 
 

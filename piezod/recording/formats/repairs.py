@@ -65,7 +65,7 @@ class Repairs:
         return Counter(self._words), dict(self._skipped)
 
     def set_counts(self, counts: tuple[Counter[str], dict[str, tuple[int, str]]]) -> None:
-        """Forget what was counted since, because a block is read again."""
+        """Forget the counts of the last block, because it is read again."""
         self._words, self._skipped = Counter(counts[0]), dict(counts[1])
 
     def end_block(self) -> None:

@@ -174,7 +174,7 @@ def _waveform_time(
 
 
 def _are_equal(one: Begins, other: Begins, period_s: float) -> bool:
-    """Whether two channels have the same sessions, within a hundredth of a sample."""
+    """Whether two channels have equal sessions, within a hundredth of a sample."""
     return [sample for sample, _ in one] == [sample for sample, _ in other] and all(
         abs(_since(a, b)) <= 0.01 * period_s for (_, a), (_, b) in zip(one, other, strict=True)
     )

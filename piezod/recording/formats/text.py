@@ -115,7 +115,7 @@ class _Rows:
         self._has_dates = layout.date_form is not None
         self._begins_with_date = layout.date_place < 0 and layout.places[layout.time] == 0 and layout.separator != " "
         self._usual = b"0123456789eEna+- \t\n" + (layout.separator + layout.decimal).encode()
-        # Bytes of a line that is cleaned by itself; beside words, every character may be part of a word.
+        # Bytes of a line that is cleaned by itself; in a row with words, every character may be part of a word.
         self._odd = re.compile(rb'["#\0]' if self._words else rb"[^" + re.escape(self._usual) + rb"]")
 
     def tables(self) -> Iterator[list[Array]]:
@@ -243,7 +243,7 @@ class _Rows:
         return place < len(cells) and (is_number(cells[place], layout.decimal) or is_clock(cells[place]))
 
     def _values(self, text: str, line: int) -> list[float]:
-        """Numbers of a row. Text behind it is left out."""
+        """Numbers of a row, without the text after them."""
         try:
             return self._numbers(text, line)
         except RecordingError:

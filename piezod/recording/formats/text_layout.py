@@ -43,7 +43,7 @@ SAMPLE = 2**18
 
 SEPARATORS = {"\t": "tab", ";": "semicolon", ",": "comma", "|": "bar", " ": "spaces"}
 MOST_LEFT_OUT = 200
-"""Characters of the list of columns that are left out."""
+"""Characters of the list of ignored columns."""
 
 FEWEST_NUMBERS = 2
 """Columns of numbers of a table that has columns of words too."""
@@ -146,7 +146,7 @@ class Layout:
     extra
         Names of columns behind the last cell of a row, which only few rows fill.
     date_place
-        Number of the cell with the date, where it is another one than that of the time of day; -1: there is none.
+        Number of the cell with the date, where the time of day has its own cell; -1: there is none.
     since_1970
         Whether times count from 1970; they are read from the first sample on.
     """
@@ -354,7 +354,7 @@ def _rows(lines: Sequence[str], separator: str, decimal: str, words: frozenset[i
 
 
 def _row_width(line: str, separator: str, decimal: str, words: frozenset[int]) -> int:
-    """Cells of a row of numbers, beside cells of words; 0 for another line."""
+    """Cells of a row of numbers and words; 0 for another line."""
     if line.lstrip().startswith(COMMENTS):
         return 0
     cells = split_cells(line, separator)
