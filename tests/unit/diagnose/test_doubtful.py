@@ -102,3 +102,8 @@ def test_an_unnamed_law_goes_where_it_makes_one_recording_held_out_worse(after, 
     assert (found is with_law) == stays
     assert told == (errors if stays else others)
     assert any("left out" in note for note in found.findings.notes) != stays
+
+
+@pytest.mark.parametrize(("confidence", "left_out"), [(0.0, ["creep"]), (0.19, ["creep"]), (0.21, []), (0.59, [])])
+def test_what_is_wrong_four_times_of_five_is_not_named_however_much_it_explains(confidence, left_out):
+    assert doubted(("creep", confidence, 10.0, 1.0), before=10.0) == left_out
