@@ -41,6 +41,9 @@ ANSWERS_WITHIN = 64
 MOST = 0.05
 """Share of the samples above which leaps belong to the signal."""
 
+MOST_LOST = 0.2
+"""Share of the samples above which values far outside the range of all others are no lost frames."""
+
 FEWEST_LOST, MOST_NAMED = 3, 3
 """Strays of one value that are lost frames; strays that a note names one by one."""
 
@@ -117,7 +120,7 @@ def find_strays(values: Array, other: Array | None, *, answers_later: bool) -> M
     if finite.size < 100:
         return strays
     known = values[finite]
-    span, least = _typical_range(known)
+    span, least = _typical_range(_without_rails(known))
     if not least > 0.0:
         return strays
     leaps = _leaping_runs(known, least)
@@ -126,11 +129,35 @@ def find_strays(values: Array, other: Array | None, *, answers_later: bool) -> M
         ratio = span / other_span if other_span > 0.0 else 0.0
         leaps = [run for run in leaps if not _explained(known, other[finite], run, ratio, answers_later=answers_later)]
     if sum(end - first for first, end in leaps) > MOST * finite.size:
+        strays[finite] = _at_rails(known, leaps, least)
         return strays
     leaping = np.zeros(finite.size, bool)
     for first, end in leaps:
         leaping[first:end] = True
     return _and_lost(strays, leaping, finite, known)
+
+
+def _without_rails(known: Array) -> Array:
+    """Samples without those at a largest or smallest value that many share, far outside the range of all others."""
+    low, high = known.min(), known.max()
+    rest = known[(known > low) & (known < high)]
+    if rest.size < (1.0 - MOST_LOST) * known.size:
+        return known
+    margin = RANGES * np.ptp(rest)
+    at_rail = (known == low) & (low < rest.min() - margin) | (known == high) & (high > rest.max() + margin)
+    return known[~at_rail] if np.count_nonzero(at_rail) > MOST / 2 * known.size else known
+
+
+def _at_rails(known: Array, leaps: list[tuple[int, int]], least: float) -> Mask:
+    """Samples at values that many leaps share, each by more than a least leap outside the range of all others."""
+    counts = Counter(value for first, end in leaps for value in known[first:end].tolist())
+    shared = [value for value, count in counts.items() if count > MOST / 4 * known.size]
+    rest = known[~np.isin(known, shared)]
+    if not rest.size:
+        return np.zeros(known.size, bool)
+    low, high = rest.min() - least, rest.max() + least
+    lost: Mask = np.isin(known, [value for value in shared if not low <= value <= high])
+    return lost if np.count_nonzero(lost) <= MOST_LOST * known.size else np.zeros(known.size, bool)
 
 
 def _and_lost(strays: Mask, leaping: Mask, finite: NDArray[np.intp], known: Array) -> Mask:

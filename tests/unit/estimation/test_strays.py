@@ -50,6 +50,26 @@ def test_lost_frames_are_all_found_and_no_other_reading(value):
     assert f"{np.count_nonzero(lost)} samples, lost frames at {value:g}" in notes[0]
 
 
+def test_many_readings_at_both_rails_are_lost():
+    rng = np.random.default_rng(11)
+    lost = rng.random(U.size) < 0.09
+    at_rails = np.where(lost, np.where(rng.random(U.size) < 0.5, -400.0, 400.0), Y)
+    recording, notes = strays_of(U, at_rails)
+    np.testing.assert_array_equal(np.isnan(recording.channel("force_N")), lost)
+    assert len(notes) == 2
+    assert all(any(f"lost frames at {value:g}:" in note for note in notes) for value in (-400.0, 400.0))
+
+
+@pytest.mark.parametrize("share", [0.02, 0.1])
+def test_readings_that_a_limit_clips_are_no_lost_frames(share):
+    assert strays_of(U, np.clip(Y, *np.quantile(Y, [share, 1.0 - share])))[1] == []
+
+
+def test_many_pulses_that_the_reading_answers_are_none():
+    pulsed = but(U, np.arange(20, U.size, 12), 130.0)
+    assert strays_of(pulsed, read(pulsed, 1))[1] == []
+
+
 def test_a_longer_burst_at_a_lost_value_is_lost_too():
     lost = np.isin(np.arange(U.size), [*ROWS, *range(1500, 1530)])
     recording, _ = strays_of(U, but(Y + 300.0, lost, 0.0))
