@@ -1,6 +1,5 @@
 """Link to one Modbus device: the blocks of the tick, and single registers for set-up."""
 
-from functools import partial
 from math import inf
 from time import monotonic, sleep
 from typing import NoReturn
@@ -70,7 +69,7 @@ class ModbusLink:
         self.reading: Reading = self._plausibility.reading
         self._set_point = set_point = SetPoint(writes) if "voltage_setpoint" in writes else None
         if set_point is not None and set_point.has_sequence and "command_echo" in reads:
-            self._guard.note_command(reads["command_echo"], partial(getattr, set_point, "sequence"))
+            self._guard.note_command(reads["command_echo"], self._number_sent)
         self._block = ReadBlock(reads) if reads else None
         self._read = self._read_template(reads)
         self._write = self._write_template(writes)
@@ -171,6 +170,11 @@ class ModbusLink:
         refused = result is ExchangeResult.DEVICE_EXCEPTION
         self._written_generation = -1 if refused else wire.generation
         return result
+
+    def _number_sent(self) -> int | None:
+        """Number of the last command; None where the device refused it, or on another connection."""
+        set_point, is_sent = self._set_point, self._written_generation == self._wire.generation
+        return set_point.sequence if set_point is not None and is_sent else None
 
     def _poll(self, deadline_s: float) -> ExchangeResult:
         wire, set_point = self._wire, self._set_point

@@ -53,16 +53,16 @@ class _Setting:
 
 @dataclass(frozen=True)
 class _Command:
-    """The number of the last command that the device has received, and the number of the last one sent."""
+    """The number of the last command that the device has received, and of the last one sent; None: it was refused."""
 
     request: Request
     codec: RegisterCodec
-    sent: Callable[[], int]
+    sent: Callable[[], int | None]
 
     def compare(self, wire: Wire) -> ExchangeResult:
-        """Compare the reply to `request` with the number sent, modulo 16 bits."""
-        found = self.codec.unpack_from(wire.payload, self.request.payload_at)
-        return _OK if (int(found) - self.sent()) % 0x10000 == 0 else ExchangeResult.FOREIGN_COMMAND
+        """Compare the reply to `request` with the number sent, modulo 16 bits; after a refusal nothing is known."""
+        found, sent = self.codec.unpack_from(wire.payload, self.request.payload_at), self.sent()
+        return _OK if sent is None or (int(found) - sent) % 0x10000 == 0 else ExchangeResult.FOREIGN_COMMAND
 
 
 class RegisterGuard:
@@ -111,7 +111,7 @@ class RegisterGuard:
         """Note that the identity was compared on the connection with this number."""
         self._verified = generation
 
-    def note_command(self, register: Register, sent: Callable[[], int]) -> None:
+    def note_command(self, register: Register, sent: Callable[[], int | None]) -> None:
         """Compare the number of the last command in the device too: another program may write to it.
 
         Parameters
@@ -119,7 +119,7 @@ class RegisterGuard:
         register
             Register in which the device echoes the number.
         sent
-            Returns the number of the last command sent.
+            Returns the number of the last command sent; None: the device has refused it.
         """
         request = read_request(
             self._wire.framing, self._unit, 4 if register.function == 4 else 3, register.address, register.words

@@ -4,6 +4,7 @@ import contextlib
 import json
 import os
 import pickle
+import re
 import shutil
 import socket
 import stat
@@ -359,7 +360,7 @@ def hostile_column(pool, fault, *, column):
     observed.figures = {
         "pages": len(pages),
         "programs_in_it": page.count("<script>alert"),
-        "remote": page.count('src="http'),
+        "remote": len(re.findall(r"<(?:script|link|img|iframe)\b[^>]*\b(?:src|href)=[\"']?https?:", page)),
     }
     return observed
 

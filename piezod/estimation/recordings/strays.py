@@ -211,7 +211,8 @@ def _explained(values: Array, other: Array, run: tuple[int, int], ratio: float, 
     leap = np.abs(values[first:end] - values[first - 1]).min()
     begin, stop = (first - 1, end + ANSWERS_WITHIN) if answers_later else (first - ANSWERS_WITHIN, end + 1)
     near = other[max(begin, 0) : stop]
-    moves = np.abs(near[size:] - near[:-size])
+    with np.errstate(invalid="ignore"):  # infinite cells
+        moves = np.abs(near[size:] - near[:-size])
     moves = moves[np.isfinite(moves) & (moves < LARGEST)]
     # one move of the other channel that is wild itself explains nothing: its own search names it
     return bool(moves.size and COMES_BACK * leap < ratio * np.sort(moves)[-min(2, moves.size)])

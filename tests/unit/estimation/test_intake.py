@@ -213,6 +213,7 @@ CHANGES = st.lists(st.tuples(st.integers(0, 399), st.integers(1, 150), CELLS), m
 
 
 @settings(max_examples=100, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@example(100, np.full(400, 0.1), [(0, 2, np.inf)], [(10, 1, 0.0)])
 @given(st.integers(1, 400), arrays(float, 400, elements=st.floats(1e-6, 1e3), fill=st.just(0.1)), CHANGES, CHANGES)
 def test_whatever_a_file_holds_is_taken_in_and_judged_or_refused_in_one_line(tmp_path, n, periods, in_u, in_y):
     u = constant_triangles(140.0, 0.1, 4, 10.0)[:n].copy()
