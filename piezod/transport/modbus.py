@@ -172,7 +172,7 @@ class ModbusLink:
         return result
 
     def _number_sent(self) -> int | None:
-        """Number of the last command; None where the device refused it, or on another connection."""
+        """Number of the last command; None: refused, or sent on another connection."""
         set_point, is_sent = self._set_point, self._written_generation == self._wire.generation
         return set_point.sequence if set_point is not None and is_sent else None
 

@@ -53,14 +53,14 @@ class _Setting:
 
 @dataclass(frozen=True)
 class _Command:
-    """The number of the last command that the device has received, and of the last one sent; None: it was refused."""
+    """The number of the last command that the device has received, and the last number sent; None: refused."""
 
     request: Request
     codec: RegisterCodec
     sent: Callable[[], int | None]
 
     def compare(self, wire: Wire) -> ExchangeResult:
-        """Compare the reply to `request` with the number sent, modulo 16 bits; after a refusal nothing is known."""
+        """Compare the reply to `request` with the number sent, modulo 16 bits; after a refusal the number is unknown."""
         found, sent = self.codec.unpack_from(wire.payload, self.request.payload_at), self.sent()
         return _OK if sent is None or (int(found) - sent) % 0x10000 == 0 else ExchangeResult.FOREIGN_COMMAND
 
