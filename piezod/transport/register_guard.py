@@ -60,7 +60,7 @@ class _Command:
     sent: Callable[[], int | None]
 
     def compare(self, wire: Wire) -> ExchangeResult:
-        """Compare the reply to `request` with the number sent, modulo 16 bits; after a refusal the number is unknown."""
+        """Compare the reply to `request` with the number sent, modulo 16 bits; a refused number is unknown."""
         found, sent = self.codec.unpack_from(wire.payload, self.request.payload_at), self.sent()
         return _OK if sent is None or (int(found) - sent) % 0x10000 == 0 else ExchangeResult.FOREIGN_COMMAND
 
