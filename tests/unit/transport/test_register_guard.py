@@ -64,6 +64,32 @@ def test_a_changed_setting_is_reported_and_written_again(tcp):
     assert CHANGED not in [link.supervise(1.0) for _ in range(link.supervised)]
 
 
+def refuses_writes(server):
+    """The device answers each write of the voltage with exception 4, and each read as it should."""
+    refusal = lambda frame: [frame[:5] + bytes([3, frame[6], frame[7] | 0x80, 4])]  # noqa: E731
+    server.answer = lambda frame, _number: [server.good(frame)] if frame[7] == 3 else refusal(frame)
+
+
+def test_a_command_that_the_device_refused_is_not_one_of_another_program(tcp):
+    link, server = tcp
+    refuses_writes(server)
+    assert link.exchange(2.0) is ExchangeResult.DEVICE_EXCEPTION
+    assert [link.supervise(1.0) for _ in range(2 * link.supervised)] == [OK] * (2 * link.supervised)
+
+
+def test_a_command_of_another_program_is_found_again_after_a_refusal(tcp):
+    link, server = tcp
+    good = server.answer
+    refuses_writes(server)
+    link.exchange(2.0)
+    server.answer = good
+    assert link.exchange(2.0) is OK
+    assert ExchangeResult.FOREIGN_COMMAND not in [link.supervise(1.0) for _ in range(link.supervised)]
+    server.bench.put(102, ">H", server.bench.get(102, ">H") + 1)
+    found = [link.supervise(1.0) for _ in range(link.supervised)]
+    assert ExchangeResult.FOREIGN_COMMAND in found
+
+
 def test_a_changed_setting_that_the_device_refuses_to_take_back_is_tried_again_at_once(tcp):
     link, server = tcp
     link.write_register("watchdog_ms", 150.0)
