@@ -62,17 +62,15 @@ def check() -> Check:
         await control._serve(reader, writer)
         return writer.lines
 
-    runner = asyncio.Runner()
-
     def send(data: bytes) -> None:
         done.clear()
-        answers = runner.run(serve(data)).split(b"\n")
+        answers = asyncio.run(serve(data)).split(b"\n")
         if answers.pop() != b"" or not all(isinstance(json.loads(line), dict) for line in answers):
             raise AssertionError("an answer is not a line of JSON")
         if done != _requested(data):
             raise AssertionError(f"executed {done}, requested {_requested(data)}")
 
-    for held in (runner, ours, theirs):
+    for held in (ours, theirs):
         weakref.finalize(send, held.close)
     return send
 
