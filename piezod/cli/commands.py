@@ -1,6 +1,18 @@
 """All commands, in the order in which `piezod --help` lists them."""
 
-from piezod.cli import demo, setup, running, recordings, models, commissioning, diagnosis, study  # noqa: I001
+from piezod.cli import demo, setup, running, recordings, models, commissioning, diagnosis, study, documentation  # noqa: I001
 from piezod.cli.root import app, main
 
-__all__ = ["app", "commissioning", "demo", "diagnosis", "main", "models", "recordings", "running", "setup", "study"]
+__all__ = [
+    "app",
+    "commissioning",
+    "demo",
+    "diagnosis",
+    "documentation",
+    "main",
+    "models",
+    "recordings",
+    "running",
+    "setup",
+    "study",
+]

@@ -1,5 +1,6 @@
 """HTML that all pages share. A page is one self-contained file for a screen, a telephone or A4 paper."""
 
+import contextlib
 import html
 import os
 from collections.abc import Mapping, Sequence
@@ -150,5 +151,6 @@ def write_text(path: Path, text: str) -> None:
         temporary.write_text(text, encoding="utf-8")
         temporary.replace(path)
     except OSError as error:
-        temporary.unlink(missing_ok=True)
+        with contextlib.suppress(OSError):
+            temporary.unlink()
         raise ConfigurationError(f"{path}: cannot be written: {error.strerror}") from error

@@ -24,7 +24,7 @@ COMMANDS = {
     "demo", "run", "check", "record", "identify", "simulate", "diagnose", "validate", "blind make", "blind run",
     "blind score", "latency", "effects", "status", "arm", "disarm", "stop", "reset", "reload",
     "commission", "investigate", "watch", "init", "config schema", "config show", "config check", "convert",
-    "compare", "resid", "report", "support-bundle", "testable", "bridge",
+    "compare", "resid", "report", "support-bundle", "testable", "bridge", "docs",
 }  # fmt: skip
 WITHOUT_JSON = {
     "watch": "serves a page",
@@ -83,6 +83,8 @@ ERRORS = [
     ("report /nowhere/a.csv -o /tmp/x.html", 78, "cannot be read"),
     ("resid /nowhere/a.csv --model /nowhere/m.yaml", 78, "cannot be read"),
     (f"support-bundle {NOT_THERE} -o /tmp/x.zip", 78, "cannot be read"),
+    ("docs diagnos", 2, "no topic is named 'diagnos', the nearest is 'diagnose'"),
+    ("docs diagnose --list", 2, "give no TOPIC"),
     ("frobnicate", 2, "No such command 'frobnicate'; see piezod --help"),
 ]
 
@@ -210,6 +212,7 @@ def recording(tmp_path_factory):
     ("line", "schema"),
     [
         ("effects creep", "piezod.effects/1"),
+        ("docs", "piezod.docs/1"),
         ("config show {bench}", "piezod.config/1"),
         ("config check {bench}", "piezod.config_check/1"),
         ("simulate {recording} --model {model} -o {out}.csv", "piezod.simulation/1"),

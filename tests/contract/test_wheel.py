@@ -1,5 +1,6 @@
 """The wheel: everything that a bench needs, nothing of the tests, and it works from where it was unpacked."""
 
+import json
 import os
 import re
 import shlex
@@ -39,6 +40,10 @@ def test_the_wheel_holds_every_module_and_every_shipped_file(names):
     for folder in ("config", "systemd"):
         shipped = {f"piezod/_shipped/{folder}/{path.name}" for path in (ROOT / folder).iterdir() if path.is_file()}
         assert shipped <= names
+    readmes = {
+        str(path.relative_to(ROOT)) for room in ("piezod", "firmware_sim") for path in (ROOT / room).rglob("*.md")
+    }
+    assert readmes | {"piezod/_shipped/README.md"} <= names
 
 
 def test_the_wheel_holds_nothing_else(names):
@@ -81,6 +86,75 @@ def test_an_unpacked_wheel_finds_its_profiles_and_nothing_of_the_checkout(wheel,
         check=True,
     )
     assert found.stdout.strip() == str(tmp_path / "site" / "piezod" / "_shipped" / "config" / "bench.yaml")
+
+
+@pytest.fixture(scope="module")
+def installed(wheel, tmp_path_factory):
+    """Folder `bin` of an environment that holds the wheel, and its libraries from the environment of the tests."""
+    folder = tmp_path_factory.mktemp("installed") / "venv"
+    subprocess.run([sys.executable, "-m", "venv", str(folder)], check=True, capture_output=True)
+    pip = [str(folder / "bin" / "python"), "-m", "pip", "install", "--no-index", "--no-deps", "--no-compile"]
+    subprocess.run([*pip, str(wheel)], check=True, capture_output=True)
+    (packages,) = (folder / "lib").glob("python3*/site-packages")
+    libraries = [path for path in sys.path if path.endswith("site-packages")]
+    (packages / "libraries.pth").write_text("\n".join(libraries))  # no .pth file of theirs is read: no checkout
+    return folder / "bin"
+
+
+def run_installed(installed, folder, *command):
+    environment = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
+    return subprocess.run(
+        [str(installed / command[0]), *command[1:]],
+        cwd=folder,
+        env=environment,
+        capture_output=True,
+        text=True,
+        check=True,
+    ).stdout
+
+
+def test_an_installed_wheel_states_its_licence(installed, tmp_path):
+    code = (
+        "from importlib.metadata import metadata, files; about = metadata('piezod-bench');"
+        "print(about['License-Expression']); (name,) = about.get_all('License-File');"
+        "(text,) = (file for file in files('piezod-bench') if str(file).endswith(f'licenses/{name}'));"
+        "print(text.read_text())"
+    )
+    expression, _, text = run_installed(installed, tmp_path, "python", "-c", code).partition("\n")
+    assert expression == "Apache-2.0"
+    assert text.strip() == (ROOT / "piezod" / "LICENSE").read_text(encoding="utf-8").strip()
+
+
+def test_the_list_of_dependencies_names_those_of_the_metadata_and_their_ranges(installed, tmp_path):
+    code = (
+        "from importlib.metadata import requires, files;"
+        "(sbom,) = (file for file in files('piezod-bench') if '.dist-info/sboms/' in str(file));"
+        "import json; print(json.dumps([requires('piezod-bench'), json.loads(sbom.read_text())]))"
+    )
+    required, sbom = json.loads(run_installed(installed, tmp_path, "python", "-c", code))
+    assert (sbom["bomFormat"], sbom["metadata"]["component"]["name"]) == ("CycloneDX", "piezod-bench")
+    listed = {}
+    for component in sbom["components"]:
+        assert "version" not in component
+        extra = next((found["value"] for found in component.get("properties", ())), None)
+        bounds = component["versionRange"].removeprefix("vers:pypi/")
+        listed[component["name"], extra] = set() if bounds == "*" else set(bounds.split("|"))
+    stated = {}
+    for line in required:
+        name, bounds, extra = re.fullmatch(r"([\w.-]+)(?:\[.*\])?([^;]*)(?:; extra == '(\w+)')?", line).groups()
+        if name != "piezod-bench":
+            stated[re.sub(r"[-_.]+", "-", name).lower(), extra] = set(filter(None, bounds.strip().split(",")))
+    assert listed == stated
+
+
+def test_an_installed_wheel_shows_the_manual_and_the_catalogue(installed, tmp_path):
+    readme = (ROOT / "README.md").read_text(encoding="utf-8")
+    assert run_installed(installed, tmp_path, "piezod", "docs") == readme
+    topics = json.loads(run_installed(installed, tmp_path, "piezod", "docs", "--json"))["topics"]
+    assert len(topics) > 10
+    for topic in topics:
+        assert Path(topic["file"]).is_relative_to(installed.parent), topic
+    assert "creep" in run_installed(installed, tmp_path, "piezod", "effects")
 
 
 @pytest.mark.parametrize("device", DEVICES)
