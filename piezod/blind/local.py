@@ -1,6 +1,5 @@
 """Diagnosis of cases on this machine, several in parallel."""
 
-import os
 from collections.abc import Generator, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from pathlib import Path
@@ -9,11 +8,6 @@ from piezod.blind.case import read_case
 from piezod.blind.isolated import IsolatedProcesses
 from piezod.blind.verdict import Verdict, failed_verdict
 from piezod.errors import PiezodError
-
-
-def core_count() -> int:
-    """Number of cores that this process may use."""
-    return len(os.sched_getaffinity(0))
 
 
 def diagnose_locally(folders: Sequence[Path], jobs: int) -> Generator[Verdict, None, None]:

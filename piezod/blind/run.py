@@ -7,8 +7,9 @@ from pathlib import Path
 
 from piezod.blind.case import case_folders
 from piezod.blind.cluster import diagnose_on_cluster
-from piezod.blind.local import core_count, diagnose_locally
+from piezod.blind.local import diagnose_locally
 from piezod.blind.verdict import Verdict, VerdictFolder
+from piezod.diagnose.hypothesis.parallel import core_count
 
 OnVerdict = Callable[[Verdict | None, int, int], None]
 

@@ -5,7 +5,6 @@ import errno
 import gc
 import os
 import platform
-import resource
 import signal
 import sys
 from collections.abc import Callable
@@ -19,6 +18,11 @@ import typer
 from piezod import __version__
 from piezod.cli import INTERRUPTED
 from piezod.errors import PiezodError, RecordingError, TemporaryError, UsageError
+
+try:
+    import resource  # now: a process without free descriptors cannot import it
+except ModuleNotFoundError:  # Windows
+    resource = None  # type: ignore[assignment]
 
 if TYPE_CHECKING:
     from piezod.recording import TextOptions
@@ -67,6 +71,7 @@ ForceOption = Annotated[bool, typer.Option("--force", help="Replace existing fil
 WaitOption = Annotated[bool, typer.Option(help="Wait for the result.")]
 
 
+_POSIX_MODULES = ("fcntl", "grp", "pwd", "resource", "termios", "tty")
 _Misused = typer.BadParameter.__mro__[2]  # base class in click of all errors in arguments
 
 
@@ -89,6 +94,11 @@ def main(on_interrupt: "Handler | None" = None) -> None:
         sys.exit(error.exit_code)
     except (KeyboardInterrupt, typer.Abort):
         sys.exit(INTERRUPTED)
+    except ModuleNotFoundError as error:
+        if error.name not in _POSIX_MODULES:
+            raise
+        print(f"piezod: this command is for a bench and needs Linux: this system has no {error.name}", file=sys.stderr)
+        sys.exit(PiezodError.exit_code)
     except Exception as error:
         if isinstance(error, _Misused):
             print(_misuse_text(error), file=sys.stderr)
@@ -106,6 +116,8 @@ def _shortage(error: BaseException) -> str | None:
         if isinstance(cause, MemoryError):
             return "the memory does not suffice; free some, or raise the limit (ulimit -v)"
         if getattr(cause, "errno", None) in (errno.EMFILE, errno.ENFILE) or os.strerror(errno.EMFILE) in str(cause):
+            if resource is None:
+                return "too many open files; end other programs"
             limit = resource.getrlimit(resource.RLIMIT_NOFILE)[0]
             return f"too many open files, the limit is {limit}; raise it (ulimit -n 1024)"
         cause = cause.__cause__ or cause.__context__

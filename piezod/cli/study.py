@@ -43,8 +43,8 @@ def blind_make(
     jobs: Annotated[int | None, typer.Option(min=1, help="Number of processes; default: one per core.")] = None,
 ) -> None:
     """Draw cases from a simulated plant that shares no code with this program, and seal the truth."""
-    from piezod.blind.local import core_count
     from piezod.blind.study import make_study
+    from piezod.diagnose.hypothesis.parallel import core_count
     from piezod.report.progress import steps
 
     options = {

@@ -7,6 +7,8 @@ from typing import BinaryIO
 
 from piezod.errors import ConfigurationError
 
+_FLAGS = sum(getattr(os, name, 0) for name in ("O_NONBLOCK", "O_CLOEXEC", "O_BINARY"))  # Windows has the last only
+
 
 def open_regular(path: Path, most_bytes: int) -> BinaryIO:
     """Open a file for reading; a pipe, device, socket or folder, and a file that is too large, is refused unread.
@@ -22,7 +24,7 @@ def open_regular(path: Path, most_bytes: int) -> BinaryIO:
         The file cannot be opened, is no regular file, or is too large.
     """
     try:
-        descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
+        descriptor = os.open(path, os.O_RDONLY | _FLAGS)
     except OSError as error:
         raise ConfigurationError(f"{path}: cannot be read: {error.strerror}") from error
     except ValueError as error:

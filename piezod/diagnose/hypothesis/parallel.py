@@ -9,10 +9,15 @@ Argument = TypeVar("Argument")
 Result = TypeVar("Result")
 
 
+def core_count() -> int:
+    """Number of cores that this process may use; of all cores where the system sets no affinity."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
 def threads() -> int:
     """Number of threads: OMP_NUM_THREADS where it is set, else the cores that this process may use."""
     stated = os.environ.get("OMP_NUM_THREADS", "")
-    return int(stated) if stated.isdecimal() and int(stated) > 0 else len(os.sched_getaffinity(0))
+    return int(stated) if stated.isdecimal() and int(stated) > 0 else core_count()
 
 
 def each(work: Callable[[Argument], Result], arguments: Iterable[Argument]) -> list[Result]:

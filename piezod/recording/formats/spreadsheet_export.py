@@ -4,9 +4,9 @@ A workbook is compressed and names its own size: 1.4 kB can claim 17 thousand mi
 the process, or takes all memory. So this process is a child, and its end is an error of one line.
 """
 
+import contextlib
 import datetime as dt
 import json
-import resource
 import subprocess
 import sys
 from dataclasses import asdict
@@ -65,13 +65,8 @@ def export_table(path: Path, exported: Path, options: TextOptions) -> str:
 def run_child() -> None:
     """Export with limits; the request is on stdin, the answer on stdout."""
     request = json.load(sys.stdin)
-    for limit, value in (
-        (resource.RLIMIT_AS, MOST_MEMORY),
-        (resource.RLIMIT_FSIZE, MOST_TEXT),
-        (resource.RLIMIT_CPU, WITHIN_S),
-        (resource.RLIMIT_CORE, 0),
-    ):
-        resource.setrlimit(limit, (value, value))
+    with contextlib.suppress(ModuleNotFoundError):  # Windows has no limits
+        _set_limits()
     path, about = Path(request["path"]), request["options"]
     options = TextOptions(tuple(about["columns"]), about["rate_Hz"], about["decimal"])
     try:
@@ -80,6 +75,19 @@ def run_child() -> None:
     except RecordingError as error:
         answer = {"error": str(error)}
     sys.stdout.write(json.dumps(answer))
+
+
+def _set_limits() -> None:
+    """Limit memory, written bytes and time of this process."""
+    import resource  # noqa: PLC0415  # not on Windows
+
+    for limit, value in (
+        (resource.RLIMIT_AS, MOST_MEMORY),
+        (resource.RLIMIT_FSIZE, MOST_TEXT),
+        (resource.RLIMIT_CPU, WITHIN_S),
+        (resource.RLIMIT_CORE, 0),
+    ):
+        resource.setrlimit(limit, (value, value))
 
 
 def _export(path: Path, exported: Path, options: TextOptions) -> str:
