@@ -6,6 +6,7 @@ import re
 import shlex
 import subprocess
 import sys
+import tomllib
 import zipfile
 from pathlib import Path
 
@@ -183,3 +184,14 @@ def test_the_page_of_a_profile_names_its_file_and_a_call_that_works(device, tmp_
 def test_every_profile_of_a_device_has_a_page():
     benches = {path.stem for path in CONFIG.glob("*.yaml") if "piezod.bench/1" in path.read_text(encoding="utf-8")}
     assert benches - {"bench"} == set(DEVICES)
+
+
+def test_the_container_is_made_of_the_sources_of_the_wheel_and_runs_without_rights():
+    lines = (ROOT / ".ci" / "Containerfile").read_text(encoding="utf-8").splitlines()
+    copied = {name for line in lines if line.startswith("COPY ") for name in line.split()[1:-1]}
+    build = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["hatch"]["build"]
+    wheel = build["targets"]["wheel"]
+    assert {*wheel["packages"], *wheel["force-include"], "pyproject.toml", ".ci"} == copied
+    last_stage = lines[max(number for number, line in enumerate(lines) if line.startswith("FROM ")) :]
+    assert [line for line in last_stage if line.startswith("COPY ")] == []
+    assert "USER piezod" in last_stage
