@@ -8,6 +8,7 @@ the last arming are written to a file for `piezod diagnose --from-bench`. `drift
 
 import threading
 from collections.abc import Callable
+from datetime import UTC, datetime
 from math import isfinite, nan, sqrt
 from pathlib import Path
 
@@ -194,7 +195,8 @@ class DriftWatch:
         if np.isfinite(readings["temperature_C"]).all():
             columns["temperature_C"] = readings["temperature_C"]
         time_s = readings["tick"] * self._bench.dt_s
-        metadata = {"bench": self._bench.name, "model": self._name} | HELD_ONE_SAMPLE.metadata
+        recorded = datetime.now(UTC).isoformat(timespec="seconds")
+        metadata = {"bench": self._bench.name, "model": self._name, "recorded": recorded} | HELD_ONE_SAMPLE.metadata
         self.problem = drift_file(self._bench).write(Recording(time_s - time_s[0], columns, metadata))
 
 

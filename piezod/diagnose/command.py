@@ -12,7 +12,7 @@ from piezod.diagnose.verdict.simulated import free_run, tared_rms
 from piezod.errors import ConfigurationError, UsageError
 from piezod.estimation.recordings.layout import layout_of
 from piezod.estimation.recordings.sources import Source, past_sources, read_source
-from piezod.model import Model, load_model, save_model
+from piezod.model import Model, file_sha256, load_model, save_model
 from piezod.recording import TextOptions
 from piezod.recording.names import unit_of
 
@@ -78,7 +78,7 @@ def diagnose_files(
     past, past_notes = past_sources(model, model_path.parent, diagnosed)
     notes = [*(note for source in (*diagnosed, *held_out) for note in source.notes), *past_notes]
     before = [_rms(source, model) for source in held_out]  # an unusable file raises before the long search
-    diagnosis = diagnose(model, diagnosed, past, notes, on_step, within_s)
+    diagnosis = diagnose(model, diagnosed, past, notes, on_step, within_s, file_sha256(model_path))
     if held_out:
         on_step("simulating what was held out", None)
         diagnosis = _checked(diagnosis, model, held_out, before)

@@ -16,6 +16,7 @@ from piezod.diagnose.findings import Unnamed, Verdict
 from piezod.diagnose.hypothesis.fit import fit
 from piezod.diagnose.hypothesis.monotone import is_monotone, monotone_fit
 from piezod.diagnose.judgement import Diagnosis, DiagnosisInputs, diagnosed_nrmse_percent, residuals_of, with_words
+from piezod.diagnose.lineage import with_lineage
 from piezod.diagnose.prepare import substitute_recording
 from piezod.diagnose.rules import RULES
 from piezod.diagnose.selection.acceptance import comparison_loss, penalised_loss
@@ -43,7 +44,7 @@ from piezod.estimation.recordings.converter import unrounded
 from piezod.estimation.recordings.preparation import prepared
 from piezod.estimation.recordings.series import Series
 from piezod.estimation.recordings.sources import Source
-from piezod.model import Model
+from piezod.model import Model, model_sha256
 from piezod.model.unnamed_law import LawStep
 
 Array = NDArray[np.float64]
@@ -62,6 +63,7 @@ def diagnose(
     notes: Sequence[str],
     progress: OnProgress,
     within_s: float | None = None,
+    parent: str | None = None,
 ) -> Diagnosis:
     """Find what the model leaves out of the recordings.
 
@@ -73,6 +75,8 @@ def diagnose(
         Called with the current step, and the share of the work that is done; None where it is unknown.
     within_s
         Time for the diagnosis [s]; about a third of it is for the checks after the search. None: no limit.
+    parent
+        SHA-256 of the file of the model; None: of the file that would be written.
 
     Raises
     ------
@@ -81,7 +85,8 @@ def diagnose(
     """
     with threadpool_limits(1, user_api="blas"):  # fits run in parallel; more BLAS threads would compete for the cores
         until_s = np.inf if within_s is None else time.monotonic() + SEARCHED * within_s
-        return _diagnosed(model, recordings, past, notes, progress, until_s)
+        diagnosis = _diagnosed(model, recordings, past, notes, progress, until_s)
+    return with_lineage(diagnosis, model, parent or model_sha256(model), recordings)
 
 
 def _diagnosed(

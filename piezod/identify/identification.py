@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from piezod.errors import UsageError
 from piezod.estimation.fit.columns import Samples
 from piezod.estimation.recordings.intake import OnStep
+from piezod.estimation.recordings.layout import entry_of
 from piezod.estimation.recordings.noise import Noise, noise_of
 from piezod.estimation.recordings.suitability import check_suitable, falls
 from piezod.identify.options import Options
@@ -181,9 +182,7 @@ def _model(
     fit, first = selection.chosen.fit, selection.stretches[0]
     assert fit is not None
     sources = tuple(sources) or tuple(
-        RecordingSource(path=r.source, sha256=file_sha256(Path(r.source)), samples=int(r.time_s.size))
-        for r in recordings
-        if Path(r.source).is_file()
+        entry_of(r, file_sha256(Path(r.source)), None) for r in recordings if Path(r.source).is_file()
     )
     return Model(
         name=options.name,

@@ -49,6 +49,9 @@ def dump_model(model: Model) -> str:
         del content["sampling"]
     if model.sampling != "held":
         del content["read_after"]
+    for key in ("diagnosed", "changes"):
+        if not content["provenance"][key]:
+            del content["provenance"][key]
     return yaml.dump(content, Dumper=_Dumper, sort_keys=False, width=120, allow_unicode=True)
 
 
@@ -90,6 +93,11 @@ def file_sha256(path: Path) -> str:
     """
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def model_sha256(model: Model) -> str:
+    """SHA-256 of the file that `save_model` writes, 64 hexadecimal digits."""
+    return hashlib.sha256(dump_model(model).encode()).hexdigest()
 
 
 class _Dumper(yaml.SafeDumper):

@@ -15,6 +15,8 @@ from piezod.recording.hold import Hold
 
 Numbers = Annotated[tuple[float, ...], Field(strict=False, min_length=1)]
 Interval = Annotated[tuple[float, float], Field(strict=False)]
+Sha256 = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
+BASE = "base"  # name of the stack itself among the changes of a model
 
 
 class Channel(Section):
@@ -96,11 +98,16 @@ class TextLayout(Section):
 
 
 class RecordingSource(Section):
-    """Recording that the model was identified on; `read_as` is how its text file had to be read."""
+    """Recording that a model was made from.
+
+    `read_as` is how its text file had to be read, `span_s` its duration [s], and `date` the date that the file states.
+    """
 
     path: str
-    sha256: Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
+    sha256: Sha256
     samples: Annotated[int, Field(ge=1)]
+    span_s: Annotated[float, Field(ge=0)] | None = None
+    date: str | None = None
     read_as: TextLayout | None = None
 
 
@@ -123,12 +130,31 @@ class FitFigures(Section):
     remaining_hysteresis_percent_held_out: float | None = None
 
 
+class ModelChange(Section):
+    """Status of an effect, or of the base, when a diagnosis wrote the model.
+
+    `name` is that of the effect, or "base" for the stack itself. `words` state the reason.
+    """
+
+    name: Annotated[str, Field(min_length=1)]
+    status: Literal["new", "changed", "gone", "kept", "not seen"]
+    words: str
+
+
 class Provenance(Section):
-    """Origin of the model: time, program, recordings and errors of the fit."""
+    """Origin of the model: time, program, recordings and errors of the fit.
+
+    `recordings` are those of the identification, `diagnosed` those in which effects were found or compared.
+    `parent` is the SHA-256 of the model file that a diagnosis started from, and `changes` are the differences from it.
+    An identified model has no parent. Files of older versions state none of the three.
+    """
 
     created: str
     by: str
+    parent: Sha256 | None = None
     recordings: Annotated[tuple[RecordingSource, ...], Field(strict=False)] = ()
+    diagnosed: Annotated[tuple[RecordingSource, ...], Field(strict=False)] = ()
+    changes: Annotated[tuple[ModelChange, ...], Field(strict=False)] = ()
     fit: FitFigures = FitFigures()
     notes: str = ""
 
@@ -145,7 +171,7 @@ class EffectValues(Section):
     name: Annotated[str, Field(min_length=1)]
     parameters: dict[str, float]
     intervals: dict[str, Interval] | None = None
-    recording: Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")] | None = None
+    recording: Sha256 | None = None
     since: Annotated[str, Field(pattern=r"^(identification|[0-9a-f]{64})$")] | None = None
 
     @model_validator(mode="after")

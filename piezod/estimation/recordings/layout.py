@@ -4,6 +4,7 @@ The user's options come first, then the layouts of the model's recordings.
 """
 
 from dataclasses import asdict
+from datetime import datetime
 from pathlib import Path
 
 from piezod.errors import RecordingError
@@ -15,7 +16,23 @@ from piezod.recording import Recording, TextOptions, column_names
 def entry_of(recording: Recording, sha256: str, text: TextOptions | None) -> RecordingSource:
     """Entry of a recording in the provenance of a model; `text`: layout stated by the user, or None."""
     layout = None if text is None or text == TextOptions() else TextLayout(**asdict(text))
-    return RecordingSource(path=recording.source, sha256=sha256, samples=int(recording.time_s.size), read_as=layout)
+    return RecordingSource(
+        path=recording.source,
+        sha256=sha256,
+        samples=int(recording.time_s.size),
+        span_s=float(f"{recording.time_s[-1] - recording.time_s[0]:.6g}"),
+        date=_date_of(recording),
+        read_as=layout,
+    )
+
+
+def _date_of(recording: Recording) -> str | None:
+    """Date at which a recording was complete, as `piezod record` states it; None: it states none."""
+    stated = recording.metadata.get("recorded", "")
+    try:
+        return datetime.fromisoformat(stated).isoformat(timespec="seconds")
+    except ValueError:
+        return None
 
 
 def stated_layout(source: RecordingSource) -> TextOptions | None:
