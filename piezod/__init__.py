@@ -14,11 +14,13 @@ if TYPE_CHECKING:
     from piezod.api import (
         EFFECTS,
         Diagnosed,
+        History,
         Identified,
         Inverse,
         Model,
         Recording,
         diagnose,
+        history,
         identify,
         read_recording,
         simulate,
@@ -29,20 +31,22 @@ if TYPE_CHECKING:
 __all__ = [
     "EFFECTS",
     "Diagnosed",
+    "History",
     "Identified",
     "Inverse",
     "Model",
     "Recording",
     "__version__",
     "diagnose",
+    "history",
     "identify",
     "read_recording",
     "simulate",
 ]
 
 
-# Packages have the names of two functions. Python binds a package here once, when it is first imported: now.
-for _name in ("diagnose", "identify"):
+# Packages have the names of three functions. Python binds a package here once, when it is first imported: now.
+for _name in ("diagnose", "history", "identify"):
     import_module(f"piezod.{_name}")
     del globals()[_name]
 

@@ -2,6 +2,7 @@
 
 from piezod.api.functions import diagnose, identify, read_recording, simulate
 from piezod.api.model import Inverse, Model
+from piezod.api.model_history import History, history
 from piezod.api.results import Diagnosed, Identified
 from piezod.effects import EFFECTS
 from piezod.recording import Recording
@@ -9,11 +10,13 @@ from piezod.recording import Recording
 __all__ = [
     "EFFECTS",
     "Diagnosed",
+    "History",
     "Identified",
     "Inverse",
     "Model",
     "Recording",
     "diagnose",
+    "history",
     "identify",
     "read_recording",
     "simulate",

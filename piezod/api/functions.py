@@ -15,6 +15,7 @@ from piezod.estimation.recordings.sources import Source, past_sources
 from piezod.identify.identification import identify as identification_of
 from piezod.identify.options import Options
 from piezod.identify.simulation import simulate_recording
+from piezod.model import file_sha256
 from piezod.recording import Recording, TextOptions
 from piezod.recording import read_recording as recording_from
 from piezod.recording.conversion import choose_columns, in_units_of
@@ -202,7 +203,8 @@ def diagnose(
         folder = Path() if isinstance(model, Model) else Path(model).parent
         past, notes = past_sources(plant, folder, sources)
     notes = [*(note for source in sources for note in source.notes), *notes]
-    return Diagnosed(diagnosis_of(plant, sources, past, notes, on_step, within_s))
+    parent = None if isinstance(model, Model | Identified) else file_sha256(Path(model))
+    return Diagnosed(diagnosis_of(plant, sources, past, notes, on_step, within_s, parent))
 
 
 def _model(model: Model | str | os.PathLike[str]) -> Model:

@@ -1,6 +1,6 @@
 """All commands, in the order in which `piezod --help` lists them."""
 
-from piezod.cli import demo, setup, running, recordings, models, commissioning, diagnosis, study, documentation  # noqa: I001
+from piezod.cli import demo, setup, running, recordings, models, commissioning, diagnosis, history, study, documentation  # noqa: I001
 from piezod.cli.root import app, main
 
 __all__ = [
@@ -9,6 +9,7 @@ __all__ = [
     "demo",
     "diagnosis",
     "documentation",
+    "history",
     "main",
     "models",
     "recordings",

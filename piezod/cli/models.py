@@ -176,7 +176,8 @@ def simulate(
 @app.command(epilog="Example: piezod compare work.csv simulated.csv --model model.yaml --report comparison.html")
 def compare(
     recordings: Annotated[
-        list[Path], typer.Argument(metavar="REC [REC...]", help="Measured recording, then simulated ones.")
+        list[Path],
+        typer.Argument(metavar="REC [REC...]", help="Measured recording, then simulated ones; or two model files."),
     ],
     model: Annotated[
         list[Path] | None, typer.Option(metavar="MODEL", help="Model to simulate over the measured input; repeatable.")
@@ -188,10 +189,24 @@ def compare(
     report: PageOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Compare a measured output with simulated ones and with models in free run; fit as in MATLAB's compare."""
+    """Compare a measured output with simulated ones and with models in free run; fit as in MATLAB's compare.
+
+    Two model files are compared parameter by parameter.
+    """
     from piezod.recording import check_page, column_names
 
     check_page(report)
+    if len(recordings) == 2 and not model and all(path.suffix in (".yaml", ".yml") for path in recordings):
+        from piezod.history.comparison import compare_models
+
+        models = compare_models(*recordings)
+        if report is not None or not as_json:
+            from piezod.report.comparison.model_comparison import model_comparison_text, write_model_comparison_page
+
+            if report is not None:
+                write_model_comparison_page(report, models)
+        print(json.dumps(models.as_dict(), indent=2) if as_json else model_comparison_text(models))
+        return
     if len(recordings) > 1 or model:  # else the missing comparison is reported first
         column_names(recordings[0])  # a wrong file is refused before the libraries are there
     from piezod.report.comparison.output_comparison import compare_files

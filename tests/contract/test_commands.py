@@ -24,7 +24,7 @@ COMMANDS = {
     "demo", "run", "check", "record", "identify", "simulate", "diagnose", "validate", "blind make", "blind run",
     "blind score", "latency", "effects", "status", "arm", "disarm", "stop", "reset", "reload",
     "commission", "investigate", "watch", "init", "config schema", "config show", "config check", "convert",
-    "compare", "resid", "report", "support-bundle", "testable", "bridge", "docs",
+    "compare", "resid", "report", "support-bundle", "testable", "bridge", "docs", "history",
 }  # fmt: skip
 WITHOUT_JSON = {
     "watch": "serves a page",
@@ -81,6 +81,7 @@ ERRORS = [
     ("convert /nowhere/a.csv -o /tmp/x.mat", 78, "cannot be read"),
     ("compare /nowhere/a.csv", 2, "nothing to compare with: give another REC, or --model MODEL"),
     ("report /nowhere/a.csv -o /tmp/x.html", 78, "cannot be read"),
+    ("history /nowhere/m.yaml", 78, "cannot be read"),
     ("resid /nowhere/a.csv --model /nowhere/m.yaml", 78, "cannot be read"),
     (f"support-bundle {NOT_THERE} -o /tmp/x.zip", 78, "cannot be read"),
     ("docs diagnos", 2, "no topic is named 'diagnos', the nearest is 'diagnose'"),
@@ -220,6 +221,7 @@ def recording(tmp_path_factory):
         ("compare {recording} --model {model}", "piezod.comparison/1"),
         ("report {recording} -o {out}.html", "piezod.run_report/1"),
         ("resid {recording} --model {model}", "piezod.residual/1"),
+        ("history {model}", "piezod.history/1"),
         ("support-bundle {bench} -o {out}.zip", "piezod.support/1"),
         ("init --yes --profile labjack_t7 --no-probe -o {out}.yaml", "piezod.init/1"),
     ],

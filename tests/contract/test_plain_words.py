@@ -54,6 +54,7 @@ LIMITS = {  # room: names per 100 lines of code, phrases per 1,000 words
     "piezod/diagnose": (1.0, 4.0),
     "piezod/effects": (1.0, 4.0),
     "piezod/estimation": (0.5, 1.5),
+    "piezod/history": (0.5, 1.5),
     "piezod/identify": (0.5, 1.5),
     "piezod/model": (1.0, 5.0),
     "piezod/operators": (1.0, 1.5),

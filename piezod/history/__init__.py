@@ -1,0 +1,1 @@
+"""Models of a bench over time: their lineage, their parameters with intervals, and the changes from model to model."""

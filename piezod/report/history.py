@@ -1,0 +1,178 @@
+"""History of a bench's models as text, as a CSV table, and as a page with a panel for each parameter."""
+
+import csv
+import html
+import io
+from datetime import datetime, timedelta
+from pathlib import Path
+
+import numpy as np
+from bokeh.models import ColumnDataSource, DatetimeTicker, DatetimeTickFormatter, HoverTool, Range1d
+from bokeh.plotting import figure
+from numpy.typing import NDArray
+
+from piezod.diagnose.findings import Value
+from piezod.diagnose.verdict.words import PER_CENT, unit_words
+from piezod.history.parameters import Key
+from piezod.history.timeline import Step, Timeline
+from piezod.history.words import interval, verdict_of, wording_of
+from piezod.report.figures.layout import MOST_TICKS, apply_layout
+from piezod.report.page import Part, head_html, table_html, write_page, write_text
+from piezod.report.style import BLUE, GREY, ORANGE
+from piezod.report.text_table import text_table
+
+MARK = "*"
+NONE = "-"
+PANEL_HEIGHT = 210  # [px]
+MARGIN = 0.15  # beyond the drawn values, relative to their range
+LEAST_SPAN = 0.02  # half of the least range of a panel, relative to the largest value
+
+
+def history_text(timeline: Timeline) -> str:
+    """Table of the models, the verdict, and notes."""
+    lines = text_table(history_rows(timeline), left_aligned=2)
+    notes = [f"note: {step.entry.paths[0]}: {note}" for step in timeline.steps for note in step.notes]
+    return "\n".join([*lines, verdict_of(timeline), *notes])
+
+
+def history_rows(timeline: Timeline) -> list[list[str]]:
+    """Table with a row for each model; a parameter that has changed since the reference is marked."""
+    unit = unit_words(timeline.steps[0].entry.model.output.unit)
+    header = ["date (UTC)", "model", f"held-out error [{unit}]"]
+    return [[*header, *(key.heading(timeline.unit_of(key)) for key in timeline.keys)]] + [
+        [
+            f"{step.entry.date:%Y-%m-%d %H:%M}",
+            _name(step),
+            _number(step.entry.model.provenance.fit.rms_held_out),
+            *(_cell(step, key) for key in timeline.keys),
+        ]
+        for step in timeline.steps
+    ]
+
+
+def write_history_csv(path: Path, timeline: Timeline) -> None:
+    """Write a table with a row for each model, and value, interval and mark of each parameter.
+
+    Raises
+    ------
+    ConfigurationError
+        The file cannot be written.
+    """
+    ends = ("", "_low", "_high", "_changed")
+    names = [f"{key}{end}" for key in timeline.keys for end in ends]
+    content = io.StringIO()
+    table = csv.writer(content, lineterminator="\n")
+    table.writerow(["date", "file", "sha256", "parent", "held_out_error", *names])
+    for step in timeline.steps:
+        entry, cells = step.entry, list[object]()
+        for key in timeline.keys:
+            value = step.parameters.get(key)
+            cells += [""] * 4 if value is None else [*_digits(value), int(step.is_marked(key))]
+        error = entry.model.provenance.fit.rms_held_out
+        head = [entry.date.isoformat(), entry.paths[0], min(entry.hashes), entry.parent or ""]
+        table.writerow([*head, "" if error is None else error, *cells])
+    write_text(path, content.getvalue())
+
+
+def write_history_page(path: Path, timeline: Timeline) -> None:
+    """Write the page: verdict, a panel for each parameter, table, and notes.
+
+    Raises
+    ------
+    ConfigurationError
+        The file cannot be written.
+    """
+    words = verdict_of(timeline)
+    rows = history_rows(timeline)
+    dates = _date_range(timeline)
+    panels = [_panel(timeline, key, dates) for key in timeline.keys]
+    notes = "".join(
+        f"<li>{html.escape(f'{_name(step)}: {note}')}</li>" for step in timeline.steps for note in step.notes
+    )
+    legend = "Bars: 95 % intervals. Orange: changed since the parent, or since the model before."
+    parts: list[Part] = [
+        head_html("History of the models", f"{words[0].upper()}{words[1:]}."),
+        panels,
+        f"<p class='dim'>{legend}</p>",
+        table_html(rows[0], rows[1:]),
+        f"<h2>Notes</h2><ul>{notes}</ul>" if notes else "",
+    ]
+    write_page(path, "History", [part for part in parts if part])
+
+
+def _digits(value: Value) -> list[str]:
+    """Value and ends of its interval with ten digits."""
+    return [f"{number:.10g}" for number in (value.value, value.low, value.high)]
+
+
+def _panel(timeline: Timeline, key: Key, dates: Range1d) -> figure:
+    """Value of a parameter over time, with interval bars; marked values are orange."""
+    steps = [step for step in timeline.steps if key in step.parameters]
+    unit = timeline.unit_of(key)
+    factor = PER_CENT if unit == "1" else 1.0
+    ends = np.array([[step.parameters[key].low, step.parameters[key].high] for step in steps]) * factor
+    source = ColumnDataSource(
+        {
+            "date": [_plain(step.entry.date) for step in steps],
+            "value": [factor * step.parameters[key].value for step in steps],
+            "low": ends[:, 0],
+            "high": ends[:, 1],
+            "colour": [ORANGE if step.is_marked(key) else BLUE for step in steps],
+            "model": [_name(step) for step in steps],
+        }
+    )
+    shown = "%" if unit == "1" else wording_of(steps[0].entry.model).unit(unit)
+    plot = figure(
+        title=f"{key.heading(unit)} [{shown}]",
+        x_axis_type="datetime",
+        x_range=dates,
+        y_range=_value_range(ends),
+        height=PANEL_HEIGHT,
+    )
+    plot.line("date", "value", source=source, color=GREY)
+    plot.segment("date", "low", "date", "high", source=source, color="colour", line_width=3, alpha=0.6)
+    plot.scatter("date", "value", source=source, color="colour", size=8)
+    plot.xaxis.formatter = DatetimeTickFormatter(days="%d %b", months="%b %Y", hours="%H:%M", minutes="%H:%M")
+    plot.xaxis.ticker = DatetimeTicker(desired_num_ticks=MOST_TICKS)
+    plot.add_tools(HoverTool(tooltips=[("model", "@model"), ("value", "@value"), ("interval", "@low to @high")]))
+    return apply_layout(plot)
+
+
+def _date_range(timeline: Timeline) -> Range1d:
+    """Dates of all models with a margin, at least a minute."""
+    dates = [_plain(step.entry.date) for step in timeline.steps]
+    margin = max(MARGIN * (max(dates) - min(dates)), timedelta(seconds=30))
+    return Range1d(start=min(dates) - margin, end=max(dates) + margin)
+
+
+def _value_range(ends: NDArray[np.float64]) -> Range1d:
+    """Range of intervals, shape (N, 2), with a margin; it spans at least 4 % of the largest value."""
+    low, high = float(ends.min()), float(ends.max())
+    half = max(0.5 * (high - low) * (1.0 + 2.0 * MARGIN), LEAST_SPAN * float(np.abs(ends).max()), 1e-12)
+    middle = 0.5 * (low + high)
+    return Range1d(start=middle - half, end=middle + half)
+
+
+def _plain(date: datetime) -> datetime:
+    """Date in UTC without zone, as Bokeh draws it."""
+    return date.replace(tzinfo=None)
+
+
+def _cell(step: Step, key: Key) -> str:
+    value = step.parameters.get(key)
+    if value is None:
+        change = step.change_of(key)
+        return f"{MARK} {NONE}" if change is not None else NONE
+    middle, ends = interval(key, value, wording_of(step.entry.model))
+    text = f"{middle} ({ends})" if ends else middle
+    return f"{MARK} {text}" if step.is_marked(key) else text
+
+
+def _name(step: Step) -> str:
+    """File of a model with its folder."""
+    path = step.entry.paths[0]
+    return "/".join(path.resolve().parts[-2:])
+
+
+def _number(value: float | None) -> str:
+    return NONE if value is None else f"{value:.3g}"
