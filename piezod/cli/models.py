@@ -165,7 +165,8 @@ def simulate(
     if as_json:
         compared = None if figures is None else asdict(figures) | {"unit": plant.output.unit}
         content = {"schema": "piezod.simulation/1", "start": simulation.start, "compared": compared}
-        print(json.dumps(content | {"recording": loaded.source.model_dump(), "notes": loaded.notes}, indent=2))
+        source = loaded.source.model_dump(include={"path", "sha256", "samples", "read_as"})
+        print(json.dumps(content | {"recording": source, "notes": loaded.notes}, indent=2))
     else:
         words = "" if figures is None else f"; {figures.words(plant.output.unit)}"
         print(f"{output}: {loaded.source.samples} samples; {simulation.start}{words}")
