@@ -6,11 +6,12 @@ from pathlib import Path
 from typing import Literal
 
 from piezod import __version__
+from piezod.api.arguments import check_callable, count_of, number_of, path_of, text_of, texts_of
 from piezod.api.given import Given, Some, each_of, loaded_of, names_of, recording_of, source_of
-from piezod.api.model import Model
+from piezod.api.model import GivenModel, model_of
 from piezod.api.results import Diagnosed, Identified
 from piezod.diagnose.diagnosis import diagnose as diagnosis_of
-from piezod.errors import UsageError
+from piezod.errors import RecordingError, UsageError
 from piezod.estimation.recordings.sources import Source, past_sources
 from piezod.identify.identification import identify as identification_of
 from piezod.identify.options import Options
@@ -29,7 +30,7 @@ def read_recording(
     columns: str | None = None,
     rate_Hz: float | None = None,
     decimal: Literal[".", ","] | None = None,
-    scale: Sequence[str] = (),
+    scale: str | Sequence[str] = (),
 ) -> Recording:
     """Read a recording of any supported format.
 
@@ -45,14 +46,29 @@ def read_recording(
     decimal
         Decimal mark of a text file.
     scale
-        Conversions such as `"CH2=100 N/V"`.
+        Conversions such as `"CH2=100 N/V"`, one or several.
+
+    Returns
+    -------
+    Recording
+        The channels of the file with their units, over time in seconds.
 
     Raises
     ------
     RecordingError
         The file cannot be read, or needs a parameter, which the message names.
+    UsageError
+        An argument is of a wrong kind or outside its limits.
+
+    Examples
+    --------
+    >>> recording = piezod.read_recording("before.csv")
+    >>> sorted(recording.channels)
+    ['force_N', 'voltage_V']
     """
-    return recording_from(Path(path), TextOptions.of(columns, rate_Hz, decimal, scale))
+    conversions = texts_of(scale, "scale")
+    rate = None if rate_Hz is None else number_of(rate_Hz, "rate_Hz", above=0.0)
+    return recording_from(path_of(path), TextOptions.of(text_of(columns, "columns"), rate, decimal, conversions))
 
 
 def identify(
@@ -80,15 +96,33 @@ def identify(
     on_step
         Called with the current step in words, and the share done, if known.
 
+    Returns
+    -------
+    Identified
+        The model, its errors on held-out data, and notes on the recordings.
+
     Raises
     ------
     RecordingError
         A recording cannot be used.
+    UsageError
+        An argument is of a wrong kind or outside its limits.
+
+    Examples
+    --------
+    >>> found = piezod.identify("before.csv")
+    >>> found.useful
+    True
+    >>> found.model.save("model.yaml")
     """
     some = each_of(recordings)
-    named = {"input": input, "output": output}
+    named = {"input": text_of(input, "input"), "output": text_of(output, "output")}
+    n, m = count_of(plays, "plays", 1, 100), count_of(dead_zones, "dead_zones", 0, 30)
+    check_callable(on_step, "on_step")
+    if text_of(name, "name") is None:
+        raise UsageError("name is None, must be text")
     input_name, output_name, notes = choose_columns(Path(source_of(some[0])), names_of(some[0]), named)
-    options = Options(input=input_name, output=output_name, plays=plays, zones=dead_zones, name=name)
+    options = Options(input=input_name, output=output_name, plays=n, zones=m, name=name)
     return identified(some, options, notes, on_step)
 
 
@@ -126,7 +160,7 @@ def identified(
     return Identified(identification, tuple(recordings))
 
 
-def simulate(recording: Given, model: Model | str | os.PathLike[str], *, start_window_s: float = 1.0) -> Recording:
+def simulate(recording: Given, model: GivenModel, *, start_window_s: float = 1.0) -> Recording:
     """Simulate a model in free run over the input of a recording.
 
     Parameters
@@ -134,9 +168,10 @@ def simulate(recording: Given, model: Model | str | os.PathLike[str], *, start_w
     recording
         A path, a `Recording` or a pandas frame. Its measured output serves only to estimate the start.
     model
-        A model, or the path of its file.
+        A model, a result of `identify` or `diagnose`, or the path of a model file.
     start_window_s
-        First seconds from which the initial state is estimated, where the recording does not start at rest [s].
+        First seconds from which the initial state is estimated, at least 0 [s]. It serves where the recording does not
+        start at rest.
 
     Returns
     -------
@@ -146,17 +181,30 @@ def simulate(recording: Given, model: Model | str | os.PathLike[str], *, start_w
     Raises
     ------
     RecordingError
-        The recording lacks the model's input.
+        The recording has no samples, or lacks the model's input.
+    ConfigurationError
+        The model file cannot be read.
+    UsageError
+        An argument is of a wrong kind or outside its limits.
+
+    Examples
+    --------
+    >>> simulated = piezod.simulate("later.csv", "model.yaml")
+    >>> list(simulated.channels)
+    ['force_N']
     """
-    plant = _model(model)
+    plant = model_of(model)
+    window_s = number_of(start_window_s, "start_window_s", least=0.0)
     read, sha256 = recording_of(recording)
+    if not read.time_s.size:
+        raise RecordingError(f"{read.source}: has no samples, a simulation needs some")
     read, _ = in_units_of(read, [plant.input.channel, plant.output.channel])
-    return simulate_recording(plant, read, start_window_s, sha256=sha256).recording
+    return simulate_recording(plant, read, window_s, sha256=sha256).recording
 
 
 def diagnose(
     recordings: Some,
-    model: Model | Identified | str | os.PathLike[str],
+    model: GivenModel,
     *,
     where: str | None = None,
     within_s: float | None = None,
@@ -169,8 +217,8 @@ def diagnose(
     recordings
         One or several recordings to explain: paths, `Recording` objects or pandas frames.
     model
-        A model or the path of its file, or a result of `identify`. The recordings of the identification are compared
-        too; with a result of `identify` they need no file.
+        A model or the path of its file, or a result of `identify` or `diagnose`. The recordings of the identification
+        are compared too; with a result of `identify` they need no file.
     where
         Condition `COLUMN=VALUE` for the readings that count; None: all count.
     within_s
@@ -178,14 +226,30 @@ def diagnose(
     on_step
         Called with the current step in words, and the share done or None.
 
+    Returns
+    -------
+    Diagnosed
+        The verdict, the effects with their confidence, and the extended model.
+
     Raises
     ------
     RecordingError
         A recording cannot be used.
+    ConfigurationError
+        The model file cannot be read.
     UsageError
-        A recording is given twice.
+        A recording is given twice, or an argument is of a wrong kind or outside its limits.
+
+    Examples
+    --------
+    >>> diagnosis = piezod.diagnose("later.csv", found)
+    >>> diagnosis.effects
+    ('transport_delay',)
     """
-    plant = model.model if isinstance(model, Identified) else _model(model)
+    plant = model_of(model)
+    text_of(where, "where")
+    limit_s = None if within_s is None else number_of(within_s, "within_s", above=0.0)
+    check_callable(on_step, "on_step")
     columns = plant.input.channel, plant.output.channel
     sources = []
     for given in each_of(recordings):
@@ -200,12 +264,8 @@ def diagnose(
         past = [Source(r, entry.sha256, "identification") for r, entry in known if entry.sha256 not in hashes]
         notes = []
     else:
-        folder = Path() if isinstance(model, Model) else Path(model).parent
+        folder = Path(model).parent if isinstance(model, str | os.PathLike) else Path()
         past, notes = past_sources(plant, folder, sources)
     notes = [*(note for source in sources for note in source.notes), *notes]
-    parent = None if isinstance(model, Model | Identified) else file_sha256(Path(model))
-    return Diagnosed(diagnosis_of(plant, sources, past, notes, on_step, within_s, parent))
-
-
-def _model(model: Model | str | os.PathLike[str]) -> Model:
-    return model if isinstance(model, Model) else Model.load(model)
+    parent = file_sha256(Path(model)) if isinstance(model, str | os.PathLike) else None
+    return Diagnosed(diagnosis_of(plant, sources, past, notes, on_step, limit_s, parent))

@@ -2,9 +2,8 @@
 
 import hashlib
 import os
-from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
@@ -14,10 +13,15 @@ from piezod.model import file_sha256
 from piezod.recording import Recording, TextOptions, column_names, read_recording
 from piezod.recording.conversion import in_units_of
 
-Given = str | os.PathLike[str] | Recording | Any
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    import pandas as pd
+
+Given: TypeAlias = "str | os.PathLike[str] | Recording | pd.DataFrame"
 """A path, a `Recording`, or a pandas frame as `Recording.from_frame` takes it."""
 
-Some = Given | Sequence[Given]
+Some: TypeAlias = "Given | Sequence[Given]"
 """A recording, or a sequence of recordings."""
 
 

@@ -1,9 +1,9 @@
 """Results of `piezod.identify` and `piezod.diagnose`, with a display for notebooks."""
 
+import os
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Any
 
+from piezod.api.arguments import path_of
 from piezod.api.model import Model
 from piezod.api.notebook import curves_svg, result_html
 from piezod.diagnose.findings import Finding, UnchangedEffect
@@ -23,7 +23,15 @@ from piezod.report.identification import (
 
 @dataclass(frozen=True)
 class Identified:
-    """Result of `piezod.identify`; `recordings` are the recordings as the identification used them."""
+    """Result of `piezod.identify`; `recordings` are the recordings as the identification used them.
+
+    Examples
+    --------
+    >>> found.error < 0.2  # found = piezod.identify("before.csv"), error [N]
+    True
+    >>> found.model.name
+    'stack'
+    """
 
     identification: Identification
     recordings: tuple[Recording, ...]
@@ -53,13 +61,36 @@ class Identified:
         """Notes on the recordings."""
         return self.identification.notes
 
-    def as_dict(self) -> dict[str, Any]:
-        """The result as `piezod identify --json` prints it."""
+    def as_dict(self) -> dict[str, object]:
+        """The result as `piezod identify --json` prints it.
+
+        Returns
+        -------
+        dict
+            Numbers, texts and lists of them by name.
+
+        Examples
+        --------
+        >>> found.as_dict()["schema"]
+        'piezod.identification/1'
+        """
         return identification_as_dict(self.identification)
 
-    def write_page(self, path: str | Path) -> None:
-        """Write the page that `piezod identify --report` writes."""
-        write_identification_page(Path(path), self.identification, self.recordings)
+    def write_page(self, path: str | os.PathLike[str]) -> None:
+        """Write the page that `piezod identify --report` writes.
+
+        Raises
+        ------
+        ConfigurationError
+            The file cannot be written.
+        UsageError
+            The argument is no path.
+
+        Examples
+        --------
+        >>> found.write_page("identified.html")
+        """
+        write_identification_page(path_of(path), self.identification, self.recordings)
 
     def __str__(self) -> str:
         """The verdict."""
@@ -80,7 +111,15 @@ class Identified:
 
 @dataclass(frozen=True)
 class Diagnosed:
-    """Result of `piezod.diagnose`."""
+    """Result of `piezod.diagnose`.
+
+    Examples
+    --------
+    >>> diagnosis.effects  # diagnosis = piezod.diagnose("later.csv", found)
+    ('transport_delay',)
+    >>> [effect.name for effect in diagnosis.model.effects]
+    ['transport_delay']
+    """
 
     diagnosis: Diagnosis
 
@@ -110,13 +149,25 @@ class Diagnosed:
         return tuple(effect.name for effect in self.diagnosis.findings.kept)
 
     @property
-    def findings(self) -> dict[str, Any]:
+    def findings(self) -> dict[str, object]:
         """The content of `findings.json`."""
         return self.diagnosis.findings.as_dict()
 
-    def write_page(self, path: str | Path) -> None:
-        """Write the page that `piezod diagnose` writes."""
-        write_diagnosis_page(Path(path), self.diagnosis)
+    def write_page(self, path: str | os.PathLike[str]) -> None:
+        """Write the page that `piezod diagnose` writes.
+
+        Raises
+        ------
+        ConfigurationError
+            The file cannot be written.
+        UsageError
+            The argument is no path.
+
+        Examples
+        --------
+        >>> diagnosis.write_page("diagnosed.html")
+        """
+        write_diagnosis_page(path_of(path), self.diagnosis)
 
     def __str__(self) -> str:
         """Verdict and words."""

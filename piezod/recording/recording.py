@@ -1,7 +1,8 @@
 """`Recording`: one time axis and named channels with units, common to every file format."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -10,6 +11,9 @@ from piezod.errors import RecordingError
 from piezod.recording import stretches
 from piezod.recording.names import TIME
 from piezod.recording.stretches import Array
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 __all__ = ["TIME", "Array", "Recording", "check_time"]
 
@@ -50,6 +54,8 @@ class Recording:
     def __post_init__(self) -> None:
         """Check the time axis and the lengths of the channels; take lists and whole numbers too."""
         object.__setattr__(self, "time_s", self._numbers(TIME, self.time_s))
+        if not isinstance(self.channels, Mapping) or not all(isinstance(name, str) for name in self.channels):
+            raise RecordingError(f"{self.source}: channels must be names with values, such as {{'force_N': force_N}}")
         numbers = {name: self._numbers(name, values) for name, values in self.channels.items()}
         object.__setattr__(self, "channels", numbers)
         for name, values in numbers.items():
@@ -58,6 +64,8 @@ class Recording:
         check_time(self.source, self.time_s)
 
     def _numbers(self, name: str, values: ArrayLike) -> Array:
+        if np.iscomplexobj(values):
+            raise RecordingError(f"{self.source}: {name} holds complex numbers, must hold real ones")
         try:
             numbers: Array = np.asarray(values, dtype=np.float64)
         except (TypeError, ValueError) as error:
@@ -67,7 +75,7 @@ class Recording:
         return numbers
 
     @classmethod
-    def from_frame(cls, frame: Any, source: str = "frame") -> "Recording":  # noqa: ANN401  # pandas is optional
+    def from_frame(cls, frame: "pd.DataFrame", source: str = "frame") -> "Recording":
         """A recording from a pandas frame.
 
         Parameters
@@ -81,9 +89,16 @@ class Recording:
         Raises
         ------
         RecordingError
-            Time does not strictly increase.
+            It is no frame, a column does not hold numbers, or time does not strictly increase.
         """
-        columns = {str(name): frame[name].to_numpy(dtype=np.float64) for name in frame.columns}
+        if not hasattr(frame, "columns") or not hasattr(frame, "to_numpy"):
+            raise RecordingError(f"{source}: is a {type(frame).__name__}, must be a pandas frame")
+        columns = {}
+        for name in frame.columns:
+            try:
+                columns[str(name)] = frame[name].to_numpy(dtype=np.float64)
+            except (TypeError, ValueError) as error:
+                raise RecordingError(f"{source}: {name} must hold numbers: {error}") from None
         if TIME in columns:
             return cls(columns.pop(TIME), columns, {}, source)
         index = frame.index.to_numpy()
@@ -91,7 +106,7 @@ class Recording:
             index = (index - index[0]) / np.timedelta64(1, "s")
         return cls(index, columns, {}, source)
 
-    def frame(self) -> Any:  # noqa: ANN401  # pandas is optional
+    def frame(self) -> "pd.DataFrame":
         """The recording as a pandas frame: channels over an index `time_s`.
 
         Raises
@@ -133,7 +148,7 @@ class Recording:
             The recording has no channel of this name; the message lists its channels.
         """
         if name not in self.channels:
-            if name.removeprefix("-") in self.channels:
+            if str(name).removeprefix("-") in self.channels:
                 return -self.channels[name.removeprefix("-")]
             raise RecordingError(f"{self.source}: has no column {name}, has {', '.join(self.channels)}")
         return self.channels[name]
@@ -170,7 +185,7 @@ class Recording:
         RecordingError
             The period is not above 0, or the result would hold more than `MOST_RESAMPLED` numbers.
         """
-        if not 0 < dt_s < np.inf:
+        if not isinstance(dt_s, int | float | np.number) or not 0 < dt_s < np.inf:
             raise RecordingError(f"{self.source}: cannot be resampled to {dt_s} s, must be above 0")
         longest_s = stretches.GAP_PERIODS * self.dt_s
         steps = (self.time_s[-1] - self.time_s[0]) / dt_s
