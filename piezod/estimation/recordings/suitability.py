@@ -40,6 +40,10 @@ LEADS = 0.01
 CLEANER = 5.0
 """Ratio of output noise to input noise above which the input is a command, not a measured force."""
 
+SCATTERED = 1.0 / 3.0
+"""Share of the output's variance outside a loop, above which no columns are swapped: 409 of 410 recordings of emulated
+benches, half of them swapped, leave less; the 18 pairs of a mirror that three stacks move (CubeSpec) leave 0.4 to 1."""
+
 SATURATED = 0.25
 """Share of the input's swing over which the output may stay within 1 % of its range below the maximum."""
 
@@ -215,7 +219,8 @@ def _wrong_way(pair: _Pair) -> Iterator[str]:
     if "V" not in units or not units & ({"N"} | set(UNITS["displacement"])):
         return
     # only slow parts: above a resonance an output lags by more than half a cycle, and then seems to lead
-    opening = _opening(*(_slow_part(values, pair.u) for values in (pair.u, pair.y)))
+    slow_u, slow_y = (_slow_part(values, pair.u) for values in (pair.u, pair.y))
+    opening = _opening(slow_u, slow_y)
     if opening >= -LEADS:
         return
     line = (
@@ -224,7 +229,8 @@ def _wrong_way(pair: _Pair) -> Iterator[str]:
     )
     u, y = pair.first_and_last()
     input_noise, output_noise = _noise(u) / float(np.std(u)), _noise(y) / float(np.nanstd(y))
-    if output_noise <= max(CLEANER * input_noise, 1e-4):
+    measured = output_noise > max(CLEANER * input_noise, 1e-4)
+    if not measured and _outside_a_loop(slow_u, slow_y) <= SCATTERED:
         raise pair.refused(f"{line}: are the columns swapped? Name them the other way round")
     yield f"{line}: does the load cell's amplifier leak, or is {pair.input} recorded late?"
 
@@ -285,6 +291,14 @@ def _slow_part(values: Array, drive: Array) -> Array:
     slowest = int(np.searchsorted(np.cumsum(power), SLOW * power.sum())) + 1
     spectrum[slowest + 1 :] = 0.0
     return np.fft.irfft(spectrum, values.size)
+
+
+def _outside_a_loop(u: Array, y: Array) -> float:
+    """Share of the output's variance that a curve over the input, with one branch a direction, leaves."""
+    level = (u - u.mean()) / np.ptp(u)
+    curve = np.stack([level**power for power in range(4)], axis=1)
+    branches = np.concatenate([curve, curve * np.sign(np.gradient(u))[:, None]], axis=1)
+    return float(np.var(y - branches @ np.linalg.lstsq(branches, y, rcond=None)[0]) / np.var(y))
 
 
 def _opening(u: Array, y: Array) -> float:
