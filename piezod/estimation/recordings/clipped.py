@@ -11,6 +11,9 @@ from piezod.recording.stretches import stretches_of
 Array = NDArray[np.float64]
 
 FEWEST = 3  # stretches at an extreme reading that make it a limit: a sensor hardly freezes there repeatedly
+# largest of nine in ten steps of the reading, times this, is a jump: after a freeze the reading jumps to where it
+# would be, a limit is entered and left by a usual step
+JUMP = 2.0
 
 
 def clipped_stretches(
@@ -18,8 +21,9 @@ def clipped_stretches(
 ) -> dict[float, list[tuple[int, int]]]:
     """Clipped stretches (first, end) by their limit [N].
 
-    A limit is the highest or the lowest reading with at least `FEWEST` stretches in which the model lies mostly beyond
-    it. Then all runs of readings at the limit are clipped.
+    A limit is the highest or the lowest reading, if at least `FEWEST` stretches are there in which the model lies
+    mostly beyond it, or if the reading enters and leaves one without a jump. Then all runs of readings at the limit in
+    which the model lies beyond it are clipped.
 
     `model_N`: expected readings, shape (N,) [N]; `stretches`: stretches (first, end) of equal readings.
     """
@@ -27,9 +31,21 @@ def clipped_stretches(
     clipped: dict[float, list[tuple[int, int]]] = {}
     for limit_N, side in ((float(readings.max()), 1.0), (float(readings.min()), -1.0)):
         at_limit = [(first, end) for first, end in stretches if series.reading_N[first] == limit_N]
-        if len(_beyond(at_limit, side * model_N, side * limit_N)) >= FEWEST:
-            clipped[limit_N] = _beyond(stretches_of(series.reading_N == limit_N), side * model_N, side * limit_N)
+        continuous = [stretch for stretch in at_limit if not _jumps(series, *stretch)]
+        if continuous or len(_beyond(at_limit, side * model_N, side * limit_N)) >= FEWEST:
+            runs = stretches_of(series.reading_N == limit_N)
+            clipped[limit_N] = sorted({*continuous, *_beyond(runs, side * model_N, side * limit_N)})
     return clipped
+
+
+def _jumps(series: Series, first: int, end: int) -> bool:
+    """Whether the reading jumps where the stretch begins or ends, or whether one of both was not recorded."""
+    y = series.reading_N
+    if first == 0 or end == y.size or not (series.counts[first - 1] and series.counts[end]):
+        return True
+    steps = np.abs(np.diff(y[series.counts]))
+    usual_N = JUMP * float(np.quantile(steps[steps > 0.0], 0.9))
+    return max(abs(y[first] - y[first - 1]), abs(y[end] - y[end - 1])) > usual_N
 
 
 def _beyond(stretches: Sequence[tuple[int, int]], model_N: Array, limit_N: float) -> list[tuple[int, int]]:
