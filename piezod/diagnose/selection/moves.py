@@ -145,7 +145,8 @@ def _without_it(state: Search, best: Trial) -> Fitted:
 def refit_earlier_effects(state: Search) -> Search:
     """State with an earlier effect in another scope, with another choice or from another start, where that gains.
 
-    An effect that was fitted without the last one may have taken on its shape, and stays there.
+    An effect that was fitted without the last one may have taken on its shape, and stays there. The choices of the last
+    one were compared before its fit had arrived.
     """
     few, fitted = coarse(state.chain), state.hypothesis
     known = fit(few, fitted.terms, fitted.point, most_steps=2)
@@ -162,6 +163,10 @@ def refit_earlier_effects(state: Search) -> Search:
             (other, start) for other in (term, *terms) for start in starts
         ]
         variants += [_with_term(fitted, place, *setting) for setting in settings]
+    if fitted.loss > RULES.at_noise:
+        last, values = fitted.terms[-1], fitted.point.values[-1]
+        others = [replace(last, choices=choices) for choices in _other_choices(last)]
+        variants += [_with_term(fitted, len(fitted.terms) - 1, other, values) for other in others]
     tried = each(lambda variant: fit(few, *variant, most_steps=6), variants)
     best = min(tried, key=lambda variant: variant.loss, default=known)
     if best.loss >= RULES.better * known.loss:
