@@ -2,11 +2,12 @@
 
 Forward    x + sum_j c_j y_j, tau_j y_j' = x - x(0) - y_j. This is a Kelvin-Voigt chain with 4 elements per decade.
            Driven by the voltage u, it has W (u - u(0)) in place of x - x(0). W is the sum of the weights of the plays.
+           Driven by the force, x is the force behind the force law.
 Inverse    Subtract the predicted states, then advance them. Exact when the stroke drives the creep (derived here).
 Signature  A hold continues in the direction of the last step, straight in log t, in proportion to the step. Loops open
            equally at every frequency, so that plays absorb it. Look-alikes: thermal_drift does not follow steps,
            charge_leakage returns to the start value.
-Location   Stack, between the plays and the force law.
+Location   Stack, between the plays and the force law; driven by the force, behind the force law.
 Valid      Holds of a decade or more within from_s and to_s; to_s is at least 3 from_s.
            Without holds the plays absorb it.
 Source     Physik Instrumente (2005), Designing with Piezoelectric Transducers, creep; H. Jung and D. G. Gweon (2000),
@@ -26,7 +27,7 @@ PER_DECADE = 4  # elements per decade of time
 NARROWEST = 3.0  # smallest ratio of to_s to from_s
 FIRST_EXTRA, LAST_EXTRA = 0.596, 1.260  # added weight of the first and of the last element; see `spectrum`
 DECAYS = 3  # columns of an unknown past: 0.01, 0.14 and 2 times the duration
-PLAYS, VOLTAGE = 0, 1  # values of `driven_by`
+PLAYS, VOLTAGE, FORCE = 0.0, 1.0, 2.0  # values of `driven_by`
 
 
 def spectrum(from_s: float, to_s: float, slope: float = 0.0, seen_s: float = math.inf) -> tuple[Array, Array]:
@@ -87,7 +88,7 @@ def _decays(context: Context, values: Values) -> Array:
     return decays
 
 
-COUNT, VOLTAGE_SHARE, DRIVE_V, ELEMENTS = range(4)  # memory; then keep, ramp, weight and state of every element
+COUNT, VOLTAGE_SHARE, DRIVE_V, START, ELEMENTS = range(5)  # memory; then keep, ramp, weight and state of every element
 LONGEST_S = 1e5  # longer time constants are not compensated
 
 
@@ -97,7 +98,7 @@ def _memory(values: Values, setting: TickSetting) -> Array:
     rows = [first_order_coefficients(element_s, setting.dt_s, setting.hold.number) for element_s in tau_s]
     keep, ramp = np.array(rows).T
     by_voltage = round(values.get("driven_by", PLAYS)) == VOLTAGE
-    head = [float(tau_s.size), setting.stroke_per_V if by_voltage else 0.0, 0.0]
+    head = [float(tau_s.size), setting.stroke_per_V if by_voltage else 0.0, 0.0, 0.0]
     return np.concatenate((head, keep, ramp, values["per_decade"] * weights, np.zeros(tau_s.size)))
 
 
@@ -106,7 +107,7 @@ def _advance(own: Memory, shared: Memory, stroke_V: float) -> float:
     if own[VOLTAGE_SHARE] > 0.0:
         now_V = own[VOLTAGE_SHARE] * (shared[SHARED.now_V] - shared[SHARED.start_V])
     else:
-        now_V = stroke_V - shared[SHARED.start_stroke_V]
+        now_V = stroke_V - own[START]
     own[DRIVE_V] = now_V
     crept_V = 0.0
     for j in range(ELEMENTS, ELEMENTS + count):
@@ -128,12 +129,12 @@ def _invert(own: Memory, shared: Memory, stroke_V: float) -> float:
         shared[SHARED.used_now_V] = 1.0
         now_V = own[VOLTAGE_SHARE] * (shared[SHARED.now_V] - shared[SHARED.start_V])
         return stroke_V - constant_V - share * now_V
-    return (stroke_V - constant_V + share * shared[SHARED.start_stroke_V]) / (1.0 + share)
+    return (stroke_V - constant_V + share * own[START]) / (1.0 + share)
 
 
 def _settle(own: Memory, _shared: Memory, stroke_V: float) -> float:
     count = int(own[COUNT])
-    own[DRIVE_V] = 0.0
+    own[DRIVE_V], own[START] = 0.0, stroke_V
     for j in range(ELEMENTS + 3 * count, ELEMENTS + 4 * count):
         own[j] = 0.0
     return stroke_V
@@ -149,9 +150,10 @@ EFFECT = Effect(
         Parameter("from_s", "s", 1e-3, 10.0, Search((0.1,), logarithmic=True)),
         Parameter("to_s", "s", 1.0, 1e5, Search((1000.0, 30.0), logarithmic=True)),
         Parameter("slope", "1", -0.15, 0.15, Search((0.0,), nuisance=True)),
-        Parameter("driven_by", "1", 0.0, 1.0, Search((0.0,), nuisance=True, choices=(0.0, 1.0))),
+        Parameter("driven_by", "1", 0.0, 2.0, Search((0.0,), nuisance=True, choices=(PLAYS, VOLTAGE, FORCE))),
     ),
     forward=forward,
+    behind_law=("driven_by", FORCE),
     past=Past(DECAYS, _decays),
     handling="compensated",
     tick=Tick(_memory, _advance, _invert, _settle),

@@ -338,6 +338,8 @@ class Effect:
         The effect in the control loop; None: it does not act there.
     preview
         How a reference known ahead meets the effect; None: it delays no reading.
+    behind_law
+        STACK only: parameter and its choice with which the effect acts behind the force law; None: it never does.
     widening
         HYSTERESIS only: factor [1] and offset [V] of all play thresholds above 0, each of shape (N,).
     weights
@@ -383,6 +385,7 @@ class Effect:
     why: str = ""
     tick: Tick | None = None
     preview: Preview | None = None
+    behind_law: tuple[str, float] | None = None
     widening: Widening | None = None
     weights: tuple[str, ...] = ()
     columns: Columns | None = None
@@ -400,9 +403,19 @@ class Effect:
     repeats: bool = True
     checks: Checks = field(default_factory=Checks)
     _by_name: dict[str, Parameter] = field(init=False, repr=False, compare=False, default_factory=dict)
+    _places: list["Effect"] = field(init=False, repr=False, compare=False, default_factory=list)
 
     def __post_init__(self) -> None:
         self._by_name.update({one.name: one for one in self.parameters})
+        if self.behind_law is not None and self.location is Location.STACK:
+            moved = replace(self, location=Location.MECHANICS)
+            self._places[:] = moved._places[:] = self, moved  # noqa: SLF001  # of the same class
+
+    def at(self, values: Values) -> "Effect":
+        """The effect at the location that its choices among `values` give it."""
+        if self.behind_law is None:
+            return self
+        return self._places[values.get(self.behind_law[0]) == self.behind_law[1]]
 
     @property
     def size(self) -> Parameter:

@@ -29,7 +29,6 @@ class Shared(NamedTuple):
     now_V: int  # voltage at the stack at the end of this tick; the best guess while it is planned
     committed_V: int  # voltage at the stack at the end of the tick committed last
     start_V: int  # voltage at the stack at the start
-    start_stroke_V: int  # output of the plays at the start
     runs_straight: int  # 1: the voltage runs straight through this tick; 0: it is held
     factor: int  # factor of the play thresholds in this tick
     offset_V: int  # offset of the play thresholds in this tick

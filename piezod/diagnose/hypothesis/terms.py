@@ -28,6 +28,9 @@ class Term:
     choices: tuple[tuple[str, float], ...] = ()  # names and values of the parameters that take a few values only
     held: bool = False  # whether the parameters stay at their values: an effect of the given model that has not changed
 
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "effect", self.effect.at(dict(self.choices)))
+
     def acts_on(self, number: int, series: Series) -> bool:
         """Whether the effect acts in a recording."""
         if self.scope == "once":

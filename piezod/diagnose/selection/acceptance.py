@@ -18,6 +18,13 @@ Array = NDArray[np.float64]
 SMALLEST_CHANGE, FEWEST_BLOCKS = 1e-3, 4  # blocks whose logarithmic loss changes, and how many a steadiness needs
 
 
+def loss_by_choices(fitted: Fitted) -> float:
+    """Loss by which the choices of an effect are compared; one that is not the first of its parameter must gain."""
+    first = [(p.name, p.search.choices[0]) for term in fitted.terms for p in term.effect.parameters if p.search.choices]
+    chosen = [choice for term in fitted.terms for choice in term.choices]
+    return float(fitted.loss / RULES.better ** sum(choice not in first for choice in chosen))
+
+
 def worth(before: Fitted, after: Fitted) -> bool:
     """Whether an effect gains enough on blocks left out: the steadier it gains in them, the less it must gain."""
     before, after = comparable(before, after)

@@ -16,7 +16,14 @@ from piezod.diagnose.hypothesis.sampling import coarse, fit_from_each, with_best
 from piezod.diagnose.hypothesis.stack_change import NAMES, with_stack_changed
 from piezod.diagnose.hypothesis.terms import Point, Term
 from piezod.diagnose.rules import RULES
-from piezod.diagnose.selection.acceptance import accepted, comparison_loss, degenerate, penalised_loss, worth
+from piezod.diagnose.selection.acceptance import (
+    accepted,
+    comparison_loss,
+    degenerate,
+    loss_by_choices,
+    penalised_loss,
+    worth,
+)
 from piezod.diagnose.selection.candidates import Candidates, Trial
 from piezod.diagnose.selection.corners import with_corners
 from piezod.diagnose.selection.given_effects import reordered
@@ -168,7 +175,7 @@ def refit_earlier_effects(state: Search) -> Search:
         others = [replace(last, choices=choices) for choices in _other_choices(last)]
         variants += [_with_term(fitted, len(fitted.terms) - 1, other, values) for other in others]
     tried = each(lambda variant: fit(few, *variant, most_steps=6), variants)
-    best = min(tried, key=lambda variant: variant.loss, default=known)
+    best = min(tried, key=loss_by_choices, default=known)
     if best.loss >= RULES.better * known.loss:
         return state
     return replace(state, hypothesis=fit(state.chain, best.terms, best.point))
@@ -185,7 +192,7 @@ def _starts(chain: Chain, term: Term) -> list[dict[str, float]]:
     """Starts of an effect with several parameters: one may stand in for another."""
     if term.scope == "once" or len(term.searched) < SEVERAL:
         return []
-    ideas = [values for effect, values, choices in catalogue_starts(chain, [], {}) if effect is term.effect]
+    ideas = [values for effect, values, choices in catalogue_starts(chain, [], {}) if effect.name == term.effect.name]
     return ideas[:OTHER_STARTS]
 
 

@@ -15,6 +15,7 @@ from piezod.diagnose.hypothesis.fit import Fitted, Normal, fit
 from piezod.diagnose.hypothesis.parallel import each
 from piezod.diagnose.hypothesis.sampling import COARSE_STEPS, FINE_STEPS, coarse, with_equal_starts
 from piezod.diagnose.hypothesis.terms import Point, Scope, Term
+from piezod.diagnose.selection.acceptance import loss_by_choices
 from piezod.effects import EFFECTS
 from piezod.recording.hold import STRAIGHT
 
@@ -181,7 +182,7 @@ def _best_variant(chain: Chain, best: Fitted, back: int) -> Fitted:
     for parameter in best.terms[place].effect.parameters:
         for choice in parameter.search.choices:
             if (parameter.name, choice) not in best.terms[place].choices:
-                best = min(best, _variant(chain, best, place, choice=(parameter.name, choice)), key=_loss)
+                best = min(best, _variant(chain, best, place, choice=(parameter.name, choice)), key=loss_by_choices)
     return best
 
 

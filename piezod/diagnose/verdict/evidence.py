@@ -126,7 +126,7 @@ def gone_finding(result: Search, name: str, given: Model) -> Finding:
     finding = finding_about(
         effect,
         confidence_of(float(np.log(full.loss / fitted.loss)), ()),
-        next(term.scope for term in result.base.terms if term.effect is effect),
+        next(term.scope for term in result.base.terms if term.effect.name == effect.name),
         (),
         was,
         (held_out_rms(chain, full), held_out_rms(chain, fitted)),
@@ -225,7 +225,7 @@ def _rivals(result: Search, term: Term) -> tuple[Rival, ...]:
     """
     behind: dict[str, float] = {}
     for round_ in result.rounds:
-        if round_.accepted.terms[-1].effect is term.effect:
+        if round_.accepted.effects[-1] == term.effect.name:
             others = [other for other in round_.others if other.effects[-1] not in result.names]
             without = round_.before.loss
             losses = {

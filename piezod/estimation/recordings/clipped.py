@@ -21,9 +21,9 @@ def clipped_stretches(
 ) -> dict[float, list[tuple[int, int]]]:
     """Clipped stretches (first, end) by their limit [N].
 
-    A limit is the highest or the lowest reading, if at least `FEWEST` stretches are there in which the model lies
-    mostly beyond it, or if the reading enters and leaves one without a jump. Then all runs of readings at the limit in
-    which the model lies beyond it are clipped.
+    A limit is the highest or the lowest reading. At least `FEWEST` stretches are there in which the model lies mostly
+    beyond it, or the reading enters and leaves one without a jump. Then all runs of readings at the limit in which the
+    model lies beyond it are clipped.
 
     `model_N`: expected readings, shape (N,) [N]; `stretches`: stretches (first, end) of equal readings.
     """
@@ -45,7 +45,7 @@ def _jumps(series: Series, first: int, end: int) -> bool:
         return True
     steps = np.abs(np.diff(y[series.counts]))
     usual_N = JUMP * float(np.quantile(steps[steps > 0.0], 0.9))
-    return max(abs(y[first] - y[first - 1]), abs(y[end] - y[end - 1])) > usual_N
+    return bool(max(abs(y[first] - y[first - 1]), abs(y[end] - y[end - 1])) > usual_N)
 
 
 def _beyond(stretches: Sequence[tuple[int, int]], model_N: Array, limit_N: float) -> list[tuple[int, int]]:

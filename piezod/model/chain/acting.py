@@ -34,7 +34,8 @@ def acting_in(model: Model, sha256: str | None) -> list[tuple[Effect, Mapping[st
     """
     order = {name: place for place, name in enumerate(EFFECTS)}
     acting = [entry for entry in model.effects if entry.recording is None or entry.recording == sha256]
-    return [(EFFECTS[entry.name], entry.parameters) for entry in sorted(acting, key=lambda entry: order[entry.name])]
+    ordered = sorted(acting, key=lambda entry: order[entry.name])
+    return [(EFFECTS[entry.name].at(entry.parameters), entry.parameters) for entry in ordered]
 
 
 def refuse_uncompensated(acting: Collection[str]) -> None:

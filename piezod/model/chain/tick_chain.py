@@ -116,7 +116,7 @@ class TickChain:
         )
         true_force, hold = 0, HELD_ONE_SAMPLE
         for name, values in self.acting.items():
-            effect = EFFECTS[name]
+            effect = EFFECTS[name].at(values)
             behind_force = effect.location > Location.STACK and (effect.tick is None or effect.tick.invert is None)
             if effect.tick is not None and effect.tick.advance is not None and (reads or not behind_force):
                 now = replace(setting, hold=hold)

@@ -146,10 +146,9 @@ def settle_chain(program: Program, state: Array) -> None:
     voltage_V = state[HEADER + 2 * plays]  # the play with threshold 0 equals its input
     state[at + SHARED.before_V] = state[at + SHARED.now_V] = state[at + SHARED.committed_V] = voltage_V
     state[at + SHARED.start_V] = voltage_V
-    state[at + SHARED.start_stroke_V] = play_value(state, HEADER, plays)
     _forward(program, state, AMPLIFIER, SETTLE, voltage_V)
     _forward(program, state, HYSTERESIS, SETTLE, voltage_V)
-    stroke_V = _forward(program, state, STACK, SETTLE, state[at + SHARED.start_stroke_V])
+    stroke_V = _forward(program, state, STACK, SETTLE, play_value(state, HEADER, plays))
     force_N = _force(program, state, SETTLE, stroke_V)
     state[at + SHARED.force_N] = force_N
     _forward(program, state, READING, SETTLE, force_N)
