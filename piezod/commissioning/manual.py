@@ -44,7 +44,10 @@ _EXAMPLES = {
     "bench": ("config/bench.yaml", "A bench file, with a comment on every key"),
     "emulator": ("config/emulator.yaml", "A configuration of the emulated bench"),
 }
-_CSS = PAGE_CSS + "pre { background: var(--soft); padding: 8px 12px; overflow-x: auto; } main { max-width: 900px; }"
+_CSS = f"""{PAGE_CSS}
+pre {{ background: var(--soft); padding: 8px 12px; overflow-x: auto; }}
+main {{ max-width: 900px; }} nav {{ margin-bottom: 14px; }}
+"""
 _TEMPLATE = """<!DOCTYPE html>
 <html lang="en">
 <head>
@@ -177,7 +180,7 @@ def _html_of(topic: Topic, names: dict[str, str]) -> str:
         is_dead = False
         for child in token.children or ():
             if child.type == "image":
-                _make_text(child, child.content)  # the wheel holds no pictures
+                _make_text(child, f"[Picture: {child.content}]")  # the wheel holds no pictures
             elif child.type == "link_open":
                 target = _target(str(child.attrGet("href")), topic.path, names)
                 is_dead = target is None

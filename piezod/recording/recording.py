@@ -90,6 +90,12 @@ class Recording:
         ------
         RecordingError
             It is no frame, a column does not hold numbers, or time does not strictly increase.
+
+        Examples
+        --------
+        >>> again = piezod.Recording.from_frame(recording.frame())
+        >>> bool((again.time_s == recording.time_s).all())
+        True
         """
         if not hasattr(frame, "columns") or not hasattr(frame, "to_numpy"):
             raise RecordingError(f"{source}: is a {type(frame).__name__}, must be a pandas frame")
@@ -113,6 +119,11 @@ class Recording:
         ------
         ImportError
             pandas is not installed.
+
+        Examples
+        --------
+        >>> list(recording.frame().columns)
+        ['voltage_V', 'force_N']
         """
         import pandas as pd  # noqa: PLC0415  # optional
 
@@ -146,6 +157,11 @@ class Recording:
         ------
         RecordingError
             The recording has no channel of this name; the message lists its channels.
+
+        Examples
+        --------
+        >>> recording.channel("force_N").shape == recording.time_s.shape
+        True
         """
         if name not in self.channels:
             if str(name).removeprefix("-") in self.channels:
@@ -160,11 +176,22 @@ class Recording:
         ------
         RecordingError
             The recording has no channel of this name.
+
+        Examples
+        --------
+        >>> int(recording.missing("force_N").sum())
+        0
         """
         return np.isnan(self.channel(channel))
 
     def part(self, rows: slice) -> "Recording":
-        """Some of the rows, with all channels."""
+        """Some of the rows, with all channels.
+
+        Examples
+        --------
+        >>> recording.part(slice(0, 100)).time_s.size
+        100
+        """
         channels = {name: values[rows] for name, values in self.channels.items()}
         return Recording(self.time_s[rows], channels, self.metadata, self.source)
 
@@ -184,6 +211,11 @@ class Recording:
         ------
         RecordingError
             The period is not above 0, or the result would hold more than `MOST_RESAMPLED` numbers.
+
+        Examples
+        --------
+        >>> recording.resampled(0.01).time_s.size
+        1200
         """
         if not isinstance(dt_s, int | float | np.number) or not 0 < dt_s < np.inf:
             raise RecordingError(f"{self.source}: cannot be resampled to {dt_s} s, must be above 0")

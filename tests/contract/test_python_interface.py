@@ -3,6 +3,7 @@
 import ast
 import contextlib
 import doctest
+import importlib.util
 import inspect
 import re
 import shutil
@@ -20,7 +21,7 @@ ROOT = Path(__file__).parents[2]
 NAN, INF = float("nan"), float("inf")
 TIME_S = np.arange(0.0, 12.0, 0.005)
 VOLTAGE_V = 11.0 * TIME_S * (1.0 - abs(1.0 - TIME_S % 2.0))
-NEVER_FAIL = {"Inverse.reset", "Identified.as_dict", "History.as_dict"}
+NEVER_FAIL = {"Inverse.reset", "Identified.as_dict", "History.as_dict", "Recording.part"}
 
 
 def public_callables():
@@ -29,7 +30,7 @@ def public_callables():
         thing = getattr(piezod, name)
         if inspect.isfunction(thing):
             yield name, thing
-        elif inspect.isclass(thing) and thing.__module__.startswith("piezod.api"):
+        elif inspect.isclass(thing) and thing.__module__.startswith(("piezod.api", "piezod.recording")):
             for method in vars(thing):
                 found = getattr(getattr(thing, method), "__func__", getattr(thing, method))  # of a class method
                 if inspect.isfunction(found) and not method.startswith("_"):
@@ -85,12 +86,16 @@ def test_a_docstring_states_result_errors_and_an_example(name):
         title for title in ("Returns", "Raises", "Examples") if re.search(rf"^{title}\n-+$", text, re.MULTILINE)
     }
     without = ({"Returns"} if returned in (None, "None") else set()) | ({"Raises"} if name in NEVER_FAIL else set())
+    if name.startswith("Recording."):
+        without |= {"Returns"}  # their first line and their type say it
     assert sections == {"Returns", "Raises", "Examples"} - without
 
 
 def test_every_example_gives_what_it_shows(names, folder):
     classes = {name: getattr(piezod, name) for name in piezod.__all__ if inspect.isclass(getattr(piezod, name))}
     texts = {name: inspect.getdoc(thing) or "" for name, thing in (CALLABLES | classes).items()}
+    if importlib.util.find_spec("pandas") is None:
+        texts = {name: text for name, text in texts.items() if ".frame()" not in text}
     run = 0
     with contextlib.chdir(folder):
         for name, text in texts.items():

@@ -125,6 +125,13 @@ def test_a_command_of_the_analysis_ends_with_0(line, folder, recording, tmp_path
     assert "Traceback" not in done.stderr
 
 
+def test_a_lack_of_descriptors_is_named_without_their_limit(folder):
+    done = python(
+        folder, "from piezod.cli.root import _shortage; import errno; print(_shortage(OSError(errno.EMFILE, '')))"
+    )
+    assert done.stdout == "too many open files; end other programs\n", done.stderr
+
+
 @pytest.mark.parametrize("line", ["run {bench}", "check {bench}", "record {bench} --excitation staircase -o x.csv"])
 def test_a_command_that_drives_says_in_a_line_that_it_needs_linux(line, folder):
     done = python(folder, COMMANDS, *line.format(bench=BENCH).split())

@@ -55,6 +55,7 @@ def test_a_link_to_a_file_that_is_not_installed_becomes_text(monkeypatch, tmp_pa
 
 
 def test_a_page_loads_nothing_from_elsewhere(pages):
+    assert "[Picture: Live page of a running bench" in pages["overview"]
     assert [name for name, page in pages.items() if re.search(r"<img|<script|<link|src=|@import", page)] == []
 
 

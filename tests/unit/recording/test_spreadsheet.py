@@ -1,6 +1,10 @@
 """Workbooks: the cells of a sheet are understood as the text that a spreadsheet exports."""
 
+import io
+import json
+import sys
 import zipfile
+from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
@@ -8,6 +12,7 @@ import pytest
 
 from piezod.errors import RecordingError
 from piezod.recording import TextOptions, read_recording, write_recording
+from piezod.recording.formats.spreadsheet_export import run_child
 from tests.benches.messy_files import recorded
 
 pytest.importorskip("python_calamine", reason="python-calamine is not installed")
@@ -111,3 +116,13 @@ def test_a_workbook_is_no_csv_and_is_not_written(tmp_path):
     renamed = path.rename(tmp_path / "rec.csv")
     with pytest.raises(RecordingError, match="holds a workbook, its suffix says CSV; rename it"):
         read_recording(renamed)
+
+
+def test_a_system_that_sets_no_limits_reads_a_workbook(tmp_path, monkeypatch, capsys):
+    rows = [["time_s", "force_N"], *([0.01 * k, 2.0 * k] for k in range(20))]
+    path = workbook(tmp_path / "book.xlsx", {"notes": [["text"]], "run": rows})
+    request = {"path": str(path), "exported": str(tmp_path / "run.tsv"), "options": asdict(TextOptions())}
+    monkeypatch.setitem(sys.modules, "resource", None)
+    monkeypatch.setattr("sys.stdin", io.StringIO(json.dumps(request)))
+    run_child()
+    assert json.loads(capsys.readouterr().out) == {"sheet": "run"}
