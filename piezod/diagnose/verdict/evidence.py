@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from piezod.diagnose.findings import Base, Finding, Place, Rival, Status, UnchangedEffect, Value
 from piezod.diagnose.hypothesis.stack_change import NAMES
 from piezod.diagnose.hypothesis.terms import Term
+from piezod.diagnose.rules import RULES
 from piezod.diagnose.selection.acceptance import comparison_loss
 from piezod.diagnose.selection.given_effects import as_given, refitted_without
 from piezod.diagnose.selection.search_state import Search
@@ -30,6 +31,9 @@ INTERVAL_FACTOR, FORM_ERROR = 2.0, 0.015
 Of 24 parameters of 33 concealed benches, 13 lay in the intervals of the blocks alone, and 21 in these."""
 WIDEST_SPREAD = 20.0  # largest half interval on the search scale; beyond it the parameter is undetermined
 LAG_ERROR = 1.0 / 8.0  # largest error of a sub-sample delay beside a lag [samples]: f (1 - f) / 2 for its fraction f
+AT_NOISE = (
+    1.5  # mean square [noise variance] up to which a general effect explains all; foreign benches leave 2 and more
+)
 NO_RIVAL = 3.0  # separation assumed if there is no rival [noise rms]
 
 
@@ -194,7 +198,8 @@ def _noncongruent_share(result: Search, place: int) -> Value:
     """Rms of the stroke that depends on the bias over the rms of the plays, in the diagnosed recordings [1].
 
     Lower end: the part that neither plays nor a curve of the command follow. Upper end: 1, since the congruent share of
-    an unknown hysteresis is unknown.
+    an unknown hysteresis is unknown. Where the whole hypothesis reaches the noise, and not without that part, the share
+    is that part alone. Its interval is what noise leaves of as many weights.
     """
     chain, fitted = result.chain, result.hypothesis
     congruent_values = {
@@ -202,7 +207,7 @@ def _noncongruent_share(result: Search, place: int) -> Value:
     }
     others = tuple(congruent_values if k == place else values for k, values in enumerate(fitted.point.values))
     congruent = replace(fitted.point, values=others)
-    shares = []
+    shares, needed, errors = [], [], []
     for k, series in enumerate(chain.series):
         if series.role == "recording":
             rows = chain.rows[k]
@@ -213,8 +218,15 @@ def _noncongruent_share(result: Search, place: int) -> Value:
             unfollowed_V = added_V - columns @ np.linalg.lstsq(columns, added_V, rcond=None)[0]
             lags_V = max(float(np.std(plays_V @ fitted.point.density)), 1e-12)
             shares.append((float(np.std(unfollowed_V)) / lags_V, float(np.std(added_V)) / lags_V))
+            gain = float(np.std(full.reading_N) / np.std(full.stroke_V))
+            noise_V = np.sqrt(fitted.loss) * series.noise_N / gain
+            needed.append(float(np.var(unfollowed_V)) > RULES.worth * noise_V**2)
+            errors.append(noise_V / lags_V * np.sqrt(len(fitted.terms[place].weights) / unfollowed_V.size))
     low, value = np.clip(np.mean(shares, axis=0), 0.0, 1.0).tolist()
-    return Value(value, "1", low, 1.0)
+    if fitted.loss > AT_NOISE or not any(needed):
+        return Value(value, "1", low, 1.0)
+    error = NORMAL_95 * float(np.mean(errors))
+    return Value(low, "1", max(low - error, 0.0), min(low + error, 1.0))
 
 
 def _rivals(result: Search, term: Term) -> tuple[Rival, ...]:
