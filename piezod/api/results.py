@@ -2,8 +2,10 @@
 
 import os
 from dataclasses import dataclass
+from typing import cast
 
 from piezod.api.arguments import path_of
+from piezod.api.findings_document import FindingsDocument
 from piezod.api.model import Model
 from piezod.api.notebook import curves_svg, result_html
 from piezod.diagnose.findings import Finding, UnchangedEffect
@@ -149,9 +151,9 @@ class Diagnosed:
         return tuple(effect.name for effect in self.diagnosis.findings.kept)
 
     @property
-    def findings(self) -> dict[str, object]:
+    def findings(self) -> FindingsDocument:
         """The content of `findings.json`."""
-        return self.diagnosis.findings.as_dict()
+        return cast("FindingsDocument", self.diagnosis.findings.as_dict())
 
     def write_page(self, path: str | os.PathLike[str]) -> None:
         """Write the page that `piezod diagnose` writes.

@@ -5,14 +5,20 @@ import contextlib
 import doctest
 import importlib.util
 import inspect
+import json
 import re
 import shutil
+from dataclasses import replace
 from pathlib import Path
+from types import UnionType
+from typing import Literal, Union, get_args, get_origin, get_type_hints, is_typeddict
 
 import numpy as np
 import pytest
 
 import piezod
+from piezod.api.findings_document import FindingsDocument, ParameterEntry
+from piezod.diagnose.findings import Base, HeldOut, Place, UnchangedEffect, Unnamed, Unrecorded, Value
 from piezod.errors import ConfigurationError, PiezodError, RecordingError, UsageError
 from piezod.model import load_model
 from piezod.recording import write_recording
@@ -112,6 +118,61 @@ def test_every_example_gives_what_it_shows(names, folder):
 def test_no_signature_leaves_a_type_open(path):
     tree = ast.parse(path.read_text(encoding="utf-8"))
     assert [node.lineno for node in ast.walk(tree) if isinstance(node, ast.Name) and node.id == "Any"] == []
+
+
+def departures(kind, value, place="findings"):
+    """Places of a document where it departs from its type."""
+    origin, arguments = get_origin(kind), get_args(kind)
+    if is_typeddict(kind):
+        return entry_departures(kind, value, place) if isinstance(value, dict) else [f"{place}: {value!r}"]
+    if origin in (Union, UnionType):
+        return min((departures(option, value, place) for option in arguments), key=len)
+    if origin in (list, dict):
+        if not isinstance(value, origin):
+            return [f"{place}: {value!r}"]
+        entries = enumerate(value) if origin is list else value.items()
+        return [one for key, entry in entries for one in departures(arguments[-1], entry, f"{place}.{key}")]
+    fits = value in arguments if origin is Literal else isinstance(value, (int, float) if kind is float else kind)
+    return [] if fits else [f"{place}: {value!r}"]
+
+
+def entry_departures(kind, value, place):
+    """The same for an object with named keys."""
+    keys, hints = set(value), get_type_hints(kind)
+    wrong = [f"{place}: {keys ^ set(hints)}"] if keys - set(hints) or kind.__required_keys__ - keys else []
+    return wrong + [one for key in keys & set(hints) for one in departures(hints[key], value[key], f"{place}.{key}")]
+
+
+@pytest.mark.parametrize("example", ["found", "seen", "law"])
+def test_findings_have_the_types_that_a_checker_is_given(example, names):
+    findings = names["diagnosis"].diagnosis.findings
+    place = Place("voltage_V", 0.0, 1.0)
+    value = Value(1.0, "s", 0.9, 1.1)
+    changed = {
+        "found": {},
+        "seen": {
+            "kept": (UnchangedEffect("creep", {"from_s": value}, seen=True),),
+            "base": Base(changed=True, gain=value, loops=value, where=(place,)),
+            "held_out": (HeldOut("a.csv", "0", 1.0, 0.5),),
+            "effects": tuple(replace(effect, was=effect.parameters) for effect in findings.effects),
+            "floor_from": "repeats",
+        },
+        "law": {
+            "law": Unnamed(("voltage_V",), (0.1, 1.0), already=True, before=1.0, after=0.5, p=0.01),
+            "unrecorded": Unrecorded(1.0, gain=True, keeps_s=2.0),
+            "where": (place,),
+        },
+    }
+    document = json.loads(json.dumps(replace(findings, **changed[example]).as_dict()))
+    assert departures(FindingsDocument, document) == []
+
+
+def test_a_departure_from_the_types_is_seen():
+    right = {"value": 1.0, "unit": "s", "low": 0.0, "high": 2.0}
+    assert departures(ParameterEntry, right | {"was": right}) == []
+    assert departures(ParameterEntry, right | {"more": 1}) != []
+    assert departures(ParameterEntry, right | {"value": "1"}) == ["findings.value: '1'"]
+    assert departures(ParameterEntry, {"value": 1.0}) != []
 
 
 # Expression, and what its answer begins with.
