@@ -2,6 +2,7 @@
 
 import os
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Literal
 
@@ -11,11 +12,14 @@ from piezod.api.given import Given, Some, each_of, loaded_of, names_of, recordin
 from piezod.api.model import GivenModel, model_of
 from piezod.api.results import Diagnosed, Identified
 from piezod.diagnose.diagnosis import diagnose as diagnosis_of
+from piezod.diagnose.verdict.identified import identified_information
 from piezod.errors import RecordingError, UsageError
+from piezod.estimation.recordings.intake import LoadedRecording
 from piezod.estimation.recordings.sources import Source, past_sources
 from piezod.identify.identification import identify as identification_of
 from piezod.identify.options import Options
 from piezod.identify.simulation import simulate_recording
+from piezod.model import Model as Plant
 from piezod.model import file_sha256
 from piezod.recording import Recording, TextOptions
 from piezod.recording import read_recording as recording_from
@@ -157,6 +161,8 @@ def identified(
         notes=[*notes, *(note for part in loaded for note in part.notes)],
         on_step=on_step,
     )
+    if identification.useful:
+        identification = replace(identification, model=_with_information(identification.model, loaded))
     return Identified(identification, tuple(recordings))
 
 
@@ -269,3 +275,12 @@ def diagnose(
     notes = [*(note for source in sources for note in source.notes), *notes]
     parent = file_sha256(Path(model)) if isinstance(model, str | os.PathLike) else None
     return Diagnosed(diagnosis_of(plant, sources, past, notes, on_step, limit_s, parent))
+
+
+def _with_information(model: Plant, loaded: Sequence[LoadedRecording]) -> Plant:
+    """Model with the information of its recordings; without it where a recording is too short for that."""
+    sources = [Source(part.recording, part.sha256, "identification") for part in loaded]
+    try:
+        return model.model_copy(update={"information": identified_information(model, sources)})
+    except RecordingError:
+        return model

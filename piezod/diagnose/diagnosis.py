@@ -51,6 +51,10 @@ Array = NDArray[np.float64]
 
 WITHOUT_NOISE: dict[Verdict, Verdict] = {"matches": "not_testable", "explained": "partly_explained"}
 """Verdict if the noise is unknown: then nothing shows that the residual is noise."""
+WITHOUT_INFORMATION = (
+    "the model file states no information on its parameters, as in files of older versions, and no recording of its "
+    "identification is there; the model's own simulation replaces them"
+)
 SEARCHED = 0.65  # share of a limited time after which the search ends; the checks need the rest
 COSTS = 0.1  # largest cost of a monotone loading curve, as a share of the gain or of the loss
 STILL_GAINS = 0.5  # least gain of a rival with a monotone curve, as a share of the gain without
@@ -138,6 +142,8 @@ def _inputs(
     given_runs = GivenRuns.of(model, sources, series)
     if not past:
         series.insert(0, substitute_recording(model))
+        if model.information is None:
+            all_notes.append(WITHOUT_INFORMATION)
     if not given_runs.law_holds:
         all_notes.append("the unnamed law of the given model makes the recordings worse, and is left out")
     frozen = {number: list(recording.frozen) for number, recording in enumerate(series) if recording.frozen}

@@ -27,6 +27,7 @@ from piezod.diagnose.selection.significance import with_discovery_rates
 from piezod.diagnose.verdict.direct_findings import direct_findings
 from piezod.diagnose.verdict.evidence import base_of, finding_of, gone_finding, unchanged_effects
 from piezod.diagnose.verdict.extended import extended_model, with_error
+from piezod.diagnose.verdict.information import information_of
 from piezod.diagnose.verdict.simulated import FreeRun, GivenRuns, free_run, tared_rms
 from piezod.diagnose.verdict.tone_findings import is_unchanged_tone, tone_finding, with_tone_terms
 from piezod.diagnose.verdict.verdict import (
@@ -284,7 +285,9 @@ class DiagnosisInputs:
         after = tared_rms(runs)
         if not result.differs and (after >= RULES.better * before or above_noise(after, floor, span)):
             return given
-        return _WrittenModel(with_error(extended, after), after, runs)
+        information = information_of(result.chain, result.hypothesis, extended, self.hashes)
+        extended = with_error(extended.model_copy(update={"information": information}), after)
+        return _WrittenModel(extended, after, runs)
 
     def _with_new_base(self, extended: Model) -> Model:
         """Model of a changed stack: only the diagnosed recordings belong to its base."""

@@ -109,9 +109,9 @@ def _notes(
     if differ > SAME_RANGE * (driven[1] - driven[0]):
         unit = models[0].input.unit
         notes.append(f"gain and loop width refer to the common range, {driven[0]:.4g} to {driven[1]:.4g} {unit}")
-    assumed = assumed_intervals()
+    assumed = dict.fromkeys(name for model in models for name in assumed_intervals(model))
     if assumed:
-        notes.append(assumed_words(assumed))
+        notes.append(assumed_words(list(assumed)))
     once = sorted({effect.name for model in models for effect in model.effects if effect.recording is not None})
     if once:
         notes.append(f"effects of a single recording are not compared: {', '.join(once)}")

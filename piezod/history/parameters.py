@@ -56,7 +56,7 @@ def parameters_of(model: Model, driven: tuple[float, float] | None = None) -> di
     figures = base_figures(model.hysteresis, low, high)
     gain_unit = f"{model.output.unit}/{model.input.unit}"
     values = {
-        Key(BASE, name): _base_value(name, value, unit)
+        Key(BASE, name): _base_value(model, name, value, unit)
         for name, value, unit in ((GAIN, figures.gain, gain_unit), (LOOP_WIDTH, figures.loop_width_percent, "%"))
     }
     for entry in model.effects:
@@ -70,9 +70,9 @@ def parameters_of(model: Model, driven: tuple[float, float] | None = None) -> di
     return values
 
 
-def assumed_intervals() -> list[str]:
+def assumed_intervals(model: Model) -> list[str]:
     """Figures of the base without an interval in the file, as in files of older versions."""
-    return list(ASSUMED)
+    return [] if model.information is not None else list(ASSUMED)
 
 
 def assumed_words(names: Sequence[str]) -> str:
@@ -81,6 +81,11 @@ def assumed_words(names: Sequence[str]) -> str:
     return f"intervals that the file does not state, as in files of older versions, are assumed: {listed}"
 
 
-def _base_value(name: str, value: float, unit: str) -> Value:
-    half = ASSUMED[name] * abs(value)
-    return Value(value, unit, value - half, value + half)
+def _base_value(model: Model, name: str, value: float, unit: str) -> Value:
+    """Figure of the base with its interval; the interval of another range of the input is scaled."""
+    if model.information is None:
+        low, high = 1.0 - ASSUMED[name], 1.0 + ASSUMED[name]
+    else:
+        ends = getattr(model.information, name)
+        low, high = (2.0 * end / (ends[0] + ends[1]) for end in ends)
+    return Value(value, unit, value * low, value * high)

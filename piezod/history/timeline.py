@@ -102,7 +102,7 @@ def _notes(
         notes.append(f"its parent, SHA-256 {entry.parent[:12]}, is not among these files{compared}")
     elif entry.parent is None and reference is not None:
         notes.append(f"identified, without a parent{compared}")
-    assumed = assumed_intervals()
+    assumed = assumed_intervals(entry.model)
     if assumed:
         notes.append(assumed_words(assumed))
     exact = [str(key) for key, value in parameters.items() if value.low == value.high]
@@ -123,6 +123,7 @@ def _step_as_dict(step: Step) -> dict[str, Any]:
             entry.model_dump(exclude_none=True) for entry in (*provenance.recordings, *provenance.diagnosed)
         ],
         "held_out_error": {"value": provenance.fit.rms_held_out, "unit": model.output.unit},
+        "noise": {"value": None if model.information is None else model.information.noise, "unit": model.output.unit},
         "parameters": {
             str(key): value.as_dict() | {"changed": step.is_marked(key)} for key, value in step.parameters.items()
         },

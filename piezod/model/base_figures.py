@@ -3,8 +3,11 @@
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from piezod.model.parameters import Hysteresis
+
+Array = NDArray[np.float64]
 
 BRANCH = 400  # samples of a branch of the loop
 
@@ -18,7 +21,8 @@ class BaseFigures:
     gain
         Output range over input range [output unit per input unit].
     loop_width_percent
-        Widest opening of the loop [% of the output range].
+        Mean opening of the loop over the input [% of the output range]. Unlike the widest opening it depends little on
+        the number of operators.
     """
 
     gain: float
@@ -33,11 +37,18 @@ def base_figures(hysteresis: Hysteresis, low: float, high: float) -> BaseFigures
     low, high
         Ends of the loop, low below high [input unit].
     """
+    return figures_of_loops(hysteresis.operator().run(two_loops(low, high)), low, high)
+
+
+def two_loops(low: float, high: float) -> Array:
+    """Input from zero through two loops, shape (4 * BRANCH,) [input unit]."""
     down = np.linspace(high, low, BRANCH)
-    up = down[::-1]
-    operator = hysteresis.operator()
-    operator.run(np.concatenate((np.linspace(0.0, high, BRANCH), down)))
-    rise = operator.run(up)
-    fall = operator.run(down)[::-1]
+    return np.concatenate((np.linspace(0.0, high, BRANCH), down, down[::-1], down))
+
+
+def figures_of_loops(output: Array, low: float, high: float) -> BaseFigures:
+    """Figures of the second loop in the output for the input of `two_loops`, shape (4 * BRANCH,)."""
+    rise, fall = output[2 * BRANCH : 3 * BRANCH], output[: 3 * BRANCH - 1 : -1]
     span = float(rise[-1] - rise[0])
-    return BaseFigures(span / (high - low), 100.0 * float(np.max(np.abs(fall - rise))) / span)
+    opening = float(np.trapezoid(fall - rise)) / (BRANCH - 1)
+    return BaseFigures(span / (high - low), 100.0 * opening / span)

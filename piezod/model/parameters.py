@@ -9,6 +9,7 @@ from pydantic import Field, model_validator
 
 from piezod.config import Section
 from piezod.effects import EFFECTS
+from piezod.model.information import Information
 from piezod.model.unnamed_law import UnnamedLaw
 from piezod.operators import EPS, PrandtlIshlinskii
 from piezod.recording.hold import Hold
@@ -218,6 +219,7 @@ class Model(Section):
     sample_s: Annotated[float, Field(gt=0)] | None = None
     start: Start = Start()
     provenance: Provenance
+    information: Information | None = None
 
     @model_validator(mode="before")
     @classmethod

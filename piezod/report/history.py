@@ -38,12 +38,13 @@ def history_text(timeline: Timeline) -> str:
 def history_rows(timeline: Timeline) -> list[list[str]]:
     """Table with a row for each model; a parameter that has changed since the reference is marked."""
     unit = unit_words(timeline.steps[0].entry.model.output.unit)
-    header = ["date (UTC)", "model", f"held-out error [{unit}]"]
+    header = ["date (UTC)", "model", f"held-out error [{unit}]", f"noise [{unit}]"]
     return [[*header, *(key.heading(timeline.unit_of(key)) for key in timeline.keys)]] + [
         [
             f"{step.entry.date:%Y-%m-%d %H:%M}",
             _name(step),
             _number(step.entry.model.provenance.fit.rms_held_out),
+            _number(_noise_of(step)),
             *(_cell(step, key) for key in timeline.keys),
         ]
         for step in timeline.steps
@@ -62,15 +63,17 @@ def write_history_csv(path: Path, timeline: Timeline) -> None:
     names = [f"{key}{end}" for key in timeline.keys for end in ends]
     content = io.StringIO()
     table = csv.writer(content, lineterminator="\n")
-    table.writerow(["date", "file", "sha256", "parent", "held_out_error", *names])
+    table.writerow(["date", "file", "sha256", "parent", "held_out_error", "noise", *names])
     for step in timeline.steps:
         entry, cells = step.entry, list[object]()
         for key in timeline.keys:
             value = step.parameters.get(key)
             cells += [""] * 4 if value is None else [*_digits(value), int(step.is_marked(key))]
-        error = entry.model.provenance.fit.rms_held_out
+        errors = [
+            "" if error is None else error for error in (entry.model.provenance.fit.rms_held_out, _noise_of(step))
+        ]
         head = [entry.date.isoformat(), entry.paths[0], min(entry.hashes), entry.parent or ""]
-        table.writerow([*head, "" if error is None else error, *cells])
+        table.writerow([*head, *errors, *cells])
     write_text(path, content.getvalue())
 
 
@@ -172,6 +175,12 @@ def _name(step: Step) -> str:
     """File of a model with its folder."""
     path = step.entry.paths[0]
     return "/".join(path.resolve().parts[-2:])
+
+
+def _noise_of(step: Step) -> float | None:
+    """Rms noise of the recordings of a model [output unit]; None: its file does not state it."""
+    information = step.entry.model.information
+    return None if information is None else information.noise
 
 
 def _number(value: float | None) -> str:

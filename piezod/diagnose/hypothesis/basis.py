@@ -52,6 +52,11 @@ class PlayDensity:
         return cls(0.5 * (edges[1:] + edges[:-1]), hats * (np.diff(edges) / reach_V)[:, None])
 
     @property
+    def reach_V(self) -> float:
+        """Argument of `up_to` that made the smooth part [V]."""
+        return float(2.0 * self.smooth().thresholds_V[-1] / (1.0 + (1.0 - 1.0 / PLAYS) ** FINER_NEAR_ZERO))
+
+    @property
     def count(self) -> int:
         """Number of columns: of the hats, then further ones."""
         return int(self.hats.shape[1])

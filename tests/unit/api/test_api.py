@@ -150,3 +150,9 @@ def test_the_command_returns_behind_a_useful_model_as_commissioning_needs(record
     write_csv(recording, tmp_path / "rec.csv")
     assert identify([tmp_path / "rec.csv"], tmp_path / "model.yaml") is None
     assert "error on held-out data" in capsys.readouterr().out
+
+
+def test_a_history_of_no_path_is_refused_in_a_sentence():
+    for wrong in ([], 5, [None]):
+        with pytest.raises(UsageError, match="must be"):
+            piezod.history(wrong)
