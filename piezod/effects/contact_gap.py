@@ -76,6 +76,8 @@ def _invert(own: Memory, _shared: Memory, force_N: float) -> float:
     return own[GAP_N] + force_N
 
 
+PARTS = 0.01, 0.03, 0.08, 0.16, 0.32, 0.64  # of the force range: starts of the gap
+
 EFFECT = Effect(
     name="contact_gap",
     title="gap before contact",
@@ -87,10 +89,16 @@ EFFECT = Effect(
             "N",
             1e-3,
             1e4,
-            Search((2.0, 20.0, 100.0), logarithmic=True),
+            Search((20.0,), lambda driven: tuple(part * driven.force_span_N for part in PARTS), logarithmic=True),
             shown_by=lambda driven: (0.0, 0.9 * driven.force_span_N),
         ),
-        Parameter("softness_N", "N", 0.0, 100.0, Search((0.5,), nuisance=True)),
+        Parameter(
+            "softness_N",
+            "N",
+            0.0,
+            100.0,
+            Search((0.5,), lambda driven: (0.002 * driven.force_span_N,), nuisance=True),
+        ),
     ),
     forward=forward,
     handling="compensated",

@@ -34,6 +34,31 @@ Handling = Literal["compensated", "corrected in the reading", "refused"]
 
 
 @dataclass(frozen=True)
+class Driven:
+    """Drive of recordings: it gives the start values of a parameter, and the range that they can show.
+
+    Parameters
+    ----------
+    force_span_N
+        Force range on which the model was identified [N].
+    top_V
+        Highest command of the recordings [V].
+    slow_V_per_s, usual_V_per_s, fast_V_per_s, fastest_V_per_s
+        Lowest tenth, median, highest tenth and highest of the rates of the command [V/s].
+    dt_s
+        Shortest spacing of the samples [s].
+    """
+
+    force_span_N: float
+    top_V: float
+    slow_V_per_s: float
+    usual_V_per_s: float
+    fast_V_per_s: float
+    fastest_V_per_s: float
+    dt_s: float
+
+
+@dataclass(frozen=True)
 class Search:
     """How a diagnosis searches the value of a parameter.
 
@@ -41,6 +66,8 @@ class Search:
     ----------
     starts
         Start values, within the range of the parameter. Several where the error has several minima.
+    starts_for
+        Function from `Driven` to start values, limited to the range of the parameter; None: `starts` for every drive.
     logarithmic
         Whether the logarithm of the value is searched; the range must lie above 0.
     nuisance
@@ -56,32 +83,13 @@ class Search:
     """
 
     starts: tuple[float, ...]
+    starts_for: Callable[[Driven], tuple[float, ...]] | None = None
     logarithmic: bool = False
     nuisance: bool = False
     choices: tuple[float, ...] = ()
     ridge: float = 0.0
     only_if: tuple[str, float] | None = None
     seen_in: Literal["spectrum", "clock"] | None = None
-
-
-@dataclass(frozen=True)
-class Driven:
-    """Drive of recordings, for the range that they can show of a parameter.
-
-    Parameters
-    ----------
-    force_span_N
-        Force range on which the model was identified [N].
-    slow_V_per_s, fastest_V_per_s
-        Lowest tenth and highest of the rates of the command [V/s].
-    dt_s
-        Shortest spacing of the samples [s].
-    """
-
-    force_span_N: float
-    slow_V_per_s: float
-    fastest_V_per_s: float
-    dt_s: float
 
 
 FASTEST_MODE = 0.45  # of the sampling rate; samples show a faster oscillation as a delay
@@ -127,6 +135,13 @@ class Parameter:
         assert self.low < self.high
         assert all(self.low <= value <= self.high for value in (*self.search.starts, *self.search.choices))
         assert not self.search.logarithmic or self.low > 0.0
+
+    def starts(self, driven: Driven) -> tuple[float, ...]:
+        """Start values for a drive, within the range of the parameter; a nuisance has one."""
+        starts = self.search.starts
+        if self.search.starts_for is not None:
+            starts = tuple(float(np.clip(value, self.low, self.high)) for value in self.search.starts_for(driven))
+        return starts[:1] if self.search.nuisance else starts
 
     def within(self, driven: Driven) -> "Parameter":
         """Parameter in the range that recordings can show, with its starts inside."""

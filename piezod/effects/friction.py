@@ -34,19 +34,21 @@ def forward(signal: Array, context: Context, values: Values) -> Array:  # noqa: 
     return result
 
 
+PARTS = 0.01, 0.04, 0.12  # of the force range: starts of the presliding force
+
 EFFECT = Effect(
     name="friction",
     title="friction in the guide",
     location=Location.MECHANICS,
     form="other",
     parameters=(
-        Parameter("force_N", "N", -1e3, 1e3, Search((1.0,))),
+        Parameter("force_N", "N", -1e3, 1e3, Search((1.0,), lambda driven: (0.005 * driven.force_span_N,))),
         Parameter(
             "presliding_N",
             "N",
             1e-2,
             1e4,
-            Search((3.0, 20.0, 100.0), logarithmic=True),
+            Search((20.0,), lambda driven: tuple(part * driven.force_span_N for part in PARTS), logarithmic=True),
             shown_by=lambda driven: (1e-3 * driven.force_span_N, driven.force_span_N),
         ),
         Parameter("exponent", "1", 0.5, 8.0, Search((1.5,), logarithmic=True, nuisance=True)),

@@ -30,6 +30,8 @@ HATS = 4
 DEGREES = 5  # of the polynomials
 RIDGE = 0.1  # of a weight: small against the information of a useful recording; without information the weight stays 0
 RIDGE_OF_MEMORY = 1e-4  # of the parameters that shape b
+SMALLEST_BRANCH = 0.02  # of the driven range: a smaller branch hardly opens a loop
+ALIKE = 1.5  # ratio of two branches that a play model opens nearly alike
 COLUMNS, ADDED, MEMORY = "minor loops, columns", "minor loops, added", "minor loops, memory"  # names in the cache
 TRAVEL = 0.3  # movement in which b rises to 63 % with memory_way = 1, as a part of the voltage range
 NAMES = (
@@ -153,6 +155,40 @@ def _memory(context: Context, values: Values) -> Array:
         known = shape, bouc_wen(path, context.applied_V, travel_V, shape[1], shape[2])
         context.cache[MEMORY] = known
     return known[1]
+
+
+@numba.njit(cache=True, nogil=True)
+def _turns(u: Array, least: float) -> Array:
+    """Values at the first sample and at the turns of a signal that are followed by a move of at least `least`."""
+    turns, count, extreme, rises = np.empty(u.size + 1), 1, u[0], True
+    turns[0] = u[0]
+    for value in u:
+        if (value >= extreme) == rises:
+            extreme = value
+        elif abs(value - extreme) >= least:
+            turns[count] = extreme
+            count, extreme, rises = count + 1, value, not rises
+    turns[count] = extreme
+    return turns[: count + 1].copy()
+
+
+def shown_by(command_V: Array) -> bool:
+    """Whether a command has alike minor loops at different biases; otherwise nothing tells whether they are congruent.
+
+    Two branches are alike if their heights differ by less than the factor `ALIKE`. Their biases differ by at least
+    half of their height.
+
+    `command_V`: commands, shape (N,) [V].
+    """
+    turns_V = _turns(command_V, SMALLEST_BRANCH * float(np.ptp(command_V)))
+    heights_V, biases_V = np.abs(np.diff(turns_V)), 0.5 * (turns_V[1:] + turns_V[:-1])
+    order = np.argsort(heights_V)
+    heights_V, biases_V = heights_V[order], biases_V[order]
+    for first, height_V in enumerate(heights_V):
+        end = int(np.searchsorted(heights_V, ALIKE * height_V))
+        if np.ptp(biases_V[first:end]) > 0.5 * height_V:
+            return True
+    return False
 
 
 def _shape(name: str, low: float, high: float, start: float) -> Parameter:

@@ -168,7 +168,11 @@ EFFECT = Effect(
             "V/s",
             0.1,
             1e4,
-            Search((3.0, 30.0, 300.0), logarithmic=True),
+            Search(
+                (30.0,),
+                lambda driven: (0.1 * driven.usual_V_per_s, driven.usual_V_per_s, driven.fast_V_per_s),
+                logarithmic=True,
+            ),
             shown_by=lambda driven: (0.03 * driven.slow_V_per_s, 3.0 * driven.fastest_V_per_s),
         ),
         Parameter(

@@ -13,8 +13,10 @@ Source     Physik Instrumente (2005), Designing with Piezoelectric Transducers: 
 import numba
 import numpy as np
 
-from piezod.effects.effect import Array, Checks, Context, Effect, Location, Parameter, Search, Values
+from piezod.effects.effect import Array, Checks, Context, Driven, Effect, Location, Parameter, Search, Values
 from piezod.effects.tick import SHARED, Memory, Tick, TickSetting
+
+STARTS = 10
 
 
 @numba.njit(cache=True, nogil=True)
@@ -85,6 +87,12 @@ def _settle(own: Memory, _shared: Memory, voltage_V: float) -> float:
     return voltage_V
 
 
+def _starts(driven: Driven) -> tuple[float, ...]:
+    """Limits from below the usual rate to near the highest one [V/s]."""
+    usual = driven.usual_V_per_s
+    return tuple(np.geomspace(0.3 * usual, 0.8 * max(driven.fastest_V_per_s, usual), STARTS).tolist())
+
+
 EFFECT = Effect(
     name="slew_limit",
     title="current limit of the amplifier",
@@ -96,7 +104,7 @@ EFFECT = Effect(
             "V/s",
             0.1,
             1e6,
-            Search((20.0, 100.0, 500.0, 5000.0), logarithmic=True),
+            Search((100.0,), _starts, logarithmic=True),
             shown_by=lambda driven: (0.1 * driven.slow_V_per_s, driven.fastest_V_per_s),
         ),
     ),

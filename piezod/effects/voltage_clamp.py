@@ -73,14 +73,28 @@ def _invert(own: Memory, _shared: Memory, voltage_V: float) -> float:
     return own[LIMIT_V] + own[KNEE_V] - 2.0 * math.sqrt(own[KNEE_V] * (own[KNEE_V] - inside))
 
 
+PARTS = 0.5, 0.7, 0.85, 0.95  # of the highest command: starts of the limit
+
 EFFECT = Effect(
     name="voltage_clamp",
     title="saturation of the amplifier",
     location=Location.AMPLIFIER,
     form="memoryless",
     parameters=(
-        Parameter("limit_V", "V", 0.5, 2000.0, Search((30.0, 60.0, 95.0, 130.0), logarithmic=True)),
-        Parameter("knee_V", "V", 1e-3, 20.0, Search((0.3,), logarithmic=True, nuisance=True)),
+        Parameter(
+            "limit_V",
+            "V",
+            0.5,
+            2000.0,
+            Search((60.0,), lambda driven: tuple(part * driven.top_V for part in PARTS), logarithmic=True),
+        ),
+        Parameter(
+            "knee_V",
+            "V",
+            1e-3,
+            20.0,
+            Search((0.3,), lambda driven: (0.003 * driven.top_V,), logarithmic=True, nuisance=True),
+        ),
     ),
     forward=forward,
     handling="compensated",

@@ -9,7 +9,7 @@ import numpy as np
 from piezod.diagnose.hypothesis.chain import Chain
 from piezod.diagnose.hypothesis.terms import Term
 from piezod.effects import EFFECTS
-from piezod.effects.effect import Effect, Parameter
+from piezod.effects.effect import Effect
 from piezod.estimation.recordings.series import Series
 
 DIRECT = tuple(name for name, effect in EFFECTS.items() if effect.found_by == "test")
@@ -40,13 +40,14 @@ def catalogue_starts(chain: Chain, channels: Sequence[str], known: Mapping[str, 
 
     Nuisance parameters have their first start only. `known`: further starts by parameter.
     """
-    scales = {**_scales(chain), **known}
     for effect in EFFECTS.values():
         if effect.name in DIRECT or (effect.needs is not None and effect.needs not in channels):
             continue
         searched = [p for p in effect.parameters if not p.search.choices]
         chosen = [p for p in effect.parameters if p.search.choices]
-        starts = [_starts(effect.name, p, scales) for p in searched]
+        limits = {f"{effect.name} {p.name}": (p.low, p.high) for p in searched}
+        shown = {name: np.clip(known[name], *ends).tolist() for name, ends in limits.items() if name in known}
+        starts = [shown.get(f"{effect.name} {p.name}", p.starts(chain.driven)) for p in searched]
         options = [p.search.choices for p in chosen]
         for choices in product(*options):
             named = tuple(zip((p.name for p in chosen), choices, strict=True))
@@ -57,23 +58,6 @@ def catalogue_starts(chain: Chain, channels: Sequence[str], known: Mapping[str, 
 def recorded_channels(series: Sequence[Series]) -> list[str]:
     """Further channels that all recordings have and an effect may need."""
     return ["temperature_C"] if all(s.temperature_C is not None for s in series) else []
-
-
-def _scales(chain: Chain) -> dict[str, tuple[float, ...]]:
-    """Starts by parameter: limits near the highest command or rate, other parameters at small parts of the range."""
-    top_V = max(float(s.command_V.max()) for s in chain.series if s.role == "recording")
-    _, median, fast, fastest = chain.rates_V_per_s
-    span_N = chain.force_span_N
-    return {
-        "limit_V": tuple(part * top_V for part in (0.5, 0.7, 0.85, 0.95)),
-        "knee_V": (0.003 * top_V,),
-        "limit_V_per_s": tuple(np.geomspace(0.3 * median, 0.8 * max(fastest, median), 10).tolist()),
-        "reference_V_per_s": (0.1 * median, median, fast),
-        "gap_N": tuple(part * span_N for part in (0.01, 0.03, 0.08, 0.16, 0.32, 0.64)),
-        "softness_N": (0.002 * span_N,),
-        "force_N": (0.005 * span_N,),
-        "presliding_N": (0.01 * span_N, 0.04 * span_N, 0.12 * span_N),
-    }
 
 
 def parts_of(effect: Effect, values: Mapping[str, float]) -> dict[str, dict[str, float]]:
@@ -93,11 +77,3 @@ def within_ranges(effect: Effect, values: Mapping[str, float]) -> dict[str, floa
         name: float(np.clip(value, effect.parameter(name).low, effect.parameter(name).high))
         for name, value in values.items()
     }
-
-
-def _starts(effect: str, parameter: Parameter, scales: dict[str, tuple[float, ...]]) -> tuple[float, ...]:
-    known = scales.get(f"{effect} {parameter.name}", scales.get(parameter.name)) if effect not in DIRECT else None
-    starts = parameter.search.starts
-    if known is not None:
-        starts = tuple(float(np.clip(value, parameter.low, parameter.high)) for value in known)
-    return starts[:1] if parameter.search.nuisance else starts

@@ -93,9 +93,10 @@ class Chain:
         self.density, self.law, self.force_span_N = density, law, force_span_N
         self.most_rows = most_rows
         self.rows = [slice(None, None, max(1, -(-recording.time_s.size // most_rows))) for recording in self.series]
-        self.rates_V_per_s = _rates(self.series)
-        slow, _, _, fastest = self.rates_V_per_s
-        self.driven = Driven(force_span_N, slow, fastest, min(recording.dt_s for recording in self.series))
+        worked = [recording for recording in self.series if recording.role == "recording"] or self.series
+        top_V = max(float(recording.command_V.max()) for recording in worked)
+        dt_s = min(recording.dt_s for recording in self.series)
+        self.driven = Driven(force_span_N, top_V, *_rates(worked), dt_s)
         sizes = [CACHED if recording.time_s.size < LONG else CACHED_WHEN_LONG for recording in self.series]
         self._amplified: list[Cache[Context]] = [*map(Cache, sizes)]
         self._plays: list[Cache[tuple[Context, Array]]] = [*map(Cache, sizes)]
@@ -367,9 +368,8 @@ class Chain:
 
 
 def _rates(series: Sequence[Series]) -> tuple[float, float, float, float]:
-    """Rates of the command in the recordings to explain: lowest tenth, median, highest tenth, fastest [V/s]."""
-    recordings = [recording for recording in series if recording.role == "recording"] or list(series)
-    rates = np.concatenate([np.abs(np.diff(recording.command_V)) / recording.dt_s for recording in recordings])
+    """Rates of the command in recordings: lowest tenth, median, highest tenth, fastest [V/s]."""
+    rates = np.concatenate([np.abs(np.diff(recording.command_V)) / recording.dt_s for recording in series])
     moving = rates[rates > 0.0]
     if not moving.size:
         return 1.0, 1.0, 1.0, 1.0

@@ -18,7 +18,7 @@ from piezod.diagnose.verdict.places import place_of
 from piezod.diagnose.verdict.verdict import held_out_rms
 from piezod.effects import EFFECTS, Parameter
 from piezod.effects.effect import Effect
-from piezod.effects.noncongruent_minor_loops import DEGREES
+from piezod.effects.noncongruent_minor_loops import DEGREES, shown_by
 from piezod.estimation.recordings.series import Series
 from piezod.model import Model
 
@@ -198,8 +198,9 @@ def _noncongruent_share(result: Search, place: int) -> Value:
     """Rms of the stroke that depends on the bias over the rms of the plays, in the diagnosed recordings [1].
 
     Lower end: the part that neither plays nor a curve of the command follow. Upper end: 1, since the congruent share of
-    an unknown hysteresis is unknown. Where the whole hypothesis reaches the noise, and not without that part, the share
-    is that part alone. Its interval is what noise leaves of as many weights.
+    an unknown hysteresis is unknown. Where alike loops at different biases are driven, and the whole hypothesis reaches
+    the noise, and not without that part, the share is that part alone. Its interval is what noise leaves of as many
+    weights.
     """
     chain, fitted = result.chain, result.hypothesis
     congruent_values = {
@@ -220,7 +221,7 @@ def _noncongruent_share(result: Search, place: int) -> Value:
             shares.append((float(np.std(unfollowed_V)) / lags_V, float(np.std(added_V)) / lags_V))
             gain = float(np.std(full.reading_N) / np.std(full.stroke_V))
             noise_V = np.sqrt(fitted.loss) * series.noise_N / gain
-            needed.append(float(np.var(unfollowed_V)) > RULES.worth * noise_V**2)
+            needed.append(shown_by(series.command_V) and float(np.var(unfollowed_V)) > RULES.worth * noise_V**2)
             errors.append(noise_V / lags_V * np.sqrt(len(fitted.terms[place].weights) / unfollowed_V.size))
     low, value = np.clip(np.mean(shares, axis=0), 0.0, 1.0).tolist()
     if fitted.loss > AT_NOISE or not any(needed):
