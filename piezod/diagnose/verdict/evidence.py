@@ -198,9 +198,8 @@ def _noncongruent_share(result: Search, place: int) -> Value:
     """Rms of the stroke that depends on the bias over the rms of the plays, in the diagnosed recordings [1].
 
     Lower end: the part that neither plays nor a curve of the command follow. Upper end: 1, since the congruent share of
-    an unknown hysteresis is unknown. The share is the part at the lower end alone where alike loops at different
-    biases are driven, and the noise is reached with that part only. Its interval is what noise leaves of as many
-    weights.
+    an unknown hysteresis is unknown. The share is the lower end alone if the command has alike loops at different
+    biases, and only that part reaches the noise. Its interval is what noise leaves of as many weights.
     """
     chain, fitted = result.chain, result.hypothesis
     congruent_values = {
