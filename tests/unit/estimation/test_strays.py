@@ -6,7 +6,7 @@ import pytest
 from piezod.estimation.recordings.intake import usable
 from piezod.estimation.recordings.strays import without_strays
 from piezod.recording import Recording
-from tests.benches.plain_stack import RATE_HZ, read, triangles
+from tests.benches.plain_stack import NOISE_N, RATE_HZ, read, triangles
 
 U = triangles([100, 40, 80, 60, 100, 30])
 Y = read(U, 1)
@@ -99,3 +99,13 @@ def test_identification_gets_neither_wild_cells_nor_their_range():
     assert np.max(one.recording.channel("voltage_V")) <= 100.0
     assert [note for note in one.notes if "row 51 (1e+12 at 0.25 s)" in note]
     assert [note for note in one.notes if "row 901 (inf at 4.5 s)" in note]
+
+
+@pytest.mark.parametrize("noises", [40.0, 50.0, -60.0])
+def test_small_spikes_far_above_the_noise_are_left_out(noises):
+    slow_V = np.interp(np.arange(6 * U.size) / 6.0, np.arange(U.size), U)
+    force_N, spikes = read(slow_V, 1), np.arange(60, slow_V.size - 60, 97)
+    columns = {"voltage_V": slow_V, "force_N": but(force_N, spikes, force_N[spikes] + noises * NOISE_N)}
+    recording, notes = without_strays(Recording(np.arange(slow_V.size) / RATE_HZ, columns), "voltage_V", "force_N")
+    np.testing.assert_array_equal(np.flatnonzero(np.isnan(recording.channel("force_N"))), spikes)
+    assert len(notes) == 1
