@@ -24,7 +24,8 @@ from piezod.effects import (
     vibration,
     voltage_clamp,
 )
-from piezod.effects.effect import Context, Effect, Location, Parameter, Search, Values
+from piezod.effects.effect import Context, Effect, Location, Values
+from piezod.effects.parameter import Parameter, Search
 
 EFFECTS: dict[str, Effect] = {
     module.EFFECT.name: module.EFFECT

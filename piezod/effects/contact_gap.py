@@ -15,7 +15,8 @@ import math
 import numba
 import numpy as np
 
-from piezod.effects.effect import Array, Checks, Context, Effect, Location, Parameter, Search, Values
+from piezod.effects.effect import Array, Checks, Context, Effect, Location, Values
+from piezod.effects.parameter import Parameter, Search
 from piezod.effects.tick import Memory, Tick, TickSetting
 
 
@@ -89,7 +90,7 @@ EFFECT = Effect(
             "N",
             1e-3,
             1e4,
-            Search((20.0,), lambda driven: tuple(part * driven.force_span_N for part in PARTS), logarithmic=True),
+            Search((2.0,), lambda driven: tuple(part * driven.force_span_N for part in PARTS), logarithmic=True),
             shown_by=lambda driven: (0.0, 0.9 * driven.force_span_N),
         ),
         Parameter(

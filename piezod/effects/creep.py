@@ -19,8 +19,9 @@ import math
 
 import numpy as np
 
-from piezod.effects.effect import Array, Context, Effect, Location, Parameter, Past, Search, Values
+from piezod.effects.effect import Array, Context, Effect, Location, Past, Values
 from piezod.effects.kernels import chain_run, first_order_coefficients, first_order_step
+from piezod.effects.parameter import Parameter, Search
 from piezod.effects.tick import SHARED, Memory, Tick, TickSetting
 
 PER_DECADE = 4  # elements per decade of time

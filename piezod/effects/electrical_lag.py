@@ -15,7 +15,7 @@ import math
 
 import numpy as np
 
-from piezod.effects.effect import LATE, Array, Checks, Context, Effect, Location, Parameter, Search, Values
+from piezod.effects.effect import LATE, Array, Checks, Context, Effect, Location, Values
 from piezod.effects.kernels import (
     first_order_coefficients,
     first_order_run,
@@ -23,6 +23,7 @@ from piezod.effects.kernels import (
     time_constant_at,
     voltage_dependent_lag_run,
 )
+from piezod.effects.parameter import Parameter, Search
 from piezod.effects.tick import SHARED, Memory, Tick, TickSetting
 
 

@@ -15,8 +15,9 @@ Source     P. R. Dahl (1968), A Solid Friction Model, DTIC ADA041920. M. Ismail,
 
 import numpy as np
 
-from piezod.effects.effect import Array, Context, Effect, Location, Parameter, Search, Values
+from piezod.effects.effect import Array, Context, Effect, Location, Values
 from piezod.effects.kernels import bouc_wen
+from piezod.effects.parameter import Parameter, Search
 
 NO_PATH = np.empty(0)
 
@@ -48,7 +49,7 @@ EFFECT = Effect(
             "N",
             1e-2,
             1e4,
-            Search((20.0,), lambda driven: tuple(part * driven.force_span_N for part in PARTS), logarithmic=True),
+            Search((3.0,), lambda driven: tuple(part * driven.force_span_N for part in PARTS), logarithmic=True),
             shown_by=lambda driven: (1e-3 * driven.force_span_N, driven.force_span_N),
         ),
         Parameter("exponent", "1", 0.5, 8.0, Search((1.5,), logarithmic=True, nuisance=True)),

@@ -15,18 +15,8 @@ import math
 
 import numpy as np
 
-from piezod.effects.effect import (
-    Array,
-    Checks,
-    Context,
-    Effect,
-    Location,
-    Parameter,
-    Search,
-    Values,
-    at_its_frequency,
-    below_the_fastest_mode,
-)
+from piezod.effects.effect import Array, Checks, Context, Effect, Location, Values, at_its_frequency
+from piezod.effects.parameter import Parameter, Search, below_the_fastest_mode
 from piezod.effects.tick import Memory, Tick, TickSetting
 
 TURN = 2.0 * math.pi

@@ -20,8 +20,9 @@ Source     I. D. Mayergoyz (2003), Mathematical Models of Hysteresis and Their A
 import numba
 import numpy as np
 
-from piezod.effects.effect import Array, Checks, Context, Effect, Location, Parameter, Search, Values
+from piezod.effects.effect import Array, Checks, Context, Effect, Location, Values
 from piezod.effects.kernels import bouc_wen
+from piezod.effects.parameter import Parameter, Search
 from piezod.operators.compiled_cache import forget_outdated_steps
 from piezod.operators.play import next_state
 

@@ -15,7 +15,8 @@ import math
 import numba
 import numpy as np
 
-from piezod.effects.effect import Array, Checks, Context, Effect, Location, Parameter, Search, Values
+from piezod.effects.effect import Array, Checks, Context, Effect, Location, Values
+from piezod.effects.parameter import Parameter, Search
 
 
 @numba.njit(cache=True, nogil=True)

@@ -19,7 +19,8 @@ import math
 import numba
 import numpy as np
 
-from piezod.effects.effect import Array, Checks, Context, Effect, Location, Parameter, Search, Values, unchanged
+from piezod.effects.effect import Array, Checks, Context, Effect, Location, Values, unchanged
+from piezod.effects.parameter import Parameter, Search
 from piezod.effects.tick import SHARED, Memory, Tick, TickSetting
 
 LOGARITHM, POWER, OFFSET = 0, 1, 2  # values of `kind`
@@ -169,7 +170,7 @@ EFFECT = Effect(
             0.1,
             1e4,
             Search(
-                (30.0,),
+                (3.0,),
                 lambda driven: (0.1 * driven.usual_V_per_s, driven.usual_V_per_s, driven.fast_V_per_s),
                 logarithmic=True,
             ),

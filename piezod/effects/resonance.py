@@ -14,18 +14,7 @@ import math
 
 import numpy as np
 
-from piezod.effects.effect import (
-    Array,
-    Checks,
-    Context,
-    Effect,
-    Location,
-    Parameter,
-    Search,
-    Values,
-    at_its_frequency,
-    below_the_fastest_mode,
-)
+from piezod.effects.effect import Array, Checks, Context, Effect, Location, Values, at_its_frequency
 from piezod.effects.kernels import (
     second_order,
     second_order_matrices,
@@ -33,6 +22,7 @@ from piezod.effects.kernels import (
     second_order_settle,
     second_order_step,
 )
+from piezod.effects.parameter import Parameter, Search, below_the_fastest_mode
 from piezod.effects.tick import Memory, Preview, Tick, TickSetting
 
 RINGS = 0.6  # damping ratio beyond which nothing is seen to ring: it is a lag

@@ -17,7 +17,7 @@ import math
 
 import numpy as np
 
-from piezod.effects.effect import LATE, Array, Checks, Context, Effect, Location, Parameter, Search, Values
+from piezod.effects.effect import LATE, Array, Checks, Context, Effect, Location, Values
 from piezod.effects.kernels import (
     first_order_coefficients,
     first_order_run,
@@ -27,6 +27,7 @@ from piezod.effects.kernels import (
     second_order_settle,
     second_order_step,
 )
+from piezod.effects.parameter import Parameter, Search
 from piezod.effects.tick import Memory, Tick, TickSetting
 
 BUTTERWORTH = math.sqrt(0.5)

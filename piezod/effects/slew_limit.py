@@ -13,7 +13,8 @@ Source     Physik Instrumente (2005), Designing with Piezoelectric Transducers: 
 import numba
 import numpy as np
 
-from piezod.effects.effect import Array, Checks, Context, Driven, Effect, Location, Parameter, Search, Values
+from piezod.effects.effect import Array, Checks, Context, Effect, Location, Values
+from piezod.effects.parameter import Driven, Parameter, Search
 from piezod.effects.tick import SHARED, Memory, Tick, TickSetting
 
 STARTS = 10
@@ -104,7 +105,7 @@ EFFECT = Effect(
             "V/s",
             0.1,
             1e6,
-            Search((100.0,), _starts, logarithmic=True),
+            Search((20.0,), _starts, logarithmic=True),
             shown_by=lambda driven: (0.1 * driven.slow_V_per_s, driven.fastest_V_per_s),
         ),
     ),

@@ -14,8 +14,9 @@ import math
 
 import numpy as np
 
-from piezod.effects.effect import Array, Context, Effect, Location, Parameter, Search, Values, all_the_time
+from piezod.effects.effect import Array, Context, Effect, Location, Values, all_the_time
 from piezod.effects.kernels import first_order_run
+from piezod.effects.parameter import Parameter, Search
 from piezod.effects.tick import Memory, Tick, TickSetting
 
 

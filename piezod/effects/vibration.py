@@ -13,18 +13,8 @@ import math
 
 import numpy as np
 
-from piezod.effects.effect import (
-    Array,
-    Checks,
-    Context,
-    Effect,
-    Location,
-    Parameter,
-    Search,
-    Values,
-    at_its_frequency,
-    below_the_fastest_mode,
-)
+from piezod.effects.effect import Array, Checks, Context, Effect, Location, Values, at_its_frequency
+from piezod.effects.parameter import Parameter, Search, below_the_fastest_mode
 
 TURN = 2.0 * math.pi
 PHASES = (0.0, 1.57, 3.14, 4.71)

@@ -14,7 +14,8 @@ import math
 import numba
 import numpy as np
 
-from piezod.effects.effect import Array, Checks, Context, Effect, Location, Parameter, Search, Values
+from piezod.effects.effect import Array, Checks, Context, Effect, Location, Values
+from piezod.effects.parameter import Parameter, Search
 from piezod.effects.tick import Memory, Tick, TickSetting
 
 
@@ -86,7 +87,7 @@ EFFECT = Effect(
             "V",
             0.5,
             2000.0,
-            Search((60.0,), lambda driven: tuple(part * driven.top_V for part in PARTS), logarithmic=True),
+            Search((30.0,), lambda driven: tuple(part * driven.top_V for part in PARTS), logarithmic=True),
         ),
         Parameter(
             "knee_V",

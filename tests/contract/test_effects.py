@@ -112,7 +112,7 @@ def test_the_registry_is_in_the_order_of_the_signal_chain():
 
 
 def test_every_effect_has_a_file_of_its_own_that_imports_no_other():
-    assert {path.stem for path in sources()} == set(EFFECTS) | {"__init__", "effect", "kernels", "tick"}
+    assert {path.stem for path in sources()} == set(EFFECTS) | {"__init__", "effect", "kernels", "parameter", "tick"}
     for path in sources():
         if path.stem not in EFFECTS:
             continue

@@ -10,7 +10,8 @@ from piezod.diagnose.candidates.starts import catalogue_starts
 from piezod.diagnose.hypothesis.fit import fit
 from piezod.diagnose.hypothesis.terms import Term
 from piezod.effects import EFFECTS
-from piezod.effects.effect import Effect, Location, Parameter, Search
+from piezod.effects.effect import Effect, Location
+from piezod.effects.parameter import Parameter, Search
 from piezod.effects.tick import Tick
 from piezod.model import ExtendedCompensator
 from piezod.model.chain.forward import run_chain

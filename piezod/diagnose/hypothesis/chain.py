@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 from piezod.diagnose.hypothesis.basis import ForceLaw, PlayDensity
 from piezod.diagnose.hypothesis.terms import Point, Term
 from piezod.effects import EFFECTS
-from piezod.effects.effect import Context, Driven, Effect, Location, Parameter, Past
+from piezod.effects.effect import Context, Effect, Location, Past
+from piezod.effects.parameter import Driven, Parameter
 from piezod.estimation.recordings.series import Series
 from piezod.model.chain.cache import Cache, Key
 from piezod.model.chain.forward import Acting, amplified, as_sampled, behind, through, widening

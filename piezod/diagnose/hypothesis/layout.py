@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from piezod.diagnose.hypothesis.basis import HATS, SPLINES
 from piezod.diagnose.hypothesis.chain import Chain
 from piezod.diagnose.hypothesis.terms import Point, Term
-from piezod.effects.effect import Parameter
+from piezod.effects.parameter import Parameter
 
 Array = NDArray[np.float64]
 

@@ -10,7 +10,8 @@ from piezod.diagnose.hypothesis.chain import Chain
 from piezod.diagnose.hypothesis.fit import Fitted
 from piezod.diagnose.hypothesis.sampling import fit_from_each
 from piezod.diagnose.hypothesis.terms import Point, Term
-from piezod.effects.effect import Array, Context, Effect, Location, Parameter, Search, Values, unchanged
+from piezod.effects.effect import Array, Context, Effect, Location, Values, unchanged
+from piezod.effects.parameter import Parameter, Search
 
 
 def _scaled(signal: Array, context: Context, values: Values) -> Array:  # noqa: ARG001  # a `Forward`

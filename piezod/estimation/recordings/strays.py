@@ -27,8 +27,8 @@ LONGEST = 4
 """Longest run of strays [samples]; a longer one may be a pulse or a frozen reading."""
 
 NOISES, STEPS, RANGES = 20.0, 4.0, 0.01
-"""Least leap: in standard deviations of the noise, in usual steps, and as share of the usual range. On 123 recordings of
-emulated and real benches, 0.05, 0.02, 0.01 and 0.005 of the range find the same samples."""
+"""Least leap: in standard deviations of the noise, in usual steps, and as share of the usual range. 123 recordings of
+emulated and real benches have the same strays by 0.05, 0.02, 0.01 and 0.005 of the range."""
 
 TYPICAL_STEP = 0.9
 """Quantile of the steps other than 0 that is the usual step."""
