@@ -122,6 +122,7 @@ def test_every_effect_has_a_file_of_its_own_that_imports_no_other():
         assert not {module for module in own if module.startswith("piezod.effects.")} - {
             "piezod.effects.effect",
             "piezod.effects.kernels",
+            "piezod.effects.parameter",
             "piezod.effects.tick",
         }
 
