@@ -198,8 +198,8 @@ def _noncongruent_share(result: Search, place: int) -> Value:
     """Rms of the stroke that depends on the bias over the rms of the plays, in the diagnosed recordings [1].
 
     Lower end: the part that neither plays nor a curve of the command follow. Upper end: 1, since the congruent share of
-    an unknown hysteresis is unknown. The share is the lower end alone if the command has alike loops at different
-    biases, and only that part reaches the noise. Its interval is what noise leaves of as many weights.
+    an unknown hysteresis is unknown. Where the command has alike loops at different biases, and only the part at the
+    lower end reaches the noise, the interval of the fit is that of the lower end.
     """
     chain, fitted = result.chain, result.hypothesis
     congruent_values = {
@@ -226,7 +226,7 @@ def _noncongruent_share(result: Search, place: int) -> Value:
     if fitted.loss > AT_NOISE or not any(needed):
         return Value(value, "1", low, 1.0)
     error = NORMAL_95 * float(np.mean(errors))
-    return Value(low, "1", max(low - error, 0.0), min(low + error, 1.0))
+    return Value(value, "1", low, 1.0, (max(low - error, 0.0), min(low + error, 1.0)))
 
 
 def _rivals(result: Search, term: Term) -> tuple[Rival, ...]:
