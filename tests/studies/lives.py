@@ -28,7 +28,9 @@ from firmware_sim.concealed.study.make import write_record
 from piezod.blind.case import Description
 from piezod.blind.diagnose_case import identified
 from piezod.diagnose.command import diagnose_files
+from piezod.diagnose.verdict.identified import identified_information
 from piezod.errors import PiezodError
+from piezod.estimation.recordings.sources import read_source
 from piezod.model import save_model
 from tests.studies.contradictions import Result, contradictions
 
@@ -115,7 +117,7 @@ def run(number: int, seed: int, *, alone: bool) -> LifeRow:
             write_record(place / step.record.name, step.case, step.record)
         first = life.steps[0].record.name
         given = place / MODEL
-        save_model(identified(Description(first, (), first, "voltage_V", "force_N"), place), given)
+        _save_identified(place, first, given)
         if alone:
             (place / first).unlink()
         for k in range(1, STEPS):
@@ -125,6 +127,13 @@ def run(number: int, seed: int, *, alone: bool) -> LifeRow:
                 break
             given = Path(shutil.copy(output / MODEL, place / f"given_{k}.yaml"))
     return row
+
+
+def _save_identified(place: Path, first: str, given: Path) -> None:
+    """Identify the model of the first recording, with the information of that recording."""
+    model = identified(Description(first, (), first, "voltage_V", "force_N"), place)
+    source = read_source(place / first, "identification", ("voltage_V", "force_N"))
+    save_model(model.model_copy(update={"information": identified_information(model, [source])}), given)
 
 
 def _step(life: Life, number: int, given: Path, recording: Path, output: Path) -> StepRow:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from piezod.diagnose.hypothesis.basis import HATS, SPLINES, ForceLaw
 from piezod.diagnose.hypothesis.chain import Chain
-from piezod.diagnose.hypothesis.fit import Fitted, Normal, solved
+from piezod.diagnose.hypothesis.fit import Fitted, Normal, solved, thinned
 from piezod.diagnose.hypothesis.stack_change import NAMES, factors
 from piezod.diagnose.hypothesis.terms import Point, Term
 from piezod.model import Model
@@ -54,7 +54,8 @@ def information_of(chain: Chain, fitted: Fitted, model: Model, hashes: Sequence[
         SHA-256 of the recording of each series; empty for a series that is no recording.
     """
     low, high = model.input.low, model.input.high
-    errors = _figure_errors(Normal.at(chain, fitted.terms, fitted.point), low, high)
+    simulated = [number for number, sha256 in enumerate(hashes) if not sha256]
+    errors = _figure_errors(Normal.at(chain, fitted.terms, fitted.point), low, high, simulated)
     figures = base_figures(model.hysteresis, low, high)
     used = [number for number, sha256 in enumerate(hashes) if sha256]
     terms, point = fitted.terms, fitted.point
@@ -93,8 +94,11 @@ def _around(value: float, error: float) -> tuple[float, float]:
     return rounded(value - HALF_95 * error), rounded(value + HALF_95 * error)
 
 
-def _figure_errors(normal: Normal, low: float, high: float) -> BaseFigures:
-    """Standard errors of the figures of the base, by the jackknife over blocks."""
+def _figure_errors(normal: Normal, low: float, high: float, simulated: Sequence[int]) -> BaseFigures:
+    """Standard errors of the figures of the base, by the jackknife over blocks.
+
+    Simulated series have no noise. They count as if they had the noise that weights them.
+    """
     columns, drive = normal.chain.density.columns(two_loops(low, high), np.empty(0)), two_loops(low, high)
     layout, vector = normal.layout, normal.layout.vector(normal.point)
 
@@ -119,7 +123,13 @@ def _figure_errors(normal: Normal, low: float, high: float) -> BaseFigures:
             gradient[:, place] = (figures(moved) - middle) / size
     moves = _moves(normal) @ gradient.T
     count = moves.shape[0]
-    gain, loop_width = np.sqrt((count - 1) / count * np.sum((moves - moves.mean(axis=0)) ** 2, axis=0))
+    variances = (count - 1) / count * np.sum((moves - moves.mean(axis=0)) ** 2, axis=0)
+    edges = np.cumsum([0, *(len(series.blocks) for series in normal.chain.series)])
+    follows = np.array([solved(normal.hessian.sum(axis=0) + normal.ridge, row) for row in gradient])
+    for number in simulated:
+        noise = normal.hessian[edges[number] : edges[number + 1]].sum(axis=0)
+        variances += np.einsum("ij,jk,ik->i", follows, noise, follows)
+    gain, loop_width = np.sqrt(variances)
     return BaseFigures(float(gain), float(loop_width))
 
 
@@ -175,15 +185,25 @@ def _noise_of(normal: Normal, numbers: Sequence[int]) -> tuple[Array, float]:
 
 
 def _whitened(normal: Normal, numbers: Sequence[int], colour: Array) -> Array:
-    """Information matrix of the fitted vector, shape (P, P), from whitened derivatives."""
-    matrix = 1e-12 * np.diag(np.einsum("bii->i", normal.hessian)) + np.diag(normal.stiff)
+    """Information matrix of the fitted vector, shape (P, P), from whitened derivatives.
+
+    Blocks pull at the parameters by as much as the noise explains, if the model is right. The information is divided by
+    the factor by which they pull more strongly (derived here).
+    """
+    matrix, pulls = np.zeros_like(normal.ridge), list[Array]()
     for number in numbers:
-        rows = np.sqrt(normal.weights[number])[:, None] * normal.jacobians[number]
+        series = normal.chain.series[number]
+        rows = _innovations(np.sqrt(normal.weights[number])[:, None] * normal.jacobians[number], colour)
+        residual = _innovations(normal.weighted[number], colour)
         count = float(np.count_nonzero(normal.trust[number]))
-        innovation = float(np.sum(_innovations(normal.weighted[number], colour) ** 2)) / max(count, 1.0)
-        white = _innovations(rows, colour)
-        matrix += white.T @ white / max(innovation, 1e-12)
-    return matrix
+        variance = max(float(residual @ residual) / max(count, 1.0), 1e-12)
+        matrix += rows.T @ rows / variance
+        blocks = thinned(series.blocks, normal.chain.rows[number].step)
+        pulls += [rows[block].T @ residual[block] / variance for block in blocks]
+    matrix += 1e-12 * np.diag(np.diag(matrix)) + np.diag(normal.stiff)
+    seen = int(np.count_nonzero(np.diag(matrix)))
+    pulled = sum(float(pull @ solved(matrix, pull)) for pull in pulls)
+    return matrix / max(pulled / max(seen, 1), 1.0)
 
 
 def _innovations(signal: Array, colour: Array) -> Array:

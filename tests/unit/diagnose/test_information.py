@@ -5,6 +5,9 @@ import pytest
 
 import piezod
 from piezod.diagnose.hypothesis.basis import ForceLaw, PlayDensity
+from piezod.diagnose.hypothesis.fit import fit
+from piezod.diagnose.prepare import chain_of, substitute_recording
+from piezod.diagnose.verdict.information import information_of
 from piezod.model.base_figures import base_figures, figures_of_loops, two_loops
 from piezod.model.parameters import Hysteresis, Superposition
 from tests.benches.plain_stack import NOISE_N, RATE_HZ, THRESHOLDS_V, WEIGHTS, read, triangles
@@ -88,3 +91,14 @@ def test_a_model_with_its_information_is_a_small_file(models, tmp_path):
     models[0][0].save(path)
     assert path.stat().st_size < 20_000
     assert piezod.Model.load(path) == models[0][0]
+
+
+def test_a_simulated_series_counts_with_the_noise_that_weights_it(models):
+    model = models[0][0].model_copy(update={"information": None})
+    chain, start = chain_of([substitute_recording(model)], model)
+    fitted = fit(chain, (), start)
+    without_noise, with_noise = (information_of(chain, fitted, model, [sha256]) for sha256 in ("0" * 64, ""))
+    assert with_noise.recordings == ()
+    for name in ("gain", "loop_width_percent"):
+        narrow, wide = (np.diff(getattr(one, name))[0] for one in (without_noise, with_noise))
+        assert wide > narrow
