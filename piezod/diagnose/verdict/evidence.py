@@ -198,8 +198,8 @@ def _noncongruent_share(result: Search, place: int) -> Value:
     """Rms of the stroke that depends on the bias over the rms of the plays, in the diagnosed recordings [1].
 
     Lower end: the part that neither plays nor a curve of the command follow. Upper end: 1, since the congruent share of
-    an unknown hysteresis is unknown. Where the command has alike loops at different biases, and only the part at the
-    lower end reaches the noise, the interval of the fit is that of the lower end.
+    an unknown hysteresis is unknown. The interval of the fit is that of the lower end where that part is needed: with
+    alike loops at different biases, and noise that is reached with it only.
     """
     chain, fitted = result.chain, result.hypothesis
     congruent_values = {
