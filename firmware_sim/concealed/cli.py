@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from firmware_sim.concealed.errors import StudyError
-from firmware_sim.concealed.plant.foreign import FOREIGN
+from firmware_sim.concealed.plant.second_input import OUTSIDE_CATALOGUE
 from firmware_sim.concealed.scoring.report import as_json, as_text
 from firmware_sim.concealed.scoring.study_score import score_study
 from firmware_sim.concealed.study.catalogue import ENTRIES
@@ -45,6 +45,7 @@ def _make(options: argparse.Namespace) -> None:
         strength=options.strength,
         families=tuple(FAMILIES) if options.family == "each" else (options.family,),
         amid_s=options.amid,
+        varied=options.varied,
         jobs=options.jobs,
         progress=_show if sys.stderr.isatty() else None,
     )
@@ -68,7 +69,7 @@ def _parser() -> argparse.ArgumentParser:
     )
     maker.add_argument("--kind", choices=("all", *KINDS), default="all", help="kind of the cases")
     maker.add_argument(
-        "--effect", choices=(*ENTRIES, *FOREIGN), metavar="NAME", help="effect of every case except nulls"
+        "--effect", choices=(*ENTRIES, *OUTSIDE_CATALOGUE), metavar="NAME", help="effect of every case except nulls"
     )
     maker.add_argument(
         "--strength",
@@ -88,6 +89,11 @@ def _parser() -> argparse.ArgumentParser:
         default=0.0,
         metavar="S",
         help="seconds missing at the begin of the recordings of every third case (default: 0)",
+    )
+    maker.add_argument(
+        "--varied",
+        action="store_true",
+        help="benches as laboratories have them: rate, start, tare, voltmeter and kinds of command are drawn",
     )
     maker.add_argument("--jobs", type=int, default=1, help="number of processes")
     scorer = verbs.add_parser("score", help="open the sealed truth and score the findings")

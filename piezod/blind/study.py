@@ -29,7 +29,8 @@ def make_study(directory: Path, cases: int, options: Mapping[str, object], on_ca
     cases
         Number of cases, at least 1.
     options
-        Values of `seed`, `kind`, `effect`, `strength`, `family`, `amid` and `jobs`; None: the default of the command.
+        Values of `seed`, `kind`, `effect`, `strength`, `family`, `amid`, `varied` and `jobs`; None or False: the
+        default of the command.
     on_cases
         Called repeatedly with the number of cases drawn so far.
 
@@ -38,7 +39,11 @@ def make_study(directory: Path, cases: int, options: Mapping[str, object], on_ca
     UsageError, ConfigurationError
         The command refuses its arguments or cannot write the study.
     """
-    given = [f"--{name}={value}" for name, value in options.items() if value is not None]
+    given = [
+        f"--{name}" if value is True else f"--{name}={value}"
+        for name, value in options.items()
+        if value is not None and value is not False
+    ]
     command = [sys.executable, "-m", MODULE, "make", str(directory), f"--cases={cases}", *given]
     with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as plant:  # noqa: S603  # our own interpreter
         try:

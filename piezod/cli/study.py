@@ -22,7 +22,8 @@ def blind_make(
         int | None, typer.Option(min=0, help="The same seed makes the same study; default: random.")
     ] = None,
     kind: Annotated[
-        str | None, typer.Option(metavar="KIND", help="null, single, pair, triple or foreign; default: all in turn.")
+        str | None,
+        typer.Option(metavar="KIND", help="null, single, pair, triple, foreign or unrecorded; default: all."),
     ] = None,
     effect: Annotated[
         str | None, typer.Option(metavar="NAME", help="Effect in every case except null; default: all in turn.")
@@ -40,6 +41,10 @@ def blind_make(
         float | None,
         typer.Option(min=0.0, metavar="S", help="Seconds missing at the begin of the work of every third case."),
     ] = None,
+    varied: Annotated[
+        bool,
+        typer.Option("--varied", help="Draw rate, start, tare, voltmeter and kinds of command of each bench."),
+    ] = False,
     jobs: Annotated[int | None, typer.Option(min=1, help="Number of processes; default: one per core.")] = None,
 ) -> None:
     """Draw cases from a simulated plant that shares no code with this program, and seal the truth."""
@@ -54,6 +59,7 @@ def blind_make(
         "strength": strength,
         "family": family,
         "amid": amid,
+        "varied": varied,
         "jobs": jobs or core_count(),
     }
     with steps() as show:

@@ -8,7 +8,8 @@ import numpy as np
 
 from firmware_sim.concealed.plant.arrays import Array
 from firmware_sim.concealed.plant.drives import Drive
-from firmware_sim.concealed.plant.foreign import FOREIGN, ForeignContext
+from firmware_sim.concealed.plant.foreign import ForeignContext
+from firmware_sim.concealed.plant.second_input import OUTSIDE_CATALOGUE
 
 
 @dataclass(frozen=True)
@@ -91,8 +92,8 @@ class RecordContext:
     def with_foreign(self, location: str, values: Array) -> Array:
         """Values behind the foreign effects at a location in the chain, shape (n,)."""
         for name, effect in self.effects.items():
-            if name in FOREIGN and FOREIGN[name].location == location:
+            if name in OUTSIDE_CATALOGUE and OUTSIDE_CATALOGUE[name].location == location:
                 dt_s = 1.0 / self.drive.rate_Hz if location == "reading" else self.drive.fine_s
                 context = ForeignContext(self.drive, dt_s, self.reach_V, self.full_N, self.random(name))
-                values = FOREIGN[name].apply(values, effect.parameters["amount"], effect.details, context)
+                values = OUTSIDE_CATALOGUE[name].apply(values, effect.parameters["amount"], effect.details, context)
         return values

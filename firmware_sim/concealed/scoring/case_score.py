@@ -8,9 +8,9 @@ alarm (null case)
     A name was given, or the verdict is `explained`, `partly_explained` or `unexplained`.
 covered
     The true effect is among the names given, or among the rivals of one of them.
-flagged (foreign case)
+flagged (foreign case, unrecorded input)
     The verdict is `unexplained` or `partly_explained`.
-confident name (foreign case)
+confident name (foreign case, unrecorded input)
     The verdict is `explained`, or a wrong name was given with a confidence of at least 0.9.
 place found
     The finding of the effect, or else the finding of the whole mismatch, has a matching place on the same axis.
@@ -25,6 +25,8 @@ gap closed
     In expectation this equals (e0^2 - e1^2) / (e0^2 - noise^2) with errors against the measurement.
     Not counted: e0 is below half of the noise rms, or no effect of the case repeats in another record.
     A missing or infinite simulation counts as 0.
+    Of records with a tare, both errors are without their mean. The noise of a recorded voltage, which every simulation
+    contains, is subtracted from both squares.
 """
 
 import math
@@ -167,7 +169,7 @@ def gap_closed(case: TrueCase, forces: HeldOut) -> float | None:
         return None
     if forces.base_N is None or forces.extended_N is None:
         return 0.0
-    before, after = _mean_square(forces.base_N - forces.true_N), _mean_square(forces.extended_N - forces.true_N)
+    before, after = (_error_square(case, values_N - forces.true_N) for values_N in (forces.base_N, forces.extended_N))
     if before < (LEAST_GAP * case.noise_N) ** 2:
         return None
     return 1.0 - after / before if math.isfinite(after) and math.isfinite(before) else 0.0
@@ -213,5 +215,8 @@ def _errors(effect: TrueEffect, named: NamedEffect) -> list[ParameterError]:
     return found
 
 
-def _mean_square(values: Array) -> float:
-    return float(np.mean(values * values))
+def _error_square(case: TrueCase, error_N: Array) -> float:
+    """Mean square of an error without the noise of the voltmeter, and without its mean where records have a tare."""
+    if case.tared:
+        error_N = error_N - error_N.mean()
+    return max(float(np.mean(error_N * error_N)) - case.input_noise_N**2, 0.0)

@@ -91,8 +91,9 @@ def figures(scores: Sequence[CaseScore]) -> list[Figure]:
     scores
         Score of every case of the study.
     """
-    kinds = ("null", "single", "pair", "triple", "foreign")
+    kinds = ("null", "single", "pair", "triple", "foreign", "unrecorded")
     of_kind = {kind: [j for j in scores if j.case.kind == kind] for kind in kinds}
+    foreign = of_kind["foreign"] + of_kind["unrecorded"]
     strong = [j for j in of_kind["single"] if j.case.effects[0].strength >= STRONG]
     weak = [j for j in of_kind["single"] if j.case.effects[0].strength < STRONG]
     solved = [j for kind in ("single", "pair", "triple") for j in of_kind[kind] if j.exact]
@@ -107,10 +108,8 @@ def figures(scores: Sequence[CaseScore]) -> list[Figure]:
         _share("triples, exact set", _each(of_kind["triple"], _exact), 0.60, 0.78),
         _share("precision over all names given", right, 0.95, 0.98),
         _share("truth among named or their rivals", covered, 0.95, 0.98),
-        _share("foreign effects flagged", _each(of_kind["foreign"], _flagged), 0.90, 0.97),
-        _share(
-            "foreign effects given a confident name", _each(of_kind["foreign"], _confident), 0.10, 0.03, rising=False
-        ),
+        _share("foreign effects flagged", _each(foreign, _flagged), 0.90, 0.97),
+        _share("foreign effects given a confident name", _each(foreign, _confident), 0.10, 0.03, rising=False),
         _share(FALSELY_OPEN, _each(solved, _flagged), 0.05, 0.02, rising=False),
         _share("places found", places, 0.85, 0.95),
         *_parameters(scores),

@@ -9,6 +9,7 @@ from firmware_sim.concealed.scoring.figures import ConfidenceBin, Figure, calibr
 from firmware_sim.concealed.study.catalogue import ENTRIES
 
 POOR_GAP = 0.9
+OUTSIDE = ("foreign", "unrecorded")  # kinds of cases with an effect outside the catalogue
 POOR_PARAMETER = 0.3
 
 
@@ -117,8 +118,8 @@ def _family_row(name: str, scores: Sequence[CaseScore]) -> list[str]:
     """Cases of a family by kind, and how many of each are right or wrong."""
     mine = [score for score in scores if score.case.family == name]
     nulls = [score for score in mine if score.case.kind == "null"]
-    foreign = [score for score in mine if score.case.kind == "foreign"]
-    others = [score for score in mine if score.case.kind not in ("null", "foreign")]
+    foreign = [score for score in mine if score.case.kind in OUTSIDE]
+    others = [score for score in mine if score.case.kind not in ("null", *OUTSIDE)]
     counts = (
         len(nulls),
         sum(score.alarm for score in nulls),
@@ -145,7 +146,7 @@ def _failures_of_case(j: CaseScore) -> list[str]:
     kind, reasons = j.case.kind, []
     if kind == "null":
         return ["false alarm"] if j.alarm else []
-    if kind == "foreign":
+    if kind in OUTSIDE:
         reasons += [] if j.verdict.flagged else ["not flagged"]
         reasons += ["confident name"] if j.confident_name else []
     elif not j.exact:

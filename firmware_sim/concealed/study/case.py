@@ -39,6 +39,17 @@ class Noise:
 
 
 @dataclass(frozen=True)
+class Voltmeter:
+    """Instrument of the recorded voltage: gain (1) and rms of its white noise [V]; the stack is not affected."""
+
+    gain: float = 1.0
+    noise_V: float = 0.0
+
+
+EXACT = Voltmeter()
+
+
+@dataclass(frozen=True)
 class Record:
     """One record of a case.
 
@@ -50,11 +61,17 @@ class Record:
         Commands.
     seed
         Seed of noise, phases and random walks in this record.
+    tare_N
+        Offset of the readings [N].
+    begin_s
+        Time of the first sample that is written [s]; 0: at rest.
     """
 
     name: str
     drive: Drive
     seed: int
+    tare_N: float = 0.0
+    begin_s: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -64,7 +81,7 @@ class Case:
     Parameters
     ----------
     kind
-        `null`, `single`, `pair`, `triple` or `foreign`.
+        One of `plan.KINDS`.
     plant
         Plant without effects.
     noise
@@ -77,6 +94,8 @@ class Case:
         True: the files have a temperature channel.
     truth
         Description of the case for the sealed truth.
+    voltmeter
+        Instrument of the recorded voltage.
     """
 
     kind: str
@@ -86,6 +105,7 @@ class Case:
     effects: Mapping[str, Effect]
     shows_temperature: bool
     truth: dict[str, object]
+    voltmeter: Voltmeter = EXACT
 
     def active(self, record: Record) -> dict[str, Effect]:
         """Active effects of a record; effects in `ONCE` act in the first recording alone."""
@@ -107,10 +127,16 @@ class Case:
             reading = sampling.quantised(reading, noise.step_N)
         if dropout is not None and manner != "noisy":
             reading = dropped_out(reading, record.drive.time_s, dropout, self.plant.law.full_N)
-        return reading
+        return reading + record.tare_N if record.tare_N else reading
+
+    def recorded_voltage_V(self, record: Record) -> Array:
+        """Voltage as the file states it, shape (n,) [V]."""
+        rng = np.random.Generator(np.random.PCG64(record.seed + 3))
+        stated_V: Array = self.voltmeter.gain * record.drive.voltage_V
+        return stated_V + self.voltmeter.noise_V * rng.normal(0.0, 1.0, stated_V.size)
 
     def repeatable_N(self, record: Record) -> Array:
-        """Force without noise, tones, single events and converter steps, shape (n,) [N]."""
+        """Force without tare, noise, tones, single events and converter steps, shape (n,) [N]."""
         lasting = {name: on for name, on in self.active(record).items() if name not in TONES | ONCE}
         return self.plant.reading_N(record.drive, lasting, record.seed)
 

@@ -1,5 +1,9 @@
-"""Draws a case: ranges, records, plant, noise, and effects of given strengths."""
+"""Draws a case: bench, plant, noise, and effects of given strengths.
 
+A strength is relative to the noise of the readings. A voltmeter's noise reaches the expected force, and adds to it.
+"""
+
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 
@@ -7,30 +11,24 @@ import numpy as np
 
 from firmware_sim.concealed.plant.arrays import Array
 from firmware_sim.concealed.plant.chain import Plant
-from firmware_sim.concealed.plant.drives import Drive, identification_voltage, mixed_work, temperature
 from firmware_sim.concealed.plant.force_law import ForceLaw
-from firmware_sim.concealed.plant.foreign import FOREIGN
 from firmware_sim.concealed.plant.hysteresis import Hysteresis, Kind, draw_hysteresis, draw_noncongruent
 from firmware_sim.concealed.plant.record_context import Effect
 from firmware_sim.concealed.plant.sampling import quantised
+from firmware_sim.concealed.plant.second_input import OUTSIDE_CATALOGUE, SECOND_INPUTS
+from firmware_sim.concealed.study.bench import draw_bench, draw_varied_bench
 from firmware_sim.concealed.study.case import Case, Noise, Record, dropped_out, effects_in
-from firmware_sim.concealed.study.catalogue import ENTRIES, places
-from firmware_sim.concealed.study.entry import COME_SINCE, RAMP_SAMPLES, Context, Entry
+from firmware_sim.concealed.study.catalogue import ENTRIES, frozen_spans, places
+from firmware_sim.concealed.study.entry import COME_SINCE, EITHER, RAMP_SAMPLES, Context, Entry
 from firmware_sim.concealed.study.families import FAMILIES
 from firmware_sim.concealed.study.strength import VisibleDifference, find_scale
 
 STRENGTHS = (0.8, 4.0, 20.0)  # [noise rms]
-RATES_HZ = (200.0, 250.0, 500.0, 1000.0, 2000.0)
-RATE_SHARES = (0.1, 0.1, 0.3, 0.4, 0.1)
-DURATIONS_S, DURATION_SHARES = (30.0, 60.0, 120.0), (0.15, 0.7, 0.15)
 NOISE_SHARES = {"white": 0.45, "coloured": 0.3, "quantised": 0.25}
 LEAST_NOISE, MOST_NOISE = 0.0002, 0.003  # [range]
 FINE_STEP = (0.05, 0.35)  # step of an ordinary converter [noise rms]
 MISFIT = 0.12  # largest residual of superposed plays on the hysteresis [noise rms]
 SHOWN_TOGETHER = 0.5  # smallest share of its strength that an effect shows beside the others
-RATE_LIMITED_SHARE = 0.5  # of the benches limit the rate of their commands
-RATE_LIMIT = (1.0, 40.0)  # [ranges per second]
-READ_LATE = (0.35, 0.9)  # time from a held command to its reading [samples]
 FOREIGNNESS = 0.25  # smallest share of a foreign effect that catalogue effects cannot reproduce
 ATTEMPTS = 72  # one of a hundred cases has no plausible draw in 18
 STRICT_ATTEMPTS = 8  # attempts before another strength is allowed
@@ -43,15 +41,17 @@ class CaseSpec:
     Parameters
     ----------
     kind
-        `null`, `single`, `pair`, `triple` or `foreign`.
+        One of `plan.KINDS`.
     names
-        Names of its effects; in a foreign case, the foreign effect stands first.
+        Names of its effects; an effect outside the catalogue stands first.
     strengths
         Strength of each effect [noise rms]; replaced by another one where it is not plausible.
     noise
         `white`, `coloured` or `quantised`.
     family
         One of `FAMILIES`; empty: laws drawn for each case.
+    varied
+        Whether the bench is varied (`bench.draw_varied_bench`).
     """
 
     kind: str
@@ -59,6 +59,7 @@ class CaseSpec:
     strengths: tuple[float, ...]
     noise: str
     family: str = ""
+    varied: bool = False
 
 
 def draw_case(spec: CaseSpec, seed: np.random.SeedSequence) -> Case:
@@ -89,17 +90,14 @@ class _Attempt:
     def __init__(self, spec: CaseSpec, rng: np.random.Generator, *, strict: bool) -> None:
         self._spec, self._rng, self._strict = spec, rng, strict
         self._family = FAMILIES.get(spec.family)
-        self._rate_Hz = float(rng.choice(RATES_HZ, p=RATE_SHARES))
-        self._reach_V = round(rng.uniform(60.0, 200.0), 1)
-        self._full_N = float(np.exp(rng.uniform(np.log(50.0), np.log(2000.0))))
-        self._held = bool(rng.random() < 0.5) and not any(ENTRIES[n].straight for n in spec.names if n in ENTRIES)
-        self._late = rng.uniform(*READ_LATE) if self._held else 0.0
-        limited = bool(rng.random() < RATE_LIMITED_SHARE)
-        self._most_V_per_s = self._reach_V * (float(np.exp(rng.uniform(*np.log(RATE_LIMIT)))) if limited else np.inf)
-        self._records = self._draw_records()
-        self._work = next(record for record in self._records if record.name.startswith("recording"))
+        straight = any(ENTRIES[name].straight for name in spec.names if name in ENTRIES)
+        bench = self._bench = (draw_varied_bench if spec.varied else draw_bench)(rng, straight=straight)
+        self._rate_Hz, self._reach_V, self._full_N = bench.rate_Hz, bench.reach_V, bench.full_N
+        self._work = next(record for record in bench.records if record.name.startswith("recording"))
         self._plant = self._draw_plant()
         self._noise = self._draw_noise()
+        self._input_noise_N = self._full_N * bench.voltmeter.noise_V / self._reach_V
+        self._floor_N = math.hypot(self._noise.rms_N, self._input_noise_N)
 
     def case(self) -> Case | None:
         """Draw the effects and return the case; None: it is not plausible."""
@@ -109,7 +107,7 @@ class _Attempt:
         u = drive.voltage_V
         fastest, lasting = (float(np.abs(u[n:] - u[:-n]).max()) / n * self._rate_Hz for n in (1, RAMP_SAMPLES))
         context = Context(
-            self._reach_V, self._full_N, self._rate_Hz, self._noise.rms_N, float(drive.time_s[-1]), fastest, lasting
+            self._reach_V, self._full_N, self._rate_Hz, self._floor_N, float(drive.time_s[-1]), fastest, lasting
         )
         plain = self._reading(self._work, {})
         visible = VisibleDifference(plain, drive.voltage_V, self._rate_Hz)
@@ -140,34 +138,14 @@ class _Attempt:
             "force_law": asdict(self._plant.law),
             "reach_V": self._reach_V,
             "rate_Hz": self._rate_Hz,
-            "held": self._held,
-            "read_late_samples": self._late,
+            "held": self._bench.held,
+            "read_late_samples": self._bench.late,
         }
-        return Case(self._spec.kind, self._plant, self._noise, self._records, effects, shows, truth)
-
-    def _draw_records(self) -> tuple[Record, ...]:
-        rng, rate_Hz = self._rng, self._rate_Hz
-        drawn_s = [float(rng.choice(DURATIONS_S, p=DURATION_SHARES)) for _ in range(2)]
-        most_s = 60.0 if rate_Hz > 1000.0 else 120.0
-        identification_s = min(rng.uniform(40.0, 120.0), most_s)
-        records = [self._record("identification.csv", identification_s)]
-        if rng.random() < 1.0 / 3.0:
-            records += [self._record(f"recording_{k}.csv", min(drawn_s[0], 60.0)) for k in (1, 2)]
-        else:
-            records.append(self._record("recording.csv", min(drawn_s[0], most_s)))
-        records.append(self._record("held_out.csv", min(drawn_s[1], most_s)))
-        return tuple(records)
-
-    def _record(self, name: str, duration_s: float) -> Record:
-        if name.startswith("identification"):
-            voltage_V = identification_voltage(self._rng, self._reach_V, self._rate_Hz, duration_s)
-        else:
-            voltage_V = mixed_work(self._rng, self._reach_V, self._rate_Hz, duration_s, self._most_V_per_s)
-        voltage_V = np.round(voltage_V, 4)
-        warmth = temperature(self._rng, duration_s, self._rate_Hz)[: voltage_V.size]
-        return Record(
-            name, Drive(voltage_V, self._rate_Hz, self._held, self._late, warmth), int(self._rng.integers(2**40))
-        )
+        if self._spec.varied:
+            truth["bench"] = self._bench.truth
+            truth["floor_N"], truth["input_noise_N"] = self._floor_N, self._input_noise_N
+        bench = self._bench
+        return Case(self._spec.kind, self._plant, self._noise, bench.records, effects, shows, truth, bench.voltmeter)
 
     def _draw_plant(self) -> Plant:
         rng = self._rng
@@ -212,6 +190,8 @@ class _Attempt:
         if name in ENTRIES:
             entry = ENTRIES[name]
             scope = entry.scopes[int(self._rng.integers(len(entry.scopes)))]
+        elif name in SECOND_INPUTS:
+            scope = EITHER[int(self._rng.integers(len(EITHER)))]
         others = [s for s in STRENGTHS if s != target]
         self._rng.shuffle(others)
         for strength in (target,) if self._strict else (target, *others):
@@ -224,8 +204,8 @@ class _Attempt:
         self, name: str, scope: str, strength: float, context: Context, visible: VisibleDifference
     ) -> tuple[Effect, dict[str, object]] | None:
         """Draw an effect and scale it to a strength; return it and its truth, or None where it is not plausible."""
-        if name in FOREIGN:
-            foreign = FOREIGN[name]
+        if name in OUTSIDE_CATALOGUE:
+            foreign = OUTSIDE_CATALOGUE[name]
             low, high = foreign.least, foreign.most
             drawn: tuple[dict[str, float], dict[str, object]] = {}, foreign.details(self._rng)
             entry = Entry("amount", lambda bench: (low, high), lambda rng, bench: drawn)  # noqa: ARG005
@@ -240,15 +220,15 @@ class _Attempt:
         def shows_N(scale: float) -> float:
             return measure(self._reading(self._work, {name: entry.effect(name, scope, drawn, scale)}))
 
-        scale = find_scale(shows_N, strength * self._noise.rms_N, low, high) if low < high else None
+        scale = find_scale(shows_N, strength * self._floor_N, low, high) if low < high else None
         if scale is None:
             return None
         effect = entry.effect(name, scope, drawn, scale)
-        if not entry.plausible(effect):
+        if not entry.plausible(effect) or self._before_the_file(effect):
             return None
         reading = self._reading(self._work, {name: effect})
         raw_N = visible.after_gain_and_offset_N(reading)
-        if name in FOREIGN and visible.after_neighbours_N(reading) < FOREIGNNESS * raw_N:
+        if name in OUTSIDE_CATALOGUE and visible.after_neighbours_N(reading) < FOREIGNNESS * raw_N:
             return None
         not_compared = self._family.not_compared.get(name, ()) if self._family else ()
         parameters = {key: value for key, value in effect.parameters.items() if key not in not_compared}
@@ -260,12 +240,19 @@ class _Attempt:
             "details": effect.details,
             "scope": scope,
             "strength": strength,
-            "after_gain_and_offset_in_noise": raw_N / self._noise.rms_N,
-            "after_refit_in_noise": visible.after_refit_N(reading) / self._noise.rms_N,
-            "after_neighbours_in_noise": visible.after_neighbours_N(reading) / self._noise.rms_N,
+            "after_gain_and_offset_in_noise": raw_N / self._floor_N,
+            "after_refit_in_noise": visible.after_refit_N(reading) / self._floor_N,
+            "after_neighbours_in_noise": visible.after_neighbours_N(reading) / self._floor_N,
             "where": [place | {"recording": self._work.name} for place in places(effect, context)],
         }
         return effect, truth
+
+    def _before_the_file(self, effect: Effect) -> bool:
+        """Whether an event begins before the first sample that is written."""
+        begin_s = effect.parameters.get("on_s", math.inf)
+        if effect.name == "sensor_dropout":
+            begin_s = min(low for low, _ in frozen_spans(effect))
+        return begin_s < self._work.begin_s
 
     def _all_show(self, effects: Mapping[str, Effect], truths: Sequence[dict[str, object]]) -> bool:
         """Whether each effect still shows beside the others; adds the figure to its truth."""
@@ -279,8 +266,8 @@ class _Attempt:
             rest = self._reading(self._work, {other: on for other, on in active.items() if other != name})
             visible = VisibleDifference(rest, self._work.drive.voltage_V, self._rate_Hz)
             shows_N = _measure(visible, name, str(truth["scope"]))(together)
-            truth["beside_the_others_in_noise"] = shows_N / self._noise.rms_N
-            if shows_N < SHOWN_TOGETHER * strength * self._noise.rms_N:
+            truth["beside_the_others_in_noise"] = shows_N / self._floor_N
+            if shows_N < SHOWN_TOGETHER * strength * self._floor_N:
                 return False
         return True
 
@@ -303,6 +290,6 @@ def superposition_misfit(hysteresis: Hysteresis, voltage_V: Array, rate_Hz: floa
 
 def _measure(visible: VisibleDifference, name: str, scope: str) -> Callable[[Array], float]:
     """Measure of the strength of an effect: the part that a refitted model cannot absorb."""
-    if name in FOREIGN:
+    if name in OUTSIDE_CATALOGUE:
         return visible.after_neighbours_N
     return visible.after_gain_and_offset_N if scope == COME_SINCE else visible.after_refit_N

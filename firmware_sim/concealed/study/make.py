@@ -30,6 +30,7 @@ def make(
     strength: float | None = None,
     families: Sequence[str] = ("",),
     amid_s: float = 0.0,
+    varied: bool = False,
     jobs: int = 1,
     progress: Callable[[int, int], None] | None = None,
 ) -> None:
@@ -48,6 +49,8 @@ def make(
     amid_s
         Time that is missing at the begin of the recordings of work of every third case [s]; they then begin somewhere
         in the range, with an unknown past.
+    varied
+        Whether the benches are varied (`bench.draw_varied_bench`).
     jobs
         Number of processes.
     progress
@@ -62,7 +65,8 @@ def make(
         raise StudyError(f"{directory}: has a study already; take another directory")
     entropy = np.random.SeedSequence(seed)
     plan, *children = entropy.spawn(cases + 1)
-    planned = case_specs(np.random.Generator(np.random.PCG64(plan)), cases, kind, effect, strength, families)
+    rng = np.random.Generator(np.random.PCG64(plan))
+    planned = case_specs(rng, cases, kind, effect, strength, families, varied=varied)
     (directory / "sealed").mkdir(parents=True, exist_ok=True)
     names = [f"case_{k:04d}" for k in range(1, cases + 1)]
     truths = {}
@@ -119,7 +123,7 @@ def make_case(
     folder.mkdir(exist_ok=True)
     for record in case.records:
         is_work = record.name.startswith("recording")
-        write_record(folder / record.name, case, record, begin_s if is_work else 0.0)
+        write_record(folder / record.name, case, record, max(record.begin_s, begin_s if is_work else 0.0))
     described = json.dumps(_description(case, begin_s), indent=1) + "\n"
     (folder / "case.json").write_text(described, encoding="utf-8")
     held_out = case.records[-1]
@@ -132,6 +136,9 @@ def _description(case: Case, begin_s: float) -> dict[str, object]:
     names = [record.name for record in case.records]
     at_rest = "every record starts at rest, depoled, at 0 V"
     amid = "recordings start somewhere in the range; the other records start at rest, depoled, at 0 V"
+    if any(record.begin_s for record in case.records):
+        unknown = [record.name for record in case.records if record.begin_s or (begin_s and record.name in names[1:-1])]
+        amid = f"{', '.join(unknown)}: somewhere in the range; other records start at rest, depoled, at 0 V"
     return {
         "schema": CASE_SCHEMA,
         "identification": names[0],
@@ -139,7 +146,7 @@ def _description(case: Case, begin_s: float) -> dict[str, object]:
         "held_out": names[-1],
         "input": "voltage_V",
         "output": "force_N",
-        "start": amid if begin_s else at_rest,
+        "start": amid if begin_s or any(record.begin_s for record in case.records) else at_rest,
     }
 
 
@@ -159,7 +166,7 @@ def write_record(path: Path, case: Case, record: Record, begin_s: float = 0.0) -
     """
     columns = {
         "time_s": (record.drive.time_s, "%.6f"),
-        "voltage_V": (record.drive.voltage_V, "%.4f"),
+        "voltage_V": (case.recorded_voltage_V(record), "%.4f"),
         "force_N": (case.reading_N(record), "%.7g"),
     }
     if case.shows_temperature:

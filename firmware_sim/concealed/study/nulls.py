@@ -18,7 +18,8 @@ from firmware_sim.concealed.plant.chain import Plant
 from firmware_sim.concealed.plant.drives import Drive, mixed_work
 from firmware_sim.concealed.plant.force_law import ForceLaw
 from firmware_sim.concealed.plant.hysteresis import Kind, draw_hysteresis, draw_noncongruent
-from firmware_sim.concealed.study.drawing import LEAST_NOISE, MISFIT, MOST_NOISE, READ_LATE, superposition_misfit
+from firmware_sim.concealed.study.bench import READ_LATE
+from firmware_sim.concealed.study.drawing import LEAST_NOISE, MISFIT, MOST_NOISE, superposition_misfit
 
 FAMILIES: tuple[Kind, ...] = get_args(Kind)
 RATE_HZ, DURATION_S = 500.0, 60.0

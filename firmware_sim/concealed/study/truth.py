@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from firmware_sim.concealed.plant.foreign import FOREIGN
+from firmware_sim.concealed.plant.second_input import OUTSIDE_CATALOGUE
 from firmware_sim.concealed.study.seal import open_truth
 
 
@@ -49,15 +49,19 @@ class TrueCase:
     name
         Name of its folder.
     kind
-        `null`, `single`, `pair`, `triple` or `foreign`.
+        One of `plan.KINDS`.
     effects
         Catalogue effects.
     foreign
-        Name of the foreign effect; empty: none.
+        Name of the effect outside the catalogue; empty: none.
     noise_N
-        Rms of the noise [N].
+        Rms of the noise [N], with the noise of the voltmeter.
     family
         Family of the plant; empty: none.
+    input_noise_N
+        Part of `noise_N` that the voltmeter adds to a simulation [N].
+    tared
+        Whether every record has an offset of its own, which no simulation can know.
     """
 
     name: str
@@ -66,6 +70,8 @@ class TrueCase:
     foreign: str
     noise_N: float
     family: str = ""
+    input_noise_N: float = 0.0
+    tared: bool = False
 
     @property
     def names(self) -> frozenset[str]:
@@ -92,9 +98,13 @@ def read_truth(directory: Path) -> list[TrueCase]:
 
 def _case(name: str, fields: Mapping[str, Any]) -> TrueCase:
     effects = tuple(_effect(effect) for effect in fields["effects"])
-    foreign = "".join(effect.name for effect in effects if effect.name in FOREIGN)
-    known = tuple(effect for effect in effects if effect.name not in FOREIGN)
-    return TrueCase(name, fields["kind"], known, foreign, float(fields["noise"]["rms_N"]), fields.get("family", ""))
+    foreign = "".join(effect.name for effect in effects if effect.name in OUTSIDE_CATALOGUE)
+    known = tuple(effect for effect in effects if effect.name not in OUTSIDE_CATALOGUE)
+    noise_N = float(fields.get("floor_N", fields["noise"]["rms_N"]))
+    input_noise_N = float(fields.get("input_noise_N", 0.0))
+    return TrueCase(
+        name, fields["kind"], known, foreign, noise_N, fields.get("family", ""), input_noise_N, "bench" in fields
+    )
 
 
 def _effect(fields: Mapping[str, Any]) -> TrueEffect:
