@@ -186,7 +186,7 @@ def shown_by(command_V: Array) -> bool:
     order = np.argsort(heights_V)
     heights_V, biases_V = heights_V[order], biases_V[order]
     for first, height_V in enumerate(heights_V):
-        end = int(np.searchsorted(heights_V, ALIKE * height_V))
+        end = int(np.searchsorted(heights_V, ALIKE * height_V, side="right"))
         if np.ptp(biases_V[first:end]) > 0.5 * height_V:
             return True
     return False

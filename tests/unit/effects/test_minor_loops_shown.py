@@ -24,6 +24,8 @@ def through(*levels_V):
         (through(0, 30, 10, 60, 40, 90, 70, 100, 0), True),  # loops of 20 V at 20, 50 and 80 V
         (triangles([100.0, 95.0, 90.0]), False),  # from one end to nearly the same peak
         (work(3), True),
+        (through(50, 0, 100, 0), False),  # falls first
+        (np.zeros(50), False),
     ],
 )
 def test_alike_loops_at_different_biases(command_V, shown):
