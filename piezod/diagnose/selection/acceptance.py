@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from piezod.diagnose.candidates.steps import Step, has_clear_edges, shown_late_s
+from piezod.diagnose.candidates.steps import JUMP_S, Step, has_clear_edges, shown_late_s
 from piezod.diagnose.hypothesis.chain import Chain
 from piezod.diagnose.hypothesis.fit import Fitted
 from piezod.diagnose.hypothesis.record import record_of
@@ -99,13 +99,20 @@ def degenerate(chain: Chain, fitted: Fitted) -> bool:
 
 
 def _is_a_step(chain: Chain, fitted: Fitted) -> bool:
-    """Whether the last effect, a step, has edges, and neither ends nor begins for good soon after the start."""
+    """Whether the last effect, a step, has edges, and is none that an unknown start may leave.
+
+    Such a step ends or begins for good soon after the start, or where the command leaves the range swept before.
+    """
     term, values = fitted.terms[-1], fitted.point.values[-1]
     series = chain.series[term.series]
     size, begin = series.time_s.size, RULES.edge * series.time_s.size
     late_s = shown_late_s(chain, fitted.terms, fitted.point)
     first, end = (round((values[name] + late_s) / series.dt_s) for name in ("on_s", "off_s"))
     if end <= begin or (end >= size and first < begin):
+        return False
+    near = round(JUMP_S / series.dt_s)
+    of_past = [series.start_columns[max(edge - near, 0) : edge + near] for edge in (first, end) if edge < size]
+    if any(columns.size and np.ptp(columns, axis=0).any() for columns in of_past):
         return False
     residual_N = series.reading_N - chain.run(term.series, fitted.terms, fitted.point).reading_N
     return has_clear_edges(series, residual_N, Step(values["step_N"], first, min(end, size)))

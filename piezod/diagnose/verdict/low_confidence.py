@@ -53,7 +53,7 @@ def _is_determined(finding: Finding) -> bool:
     low, high = value.in_fit or (value.low, value.high)
     ends = sorted((abs(low), abs(high)))
     is_within = bool(size.search.choices) or size.low < value.value < size.high
-    return low * high > 0.0 and ends[1] <= DECADE * ends[0] and is_within
+    return min(low * high, value.low * value.high) > 0.0 and ends[1] <= DECADE * ends[0] and is_within
 
 
 def undetermined_notes(findings: Findings, names: Sequence[str], wording: Wording) -> list[str]:
