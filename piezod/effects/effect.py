@@ -298,19 +298,17 @@ class Effect:
     repeats: bool = True
     checks: Checks = field(default_factory=Checks)
     _by_name: dict[str, Parameter] = field(init=False, repr=False, compare=False, default_factory=dict)
-    _places: list["Effect"] = field(init=False, repr=False, compare=False, default_factory=list)
 
     def __post_init__(self) -> None:
         self._by_name.update({one.name: one for one in self.parameters})
-        if self.behind_law is not None and self.location is Location.STACK:
-            moved = replace(self, location=Location.MECHANICS)
-            self._places[:] = moved._places[:] = self, moved  # noqa: SLF001  # of the same class
 
     def at(self, values: Values) -> "Effect":
         """The effect at the location that its choices among `values` give it."""
         if self.behind_law is None:
             return self
-        return self._places[values.get(self.behind_law[0]) == self.behind_law[1]]
+        name, behind = self.behind_law
+        location = Location.MECHANICS if values.get(name) == behind else Location.STACK
+        return self if location is self.location else replace(self, location=location)
 
     @property
     def size(self) -> Parameter:

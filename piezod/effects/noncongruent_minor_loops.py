@@ -32,7 +32,8 @@ DEGREES = 5  # of the polynomials
 RIDGE = 0.1  # of a weight: small against the information of a useful recording; without information the weight stays 0
 RIDGE_OF_MEMORY = 1e-4  # of the parameters that shape b
 SMALLEST_BRANCH = 0.02  # of the driven range: a smaller branch hardly opens a loop
-ALIKE = 1.5  # ratio of two branches that a play model opens nearly alike
+ALIKE = 1.5  # largest ratio of two branches that count as alike
+HEIGHTS = 42  # of branches that are compared; each is 10 % above the one before
 COLUMNS, ADDED, MEMORY = "minor loops, columns", "minor loops, added", "minor loops, memory"  # names in the cache
 TRAVEL = 0.3  # movement in which b rises to 63 % with memory_way = 1, as a part of the voltage range
 NAMES = (
@@ -176,18 +177,17 @@ def _turns(u: Array, least: float) -> Array:
 def shown_by(command_V: Array) -> bool:
     """Whether a command has alike minor loops at different biases; otherwise nothing tells whether they are congruent.
 
-    Two branches are alike if their heights differ by less than the factor `ALIKE`. Their biases differ by at least
-    half of their height.
+    Branches are alike if their heights lie within the factor `ALIKE`. Their biases differ by at least half of their
+    height.
 
     `command_V`: commands, shape (N,) [V].
     """
-    turns_V = _turns(command_V, SMALLEST_BRANCH * float(np.ptp(command_V)))
+    least_V = SMALLEST_BRANCH * float(np.ptp(command_V))
+    turns_V = _turns(command_V, least_V)
     heights_V, biases_V = np.abs(np.diff(turns_V)), 0.5 * (turns_V[1:] + turns_V[:-1])
-    order = np.argsort(heights_V)
-    heights_V, biases_V = heights_V[order], biases_V[order]
-    for first, height_V in enumerate(heights_V):
-        end = int(np.searchsorted(heights_V, ALIKE * height_V, side="right"))
-        if np.ptp(biases_V[first:end]) > 0.5 * height_V:
+    for height_V in least_V * np.geomspace(1.0, 1.0 / SMALLEST_BRANCH, HEIGHTS):
+        alike_V = biases_V[(heights_V >= height_V) & (heights_V <= ALIKE * height_V)]
+        if alike_V.size and np.ptp(alike_V) > 0.5 * height_V:
             return True
     return False
 

@@ -23,12 +23,9 @@ Array = NDArray[np.float64]
 
 STEP = next(name for name, effect in EFFECTS.items() if effect.is_step)
 
-TRIED, FROM_PAST, FEWEST_TRIED = (
-    4,
-    2,
-    3,
-)  # effects that are fitted coarsely, and at least so many: lag, filter and delay
-# are alike, and with one fewer a lag of the concealed cases was missed
+TRIED, FROM_PAST, FEWEST_TRIED = 4, 2, 3
+"""Effects that are fitted coarsely, from the old base too, and at least: lag, filter and delay are alike, and with one
+fewer a lag of the concealed cases was missed."""
 PAIRS, REFINED = 6, 2  # pairs that are fitted coarsely; hypotheses of which other choices are tried
 COMPARED, FEWEST_COMPARED = 4, 3  # hypotheses that are fitted to more samples, and at least so many
 NEAR = 0.4  # share of the best gain from which an effect is fitted, coarsely or to more samples

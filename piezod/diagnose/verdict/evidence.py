@@ -31,9 +31,9 @@ INTERVAL_FACTOR, FORM_ERROR = 2.0, 0.015
 Of 24 parameters of 33 concealed benches, 13 lay in the intervals of the blocks alone, and 21 in these."""
 WIDEST_SPREAD = 20.0  # largest half interval on the search scale; beyond it the parameter is undetermined
 LAG_ERROR = 1.0 / 8.0  # largest error of a sub-sample delay beside a lag [samples]: f (1 - f) / 2 for its fraction f
-AT_NOISE = (
-    1.5  # mean square [noise variance] up to which a general effect explains all; foreign benches leave 2 and more
-)
+AT_NOISE = 1.5
+"""Mean square [noise variance] up to which minor loops explain all. Those of the emulated bench leave 1.2; a pneumatic
+actuator and a damper, which have none, leave 18 and 1,000."""
 NO_RIVAL = 3.0  # separation assumed if there is no rival [noise rms]
 
 
@@ -198,8 +198,8 @@ def _noncongruent_share(result: Search, place: int) -> Value:
     """Rms of the stroke that depends on the bias over the rms of the plays, in the diagnosed recordings [1].
 
     Lower end: the part that neither plays nor a curve of the command follow. Upper end: 1, since the congruent share of
-    an unknown hysteresis is unknown. The interval of the fit is that of the lower end where that part is needed: with
-    alike loops at different biases, and noise that is reached with it only.
+    an unknown hysteresis is unknown. The interval of the fit is that of the lower end. It needs alike loops at
+    different biases, a fit that reaches the noise, and a part that is large enough to be an effect.
     """
     chain, fitted = result.chain, result.hypothesis
     congruent_values = {
