@@ -8,11 +8,15 @@ from pathlib import Path
 
 from firmware_sim.concealed.errors import StudyError
 from firmware_sim.concealed.plant.second_input import OUTSIDE_CATALOGUE
+from firmware_sim.concealed.scoring.lives.report import lives_as_json, lives_as_text
+from firmware_sim.concealed.scoring.lives.score import score_lives
 from firmware_sim.concealed.scoring.report import as_json, as_text
 from firmware_sim.concealed.scoring.study_score import score_study
 from firmware_sim.concealed.study.catalogue import ENTRIES
 from firmware_sim.concealed.study.families import FAMILIES
+from firmware_sim.concealed.study.life_truth import holds_lives
 from firmware_sim.concealed.study.make import make
+from firmware_sim.concealed.study.make_lives import make_lives
 from firmware_sim.concealed.study.plan import KINDS
 
 EXIT_CONFIGURATION = 78
@@ -36,6 +40,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _make(options: argparse.Namespace) -> None:
+    if options.lives is not None:
+        make_lives(
+            options.directory,
+            options.lives,
+            seed=options.seed,
+            families=tuple(FAMILIES) if options.family in ("", "each") else (options.family,),
+            jobs=options.jobs,
+            progress=_show if sys.stderr.isatty() else None,
+        )
+        return
     make(
         options.directory,
         options.cases,
@@ -52,6 +66,10 @@ def _make(options: argparse.Namespace) -> None:
 
 
 def _score(options: argparse.Namespace) -> None:
+    if holds_lives(options.directory):
+        lives = score_lives(options.directory, options.verdicts, partial=options.partial)
+        sys.stdout.write(json.dumps(lives_as_json(lives), indent=1) + "\n" if options.json else lives_as_text(lives))
+        return
     scores = score_study(options.directory, options.verdicts, partial=options.partial)
     sys.stdout.write(json.dumps(as_json(scores), indent=1) + "\n" if options.json else as_text(scores))
 
@@ -63,7 +81,9 @@ def _parser() -> argparse.ArgumentParser:
     verbs = parser.add_subparsers(required=True, dest="verb")
     maker = verbs.add_parser("make", help="draw the cases and seal their truth")
     maker.add_argument("directory", type=Path, metavar="DIR")
-    maker.add_argument("--cases", type=int, required=True, metavar="N", help="number of cases")
+    numbers = maker.add_mutually_exclusive_group(required=True)
+    numbers.add_argument("--cases", type=int, metavar="N", help="number of cases")
+    numbers.add_argument("--lives", type=int, metavar="N", help="number of lives: benches with five recordings each")
     maker.add_argument(
         "--seed", type=int, help="seed; the same seed makes the same study (default: from the operating system)"
     )

@@ -97,19 +97,17 @@ def as_text(scores: Sequence[CaseScore]) -> str:
         Score of every case of the study.
     """
     parts = [
-        _table(
-            ["figure", "value", "95 %", "of", "at least", "aim", "reached"], [_figure_row(f) for f in figures(scores)]
-        ),
-        _table(
+        figure_table(figures(scores)),
+        table(
             ["effect", "true", "named", "rival", "false", "named instead"],
             [_confusion_row(c) for c in confusions(scores)],
         ),
-        _table(["confidence", "names", "mean", "right"], [_bin_row(b) for b in calibration_bins(scores)]),
+        table(["confidence", "names", "mean", "right"], [_bin_row(b) for b in calibration_bins(scores)]),
     ]
     families = sorted({score.case.family for score in scores} - {""})
     if families:
         header = ["family", "nulls", "false alarms", "others", "exact set", "foreign", "flagged"]
-        parts.insert(1, _table(header, [_family_row(name, scores) for name in families]))
+        parts.insert(1, table(header, [_family_row(name, scores) for name in families]))
     failed = failures(scores)
     return "\n\n".join([*parts, "\n".join([f"{len(failed)} of {len(scores)} cases with a failure", *failed])]) + "\n"
 
@@ -210,7 +208,13 @@ def _bin_row(each: ConfidenceBin) -> list[str]:
     return [f"{each.low:.1f}-{each.high:.1f}", str(each.count), f"{each.confidence:.3f}", f"{each.right:.3f}"]
 
 
-def _table(head: list[str], rows: list[list[str]]) -> str:
+def figure_table(figures: Sequence[Figure]) -> str:
+    """Table with a row for each figure: value, interval, count, requirement, aim."""
+    return table(["figure", "value", "95 %", "of", "at least", "aim", "reached"], [_figure_row(f) for f in figures])
+
+
+def table(head: list[str], rows: list[list[str]]) -> str:
+    """Table with columns as wide as their cells."""
     widths = [max(len(row[k]) for row in [head, *rows]) for k in range(len(head))]
     return "\n".join(
         "  ".join(cell.ljust(w) for cell, w in zip(row, widths, strict=True)).rstrip() for row in [head, *rows]

@@ -1,7 +1,7 @@
 """The life of a concealed bench: five recordings, with one change of the bench between the third and the fourth.
 
 No hidden effect acts in the identification (step 0). The hidden effects act in the work of step 1, and step 2 repeats
-it unchanged. One thing has changed in step 3, and step 4 repeats that.
+it unchanged. One thing has changed in step 3, and step 4 repeats that. A held-out record belongs to no step.
 
 The change is one of `CHANGES`. A draw whose change shows by less than `LEAST_SHOWN` noises is repeated.
 """
@@ -64,12 +64,15 @@ class Life:
         Effect that changes, goes or comes; empty for the other changes.
     steps
         Its recordings in order.
+    held_out
+        Record on which every model of the life is compared.
     """
 
     family: str
     change: str
     effect: str
     steps: tuple[Step, ...]
+    held_out: Record
 
     @property
     def hidden(self) -> dict[str, Effect]:
@@ -128,7 +131,8 @@ def _attempt(family: str, change: str, seed: np.random.SeedSequence) -> Life | N
     steps = tuple(Step(state, record) for state, record in zip(cases, records, strict=True))
     if change != "none" and _shown(first, changed, records[3]) < LEAST_SHOWN:
         return None
-    return Life(family, change, effect, steps)
+    held_out = replace(_work(case, STEPS, rng), name="held_out.csv")
+    return Life(family, change, effect, steps, held_out)
 
 
 def _changed(

@@ -1,0 +1,1 @@
+"""Scores the diagnoses of lives against their sealed truth."""
