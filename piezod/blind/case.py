@@ -13,6 +13,7 @@ from piezod.errors import ConfigurationError, UsageError
 SEAL = "seal.json"
 DESCRIPTION = "case.json"
 SCHEMA = "firmware_sim.concealed.case/1"
+LIFE_SCHEMA = "firmware_sim.concealed.life/1"
 
 
 @dataclass(frozen=True)
@@ -46,6 +47,8 @@ class Description:
         File names of the recordings for the identification, for the diagnosis, and for the held-out simulation.
     input, output
         Names of the input and output columns.
+    is_life
+        Whether the recordings follow each other in time, and each is diagnosed with the model of the one before.
     """
 
     identification: str
@@ -53,6 +56,7 @@ class Description:
     held_out: str
     input: str
     output: str
+    is_life: bool = False
 
 
 def read_description(folder: Path) -> Description:
@@ -66,14 +70,15 @@ def read_description(folder: Path) -> Description:
     path = folder / DESCRIPTION
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
-        if content["schema"] != SCHEMA:
-            raise ConfigurationError(f"{path}: schema is {content['schema']}, must be {SCHEMA}")
+        if content["schema"] not in (SCHEMA, LIFE_SCHEMA):
+            raise ConfigurationError(f"{path}: schema is {content['schema']}, must be {SCHEMA} or {LIFE_SCHEMA}")
         description = Description(
             str(content["identification"]),
             tuple(map(str, content["recordings"])),
             str(content["held_out"]),
             str(content["input"]),
             str(content["output"]),
+            is_life=content["schema"] == LIFE_SCHEMA,
         )
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise ConfigurationError(f"{path}: is no {SCHEMA}: {error!r}") from error

@@ -68,9 +68,9 @@ def diagnose_case(verdict: Path) -> Durations:
     diagnosed_s = time.monotonic()
     (verdict / MODEL).unlink()  # not part of a verdict
     write_replay(verdict / REPLAY, diagnosis.attempts)
-    drive = _held_out_input(description)
-    write_csv(_simulated(model, drive), verdict / BASE)
-    write_csv(_simulated(_repeatable(diagnosis.model), drive), verdict / EXTENDED)
+    drive = held_out_input(description)
+    write_csv(simulated(model, drive), verdict / BASE)
+    write_csv(simulated(repeatable(diagnosis.model), drive), verdict / EXTENDED)
     return Durations(identified_s - begun_s, diagnosed_s - identified_s)
 
 
@@ -99,18 +99,19 @@ def identified(description: Description, folder: Path = Path()) -> Model:
     ).model
 
 
-def _held_out_input(description: Description) -> Recording:
+def held_out_input(description: Description) -> Recording:
     """Held-out recording without its output, so that no simulation can depend on it."""
     held_out = read_recording(Path(description.held_out))
     channels = {name: values for name, values in held_out.channels.items() if name != description.output}
     return Recording(held_out.time_s, channels, {}, description.held_out)
 
 
-def _repeatable(model: Model) -> Model:
+def repeatable(model: Model) -> Model:
     """Model without the effects that another recording does not repeat: tones, events and quantisation."""
     effects = tuple(effect for effect in model.effects if EFFECTS[effect.name].repeats)
     return model.model_copy(update={"effects": effects})
 
 
-def _simulated(model: Model, drive: Recording) -> Recording:
+def simulated(model: Model, drive: Recording) -> Recording:
+    """Free run of a model over the held-out input."""
     return simulate_recording(model, drive, 0.0).recording

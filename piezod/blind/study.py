@@ -19,18 +19,16 @@ PROGRESS_EVERY_S = 0.2
 """Time between two reports of progress [s]."""
 
 
-def make_study(directory: Path, cases: int, options: Mapping[str, object], on_cases: Callable[[int], None]) -> None:
-    """Draw the cases of a study and seal the truth.
+def make_study(directory: Path, options: Mapping[str, object], on_cases: Callable[[int], None]) -> None:
+    """Draw the cases or the lives of a study and seal the truth.
 
     Parameters
     ----------
     directory
         Folder of the study, which must not exist yet.
-    cases
-        Number of cases, at least 1.
     options
-        Values of `seed`, `kind`, `effect`, `strength`, `family`, `amid`, `varied` and `jobs`; None or False: the
-        default of the command.
+        Number of `cases` or of `lives`, and values of `seed`, `kind`, `effect`, `strength`, `family`, `amid`, `varied`
+        and `jobs`; None or False: the default of the command.
     on_cases
         Called repeatedly with the number of cases drawn so far.
 
@@ -44,7 +42,7 @@ def make_study(directory: Path, cases: int, options: Mapping[str, object], on_ca
         for name, value in options.items()
         if value is not None and value is not False
     ]
-    command = [sys.executable, "-m", MODULE, "make", str(directory), f"--cases={cases}", *given]
+    command = [sys.executable, "-m", MODULE, "make", str(directory), *given]
     with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as plant:  # noqa: S603  # our own interpreter
         try:
             while True:

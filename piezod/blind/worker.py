@@ -8,7 +8,9 @@ import time
 import traceback
 from pathlib import Path
 
+from piezod.blind.case import read_description
 from piezod.blind.diagnose_case import diagnose_case
+from piezod.blind.diagnose_life import diagnose_life
 from piezod.blind.verdict import RUN, failed_verdict, run_json
 from piezod.errors import PiezodError
 
@@ -27,7 +29,7 @@ def main(case: Path, verdict: Path) -> None:
     os.chdir(case)
     begun_s = time.monotonic()
     try:
-        durations = diagnose_case(verdict)
+        durations = diagnose_life(verdict) if read_description(Path()).is_life else diagnose_case(verdict)
     except Exception as error:  # noqa: BLE001  # any error is a failure that must count
         verdict.mkdir(exist_ok=True)
         failed = failed_verdict(verdict.name, _line(error), time.monotonic() - begun_s)

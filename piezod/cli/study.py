@@ -17,7 +17,11 @@ StudyArgument = Annotated[Path, typer.Argument(metavar="DIR", help="Folder of th
 @blind.command("make", epilog="Example: piezod blind make study --cases 300")
 def blind_make(
     directory: StudyArgument,
-    cases: Annotated[int, typer.Option(metavar="N", min=1, help="Number of cases.")],
+    cases: Annotated[int | None, typer.Option(metavar="N", min=1, help="Number of cases.")] = None,
+    lives: Annotated[
+        int | None,
+        typer.Option(metavar="N", min=1, help="Number of lives: each a bench with five recordings and one change."),
+    ] = None,
     seed: Annotated[
         int | None, typer.Option(min=0, help="The same seed makes the same study; default: random.")
     ] = None,
@@ -48,11 +52,19 @@ def blind_make(
     jobs: Annotated[int | None, typer.Option(min=1, help="Number of processes; default: one per core.")] = None,
 ) -> None:
     """Draw cases from a simulated plant that shares no code with this program, and seal the truth."""
+    if (cases is None) == (lives is None):
+        raise UsageError("--cases and --lives: give one of them")
+    if lives is not None and (varied or any(one is not None for one in (kind, effect, strength, amid))):
+        raise UsageError(
+            "--lives draws its own changes: --kind, --effect, --strength, --amid and --varied are for --cases"
+        )
     from piezod.blind.study import make_study
     from piezod.diagnose.hypothesis.parallel import core_count
     from piezod.report.progress import steps
 
     options = {
+        "cases": cases,
+        "lives": lives,
         "seed": seed,
         "kind": kind,
         "effect": effect,
@@ -62,9 +74,10 @@ def blind_make(
         "varied": varied,
         "jobs": jobs or core_count(),
     }
+    count = cases or lives or 1
     with steps() as show:
-        make_study(directory, cases, options, lambda drawn: show("drawing", drawn / cases))
-    print(f"{directory}: {cases} cases, truth sealed")
+        make_study(directory, options, lambda drawn: show("drawing", drawn / count))
+    print(f"{directory}: {count} {'cases' if lives is None else 'lives'}, truth sealed")
 
 
 @blind.command("run", epilog="Example: piezod blind run study -o verdicts --scheduler tcp://10.0.0.1:8786")

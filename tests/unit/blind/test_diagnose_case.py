@@ -9,7 +9,7 @@ from firmware_sim.concealed.scoring.verdicts import parse_findings
 from firmware_sim.concealed.study.catalogue import UNREPEATABLE
 from piezod.blind.case import Case, case_folders, read_case
 from piezod.blind.cluster import diagnose_on_cluster
-from piezod.blind.diagnose_case import _repeatable
+from piezod.blind.diagnose_case import repeatable
 from piezod.blind.isolated import diagnose_isolated
 from piezod.blind.verdict import Verdict, VerdictFolder, failed_verdict, run_json
 from piezod.commissioning.shipped_files import shipped
@@ -48,7 +48,7 @@ def test_the_held_out_simulation_keeps_lasting_effects_and_drops_tones():
     names = ("electrical_lag", "vibration", "quantisation", "creep")
     effects = tuple(EffectValues.model_construct(name=name) for name in names)
     model = load_model(shipped("model.yaml")).model_copy(update={"effects": effects})
-    assert [effect.name for effect in _repeatable(model).effects] == ["electrical_lag", "creep"]
+    assert [effect.name for effect in repeatable(model).effects] == ["electrical_lag", "creep"]
 
 
 def test_a_case_holds_only_the_files_that_its_description_names(tmp_path):
