@@ -7,9 +7,9 @@ from typing import Annotated
 
 import typer
 
-from piezod.cli.models import identify, validate
-from piezod.cli.recordings import record
-from piezod.cli.root import ForceOption, JsonOption, app
+from piezod.cli.models import identify_files, validate_models
+from piezod.cli.recordings import record_to_file
+from piezod.cli.root import ForceOption, JsonOption, app, print_next
 from piezod.errors import UsageError
 
 
@@ -37,6 +37,8 @@ def commission(
         raise UsageError("give CONFIG or --emulated SCENARIO, exactly one of them")
     check_folder(output, [f"{name}.{suffix}" for name in EXCITATIONS for suffix in ("csv", "yaml")], force=force)
     output.mkdir(parents=True, exist_ok=True)
+    from piezod.report.identification import print_identification
+
     with ExitStack() as stack:
         bench = config or stack.enter_context(virtual_time_bench(output, str(emulated)))
         models = [output / f"{name}.yaml" for name in EXCITATIONS]
@@ -44,10 +46,15 @@ def commission(
             for name, model in zip(EXCITATIONS, models, strict=True):
                 print(f"\n{name}", flush=True)
                 repeats = 1 if name == IDENTIFICATION else periods
-                record(bench, name, output / f"{name}.csv", frequency=frequency, periods=repeats, force=force)
-                identify([output / f"{name}.csv"], model, output / name, name=name, force=force)
+                recording = output / f"{name}.csv"
+                record_to_file(bench, name, recording, None, frequency, repeats, force=force)
+                result, _ = identify_files([recording], model, output / name, name=name, force=force)
+                print_identification(result.identification)
+                if not result.useful:
+                    raise typer.Exit(1)
             print("\nvalidation", flush=True)
-        validate(bench, models, output / "validation.html", as_json=as_json)
+        page = output / "validation.html"
+        raise typer.Exit(validate_models(bench, models, page, as_json=as_json, emulated=config is None))
 
 
 @app.command(epilog="Example: piezod investigate config/bench.yaml --model model.yaml -o investigation")
@@ -87,6 +94,7 @@ def investigate(
     from piezod.commissioning.investigate import Drive, Step, step_text
     from piezod.commissioning.investigate import investigate as steps_of
     from piezod.report.diagnosis.page import write_diagnosis_page
+    from piezod.report.next_step import after_investigate
     from piezod.report.progress import steps
 
     def agreed(drive: Drive) -> bool:
@@ -113,12 +121,23 @@ def investigate(
                 done.append(step)
                 write_diagnosis_page(step.folder / "report.html", step.diagnosis)
                 print(step_text(step))
+        last = done[-1] if done else None
+        extended = None if last is None else last.diagnosis.model
+        changed = extended is not None and bool(extended.effects or extended.unnamed_law)
+        following = None
+        if last is not None:
+            following = after_investigate(
+                config, model, last.folder / "model.yaml", extended=changed, open_pairs=bool(last.open_pairs)
+            )
         if as_json:
             content = {"schema": "piezod.investigate/1", "drives": [step.as_dict() for step in done]}
-            print(json.dumps(content, indent=2))
-        if not done or as_json:
+            more = {"next_step": None if following is None else following.as_dict()}
+            print(json.dumps(content | more, indent=2))
+        if last is None or following is None or as_json:
             return
-        print(f"\npage: {(done[-1].folder / 'report.html').resolve()}")
-        extended = done[-1].diagnosis.model
-        if (extended.effects or extended.unnamed_law) and (yes or typer.confirm("follow references with both models")):
-            validate(bench, [model, done[-1].folder / "model.yaml"], output / "validation.html")
+        print(f"\npage: {(last.folder / 'report.html').resolve()}")
+        if changed and (yes or typer.confirm("follow references with both models")):
+            models = [model, last.folder / "model.yaml"]
+            code = validate_models(bench, models, output / "validation.html", as_json=False, emulated=config is None)
+            raise typer.Exit(code)
+        print_next(following)

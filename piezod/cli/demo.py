@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from piezod.cli.root import app
+from piezod.cli.root import app, print_next
 
 if TYPE_CHECKING:
     from piezod.recording import Recording
@@ -24,6 +24,7 @@ def demo(
 ) -> None:
     """Run all steps on the emulated bench, without hardware or root rights, in about 75 s."""
     from piezod.commissioning.demo import run_demo
+    from piezod.report.next_step import after_demo
     from piezod.report.tracking.demo import evaluate_demo, live_line, print_demo, write_demo_page
     from piezod.report.tracking.hidden import print_hidden
 
@@ -41,8 +42,11 @@ def demo(
         recordings |= followed
     write_demo_page(report, verdict, recordings)
     print(f"page: {report.resolve()}")
+    step = after_demo(passed=verdict.passed)
+    print_next(step)
     if json_file is not None:
-        json_file.write_text(json.dumps(verdict.as_dict(), indent=2) + "\n", encoding="utf-8")
+        content = json.dumps(verdict.as_dict() | {"next_step": step.as_dict()}, indent=2)
+        json_file.write_text(f"{content}\n", encoding="utf-8")
     raise typer.Exit(0 if verdict.passed else 1)
 
 

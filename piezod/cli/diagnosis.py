@@ -15,6 +15,7 @@ from piezod.cli.root import (
     ScaleOption,
     app,
     check_readable,
+    print_next,
 )
 from piezod.errors import UsageError
 
@@ -86,18 +87,18 @@ def diagnose(
             from piezod.diagnose.selection.replay import write_replay
 
             write_replay(replay, diagnosis.attempts)
+        from piezod.report.diagnosis.next import next_after
         from piezod.report.diagnosis.page import write_diagnosis_page
         from piezod.report.diagnosis.terminal import print_findings
 
+        step = next_after(diagnosis, recordings, model, output, from_bench)
         show("drawing the report", None)
-        write_diagnosis_page(output / "report.html", diagnosis)
+        write_diagnosis_page(output / "report.html", diagnosis, step)
     if as_json:
-        print(json.dumps(diagnosis.findings.as_dict(), indent=2))
+        print(json.dumps(diagnosis.findings.as_dict() | {"next_step": step.as_dict()}, indent=2))
     else:
         print_findings(diagnosis, output)
-        if from_bench is not None:
-            print(f"to use the extended model, set model: {(output / 'model.yaml').resolve()} in {from_bench},")
-            print("then piezod disarm and piezod reload; the daemon does not change its model by itself")
+        print_next(step)
 
 
 @app.command("testable", epilog="Example: piezod testable work.csv --model model.yaml")
@@ -146,13 +147,19 @@ def what_is_testable(
     if planned is not None and next_file is not None:
         write_recording(planned.recording(plant.input.channel), next_file)
     unit = plant.output.unit
+    from piezod.report.next_step import after_testable
+
+    step = after_testable(
+        recordings, model, next_file, planned=planned is not None, open_pairs=bool(result.groups() or result.unseen)
+    )
     if as_json:
         more = {} if next_file is None else {"next": None if planned is None else experiment_as_dict(planned)}
-        print(json.dumps(isolability_as_dict(result, unit) | more, indent=2))
+        print(json.dumps(isolability_as_dict(result, unit) | more | {"next_step": step.as_dict()}, indent=2))
     else:
         print("\n".join([isolability_text(result, unit), *(f"note: {note}" for note in notes)]))
         if next_file is not None:
             print(experiment_text(planned, str(next_file)))
+        print_next(step)
 
 
 @app.command(epilog="Example: piezod effects creep")

@@ -3,7 +3,7 @@
 import json
 from dataclasses import asdict
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -17,8 +17,14 @@ from piezod.cli.root import (
     ScaleOption,
     app,
     check_readable,
+    print_next,
 )
 from piezod.errors import UsageError
+
+if TYPE_CHECKING:
+    from piezod.api.results import Identified
+    from piezod.recording import TextOptions
+    from piezod.report.next_step import NextStep
 
 ModelOption = Annotated[Path, typer.Option("--model", metavar="MODEL", help="Model file.")]
 PageOption = Annotated[Path | None, typer.Option("--report", metavar="FILE", help="Page to write.")]
@@ -67,6 +73,52 @@ def identify(
     as_json: JsonOption = False,
 ) -> None:
     """Identify a model from recordings."""
+    from piezod.recording import TextOptions
+
+    if variant not in ("A", "B"):
+        raise UsageError(f"--variant is '{variant}', must be A or B")
+    more = {
+        "plays": plays,
+        "zones": dead_zones,
+        "orders": orders,
+        "variant": variant,
+        "fit_share": fit_share,
+        "name": name,
+    }
+    text = TextOptions.of(columns, rate_hz, decimal, scale)
+    result, step = identify_files(recordings, model, report, (input_column, output_column), text, force=force, **more)
+    if as_json:
+        print(json.dumps(result.as_dict() | {"next_step": step.as_dict()}, indent=2))
+    else:
+        from piezod.report.identification import print_identification
+
+        print_identification(result.identification)
+        print_next(step)
+    if not result.useful:
+        raise typer.Exit(1)
+
+
+def identify_files(
+    recordings: list[Path],
+    model: Path,
+    report: Path | None,
+    columns: tuple[str | None, str | None] = (None, None),
+    text: "TextOptions | None" = None,
+    *,
+    force: bool = False,
+    **options: Any,  # noqa: ANN401  # fields of `identify.options.Options`
+) -> "tuple[Identified, NextStep]":
+    """Identify a model, and write its file and its page.
+
+    Parameters
+    ----------
+    report
+        Folder for identification.html; None: no page.
+    columns
+        Names of input and output; None: from the names in the file.
+    text
+        Layout of text files as the user states it.
+    """
     from piezod.recording import (
         TextOptions,
         check_absent,
@@ -77,42 +129,25 @@ def identify(
         column_names,
     )
 
-    if variant not in ("A", "B"):
-        raise UsageError(f"--variant is '{variant}', must be A or B")
     check_output_path(model, recordings)
     check_page(model)
     check_absent(model, force=force)
     check_folder(report)
-    text = TextOptions.of(columns, rate_hz, decimal, scale)
-    input_name, output_name, chosen = choose_columns(
-        recordings[0], column_names(recordings[0], text), {"input": input_column, "output": output_column}
-    )
+    names = column_names(recordings[0], text or TextOptions())
+    named = {"input": columns[0], "output": columns[1]}
+    input_name, output_name, chosen = choose_columns(recordings[0], names, named)
     from piezod.api.functions import identified  # a wrong file is refused before the libraries are there
     from piezod.identify.options import Options
-    from piezod.report.identification import print_identification
+    from piezod.report.identification import next_after, write_identification_page
     from piezod.report.progress import steps
 
-    options = Options(
-        input=input_name,
-        output=output_name,
-        plays=plays,
-        zones=dead_zones,
-        orders=orders,
-        variant="A" if variant == "A" else "B",
-        fit_share=fit_share,
-        name=name,
-    )
     with steps() as show:
-        result = identified(recordings, options, chosen, show, text)
+        result = identified(recordings, Options(input=input_name, output=output_name, **options), chosen, show, text)
+    step = next_after(result.identification, recordings, model)
     if report is not None:
-        result.write_page(report / "identification.html")
+        write_identification_page(report / "identification.html", result.identification, result.recordings, step)
     result.model.save(model)
-    if as_json:
-        print(json.dumps(result.as_dict(), indent=2))
-    else:
-        print_identification(result.identification)
-    if not result.useful:
-        raise typer.Exit(1)  # `piezod commission` goes on behind a useful one
+    return result, step
 
 
 @app.command(epilog="Example: piezod simulate varying.csv --model model.yaml -o simulated.csv")
@@ -162,16 +197,26 @@ def simulate(
     simulation = simulate_recording(plant, loaded.recording, start_window, chosen, loaded.sha256)
     write_recording(simulation.recording, output)
     figures = simulation.agreement
+    from piezod.report.next_step import after_simulate
+
+    step = after_simulate(
+        recording,
+        model,
+        error=None if figures is None else figures.rms_tared,
+        noise=None if plant.information is None else plant.information.noise,
+    )
     if as_json:
         compared = None if figures is None else asdict(figures) | {"unit": plant.output.unit}
         content = {"schema": "piezod.simulation/1", "start": simulation.start, "compared": compared}
         source = loaded.source.model_dump(include={"path", "sha256", "samples", "read_as"})
-        print(json.dumps(content | {"recording": source, "notes": loaded.notes}, indent=2))
+        more = {"recording": source, "notes": loaded.notes, "next_step": step.as_dict()}
+        print(json.dumps(content | more, indent=2))
     else:
         words = "" if figures is None else f"; {figures.words(plant.output.unit)}"
         print(f"{output}: {loaded.source.samples} samples; {simulation.start}{words}")
         for note in loaded.notes:
             print(f"note: {note}")
+        print_next(step)
 
 
 @app.command(epilog="Example: piezod compare work.csv simulated.csv --model model.yaml --report comparison.html")
@@ -214,9 +259,18 @@ def compare(
     from piezod.report.comparison.output_page import comparison_as_dict, comparison_text, write_comparison_page
 
     comparison = compare_files(recordings[0], recordings[1:], model or (), output_column, start_window)
+    from piezod.report.next_step import after_compare
+
+    best = comparison.best
+    is_model = best.path in (model or ())
+    step = after_compare(recordings[0], best.path, is_model=is_model, error=best.agreement.rms, noise=comparison.noise)
     if report is not None:
-        write_comparison_page(report, comparison)
-    print(json.dumps(comparison_as_dict(comparison), indent=2) if as_json else comparison_text(comparison))
+        write_comparison_page(report, comparison, step)
+    if as_json:
+        print(json.dumps(comparison_as_dict(comparison) | {"next_step": step.as_dict()}, indent=2))
+    else:
+        print(comparison_text(comparison))
+        print_next(step)
 
 
 @app.command(epilog="Example: piezod resid work.csv --model model.yaml --report residual.html")
@@ -243,12 +297,17 @@ def resid(
     residual = residual_of(plant, loaded.recording, start_window, loaded.sha256)
     test = whiteness_test(loaded.recording, residual, plant.input.channel, lags)
     unit = plant.output.unit
+    from piezod.report.next_step import after_resid
+
+    step = after_resid(recording, model, white=not test.auto_outside, independent=not test.cross_outside)
     if report is not None:
-        write_whiteness_page(report, test, loaded.recording, residual, unit)
+        write_whiteness_page(report, test, loaded.recording, residual, unit, step)
     if as_json:
-        print(json.dumps(whiteness_as_dict(test, loaded.recording, plant.name, unit), indent=2))
+        content = whiteness_as_dict(test, loaded.recording, plant.name, unit)
+        print(json.dumps(content | {"next_step": step.as_dict()}, indent=2))
     else:
         print(whiteness_text(test, unit))
+        print_next(step)
 
 
 @app.command(epilog="Example: piezod validate config/bench.yaml --model a.yaml --model b.yaml --report validation.html")
@@ -262,22 +321,52 @@ def validate(
     as_json: JsonOption = False,
 ) -> None:
     """Follow six triangular force references without and with each model; report the better model."""
+    raise typer.Exit(validate_models(config, model, report, as_json=as_json))
+
+
+def validate_models(
+    config: Path, models: list[Path], report: Path | None, *, as_json: bool, emulated: bool = False
+) -> int:
+    """Follow the references with each model and print the result; return the exit code.
+
+    Parameters
+    ----------
+    report
+        Page to write; None: no page.
+    emulated
+        Whether the bench ends with the command.
+    """
     from piezod.config import load_bench
     from piezod.recording import check_page
 
     check_page(report)
     load_bench(config)  # a wrong file is refused before the libraries are there
     from piezod.commissioning.validate import plan_validation, run_validation
+    from piezod.report.next_step import after_validate
     from piezod.report.progress import progress
     from piezod.report.tracking.validation import evaluate_validation, validation_text, write_validation_page
 
-    plan = plan_validation(config, model)
+    plan = plan_validation(config, models)
     with progress(f"{len(plan.segments)} runs", plan.duration_s) as show:
         result = run_validation(plan, show)
     verdict = evaluate_validation(plan.references, plan.compensations, plan.range_N, result.recordings, result.outcome)
-    print(json.dumps(verdict.as_dict(), indent=2) if as_json else validation_text(verdict))
+    files = dict(zip(plan.compensations[1:], models, strict=True))
+    noises = verdict.scores[verdict.better].rms / verdict.noise_N if verdict.better and verdict.noise_N else None
+    step = after_validate(
+        None if emulated else config,
+        files[verdict.better] if verdict.better else None,
+        better_than_none=verdict.better_than_none,
+        noises=noises,
+        complete=verdict.complete,
+    )
+    if as_json:
+        print(json.dumps(verdict.as_dict() | {"next_step": step.as_dict()}, indent=2))
+    else:
+        print(validation_text(verdict))
     if report is not None:
-        write_validation_page(report, verdict, result.recordings)
+        write_validation_page(report, verdict, result.recordings, step)
         if not as_json:
             print(f"page: {report.resolve()}")
-    raise typer.Exit(0 if verdict.complete else 1)
+    if not as_json:
+        print_next(step)
+    return 0 if verdict.complete else 1

@@ -17,6 +17,7 @@ from piezod.cli.root import (
     RateOption,
     ScaleOption,
     app,
+    print_next,
 )
 
 
@@ -49,6 +50,37 @@ def record(
     """Drive an excitation through the bench and record the response.
 
     Ctrl-C ramps down, writes the recording so far, marked as incomplete, and ends with exit code 130.
+    """
+    record_to_file(config, excitation, output, peak, frequency, periods, reset_cycle=reset_cycle, force=force)
+    from piezod.config import load_bench, model_path
+    from piezod.report.next_step import after_record
+
+    model = model_path(load_bench(config), config)
+    print_next(after_record(output, config, model, model_exists=model.exists()))
+
+
+def record_to_file(
+    config: Path,
+    excitation: str,
+    output: Path,
+    peak: float | None = None,
+    frequency: float = 0.1,
+    periods: int | None = None,
+    *,
+    reset_cycle: bool = False,
+    force: bool = False,
+) -> None:
+    """Drive an excitation, write the recording and print one line about it.
+
+    Parameters
+    ----------
+    peak, frequency, periods, reset_cycle, force
+        As the options of `piezod record`: peak [V], frequency [Hz].
+
+    Raises
+    ------
+    typer.Exit
+        Ctrl-C ended the drive.
     """
     from piezod.commissioning.record import excitation_duration_s, record_excitation
     from piezod.excitation import default_periods
@@ -94,21 +126,25 @@ def convert(
     from piezod.recording import TextOptions, check_absent, check_recording_target
     from piezod.recording import convert as convert_file
     from piezod.recording.formats.repairs import repair_notes
+    from piezod.report.next_step import after_convert
 
     check_recording_target(output, [recording])
     check_absent(output, force=force)
     converted = convert_file(recording, output, TextOptions.of(columns, rate_hz, decimal, scale))
     names = ["time_s", *converted.channels]
+    step = after_convert(output, has_command={"voltage_V", "force_N"} <= set(names))
     understood, repairs = converted.metadata.get("understood", ""), repair_notes(converted.metadata)
     if as_json:
         content = {"schema": "piezod.convert/1", "file": str(output), "samples": converted.time_s.size}
-        print(json.dumps(content | {"columns": names, "understood": understood, "notes": repairs}, indent=2))
+        more = {"columns": names, "understood": understood, "notes": repairs, "next_step": step.as_dict()}
+        print(json.dumps(content | more, indent=2))
     else:
         print(f"{output}: {converted.time_s.size} samples of {', '.join(names)}")
         if understood:
             print(f"read as: {understood}")
         for note in repairs:
             print(f"note: {note}")
+        print_next(step)
 
 
 @app.command(epilog="Example: piezod report /var/lib/piezod/recordings/press-000007.sqlite -o run.html")
@@ -123,8 +159,13 @@ def report(
     check_output_path(output, [recording])
     check_page(output)
     run = read_recording(recording)  # a wrong file is refused before the libraries are there
-    from piezod.report.run import run_figures, write_run_page
+    from piezod.report.run import next_after, run_figures, write_run_page
 
     figures = run_figures(run)
-    write_run_page(output, run, figures)
-    print(json.dumps(figures.as_dict(), indent=2) if as_json else f"{figures.sentence}\npage: {output.resolve()}")
+    step = next_after(run, figures)
+    write_run_page(output, run, figures, step)
+    if as_json:
+        print(json.dumps(figures.as_dict() | {"next_step": step.as_dict()}, indent=2))
+        return
+    print(f"{figures.sentence}\npage: {output.resolve()}")
+    print_next(step)

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from piezod.cli.root import ConfigArgument, DaemonArgument, JsonOption, SocketOption, WaitOption, app
+from piezod.cli.root import ConfigArgument, DaemonArgument, JsonOption, SocketOption, WaitOption, app, print_next
 from piezod.errors import UsageError
 
 
@@ -23,8 +23,16 @@ def run(
     from piezod.daemon.run import run_foreground
 
     result = run_foreground(config, arm=arm)
-    if as_json:
-        print(json.dumps(result.as_dict(), indent=2))
+    if as_json or arm:
+        from piezod.config import load_bench
+        from piezod.report.next_step import after_run
+
+        drifted = bool(result.drift and result.drift["drifted"])
+        step = after_run(config, load_bench(config).recordings_path, fault=result.outcome.fault, drifted=drifted)
+        if as_json:
+            print(json.dumps(result.as_dict() | {"next_step": step.as_dict()}, indent=2))
+        else:
+            print_next(step)
     raise typer.Exit(result.exit_code)
 
 

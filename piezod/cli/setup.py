@@ -3,12 +3,15 @@
 import json
 import sys
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from piezod.cli.root import ConfigArgument, JsonOption, app
+from piezod.cli.root import ConfigArgument, JsonOption, app, print_next
 from piezod.errors import UsageError
+
+if TYPE_CHECKING:
+    from piezod.report.next_step import NextStep
 
 
 @app.command(epilog="Example: piezod check config/bench.yaml")
@@ -41,21 +44,34 @@ def check(
             print(
                 f"{result.level:4}  {result.name}: {result.found}" + (f" -> {result.remedy}" if result.remedy else "")
             )
+        print_next(_after_check(config, [result.name for result in checks if result.level == "FAIL"]))
     raise typer.Exit(1 if any(result.level == "FAIL" for result in checks) else 0)
+
+
+def _after_check(config: Path, failed: list[str]) -> "NextStep":
+    """Next step after `piezod check`, with the names of the failed checks."""
+    from piezod.config import load_bench, model_path
+    from piezod.report.next_step import after_check
+
+    exists = "configuration" in failed or model_path(load_bench(config), config).exists()
+    return after_check(config, failed, model_exists=exists)
 
 
 def _prove(config: Path, output: Path | None, tester: str, as_json: bool) -> None:
     """Run the proof test, print its steps and end with 1 unless all have passed."""
     from piezod.commissioning.proof import prove
     from piezod.commissioning.proof.record import text_lines
+    from piezod.report.next_step import after_proof
 
     record, path = prove(config, output, tester)
+    step = after_proof(config, passed=bool(record["passed"]))
     if as_json:
-        print(json.dumps(record, indent=2))
+        print(json.dumps(record | {"next_step": step.as_dict()}, indent=2))
     else:
         for line in text_lines(record):
             print(line)
         print(f"{path}: {'passed' if record['passed'] else 'NOT PASSED'}")
+        print_next(step)
     raise typer.Exit(0 if record["passed"] else 1)
 
 
@@ -97,15 +113,18 @@ def init(
     made = draft_bench(profile, answers, output)
     identity = probe_device(made.bench) if probe else []
     write_bench(made, force=force)
+    from piezod.report.next_step import after_init
+
+    step = after_init(output)
     if as_json:
         content = {"schema": "piezod.init/1", "file": str(output), "profile": profile, "found": identity}
-        print(json.dumps(content, indent=2))
+        print(json.dumps(content | {"next_step": step.as_dict()}, indent=2))
         return
     for line in identity:
         print(line)
     print(f"{output}: bench '{made.bench.name}', from profile {profile}")
     print("its limits are placeholders: set each from the data sheet of the stack, amplifier or load cell")
-    print(f"then: piezod config check {output}, piezod check {output}")
+    print_next(step)
 
 
 configuration = typer.Typer(
@@ -141,16 +160,19 @@ def config_show(config: ConfigArgument, as_json: JsonOption = False) -> None:
 def config_check(config: ConfigArgument, as_json: JsonOption = False) -> None:
     """Validate a bench file, without access to a device."""
     from piezod.config import load_bench, model_path
+    from piezod.report.next_step import after_config_check
 
     bench = load_bench(config)
     model = model_path(bench, config)
+    step = after_config_check(config, model_exists=model.exists())
     if as_json:
         content = {"schema": "piezod.config_check/1", "file": str(config), "bench": bench.name, "model": str(model)}
-        print(json.dumps(content | {"model_there": model.exists()}, indent=2))
+        print(json.dumps(content | {"model_there": model.exists(), "next_step": step.as_dict()}, indent=2))
         return
     print(f"{config}: bench '{bench.name}', {bench.rate_Hz:g} Hz over {bench.link.kind}")
     if not model.exists():
         print(f"its model {model} does not exist yet: make it with piezod record, then piezod identify")
+    print_next(step)
 
 
 @app.command("support-bundle", epilog="Example: piezod support-bundle config/bench.yaml -o support.zip")

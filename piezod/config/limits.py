@@ -55,6 +55,14 @@ class LimitsConfig(Section):
         return min(max(0.0, self.voltage_min_V), self.voltage_max_V)
 
     @property
+    def summary(self) -> str:
+        """Voltage, slew and force limits in a line."""
+        return (
+            f"{self.voltage_min_V:g} to {self.voltage_max_V:g} V, {self.slew_V_per_s:g} V/s, "
+            f"{self.force_min_N:g} to {self.force_trip_N:g} N"
+        )
+
+    @property
     def fall_V_per_s(self) -> float:
         """Highest rate of a falling voltage [V/s]."""
         return self.slew_down_V_per_s or self.slew_V_per_s

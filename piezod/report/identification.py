@@ -18,7 +18,8 @@ from piezod.identify.tables import OperatorRow, dead_zone_rows, play_rows
 from piezod.recording import Recording
 from piezod.report.figures.layout import decimated, finish_figure
 from piezod.report.figures.thinning import robust_range
-from piezod.report.page import Part, axis_label, head_html, table_html, write_page
+from piezod.report.next_step import NextStep, after_identify
+from piezod.report.page import Part, axis_label, head_html, next_step_html, table_html, write_page
 from piezod.report.style import BLUE, GREY, ORANGE
 
 Array = NDArray[np.float64]
@@ -87,13 +88,35 @@ def print_identification(identification: Identification) -> None:
     print(identification.verdict)
 
 
-def write_identification_page(path: Path, identification: Identification, recordings: Sequence[Recording]) -> None:
+def next_after(identification: Identification, recordings: Sequence[Path], model: Path) -> NextStep:
+    """Next step after an identification.
+
+    Parameters
+    ----------
+    recordings, model
+        Files of the recordings and of the model.
+    """
+    noise, plant = identification.noise, identification.model
+    return after_identify(
+        recordings,
+        model,
+        useful=identification.useful,
+        noises=None if noise is None or not noise.rms else identification.chosen.rms_held_out / noise.rms,
+        drives_a_bench=(plant.input.unit, plant.output.unit) == ("V", "N") and not plant.output.channel.startswith("-"),
+    )
+
+
+def write_identification_page(
+    path: Path, identification: Identification, recordings: Sequence[Recording], step: NextStep | None = None
+) -> None:
     """Write the page: held-out error, errors, curves of each recording, orders, and operators.
 
     Parameters
     ----------
     recordings
         Recordings whose curves are drawn.
+    step
+        Next step of the command; None: the page has none.
 
     Raises
     ------
@@ -106,6 +129,7 @@ def write_identification_page(path: Path, identification: Identification, record
     verdict = f"{words[0].upper()}{words[1:]}. The model has {chosen.plays} plays and {chosen.zones} dead zones."
     parts: list[Part] = [
         head_html(f"Identification: {_quantity(model.input.channel)} to {_quantity(model.output.channel)}", verdict),
+        next_step_html(step),
         table_html(["", "fit", "held out"], figure_rows(identification)),
     ]
     if identification.notes:

@@ -14,6 +14,7 @@ from bokeh.resources import Resources
 from piezod.diagnose.verdict.words import unit_words
 from piezod.errors import ConfigurationError
 from piezod.report.figures.data_files import write_figure_data
+from piezod.report.next_step import NextStep
 from piezod.report.style import DATA_NOTE, PAGE_CSS, PAGE_SCRIPT, PAGE_TEMPLATE
 
 Group = tuple[str, int]  # heading of neighbouring columns, and their number
@@ -61,6 +62,41 @@ def head_html(title: str, verdict: str) -> str:
         Verdict in a sentence, as plain text.
     """
     return f"<header><h1>{html.escape(title)}</h1><p class='lead'>{html.escape(verdict)}</p></header>"
+
+
+def fold_html(heading: str, inside: str) -> str:
+    """A section that a narrow screen shows folded, and a wide one or paper open; empty without content.
+
+    Parameters
+    ----------
+    heading
+        Heading as plain text.
+    inside
+        HTML of the section.
+    """
+    if not inside:
+        return ""
+    return f"<details class='fold' open><summary><h2>{html.escape(heading)}</h2></summary>{inside}</details>"
+
+
+def next_step_html(step: NextStep | None) -> str:
+    """Box with the next step and its lines to paste; empty for None.
+
+    Parameters
+    ----------
+    step
+        Next step after the command that wrote the page.
+    """
+    if step is None:
+        return ""
+    lines = "".join(
+        f"<p class='dim'>{heading}</p><pre tabindex='0' role='group' aria-label='{heading}'>"
+        f"<code>{html.escape(chr(10).join(texts))}</code></pre>"
+        for heading, texts in (("In the bench file", step.bench_lines), ("To paste", step.commands))
+        if texts
+    )
+    words = html.escape(f"{step.words[:1].upper()}{step.words[1:]}.")
+    return f"<section class='next' aria-label='next step'><p><b>Next:</b> {words}</p>{lines}</section>"
 
 
 def placeholder(name: str) -> str:

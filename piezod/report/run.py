@@ -16,7 +16,9 @@ from piezod.recording import Recording
 from piezod.report.figures.durations import EDGES_us, bars, histogram
 from piezod.report.figures.layout import finish_figure
 from piezod.report.figures.thinning import envelope, envelope_times, extremes
-from piezod.report.page import Part, axis_label, head_html, table_html, write_page
+from piezod.report.next_step import NextStep, after_report
+from piezod.report.page import Part, axis_label, head_html, next_step_html, table_html, write_page
+from piezod.report.run_facts import drifted_at, fact_rows, share_text
 from piezod.report.style import BLUE, GREEN, GREY, ORANGE, RED
 
 Array = NDArray[np.float64]
@@ -76,7 +78,7 @@ class RunFigures:
         if self.rms_error_N is not None and self.max_error_N is not None:
             facts.append(f"rms error {self.rms_error_N:.3g} N, largest {self.max_error_N:.3g} N")
         if self.missed:
-            facts.append(f"{self.missed} ticks missed")
+            facts.append(f"{self.missed} ticks missed ({share_text(self.missed, self.samples + self.missed)})")
         return f"{self._end()}: {', '.join(facts)}"
 
     def _end(self) -> str:
@@ -134,15 +136,22 @@ def run_figures(recording: Recording) -> RunFigures:
     )
 
 
-def write_run_page(path: Path, recording: Recording, figures: RunFigures) -> None:
-    """Write the page: verdict, transitions of state, curves over time, loops, and timing.
+def write_run_page(path: Path, recording: Recording, figures: RunFigures, step: NextStep | None = None) -> None:
+    """Write the page: verdict, facts, transitions of state, curves over time, loops, and timing.
+
+    Parameters
+    ----------
+    step
+        Next step of the command; None: the page has none.
 
     Raises
     ------
     ConfigurationError
         The file cannot be written.
     """
-    parts: list[Part] = [head_html(f"Run: {Path(recording.source).name}", figures.sentence)]
+    parts: list[Part] = [head_html(f"Run: {Path(recording.source).name}", figures.sentence), next_step_html(step)]
+    if facts := fact_rows(recording, _error(recording)):
+        parts.append(table_html(["", "of this run"], facts).replace("'numbers'", "'words'"))
     if figures.transitions:
         shown = figures.transitions[:MOST_TRANSITIONS]
         rows = [[f"{c.time_s:.3f}", c.state.name.replace("_", " "), CAUSE_TEXT[c.cause]] for c in shown]
@@ -158,6 +167,13 @@ def write_run_page(path: Path, recording: Recording, figures: RunFigures) -> Non
         "<p class='dim'>Long curves are thinned: each segment is drawn by its smallest and its largest value.</p>"
     )
     write_page(path, "Run", parts)
+
+
+def next_after(recording: Recording, figures: RunFigures) -> NextStep:
+    """Next step after a run."""
+    ended = figures.ended
+    fault = CAUSE_TEXT[ended.cause] if ended is not None and ended.state is State.FAULT else ""
+    return after_report(Path(recording.source), fault=fault, drifted=bool(drifted_at(recording)))
 
 
 def _transitions(recording: Recording) -> list[Transition]:

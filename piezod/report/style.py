@@ -57,7 +57,14 @@ dt {{ color: var(--dim); }} dd {{ margin: 0; }}
 dd.Forward {{ font-family: ui-monospace, monospace; font-size: 12.5px; }}
 .remains {{ background: var(--soft); border-left: 4px solid {GREEN}; border-radius: 6px; padding: 4px 16px 8px; }}
 .remains.open {{ border-left-color: {RED}; }}
+.next {{ border: 1px solid {BLUE}; border-left-width: 4px; border-radius: 6px; padding: 6px 14px; margin: 8px 0; }}
+.next p {{ margin: 2px 0; }}
+.next pre {{ margin: 2px 0 6px; padding: 6px 10px; background: var(--soft); border-radius: 4px; overflow-x: auto; }}
+.next code {{ color: inherit; font-size: 12.5px; user-select: all; }}
 details > summary {{ cursor: pointer; font-size: 15px; font-weight: 600; margin: 14px 0 4px; }}
+.fold > summary {{ margin: 0; list-style-position: inside; }} .fold > summary > h2 {{ display: inline; }}
+.fold {{ border-top: 1px solid var(--line); margin-top: 26px; }}
+.fold > summary > h2 {{ border: 0; margin: 0; padding: 8px 0 4px; }}
 .remains li {{ margin: 3px 0; }} ul {{ margin: 6px 0; padding-left: 20px; }}
 figure {{ margin: 6px 0 2px; min-width: 0; }}
 figcaption {{ color: var(--dim); font-size: 12px; }}
@@ -65,6 +72,7 @@ figcaption {{ color: var(--dim); font-size: 12px; }}
 @media screen and (max-width: 860px) {{
   body {{ padding: 10px 12px 30px; }} h1 {{ font-size: 21px; }}
   .first, .two, .pair, .three {{ grid-template-columns: minmax(0, 1fr); }}
+  .fold {{ margin-top: 0; }} .fold > summary > h2 {{ font-size: 16px; padding: 9px 0; }}
   .chain {{ grid-template-columns: 1fr; gap: 0; }}
   .chain li {{ display: grid; grid-template-columns: 96px 1fr; border-radius: 0; padding: 3px 8px; }}
   .chain li + li::before {{ content: none; }} .chain b, .chain i {{ grid-column: 2; }} .chain span {{ grid-row: 1; }}
@@ -105,6 +113,13 @@ if (matchMedia("(pointer: coarse)").matches) {
 }
 """
 
+FOLD_SCRIPT = """
+// A narrow screen begins with folded sections; paper has none.
+const folds = document.querySelectorAll("details.fold");
+if (matchMedia("screen and (max-width: 860px)").matches) for (const one of folds) one.open = false;
+addEventListener("beforeprint", () => { for (const one of document.querySelectorAll("details")) one.open = true; });
+"""
+
 PRINT_SCRIPT = """
 // Printing does not redraw a figure, so each is scaled to the width of its column.
 const columns = {three: 3, pair: 2, first: 3};
@@ -120,7 +135,7 @@ addEventListener("afterprint", () => {
 });
 """.replace("PIXELS", str(0.97 * A4_PIXELS))
 
-PAGE_SCRIPT = TOUCH_SCRIPT + PRINT_SCRIPT
+PAGE_SCRIPT = FOLD_SCRIPT + TOUCH_SCRIPT + PRINT_SCRIPT
 
 DATA_NOTE = "<p class='dim'>Data of the figures as CSV: folder <code>{folder}</code> beside this page.</p>"
 

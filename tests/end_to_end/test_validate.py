@@ -51,6 +51,7 @@ def test_the_better_model_is_named(validated):
     result, _ = validated
     assert result["better"] == "model"
     assert result["words"].startswith("model is the better model")
+    assert result["next_step"]["bench_lines"] == [f"model: {ROOT / 'config' / 'model.yaml'}"]
     means = result["mean_max_hysteresis_percent"]
     assert means["model"] < means["coarse"] < means["without"]
 
@@ -79,7 +80,7 @@ def test_the_references_are_six_slow_triangles_within_what_both_models_reach(val
 
 def test_the_page_shows_every_reference(validated):
     result, page = validated
-    assert "Validation: max hysteresis with each model" in page
+    assert "Validation: error and max hysteresis with each model" in page
     for one in result["figures"]:
         assert one["reference"] in page
 

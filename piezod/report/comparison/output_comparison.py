@@ -9,9 +9,11 @@ from numpy.typing import NDArray
 
 from piezod.errors import UsageError
 from piezod.estimation.recordings.intake import load_for_simulation
+from piezod.estimation.recordings.noise import noise_of
 from piezod.identify.simulation import Agreement, simulate_recording
 from piezod.model import Model, load_model
 from piezod.recording import Recording, read_recording
+from piezod.report.ranking import Score
 
 Array = NDArray[np.float64]
 
@@ -22,6 +24,8 @@ class SimulatedOutput:
 
     Parameters
     ----------
+    path
+        File of the recording or of the model.
     values
         Output at the measured times, shape (N,), in the output's unit; nan outside its own time range.
     agreement
@@ -29,6 +33,7 @@ class SimulatedOutput:
     """
 
     name: str
+    path: Path
     values: Array
     agreement: Agreement
 
@@ -43,16 +48,29 @@ class Comparison:
         Name of the compared column.
     simulated
         Simulated outputs, in the order of the arguments.
+    noise
+        Noise of the measured output [output unit]; None: unknown.
     """
 
     measured: Recording
     output: str
     simulated: list[SimulatedOutput]
+    noise: float | None = None
+
+    @property
+    def ranked(self) -> list[SimulatedOutput]:
+        """Simulated outputs, the one with the highest fit first."""
+        return sorted(self.simulated, key=lambda output: -output.agreement.nrmse_percent)
 
     @property
     def best(self) -> SimulatedOutput:
         """Simulated output with the highest fit."""
-        return max(self.simulated, key=lambda output: output.agreement.nrmse_percent)
+        return self.ranked[0]
+
+    @property
+    def scores(self) -> dict[str, Score]:
+        """Rms error of each output."""
+        return {output.name: Score(output.agreement.rms) for output in self.simulated}
 
 
 def compare_files(
@@ -91,9 +109,19 @@ def compare_files(
     names = _names([*others, *models])
     simulated = [_recorded(path, recording, y, name, names[path]) for path in others]
     simulated += [
-        _simulated(names[path], model, measured, start_window_s) for path, model in zip(models, loaded, strict=True)
+        _simulated(path, names[path], model, measured, start_window_s)
+        for path, model in zip(models, loaded, strict=True)
     ]
-    return Comparison(recording, name, simulated)
+    return Comparison(recording, name, simulated, _noise(recording, y, loaded))
+
+
+def _noise(recording: Recording, y: Array, models: Sequence[Model]) -> float | None:
+    """Noise from repeats or rests of the recording, else from the recordings of a model; None: unknown."""
+    column = models[0].input.channel if models else "voltage_V"
+    u = recording.channels.get(column)
+    found = None if u is None or not np.isfinite(u).all() else noise_of(u, y, np.isfinite(y), recording.dt_s)
+    known = [model.information.noise for model in models if model.information is not None]
+    return found.rms if found is not None else next(iter(known), None)
 
 
 def _names(paths: Sequence[Path]) -> dict[Path, str]:
@@ -115,10 +143,10 @@ def _recorded(path: Path, recording: Recording, y: Array, name: str, label: str)
     if not compared.any() or y[compared].min() == y[compared].max():
         count = np.count_nonzero(compared)
         raise UsageError(f"{path}: {count} samples in common with the measurement, need at least two that differ")
-    return SimulatedOutput(label, values, Agreement.of(y[compared], values[compared]))
+    return SimulatedOutput(label, path, values, Agreement.of(y[compared], values[compared]))
 
 
-def _simulated(label: str, model: Model, measured: Path, start_window_s: float) -> SimulatedOutput:
+def _simulated(path: Path, label: str, model: Model, measured: Path, start_window_s: float) -> SimulatedOutput:
     loaded = load_for_simulation(measured, model.input.channel, model.output.channel)
     simulation = simulate_recording(model, loaded.recording, start_window_s, None, loaded.sha256)
     if simulation.agreement is None:
@@ -126,4 +154,4 @@ def _simulated(label: str, model: Model, measured: Path, start_window_s: float) 
     values = np.interp(
         loaded.recording.time_s, simulation.recording.time_s, simulation.recording.channel(model.output.channel)
     )
-    return SimulatedOutput(label, values, simulation.agreement)
+    return SimulatedOutput(label, path, values, simulation.agreement)

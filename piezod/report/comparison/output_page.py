@@ -11,7 +11,9 @@ from piezod.diagnose.verdict.words import unit_words
 from piezod.report.comparison.output_comparison import Comparison, SimulatedOutput
 from piezod.report.figures.layout import finish_figure
 from piezod.report.figures.thinning import envelope, envelope_times, robust_range
-from piezod.report.page import Part, axis_label, head_html, table_html, write_page
+from piezod.report.next_step import NextStep
+from piezod.report.page import Part, axis_label, head_html, next_step_html, table_html, write_page
+from piezod.report.ranking import gain_text, in_noises
 from piezod.report.style import BLUE, GREEN, GREY, ORANGE, RED
 from piezod.report.text_table import text_table
 
@@ -33,6 +35,7 @@ def comparison_as_dict(comparison: Comparison) -> dict[str, Any]:
         "measured": comparison.measured.source,
         "output": comparison.output,
         "unit": _unit(comparison.output),
+        "noise": comparison.noise,
         "compared": [{"name": output.name} | asdict(output.agreement) for output in comparison.simulated],
     }
 
@@ -48,8 +51,13 @@ def comparison_text(comparison: Comparison) -> str:
     return "\n".join([*text_table([HEADER, *_rows(comparison)]), _verdict(comparison)])
 
 
-def write_comparison_page(path: Path, comparison: Comparison) -> None:
+def write_comparison_page(path: Path, comparison: Comparison, step: NextStep | None = None) -> None:
     """Write the page: best fit, table, outputs and errors over time.
+
+    Parameters
+    ----------
+    step
+        Next step of the command; None: the page has none.
 
     Raises
     ------
@@ -63,6 +71,7 @@ def write_comparison_page(path: Path, comparison: Comparison) -> None:
     outputs, errors = _outputs_and_errors(comparison)
     parts: list[Part] = [
         head_html(f"Comparison with {Path(comparison.measured.source).name}", _verdict(comparison)),
+        next_step_html(step),
         table_html(HEADER, _rows(comparison)),
         [outputs],
         [errors],
@@ -113,10 +122,14 @@ def _cells(output: SimulatedOutput, unit: str) -> list[str]:
 
 def _verdict(comparison: Comparison) -> str:
     best = comparison.best
+    noise, unit = comparison.noise, unit_words(_unit(comparison.output))
     sentence = f"{best.name} fits with {best.agreement.nrmse_percent:.2f} %"
-    if len(comparison.simulated) > 1:
-        return f"{sentence}, best of {len(comparison.simulated)}"
-    return sentence
+    error = f"rms error {in_noises(best.agreement.rms, noise, unit)}" + (f" of {noise:.2g} {unit}" if noise else "")
+    if len(comparison.simulated) == 1:
+        return f"{sentence}; {error}"
+    second = comparison.ranked[1].name
+    gain = gain_text(best.name, second, comparison.scores, noise, unit)
+    return f"{sentence}, best of {len(comparison.simulated)}; {error}; {gain}"
 
 
 def _unit(column: str) -> str:

@@ -14,7 +14,8 @@ from piezod.recording import Recording
 from piezod.report.comparison.whiteness import WhitenessTest
 from piezod.report.figures.layout import finish_figure
 from piezod.report.figures.thinning import envelope, envelope_times
-from piezod.report.page import Part, head_html, write_page
+from piezod.report.next_step import NextStep
+from piezod.report.page import Part, head_html, next_step_html, write_page
 from piezod.report.style import BLUE, GREY, ORANGE
 
 Array = NDArray[np.float64]
@@ -73,7 +74,14 @@ def _largest(value: float, lag: int, bound: float, outside: int, lags: int) -> s
     return f"largest {value:+.3f} at lag {lag}, bound {bound:.4f}; {outside} of {lags} lags beyond it"
 
 
-def write_whiteness_page(path: Path, test: WhitenessTest, recording: Recording, residual: Array, unit: str) -> None:
+def write_whiteness_page(
+    path: Path,
+    test: WhitenessTest,
+    recording: Recording,
+    residual: Array,
+    unit: str,
+    step: NextStep | None = None,
+) -> None:
     """Write the page: verdict, both correlations with their bounds, and the residual over time.
 
     Parameters
@@ -82,6 +90,8 @@ def write_whiteness_page(path: Path, test: WhitenessTest, recording: Recording, 
         Measured minus modelled, shape (N,), in the output's unit.
     unit
         Unit of the output.
+    step
+        Next step of the command; None: the page has none.
 
     Raises
     ------
@@ -104,6 +114,7 @@ def write_whiteness_page(path: Path, test: WhitenessTest, recording: Recording, 
     )
     parts: list[Part] = [
         head_html("Whiteness of the residual", test.sentence),
+        next_step_html(step),
         [auto, cross],
         f"<p class='dim'>{html.escape(note)}</p>",
         [finish_figure(over_time)],

@@ -26,7 +26,8 @@ from piezod.report.diagnosis.residual.residuals import Residuals, recordings_of_
 from piezod.report.diagnosis.residual.spectra import spectrum, time_frequency
 from piezod.report.diagnosis.residual.views import views
 from piezod.report.diagnosis.wording import headline, law_sentence
-from piezod.report.page import placeholder, write_html, write_text
+from piezod.report.next_step import NextStep
+from piezod.report.page import fold_html, next_step_html, placeholder, write_html, write_text
 
 Array = NDArray[np.float64]
 
@@ -36,15 +37,20 @@ TIME_POINTS, LOOP_POINTS = 12_000, 6_000  # of all recordings together, so that 
 SHIFTS = 39  # references for the p-value of a remaining place
 
 
-def write_diagnosis_page(path: Path, diagnosis: Diagnosis) -> None:
+def write_diagnosis_page(path: Path, diagnosis: Diagnosis, step: NextStep | None = None) -> None:
     """Write the page and, in the folder `figures` next to the page, the data of every figure as CSV.
+
+    Parameters
+    ----------
+    step
+        Next step of the command; None: the page has none.
 
     Raises
     ------
     ConfigurationError
         A file cannot be written.
     """
-    page = _Page(diagnosis)
+    page = _Page(diagnosis, step)
     body = _body(page)
     for name, text in page.tables.items():
         write_text(path.parent / FIGURES / name, text)
@@ -57,11 +63,14 @@ class _Page:
 
     Parameters
     ----------
+    step
+        Next step of the command; None: the page has none.
     tables
         Text of each CSV file by its name.
     """
 
     diagnosis: Diagnosis
+    step: NextStep | None = None
     figures: dict[str, Model] = field(default_factory=dict)
     tables: dict[str, str] = field(default_factory=dict)
     recordings: list[Residuals] = field(init=False)
@@ -138,17 +147,18 @@ def _body(page: _Page) -> str:
     findings = page.diagnosis.findings
     wording = _wording(page, page.recording_of)
     cards = "".join(sections.card_html(effect, findings, wording) for effect in findings.effects)
+    errors = f"{sections.held_out_html(findings, _errors(page))}<p class='dim'>{html.escape(_HELD_OUT)}</p>"
+    remains = f"<div class='remains {_open(page)}'>{_remains(page)}</div>"
     parts = [
         _first_screen(page),
-        f"<h2>Measured, given model and {page.extended}</h2>{_curves(page)}",
-        f"<h2>Residual over each driver</h2>{_drivers(page)}",
-        f"<h2>Residual over time and frequency</h2>{_maps(page)}",
-        f"<h2>Effects found</h2>{cards}" if cards else "",
-        _law(page),
-        f"<h2>Errors before and after the diagnosis</h2>{sections.held_out_html(findings, _errors(page))}",
-        f"<p class='dim'>{html.escape(_HELD_OUT)}</p>",
-        f"<h2>What remains unexplained</h2><div class='remains {_open(page)}'>{_remains(page)}</div>",
-        f"<h2>Recordings</h2>{sections.recordings_html(findings, page.diagnosis.series)}",
+        fold_html(f"Measured, given model and {page.extended}", _curves(page)),
+        fold_html("Residual over each driver", _drivers(page)),
+        fold_html("Residual over time and frequency", _maps(page)),
+        fold_html("Effects found", cards),
+        fold_html("Law without a name", _law(page)),
+        fold_html("Errors before and after the diagnosis", errors),
+        fold_html("What remains unexplained", remains),
+        fold_html("Recordings", sections.recordings_html(findings, page.diagnosis.series)),
         f"<p class='dim'>piezod {__version__}. For programs: findings.json and model.yaml beside this page.</p>",
     ]
     return "".join(parts)
@@ -162,7 +172,7 @@ def _law(page: _Page) -> str:
     plot, columns = law_figure(law, page.units)
     sentence = html.escape(law_sentence(finding, page.diagnosis.findings))
     figure = page.add("unnamed_law", [plot], columns, _GAIN if law.gain else _LAW)
-    return f"<h2>Law without a name</h2><p>{sentence}</p>{figure}"
+    return f"<p>{sentence}</p>{figure}"
 
 
 _GAIN = (
@@ -185,7 +195,7 @@ def _first_screen(page: _Page) -> str:
     effects = sections.effects_html(findings, _wording(page, page.recording_of))
     bars = page.add("held_out_error", [error_bars(findings, page.extended)], {})
     return (
-        f"{sections.verdict_html(findings)}{sections.chain_html(findings)}"
+        f"{sections.verdict_html(findings)}{next_step_html(page.step)}{sections.chain_html(findings)}"
         f"<div class='first'><div>{effects}</div>{bars}</div>"
     )
 

@@ -98,8 +98,7 @@ def card_html(finding: Finding, findings: Findings, wording: Wording) -> str:
     )
     handling = words.HANDLINGS.get(finding.handling, finding.handling)
     facts = [
-        ("confidence", _confidence(finding)),
-        *([] if finding.q is None else [("false-discovery rate", f"{finding.q:.1g}")]),
+        ("confidence", words.confidence_words(finding.confidence)),
         ("error without → with it", _error_change(finding, findings)),
         ("when", words.since_given(finding, wording)),
         ("where", "; ".join(place_words(place, wording) for place in finding.where) or "everywhere"),
@@ -232,16 +231,12 @@ def _error_change(finding: Finding, findings: Findings) -> str:
     return change if words.observed_directly(finding) else f"{change} (noise {rounded(findings.floor)})"
 
 
-def _confidence(finding: Finding) -> str:
-    return f"{100 * finding.confidence:.0f} % ({words.confidence_level(finding.confidence)})"
-
-
 def _confidence_html(finding: Finding) -> str:
     percentage = f"{100 * finding.confidence:.0f}"
     near = "".join(f"<small>or {_escaped(title)}</small>" for title in words.near_rivals(finding))
     return (
         f"<span class='bar' role='img' aria-label='confidence {percentage} percent'>"
-        f"<span style='width:{percentage}%'></span></span>{_confidence(finding)}{near}"
+        f"<span style='width:{percentage}%'></span></span>{words.confidence_words(finding.confidence)}{near}"
     )
 
 

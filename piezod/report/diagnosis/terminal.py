@@ -5,7 +5,7 @@ from pathlib import Path
 from piezod.diagnose.findings import Finding
 from piezod.diagnose.judgement import Diagnosis
 from piezod.diagnose.verdict.words import Wording, label_of, law_words, place_words, value_words
-from piezod.report.diagnosis.wording import SCOPES
+from piezod.report.diagnosis.wording import SCOPES, confidence_words
 
 
 def print_findings(diagnosis: Diagnosis, folder: Path) -> None:
@@ -29,17 +29,13 @@ def print_findings(diagnosis: Diagnosis, folder: Path) -> None:
         print(f"  {held_out.path}, held out: {held_out.before:.4g} -> {held_out.after:.4g} {findings.unit}")
     if findings.not_testable:
         print(f"not testable with these recordings: {', '.join(findings.not_testable)}")
-    if findings.not_testable or any(effect.rivals for effect in findings.effects):
-        print("piezod testable REC --model MODEL --next next.csv plans the experiment that tells more")
     for note in findings.notes:
         print(f"note: {note}")
     print(f"{folder / 'findings.json'}, {folder / 'model.yaml'}, {folder / 'report.html'}")
 
 
 def _print_effect(finding: Finding, wording: Wording) -> None:
-    confidence = f"confidence {100 * finding.confidence:.0f} %"
-    if finding.q is not None:
-        confidence += f", false-discovery rate {finding.q:.1g}"
+    confidence = f"confidence {confidence_words(finding.confidence)}"
     when = SCOPES[finding.scope] if finding.status == "new" else finding.status
     print(f"  {finding.name} ({confidence}, {when}): {finding.title}")
     for name, value in finding.parameters.items():

@@ -107,6 +107,17 @@ def confidence_level(confidence: float) -> str:
     return "medium" if confidence >= MEDIUM else "low"
 
 
+def confidence_words(confidence: float) -> str:
+    """Confidence in per cent, with its level: the one scale of pages and terminal.
+
+    Parameters
+    ----------
+    confidence
+        Confidence of a finding, 0 to 1.
+    """
+    return f"{100.0 * confidence:.0f} % ({confidence_level(confidence)})"
+
+
 def since_given(finding: Finding, wording: Wording) -> str:
     """Change of an effect of the given model, or the time at which a new effect appeared."""
     return SCOPES[finding.scope] if finding.status == "new" else change_words(finding, wording)

@@ -1,7 +1,10 @@
-"""Output of a validation: a table, a page, and a sentence that names the model with the least hysteresis."""
+"""Output of a validation: a table, a page, and a sentence that names the better model.
+
+The better model has the smaller rms error; of equal ones the smaller hysteresis (`report/ranking.py`).
+"""
 
 import html
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Protocol
@@ -11,10 +14,13 @@ from bokeh.models import Range1d
 from bokeh.plotting import figure
 from numpy.typing import NDArray
 
+from piezod.estimation.recordings.noise import noise_of
 from piezod.identify.scores import max_hysteresis_percent
 from piezod.recording import Recording
 from piezod.report.figures.layout import decimated, finish_figure
-from piezod.report.page import Part, head_html, table_html, write_page
+from piezod.report.next_step import NextStep
+from piezod.report.page import Part, head_html, next_step_html, table_html, write_page
+from piezod.report.ranking import Score, best_of, gain_text, in_noises
 from piezod.report.style import BLUE, GREEN, GREY, ORANGE, RED
 from piezod.report.text_table import column_widths, text_table
 from piezod.report.tracking.tracking_errors import FigureKey, SessionOutcome, TrackingFigures, tracking_figures
@@ -45,7 +51,7 @@ class Triangle(Protocol):
 
 @dataclass(frozen=True)
 class ValidationVerdict:
-    """Figures of a validation, and the model with the least hysteresis.
+    """Figures of a validation, and the better model.
 
     Parameters
     ----------
@@ -55,6 +61,8 @@ class ValidationVerdict:
         Least and largest force that every model reaches [N].
     figures
         Errors by (reference, compensation), of the runs that were completed.
+    noise_N
+        Rms noise of the readings, from repeats of the references [N]; None: unknown.
     """
 
     references: Mapping[str, Triangle]
@@ -62,6 +70,7 @@ class ValidationVerdict:
     range_N: tuple[float, float]
     figures: dict[FigureKey, TrackingFigures]
     outcome: SessionOutcome
+    noise_N: float | None = None
 
     @property
     def complete(self) -> bool:
@@ -81,12 +90,33 @@ class ValidationVerdict:
         return means
 
     @property
+    def scores(self) -> dict[str, Score]:
+        """Rms error and mean width of the loops [N], for each compensation that completed every reference."""
+        scores = {}
+        for name in self.compensations:
+            of_references = [errors for key, errors in self.figures.items() if key[1] == name]
+            if len(of_references) == len(self.references):
+                rms_N = float(np.sqrt(np.mean([errors.rms_error_N**2 for errors in of_references])))
+                scores[name] = Score(rms_N, _mean_width_N(of_references))
+        return scores
+
+    @property
     def better(self) -> str | None:
-        """Name of the model with the lowest mean max hysteresis; None if the validation is not complete."""
+        """Name of the better model; None if the validation is not complete."""
         if not self.complete:
             return None
-        means = self.mean_hysteresis_percent
-        return min((name for name in self.compensations[1:] if name in means), key=means.__getitem__, default=None)
+        scores = self.scores
+        models = {name: scores[name] for name in self.compensations[1:] if name in scores}
+        return best_of(models, self.noise_N) if models else None
+
+    @property
+    def better_than_none(self) -> bool:
+        """Whether the better model leaves a smaller error than no model."""
+        if (better := self.better) is None:
+            return False
+        scores = self.scores
+        pair = {self.compensations[0]: scores[self.compensations[0]], better: scores[better]}
+        return best_of(pair, self.noise_N) == better
 
     @property
     def sentence(self) -> str:
@@ -94,15 +124,25 @@ class ValidationVerdict:
         runs = f"after {len(self.figures)} of {len(self.references) * len(self.compensations)} runs"
         if self.outcome.fault:
             return f"FAULT {runs}: {self.outcome.fault}"
-        if self.better is None:
+        if (better := self.better) is None:
             return f"stopped {runs}: no verdict"
-        means = self.mean_hysteresis_percent
-        without = self.compensations[0]
-        ranked = sorted((name for name in means if name not in {without, self.better}), key=means.__getitem__)
-        others = [f"{name}: {means[name]:.2f} %" for name in (*ranked, without)]
+        scores, without = self.scores, self.compensations[0]
+        ranked = sorted((name for name in scores if name not in {without, better}), key=lambda name: scores[name].rms)
         degree = {0: "is the only model", 1: "is the better model"}.get(len(ranked), "is the best model")
-        warning = "" if means[self.better] < means[without] else "; it is NOT better than no model"
-        return f"{self.better} {degree}: mean max hysteresis {means[self.better]:.2f} % ({', '.join(others)}){warning}"
+        others = "; ".join(f"{name}: {self._errors(name)}" for name in (*ranked, without))
+        gain = "".join(f"; {gain_text(better, name, scores, self.noise_N, 'N')}" for name in ranked[:1])
+        warning = "" if self.better_than_none else "; it is NOT better than no model"
+        noise = "" if not self.noise_N else f"; noise {self.noise_N:.2g} N"
+        return f"{better} {degree}: {self._errors(better)} ({others}){gain}{noise}{warning}"
+
+    def _errors(self, name: str) -> str:
+        """Rms error and hysteresis of a compensation, in noises if the noise is known."""
+        score, percent = self.scores[name], self.mean_hysteresis_percent.get(name)
+        rms = f"rms error {in_noises(score.rms, self.noise_N, 'N')}"
+        if score.hysteresis is None or percent is None:
+            return rms
+        width = in_noises(score.hysteresis, self.noise_N, "N")
+        return f"{rms}, mean max hysteresis {width} = {percent:.2f} %"
 
     def as_dict(self) -> dict[str, Any]:
         """Return the result for JSON."""
@@ -112,6 +152,9 @@ class ValidationVerdict:
             "words": self.sentence,
             "range_N": list(self.range_N),
             "mean_max_hysteresis_percent": self.mean_hysteresis_percent,
+            "noise_N": self.noise_N,
+            "rms_error_N": {name: score.rms for name, score in self.scores.items()},
+            "mean_max_hysteresis_N": {name: score.hysteresis for name, score in self.scores.items()},
             "figures": [
                 {
                     "reference": reference,
@@ -161,7 +204,27 @@ def evaluate_validation(
         reference, force = recording.channel("reference_N")[steady], recording.channel("force_N")[steady]
         hysteresis_percent = max_hysteresis_percent(reference, force)
         figures[key] = replace(tracking_figures(recording, loop=False), max_hysteresis_percent=hysteresis_percent)
-    return ValidationVerdict(references, compensations, range_N, figures, outcome)
+    return ValidationVerdict(references, compensations, range_N, figures, outcome, _noise_N(recordings.values()))
+
+
+def _noise_N(recordings: Iterable[Recording]) -> float | None:
+    """Median noise of the readings over the runs whose reference repeats [N]; None: none repeats."""
+    noises = []
+    for recording in recordings:
+        reference, force = recording.channel("reference_N"), recording.channel("force_N")
+        noise = noise_of(reference, force, np.isfinite(force), recording.dt_s)
+        noises += [] if noise is None else [noise.rms]
+    return float(np.median(noises)) if noises else None
+
+
+def _mean_width_N(figures: Sequence[TrackingFigures]) -> float | None:
+    """Mean width of the widest loops [N]; None if a run closed no loop."""
+    widths = [
+        0.01 * errors.max_hysteresis_percent * errors.range_N
+        for errors in figures
+        if errors.max_hysteresis_percent is not None
+    ]
+    return float(np.mean(widths)) if widths and len(widths) == len(figures) else None
 
 
 def validation_text(verdict: ValidationVerdict) -> str:
@@ -180,25 +243,30 @@ def validation_text(verdict: ValidationVerdict) -> str:
     return "\n".join([*lines, verdict.sentence])
 
 
-def write_validation_page(path: Path, verdict: ValidationVerdict, recordings: dict[FigureKey, Recording]) -> None:
+def write_validation_page(
+    path: Path, verdict: ValidationVerdict, recordings: dict[FigureKey, Recording], step: NextStep | None = None
+) -> None:
     """Write the page: verdict, table, and for each reference the error and the force over the reference.
 
     Parameters
     ----------
     recordings
         Runs by (reference, compensation).
+    step
+        Next step of the command; None: the page has none.
 
     Raises
     ------
     ConfigurationError
         The file cannot be written.
     """
-    title = "Validation: max hysteresis with each model"
+    title = "Validation: error and max hysteresis with each model"
     parts = ["max hysteresis [%]", "rms error [N] (%)", "max error [N] (%)"]
     groups = [("", 1), *((name, len(parts)) for name in verdict.compensations)]
     table = table_html(["reference", *parts * len(verdict.compensations)], _rows(verdict), groups)
     shown: list[Part] = [
         head_html(title, verdict.sentence),
+        next_step_html(step),
         table,
         f"<p class='dim'>{html.escape(_range_sentence(verdict))}</p>",
     ]

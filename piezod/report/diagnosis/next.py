@@ -1,0 +1,33 @@
+"""The next step after a diagnosis."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from piezod.diagnose.judgement import Diagnosis
+from piezod.effects import EFFECTS
+from piezod.model import acting_effects
+from piezod.report.next_step import NextStep, after_diagnose
+
+
+def next_after(
+    diagnosis: Diagnosis, recordings: Sequence[Path], model: Path, folder: Path, bench: Path | None = None
+) -> NextStep:
+    """Next step after a diagnosis.
+
+    Parameters
+    ----------
+    recordings, model, folder
+        Files of the diagnosis, and the folder of its result.
+    bench
+        Bench file; None: not named.
+    """
+    written = diagnosis.model
+    return after_diagnose(
+        diagnosis.findings,
+        recordings,
+        model,
+        folder,
+        refused=[name for name in acting_effects(written) if EFFECTS[name].handling == "refused"],
+        bench=bench,
+        drives_a_bench=(written.input.unit, written.output.unit) == ("V", "N"),
+    )
