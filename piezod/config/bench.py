@@ -1,5 +1,6 @@
 """The bench configuration: every setting that `piezod run` needs, cross-checked before any voltage is written."""
 
+import os
 from pathlib import Path
 from typing import Annotated, Literal, Self
 
@@ -270,7 +271,27 @@ def load_bench(path: Path) -> BenchConfig:
     ConfigurationError
         One line with file, line, key, value and limit.
     """
-    return bench_of(read_document(path))
+    document = read_document(path)
+    bench = bench_of(document)
+    check_cpu(bench, document)
+    return bench
+
+
+def check_cpu(bench: BenchConfig, document: Document) -> None:
+    """Refuse a `real_time.cpu` that this machine does not have; the kernel would leave the loop on any CPU.
+
+    Raises
+    ------
+    ConfigurationError
+        Names the number and the CPUs of this machine.
+    """
+    cpu, count = bench.real_time.cpu, os.cpu_count()
+    if cpu is not None and count is not None and cpu >= count:
+        line = document.line_of(["real_time", "cpu"])
+        raise ConfigurationError(
+            f"{document.path}:{line}: real_time.cpu is {cpu}, must be at most {count - 1}: this machine has {count} "
+            "CPUs; name one of them, or null"
+        )
 
 
 def bench_of(document: Document) -> BenchConfig:

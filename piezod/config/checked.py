@@ -77,7 +77,7 @@ def require(holds: bool, name: str, value: float, limit: str) -> None:
 
 def _explain(detail: ErrorDetails, document: Document, section: type[BaseModel]) -> str:
     keys = [key for key in detail["loc"] if not _is_union_tag(key, document, detail["loc"])]
-    where = f"{document.path}:{document.line_of(keys)}"
+    where = f"{document.path}:{document.line_of([*keys, *_named_keys(detail)])}"
     name = _brief(".".join(str(key) for key in keys)) or "the file"
     value = shortened(detail["input"])
     kind, context = detail["type"], detail.get("ctx", {})
@@ -102,6 +102,12 @@ def _explain(detail: ErrorDetails, document: Document, section: type[BaseModel])
         case _:
             text = f"{name} is {value}: {detail['msg']}"
     return f"{where}: {text}"
+
+
+def _named_keys(detail: ErrorDetails) -> list[str]:
+    """Keys that begin the message of a section's own check, such as limits.force_trip_N; they are below its path."""
+    message = str(detail.get("ctx", {}).get("error", "")) if detail["type"] == "value_error" else ""
+    return message.partition(" ")[0].split(".") if message else []
 
 
 def _is_union_tag(key: str | int, document: Document, loc: tuple[str | int, ...]) -> bool:

@@ -6,6 +6,7 @@ from typing import Annotated, Any, ClassVar, Literal, Self
 from pydantic import Field, model_validator
 
 from piezod.config.checked import Section
+from piezod.config.host_name import HostName
 
 Positive = Annotated[float, Field(gt=0)]
 WordOrder = Literal["AB", "BA", "ABCD", "CDAB", "BADC", "DCBA"]
@@ -187,14 +188,14 @@ class TlsConfig(Section):
     ca: Annotated[str, Field(pattern=r"^(/|\$CREDENTIALS_DIRECTORY/).+")]
     certificate: Annotated[str, Field(pattern=r"^(/|\$CREDENTIALS_DIRECTORY/).+")]
     key: Annotated[str, Field(pattern=r"^(/|\$CREDENTIALS_DIRECTORY/).+")]
-    server_name: Annotated[str, Field(min_length=1)] | None = None
+    server_name: HostName | None = None
 
 
 class ModbusTcpLink(_ModbusLink):
     """Modbus over TCP; with `tls`, the connection is always encrypted and authenticated."""
 
     kind: Literal["modbus_tcp"]
-    host: Annotated[str, Field(min_length=1)]
+    host: HostName
     port: Annotated[int, Field(ge=1, le=65535)] = PLAIN_PORT
     connect_timeout_s: Annotated[float, Field(gt=0, le=10)] = 1.0
     tls: TlsConfig | None = None

@@ -89,15 +89,20 @@ class Document:
         return (node.start_mark.index, node.end_mark.index) if isinstance(node, yaml.ScalarNode) else None
 
 
-def read_document(path: Path) -> Document:
+def read_document(path: Path, schema: bytes = b"") -> Document:
     """Read one YAML file.
+
+    Parameters
+    ----------
+    schema
+        As for `open_regular`.
 
     Raises
     ------
     ConfigurationError
         The file is missing, unreadable, above 1 MiB, not UTF-8 or not YAML, or it has aliases or duplicate keys.
     """
-    with open_regular(path, MAX_BYTES) as file:
+    with open_regular(path, MAX_BYTES, schema) as file:
         try:
             raw = file.read(MAX_BYTES)
         except OSError as error:

@@ -28,7 +28,7 @@ def load_model(path: Path) -> Model:
     ModelError
         The schema differs, or the model has no inverse.
     """
-    document = read_document(path)
+    document = read_document(path, SCHEMA.encode())
     schema = document.content.get("schema")
     if schema != SCHEMA:
         raise ModelError(f"{path}: schema is {shortened(schema)}, must be '{SCHEMA}'; identify again with this version")

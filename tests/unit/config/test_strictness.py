@@ -51,6 +51,15 @@ REFUSED = [
     ("force_debounce_samples: 2", "force_debounce_samples: 0", "force_debounce_samples is 0, must be at least 1"),
     ("  without: []", "  without: [watchdog]", "arming.without.0 is 'watchdog', must be 'identity'"),
     ("socket_mode: '0660'", "socket_mode: '999'", "daemon.socket_mode is '999'"),
+    ("host: 127.0.0.1", "host: bench 3", "no host has the name 'bench 3': it contains a space"),
+    ("host: 127.0.0.1", "host: bench..lan", "no host has the name 'bench..lan': a part between two points is empty"),
+    ("host: 127.0.0.1", "host: 127.0.0.1:502", "no host has the name '127.0.0.1:502': write the number behind ':' as"),
+    ("host: 127.0.0.1", "host: 'http://bench'", "write the name alone, without a protocol or a path"),
+    ("host: 127.0.0.1", "host: 192.168.1.300", "an address has four numbers from 0 to 255"),
+    ("host: 127.0.0.1", "host: -bench", "the part '-bench' may hold letters, digits and inner hyphens only"),
+    ("host: 127.0.0.1", f"host: {'a.' * 127}", "it has 254 characters, must have at most 253"),
+    ("host: 127.0.0.1", f"host: {'a' * 64}.lan", "the part aaaaaaaa... has 64 characters, must have at most 63"),
+    ("cpu: null", "cpu: 100000", "real_time.cpu is 100000, must be at most"),
     ("host: 127.0.0.1", "host: 8.8.8.8", "set tls, or set allow_plaintext_remote: true"),
     ("host: 127.0.0.1", "host: '2001:4860:4860::8888'", "is the routable address 2001:4860:4860::8888"),
     ("tls: null", "tls: {ca: ca.pem, certificate: /c, key: /k}", "link.tls.ca is 'ca.pem'"),
@@ -74,6 +83,35 @@ def refused(tmp_path, old, new):
 
 def line_of(text):
     return BENCH.read_text(encoding="utf-8").splitlines().index(text) + 1
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "key"),
+    [
+        ("force_trip_N: 360.0", "force_trip_N: 3600.0", "force_trip_N"),
+        ("voltage_V_per_s: 200", "voltage_V_per_s: 9000", "voltage_V_per_s: 9000"),
+        ("step_V: 2.0", "step_V: 200.0", "step_V"),
+        ("slew_down_V_per_s: null", "slew_down_V_per_s: 7000", "slew_down_V_per_s"),
+        ("device_watchdog_ms: 100", "device_watchdog_ms: 2", "device_watchdog_ms"),
+        ("unit: N, low", "unit: kN, low", "force:"),
+        ("cpu: null", "cpu: 100000", "cpu:"),
+        ("host: 127.0.0.1", "host: bench 3", "host:"),
+    ],
+)
+def test_a_message_names_the_line_of_the_key_that_it_is_about(tmp_path, old, new, key):
+    lines = BENCH.read_text(encoding="utf-8").replace(old, new, 1).splitlines()
+    expected = next(number for number, line in enumerate(lines, 1) if line.lstrip().startswith(key))
+    assert refused(tmp_path, old, new).startswith(f"bench.yaml:{expected}: ")
+
+
+@pytest.mark.parametrize(
+    "host", ["::1", "fe80::1%eth0", "bench", "bench.lab.lan.", "press_3.lan", "b\u00fccher.example"]
+)
+def test_a_possible_host_is_accepted(tmp_path, host):
+    path = tmp_path / "bench.yaml"
+    text = BENCH.read_text(encoding="utf-8").replace("host: 127.0.0.1", f"host: '{host}'", 1)
+    path.write_text(text, encoding="utf-8")
+    assert load_bench(path).link.host == host
 
 
 def test_the_shipped_configuration_is_accepted():

@@ -66,3 +66,30 @@ def test_a_missing_file_and_a_folder_are_refused(tmp_path):
 
 def test_an_error_message_is_one_printable_line():
     assert str(RecordingError("ch\u00b5\n\x1b[0m\ud800 \u00b0C")) == "ch\u00b5\\n\\x1b[0m\\ud800 \u00b0C"
+
+
+@pytest.fixture
+def folder(tmp_path):
+    (tmp_path / "stack.yaml").write_text("schema: piezod.model/1\n", encoding="utf-8")
+    (tmp_path / "bench.yaml").write_text("schema: piezod.bench/1\n", encoding="utf-8")
+    return tmp_path
+
+
+def missing(path, schema=b""):
+    with pytest.raises(ConfigurationError) as caught:
+        read_document(path, schema)
+    return str(caught.value)
+
+
+def test_a_misspelt_file_name_brings_the_one_beside_it(folder):
+    assert missing(folder / "bnech.yaml").endswith("No such file or directory; did you mean 'bench.yaml'?")
+
+
+def test_the_only_model_beside_a_missing_one_is_named_whatever_its_name(folder):
+    assert missing(folder / "model.yaml", b"piezod.model/").endswith("did you mean 'stack.yaml'?")
+
+
+def test_nothing_is_named_where_nothing_is_alike(folder):
+    (folder / "other.yaml").write_text("schema: piezod.model/1\n", encoding="utf-8")
+    assert missing(folder / "zzz.yaml", b"piezod.model/").endswith("No such file or directory")
+    assert missing(folder / "nowhere" / "model.yaml").endswith("No such file or directory")

@@ -1,0 +1,59 @@
+"""Names of hosts that a bench file can hold: an address, or a name of RFC 1123."""
+
+import re
+from ipaddress import ip_address
+from typing import Annotated
+
+from pydantic import AfterValidator, Field
+
+LONGEST_NAME, LONGEST_LABEL = 253, 63  # characters, RFC 1035 section 2.3.4
+_LABEL = re.compile(r"[^\W_](?:[\w-]*[^\W_])?|_[\w-]*")  # letters of every script: the resolver encodes them
+
+
+def check_host(host: str) -> str:
+    """Return a host that can exist.
+
+    Parameters
+    ----------
+    host
+        IPv4 or IPv6 address, with a zone if need be, or a name.
+
+    Raises
+    ------
+    ValueError
+        The name holds a space, a port or an address of the web, has an empty label, or is too long.
+    """
+    try:
+        ip_address(host.partition("%")[0])
+    except ValueError:
+        if reason := _reason(host):
+            raise ValueError(f"no host has the name {host[:LONGEST_LABEL]!r}: {reason}") from None
+    return host
+
+
+def _reason(host: str) -> str:
+    """Why a name cannot exist; empty: it can."""
+    labels = host.removesuffix(".").split(".")
+    reasons = {
+        f"it has {len(host)} characters, must have at most {LONGEST_NAME}": len(host) > LONGEST_NAME,
+        "it contains a space; remove it": any(character.isspace() for character in host),
+        "write the name alone, without a protocol or a path": "/" in host,
+        "write the number behind ':' as port": ":" in host,
+        "an address has four numbers from 0 to 255": all(label.isdecimal() for label in labels),
+    }
+    return next((reason for reason, holds in reasons.items() if holds), "") or _label_reason(labels)
+
+
+def _label_reason(labels: list[str]) -> str:
+    """Why one of the parts between points cannot exist; empty: all can."""
+    for label in labels:
+        if not label:
+            return "a part between two points is empty"
+        if len(label) > LONGEST_LABEL:
+            return f"the part {label[:8]}... has {len(label)} characters, must have at most {LONGEST_LABEL}"
+        if not _LABEL.fullmatch(label):
+            return f"the part {label!r} may hold letters, digits and inner hyphens only"
+    return ""
+
+
+HostName = Annotated[str, Field(min_length=1), AfterValidator(check_host)]
