@@ -86,6 +86,11 @@ class BenchConfig(Section):
         """File for the recording of a bench that has drifted: `drift.file`, or a file next to the ring log."""
         return self._path_of(None if self.drift is None else self.drift.file, ".drift.csv")
 
+    @property
+    def blocks_path(self) -> Path:
+        """File of the windows that the drift watch knows: `drift.blocks`, or a file next to the ring log."""
+        return self._path_of(None if self.drift is None else self.drift.blocks, ".blocks.csv")
+
     def _path_of(self, name: str | None, suffix: str) -> Path:
         """Path of a file from the configuration, else next to the ring log."""
         if name is None:
@@ -215,6 +220,8 @@ class BenchConfig(Section):
             paths["reference.listen"] = Path(self.reference.listen)
         if self.drift is not None and self.drift.file is not None:
             paths["drift.file"] = self.drift_path
+        if self.drift is not None and self.drift.blocks is not None:
+            paths["drift.blocks"] = self.blocks_path
         if self.learning is not None:
             paths["learning.file"] = self.learned_path
         names: dict[Path, str] = {}

@@ -81,13 +81,18 @@ class RecorderConfig(Section):
 class DriftConfig(Section):
     """Comparison of force and model in windows of time, and the recording saved when they differ.
 
-    `beyond_N` is the difference [N] that counts as drift; None: three times the model's held-out error.
+    `beyond_N` is the difference [N] that counts as drift in the first stretch of driving; None: three times the model's
+    held-out error. `false_alarm_days` is the mean time of driving between two false alarms [day]. An error that grows
+    by the share `tolerance` is no drift. `blocks` is the file of the known windows; None: beside the ring log.
     """
 
     window_s: Annotated[float, Field(ge=1, le=3600)] = 10.0
     beyond_N: Annotated[float, Field(gt=0)] | None = None
+    false_alarm_days: Annotated[float, Field(ge=1, le=36500)] = 365.0
+    tolerance: Annotated[float, Field(ge=0, le=10)] = 0.02
     keep_s: Annotated[float, Field(ge=10, le=3600)] = 120.0
     file: str | None = None
+    blocks: str | None = None
 
 
 class ProofConfig(Section):

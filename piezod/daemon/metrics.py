@@ -192,6 +192,18 @@ class BenchMetrics(Collector):
                 watch.offset_N,
             ),
             "piezod_model_drifted": ("1 after the bench has left its model", float(watch.drifted)),
+            "piezod_model_evidence": (
+                "Evidence of a change, as share of the level of the alarm",
+                1.0 if watch.drifted else watch.test.alarm.evidence / watch.test.alarm.level,
+            ),
+            "piezod_model_known_windows": (
+                "Windows that later ones are compared with",
+                float(watch.test.reference.size),
+            ),
+            "piezod_model_input_outside": (
+                "1 while the input is unlike what was driven before, so that it is not compared",
+                float(bool(watch.outside)),
+            ),
         }.items():
             gauge = GaugeMetricFamily(name, text, labels=["bench"])
             if np.isfinite(value):

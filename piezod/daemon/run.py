@@ -83,12 +83,13 @@ def run_foreground(path: Path, *, arm: bool) -> RunResult:
     session = Session(bench, None, path.parent, [], serves=path, lock=lock, heat_W=heat_W, correction_size=size)
     try:
         session.launch()
-        from piezod.daemon.drift import drift_file  # noqa: PLC0415  # slow import, while the control process starts
+        from piezod.daemon.drift import blocks_file, drift_file  # noqa: PLC0415  # slow import, while the control process starts
         from piezod.daemon.service import Service  # noqa: PLC0415
         from piezod.session.learned_file import learned_file  # noqa: PLC0415
 
         if bench.drift is not None:
             drift_file(bench).check()
+            blocks_file(bench).check()
         if bench.learning is not None:
             learned_file(bench).check()
         service = Service(path, bench, lock, session, arm=arm)

@@ -187,11 +187,19 @@ def _learning_text(learning: dict[str, Any]) -> str:
 def _drift_text(drift: dict[str, Any]) -> str:
     if drift["rms_N"] is None:
         return f"model: nothing compared yet, limit {drift['limit_N']:.2f} N"
-    found = f"{drift['rms_N']:.2f} N rms, {drift['offset_N']:+.2f} N in the mean, limit {drift['limit_N']:.2f} N"
-    if not drift["drifted"]:
-        return f"model: holds; {found}"
+    found = f"{drift['rms_N']:.2f} N rms, {drift['offset_N']:+.2f} N in the mean"
     problem = f" ({drift['problem']})" if drift["problem"] else ""
-    return f"model: DRIFTED; {found}; recorded in {drift['kept']}{problem}; see piezod diagnose --from-bench"
+    if drift["drifted"]:
+        return f"model: DRIFTED; {found}; recorded in {drift['kept']}{problem}; see piezod diagnose --from-bench"
+    if drift["outside"]:
+        return f"model: another input, not compared; {found}; {drift['outside']}{problem}"
+    known = (
+        f"first stretch of driving, limit {drift['limit_N']:.2f} N"
+        if drift["first_stretch"]
+        else f"compared with {drift['known_windows']} windows of driving"
+    )
+    evidence = f"evidence of a change {drift['evidence']:.2g}, alarm at {drift['alarm_at']:.2g}"
+    return f"model: holds; {found}; {known}; {evidence}{problem}"
 
 
 def _recorder_text(recorder: dict[str, Any]) -> str:

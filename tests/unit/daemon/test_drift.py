@@ -1,4 +1,4 @@
-"""Drift: two windows in a row above the limit, and a recording of bounded size."""
+"""Drift: windows are compared with the limit, then with known ones; a recording of bounded size."""
 
 from pathlib import Path
 
@@ -7,7 +7,8 @@ import pytest
 
 from piezod.config import DriftConfig, load_bench
 from piezod.control import ROW_DTYPE, State
-from piezod.daemon.drift import WINDOWS, DriftWatch
+from piezod.daemon.drift import DriftWatch
+from piezod.daemon.drift.reference import FIRST_STRETCH
 from piezod.model import load_model
 from piezod.recording import read_csv
 
@@ -25,20 +26,26 @@ def logged():
     return []
 
 
+def bench_of(folder, **changes):
+    files = {"file": str(folder / "{name}.csv"), "blocks": str(folder / "{name}.blocks.csv")}
+    settings = {"window_s": WINDOW_S, "keep_s": KEEP_S, "beyond_N": 1.0, "false_alarm_days": 73} | files | changes
+    drift = DriftConfig(**settings)
+    return load_bench(CONFIG / "bench.yaml").model_copy(update={"rate_Hz": RATE_HZ, "drift": drift})
+
+
 @pytest.fixture
 def watch(model, logged, tmp_path):
-    drift = DriftConfig(window_s=WINDOW_S, keep_s=KEEP_S, beyond_N=1.0, file=str(tmp_path / "{name}.csv"))
-    bench = load_bench(CONFIG / "bench.yaml").model_copy(update={"rate_Hz": RATE_HZ, "drift": drift})
-    return DriftWatch(bench, model, logged.append)
+    return DriftWatch(bench_of(tmp_path), model, logged.append)
 
 
-def rows_of(model, seconds, extra=lambda t: 0.0, first_tick=0):
+def rows_of(model, seconds, extra=lambda t: 0.0, first_tick=0, frequency_Hz=0.5, noise_N=0.0):
     """Rows of a slow sine of voltage, disarmed, arming and running; each reading follows the voltage one row before."""
     count = round(seconds * RATE_HZ)
     rows = np.zeros(count, ROW_DTYPE)
     t = np.arange(count) / RATE_HZ
-    voltage_V = 60.0 * (1.0 - np.cos(2.0 * np.pi * 0.3 * np.maximum(t - 0.5, 0.0)))
-    force_N = model.operator().run(voltage_V) + np.array([extra(one) for one in t])
+    voltage_V = 60.0 * (1.0 - np.cos(2.0 * np.pi * frequency_Hz * np.maximum(t - 0.5, 0.0)))
+    noise = noise_N * np.random.default_rng(first_tick).standard_normal(count)
+    force_N = model.operator().run(voltage_V) + np.array([extra(one) for one in t]) + noise
     rows["tick"] = first_tick + np.arange(count)
     rows["voltage_V"], rows["force_N"][1:], rows["temperature_C"] = voltage_V, force_N[:-1], 20.0
     rows["state"] = np.where(t < 0.2, State.DISARMED, np.where(t < 0.5, State.ARMING, State.RUNNING))
@@ -66,17 +73,71 @@ def test_rms_and_offset_are_those_of_the_last_window(watch, model):
     assert watch.offset_N == pytest.approx(0.0, abs=1e-3)
 
 
-def test_one_window_above_the_limit_is_not_a_drift_and_two_in_a_row_are(watch, model, logged):
-    once = rows_of(model, 13.0, lambda t: 3.0 if 4.6 < t < 6.4 else 0.0)
-    add_in_pieces(watch, once)
+@pytest.mark.parametrize(("above", "drifts"), [(3, False), (4, True)])
+def test_four_windows_above_the_limit_are_a_drift_in_the_first_stretch(watch, model, logged, above, drifts):
+    """73 days are 3.15 million windows of 2 s, and a window above the limit pays 50.5 times: 50.5^4 is 6.5 million."""
+    last_s = 4.5 + above * WINDOW_S
+    add_in_pieces(watch, rows_of(model, 21.0, lambda t: 3.0 if 4.6 < t < last_s - 0.05 else 0.0), size=1)
+    assert watch.drifted == drifts
+    assert len(logged) == drifts
+    if drifts:
+        assert "limit 1.00 N; in the first stretch of driving" in logged[0]
+
+
+def test_the_first_stretch_takes_an_hour_of_windows_and_a_tripled_error_is_then_a_drift(model, logged, tmp_path):
+    """The error grows from 0.1 to 0.3 N rms, far below `beyond_N`."""
+    watch = DriftWatch(bench_of(tmp_path), model, logged.append)
+    usual = rows_of(model, 0.5 + WINDOW_S * (FIRST_STRETCH + 20), noise_N=0.1)
+    watch.add(usual)
     assert not watch.drifted
-    stays = rows_of(model, 13.0, lambda t: 3.0 if t > 8.5 else 0.0, first_tick=once.size)
-    watch.begin()
-    add_in_pieces(watch, stays)
-    assert watch.drifted
-    assert watch.offset_N == pytest.approx(3.0, abs=1e-6)
+    assert logged == [f"drift: from now on compared with driving of this bench, first with {FIRST_STRETCH} windows"]
+    assert watch.as_dict()["first_stretch"] is False
+    watch.close()
+
+    logged.clear()
+    later = DriftWatch(bench_of(tmp_path), model, logged.append)
+    assert later.test.reference.size == watch.test.reference.size
+    assert "drift.beyond_N has no effect" in logged[0]
+    later.add(rows_of(model, 0.5 + 20 * WINDOW_S, noise_N=0.1))
+    assert not later.drifted
+    later.begin()
+    last_tick = round((0.5 + 20 * WINDOW_S) * RATE_HZ)
+    later.add(rows_of(model, 0.5 + 8 * WINDOW_S, noise_N=0.3, first_tick=last_tick))
+    assert later.drifted
+    assert "the law of the bench has changed" in logged[-1]
+    assert "0.10 N so far" in logged[-1]
+
+
+def test_another_input_after_the_first_stretch_is_no_drift_however_large_its_error_is(model, logged, tmp_path):
+    watch = DriftWatch(bench_of(tmp_path), model, logged.append)
+    watch.add(rows_of(model, 0.5 + WINDOW_S * (FIRST_STRETCH + 20), noise_N=0.1))
+    watch.close()
+    logged.clear()
+    faster = DriftWatch(bench_of(tmp_path, beyond_N=None), model, logged.append)
+    faster.add(rows_of(model, 0.5 + 20 * WINDOW_S, noise_N=5.0, frequency_Hz=5.0))
+    assert not faster.drifted
+    assert faster.outside_windows == faster.windows >= 19
     assert len(logged) == 1
-    assert WINDOWS == 2
+    assert logged[0].startswith("drift: another input, not compared: rate ")
+    assert "known " in faster.as_dict()["outside"]
+
+
+def test_an_unknown_input_beyond_the_range_of_the_model_is_not_compared(model, logged, tmp_path):
+    """The model is known to 140 V; the sine reaches 120 V, and the range ends at 100 V here."""
+    narrow = model.model_copy(update={"input": model.input.model_copy(update={"high": 100.0})})
+    watch = DriftWatch(bench_of(tmp_path), narrow, logged.append)
+    watch.add(rows_of(model, 20.5, lambda t: 3.0 * np.sin(40.0 * t)))
+    assert not watch.drifted
+    assert watch.outside_windows == watch.windows
+
+
+def test_windows_of_another_model_are_not_used(model, logged, tmp_path):
+    watch = DriftWatch(bench_of(tmp_path), model, logged.append)
+    watch.add(rows_of(model, 0.5 + WINDOW_S * 40, noise_N=0.1))
+    watch.close()
+    assert DriftWatch(bench_of(tmp_path), model, logged.append).test.reference.size > 0
+    other = model.model_copy(update={"name": "other"})
+    assert DriftWatch(bench_of(tmp_path), other, logged.append).test.reference.size == 0
 
 
 def test_the_recording_begins_at_arming(watch, model, tmp_path):

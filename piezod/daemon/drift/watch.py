@@ -1,29 +1,32 @@
 """Comparison of a running bench with its model, in the daemon, beside the control process.
 
 `ExpectedReading` predicts the reading of every tick from the written voltages. While a reference is followed, the
-difference of reading and prediction is summed up over windows of `drift.window_s`. The bench has drifted when two
-windows in a row exceed the limit. The daemon then logs it once and shows it in status and metrics. The ticks since
-the last arming are written to a file for `piezod diagnose --from-bench`. `drift.keep_s` bounds the memory.
+difference of reading and prediction is summed up over windows of `drift.window_s`. `LawTest` compares each window with
+earlier ones of the same kind of input. The bench has drifted when the evidence of a change reaches a level. Without a
+change this happens once in `drift.false_alarm_days` on average. The daemon then logs it once and shows it in
+status and metrics. The ticks since the last arming are written to a file for `piezod diagnose --from-bench`.
+`drift.keep_s` bounds the memory.
 """
 
 import threading
 from collections.abc import Callable
 from datetime import UTC, datetime
-from math import isfinite, nan, sqrt
-from pathlib import Path
+from math import isfinite, nan
 
 import numpy as np
 from numpy.typing import NDArray
 
-from piezod.config import BenchConfig, load_bench, model_path
+from piezod.config import BenchConfig
 from piezod.control import State
+from piezod.daemon.drift.blocks import Block, BlockSums
+from piezod.daemon.drift.files import BlocksFile, drift_file
+from piezod.daemon.drift.law_test import BlockResult, LawTest, Tested
+from piezod.daemon.drift.reference import FIRST_STRETCH, BlockReference
 from piezod.daemon.expected_rows import ExpectedRows
-from piezod.errors import CheckFailedError, ConfigurationError
 from piezod.model import Model
 from piezod.recording import HELD_ONE_SAMPLE, Recording
 from piezod.recording.ticks import GOOD, pair_rows
 from piezod.session.history import is_tracking
-from piezod.session.kept_csv import KeptCsv
 
 Array = NDArray[np.float64]
 
@@ -31,8 +34,8 @@ LIMIT_IN_MODEL_ERRORS = 3.0
 """Default limit, as a multiple of the held-out rms error of the model."""
 LIMIT_IN_RANGES = 0.01
 """Default limit as a part of the force range, for a model without a held-out error."""
-WINDOWS = 2
-"""Number of windows in a row above the limit that count as a drift."""
+DAY_S = 86400.0
+SAVED_EVERY = 360  # windows after which the reference is written: an hour of windows of 10 s
 
 
 class DriftWatch:
@@ -50,7 +53,9 @@ class DriftWatch:
     Attributes
     ----------
     limit_N
-        Limit for rms and offset [N].
+        Limit of the first stretch of driving [N].
+    test
+        Test of the windows.
     path
         File for the ticks of a bench that has drifted.
     windows
@@ -63,6 +68,10 @@ class DriftWatch:
         Force behind the last reading, corrected for the load cell [N]; nan before the first.
     drifted
         Whether the bench has drifted.
+    outside
+        Difference of the last window's input from the known ones; empty where it was compared.
+    outside_windows
+        Number of windows that were not compared.
     problem
         Why the file could not be written; empty without a failure.
     """
@@ -72,17 +81,25 @@ class DriftWatch:
         self._bench, self._log, self._name = bench, log, model.name
         self._expected = ExpectedRows(model, bench.dt_s)
         own_N = model.provenance.fit.rms_held_out
-        self.limit_N = bench.drift.beyond_N or (
-            LIMIT_IN_MODEL_ERRORS * own_N if own_N else LIMIT_IN_RANGES * (model.output.high - model.output.low)
+        span_N = model.output.high - model.output.low
+        self.limit_N = bench.drift.beyond_N or (LIMIT_IN_MODEL_ERRORS * own_N if own_N else LIMIT_IN_RANGES * span_N)
+        reference = BlockReference(
+            (model.input.low, model.input.high), own_N or self.limit_N / LIMIT_IN_MODEL_ERRORS, bench.drift.tolerance
         )
-        self._window_ticks = round(bench.drift.window_s * bench.rate_Hz)
+        self._blocks_file = BlocksFile(bench, model)
+        self._blocks_file.read_into(reference)
+        self._first_stretch = reference.is_first_stretch
+        if bench.drift.beyond_N is not None and not self._first_stretch:
+            log("drift: drift.beyond_N has no effect any more: windows are compared with earlier driving of this bench")
+        self.test = LawTest(reference, self.limit_N, bench.drift.false_alarm_days * DAY_S / bench.drift.window_s)
+        self._sums = BlockSums(round(bench.drift.window_s * bench.rate_Hz), bench.dt_s)
         self._max_rows = round(bench.drift.keep_s * bench.rate_Hz)
         self.path = bench.drift_path
         self._armed_rows: list[NDArray[np.void]] = []
         self._row_count = 0
         self._complete, self._state = False, int(State.DISARMED)
-        self._count = self._above_limit = self.windows = 0
-        self._sum = self._sum_of_squares = 0.0
+        self.windows = self.outside_windows = 0
+        self.outside = ""
         self._first_N: float | None = None
         self.corrected_N = self.rms_N = self.offset_N = nan
         self.drifted = False
@@ -106,7 +123,10 @@ class DriftWatch:
         if shown.add(rows):
             self.corrected_N = float(shown.corrected_N[-1])
             tracking = is_tracking(shown.commands, shown.readings)
-            self._add_to_windows((shown.reading_N - shown.expected_N)[tracking])
+            difference_N = (shown.reading_N - shown.expected_N)[tracking]
+            temperature_C = float(shown.readings["temperature_C"].mean())
+            for block in self._sums.add(difference_N, shown.commands["voltage_V"][tracking], temperature_C):
+                self._add_block(block)
 
     def corrected(self) -> float | None:
         """Force behind the last reading [N]; None before the first."""
@@ -121,43 +141,74 @@ class DriftWatch:
             "limit_N": self.limit_N,
             "windows": self.windows,
             "kept": str(self.path) if self.drifted else None,
-            "problem": self.problem,
+            "problem": self.problem or self._blocks_file.problem,
+            "evidence": self.test.alarm.evidence,
+            "alarm_at": self.test.alarm.level,
+            "known_windows": self.test.reference.size,
+            "first_stretch": self.test.reference.is_first_stretch,
+            "outside": self.outside,
+            "outside_windows": self.outside_windows,
         }
 
     def close(self) -> None:
-        """Write the collected ticks of a bench that has drifted, and wait for the file."""
+        """Write the known windows, and the ticks of a bench that has drifted; wait for the files."""
+        if self.windows:
+            self._save_blocks()
         if self.drifted and not self._complete:
             self._write()
         if self._writing is not None:
             self._writing.join()
 
-    def _add_to_windows(self, difference_N: Array) -> None:
-        """Add differences to the current window; at its end compare it with the limit."""
-        while difference_N.size:
-            part = difference_N[: self._window_ticks - self._count]
-            difference_N = difference_N[part.size :]
-            self._count += part.size
-            self._sum += float(part.sum())
-            self._sum_of_squares += float(np.square(part).sum())
-            if self._count >= self._window_ticks:
-                self._close_window()
-
-    def _close_window(self) -> None:
-        mean_N = self._sum / self._count
-        self.rms_N = sqrt(max(self._sum_of_squares / self._count - mean_N**2, 0.0))
-        self._first_N = mean_N if self._first_N is None else self._first_N
-        self.offset_N = mean_N - self._first_N
-        self._count, self._sum, self._sum_of_squares = 0, 0.0, 0.0
+    def _add_block(self, block: Block) -> None:
+        """Test a complete window; after a drift only its figures are shown."""
         self.windows += 1
-        is_above = max(self.rms_N, abs(self.offset_N)) > self.limit_N
-        self._above_limit = self._above_limit + 1 if is_above else 0
-        if self._above_limit >= WINDOWS and not self.drifted:
-            self.drifted = True
-            self._log(
-                f"drift: force {self.rms_N:.2f} N rms, {self.offset_N:+.2f} N in the mean from what model "
-                f"'{self._name}' expects, limit {self.limit_N:.2f} N; see piezod diagnose --from-bench"
-            )
+        self._first_N = block.mean_N if self._first_N is None else self._first_N
+        self.rms_N, self.offset_N = block.rms_N, block.mean_N - self._first_N
+        if self.drifted:
+            return
+        tested = self.test.add(block, self.offset_N)
+        if tested.alarm:
+            self.drifted, self.outside = True, ""
+            self._log(f"drift: {self._alarm_words(tested)}; see piezod diagnose --from-bench")
             self._write()
+            return
+        self._note_input(block, tested)
+        reference = self.test.reference
+        if self._first_stretch and not reference.is_first_stretch:
+            self._first_stretch = False
+            self._log(f"drift: from now on compared with driving of this bench, first with {FIRST_STRETCH} windows")
+        if self.windows % SAVED_EVERY == 0:
+            self._save_blocks()
+
+    def _alarm_words(self, tested: Tested) -> str:
+        found = (
+            f"force {self.rms_N:.2f} N rms, {self.offset_N:+.2f} N in the mean from what model '{self._name}' expects"
+        )
+        if tested.usual_N is None:
+            return (
+                f"{found}, limit {self.limit_N:.2f} N; in the first stretch of driving, so an unknown rate can be why"
+            )
+        return f"{found}, {tested.usual_N:.2f} N so far with the same kind of input: the law of the bench has changed"
+
+    def _note_input(self, block: Block, tested: Tested) -> None:
+        """Note an input that is not compared; log it once for each session."""
+        if tested.result is not BlockResult.OUTSIDE:
+            self.outside = ""
+            return
+        self.outside = self.test.reference.difference_of(block)
+        self.outside_windows += 1
+        if self.outside_windows == 1:
+            self._log(
+                f"drift: another input, not compared: {self.outside}; force {tested.distance_N:.2f} N from the model"
+            )
+
+    def _save_blocks(self) -> None:
+        """Write the known windows, in a thread; a previous write is finished first."""
+        rows = self._blocks_file.rows_of(self.test.reference)
+        if self._writing is not None:
+            self._writing.join()
+        self._writing = threading.Thread(target=self._blocks_file.write, args=(rows,), daemon=True)
+        self._writing.start()
 
     def _collect(self, rows: NDArray[np.void]) -> None:
         """Collect the rows since the last arming; beyond `drift.keep_s` the oldest are removed."""
@@ -198,40 +249,3 @@ class DriftWatch:
         recorded = datetime.now(UTC).isoformat(timespec="seconds")
         metadata = {"bench": self._bench.name, "model": self._name, "recorded": recorded} | HELD_ONE_SAMPLE.metadata
         self.problem = drift_file(self._bench).write(Recording(time_s - time_s[0], columns, metadata))
-
-
-def drift_file(bench: BenchConfig) -> KeptCsv:
-    """File for the recording of a bench that has drifted: `drift.file`, or a file beside the ring log.
-
-    Parameters
-    ----------
-    bench
-        Bench configuration.
-    """
-    return KeptCsv(bench.drift_path, "drift.file", ("kept", "left its model"))
-
-
-def find_drift_recording(path: Path) -> tuple[Path, Path]:
-    """Find the recording of a bench that has drifted, and the model that it was compared with.
-
-    Parameters
-    ----------
-    path
-        Bench configuration.
-
-    Raises
-    ------
-    ConfigurationError
-        The configuration has no section `drift`.
-    CheckFailedError
-        There is no such recording.
-    """
-    bench = load_bench(path)
-    if bench.drift is None:
-        raise ConfigurationError(f"{path}: drift is null, must be a section: no drift is watched, so none is recorded")
-    recording = bench.drift_path
-    if not recording.exists():
-        raise CheckFailedError(
-            f"{recording}: not there: this bench has not left its model; see piezod status, or name a recording"
-        )
-    return recording, model_path(bench, path)
