@@ -1,7 +1,4 @@
-"""One case of a study: the recordings that an engineer would have, without the sealed truth.
-
-A case is passed on as the contents of its files, so a process on another machine needs no shared disk.
-"""
+"""One case of a study: the recordings that an engineer would have, without the sealed truth."""
 
 import json
 import zlib
@@ -9,32 +6,13 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from piezod.errors import ConfigurationError, UsageError
+from piezod.tasks.task import Task
 
 SEAL = "seal.json"
 DESCRIPTION = "case.json"
 SCHEMA = "firmware_sim.concealed.case/1"
 LIFE_SCHEMA = "firmware_sim.concealed.life/1"
-
-
-@dataclass(frozen=True)
-class Case:
-    """Files of a case.
-
-    Parameters
-    ----------
-    name
-        Name of the case, such as `case_0001`.
-    files
-        File name to content, compressed by zlib.
-    """
-
-    name: str
-    files: dict[str, bytes]
-
-    def unpack(self, folder: Path) -> None:
-        """Write the files into an existing folder."""
-        for name, content in self.files.items():
-            (folder / name).write_bytes(zlib.decompress(content))
+WORKER = "piezod.blind.worker"
 
 
 @dataclass(frozen=True)
@@ -48,7 +26,7 @@ class Description:
     input, output
         Names of the input and output columns.
     is_life
-        Whether the recordings follow each other in time, and each is diagnosed with the model of the one before.
+        Whether the recordings follow each other in time, and each is diagnosed with the model of the step before.
     """
 
     identification: str
@@ -88,7 +66,7 @@ def read_description(folder: Path) -> Description:
     return description
 
 
-def read_case(folder: Path) -> Case:
+def read_case(folder: Path) -> Task:
     """Read the description of a case and the recordings that it names; other files in the folder are not read.
 
     Raises
@@ -99,9 +77,10 @@ def read_case(folder: Path) -> Case:
     description = read_description(folder)
     names = (DESCRIPTION, description.identification, *description.recordings, description.held_out)
     try:
-        return Case(folder.name, {name: zlib.compress((folder / name).read_bytes(), 1) for name in names})
+        files = {name: zlib.compress((folder / name).read_bytes(), 1) for name in names}
     except OSError as error:
         raise ConfigurationError(f"{error.filename}: cannot be read: {error.strerror}") from error
+    return Task(folder.name, files, WORKER)
 
 
 def case_folders(study: Path, only: tuple[str, ...] = ()) -> list[Path]:

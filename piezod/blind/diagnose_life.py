@@ -98,14 +98,14 @@ def _step(given: Path, recording: Path, output: Path) -> dict[str, Any]:
 
 
 def _simulated_rms(model: Model, path: Path, findings: dict[str, Any] | None) -> float:
-    """Rms error that `piezod simulate` has, without its mean, its first second, and what the findings leave out."""
+    """Rms error of `piezod simulate`, without its mean, the first second, and stretches that the findings exclude."""
     loaded = load_for_simulation(path, model.input.channel, model.output.channel)
     run = simulate_recording(model, loaded.recording, START_WINDOW_S, sha256=loaded.sha256).recording
     error = loaded.recording.channel(model.output.channel) - run.channel(model.output.channel)
     entries = [] if findings is None else findings["recordings"]
-    left_out = [f"{first!r}:{last!r}" for entry in entries for first, last in entry["left_out_s"]]
+    excluded = [f"{first!r}:{last!r}" for entry in entries for first, last in entry["left_out_s"]]
     started = loaded.recording.time_s >= loaded.recording.time_s[0] + START_WINDOW_S
-    error = error[started & outside(loaded.recording, left_out)]
+    error = error[started & outside(loaded.recording, excluded)]
     return float(np.std(error[np.isfinite(error)]))
 
 

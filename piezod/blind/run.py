@@ -5,11 +5,13 @@ from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 
-from piezod.blind.case import case_folders
-from piezod.blind.cluster import diagnose_on_cluster
-from piezod.blind.local import diagnose_locally
-from piezod.blind.verdict import Verdict, VerdictFolder
+from piezod.blind.case import case_folders, read_case
+from piezod.blind.verdict import Verdict, VerdictFolder, as_verdict
 from piezod.diagnose.hypothesis.parallel import core_count
+from piezod.errors import PiezodError
+from piezod.tasks.cluster import run_on_cluster
+from piezod.tasks.local import run_locally
+from piezod.tasks.task import Outcome, Task, failed_outcome
 
 OnVerdict = Callable[[Verdict | None, int, int], None]
 
@@ -68,11 +70,23 @@ def run_study(
     failed = 0
     if todo:
         on_verdict(None, 0, len(todo))
-    verdicts = (
-        diagnose_locally(todo, jobs or core_count()) if scheduler is None else diagnose_on_cluster(todo, scheduler)
+    remaining = iter(todo)
+
+    def next_case() -> Task | Outcome | None:
+        case = next(remaining, None)
+        if case is None:
+            return None
+        try:
+            return read_case(case)
+        except PiezodError as error:
+            return failed_outcome(case.name, str(error))
+
+    outcomes = (
+        run_locally(next_case, jobs or core_count()) if scheduler is None else run_on_cluster(next_case, scheduler)
     )
-    with closing(verdicts):
-        for done, verdict in enumerate(verdicts, 1):
+    with closing(outcomes):
+        for done, outcome in enumerate(outcomes, 1):
+            verdict = as_verdict(outcome)
             saved.save(verdict)
             failed += verdict.failed is not None
             on_verdict(verdict, done, len(todo))

@@ -8,35 +8,19 @@ import hashlib
 import json
 import shutil
 import tempfile
-from dataclasses import dataclass
 from pathlib import Path
 
 from piezod import __version__
 from piezod.blind.case import SEAL
 from piezod.errors import ConfigurationError, UsageError
+from piezod.tasks.task import RUN, Outcome, failed_outcome, read_outcome
 
-FINDINGS, RUN, STUDY = "findings.json", "run.json", "study.json"
+FINDINGS, STUDY = "findings.json", "study.json"
 SCHEMA, FINDINGS_SCHEMA = "piezod.blind/1", "piezod.findings/2"
 
-MOST_REASON_TEXT = 500
-"""Characters of the reason of a failure."""
 
-
-@dataclass(frozen=True)
-class Verdict:
-    """Files that the diagnosis of a case wrote.
-
-    Parameters
-    ----------
-    files
-        File name to content.
-    failed
-        Reason of the failure, one line; None: the diagnosis did not fail.
-    """
-
-    name: str
-    files: dict[str, bytes]
-    failed: str | None = None
+Verdict = Outcome
+"""Files that the diagnosis of a case wrote."""
 
 
 def run_json(elapsed_s: float, identification_s: float = 0.0, failed: str | None = None) -> bytes:
@@ -69,7 +53,7 @@ def failed_verdict(name: str, reason: str, elapsed_s: float = 0.0) -> Verdict:
     elapsed_s
         Time until the failure [s].
     """
-    reason = " ".join(reason.split())[:MOST_REASON_TEXT]
+    reason = str(failed_outcome(name, reason).failed)
     findings = {
         "schema": FINDINGS_SCHEMA,
         "verdict": "explained",
@@ -92,12 +76,15 @@ def read_verdict(name: str, folder: Path) -> Verdict | None:
     folder
         Folder of the verdict on this case.
     """
-    try:
-        files = {path.name: path.read_bytes() for path in sorted(folder.iterdir()) if path.is_file()}
-        failed = json.loads(files[RUN])["failed"]
-    except (OSError, ValueError, KeyError):
-        return None
-    return Verdict(name, files, failed) if FINDINGS in files else None
+    verdict = read_outcome(name, folder)
+    return verdict if verdict is not None and FINDINGS in verdict.files else None
+
+
+def as_verdict(outcome: Outcome) -> Verdict:
+    """Outcome as a verdict; without findings, the failure becomes findings."""
+    if FINDINGS in outcome.files:
+        return outcome
+    return failed_verdict(outcome.name, outcome.failed or "it wrote no findings")
 
 
 class VerdictFolder:

@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from piezod.blind.isolated import ONE_THREAD
+from piezod.tasks.isolated import SINGLE_THREAD
 from tests.studies.peers.exchange import PREDICTION, SAID
 from tests.studies.peers.given import Given
 
@@ -146,7 +146,7 @@ def read_prediction(folder: Path) -> np.ndarray | None:
 
 def _run(python: Path, program: str, scratch: Path) -> str:
     """Run a peer's program; what was wrong with that, in words, or nothing."""
-    variables = {"PATH": os.defpath, "HOME": str(scratch), "MPLCONFIGDIR": str(scratch), **ONE_THREAD}
+    variables = {"PATH": os.defpath, "HOME": str(scratch), "MPLCONFIGDIR": str(scratch), **SINGLE_THREAD}
     try:
         done = subprocess.run(
             [str(python), program],

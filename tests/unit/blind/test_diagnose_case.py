@@ -7,16 +7,17 @@ import pytest
 
 from firmware_sim.concealed.scoring.verdicts import parse_findings
 from firmware_sim.concealed.study.catalogue import UNREPEATABLE
-from piezod.blind.case import Case, case_folders, read_case
-from piezod.blind.cluster import diagnose_on_cluster
+from piezod.blind.case import WORKER, case_folders, read_case
 from piezod.blind.diagnose_case import repeatable
-from piezod.blind.isolated import diagnose_isolated
-from piezod.blind.verdict import Verdict, VerdictFolder, failed_verdict, run_json
+from piezod.blind.verdict import Verdict, VerdictFolder, as_verdict, failed_verdict, run_json
 from piezod.commissioning.shipped_files import shipped
 from piezod.effects import EFFECTS
 from piezod.errors import ConfigurationError, UsageError
 from piezod.model import load_model
 from piezod.model.parameters import EffectValues
+from piezod.tasks.cluster import run_on_cluster
+from piezod.tasks.isolated import run_isolated
+from piezod.tasks.task import Task
 
 DESCRIBED = {
     "schema": "firmware_sim.concealed.case/1",
@@ -105,7 +106,7 @@ def test_a_case_has_a_verdict_if_the_verdict_is_complete_and_no_failure(tmp_path
 
 def test_a_case_whose_process_dies_at_every_attempt_has_failed(monkeypatch, tmp_path):
     monkeypatch.setattr(sys, "executable", "/bin/false")
-    verdict = diagnose_isolated(Case("case_0001", {}))
+    verdict = as_verdict(run_isolated(Task("case_0001", {}, WORKER)))
     assert verdict.failed == "its process ended with 1, 3 times"
     assert json.loads(verdict.files["run.json"])["failed"] == verdict.failed
 
@@ -113,4 +114,4 @@ def test_a_case_whose_process_dies_at_every_attempt_has_failed(monkeypatch, tmp_
 def test_a_missing_cluster_library_is_named_with_its_extra(monkeypatch):
     monkeypatch.setitem(sys.modules, "distributed", None)
     with pytest.raises(ConfigurationError, match=r"pip install 'piezod-bench\[cluster\]'"):
-        next(diagnose_on_cluster([], "tcp://127.0.0.1:8786"))
+        next(run_on_cluster(lambda: None, "tcp://127.0.0.1:8786"))

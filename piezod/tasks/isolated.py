@@ -1,55 +1,51 @@
-"""Diagnosis of a case in a separate process with one thread; a crash affects this case only, and it is tried again."""
+"""A task in a separate process with one thread; a crash affects this task only, and it is tried again."""
 
 import os
 import subprocess
 import sys
 import tempfile
 import threading
-import time
 from contextlib import suppress
 from pathlib import Path
 
-from piezod.blind.case import Case
-from piezod.blind.verdict import Verdict, failed_verdict, read_verdict
+from piezod.tasks.task import Outcome, Task, failed_outcome, read_outcome
 
 ATTEMPTS = 3
-"""Processes started for a case before it counts as failed; later crashes come from the case, not from the machine."""
+"""Processes started for a task before it counts as failed; later crashes come from the task, not from the machine."""
 
 LONGEST_S = 3600.0
-"""Time limit of a process [s]; a case takes seconds to minutes."""
+"""Time limit of a process [s]; a task takes seconds to minutes."""
 
-ONE_THREAD = dict.fromkeys(
+SINGLE_THREAD = dict.fromkeys(
     ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS", "NUMEXPR_NUM_THREADS"), "1"
 )
 
 
 class IsolatedProcesses:
-    """The running processes, one per case; `end` kills them all."""
+    """The running processes, one per task; `end` kills them all."""
 
     def __init__(self) -> None:
         self._running: set[subprocess.Popen[bytes]] = set()
         self._lock = threading.Lock()
         self._ended = False
 
-    def diagnose(self, case: Case) -> Verdict:
-        """Diagnose a case; a process that dies is replaced, up to `ATTEMPTS` processes in total.
+    def run(self, task: Task) -> Outcome:
+        """Run a task; a process that dies is replaced, up to `ATTEMPTS` processes in total.
 
         The call blocks, so each parallel process needs a thread of its own.
         """
-        begun_s = time.monotonic()
         problem = ""
         for _ in range(ATTEMPTS):
-            with tempfile.TemporaryDirectory(prefix="piezod-blind-", ignore_cleanup_errors=True) as scratch:
-                folder, output = Path(scratch, "case"), Path(scratch, case.name)
+            with tempfile.TemporaryDirectory(prefix="piezod-task-", ignore_cleanup_errors=True) as scratch:
+                folder, output = Path(scratch, "task"), Path(scratch, "outcome", task.name)
                 folder.mkdir()
-                case.unpack(folder)
-                problem = self._run(folder, output)
-                verdict = None if problem else read_verdict(case.name, output)
-            if verdict is not None or self._ended:
+                output.parent.mkdir()
+                task.unpack(folder)
+                problem = self._process(task.module, folder, output)
+                outcome = None if problem else read_outcome(task.name, output)
+            if outcome is not None or self._ended:
                 break
-        elapsed_s = time.monotonic() - begun_s
-        reason = f"its process {problem or 'wrote no verdict'}, {ATTEMPTS} times"
-        return verdict or failed_verdict(case.name, reason, elapsed_s)
+        return outcome or failed_outcome(task.name, f"its process {problem or 'wrote no outcome'}, {ATTEMPTS} times")
 
     def end(self) -> None:
         """Kill all processes and start no others."""
@@ -58,19 +54,19 @@ class IsolatedProcesses:
             for process in self._running:
                 process.kill()
 
-    def _run(self, folder: Path, output: Path) -> str:
+    def _process(self, module: str, folder: Path, output: Path) -> str:
         """Run one process to its end; return the problem in words, or an empty text."""
         errors = folder.parent / "stderr"
-        command = [sys.executable, "-m", "piezod.blind.worker", str(folder), str(output)]
+        command = [sys.executable, "-m", module, str(folder), str(output)]
         with errors.open("wb") as stderr, self._lock:
             if self._ended:
                 return "was ended"
-            process = subprocess.Popen(  # noqa: S603  # our own interpreter and module
+            process = subprocess.Popen(  # noqa: S603  # our own interpreter and modules
                 command,
                 stdin=subprocess.PIPE,
                 stdout=subprocess.DEVNULL,
                 stderr=stderr,
-                env=os.environ | ONE_THREAD,
+                env=os.environ | SINGLE_THREAD,
                 start_new_session=True,  # Ctrl-C reaches this process only, which ends the others
             )
             self._running.add(process)
@@ -89,17 +85,9 @@ class IsolatedProcesses:
         return _exit_problem(code, errors)
 
 
-def diagnose_isolated(case: Case) -> Verdict:
-    """Diagnose a case in a separate process.
-
-    An error of the diagnosis, or a process that dies, gives a failed verdict and no exception.
-
-    Parameters
-    ----------
-    case
-        Case with its recordings.
-    """
-    return IsolatedProcesses().diagnose(case)
+def run_isolated(task: Task) -> Outcome:
+    """Run a task in a separate process; a process that dies gives a failed outcome and no exception."""
+    return IsolatedProcesses().run(task)
 
 
 def _exit_problem(code: int, errors: Path) -> str:

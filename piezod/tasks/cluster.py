@@ -1,16 +1,14 @@
-"""Diagnosis of cases by the workers of a Dask cluster; contents of files are sent and received, no disk is shared."""
+"""Tasks for the workers of a Dask cluster; contents of files are sent and received, no disk is shared."""
 
 import importlib
 import logging
-from collections.abc import Generator, Iterator, Sequence
+from collections.abc import Generator, Iterator
 from contextlib import contextmanager
-from pathlib import Path
 from typing import Any
 
-from piezod.blind.case import read_case
-from piezod.blind.isolated import ATTEMPTS, diagnose_isolated
-from piezod.blind.verdict import Verdict, failed_verdict
-from piezod.errors import ConfigurationError, PiezodError, UnreachableError, UsageError
+from piezod.errors import ConfigurationError, UnreachableError, UsageError
+from piezod.tasks.isolated import ATTEMPTS, run_isolated
+from piezod.tasks.task import Outcome, TaskSource, failed_outcome
 
 CONNECT_S = 5.0
 """Longest time for the scheduler to answer [s]."""
@@ -19,18 +17,18 @@ PATIENCE_S = 30.0
 """Longest time until a first worker is present [s]."""
 
 SUBMITTED_PER_THREAD = 2
-"""Cases submitted per thread of the cluster: no thread is idle, and the scheduler stores few cases."""
+"""Tasks submitted per thread of the cluster: no thread is idle, and the scheduler stores few tasks."""
 
 
-def diagnose_on_cluster(
-    folders: Sequence[Path], address: str, patience_s: float = PATIENCE_S
-) -> Generator[Verdict, None, None]:
-    """Diagnose cases on a cluster and yield each verdict when it is complete.
+def run_on_cluster(source: TaskSource, address: str, patience_s: float = PATIENCE_S) -> Generator[Outcome, None, None]:
+    """Run tasks on a cluster and yield each outcome when it is complete.
 
-    A case whose worker dies is tried again; the scheduler's option `allowed-failures` limits the attempts.
+    A task whose worker dies is tried again; the scheduler's option `allowed-failures` limits the attempts.
 
     Parameters
     ----------
+    source
+        Source of the tasks.
     address
         Address of the scheduler, such as `tcp://10.0.0.1:8786`.
     patience_s
@@ -49,25 +47,22 @@ def diagnose_on_cluster(
     with _client(distributed, address, patience_s) as client:
         submitted = distributed.as_completed(loop=client.loop)
         names: dict[str, str] = {}
-        remaining = iter(folders)
 
-        def submit() -> Iterator[Verdict]:
-            """Submit further cases; yield the failed verdicts of cases that cannot be read."""
+        def submit() -> Iterator[Outcome]:
+            """Submit further tasks; yield the outcomes of tasks that failed before they began."""
             threads = sum(client.nthreads().values())
             most = max(SUBMITTED_PER_THREAD * threads, 1)
-            while len(names) < most and (folder := next(remaining, None)) is not None:
-                try:
-                    case = read_case(folder)
-                except PiezodError as error:
-                    yield failed_verdict(folder.name, str(error))
+            while len(names) < most and (task := source()) is not None:
+                if isinstance(task, Outcome):
+                    yield task
                     continue
-                future = client.submit(diagnose_isolated, case, pure=False, retries=ATTEMPTS - 1)
-                names[future.key] = case.name
+                future = client.submit(run_isolated, task, pure=False, retries=ATTEMPTS - 1)
+                names[future.key] = task.name
                 submitted.add(future)
 
         yield from submit()
         for future in submitted:
-            yield _verdict(future, names.pop(future.key), address)
+            yield _outcome(future, names.pop(future.key), address)
             yield from submit()
 
 
@@ -100,11 +95,11 @@ def _client(distributed: Any, address: str, patience_s: float) -> Iterator[Any]:
         yield client
 
 
-def _verdict(future: Any, name: str, address: str) -> Verdict:  # noqa: ANN401  # of an optional library
+def _outcome(future: Any, name: str, address: str) -> Outcome:  # noqa: ANN401  # of an optional library
     if future.status == "finished":
-        verdict: Verdict = future.result()
-        return verdict
+        outcome: Outcome = future.result()
+        return outcome
     if future.status == "cancelled":
         raise UnreachableError(f"--scheduler is {address}: connection lost; run the same command again to continue")
     error = future.exception()
-    return failed_verdict(name, f"{type(error).__name__} on the cluster: {error}")
+    return failed_outcome(name, f"{type(error).__name__} on the cluster: {error}")
