@@ -54,7 +54,7 @@ def blind_make(
     """Draw cases from a simulated plant that shares no code with this program, and seal the truth."""
     if (cases is None) == (lives is None):
         raise UsageError("--cases and --lives: give one of them")
-    if lives is not None and (varied or any(one is not None for one in (kind, effect, strength, amid))):
+    if lives is not None and (varied or any(option is not None for option in (kind, effect, strength, amid))):
         raise UsageError(
             "--lives draws its own changes: --kind, --effect, --strength, --amid and --varied are for --cases"
         )

@@ -77,15 +77,22 @@ def write_history_csv(path: Path, timeline: Timeline) -> None:
     write_text(path, content.getvalue())
 
 
-def write_history_page(path: Path, timeline: Timeline) -> None:
+def write_history_page(path: Path, timeline: Timeline, words: str | None = None, recordings: str = "") -> None:
     """Write the page: verdict, a panel for each parameter, table, and notes.
+
+    Parameters
+    ----------
+    words
+        Verdict; None: that of the models.
+    recordings
+        HTML on the recordings of the bench, behind the table of the models.
 
     Raises
     ------
     ConfigurationError
         The file cannot be written.
     """
-    words = verdict_of(timeline)
+    words = words or verdict_of(timeline)
     rows = history_rows(timeline)
     dates = _date_range(timeline)
     panels = [_panel(timeline, key, dates) for key in timeline.keys]
@@ -98,6 +105,7 @@ def write_history_page(path: Path, timeline: Timeline) -> None:
         panels,
         f"<p class='dim'>{legend}</p>",
         table_html(rows[0], rows[1:]),
+        recordings,
         f"<h2>Notes</h2><ul>{notes}</ul>" if notes else "",
     ]
     write_page(path, "History", [part for part in parts if part])
@@ -129,7 +137,7 @@ def _panel(timeline: Timeline, key: Key, dates: Range1d) -> figure:
         title=f"{key.heading(unit)} [{shown}]",
         x_axis_type="datetime",
         x_range=dates,
-        y_range=_value_range(ends),
+        y_range=value_range(ends),
         height=PANEL_HEIGHT,
     )
     plot.line("date", "value", source=source, color=GREY)
@@ -148,7 +156,7 @@ def _date_range(timeline: Timeline) -> Range1d:
     return Range1d(start=min(dates) - margin, end=max(dates) + margin)
 
 
-def _value_range(ends: NDArray[np.float64]) -> Range1d:
+def value_range(ends: NDArray[np.float64]) -> Range1d:
     """Range of intervals, shape (N, 2), with a margin; it spans at least 4 % of the largest value."""
     low, high = float(ends.min()), float(ends.max())
     half = max(0.5 * (high - low) * (1.0 + 2.0 * MARGIN), LEAST_SPAN * float(np.abs(ends).max()), 1e-12)

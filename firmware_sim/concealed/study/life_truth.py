@@ -45,7 +45,7 @@ class TrueLife:
     noise_N: float
 
     def differences(self, step: int) -> frozenset[str]:
-        """What a diagnosis of a step from 1 to 4 should report, each as `name:status`."""
+        """Differences that a diagnosis of a step from 1 to 4 should report, each as `name:status`."""
         if step == 1:
             return frozenset(f"{name}:new" for name in self.hidden)
         if step != CHANGED_STEP or self.change == "none":

@@ -127,11 +127,11 @@ def _attempt(family: str, change: str, seed: np.random.SeedSequence) -> Life | N
         return None
     first = replace(case, effects=before)
     cases = (first, first, first, changed, changed)
-    records = (case.records[0], *(_work(case, number, rng) for number in range(1, STEPS)))
+    records = (case.records[0], *(work_record(case, number, rng) for number in range(1, STEPS)))
     steps = tuple(Step(state, record) for state, record in zip(cases, records, strict=True))
     if change != "none" and _shown(first, changed, records[3]) < LEAST_SHOWN:
         return None
-    held_out = replace(_work(case, STEPS, rng), name="held_out.csv")
+    held_out = replace(work_record(case, STEPS, rng), name="held_out.csv")
     return Life(family, change, effect, steps, held_out)
 
 
@@ -166,13 +166,23 @@ def _changed(
     return replace(case, plant=plant, effects=after)
 
 
-def _work(case: Case, number: int, rng: np.random.Generator) -> Record:
-    """Mixed work from rest; as fast as the bench's first work."""
+def work_record(case: Case, number: int, rng: np.random.Generator, duration_s: float = WORK_S) -> Record:
+    """Mixed work from rest; as fast as the bench's first work.
+
+    Parameters
+    ----------
+    case
+        Bench, with a record of work.
+    number
+        Number in the name of the file.
+    duration_s
+        Duration [s].
+    """
     model = next(record for record in case.records if record.name.startswith("recording")).drive
     rate_Hz, reach_V = model.rate_Hz, float(model.voltage_V.max())
     most_V_per_s = float(np.abs(np.diff(model.voltage_V)).max()) * rate_Hz
-    voltage_V = np.round(mixed_work(rng, reach_V, rate_Hz, WORK_S, most_V_per_s), 4)
-    warmth = temperature(rng, WORK_S + 1.0, rate_Hz)[: voltage_V.size]
+    voltage_V = np.round(mixed_work(rng, reach_V, rate_Hz, duration_s, most_V_per_s), 4)
+    warmth = temperature(rng, duration_s + 1.0, rate_Hz)[: voltage_V.size]
     drive: Drive = replace(model, voltage_V=voltage_V, temperature_C=warmth)
     return Record(f"work_{number}.csv", drive, int(rng.integers(2**40)))
 

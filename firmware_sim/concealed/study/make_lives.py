@@ -118,7 +118,7 @@ def make_life(directory: Path, name: str, family: str, change: str, seed: np.ran
 
 
 def _description(life: Life) -> dict[str, object]:
-    """Content of `case.json`: what the diagnosis may know."""
+    """Content of `case.json`, which the diagnosis may read."""
     names = [step.record.name for step in life.steps]
     return {
         "schema": LIFE_SCHEMA,

@@ -5,8 +5,8 @@ Steps that a figure counts:
 - unchanged: the bench is as it was in the step before;
 - changed: step 3 of all lives but those without a change;
 - first work: step 1, whose effects the identified model lacks;
-- an unchanged step's error: that of its model on the held-out record, over that of the model before;
-- after five generations: the last model over that of the first work, in lives without a change.
+- error after an unchanged step: error of its model on the held-out record, over the error of the model before;
+- after five generations: the last model over the model of the first work, in lives without a change.
 """
 
 from collections.abc import Callable, Iterable, Sequence
@@ -55,8 +55,14 @@ def figures(scores: Sequence[LifeScore]) -> list[Figure]:
         _share("unchanged steps: matches, nothing reported", _rights(scores, LifeScore.is_unchanged), 0.93, 0.98),
         _share("changed steps: the right thing and status", [_is_right(score, 3) for score in changed], 0.80, 0.92),
         _share("first work: exactly the hidden effects", [_is_right(score, 1) for score in scores], 0.80, 0.92),
-        _share("from and to inside their intervals", [one for s in scores for one in s.inside], 0.88, 0.94),
-        _number("given effects reported as new", float(sum(len(s.again) for s in all_steps)), len(all_steps), 0.0, 0.0),
+        _share("from and to inside their intervals", [inside for s in scores for inside in s.inside], 0.88, 0.94),
+        _number(
+            "given effects reported as new",
+            float(sum(len(s.reported_as_new) for s in all_steps)),
+            len(all_steps),
+            0.0,
+            0.0,
+        ),
         _number("before beside simulate, largest difference", _largest(differ), len(differ), 0.01, 1e-6, percent=True),
         _number("error after an unchanged step, median", _quantile(ratios, 0.5), len(ratios), 1.02, 1.0),
         _number("error after an unchanged step, 95th percentile", _quantile(ratios, 0.95), len(ratios), 1.02, 1.0),
@@ -140,18 +146,18 @@ def _rows(scores: Sequence[LifeScore], kind: str, key: Callable[[LifeScore], str
     """Counts of each family, or of each change."""
     rows = []
     for name in sorted({key(score) for score in scores}):
-        mine = [score for score in scores if key(score) == name]
-        unchanged, changed = (_rights(mine, of) for of in (LifeScore.is_unchanged, LifeScore.is_changed))
-        steps = [step.verdict for score in mine for step in score.steps]
+        members = [score for score in scores if key(score) == name]
+        unchanged, changed = (_rights(members, of) for of in (LifeScore.is_unchanged, LifeScore.is_changed))
+        steps = [step.verdict for score in members for step in score.steps]
         rows.append(
             [
                 f"{kind} {name}",
-                str(len(mine)),
-                str(sum(_is_right(score, 1) for score in mine)),
+                str(len(members)),
+                str(sum(_is_right(score, 1) for score in members)),
                 f"{sum(unchanged)} of {len(unchanged)}",
                 f"{sum(changed)} of {len(changed)}",
-                str(sum(len(step.again) for step in steps)),
-                f"{sum(step.cpu_s for step in steps) / len(mine):.0f}",
+                str(sum(len(step.reported_as_new) for step in steps)),
+                f"{sum(step.cpu_s for step in steps) / len(members):.0f}",
             ]
         )
     return rows
@@ -172,7 +178,7 @@ def _life(score: LifeScore) -> dict[str, object]:
                 "reported": sorted(step.verdict.differences),
                 "verdict": step.verdict.verdict,
                 "right": step.right,
-                "again": sorted(step.verdict.again),
+                "reported_as_new": sorted(step.verdict.reported_as_new),
                 "before": step.verdict.before,
                 "simulated": step.verdict.simulated,
                 "cpu_s": step.verdict.cpu_s,

@@ -15,16 +15,17 @@ from firmware_sim.concealed.study.seal import sealed_arrays, unpack_arrays
 
 @dataclass(frozen=True)
 class StepScore:
-    """One step beside the truth.
+    """One step compared with the truth.
 
     Parameters
     ----------
     number
         1 to 4.
     expected
-        What it should report, each as `name:status`.
+        True differences, each as `name:status`.
     right
-        Unchanged step: nothing is reported, and the verdict is `matches`, or flags a remainder as the step before did.
+        Unchanged step: no difference is reported, and the verdict is `matches`, or flags a remainder as the step before
+        did.
         Other step: exactly `expected` is reported.
     """
 
@@ -36,7 +37,7 @@ class StepScore:
 
 @dataclass(frozen=True)
 class LifeScore:
-    """One life beside the truth.
+    """One life compared with the truth.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Reads the result of a diagnosed life: `VERDICTS/case_0001/life.json` and `simulated_held_out.csv` beside it.
+"""Reads the result of a diagnosed life: `VERDICTS/case_0001/life.json` and `simulated_held_out.csv`.
 
 `life.json` has an entry for each of the four steps of work. The table has a column for each model that was written:
 `generation_0_N` of the identified model, then one for each step.
@@ -75,7 +75,7 @@ class StepVerdict:
         return self.verdict in FLAGS
 
     @property
-    def again(self) -> frozenset[str]:
+    def reported_as_new(self) -> frozenset[str]:
         """Effects of the given model that are reported as new."""
         return frozenset(name for name in self.given if f"{name}:new" in self.differences)
 
