@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 from tests.studies import (
+    archive,
     compensation,
     effects_compensated,
     flexure,
@@ -51,6 +52,10 @@ def main() -> None:
     rivals.add_options(studies.add_parser("rivals", help="the next experiment where a diagnosis left rivals"))
     rules.add_options(studies.add_parser("rules", help="the rule of the search on replay files, families left out"))
     lives.add_options(studies.add_parser("lives", help="five recordings of a bench with one change, concealed plants"))
+    archive.add_options(
+        studies.add_parser("fleet", help="an archive of recordings of ten benches, diagnosed by piezod history"),
+        studies.add_parser("year", help="one bench over a year: creep grows, a repair, a colder week"),
+    )
     lisdd.add_options(studies.add_parser("lisdd", help="LISDD on the cases of a concealed study"))
     recorder.add_options(studies.add_parser("recorder", help="the recorder under kills, power cuts and disk failures"))
     messy_files.add_options(studies.add_parser("messy_files", help="text of spreadsheets and instruments"))
