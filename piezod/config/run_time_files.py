@@ -12,6 +12,7 @@ import stat
 from pathlib import Path
 
 from piezod.errors import BusyError, ConfigurationError
+from piezod.runtime import sockets
 
 FILE_MODE = 0o640
 """Mode of every run-time file: the owner writes, the group reads."""
@@ -145,7 +146,7 @@ class UnixSocket:
     def __init__(self, kind: socket.SocketKind, path: Path, key: str, mode: int, gid: int) -> None:
         self._path = path
         self._identity: tuple[int, int] | None = None
-        self.socket = socket.socket(socket.AF_UNIX, kind | socket.SOCK_CLOEXEC)
+        self.socket = sockets.socket(socket.AF_UNIX, kind | socket.SOCK_CLOEXEC)
         try:
             _remove_abandoned(path, key)
             before = os.umask(0o777)  # no connection before group and mode are set
@@ -195,7 +196,7 @@ def _remove_abandoned(path: Path, key: str) -> None:
         raise ConfigurationError(
             f"{key}: {path} exists and is no socket; piezod replaces only its own sockets: name another path"
         )
-    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as probe:
+    with sockets.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as probe:
         probe.setblocking(False)
         try:
             probe.connect(str(path))

@@ -1,6 +1,6 @@
 """Age of a tick: how long ago its values were true."""
 
-import time
+from piezod.runtime import clock
 
 STALE_AFTER_S = 1.0
 """Age from which values count as stale [s], at a rate of some ticks a second."""
@@ -16,7 +16,7 @@ def age_s(time_ns: int) -> float:
     time_ns
         Its `time_ns`, of the clock CLOCK_BOOTTIME [ns].
     """
-    return 1e-9 * (time.clock_gettime_ns(time.CLOCK_BOOTTIME) - time_ns)
+    return 1e-9 * (clock.boot_ns() - time_ns)
 
 
 def is_stale(age_s: float | None, dt_s: float) -> bool:

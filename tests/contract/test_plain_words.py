@@ -61,6 +61,7 @@ LIMITS = {  # room: names per 100 lines of code, phrases per 1,000 words
     "piezod/recorder": (0.5, 1.0),
     "piezod/recording": (0.5, 1.0),
     "piezod/report": (0.5, 1.0),
+    "piezod/runtime": (0.5, 1.0),
     "piezod/session": (0.5, 1.0),
     "piezod/tasks": (0.5, 1.0),
     "piezod/transport": (1.0, 3.0),

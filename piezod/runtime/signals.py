@@ -1,0 +1,6 @@
+"""Handlers of signals."""
+
+import signal
+
+handle = signal.signal
+"""Set the handler of a signal, as `signal.signal`."""
