@@ -1,18 +1,18 @@
 """Preconditions of arming: they are checked before the first voltage is written."""
 
-import time
 from collections.abc import Callable
 from math import isfinite, isnan
 
 from piezod.config import ArmingConfig, BenchConfig
 from piezod.errors import CheckFailedError
+from piezod.runtime import clock
 from piezod.transport import ExchangeResult, Link, verify_identity
 
 MOST_WAITED_TICKS = 20  # for one new sample
 MOST_POLLS = 5  # for one good reading
 
 
-def check_ready(bench: BenchConfig, link: Link, sleep: Callable[[float], None] = time.sleep) -> None:
+def check_ready(bench: BenchConfig, link: Link, sleep: Callable[[float], None] | None = None) -> None:
     """Check identity, register map, two force readings, rest and device watchdog; no voltage is written.
 
     Parameters
@@ -22,7 +22,7 @@ def check_ready(bench: BenchConfig, link: Link, sleep: Callable[[float], None] =
     link
         Opened link.
     sleep
-        Function that waits for a time [s].
+        Function that waits for a time [s]; None: that of the clock.
 
     Raises
     ------
@@ -36,7 +36,7 @@ def check_ready(bench: BenchConfig, link: Link, sleep: Callable[[float], None] =
     check_safeguards(bench)
     verify_identity(link)
     first_N = _force_at_rest(bench, link)
-    _wait_for_new_sample(bench, link, sleep)
+    _wait_for_new_sample(bench, link, sleep or clock.sleep)
     second_N = _force_at_rest(bench, link)
     span_N = bench.limits.force_trip_N - bench.limits.force_min_N
     within_N = bench.arming.agree_within_N or 0.05 * span_N

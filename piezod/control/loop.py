@@ -4,7 +4,6 @@ The compensator's states are those of the stack. They advance with the voltage t
 rounding (`link.written_V`), and only when the device has acknowledged it. A bad sample raises no error in the loop.
 """
 
-import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from math import inf, isfinite, isnan, nan
@@ -21,6 +20,7 @@ from piezod.control.states import Cause, State
 from piezod.control.supervisor import Supervisor
 from piezod.control.voltage_writer import VoltageWriter
 from piezod.recording.ring_log import RingLog
+from piezod.runtime import clock
 from piezod.transport import ACKNOWLEDGED, ExchangeResult, Link
 from piezod.transport.status import STATUS_WATCHDOG
 
@@ -270,19 +270,19 @@ class ControlLoop:
 
     def tick(self) -> None:
         """Run one tick: plan, exchange, check, log."""
-        clock, supervisor = self._clock, self.supervisor
-        begun_ns = clock.now_ns()
+        keeper, supervisor = self._clock, self.supervisor
+        begun_ns = keeper.now_ns()
         supervisor.check_pause(begun_ns - self._begun_ns)
         self._begun_ns = begun_ns
         if self._stop_requested:
             supervisor.stop(fast=self._stop_fast)
-        drives, stamp = supervisor.driving, time.perf_counter_ns
+        drives, stamp = supervisor.driving, clock.perf_counter_ns
         started = self._planner.read_ns = stamp()
-        planned_V = self._planner.plan_voltage(clock.tick, begun_ns, self._safe_V)
+        planned_V = self._planner.plan_voltage(keeper.tick, begun_ns, self._safe_V)
         planned = stamp()
         self._act_on(self._planner.event)
         result = self._exchange(planned_V, begun_ns)
-        done_ns, done = clock.now_ns(), stamp()
+        done_ns, done = keeper.now_ns(), stamp()
         self._check(result, planned_V, done_ns)
         checked = stamp()
         self._log(planned_V, result, begun_ns, done_ns)
@@ -397,10 +397,10 @@ class ControlLoop:
         return isnan(readback_V) or abs(readback_V - self._safe_V) <= self._readback_within_V
 
     def _log(self, planned_V: float, result: int, begun_ns: int, done_ns: int) -> None:
-        reading, supervisor, clock = self._link.reading, self.supervisor, self._clock
+        reading, supervisor, keeper = self._link.reading, self.supervisor, self._clock
         self.counts.ticks += 1
         self._ring.append(
-            clock.tick,
+            keeper.tick,
             begun_ns,
             self._planner.reference,
             planned_V,
@@ -408,7 +408,7 @@ class ControlLoop:
             reading.force_N,
             reading.voltage_readback_V,
             reading.temperature_C,
-            clock.lateness_ns,
+            keeper.lateness_ns,
             done_ns - begun_ns,
             supervisor.state,
             result,

@@ -1,7 +1,8 @@
 """The clock of the loop: absolute deadlines at a fixed rate. A missed tick is skipped and counted, never replayed."""
 
-import time
 from typing import Protocol
+
+from piezod.runtime import clock
 
 NO_DEADLINE_NS = 1 << 62  # time left where ticks have no deadlines
 
@@ -64,20 +65,20 @@ class RealRateKeeper:
 
     def start(self) -> None:
         """Set the first deadline to the present time."""
-        self._deadline_ns = time.monotonic_ns()
+        self._deadline_ns = clock.monotonic_ns()
 
     def now_ns(self) -> int:
         """Monotonic time [ns]; it includes the time in which the machine was suspended."""
-        return time.clock_gettime_ns(time.CLOCK_BOOTTIME)
+        return clock.boot_ns()
 
     def time_left_ns(self) -> int:
         """Time until the next deadline [ns]; negative after it."""
-        return self._deadline_ns + self._period_ns - time.monotonic_ns()
+        return self._deadline_ns + self._period_ns - clock.monotonic_ns()
 
     def wait(self) -> None:
         """Sleep until the next deadline in the future; `tick` counts the skipped deadlines too."""
         deadline = self._deadline_ns + self._period_ns
-        late_ns = time.monotonic_ns() - deadline
+        late_ns = clock.monotonic_ns() - deadline
         if late_ns >= 0:
             skipped = late_ns // self._period_ns + 1
             deadline += skipped * self._period_ns
@@ -86,8 +87,8 @@ class RealRateKeeper:
             self.tick += skipped
         else:
             self.missed_in_a_row = 0
-        time.sleep(max(0, deadline - time.monotonic_ns()) * 1e-9)
-        self.lateness_ns = time.monotonic_ns() - deadline
+        clock.sleep(max(0, deadline - clock.monotonic_ns()) * 1e-9)
+        self.lateness_ns = clock.monotonic_ns() - deadline
         self._deadline_ns = deadline
         self.tick += 1
 

@@ -3,7 +3,6 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 from math import ceil, inf, isnan, nan
-from time import perf_counter_ns
 
 from piezod.control.limits import Limiter
 from piezod.control.references import Freshness, Reference, TableReference
@@ -11,6 +10,7 @@ from piezod.control.sign_check import SignCheck
 from piezod.control.states import Cause, State
 from piezod.control.supervisor import Supervisor
 from piezod.model import Compensator
+from piezod.runtime import clock
 
 
 @dataclass(frozen=True)
@@ -70,7 +70,7 @@ class SegmentPlanner:
     preparation_ticks
         Planned length of sign check, reset cycle and approach, the approach from end to end of the range [ticks].
     read_ns
-        Time at which the reference was read last (`time.perf_counter_ns`) [ns].
+        Time at which the reference was read last (`clock.perf_counter_ns`) [ns].
     event
         Event of the tick planned last: `Cause.NONE`, REFERENCE_REACHED (the first reference), REFERENCE_LIVE (again,
         after a hold), REFERENCE_ENDED or REFERENCE_STALE.
@@ -194,7 +194,7 @@ class SegmentPlanner:
         if state is State.ARMING:
             reference.start(tick)
         value = reference.read(tick, now_ns)
-        self.read_ns = perf_counter_ns()
+        self.read_ns = clock.perf_counter_ns()
         if reference.freshness is Freshness.LIVE:
             self.reference = value
             if state is State.HOLD:

@@ -12,13 +12,13 @@ import hmac
 import os
 import stat
 import struct
-import time
 from math import isfinite
 from pathlib import Path
 
 from piezod.config.reference_range import ReferenceRange
 from piezod.control.references.counts import ValueResult
 from piezod.errors import ConfigurationError
+from piezod.runtime import clock
 
 _PLAIN = struct.Struct("<QQd")
 _WITH_SESSION = struct.Struct("<QQQd")
@@ -95,7 +95,7 @@ class DatagramGate:
             return ValueResult.MALFORMED
         if not self._low_N <= value_N <= self._high_N:
             return ValueResult.OUT_OF_RANGE
-        if self._stamp_within_ns is not None and abs(time.time_ns() - stamp_ns) > self._stamp_within_ns:
+        if self._stamp_within_ns is not None and abs(clock.wall_ns() - stamp_ns) > self._stamp_within_ns:
             return ValueResult.MISTIMED
         return ValueResult.ACCEPTED
 

@@ -10,6 +10,7 @@ from piezod.config.run_time_files import UnixSocket, group_id
 from piezod.control.references.datagram import LARGEST, DatagramGate, read_key
 from piezod.control.references.live import LiveReference
 from piezod.errors import BusyError
+from piezod.runtime import sockets
 
 _MOST_PER_TICK = 32
 _MOST_DISCARDED = 10_000  # queues of the kernel are shorter
@@ -54,7 +55,7 @@ class DatagramStream(LiveReference):
             path, mode = Path(config.listen), int(config.socket_mode, 8)
             self._unix = UnixSocket(socket.SOCK_DGRAM, path, "reference.listen", mode, gid)
             return self._unix.socket
-        receiver = socket.socket(socket.AF_INET6 if ":" in address[0] else socket.AF_INET, socket.SOCK_DGRAM)
+        receiver = sockets.socket(socket.AF_INET6 if ":" in address[0] else socket.AF_INET, socket.SOCK_DGRAM)
         try:
             receiver.bind(address)
         except OSError as error:

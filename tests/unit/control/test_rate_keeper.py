@@ -37,8 +37,8 @@ def test_a_pause_at_any_moment_of_the_wait_makes_no_negative_sleep(monkeypatch, 
         reads.append(None)
         return 1000 * len(reads) + (50_000_000 if len(reads) > reads_before else 0)
 
-    monkeypatch.setattr("piezod.control.rate_keeper.time.monotonic_ns", monotonic_ns)
-    monkeypatch.setattr("piezod.control.rate_keeper.time.sleep", slept.append)
+    monkeypatch.setattr("piezod.control.rate_keeper.clock.monotonic_ns", monotonic_ns)
+    monkeypatch.setattr("piezod.control.rate_keeper.clock.sleep", slept.append)
     keeper = RealRateKeeper(0.01)
     keeper.start()
     keeper.wait()
