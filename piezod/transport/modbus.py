@@ -1,11 +1,11 @@
 """Link to one Modbus device: the blocks of the tick, and single registers for set-up."""
 
 from math import inf
-from time import monotonic, sleep
 from typing import NoReturn
 
 from piezod.config.link import READ_WRITE, ModbusRtuLink, ModbusTcpLink, Register, Registers
 from piezod.errors import BusyError, ConfigurationError, TemporaryError, UnreachableError
+from piezod.runtime import clock
 from piezod.transport.frames import Request, read_request, read_write_request, write_request
 from piezod.transport.identity import Expectation, check_register
 from piezod.transport.link import ExchangeResult, Reading
@@ -134,13 +134,13 @@ class ModbusLink:
 
     def exchange(self, voltage_V: float) -> ExchangeResult:
         """Write the voltage [V] and read the block; never raises, returns within the timeout."""
-        result = self._exchange(voltage_V, monotonic() + min(self._timeout_s, self.time_limit_s))
+        result = self._exchange(voltage_V, clock.monotonic() + min(self._timeout_s, self.time_limit_s))
         self.counts[result] += 1
         return result
 
     def poll(self) -> ExchangeResult:
         """Read the block without writing, with the same checks; after a reconnection accept any heartbeat."""
-        result = self._poll(monotonic() + min(self._timeout_s, self.time_limit_s))
+        result = self._poll(clock.monotonic() + min(self._timeout_s, self.time_limit_s))
         self.counts[result] += 1
         return result
 
@@ -202,7 +202,7 @@ class ModbusLink:
 
     def supervise(self, time_limit_s: float) -> ExchangeResult:
         """Read the next register that must not change; a setting that changed is written again."""
-        return self._guard.check_next(monotonic() + min(self._timeout_s, time_limit_s))
+        return self._guard.check_next(clock.monotonic() + min(self._timeout_s, time_limit_s))
 
     def _read_block(self, deadline_s: float, echo: int) -> ExchangeResult:
         """Read the block, if the register map has one."""
@@ -272,9 +272,9 @@ class ModbusLink:
     def _transact_or_raise(self, request: Request, role: str, register: Register, *, to_verified: bool = False) -> None:
         """Exchange in set-up; with `to_verified`, compare the identity first where the connection is new."""
         wire = self._wire
-        deadline_s = monotonic() + max(SET_UP_TIMEOUT_S, self._timeout_s)
-        while (result := wire.ensure_open(deadline_s)) is not _OK and monotonic() < deadline_s:
-            sleep(SET_UP_RETRY_S)
+        deadline_s = clock.monotonic() + max(SET_UP_TIMEOUT_S, self._timeout_s)
+        while (result := wire.ensure_open(deadline_s)) is not _OK and clock.monotonic() < deadline_s:
+            clock.sleep(SET_UP_RETRY_S)
         if result is _OK:
             if to_verified and not self._guard.is_verified():
                 self.identify()

@@ -7,9 +7,8 @@
 Bytes that do not match the expected reply are collected until the line is silent, classified and discarded.
 """
 
-from time import monotonic, sleep
-
 from piezod.config.link import ModbusRtuLink
+from piezod.runtime import clock
 from piezod.transport.frames import CRC_BYTES, Framing, Request, classify, crc16
 from piezod.transport.link import ExchangeResult
 from piezod.transport.serial_port import RECEIVE_BYTES, SerialPort
@@ -91,9 +90,9 @@ class RtuWire:
         port, frame = self._port, request.frame
         checksum = crc16(request.values, request.checksum)
         frame[-2], frame[-1] = checksum & 255, checksum >> 8
-        while (pause_s := self._quiet_s - monotonic()) > 0.0:
+        while (pause_s := self._quiet_s - clock.monotonic()) > 0.0:
             if pause_s > OVERSLEEP_S:
-                sleep(pause_s - OVERSLEEP_S)
+                clock.sleep(pause_s - OVERSLEEP_S)
         try:
             port.drain()
             port.send(frame, deadline_s)
@@ -101,7 +100,7 @@ class RtuWire:
         except OSError:
             port.close_lost()
             return ExchangeResult.DISCONNECTED
-        self._quiet_s = monotonic() + self._gap_s
+        self._quiet_s = clock.monotonic() + self._gap_s
         if result is not _OK:
             self._after_failure(request, result, deadline_s)
         return result
@@ -133,7 +132,7 @@ class RtuWire:
         while received < RECEIVE_BYTES:
             if _is_frame(port.view, received) and not port.buffer.startswith(request.frame):
                 break
-            until_s = min(deadline_s, monotonic() + QUIET_S) if received >= size else deadline_s
+            until_s = min(deadline_s, clock.monotonic() + QUIET_S) if received >= size else deadline_s
             if not port.wait(until_s):
                 break
             received += port.receive(received)
@@ -166,7 +165,7 @@ class RtuWire:
         """Close and settle the line, unless the complete reply has arrived: damaged, or a Modbus exception."""
         if result is ExchangeResult.DEVICE_EXCEPTION:
             self._bad_crc_in_a_row = 0
-        elif result is not _BAD_CRC or monotonic() >= deadline_s:
+        elif result is not _BAD_CRC or clock.monotonic() >= deadline_s:
             config = self._config
             reply_s = request.reply_size * config.bits_per_character / config.baudrate
             self._port.close_and_settle(config.timeout_s + reply_s)

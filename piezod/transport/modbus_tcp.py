@@ -9,11 +9,11 @@ closed, so a late reply cannot reach the next request.
 
 import select
 import socket
-from time import monotonic
 from typing import TYPE_CHECKING, Any
 
 from piezod.config.link import ModbusTcpLink
 from piezod.errors import BusyError, ConfigurationError
+from piezod.runtime import clock, sockets
 from piezod.transport.frames import MBAP_BYTES, Framing, Request, classify
 from piezod.transport.link import ExchangeResult
 from piezod.transport.tcp_connection import (
@@ -69,7 +69,7 @@ class TcpWire:
     def __init__(self, config: ModbusTcpLink) -> None:
         self._config = config
         self._socket: Connection | None = None
-        self._waiter: select.poll | TlsStream = select.poll()
+        self._waiter: select.poll | TlsStream = sockets.poll()
         self._context: ssl.SSLContext | None = None
         self._family = socket.AF_INET
         self._address: Any = None
@@ -102,7 +102,7 @@ class TcpWire:
         self.close()
         if self._config.tls is not None:
             self._context = make_context(self._config.tls)
-        self._connect_first(resolve(self._config), monotonic() + self._config.connect_timeout_s)
+        self._connect_first(resolve(self._config), clock.monotonic() + self._config.connect_timeout_s)
 
     def _connect_first(self, found: list[Any], deadline_s: float) -> None:
         """Connect to the first address that accepts; a host name may have several addresses."""
@@ -139,7 +139,7 @@ class TcpWire:
         """Reconnect if disconnected: after a single late reply at once, otherwise at most every 50 ms."""
         if self._socket is not None:
             return _OK
-        now_s = monotonic()
+        now_s = clock.monotonic()
         if self._address is None or now_s < self._not_before_s:
             return _DISCONNECTED
         self._not_before_s = now_s + RECONNECT_S
@@ -163,7 +163,7 @@ class TcpWire:
             if self._waiter.poll(0) and not self._drain(connection):
                 self._disconnect()
                 return _DISCONNECTED
-            if monotonic() >= deadline_s:  # the process was suspended: the request would be late
+            if clock.monotonic() >= deadline_s:  # the process was suspended: the request would be late
                 raise TimeoutError  # handled below like any failure
             sent = _send(connection, frame)
             if sent != len(frame):
@@ -180,7 +180,7 @@ class TcpWire:
         buffer, view, head, size = self._buffer, self.payload, request.reply_head, request.reply_size
         received, other_replies, space = 0, 0, view
         while True:
-            if not self._waiter.poll(max(0.0, 1e3 * (deadline_s - monotonic()))):
+            if not self._waiter.poll(max(0.0, 1e3 * (deadline_s - clock.monotonic()))):
                 return ExchangeResult.WRONG_TRANSACTION if other_replies else _TIMEOUT
             try:
                 count = connection.recv_into(space)
@@ -243,10 +243,10 @@ class TcpWire:
 
     def _send_rest(self, connection: Connection, frame: bytearray, sent: int, deadline_s: float) -> None:
         """Send the bytes that the kernel did not accept at once; raises TimeoutError."""
-        waiter = select.poll()
+        waiter = sockets.poll()
         waiter.register(connection, select.POLLOUT)
         while sent < len(frame):
-            if not waiter.poll(max(0.0, 1e3 * (deadline_s - monotonic()))):
+            if not waiter.poll(max(0.0, 1e3 * (deadline_s - clock.monotonic()))):
                 raise TimeoutError
             sent += _send(connection, frame[sent:])
 

@@ -7,9 +7,9 @@ that was written in set-up, such as the watchdog of the device.
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from time import monotonic
 
 from piezod.config.link import ExpectedRegister, Register, Registers
+from piezod.runtime import clock
 from piezod.transport.frames import Request, read_request
 from piezod.transport.identity import agrees
 from piezod.transport.link import ExchangeResult
@@ -153,14 +153,14 @@ class RegisterGuard:
         generation = self._wire.generation
         if generation != self._reading_generation:
             self._reading_generation, self._compared = generation, 0
-        half_s = 0.5 * (monotonic() + deadline_s)
+        half_s = 0.5 * (clock.monotonic() + deadline_s)
         for block in self._blocks[self._compared :]:
             result = self._wire.transact(block.request, deadline_s)
             result = block.compare(self._wire) if result is _OK else result
             if result is not _OK:
                 return result
             self._compared += 1
-            if monotonic() > half_s:
+            if clock.monotonic() > half_s:
                 return ExchangeResult.UNVERIFIED
         self._verified = generation
         return _OK

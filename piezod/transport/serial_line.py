@@ -9,11 +9,11 @@ Example::
 
 import re
 from math import inf, nan
-from time import monotonic
 
 from piezod.config.checked import shortened
 from piezod.config.link import SerialLineLink
 from piezod.errors import CheckFailedError, ConfigurationError, IdentityError, UnreachableError
+from piezod.runtime import clock
 from piezod.transport.line_guard import WATCHDOG, LineGuard
 from piezod.transport.line_reply import ROLES, ReplyFields, decimal
 from piezod.transport.line_template import query_of, template_of
@@ -99,7 +99,7 @@ class SerialLineDevice:
         """Open and lock the port, and send the lines of `setup`; raises UnreachableError or BusyError."""
         self._port.open()
         self._plausibility.forget_heartbeat()
-        result = self._ensure_set_up(monotonic() + max(SET_UP_TIMEOUT_S, self._config.timeout_s))
+        result = self._ensure_set_up(clock.monotonic() + max(SET_UP_TIMEOUT_S, self._config.timeout_s))
         if result is not _OK:
             self.close()
             sent = self._config.setup[self._set_up_line].send
@@ -114,14 +114,14 @@ class SerialLineDevice:
 
     def exchange(self, voltage_V: float) -> ExchangeResult:
         """Set the voltage [V] and read; never raises, returns within the timeout."""
-        result = self._exchange(voltage_V, monotonic() + min(self._config.timeout_s, self.time_limit_s))
+        result = self._exchange(voltage_V, clock.monotonic() + min(self._config.timeout_s, self.time_limit_s))
         self.counts[result] += 1
         return result
 
     def poll(self) -> ExchangeResult:
         """Read without setting the voltage, with the same checks."""
         generation = self._port.generation
-        deadline_s = monotonic() + min(self._config.timeout_s, self.time_limit_s)
+        deadline_s = clock.monotonic() + min(self._config.timeout_s, self.time_limit_s)
         result = self._ensure_verified(deadline_s)
         if self._port.generation != generation:
             self._plausibility.forget_heartbeat()
@@ -173,12 +173,12 @@ class SerialLineDevice:
         The lines of `setup` come first, because they select the form of the replies. The watchdog is set again.
         UNVERIFIED: half of the time has passed; the exchange follows in the next call.
         """
-        half_s = 0.5 * (monotonic() + deadline_s)
+        half_s = 0.5 * (clock.monotonic() + deadline_s)
         result = self._ensure_set_up(deadline_s)
         if result is not _OK or self._guard.verified == self._port.generation:
             return result
         result = self._guard.verify(self._port.generation, deadline_s)
-        return ExchangeResult.UNVERIFIED if result is _OK and monotonic() > half_s else result
+        return ExchangeResult.UNVERIFIED if result is _OK and clock.monotonic() > half_s else result
 
     @property
     def supervised(self) -> int:
@@ -189,7 +189,7 @@ class SerialLineDevice:
         """Compare the identity, or set the watchdog again, in turn."""
         if self._guard.verified != self._port.generation:
             return ExchangeResult.UNVERIFIED
-        return self._guard.check_next(monotonic() + min(self._config.timeout_s, time_limit_s))
+        return self._guard.check_next(clock.monotonic() + min(self._config.timeout_s, time_limit_s))
 
     def _exchange_line(
         self, line: bytes, pattern: re.Pattern[bytes] | None, deadline_s: float
@@ -277,14 +277,14 @@ class SerialLineDevice:
 
     def _require_identity(self) -> None:
         """Compare the identity where the port was opened again: nothing is written to another device."""
-        self._ensure_set_up(monotonic() + max(SET_UP_TIMEOUT_S, self._config.timeout_s))
+        self._ensure_set_up(clock.monotonic() + max(SET_UP_TIMEOUT_S, self._config.timeout_s))
         if self._guard.verified != self._port.generation:
             self.identify()
             self._guard.verified = self._port.generation
 
     def _exchange_or_raise(self, line: bytes, pattern: re.Pattern[bytes] | None, where: str) -> re.Match[bytes] | None:
         """Exchange a line in set-up; raises UnreachableError, or CheckFailedError with the unexpected reply."""
-        deadline_s = monotonic() + max(SET_UP_TIMEOUT_S, self._config.timeout_s)
+        deadline_s = clock.monotonic() + max(SET_UP_TIMEOUT_S, self._config.timeout_s)
         result = self._ensure_set_up(deadline_s)
         if result is not _OK:
             raise UnreachableError(f"{self.description}: {result.name.lower()}: is the device on?")

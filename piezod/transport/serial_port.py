@@ -9,12 +9,12 @@ import os
 import select
 import termios
 from pathlib import Path
-from time import monotonic
 
 import serial
 
 from piezod.config.link import ModbusRtuLink, SerialLineLink
 from piezod.errors import BusyError, PiezodError, UnreachableError
+from piezod.runtime import clock, descriptors, processes, sockets
 from piezod.transport.link import ExchangeResult
 
 REOPEN_S = 0.05  # shortest time between two attempts to open a missing port
@@ -62,7 +62,7 @@ class SerialPort:
         self._config = config
         self._serial: serial.Serial | None = None
         self._descriptor = -1
-        self._poll = select.poll()
+        self._poll = sockets.poll()
         self._shall_be_open = False
         self._not_before_s = self._settled_at_s = 0.0
         self.buffer = bytearray(RECEIVE_BYTES)
@@ -92,7 +92,7 @@ class SerialPort:
 
     def ensure_open(self) -> ExchangeResult:
         """Reopen the port if necessary; DISCONNECTED while it is missing or a late reply is possible."""
-        now_s = monotonic()
+        now_s = clock.monotonic()
         if self._serial is None:
             if not self._shall_be_open or now_s < self._not_before_s:
                 return _DISCONNECTED
@@ -113,16 +113,16 @@ class SerialPort:
         """Close the port; after it is reopened, discard all bytes until `settle_s` from now [s]."""
         self._release()
         self._not_before_s = 0.0
-        self._settled_at_s = monotonic() + settle_s
+        self._settled_at_s = clock.monotonic() + settle_s
 
     def close_lost(self) -> None:
         """Close a port that disappeared; the next attempt to open it follows after `REOPEN_S`."""
         self._release()
-        self._not_before_s = monotonic() + REOPEN_S
+        self._not_before_s = clock.monotonic() + REOPEN_S
 
     def wait(self, deadline_s: float) -> bool:
         """Wait for input until `deadline_s` on the monotonic clock; False: none."""
-        return bool(self._poll.poll(max(0.0, 1e3 * (deadline_s - monotonic()))))
+        return bool(self._poll.poll(max(0.0, 1e3 * (deadline_s - clock.monotonic()))))
 
     def receive(self, at: int) -> int:
         """Read the available bytes into `buffer`, starting at byte `at`.
@@ -132,7 +132,7 @@ class SerialPort:
         ConnectionError
             The port disappeared: it is readable, but contains no bytes.
         """
-        count = os.readv(self._descriptor, (self.view[at:],) if at else self._whole)
+        count = descriptors.readv(self._descriptor, (self.view[at:],) if at else self._whole)
         if count == 0:
             raise ConnectionError
         return count
@@ -150,20 +150,20 @@ class SerialPort:
 
     def send(self, frame: bytearray | bytes, deadline_s: float) -> None:
         """Write a complete frame; raises OSError if the port disappeared, or the deadline passes before the end."""
-        if monotonic() >= deadline_s:
+        if clock.monotonic() >= deadline_s:
             raise TimeoutError
         sent = 0
         with contextlib.suppress(BlockingIOError):
-            sent = os.write(self._descriptor, frame)
+            sent = descriptors.write(self._descriptor, frame)
         if sent == len(frame):
             return
-        waiter = select.poll()
+        waiter = sockets.poll()
         waiter.register(self._descriptor, select.POLLOUT)
         while sent < len(frame):
-            if not waiter.poll(max(0.0, 1e3 * (deadline_s - monotonic()))):
+            if not waiter.poll(max(0.0, 1e3 * (deadline_s - clock.monotonic()))):
                 raise TimeoutError
             with contextlib.suppress(BlockingIOError):
-                sent += os.write(self._descriptor, frame[sent:])
+                sent += descriptors.write(self._descriptor, frame[sent:])
 
     def _open(self) -> None:
         config = self._config
@@ -210,7 +210,7 @@ def _explain(port: str, error: BaseException) -> PiezodError:
 def _holder(port: str) -> str:
     """Name of the process that has `port` open, from /proc; empty: not visible."""
     target = os.path.realpath(port)
-    own = os.getpid()
+    own = processes.number()
     for folder in Path("/proc").glob("[0-9]*/fd"):
         with contextlib.suppress(OSError):
             if any(str(entry.readlink()) == target for entry in folder.iterdir()):

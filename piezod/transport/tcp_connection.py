@@ -5,11 +5,11 @@ import os
 import select
 import socket
 import ssl
-from time import monotonic
 from typing import Any
 
 from piezod.config.link import ModbusTcpLink
 from piezod.errors import PiezodError, UnreachableError
+from piezod.runtime import clock, sockets
 from piezod.transport.tls import REFUSAL_S as TLS_REFUSAL_S
 from piezod.transport.tls import TlsStream, tls_error
 
@@ -29,7 +29,7 @@ def resolve(config: ModbusTcpLink) -> list[Any]:
     """
     host, port = config.host, config.port
     try:
-        return socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)
+        return sockets.getaddrinfo(host, port, type=socket.SOCK_STREAM)
     except (OSError, UnicodeError) as error:
         raise UnreachableError(
             f"link: {host}:{port} cannot be resolved ({error}): check link.host and the name server"
@@ -57,7 +57,7 @@ def connect(
     OSError
         The device refuses, does not answer in time, or the TLS handshake fails.
     """
-    connection = socket.socket(family, socket.SOCK_STREAM | socket.SOCK_CLOEXEC)
+    connection = sockets.socket(family, socket.SOCK_STREAM | socket.SOCK_CLOEXEC)
     try:
         _connect_socket(connection, address, deadline_s)
         if context is None:
@@ -74,9 +74,9 @@ def _connect_socket(connection: socket.socket, address: Address, deadline_s: flo
     connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
     with contextlib.suppress(BlockingIOError):
         connection.connect(address)
-    waiter = select.poll()
+    waiter = sockets.poll()
     waiter.register(connection, select.POLLOUT)
-    if not waiter.poll(max(0.0, 1e3 * (deadline_s - monotonic()))):
+    if not waiter.poll(max(0.0, 1e3 * (deadline_s - clock.monotonic()))):
         raise TimeoutError
     error = connection.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR)
     if error:
@@ -87,7 +87,7 @@ def input_waiter(connection: Connection) -> "select.poll | TlsStream":
     """Object whose `poll` waits for input on the connection."""
     if isinstance(connection, TlsStream):
         return connection
-    waiter = select.poll()
+    waiter = sockets.poll()
     waiter.register(connection, select.POLLIN)
     return waiter
 

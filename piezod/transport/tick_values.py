@@ -1,14 +1,13 @@
 """The values of a tick: encoded into the request, decoded from the reply, and checked."""
 
-import secrets
 import struct
 import sys
 from math import isfinite, nan
 from operator import itemgetter
-from time import monotonic
 
 from piezod.config.link import Register
 from piezod.errors import ConfigurationError
+from piezod.runtime import chance, clock
 from piezod.transport.frames import Request
 from piezod.transport.link import ExchangeResult, Reading
 from piezod.transport.registers import RegisterCodec, swap_positions
@@ -54,7 +53,7 @@ class SetPoint:
             self._sequence = RegisterCodec(counter)
             self._sequence_at = 2 * (counter.address - first)
             self._modulus = _HALF if counter.type == "int16" else _COUNTS
-            self.sequence = secrets.randbelow(self._modulus)  # two programs that start together do not count alike
+            self.sequence = chance.below(self._modulus)  # two programs that start together do not count alike
 
     def encode_into(self, request: Request, voltage_V: float) -> float:
         """Encode voltage [V] and next command number into `request`.
@@ -128,7 +127,7 @@ class Plausibility:
             return ExchangeResult.ECHO_MISMATCH
         if self._has_heartbeat and self._heartbeat_known:
             advance = (heartbeat - self._heartbeat) % _COUNTS
-            now_s = monotonic()
+            now_s = clock.monotonic()
             if (advance == 0 and now_s - self._advanced_s >= self._within_s) or advance >= _HALF:
                 return ExchangeResult.HEARTBEAT_STOOD
             if advance:

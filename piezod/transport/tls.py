@@ -11,10 +11,10 @@ import socket
 import ssl
 import stat
 from pathlib import Path
-from time import monotonic
 
 from piezod.config.link import ModbusTcpLink, TlsConfig
 from piezod.errors import ConfigurationError, IdentityError, PiezodError
+from piezod.runtime import clock, sockets
 
 HOLDS_BYTES = 16384  # maximum length of a TLS record
 REFUSAL_S = 0.1  # in TLS 1.3 the device rejects the client certificate only after the handshake
@@ -47,7 +47,7 @@ class TlsStream:
 
     def __init__(self, connection: socket.socket, context: ssl.SSLContext, name: str, deadline_s: float) -> None:
         self._socket = context.wrap_socket(connection, server_hostname=name, do_handshake_on_connect=False)
-        self._waiter = select.poll()
+        self._waiter = sockets.poll()
         self._buffer = bytearray(HOLDS_BYTES)
         self._view = memoryview(self._buffer)
         self._at = self._end = 0
@@ -71,7 +71,7 @@ class TlsStream:
                 self._waiter.register(self._socket, select.POLLIN)
                 return
             self._waiter.register(self._socket, wanted)
-            if not self._waiter.poll(max(0.0, 1e3 * (deadline_s - monotonic()))):
+            if not self._waiter.poll(max(0.0, 1e3 * (deadline_s - clock.monotonic()))):
                 raise TimeoutError
 
     def fileno(self) -> int:
@@ -80,13 +80,13 @@ class TlsStream:
 
     def poll(self, timeout_ms: float) -> bool:
         """Wait until data is available or the connection ended; False: timeout."""
-        deadline_s = monotonic() + 1e-3 * timeout_ms
+        deadline_s = clock.monotonic() + 1e-3 * timeout_ms
         while self._at == self._end and not self.ended:
             try:
                 self._at, self._end = 0, self._socket.recv_into(self._view)
                 self.ended = self._end == 0
             except ssl.SSLWantReadError:
-                if not self._waiter.poll(max(0.0, 1e3 * (deadline_s - monotonic()))):
+                if not self._waiter.poll(max(0.0, 1e3 * (deadline_s - clock.monotonic()))):
                     return False
             except OSError as error:
                 self.ended, self.reason = True, explain(error)

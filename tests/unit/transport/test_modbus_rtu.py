@@ -9,6 +9,7 @@ import tty
 import pytest
 
 from piezod.errors import BusyError, UnreachableError
+from piezod.runtime import descriptors as door
 from piezod.transport import ExchangeResult, make_link
 from tests.unit.transport.conftest import opened, rtu_config
 from tests.unit.transport.garbled import bit_flipped
@@ -104,7 +105,7 @@ def test_a_request_that_the_port_accepts_in_parts_is_completed(rtu, monkeypatch)
     link, _ = rtu
     write = os.write
     ours = link._wire._port._descriptor
-    monkeypatch.setattr(os, "write", lambda fd, data: write(fd, bytes(data[:3]) if fd == ours else data))
+    monkeypatch.setattr(door, "write", lambda fd, data: write(fd, bytes(data[:3]) if fd == ours else data))
     assert link.exchange(3.0) is ExchangeResult.OK
 
 

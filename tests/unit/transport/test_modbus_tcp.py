@@ -10,6 +10,7 @@ import time
 import pytest
 
 from piezod.errors import BusyError, ConfigurationError, UnreachableError
+from piezod.runtime import clock, sockets
 from piezod.transport import ExchangeResult, make_link, modbus, modbus_tcp
 from tests.unit.transport.conftest import opened, tcp_config
 from tests.unit.transport.garbled import raw
@@ -67,7 +68,7 @@ def test_a_request_whose_deadline_has_come_is_not_sent(tcp, monkeypatch):
     """The process was suspended: the device may have taken over since."""
     link, server = tcp
     before = server.number
-    monkeypatch.setattr(modbus_tcp, "monotonic", lambda: 5.0)
+    monkeypatch.setattr(clock, "monotonic", lambda: 5.0)
     assert link._wire.transact(link._read, 5.0) is not ExchangeResult.OK
     time.sleep(0.05)
     assert server.number == before
@@ -76,8 +77,8 @@ def test_a_request_whose_deadline_has_come_is_not_sent(tcp, monkeypatch):
 def test_setting_up_waits_between_two_attempts_to_connect(tcp, monkeypatch):
     link, _ = tcp
     now_s, pauses = [100.0], []
-    monkeypatch.setattr(modbus, "monotonic", lambda: now_s[0])
-    monkeypatch.setattr(modbus, "sleep", pauses.append)
+    monkeypatch.setattr(clock, "monotonic", lambda: now_s[0])
+    monkeypatch.setattr(clock, "sleep", pauses.append)
 
     class Refusing:
         framing, exception_code, hint, answered, description = "tcp", 0, "", True, "nobody"
@@ -197,7 +198,7 @@ def test_every_address_of_a_name_is_tried(monkeypatch):
         found = [
             (socket.AF_INET, socket.SOCK_STREAM, 6, "", address) for address in (refusing, ("127.0.0.1", server.port))
         ]
-        monkeypatch.setattr(socket, "getaddrinfo", lambda *_, **__: found)
+        monkeypatch.setattr(sockets, "getaddrinfo", lambda *_, **__: found)
         with opened(server, tcp_config(server.port, host="bench.local")) as (link, _):
             assert link.exchange(1.0) is ExchangeResult.OK
 
@@ -206,7 +207,7 @@ def test_the_error_of_an_unknown_host_names_the_resolution(monkeypatch):
     def fail(*_, **__):
         raise socket.gaierror(-2, "Name or service not known")
 
-    monkeypatch.setattr(socket, "getaddrinfo", fail)
+    monkeypatch.setattr(sockets, "getaddrinfo", fail)
     with pytest.raises(UnreachableError, match="cannot be resolved"):
         make_link(tcp_config(502)).open()
 
@@ -238,7 +239,7 @@ def test_a_closed_link_stays_closed(tcp):
 
 def test_plain_modbus_to_a_name_with_a_routable_address_is_refused(monkeypatch):
     found = [(socket.AF_INET, socket.SOCK_STREAM, 6, "", ("8.8.8.8", 502))]
-    monkeypatch.setattr(socket, "getaddrinfo", lambda *_, **__: found)
+    monkeypatch.setattr(sockets, "getaddrinfo", lambda *_, **__: found)
     link = make_link(tcp_config(502, host="bench.example.org"))
     with pytest.raises(ConfigurationError, match=r"routable address 8\.8\.8\.8"):
         link.open()

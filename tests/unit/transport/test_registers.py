@@ -10,7 +10,8 @@ from pymodbus.client import ModbusTcpClient
 
 from piezod.config.link import Register
 from piezod.errors import ConfigurationError
-from piezod.transport import ExchangeResult, tick_values
+from piezod.runtime import clock
+from piezod.transport import ExchangeResult
 from piezod.transport.frames import write_request
 from piezod.transport.registers import RegisterCodec
 from piezod.transport.tick_values import COUNTERS, QUANTITIES, Plausibility, ReadBlock, SetPoint
@@ -129,7 +130,7 @@ def test_a_counter_that_is_not_a_plain_integer_is_refused(fields):
 
 def test_a_heartbeat_may_stay_unchanged_for_the_configured_time_only(monkeypatch):
     now_s = 100.0
-    monkeypatch.setattr(tick_values, "monotonic", lambda: now_s)
+    monkeypatch.setattr(clock, "monotonic", lambda: now_s)
     plausibility = Plausibility(frozenset({"heartbeat"}), heartbeat_within_s=0.005)
     results = []
     for heartbeat, at_s in ((7, 0.0), (8, 0.001), (8, 0.005), (8, 0.0061), (9, 0.007), (8, 0.008)):
