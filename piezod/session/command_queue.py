@@ -11,13 +11,13 @@ expires `VALID_FOR_S` after its request. The age of `arm` is checked after every
 The death of the parent closes the pipe: that requests a ramp down, and no error of the pipe ends it.
 """
 
-import time
 from multiprocessing.connection import Connection
 from typing import Any
 
 from piezod.config import BenchConfig, LimitsConfig
 from piezod.control import CAUSE_TEXT, ControlLoop, Segment, State, check_ready
 from piezod.errors import CheckFailedError, PiezodError, TemporaryError
+from piezod.runtime import clock
 from piezod.transport import Link
 
 NEVER_EXPIRE = ("disarm", "stop")
@@ -53,7 +53,7 @@ class CommandQueue:
         Every `arm` that was requested before expires now, even while it waits.
         """
         self._urgent = name if self._urgent != "stop" else "stop"
-        self._urged_ns = time.monotonic_ns()
+        self._urged_ns = clock.monotonic_ns()
         self._announced = True
 
     def notify(self) -> None:
@@ -97,7 +97,7 @@ class CommandQueue:
 
     def _require_valid(self, name: str, requested_ns: int) -> None:
         """Refuse an expired command, and every command after the request to end."""
-        age_s = 1e-9 * (time.monotonic_ns() - requested_ns)
+        age_s = 1e-9 * (clock.monotonic_ns() - requested_ns)
         if age_s > VALID_FOR_S:
             raise CheckFailedError(
                 f"{name}: {age_s:.1f} s have passed since the request, must be at most {VALID_FOR_S:g} s: the device "

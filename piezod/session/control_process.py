@@ -7,9 +7,7 @@ Nothing that concerns the parent ends a ramp: a closed pipe only requests one.
 """
 
 import contextlib
-import ctypes
 import gc
-import multiprocessing
 import os
 import signal
 import sys
@@ -33,6 +31,7 @@ from piezod.control import (
 from piezod.control.references.repeat_correction import RepeatCorrection
 from piezod.errors import PiezodError, TemporaryError, system_error_text
 from piezod.model import Model
+from piezod.runtime import processes, signals
 from piezod.session.assembly import (
     check_effects,
     check_wire,
@@ -50,8 +49,6 @@ from piezod.session.lock import BenchLock
 from piezod.session.task import URGENT, Outcome, Ready, SegmentSpec, SharedMemory, Task
 from piezod.transport import ExchangeResult, Link
 
-_PR_SET_PDEATHSIG = 1  # prctl(2): the signal that the kernel sends when the parent dies
-
 
 def run(task: Task, pipe: Connection, lock: BenchLock, shared: SharedMemory) -> None:
     """Execute a task and send its outcome, or its error, to the parent.
@@ -67,11 +64,11 @@ def run(task: Task, pipe: Connection, lock: BenchLock, shared: SharedMemory) -> 
     shared
         Memory for the times of the phases of a tick, and for a learned correction.
     """
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    signals.handle(signal.SIGINT, signal.SIG_IGN)
+    signals.handle(signal.SIGHUP, signal.SIG_IGN)
     for number in URGENT.values():
-        signal.signal(number, signal.SIG_IGN)  # the bench is not driven yet
-    if not _end_with_parent():
+        signals.handle(number, signal.SIG_IGN)  # the bench is not driven yet
+    if not processes.end_with_parent(signal.SIGTERM):
         lock.close()
         return
     try:
@@ -88,13 +85,6 @@ def run(task: Task, pipe: Connection, lock: BenchLock, shared: SharedMemory) -> 
     finally:
         lock.close()
         gc.freeze()  # the end of the interpreter visits every object otherwise, which takes 0.2 s
-
-
-def _end_with_parent() -> bool:
-    """Request SIGTERM at the death of the parent; False when it has died already, which sends no signal."""
-    ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
-    parent = multiprocessing.parent_process()
-    return parent is None or parent.pid == os.getppid()
 
 
 def _send(pipe: Connection, message: tuple[str, Any]) -> bool:
@@ -130,11 +120,11 @@ def _execute(task: Task, pipe: Connection, shared: SharedMemory | None = None) -
         commands = CommandQueue(bench, link, loop, pipe, segments[0] if segments else None)
         if task.serves is not None:  # before `ready`: an `arm` that arrives now would wait until it is too old
             _warm_up(segments)
-        signal.signal(signal.SIGTERM, lambda *_: loop.request_stop())
-        signal.signal(signal.SIGUSR2, lambda *_: loop.request_stop(fast=True))
-        signal.signal(signal.SIGUSR1, lambda *_: commands.notify())
+        signals.handle(signal.SIGTERM, lambda *_: loop.request_stop())
+        signals.handle(signal.SIGUSR2, lambda *_: loop.request_stop(fast=True))
+        signals.handle(signal.SIGUSR1, lambda *_: commands.notify())
         for name, number in URGENT.items():
-            signal.signal(number, lambda *_, name=name: commands.urge(name))
+            signals.handle(number, lambda *_, name=name: commands.urge(name))
         if not _send(pipe, ("ready", Ready(link.description, files))):
             loop.request_stop()
         with real_time(bench.real_time):

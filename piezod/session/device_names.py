@@ -12,6 +12,7 @@ from ipaddress import ip_address
 from pathlib import Path
 
 from piezod.config.link import LinkConfig, ModbusTcpLink
+from piezod.runtime import sockets
 
 THIS_MACHINE = "this-machine"
 _ANY_UNIT = (0, 255)  # both address the device itself, not a unit behind it (Modbus Messaging on TCP/IP, 4.4.1.1)
@@ -34,7 +35,7 @@ def device_names(link: LinkConfig) -> tuple[str, ...]:
 def _addresses(host: str, port: int) -> set[str]:
     """Addresses of a host; its name where it cannot be resolved now."""
     try:
-        infos = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)
+        infos = sockets.getaddrinfo(host, port, type=socket.SOCK_STREAM)
     except OSError:
         return {host.lower().rstrip(".")}
     return {_machine(family, str(address[0])) for family, _, _, _, address in infos}
@@ -51,7 +52,7 @@ def _machine(family: int, address: str) -> str:
 
 def _is_own(family: int, address: str) -> bool:
     """Whether the kernel would send from the very address that it sends to; no packet is sent."""
-    with contextlib.suppress(OSError), socket.socket(family, socket.SOCK_DGRAM) as probe:
+    with contextlib.suppress(OSError), sockets.socket(family, socket.SOCK_DGRAM) as probe:
         probe.connect((address, 9))
         return bool(probe.getsockname()[0] == address)
     return False

@@ -6,6 +6,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
+from piezod.runtime import signals
 from piezod.session.history import History
 from piezod.session.session import Session
 
@@ -31,7 +32,7 @@ def follow_session(session: Session, on_rows: OnRows) -> History:
         The bench could not be connected, or the session failed.
     """
     history = History()
-    before = signal.signal(signal.SIGINT, lambda *_: session.stop())
+    before = signals.handle(signal.SIGINT, lambda *_: session.stop())
     try:
         session.start()
         for rows in session.follow():
@@ -39,5 +40,5 @@ def follow_session(session: Session, on_rows: OnRows) -> History:
             on_rows(rows)
     finally:
         session.close()
-        signal.signal(signal.SIGINT, before)
+        signals.handle(signal.SIGINT, before)
     return history

@@ -6,9 +6,9 @@ without a word, and the stack may be as hot as its limit allows.
 
 import json
 import math
-import time
 
 from piezod.config import BenchConfig
+from piezod.runtime import clock
 
 LARGEST = 1024
 """Largest file that is read [byte]."""
@@ -42,7 +42,7 @@ class HeatFile:
             return self._limit_W
         if not (math.isfinite(power_W) and math.isfinite(time_s) and power_W >= 0.0):
             return self._limit_W
-        age_s = max(time.time() - time_s, 0.0)  # a clock that was set back cools nothing
+        age_s = max(clock.wall_s() - time_s, 0.0)  # a clock that was set back cools nothing
         return min(power_W * math.exp(-age_s / self._over_s), self._limit_W)
 
     def keep(self, power_W: float) -> None:
@@ -53,7 +53,7 @@ class HeatFile:
         power_W
             `Outcome.heat_W` [W].
         """
-        content = json.dumps({"power_W": power_W, "time_s": time.time()})
+        content = json.dumps({"power_W": power_W, "time_s": clock.wall_s()})
         try:
             self._path.write_text(content, encoding="ascii")
         except OSError:

@@ -13,15 +13,14 @@ import hashlib
 import os
 import re
 import stat
-import time
 from collections.abc import Callable, Iterable
-from multiprocessing import reduction
 from pathlib import Path
 from typing import Any
 
 from piezod.config import BenchConfig
 from piezod.config.run_time_files import NO_SPACE
 from piezod.errors import BusyError, ConfigurationError, TemporaryError
+from piezod.runtime import clock, descriptors, processes
 from piezod.session.device_names import device_names
 
 DEVICE_LOCKS = Path("/dev/shm")  # noqa: S108  # holds the folder of each user
@@ -62,7 +61,7 @@ class BenchLock:
         self._held: dict[Path, int] = {}
         self._own: list[Path] = []
         self._stopping = stopping
-        self._acquire(path, "bench", time.monotonic() + wait_s)
+        self._acquire(path, "bench", clock.monotonic() + wait_s)
 
     def cover(self, devices: Iterable[str], wait_s: float = 0.0) -> None:
         """Lock devices too; locked devices stay locked.
@@ -79,7 +78,7 @@ class BenchLock:
         BusyError
             Another process drives or watches the device.
         """
-        deadline_s = time.monotonic() + wait_s
+        deadline_s = clock.monotonic() + wait_s
         for name in devices:
             path = device_lock_path(name)
             if path not in self._held:
@@ -97,10 +96,10 @@ class BenchLock:
             if not _is_at(self._held[path], path):
                 former = self._held[path]
                 try:
-                    self._acquire(path, "bench", time.monotonic())
+                    self._acquire(path, "bench", clock.monotonic())
                 except BusyError:
                     return False
-                os.close(former)
+                descriptors.close(former)
         return True
 
     def _acquire(self, path: Path, what: str, deadline_s: float) -> None:
@@ -112,12 +111,12 @@ class BenchLock:
             self._own.append(path)
         with contextlib.suppress(OSError):  # on a full file system the number is missing
             os.fchmod(descriptor, MODE)
-            os.ftruncate(descriptor, 0)
-            os.pwrite(descriptor, f"{os.getpid()}\n".encode("ascii"), 0)
+            descriptors.truncate(descriptor, 0)
+            descriptors.pwrite(descriptor, f"{processes.number()}\n".encode("ascii"), 0)
 
     def __reduce__(self) -> tuple[Callable[..., "BenchLock"], tuple[Any]]:
         """Pass the open files to a process that is being spawned."""
-        return _inherited, ({path: reduction.DupFd(descriptor) for path, descriptor in self._held.items()},)
+        return _inherited, ({path: processes.passed_descriptor(descriptor) for path, descriptor in self._held.items()},)
 
     def close(self) -> None:
         """Release the locks of this process; further calls do nothing."""
@@ -125,7 +124,7 @@ class BenchLock:
             if path in self._own and _is_at(descriptor, path):
                 with contextlib.suppress(OSError):
                     path.unlink()
-            os.close(descriptor)
+            descriptors.close(descriptor)
         self._held.clear()
 
 
@@ -210,16 +209,16 @@ def _lock(path: Path, what: str, deadline_s: float, *, stopping: bool) -> int | 
         if _locked(descriptor):
             if _is_at(descriptor, path):
                 return descriptor
-            os.close(descriptor)
+            descriptors.close(descriptor)
             continue
-        holder = os.pread(descriptor, 20, 0).decode("ascii", "replace").strip()
-        os.close(descriptor)
-        if time.monotonic() >= deadline_s:
+        holder = descriptors.pread(descriptor, 20, 0).decode("ascii", "replace").strip()
+        descriptors.close(descriptor)
+        if clock.monotonic() >= deadline_s:
             if stopping and _state_of(holder) in STANDING:
                 return None
             who = f"process {holder}" if holder.isdigit() else "another process"
             raise BusyError(f"{path}: {who} drives or watches this {what}; stop it first")
-        time.sleep(_RETRY_S)
+        clock.sleep(_RETRY_S)
 
 
 def _state_of(holder: str) -> str:
@@ -243,13 +242,13 @@ def _open(path: Path) -> int:
     flags = os.O_CLOEXEC | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_RDWR
     try:
         with contextlib.suppress(FileExistsError):
-            return os.open(path, flags | os.O_CREAT | os.O_EXCL, MODE)
+            return descriptors.open_file(path, flags | os.O_CREAT | os.O_EXCL, MODE)
         status = path.lstat()
         if stat.S_ISREG(status.st_mode) and status.st_uid != os.geteuid():
             raise BusyError(
                 f"{path}: belongs to user {status.st_uid}, whose program may drive this bench; stop it, remove the file"
             )
-        descriptor = os.open(path, flags)
+        descriptor = descriptors.open_file(path, flags)
     except FileNotFoundError as error:
         if path.parent.is_dir():  # its holder has removed it in the meantime
             return _open(path)
@@ -257,17 +256,17 @@ def _open(path: Path) -> int:
     except OSError as error:
         raise _open_error(path, error) from error
     if not stat.S_ISREG(os.fstat(descriptor).st_mode):
-        os.close(descriptor)
+        descriptors.close(descriptor)
         raise ConfigurationError(f"daemon.ring_log: {path} is not a regular file; remove it")
-    if not _CONTENT.fullmatch(os.pread(descriptor, 20, 0)):
-        os.close(descriptor)
+    if not _CONTENT.fullmatch(descriptors.pread(descriptor, 20, 0)):
+        descriptors.close(descriptor)
         raise ConfigurationError(f"daemon.ring_log: {path} exists and is no lock file; name another ring log")
     return descriptor
 
 
 def _locked(descriptor: int) -> bool:
     try:
-        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        descriptors.lock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:
         return False
     return True

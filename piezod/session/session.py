@@ -4,10 +4,7 @@ Everything besides the loop (display, recording, answers to clients) happens in 
 """
 
 import contextlib
-import multiprocessing
-import os
 import signal
-import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -15,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import piezod.errors
 from piezod.config import BenchConfig
 from piezod.errors import PiezodError
+from piezod.runtime import clock, descriptors, processes
 from piezod.session.lock import BenchLock, lock_bench
 from piezod.session.task import URGENT, Outcome, SegmentSpec, SharedMemory, Task
 
@@ -79,7 +77,7 @@ class Session:
         self._process: Any = None
         self._pid_descriptor = -1
         self._reader: RingReader | None = None
-        context = multiprocessing.get_context("spawn")
+        context = processes.spawn_context()
         correction = context.RawArray("d", correction_size) if correction_size else None
         self.shared = SharedMemory(context.RawArray("q", PHASE_CELLS), correction)
         self._commands = 0
@@ -102,12 +100,12 @@ class Session:
         """
         if self._lock is None:
             self._lock = lock_bench(self._task.bench)
-        context = multiprocessing.get_context("spawn")
+        context = processes.spawn_context()
         self._pipe, child_pipe = context.Pipe()
         arguments = (self._task, child_pipe, self._lock, self.shared)
         self._process = context.Process(target=_enter_control_process, args=arguments, daemon=False)
         self._process.start()
-        self._pid_descriptor = os.pidfd_open(self._process.pid)
+        self._pid_descriptor = processes.pid_descriptor(self._process.pid)
         child_pipe.close()
 
     def start(self) -> None:
@@ -201,7 +199,7 @@ class Session:
         assert self._pipe is not None
         self._commands += 1
         with contextlib.suppress(OSError):
-            self._pipe.send((self._commands, requested_ns or time.monotonic_ns(), name, argument))
+            self._pipe.send((self._commands, requested_ns or clock.monotonic_ns(), name, argument))
         self._signal(signal.SIGUSR1)
         return self._commands
 
@@ -228,7 +226,7 @@ class Session:
     def _signal(self, number: int) -> bool:
         """Send a signal by the descriptor of the process, which never means another one; False if it has ended."""
         try:
-            signal.pidfd_send_signal(self._pid_descriptor, number)
+            processes.send_signal(self._pid_descriptor, number)
         except OSError:
             return False
         return True
@@ -251,7 +249,7 @@ class Session:
             remove_ring_log(self._task.bench.ring_log_path)
             descriptor, self._pid_descriptor = self._pid_descriptor, -1
             if descriptor >= 0:
-                os.close(descriptor)
+                descriptors.close(descriptor)
         if self._pipe is not None:
             self._pipe.close()
         if self._lock is not None and self._owns_lock:

@@ -1,7 +1,5 @@
 """Commands to the control process: which are executed, which are refused."""
 
-import time
-
 import numpy as np
 import pytest
 
@@ -45,7 +43,7 @@ def bench(tmp_path, monkeypatch):
     monkeypatch.setattr(command_queue, "check_ready", lambda bench, link: None)
 
     def command(name, argument=None, *, age_s=0.0):
-        pipe.waiting.append((7, time.monotonic_ns() - round(age_s * 1e9), name, argument))
+        pipe.waiting.append((7, command_queue.clock.monotonic_ns() - round(age_s * 1e9), name, argument))
         commands.notify()
         commands.serve_pending()
         return pipe.sent.pop()
@@ -76,7 +74,7 @@ def test_a_late_arm_is_refused_and_a_late_stop_is_executed(bench):
 def test_an_arm_whose_checks_last_too_long_is_refused_after_them(bench, monkeypatch):
     loop, command = bench
     clock = [0]
-    monkeypatch.setattr(command_queue.time, "monotonic_ns", lambda: clock[0])
+    monkeypatch.setattr(command_queue.clock, "monotonic_ns", lambda: clock[0])
 
     def slow_checks(*_):
         clock[0] += 5_100_000_000
@@ -124,7 +122,7 @@ def test_the_death_of_the_parent_requests_a_stop_and_raises_nothing(bench, broke
         raise error
 
     setattr(command.pipe, broken, fail)
-    command.pipe.waiting.append((8, time.monotonic_ns(), "limits", limits()))
+    command.pipe.waiting.append((8, command_queue.clock.monotonic_ns(), "limits", limits()))
     command.queue.notify()
     command.queue.serve_pending()
     assert loop.stopped

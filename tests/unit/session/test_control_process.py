@@ -9,6 +9,7 @@ import pytest
 
 from piezod.commissioning.shipped_files import shipped
 from piezod.config import load_bench
+from piezod.runtime import processes
 from piezod.session import control_process
 from piezod.session.session import Session
 from piezod.session.task import Task
@@ -79,12 +80,12 @@ def test_the_heat_of_the_control_process_before_is_kept(steps):
 
 
 def test_a_parent_that_died_before_its_signal_was_requested_is_noticed(monkeypatch):
-    monkeypatch.setattr(control_process.ctypes, "CDLL", lambda _: SimpleNamespace(prctl=lambda *_: 0))
+    monkeypatch.setattr(processes.ctypes, "CDLL", lambda _: SimpleNamespace(prctl=lambda *_: 0))
     for parent_pid, lives in ((os.getppid(), True), (os.getppid() + 1, False)):
         monkeypatch.setattr(
-            control_process.multiprocessing, "parent_process", lambda pid=parent_pid: SimpleNamespace(pid=pid)
+            processes.multiprocessing, "parent_process", lambda pid=parent_pid: SimpleNamespace(pid=pid)
         )
-        assert control_process._end_with_parent() is lives
+        assert processes.end_with_parent(signal.SIGTERM) is lives
 
 
 def test_only_a_second_stop_is_hasty_and_closing_never_is(tmp_path, monkeypatch):

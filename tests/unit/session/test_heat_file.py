@@ -19,7 +19,7 @@ def bench(tmp_path):
 @pytest.fixture
 def clock(monkeypatch):
     now = [1e9]
-    monkeypatch.setattr(heat_file.time, "time", lambda: now[0])
+    monkeypatch.setattr(heat_file.clock, "wall_s", lambda: now[0])
     return now
 
 

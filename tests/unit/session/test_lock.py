@@ -13,6 +13,7 @@ from piezod.config import load_bench
 from piezod.config.link import SerialLineLink
 from piezod.config.sections import DaemonConfig
 from piezod.errors import BusyError, ConfigurationError
+from piezod.runtime import sockets
 from piezod.session import control_process
 from piezod.session.device_names import device_names
 from piezod.session.lock import BenchLock, device_lock_path, lock_bench
@@ -113,7 +114,7 @@ def test_a_name_counts_by_its_addresses(monkeypatch):
     def resolve(host, port, **_):
         return [(socket.AF_INET, socket.SOCK_STREAM, 0, "", (one, port)) for one in found[host]]
 
-    monkeypatch.setattr(socket, "getaddrinfo", resolve)
+    monkeypatch.setattr(sockets, "getaddrinfo", resolve)
     assert set(device_names(tcp("a.example"))) < set(device_names(tcp("b.example")))
 
 
@@ -132,7 +133,7 @@ def test_links_to_a_serial_port_are_the_same_device(tmp_path):
 
 def error_of_control_process(task, lock, monkeypatch):
     """Message of a control process that ends at its start; it runs in this process."""
-    for name in ("ctypes", "signal", "gc"):
+    for name in ("processes", "signals", "gc"):
         monkeypatch.setattr(control_process, name, MagicMock(), raising=False)
     pipe = MagicMock()
     control_process.run(task, pipe, lock, None)
