@@ -9,11 +9,10 @@ python -m piezod.recorder.writer PLAN                       a `Plan`
 
 import contextlib
 import json
-import os
-import select
-import time
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass, field, fields
+
+from piezod.runtime import clock, descriptors, sockets
 
 _READ_BYTES = 65536
 
@@ -124,11 +123,11 @@ class MessageReader:
             Longest time to wait [s].
         """
         if self.closed:
-            time.sleep(longest_s)
+            clock.sleep(longest_s)
             return
-        if not select.select([self._descriptor], [], [], longest_s)[0]:
+        if not sockets.select([self._descriptor], [], [], longest_s)[0]:
             return
-        data = os.read(self._descriptor, _READ_BYTES)
+        data = descriptors.read(self._descriptor, _READ_BYTES)
         self.closed = not data
         *lines, self._rest = (self._rest + data).split(b"\n")
         for line in lines:
@@ -145,11 +144,11 @@ def report_sender(descriptor: int) -> Callable[[Report], None]:
     descriptor
         Descriptor to write to.
     """
-    os.set_blocking(descriptor, False)
+    descriptors.set_blocking(descriptor, False)
 
     def send(report: Report) -> None:
         with contextlib.suppress(OSError):
-            os.write(descriptor, json.dumps(asdict(report)).encode() + b"\n")
+            descriptors.write(descriptor, json.dumps(asdict(report)).encode() + b"\n")
 
     return send
 

@@ -15,6 +15,7 @@ from pathlib import Path
 from piezod.config.run_time_files import FILE_MODE
 from piezod.recording.formats.sqlite_blocks import Block
 from piezod.recording.formats.sqlite_tables import TABLES, About, append_block, create_tables
+from piezod.runtime import descriptors
 
 SUFFIX = ".sqlite"
 PARTS = ("", "-wal", "-shm", "-journal")
@@ -196,14 +197,14 @@ def _new_file(folder: Path, bench: str) -> Path:
     while True:
         path = folder / f"{bench}-{number:06d}{SUFFIX}"
         try:
-            descriptor = os.open(path, os.O_CREAT | os.O_EXCL | os.O_WRONLY | os.O_CLOEXEC, FILE_MODE)
+            descriptor = descriptors.open_file(path, os.O_CREAT | os.O_EXCL | os.O_WRONLY | os.O_CLOEXEC, FILE_MODE)
         except FileExistsError:  # created by the recorder of a killed daemon that still runs
             number += 1
             continue
         try:
             os.fchmod(descriptor, FILE_MODE)  # SQLite gives this mode to its further files
         finally:
-            os.close(descriptor)
+            descriptors.close(descriptor)
         return path
 
 
@@ -229,8 +230,8 @@ def _identity(path: Path) -> tuple[int, int]:
 
 
 def _sync(path: Path, flags: int) -> None:
-    descriptor = os.open(path, flags | os.O_CLOEXEC)
+    descriptor = descriptors.open_file(path, flags | os.O_CLOEXEC)
     try:
-        os.fsync(descriptor)
+        descriptors.fsync(descriptor)
     finally:
-        os.close(descriptor)
+        descriptors.close(descriptor)

@@ -28,6 +28,7 @@ from piezod.recording.formats.sqlite import read_end
 from piezod.recording.formats.sqlite_blocks import Block
 from piezod.recording.formats.sqlite_tables import About
 from piezod.recording.ring_log import ROW_DTYPE, RingReader
+from piezod.runtime import clock
 
 MAX_BLOCK_ROWS = 16_384
 """Largest number of rows of one block; a backlog after a slow disk is written in several blocks."""
@@ -85,7 +86,7 @@ class RingRecorder:
     def step(self) -> None:
         """Write the new rows to the disk; after a failure report the reason and retry later."""
         reader = self._reader
-        if reader is None or time.monotonic() < self._retry_at_s:
+        if reader is None or clock.monotonic() < self._retry_at_s:
             return
         first = None
         if reader.waiting:
@@ -102,7 +103,7 @@ class RingRecorder:
                 reader.seek(first)
             self._fail(error)
         self.report.dropped = self._dropped_before + reader.dropped
-        self.report.cpu_s = round(time.process_time(), 3)
+        self.report.cpu_s = round(clock.process_time(), 3)
 
     def finish(self) -> None:
         """Write the remaining rows and close the file; rows that cannot be written now count as dropped."""
@@ -132,19 +133,19 @@ class RingRecorder:
     def _write(self, rows: NDArray[np.void], first: int) -> Block:
         if self._origin_ns is None:
             self._origin_ns = int(rows["time_ns"][0])
-        block = Block(rows, first, time.time_ns(), time.clock_gettime_ns(time.CLOCK_BOOTTIME))
+        block = Block(rows, first, clock.wall_ns(), clock.boot_ns())
         if self._file is None:
             self._file = self._begin_file()
-        begun_s = time.monotonic()
+        begun_s = clock.monotonic()
         self._file.commit(block)
         report = self.report
-        report.at_s = time.monotonic()
+        report.at_s = clock.monotonic()
         report.commit_s = max(report.commit_s, round(report.at_s - begun_s, 6))
         report.row, report.tick = first + rows.size, int(rows["tick"][-1])
         report.rows += rows.size
         size = self._file.bytes
         report.bytes = self._other_bytes + size_bytes(self._file.path)
-        if size >= self._plan.file_bytes or time.monotonic() - self._begun_s >= self._plan.file_s:
+        if size >= self._plan.file_bytes or clock.monotonic() - self._begun_s >= self._plan.file_s:
             self._close()
         return block
 
@@ -169,9 +170,9 @@ class RingRecorder:
         existing = recording_files(self._folder, plan.bench)
         tidy_files(existing)
         self._other_bytes = make_room(existing, plan.folder_bytes - plan.file_bytes)
-        began = time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime())
+        began = time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime(clock.wall_s()))
         file = RecordingFile(self._folder, plan.bench, self._about(began=began))
-        self._begun_s = time.monotonic()
+        self._begun_s = clock.monotonic()
         self.report.file = str(file.path)
         return file
 
@@ -186,7 +187,7 @@ class RingRecorder:
         self._close()
         pause_s = RETRY_S[min(self._failed_in_a_row, len(RETRY_S) - 1)]
         self._failed_in_a_row += 1
-        self._retry_at_s = time.monotonic() + pause_s
+        self._retry_at_s = clock.monotonic() + pause_s
         self.report.failures += 1
         self.report.problem = f"{place}: {_reason(error)}"
 

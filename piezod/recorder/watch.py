@@ -6,9 +6,6 @@ Runs in the daemon. Nothing here waits for a disk.
 import asyncio
 import contextlib
 import json
-import sys
-import time
-import uuid
 from collections.abc import Callable, Mapping
 from dataclasses import asdict
 from pathlib import Path
@@ -18,6 +15,7 @@ from piezod import __version__
 from piezod.config import BenchConfig
 from piezod.control import State
 from piezod.recorder.messages import Plan, Report, parse_report
+from piezod.runtime import chance, clock, processes
 
 RESTART_S = (0.0, 0.5, 1.0, 2.0, 5.0)
 """Pauses before restarts in a row [s]; the last value repeats."""
@@ -52,14 +50,14 @@ class RecorderWatch:
         self._task: asyncio.Task[None] | None = None
         self._report = Report()
         self._rows_before = self._dropped_before = self._failures_before = 0
-        self._reported_s = time.monotonic()
+        self._reported_s = clock.monotonic()
         self._death = ""
         self._logged = ""
         self.restarts = 0
 
     def follow(self, ring_log: Path) -> None:
         """Record the ring log of a new control process."""
-        self._following = {"ring": str(ring_log), "session": uuid.uuid4().hex}
+        self._following = {"ring": str(ring_log), "session": chance.token(16)}
         if self._task is None:
             self._task = asyncio.get_running_loop().create_task(self._supervise())
         self._send(self._following)
@@ -71,7 +69,7 @@ class RecorderWatch:
             return ""
         if self._death:
             return self._death
-        silent_s = time.monotonic() - self._reported_s
+        silent_s = clock.monotonic() - self._reported_s
         if silent_s > SILENT_S + self._period_s:
             return f"{self._plan.folder}: the disk has not answered for {silent_s:.0f} s"
         return self._report.problem
@@ -138,11 +136,11 @@ class RecorderWatch:
         """Run one recorder process after the other until `close`."""
         attempt = 0
         while self._following is not None:
-            begun_s = time.monotonic()
+            begun_s = clock.monotonic()
             await self._run_process()
             if self._following is None:
                 break
-            attempt = 0 if time.monotonic() - begun_s > HEALTHY_S else attempt + 1
+            attempt = 0 if clock.monotonic() - begun_s > HEALTHY_S else attempt + 1
             self.restarts += 1
             self.log_change()
             await asyncio.sleep(RESTART_S[min(attempt - 1, len(RESTART_S) - 1)] if attempt else 0.0)
@@ -150,25 +148,19 @@ class RecorderWatch:
     async def _run_process(self) -> None:
         """Start a recorder process and read its reports until it ends."""
         try:
-            process = await asyncio.create_subprocess_exec(
-                sys.executable,
-                "-m",
-                "piezod.recorder.writer",
-                json.dumps(asdict(self._plan)),
-                stdin=asyncio.subprocess.PIPE,
-                stdout=asyncio.subprocess.PIPE,
-                limit=LONGEST_LINE,
+            process = await processes.start_module(
+                "piezod.recorder.writer", json.dumps(asdict(self._plan)), LONGEST_LINE
             )
         except OSError as error:
             self._death = f"the recorder does not start: {error.strerror or error}"
             return
-        self._process, self._reported_s = process, time.monotonic() + START_S
+        self._process, self._reported_s = process, clock.monotonic() + START_S
         try:
             if self._following is not None:
                 self._send(self._following)
             assert process.stdout is not None
             while line := await process.stdout.readline():
-                self._report, self._reported_s, self._death = parse_report(line), time.monotonic(), ""
+                self._report, self._reported_s, self._death = parse_report(line), clock.monotonic(), ""
             code = await process.wait()
         finally:
             self._process = None

@@ -9,12 +9,12 @@ process continues until the control process, too, has ended.
 import json
 import signal
 import sys
-import time
 from collections.abc import Callable
 from pathlib import Path
 
 from piezod.recorder.messages import MessageReader, Plan, Report, report_sender
 from piezod.recorder.ring_recorder import RingRecorder
+from piezod.runtime import clock, signals
 
 QUIET_S = 2.0
 """Without the daemon: time without a new row after which the process ends [s]. The control process has ended then."""
@@ -42,7 +42,7 @@ def run(
         nonlocal ending
         ending = True
 
-    signal.signal(signal.SIGTERM, end)
+    signals.handle(signal.SIGTERM, end)
     orphaned_s = quiet_s = float("inf")
     row = -1
     while not ending:
@@ -52,7 +52,7 @@ def run(
             ending = ending or bool(message.get("end"))
         recorder.step()
         send_report(recorder.report)
-        now_s = time.monotonic()
+        now_s = clock.monotonic()
         if not messages.closed or recorder.report.row != row:
             row, quiet_s = recorder.report.row, now_s
         orphaned_s = min(orphaned_s, now_s) if messages.closed else orphaned_s
@@ -65,7 +65,7 @@ def run(
 def main() -> None:
     """Run the recorder process with the plan in its first argument."""
     for number in (signal.SIGINT, signal.SIGHUP):
-        signal.signal(number, signal.SIG_IGN)
+        signals.handle(number, signal.SIG_IGN)
     plan = Plan(**json.loads(sys.argv[1]))
     messages, send_report = MessageReader(sys.stdin.fileno()), report_sender(sys.stdout.fileno())
     run(RingRecorder(plan), messages, send_report, plan.sync_every_s)

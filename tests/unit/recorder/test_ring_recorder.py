@@ -174,7 +174,7 @@ def test_a_previous_file_that_cannot_be_synchronised_is_not_continued(bench, mon
 
 def test_pauses_before_retries_grow_to_five_seconds(bench, monkeypatch):
     clock = [0.0]
-    monkeypatch.setattr(ring_recorder.time, "monotonic", lambda: clock[0])
+    monkeypatch.setattr(ring_recorder.clock, "monotonic", lambda: clock[0])
     tries = []
     monkeypatch.setattr(RecordingFile, "__init__", lambda *_: tries.append(clock[0]) or failing(OSError(5, "no"))())
     bench.tick(10)
