@@ -3,7 +3,6 @@
 import contextlib
 import json
 import socket
-import time
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +10,7 @@ from piezod.config import load_bench
 from piezod.daemon.stop_path import COMMANDS as URGENT
 from piezod.daemon.stop_path import urge
 from piezod.errors import CheckFailedError, TemporaryError, UnreachableError, UsageError
+from piezod.runtime import clock, sockets
 
 ANSWER_WITHIN_S = 15.0
 """Longest time to wait for an answer of the daemon [s]."""
@@ -70,7 +70,7 @@ class Client:
 
     def __init__(self, path: Path) -> None:
         self._path = path
-        self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM | socket.SOCK_CLOEXEC)
+        self._socket = sockets.socket(socket.AF_UNIX, socket.SOCK_STREAM | socket.SOCK_CLOEXEC)
         self._socket.settimeout(ANSWER_WITHIN_S)
         try:
             self._connect()
@@ -83,14 +83,14 @@ class Client:
 
     def _connect(self) -> None:
         """Connect; wait while the queue of the socket is full, which the kernel reports as an error."""
-        deadline_s = time.monotonic() + ANSWER_WITHIN_S
+        deadline_s = clock.monotonic() + ANSWER_WITHIN_S
         while True:
             try:
                 self._socket.connect(str(self._path))
             except BlockingIOError:
-                if time.monotonic() > deadline_s:
+                if clock.monotonic() > deadline_s:
                     raise
-                time.sleep(QUEUE_INTERVAL_S)
+                clock.sleep(QUEUE_INTERVAL_S)
             else:
                 return
 
@@ -125,7 +125,7 @@ class Client:
     def wait_until_settled(self) -> dict[str, Any]:
         """Wait until the bench neither arms nor ramps down, and return its status."""
         while True:
-            time.sleep(POLL_INTERVAL_S)
+            clock.sleep(POLL_INTERVAL_S)
             status = self.ask("status")
             if status["state"] not in _MOVING:
                 return status

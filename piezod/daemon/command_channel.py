@@ -2,10 +2,10 @@
 
 import asyncio
 import contextlib
-import time
 from typing import Any
 
 from piezod.errors import TemporaryError
+from piezod.runtime import clock
 from piezod.session.session import Session, rebuild_error
 
 ANSWER_WITHIN_S = 10.0
@@ -121,7 +121,7 @@ class CommandChannel:
         PiezodError
             The command is refused, the device is not connected, or the control process does not answer.
         """
-        requested_ns = time.monotonic_ns()
+        requested_ns = clock.monotonic_ns()
         try:
             async with asyncio.timeout(ANSWER_WITHIN_S):
                 async with contextlib.nullcontext() if name in AT_ONCE else self._lock:

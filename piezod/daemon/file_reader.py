@@ -4,13 +4,13 @@ A dead mount, a slow disk or a large file then delays neither the event loop nor
 """
 
 import asyncio
-import multiprocessing
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from piezod.config import BenchConfig
 from piezod.errors import PiezodError, TemporaryError, system_error_text
+from piezod.runtime import processes
 from piezod.session.assembly import correction_size, load_bench_and_model
 from piezod.session.files import files_digest
 from piezod.session.session import rebuild_error
@@ -59,7 +59,7 @@ async def read_bench_files(path: Path, within_s: float = READ_WITHIN_S) -> Bench
         The time limit is over.
     """
     loop, arrived = asyncio.get_running_loop(), asyncio.Event()
-    context = multiprocessing.get_context("spawn")
+    context = processes.spawn_context()
     ours, theirs = context.Pipe(duplex=False)
     process = context.Process(target=_read, args=(path, theirs), daemon=True)
     process.start()

@@ -4,10 +4,10 @@ A thread writes them from a bounded queue. A reader of stderr that stands still 
 nor ends the daemon: what cannot be written is dropped and counted.
 """
 
-import os
 import sys
-import threading
 from collections import deque
+
+from piezod.runtime import descriptors, threads
 
 MOST_WAITING = 1000
 """Lines that wait to be written; further ones are dropped."""
@@ -32,15 +32,15 @@ class Journal:
     def __init__(self, descriptor: int | None = None) -> None:
         self._descriptor = descriptor
         self._lines: deque[str] = deque()
-        self._changed = threading.Condition()
-        self._thread: threading.Thread | None = None
+        self._changed = threads.Condition()
+        self._thread: threads.Thread | None = None
         self.dropped = 0
 
     def add(self, text: str) -> None:
         """Add one line; it is dropped if `MOST_WAITING` lines wait."""
         with self._changed:
             if self._thread is None:
-                self._thread = threading.Thread(target=self._write_all, name="journal", daemon=True)
+                self._thread = threads.Thread(target=self._write_all, name="journal", daemon=True)
                 self._thread.start()
             if len(self._lines) >= MOST_WAITING:
                 self.dropped += 1
@@ -69,7 +69,7 @@ class Journal:
         try:
             descriptor = sys.stderr.fileno() if self._descriptor is None else self._descriptor
             while rest:
-                rest = rest[os.write(descriptor, rest) :]
+                rest = rest[descriptors.write(descriptor, rest) :]
         except (OSError, ValueError, AttributeError):  # the reader has gone; stderr is closed or replaced
             return False
         return True

@@ -5,7 +5,6 @@ before a repeat does, so that the next correction is ready when the next repeat 
 over there (`control/references/repeat_correction.py`). Limits, interlocks and the model are the same with it.
 """
 
-import threading
 from collections.abc import Callable, Sequence
 from math import ceil
 from pathlib import Path
@@ -18,6 +17,7 @@ from piezod.control.references.iterative_learning import Bounds, IterativeLearni
 from piezod.control.references.repeat_correction import RepeatCorrection
 from piezod.daemon.expected_rows import ExpectedRows
 from piezod.model import Model, make_compensator
+from piezod.runtime import threads
 from piezod.session.assembly import plan_ahead, reference_table
 from piezod.session.history import is_tracking
 from piezod.session.learned_file import LearnedFile, most_N
@@ -41,7 +41,7 @@ Runner = Callable[[Callable[[], None]], None]
 
 def in_thread(work: Callable[[], None]) -> None:
     """Run `work` in a thread of its own."""
-    threading.Thread(target=work, daemon=True).start()
+    threads.Thread(target=work, daemon=True).start()
 
 
 class LearningWatch:

@@ -14,6 +14,7 @@ from typing import Any
 from piezod.config import BenchConfig
 from piezod.config.regular_file import open_regular
 from piezod.errors import PiezodError
+from piezod.runtime import clock
 
 DAY_S = 86400.0
 LARGEST_BYTES = 1 << 20
@@ -21,7 +22,7 @@ LARGEST_BYTES = 1 << 20
 
 
 def _now() -> datetime:
-    return datetime.now(UTC)
+    return datetime.fromtimestamp(clock.wall_s(), UTC)
 
 
 @dataclass(frozen=True)

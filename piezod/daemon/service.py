@@ -7,7 +7,6 @@ bench after the command `arm` on its socket. With `--arm` it drives the referenc
 import asyncio
 import contextlib
 import signal
-import time
 from pathlib import Path
 from typing import Any
 
@@ -32,6 +31,7 @@ from piezod.daemon.stop_path import StopPath
 from piezod.daemon.systemd import Notifier
 from piezod.errors import PiezodError, TemporaryError
 from piezod.recorder.watch import RecorderWatch
+from piezod.runtime import clock, signals
 from piezod.session.assembly import correction_size
 from piezod.session.lock import BenchLock
 from piezod.session.session import POLL_INTERVAL_S, Session, rebuild_error
@@ -85,7 +85,7 @@ class Service:
         self._launched = asyncio.Event()
         self._reload_lock = asyncio.Lock()
         self._arm = arm
-        self._begun_s = time.monotonic()
+        self._begun_s = clock.monotonic()
         self._notifier = Notifier()
         self._channel = CommandChannel(session)
         self._wake = asyncio.Event()
@@ -136,7 +136,7 @@ class Service:
         """Status of the bench, for `piezod status`."""
         if self._channel.session is not None and self._channel.connected:
             self._read_rows(self._channel.session)
-        up_s = time.monotonic() - self._begun_s
+        up_s = clock.monotonic() - self._begun_s
         return status_dict(
             self._bench,
             self._path,
@@ -154,7 +154,7 @@ class Service:
         """Handle signals; those that end the daemon act at once, also while the event loop waits for something."""
         loop = asyncio.get_running_loop()
         for number in ENDING:
-            signal.signal(number, lambda *_: self._stop(loop))
+            signals.handle(number, lambda *_: self._stop(loop))
         loop.add_signal_handler(signal.SIGHUP, self._begin_reload)
 
     def _begin_reload(self) -> None:
@@ -216,8 +216,8 @@ class Service:
         self._channel.problem = str(error)
         self._notifier.ready()
         self._notifier.status(f"DISARMED, {error}; trying again")
-        deadline_s = time.monotonic() + pause_s
-        while (left_s := deadline_s - time.monotonic()) > 0 and not self._wake.is_set():
+        deadline_s = clock.monotonic() + pause_s
+        while (left_s := deadline_s - clock.monotonic()) > 0 and not self._wake.is_set():
             self._notifier.alive()
             with contextlib.suppress(TimeoutError):
                 await asyncio.wait_for(self._wake.wait(), min(left_s, 0.5))
@@ -257,9 +257,9 @@ class Service:
 
     async def _wait_until_ready(self, session: Session) -> tuple[str, Any]:
         """Wait for the first message of the control process; a stop during this time ends it without an error."""
-        begun_s = time.monotonic()
+        begun_s = clock.monotonic()
         while not self._channel.has_message:
-            if time.monotonic() - begun_s < CONNECTED_WITHIN_S:
+            if clock.monotonic() - begun_s < CONNECTED_WITHIN_S:
                 self._notifier.starting()
             if self._stops_requested:
                 session.stop()
@@ -279,12 +279,12 @@ class Service:
 
     async def _follow(self, session: Session) -> None:
         """Read the ring log until the control process ends."""
-        begun_s = checked_s = time.monotonic()
+        begun_s = checked_s = clock.monotonic()
         while not self._channel.has_message:
-            if time.monotonic() > checked_s + FILES_INTERVAL_S:
-                checked_s = time.monotonic()
+            if clock.monotonic() > checked_s + FILES_INTERVAL_S:
+                checked_s = clock.monotonic()
                 await self._restore_files(session)
-            is_starting = self.statistics.last is None and time.monotonic() - begun_s < READY_WITHIN_S
+            is_starting = self.statistics.last is None and clock.monotonic() - begun_s < READY_WITHIN_S
             if self._read_rows(session) or is_starting:
                 self._notifier.alive()
             if self._arm and self.statistics.was_driving and self.statistics.state in (State.DISARMED, State.FAULT):
@@ -412,4 +412,4 @@ def _ignore_signals() -> None:
     loop = asyncio.get_running_loop()
     loop.remove_signal_handler(signal.SIGHUP)
     for number in (*ENDING, signal.SIGHUP):
-        signal.signal(number, signal.SIG_IGN)
+        signals.handle(number, signal.SIG_IGN)

@@ -14,14 +14,13 @@ import selectors
 import socket
 import struct
 import sys
-import threading
-import time
 from collections.abc import Callable
 from pathlib import Path
 
 from piezod.config import BenchConfig
 from piezod.config.run_time_files import UnixSocket, group_id
 from piezod.errors import TemporaryError
+from piezod.runtime import clock, descriptors, sockets, threads
 
 COMMANDS = ("stop", "disarm")
 LONGEST_LINE = 256
@@ -53,7 +52,7 @@ class StopPath:
     def __init__(self, bench: BenchConfig, urge: Urge) -> None:
         self._bench, self._urge = bench, urge
         self._listener: UnixSocket | None = None
-        self._thread: threading.Thread | None = None
+        self._thread: threads.Thread | None = None
         self._end_reader = self._end_writer = self._reserve = -1
         self._clients: dict[socket.socket, float] = {}
 
@@ -69,9 +68,9 @@ class StopPath:
         """
         sys.setswitchinterval(SWITCH_INTERVAL_S)
         self._listener = self._bound()
-        self._end_reader, self._end_writer = os.pipe()
+        self._end_reader, self._end_writer = descriptors.pipe()
         self._take_reserve()
-        self._thread = threading.Thread(target=self._serve, name="stop", daemon=True)
+        self._thread = threads.Thread(target=self._serve, name="stop", daemon=True)
         self._thread.start()
 
     def _bound(self) -> UnixSocket:
@@ -100,19 +99,19 @@ class StopPath:
         """End the thread and remove the socket."""
         if self._thread is None or self._listener is None:
             return
-        os.close(self._end_writer)
+        descriptors.close(self._end_writer)
         self._thread.join()
         self._thread = None
         self._listener.close()
-        os.close(self._end_reader)
+        descriptors.close(self._end_reader)
         if self._reserve >= 0:
-            os.close(self._reserve)
+            descriptors.close(self._reserve)
             self._reserve = -1
 
     def _serve(self) -> None:
         assert self._listener is not None
         listener = self._listener.socket
-        with selectors.DefaultSelector() as selector:
+        with sockets.DefaultSelector() as selector:
             selector.register(listener, selectors.EVENT_READ)
             selector.register(self._end_reader, selectors.EVENT_READ)
             while True:
@@ -125,7 +124,7 @@ class StopPath:
                     elif isinstance(key.fileobj, socket.socket):
                         self._answer(key.fileobj)
                         self._drop(selector, [key.fileobj])
-                expired_s = time.monotonic() - LINE_WITHIN_S
+                expired_s = clock.monotonic() - LINE_WITHIN_S
                 self._drop(selector, [client for client, since_s in self._clients.items() if since_s < expired_s])
 
     def _accept(self, selector: selectors.BaseSelector, listener: socket.socket) -> None:
@@ -135,15 +134,15 @@ class StopPath:
             if self._clients:
                 self._drop(selector, list(self._clients)[:1])
             elif self._reserve >= 0:
-                os.close(self._reserve)
+                descriptors.close(self._reserve)
                 self._reserve = -1
             else:
-                time.sleep(RETRY_S)  # the listener stays readable, and the loop would spin
+                clock.sleep(RETRY_S)  # the listener stays readable, and the loop would spin
             return
         client.setblocking(False)
         if len(self._clients) >= MOST_CLIENTS:
             self._drop(selector, list(self._clients)[:1])
-        self._clients[client] = time.monotonic()
+        self._clients[client] = clock.monotonic()
         selector.register(client, selectors.EVENT_READ)
 
     def _answer(self, client: socket.socket) -> None:
@@ -174,7 +173,7 @@ class StopPath:
     def _take_reserve(self) -> None:
         """Keep a descriptor for the client that comes when no other one is free."""
         with contextlib.suppress(OSError):
-            self._reserve = os.open(os.devnull, os.O_RDONLY | os.O_CLOEXEC)
+            self._reserve = descriptors.open_file(os.devnull, os.O_RDONLY | os.O_CLOEXEC)
 
 
 def urge(path: Path, command: str, within_s: float) -> str:
@@ -195,7 +194,7 @@ def urge(path: Path, command: str, within_s: float) -> str:
         Nobody listens there, or the answer does not come in time.
     """
     try:
-        with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM | socket.SOCK_CLOEXEC) as connection:
+        with sockets.socket(socket.AF_UNIX, socket.SOCK_STREAM | socket.SOCK_CLOEXEC) as connection:
             # the kernel queues a connection that waits for a full backlog, but refuses one with Python's timeout
             limit = struct.pack("@ll", int(within_s), round(1e6 * (within_s % 1.0)))
             for option in (socket.SO_SNDTIMEO, socket.SO_RCVTIMEO):

@@ -6,7 +6,8 @@ Without that variable nothing is sent.
 import contextlib
 import os
 import socket
-import time
+
+from piezod.runtime import clock, sockets
 
 EXTEND_S = 10
 """Time by which `starting` extends the start timeout of systemd [s]."""
@@ -27,7 +28,7 @@ class Notifier:
         self._address = "\0" + address[1:] if address.startswith("@") else address
         self._socket: socket.socket | None = None
         if self._address:
-            self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_CLOEXEC)
+            self._socket = sockets.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_CLOEXEC)
             self._socket.setblocking(False)
         self._status = ""
 
@@ -49,7 +50,7 @@ class Notifier:
 
     def reloading(self) -> None:
         """Report that the configuration is being read; `ready` reports the end."""
-        self.send("RELOADING=1", f"MONOTONIC_USEC={time.monotonic_ns() // 1000}")
+        self.send("RELOADING=1", f"MONOTONIC_USEC={clock.monotonic_ns() // 1000}")
 
     def stopping(self) -> None:
         """Report that the daemon ends."""

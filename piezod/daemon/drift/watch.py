@@ -8,7 +8,6 @@ status and metrics. The ticks since the last arming are written to a file for `p
 `drift.keep_s` bounds the memory.
 """
 
-import threading
 from collections.abc import Callable
 from datetime import UTC, datetime
 from math import isfinite, nan
@@ -26,6 +25,7 @@ from piezod.daemon.expected_rows import ExpectedRows
 from piezod.model import Model
 from piezod.recording import HELD_ONE_SAMPLE, Recording
 from piezod.recording.ticks import GOOD, pair_rows
+from piezod.runtime import clock, threads
 from piezod.session.history import is_tracking
 
 Array = NDArray[np.float64]
@@ -103,7 +103,7 @@ class DriftWatch:
         self._first_N: float | None = None
         self.corrected_N = self.rms_N = self.offset_N = nan
         self.drifted = False
-        self._writing: threading.Thread | None = None
+        self._writing: threads.Thread | None = None
         self.problem = ""
 
     def warm_up(self) -> None:
@@ -235,7 +235,7 @@ class DriftWatch:
         if self._writing is not None:
             self._writing.join()
         rows = np.concatenate(self._armed_rows)
-        self._writing = threading.Thread(target=self._write_rows, args=(rows,), daemon=True)
+        self._writing = threads.Thread(target=self._write_rows, args=(rows,), daemon=True)
         self._writing.start()
 
     def _write_rows(self, rows: NDArray[np.void]) -> None:
@@ -246,6 +246,6 @@ class DriftWatch:
         if np.isfinite(readings["temperature_C"]).all():
             columns["temperature_C"] = readings["temperature_C"]
         time_s = readings["tick"] * self._bench.dt_s
-        recorded = datetime.now(UTC).isoformat(timespec="seconds")
+        recorded = datetime.fromtimestamp(clock.wall_s(), UTC).isoformat(timespec="seconds")
         metadata = {"bench": self._bench.name, "model": self._name, "recorded": recorded} | HELD_ONE_SAMPLE.metadata
         self.problem = drift_file(self._bench).write(Recording(time_s - time_s[0], columns, metadata))

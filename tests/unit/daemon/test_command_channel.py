@@ -60,7 +60,7 @@ def test_a_command_expires_from_its_request_on_and_not_from_its_turn(connected, 
     channel, session = connected
     session.answers = ("arm", "reset")
     clock = [1_000]
-    monkeypatch.setattr(command_channel.time, "monotonic_ns", lambda: clock[0])
+    monkeypatch.setattr(command_channel.clock, "monotonic_ns", lambda: clock[0])
 
     async def scenario():
         async with channel._lock:
