@@ -4,12 +4,12 @@ The bridge reads the ring log in shared memory, as the live page does. It cannot
 """
 
 import math
-import time
 from pathlib import Path
 
 from piezod.control import CAUSE_TEXT, Cause, RingReader, State
 from piezod.errors import PiezodError
 from piezod.recording.age import age_s, is_stale
+from piezod.runtime import clock
 
 Values = dict[str, float | int | str | None]
 
@@ -71,9 +71,9 @@ class Newest:
             return None
         row = rows[-1]
         self._time_ns = int(row["time_ns"])
-        since_boot_ns = time.clock_gettime_ns(time.CLOCK_BOOTTIME)
+        since_boot_ns = clock.boot_ns()
         values: Values = {
-            "time_s": (time.time_ns() - since_boot_ns + int(row["time_ns"])) * 1e-9,
+            "time_s": (clock.wall_ns() - since_boot_ns + int(row["time_ns"])) * 1e-9,
             "tick": int(row["tick"]),
             "state": State(int(row["state"])).name,
             "cause": CAUSE_TEXT[Cause(int(row["cause"]))],
