@@ -207,7 +207,7 @@ class DriftWatch:
         rows = self._blocks_file.rows_of(self.test.reference)
         if self._writing is not None:
             self._writing.join()
-        self._writing = threading.Thread(target=self._blocks_file.write, args=(rows,), daemon=True)
+        self._writing = threads.Thread(target=self._blocks_file.write, args=(rows,), daemon=True)
         self._writing.start()
 
     def _collect(self, rows: NDArray[np.void]) -> None:
