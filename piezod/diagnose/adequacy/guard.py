@@ -4,7 +4,7 @@ The flexible model (`absorber`) predicts every block of the recordings from the 
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +13,7 @@ from piezod.diagnose.adequacy.absorber import Columns, Event
 from piezod.diagnose.adequacy.ridge import BlockPrediction, Blocks, predicted_blocks
 from piezod.diagnose.localisation import colour, events
 from piezod.diagnose.localisation.cells import NormalisedResidual
+from piezod.estimation.recordings.noise import noise_of_input
 from piezod.estimation.recordings.series import BLOCK_S, FEWEST_BLOCKS, MOST_BLOCKS, Series
 
 Array = NDArray[np.float64]
@@ -33,7 +34,7 @@ class Guard:
     absorbed
         Mean square after prediction from the other blocks [noise variance].
     share
-        Explainable share of the loss, (loss - absorbed) / loss.
+        Explainable share of the loss, (loss - absorbed) / loss, without the share of the noise of a measured command.
     p
         Probability of this share for noise: signs of log(before / after) flipped block by block.
     local_share, local_p
@@ -62,7 +63,25 @@ def explainable(
     detected = _detected_events(recordings, prediction.remainders())
     if detected:
         prediction = _Prediction.of(recordings, detected)
-    return _guard(recordings, prediction, np.random.default_rng(seed))
+    guard = _guard(recordings, prediction, np.random.default_rng(seed))
+    return replace(guard, share=max(guard.share - _share_of_input_noise(series, recordings, guard.loss), 0.0))
+
+
+def _share_of_input_noise(series: Sequence[Series], recordings: Sequence["_Recording"], loss: float) -> float:
+    """Share of the loss from the noise of a measured command, which a flexible model averages over neighbours."""
+    noise_V = {id(s): noise_of_input(s.command_V, s.counts, s.dt_s) for s in series}
+    known = [value for value in noise_V.values() if value]
+    if not known:
+        return 0.0
+    power, samples = 0.0, 0
+    for recording in recordings:
+        own_V = noise_V[id(recording.series)]
+        steps_N, steps_V = np.diff(recording.modelled_N), np.diff(recording.series.command_V)
+        gain = float(np.linalg.norm(steps_N)) / max(float(np.linalg.norm(steps_V)), 1e-300)
+        input_noise = gain * float(np.sqrt(np.mean(np.square(known)))) if own_V is None else gain * own_V
+        power += (input_noise / recording.series.noise_N) ** 2 * recording.residual.size
+        samples += recording.residual.size
+    return min(power / samples / loss, 1.0)
 
 
 @dataclass(frozen=True)
@@ -186,7 +205,13 @@ def _guard(recordings: Sequence[_Recording], prediction: _Prediction, rng: np.ra
     loss = float(prediction.blocks.square.sum()) / samples
     absorbed = float(prediction.predicted.after.sum()) / samples
     bursts = [
-        events.bursts(remainder, recording.beyond_seams, recording.step)
+        min(
+            (
+                events.bursts(values, recording.beyond_seams, recording.step)
+                for values in (remainder, recording.residual)
+            ),
+            key=lambda burst: burst.energy,  # a burst in one only is explained by the prediction, or made by it
+        )
         for recording, remainder in zip(recordings, prediction.remainders(), strict=True)
     ]
     energy = sum(float(recording.residual @ recording.residual) for recording in recordings)

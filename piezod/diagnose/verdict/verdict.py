@@ -21,7 +21,7 @@ from piezod.diagnose.verdict.words import (
     unchanged_words,
     unrecorded_words,
 )
-from piezod.estimation.recordings.noise import noise_of
+from piezod.estimation.recordings.noise import noise_of, rests
 from piezod.estimation.recordings.series import Series
 
 Array = NDArray[np.float64]
@@ -87,7 +87,11 @@ def noise_floor(
 def _noise_at_rest(files: Sequence[tuple[Series, Array]], unexplained_N: float) -> float | None:
     """Noise in rests of the command; from short rests up to `SLOW_NOISE` times more, as far as the residual allows."""
     for hold_s, most in ((HOLD_S, 1.0), (SHORT_HOLD_S, SLOW_NOISE)):
-        quiet_N = [value for series, residual in files for value in _noise_in_holds(series, residual, hold_s)]
+        quiet_N = [
+            float(np.std(residual[rest]))
+            for series, residual in files
+            for rest in rests(series.command_V, series.counts, series.dt_s, hold_s)
+        ]
         if len(quiet_N) >= FEWEST_HOLDS:
             value = float(np.sqrt(np.mean(np.square(quiet_N))))
             return max(value, min(most * value, unexplained_N))
@@ -99,17 +103,6 @@ def _repeat_noise(files: Sequence[tuple[Series, Array]]) -> float | None:
     noises = [noise_of(series.command_V, residual, series.counts, series.dt_s) for series, residual in files]
     values = [noise.rms for noise in noises if noise is not None and noise.seen_in == "repeats"]
     return float(np.sqrt(np.mean(np.square(values)))) if values else None
-
-
-def _noise_in_holds(series: Series, residual: Array, hold_s: float) -> list[float]:
-    """Standard deviation of the residual in every stretch of `hold_s` in which the command rests."""
-    size = max(int(hold_s / series.dt_s), 20)
-    noises = []
-    for first in range(0, series.command_V.size - size, size):
-        part = slice(first, first + size)
-        if np.ptp(series.command_V[part]) == 0.0 and series.counts[part].all():
-            noises.append(float(np.std(residual[part])))
-    return noises
 
 
 def structured_share(share: float, after: float, floor: float, *, above: bool) -> float:

@@ -25,6 +25,9 @@ COARSE = 1 << 18  # samples in which a period is searched; a longer recording is
 MEDIAN_SPREAD = 1.4826  # standard deviation over the median magnitude of a normal distribution
 FEWEST_BENDS = 100  # second differences that determine a noise
 REST_S, FEWEST_SAMPLES, FEWEST_RESTS = 0.5, 20, 3  # duration of a rest [s], samples and rests that are needed
+REST_SPREAD = 0.005  # largest spread of a measured input at rest, as share of its range: monitors reach 0.1 to 0.3 %
+REST_WHITE = 1.5  # largest spread at rest over that of white noise: an input that moves has a larger one
+HEAVY_TAILS = 1.5  # spread over that of the middle half, above which single jumps make it; 1.38 for Laplace's law
 
 
 @dataclass(frozen=True)
@@ -46,8 +49,34 @@ def noise_of(u: Array, y: Array, counts: NDArray[np.bool_], dt_s: float) -> Nois
     repeats = _in_repeats(u, y, counts)
     if repeats is not None:
         return Noise(repeats, "repeats")
-    rests = _in_rests(u, y, counts, max(round(REST_S / dt_s), FEWEST_SAMPLES))
-    return None if len(rests) < FEWEST_RESTS else Noise(float(np.sqrt(np.mean(np.square(rests)))), "rests")
+    found = rests(u, counts, dt_s)
+    spreads = [float(np.std(y[rest], ddof=1)) for rest in found]
+    return None if len(found) < FEWEST_RESTS else Noise(float(np.sqrt(np.mean(np.square(spreads)))), "rests")
+
+
+def rests(u: Array, counts: NDArray[np.bool_], dt_s: float, rest_s: float = REST_S) -> list[slice]:
+    """Stretches of `rest_s` in which the input rests, up to its own noise if it is measured; parameters as above."""
+    size = max(round(rest_s / dt_s), FEWEST_SAMPLES)
+    starts = np.flatnonzero(np.concatenate(([True], np.diff(u) != 0.0, [True])))
+    exact = [
+        slice(first + k, first + k + size)
+        for first, end in itertools.pairwise(starts.tolist())
+        for k in range(0, end - first - size + 1, size)
+    ]
+    measured = [slice(k, k + size) for k in range(0, u.size - size + 1, size)] if not exact else []
+    most = REST_SPREAD * float(np.ptp(u))
+    found = exact + [part for part in measured if float(np.std(u[part])) <= most and _is_white(u[part])]
+    return [part for part in found if counts[part].all()]
+
+
+def noise_of_input(u: Array, counts: NDArray[np.bool_], dt_s: float) -> float | None:
+    """Standard deviation of a measured input at rest, 0 for an exact one; None if it never rests."""
+    found = rests(u, counts, dt_s)
+    return float(np.sqrt(np.mean([np.var(u[rest]) for rest in found]))) if found else None
+
+
+def _is_white(values: Array) -> bool:
+    return float(np.std(values)) <= REST_WHITE * white_noise(np.abs(np.diff(values, 2)))
 
 
 def white_noise(bends: Array) -> float:
@@ -71,7 +100,10 @@ def white_noise_of(u: Array, y: Array, counts: NDArray[np.bool_]) -> float:
 
 
 def _in_repeats(u: Array, y: Array, counts: NDArray[np.bool_]) -> float | None:
-    """Noise from the difference between each sample and the sample one period earlier, after the start."""
+    """Noise from the difference between each sample and the sample one period earlier, after the start.
+
+    Jumps of the output that do not repeat are no noise: the middle half of the differences decides then.
+    """
     lag = _period(u)
     if lag is None:
         return None
@@ -85,7 +117,8 @@ def _in_repeats(u: Array, y: Array, counts: NDArray[np.bool_]) -> float | None:
     changed = changed - changed.mean()
     if other > min(SAME_COURSE, SAME_INPUT * float(np.std(changed)) / float(np.ptp(y[counts]))) * span:
         return None
-    return float(np.std(changed) / np.sqrt(2.0))
+    spread, middle = float(np.std(changed)), MEDIAN_SPREAD * float(np.median(np.abs(changed - np.median(changed))))
+    return (middle if 0.0 < HEAVY_TAILS * middle < spread else spread) / float(np.sqrt(2.0))
 
 
 def _period(u: Array) -> int | None:
@@ -114,15 +147,3 @@ def _squared_differences(u: Array) -> Array:
     lags = np.arange(max(int((1.0 - COMPARED) * size), 1))
     result: Array = (power[size - lags] + power[size] - power[lags] - 2.0 * products[lags]) / (size - lags)
     return np.maximum(result, 0.0)
-
-
-def _in_rests(u: Array, y: Array, counts: NDArray[np.bool_], size: int) -> list[float]:
-    """Standard deviations of stretches in which the input rests, each of `size` samples."""
-    moves = np.concatenate(([True], np.diff(u) != 0.0, [True]))
-    starts = np.flatnonzero(moves)
-    return [
-        float(np.std(y[first + k : first + k + size], ddof=1))
-        for first, end in itertools.pairwise(starts)
-        for k in range(0, int(end - first) - size + 1, size)
-        if counts[first + k : first + k + size].all()
-    ]

@@ -31,8 +31,13 @@ QUIET = 10.0
 LEAST_RETURN = 0.1
 """Share of its swing by which the input must turn back."""
 
-SLOW = 0.1
-"""Share of the drive's power in its slow part: the fundamental of triangles, the slowest tenth of a broadband drive."""
+SLOW = (0.1, 0.5)
+"""Shares of the drive's power in its slow part: the fundamental of triangles, the slowest tenth of a broadband drive.
+
+Where the slowest tenth repeats no rise, as the trend of a decaying sine, the slower half is used."""
+
+SLOW_CYCLES = 10
+"""Cycles in the recording that the slow part holds at least: slower ones are a trend of a decaying or random drive."""
 
 LEADS = 0.01
 """Mean opening of a clockwise loop, as share of the output's range, above which the output leads the input."""
@@ -87,7 +92,7 @@ def falls(recording: Recording, input_column: str, output_column: str) -> bool:
     if np.corrcoef(u[finite], y[finite])[0, 1] >= OPPOSITE:
         return False
     # above a resonance a reading is opposite to the force
-    slow = [_slow_part(np.where(finite, values, np.nan), u) for values in (u, y)]
+    slow = _slow_parts(*(np.where(finite, values, np.nan) for values in (u, y)))
     return bool(np.corrcoef(slow[0], slow[1])[0, 1] < OPPOSITE)
 
 
@@ -219,7 +224,7 @@ def _wrong_way(pair: _Pair) -> Iterator[str]:
     if "V" not in units or not units & ({"N"} | set(UNITS["displacement"])):
         return
     # only slow parts: above a resonance an output lags by more than half a cycle, and then seems to lead
-    slow_u, slow_y = (_slow_part(values, pair.u) for values in (pair.u, pair.y))
+    slow_u, slow_y = _slow_parts(pair.u, pair.y)
     opening = _opening(slow_u, slow_y)
     if opening >= -LEADS:
         return
@@ -283,14 +288,20 @@ def _travel(u: Array) -> tuple[float, float]:
     return rise, fall
 
 
-def _slow_part(values: Array, drive: Array) -> Array:
-    """Low-pass filtered values, shape (N,); the share `SLOW` of the drive's power lies below the cut-off."""
-    known = np.isfinite(values)
-    spectrum = np.fft.rfft(np.where(known, values - values[known].mean(), 0.0))
-    power = np.abs(np.fft.rfft(np.nan_to_num(drive - np.nanmean(drive)))) ** 2
-    slowest = int(np.searchsorted(np.cumsum(power), SLOW * power.sum())) + 1
-    spectrum[slowest + 1 :] = 0.0
-    return np.fft.irfft(spectrum, values.size)
+def _slow_parts(u: Array, y: Array) -> tuple[Array, Array]:
+    """Low-pass filtered input and output, shape (N,): a share `SLOW` of the input's power, at least `SLOW_CYCLES`."""
+    spectra = [np.fft.rfft(np.where(np.isfinite(v), v - v[np.isfinite(v)].mean(), 0.0)) for v in (u, y)]
+    power = np.cumsum(np.abs(spectra[0]) ** 2)
+    ends = [max(int(np.searchsorted(power, share * power[-1])) + 1, SLOW_CYCLES) for share in SLOW]
+    parts = [[np.fft.irfft(spectrum[: end + 1], u.size) for spectrum in spectra] for end in ends]
+    slow_u, slow_y = next((part for part in parts if _rises(part[0]).size > 1), parts[0])
+    return slow_u, slow_y
+
+
+def _rises(u: Array) -> NDArray[np.int64]:
+    """Samples before the input rises through its mid-range."""
+    above = u > 0.5 * (u.min() + u.max())
+    return np.flatnonzero(above[1:] & ~above[:-1])
 
 
 def _outside_a_loop(u: Array, y: Array) -> float:
@@ -308,8 +319,7 @@ def _opening(u: Array, y: Array) -> float:
     it runs over the full record, if this ends where it began.
     """
     low, high = _range(y)
-    above = u > 0.5 * (u.min() + u.max())
-    rises = np.flatnonzero(above[1:] & ~above[:-1])
+    rises = _rises(u)
     if rises.size < 2 and abs(u[-1] - u[0]) > LEAST_RETURN * np.ptp(u):
         return 0.0
     part = slice(int(rises[0]), int(rises[-1]) + 2) if rises.size > 1 else slice(None)

@@ -183,3 +183,19 @@ def test_a_recording_that_the_model_was_identified_on_is_not_looked_at():
     u = mixed_work(time(SAMPLES))
     one = series(time(SAMPLES), u, model_of(u), role="identification")
     assert explainable([one], [u], [model_of(u)]).loss == 0.0
+
+
+@pytest.mark.parametrize("rests", [True, False])
+def test_the_noise_of_a_measured_command_is_not_explainable_if_its_size_is_known(rests):
+    rng = np.random.default_rng(5)
+    time_s = time(SAMPLES)
+    kernel = np.hanning(40) / np.hanning(40).sum()
+    true_V = 60.0 + 100.0 * np.convolve(rng.normal(size=SAMPLES), kernel, "same")  # slower than the samples
+    still = SAMPLES // 10
+    true_V[:still] = true_V[still - 1]
+    seen_V = true_V + 0.3 * rng.normal(size=SAMPLES)
+    reading_N = model_of(true_V) + NOISE_N * rng.normal(size=SAMPLES)
+    shown = slice(None) if rests else slice(still, None)
+    one = series(time_s[shown], seen_V[shown], reading_N[shown], NOISE_N)
+    guard = explainable([one], [(reading_N - model_of(seen_V))[shown]], [model_of(seen_V)[shown]])
+    assert (guard.share < MISSING_SHARE) == rests

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from piezod.estimation.recordings.noise import COARSE, _period, noise_of
+from piezod.estimation.recordings.noise import COARSE, _period, noise_of, noise_of_input, rests
 
 RATE_HZ = 500.0
 TIME_S = np.arange(20_000) / RATE_HZ
@@ -98,3 +98,27 @@ def test_samples_that_do_not_count_tell_nothing():
 )
 def test_an_input_that_neither_repeats_nor_rests_tells_none(u):
     assert found(u, 0.3) is None
+
+
+def test_jumps_that_do_not_repeat_are_no_noise():
+    y = 2.0 * TRIANGLES
+    for first, height in ((3000, 80.0), (11_000, -120.0), (16_500, 60.0)):
+        y[first : first + 200] += height
+    assert found(TRIANGLES, 0.3, y).rms == pytest.approx(0.3, rel=0.15)
+
+
+@pytest.mark.parametrize("monitor_V", [0.02, 0.2])
+def test_a_measured_command_rests_within_its_own_noise(monitor_V):
+    rng = np.random.default_rng(3)
+    everywhere = np.ones(RESTS.size, bool)
+    slow = np.resize(TRIANGLES, RESTS.size)
+    for u, least in (
+        (RESTS + monitor_V * rng.normal(size=RESTS.size), 60),
+        (slow + 0.02 * rng.normal(size=slow.size), 0),
+    ):
+        assert len(rests(u, everywhere, 1.0 / RATE_HZ)) in range(least, least + 21)
+    measured = RESTS + monitor_V * rng.normal(size=RESTS.size)
+    assert noise_of_input(measured, everywhere, 1.0 / RATE_HZ) == pytest.approx(monitor_V, rel=0.05)
+    assert noise_of_input(RESTS, everywhere, 1.0 / RATE_HZ) == 0.0
+    assert noise_of_input(slow, everywhere, 1.0 / RATE_HZ) is None
+    assert noise_of(measured, 2.0 * measured, everywhere, 1.0 / RATE_HZ).rms == pytest.approx(2.0 * monitor_V, rel=0.05)

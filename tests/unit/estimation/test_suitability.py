@@ -139,6 +139,18 @@ def test_swapped_columns_are_refused_in_both_directions(identify, names, columns
     assert f"{columns[1]} leads {columns[0]}, their loop runs clockwise" in err
 
 
+@pytest.mark.parametrize("cycles", [8, 23, 61])
+def test_a_decaying_sine_is_accepted_and_its_swapped_columns_are_refused(identify, cycles):
+    time_s = np.arange(10_000) / RATE_HZ
+    decay = 1.0 - 0.95 * time_s / time_s[-1]
+    u = 75.0 * decay * (1.0 - np.cos(2.0 * np.pi * cycles * time_s / time_s[-1]))
+    y = force(u, 0.2)
+    assert identify(rows(u, y))[0] != 78
+    code, _, err = identify(rows(y, u), "--force")
+    assert code == 78
+    assert "loop runs clockwise" in err
+
+
 @pytest.mark.parametrize(("text", "says"), REFUSED.values(), ids=REFUSED.keys())
 def test_what_tells_no_model_is_refused_in_one_line_and_leaves_the_model_file_as_it_was(tmp_path, identify, text, says):
     code, out, err = identify(text)
