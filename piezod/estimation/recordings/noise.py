@@ -26,8 +26,8 @@ MEDIAN_SPREAD = 1.4826  # standard deviation over the median magnitude of a norm
 FEWEST_BENDS = 100  # second differences that determine a noise
 REST_S, FEWEST_SAMPLES, FEWEST_RESTS = 0.5, 20, 3  # duration of a rest [s], samples and rests that are needed
 REST_SPREAD = 0.005  # largest spread of a measured input at rest, as share of its range: monitors reach 0.1 to 0.3 %
-REST_WHITE = 1.5  # largest spread at rest over that of white noise: an input that moves has a larger one
-HEAVY_TAILS = 1.5  # spread over that of the middle half, above which single jumps make it; 1.38 for Laplace's law
+REST_WHITE = 1.5  # largest spread at rest over the white noise: an input that moves spreads by more
+HEAVY_TAILS = 1.5  # spread over the spread of the middle half if single jumps dominate it; 1.38 for Laplace's law
 
 
 @dataclass(frozen=True)
@@ -102,7 +102,7 @@ def white_noise_of(u: Array, y: Array, counts: NDArray[np.bool_]) -> float:
 def _in_repeats(u: Array, y: Array, counts: NDArray[np.bool_]) -> float | None:
     """Noise from the difference between each sample and the sample one period earlier, after the start.
 
-    Jumps of the output that do not repeat are no noise: the middle half of the differences decides then.
+    If jumps of the output do not repeat, the middle half of the differences decides: a jump is not noise.
     """
     lag = _period(u)
     if lag is None:
