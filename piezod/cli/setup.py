@@ -201,8 +201,10 @@ def latency(
     as_json: JsonOption = False,
 ) -> None:
     """Measure how late this machine starts its ticks, and the highest rate that it holds."""
+    from piezod.commissioning.slow_machine import limits_block, suggested_limits
     from piezod.config import RealTimeConfig
     from piezod.control.latency import RATES_HZ, measure_lateness, rate_held_Hz
+    from piezod.report.next_step import after_latency
     from piezod.session.history import percentiles
 
     measured = [measure_lateness(rate_Hz, seconds, RealTimeConfig()) for rate_Hz in rate or RATES_HZ]
@@ -210,9 +212,11 @@ def latency(
         {"rate_Hz": result.rate_Hz, "missed": result.missed, "lateness_us": percentiles(result.lateness_us)}
         for result in measured
     ]
-    held = rate_held_Hz(measured)
+    held, limits = rate_held_Hz(measured), suggested_limits(measured)
+    step = after_latency(limits_block(limits).splitlines(), held=held is not None)
     if as_json:
-        print(json.dumps({"rates": rows, "rate_held_Hz": held}, indent=2))
+        content = {"rates": rows, "rate_held_Hz": held, "suggested": limits, "next_step": step.as_dict()}
+        print(json.dumps(content, indent=2))
         return
     print("  rate [Hz]   missed   lateness [us] p50      p99    p99.9      max")
     for line in rows:
@@ -222,3 +226,4 @@ def latency(
             + "".join(f"{late[k]:9.1f}" for k in ("p99", "p99.9", "max"))
         )
     print(f"holds {held:g} Hz" if held else "holds none of these rates: see the warnings, or end other programs")
+    print_next(step)

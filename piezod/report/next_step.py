@@ -439,6 +439,22 @@ def after_config_check(config: Path, *, model_exists: bool) -> NextStep:
     return after_check(config, (), model_exists=False)
 
 
+def after_latency(lines: Sequence[str], *, held: bool) -> NextStep:
+    """Lines for the bench file that suit this machine.
+
+    Parameters
+    ----------
+    lines
+        Rate and limits, as YAML.
+    held
+        Whether the machine holds a measured rate.
+    """
+    words = (
+        "limits that suit the pauses of this machine" if held else "end other programs and measure again, or use these"
+    )
+    return NextStep(words, (command("config", "check", BENCH),), tuple(lines))
+
+
 def after_demo(*, passed: bool) -> NextStep:
     """Step after the demo."""
     if not passed:

@@ -73,6 +73,7 @@ ALL = [
     steps.after_init(BENCH),
     steps.after_config_check(BENCH, model_exists=True),
     steps.after_config_check(BENCH, model_exists=False),
+    steps.after_latency(["rate_Hz: 500"], held=True),
     steps.after_demo(passed=True),
     steps.after_demo(passed=False),
     steps.after_run(BENCH, None, fault="", drifted=True),
