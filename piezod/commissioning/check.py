@@ -14,7 +14,7 @@ from piezod.commissioning.check_machine import check_configuration_file, check_m
 from piezod.commissioning.check_reference import check_reference
 from piezod.commissioning.check_result import Check
 from piezod.config import BenchConfig, load_bench, model_path
-from piezod.config.link import ModbusTcpLink
+from piezod.config.link import ModbusTcpLink, RtuOverTcpLink
 from piezod.control import check_safeguards
 from piezod.daemon.preview import missing_preview
 from piezod.effects import EFFECTS
@@ -147,9 +147,10 @@ def _arming(bench: BenchConfig) -> Iterator[Check]:
 def _network(bench: BenchConfig) -> Iterator[Check]:
     """Check whether other programs on the network can command the bench."""
     for name, link in (("link", bench.link), ("load_cell_link", bench.load_cell_link)):
-        if isinstance(link, ModbusTcpLink) and link.tls is None and not _is_loopback(link.host):
+        if isinstance(link, ModbusTcpLink | RtuOverTcpLink) and link.tls is None and not _is_loopback(link.host):
             finding = f"{name} is Modbus without TLS to {link.host}"
-            remedy = "every program on that network can read and write; set tls, or use a separate network"
+            tls = "set tls, or " if isinstance(link, ModbusTcpLink) else ""
+            remedy = f"every program on that network can read and write; {tls}use a separate network"
             yield Check("network", "WARN", finding, remedy)
 
 

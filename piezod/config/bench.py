@@ -8,7 +8,7 @@ from pydantic import Field, model_validator
 
 from piezod.config.checked import Section, check, require, shortened
 from piezod.config.limits import LimitsConfig
-from piezod.config.link import LinkConfig, ModbusRtuLink, ModbusTcpLink, SerialLineLink
+from piezod.config.link import AnyLink, LinkConfig, SerialLineLink
 from piezod.config.reference import ReferenceConfig, RegisterReference, StreamReference, is_looped
 from piezod.config.reference_range import ReferenceRange, reference_range
 from piezod.config.sections import (
@@ -249,7 +249,7 @@ class BenchConfig(Section):
         return self
 
 
-def _require_voltage(link: ModbusTcpLink | ModbusRtuLink | SerialLineLink) -> None:
+def _require_voltage(link: AnyLink) -> None:
     if isinstance(link, SerialLineLink):
         if link.set_voltage is None:
             raise ValueError("link.set_voltage is missing: no voltage can be written")
@@ -257,7 +257,7 @@ def _require_voltage(link: ModbusTcpLink | ModbusRtuLink | SerialLineLink) -> No
         raise ValueError("link.registers.voltage_setpoint is missing: no voltage can be written")
 
 
-def _require_force(link: ModbusTcpLink | ModbusRtuLink | SerialLineLink, name: str) -> None:
+def _require_force(link: AnyLink, name: str) -> None:
     if isinstance(link, SerialLineLink):
         if link.measure is None or link.measure.reply is None or "(?P<force_N>" not in link.measure.reply:
             raise ValueError(

@@ -216,16 +216,24 @@ class ModbusTcpLink(_ModbusLink):
 
     def plaintext_refusal(self, host: str) -> str:
         """Message why plain Modbus must not use this address; empty: it may, or `host` is an unresolved name."""
-        try:
-            routable = ip_address(host.partition("%")[0]).is_global
-        except ValueError:
-            return ""
-        if not routable or self.tls is not None or self.allow_plaintext_remote:
-            return ""
-        return (
-            f"host {self.host} is the routable address {host}: everybody on the route can write the voltage by plain "
-            "Modbus; set tls, or set allow_plaintext_remote: true"
-        )
+        allowed = self.tls is not None or self.allow_plaintext_remote
+        remedy = "set tls, or set allow_plaintext_remote: true"
+        return "" if allowed or not _is_routable(host) else _plaintext_refusal(self.host, host, remedy)
+
+
+def _is_routable(address: str) -> bool:
+    """Whether an address is one of the public network; False for a name."""
+    try:
+        return ip_address(address.partition("%")[0]).is_global
+    except ValueError:
+        return False
+
+
+def _plaintext_refusal(name: str, address: str, remedy: str) -> str:
+    return (
+        f"host {name} is the routable address {address}: everybody on the route can write the voltage by plain "
+        f"Modbus; {remedy}"
+    )
 
 
 class _SerialPort(Section):
@@ -249,6 +257,38 @@ class ModbusRtuLink(_ModbusLink, _SerialPort):
     kind: Literal["modbus_rtu"]
     unit_id: Annotated[int, Field(ge=1, le=247)] = 1
     silent_interval: Literal["characters", "fixed"] = "characters"
+
+
+class RtuOverTcpLink(_ModbusLink):
+    """Modbus RTU frames over TCP: a serial gateway passes each byte on.
+
+    `baudrate` is that of the line behind the gateway. It limits the rate of the ticks, and determines how long a late
+    reply is possible.
+    """
+
+    kind: Literal["rtu_over_tcp"]
+    unit_id: Annotated[int, Field(ge=1, le=247)] = 1
+    host: HostName
+    port: Annotated[int, Field(ge=1, le=65535)]
+    connect_timeout_s: Annotated[float, Field(gt=0, le=10)] = 1.0
+    baudrate: Annotated[int, Field(ge=300, le=12_000_000)] = 115200
+    silent_interval: Literal["characters", "fixed"] = "characters"
+    allow_plaintext_remote: bool = False
+    tls: ClassVar[None] = None
+    bits_per_character: ClassVar[int] = 11
+    """Start bit, eight data bits, parity and stop bit, or two stop bits: MODBUS over Serial Line 1.02, 2.5.1."""
+
+    @model_validator(mode="after")
+    def _plain_modbus_needs_a_local_host(self) -> Self:
+        if message := self.plaintext_refusal(self.host):
+            raise ValueError(message)
+        return self
+
+    def plaintext_refusal(self, host: str) -> str:
+        """Message why plain Modbus must not use this address; empty: it may, or `host` is an unresolved name."""
+        if self.allow_plaintext_remote or not _is_routable(host):
+            return ""
+        return _plaintext_refusal(self.host, host, "set allow_plaintext_remote: true")
 
 
 class LineCommand(Section):
@@ -286,4 +326,5 @@ class SerialLineLink(_SerialPort):
         return reply is not None and f"(?P<{group.get(role, role)}>" in reply
 
 
-LinkConfig = Annotated[ModbusTcpLink | ModbusRtuLink | SerialLineLink, Field(discriminator="kind")]
+AnyLink = ModbusTcpLink | ModbusRtuLink | RtuOverTcpLink | SerialLineLink
+LinkConfig = Annotated[AnyLink, Field(discriminator="kind")]

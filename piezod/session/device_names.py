@@ -11,7 +11,7 @@ import stat
 from ipaddress import ip_address
 from pathlib import Path
 
-from piezod.config.link import LinkConfig, ModbusTcpLink
+from piezod.config.link import LinkConfig, ModbusTcpLink, RtuOverTcpLink
 from piezod.runtime import sockets
 
 THIS_MACHINE = "this-machine"
@@ -26,6 +26,8 @@ def device_names(link: LinkConfig) -> tuple[str, ...]:
     link
         Section `link` of the bench configuration.
     """
+    if isinstance(link, RtuOverTcpLink):  # a gateway has one line, whatever the unit: one program may drive it
+        return tuple(f"gateway {address} {link.port}" for address in sorted(_addresses(link.host, link.port)))
     if not isinstance(link, ModbusTcpLink):
         return (f"serial {_serial_device(link.port)}",)
     unit = _ANY_UNIT[0] if link.unit_id in _ANY_UNIT else link.unit_id

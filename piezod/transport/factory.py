@@ -1,6 +1,6 @@
 """Creation of a link from the `link` section of a bench configuration."""
 
-from piezod.config.link import LinkConfig, ModbusRtuLink, ModbusTcpLink, SerialLineLink
+from piezod.config.link import LinkConfig, ModbusRtuLink, ModbusTcpLink, RtuOverTcpLink, SerialLineLink
 from piezod.transport.line_template import LineTemplate
 from piezod.transport.link import Link
 from piezod.transport.modbus import ModbusLink
@@ -56,6 +56,6 @@ def check_encodable(link: LinkConfig, low_V: float, high_V: float) -> None:
 def _single(config: LinkConfig) -> Link:
     if isinstance(config, ModbusTcpLink):
         return ModbusLink(config, TcpWire(config))
-    if isinstance(config, ModbusRtuLink):
+    if isinstance(config, ModbusRtuLink | RtuOverTcpLink):
         return ModbusLink(config, RtuWire(config))
     return SerialLineDevice(config)

@@ -3,7 +3,7 @@
 from math import inf
 from typing import NoReturn
 
-from piezod.config.link import READ_WRITE, ModbusRtuLink, ModbusTcpLink, Register, Registers
+from piezod.config.link import READ_WRITE, ModbusRtuLink, ModbusTcpLink, Register, Registers, RtuOverTcpLink
 from piezod.errors import BusyError, ConfigurationError, TemporaryError, UnreachableError
 from piezod.runtime import clock
 from piezod.transport.frames import Request, read_request, read_write_request, write_request
@@ -60,7 +60,7 @@ class ModbusLink:
     )
     output_confirmed = False  # one device: the result of the exchange says it
 
-    def __init__(self, config: ModbusTcpLink | ModbusRtuLink, wire: Wire) -> None:
+    def __init__(self, config: ModbusTcpLink | ModbusRtuLink | RtuOverTcpLink, wire: Wire) -> None:
         self._wire, self._unit, self._timeout_s = wire, config.unit_id, config.timeout_s
         self._registers: Registers = config.registers
         self._guard = RegisterGuard(wire, config.unit_id, config.registers)

@@ -1,4 +1,4 @@
-"""Modbus RTU over a serial port; frames have no number, so every byte and the checksum are compared.
+"""Modbus RTU over a serial port or a gateway; frames have no number, so every byte and the checksum are compared.
 
     frame:   [ unit ][ function | data ][ CRC, low byte first ]
     bytes:   [  1   ][    1     |  n   ][         2           ]
@@ -7,11 +7,12 @@
 Bytes that do not match the expected reply are collected until the line is silent, classified and discarded.
 """
 
-from piezod.config.link import ModbusRtuLink
+from piezod.config.link import ModbusRtuLink, RtuOverTcpLink
 from piezod.runtime import clock
 from piezod.transport.frames import CRC_BYTES, Framing, Request, classify, crc16
 from piezod.transport.link import ExchangeResult
 from piezod.transport.serial_port import RECEIVE_BYTES, SerialPort
+from piezod.transport.tcp_port import TcpPort
 from piezod.transport.wire_rate import gap_s
 
 QUIET_S = 0.004  # above the gap of 1.75 ms between frames; adapters deliver bytes in groups
@@ -30,7 +31,7 @@ class RtuWire:
     Parameters
     ----------
     config
-        Port, character format, unit and time limits.
+        Port or gateway, character format, unit and time limits.
     """
 
     __slots__ = (
@@ -46,9 +47,9 @@ class RtuWire:
     )
     framing: Framing = "rtu"
 
-    def __init__(self, config: ModbusRtuLink) -> None:
+    def __init__(self, config: ModbusRtuLink | RtuOverTcpLink) -> None:
         self._config = config
-        self._port = SerialPort(config)
+        self._port: SerialPort | TcpPort = SerialPort(config) if isinstance(config, ModbusRtuLink) else TcpPort(config)
         self._gap_s = gap_s(config)
         self._quiet_s = 0.0
         self._bad_crc_in_a_row = 0
@@ -60,7 +61,10 @@ class RtuWire:
     @property
     def description(self) -> str:
         """Kind and address of the link, for messages."""
-        return f"modbus_rtu {self._config.port} {self._config.baudrate} baud unit {self._config.unit_id}"
+        config = self._config
+        if isinstance(config, RtuOverTcpLink):
+            return f"rtu_over_tcp {config.host}:{config.port} unit {config.unit_id}"
+        return f"modbus_rtu {config.port} {config.baudrate} baud unit {config.unit_id}"
 
     @property
     def generation(self) -> int:
@@ -81,9 +85,9 @@ class RtuWire:
         """Close the port until the next `open`."""
         self._port.close()
 
-    def ensure_open(self, deadline_s: float) -> ExchangeResult:  # noqa: ARG002 - a port opens at once
+    def ensure_open(self, deadline_s: float) -> ExchangeResult:
         """Reopen the port if necessary; DISCONNECTED while a late reply is possible."""
-        return self._port.ensure_open()
+        return self._port.ensure_open(deadline_s)
 
     def transact(self, request: Request, deadline_s: float) -> ExchangeResult:
         """Send `request` and receive the reply into `payload`."""

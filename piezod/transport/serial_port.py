@@ -8,6 +8,7 @@ import contextlib
 import os
 import select
 import termios
+from math import inf
 from pathlib import Path
 
 import serial
@@ -90,7 +91,7 @@ class SerialPort:
         self._shall_be_open = False
         self._not_before_s = self._settled_at_s = 0.0
 
-    def ensure_open(self) -> ExchangeResult:
+    def ensure_open(self, deadline_s: float = inf) -> ExchangeResult:  # noqa: ARG002 - a port opens at once
         """Reopen the port if necessary; DISCONNECTED while it is missing or a late reply is possible."""
         now_s = clock.monotonic()
         if self._serial is None:

@@ -7,7 +7,7 @@ import socket
 import ssl
 from typing import Any
 
-from piezod.config.link import ModbusTcpLink
+from piezod.config.link import ModbusTcpLink, RtuOverTcpLink
 from piezod.errors import PiezodError, UnreachableError
 from piezod.runtime import clock, sockets
 from piezod.transport.tls import REFUSAL_S as TLS_REFUSAL_S
@@ -16,10 +16,11 @@ from piezod.transport.tls import TlsStream, tls_error
 REFUSAL_S = 0.01  # a device with a single client closes a second connection within this time
 
 Connection = socket.socket | TlsStream
+TcpLink = ModbusTcpLink | RtuOverTcpLink
 Address = Any  # tuple whose members depend on the address family
 
 
-def resolve(config: ModbusTcpLink) -> list[Any]:
+def resolve(config: TcpLink) -> list[Any]:
     """Addresses of the host, as `socket.getaddrinfo` returns them.
 
     Raises
@@ -37,7 +38,7 @@ def resolve(config: ModbusTcpLink) -> list[Any]:
 
 
 def connect(
-    config: ModbusTcpLink, family: int, address: Address, context: ssl.SSLContext | None, deadline_s: float
+    config: TcpLink, family: int, address: Address, context: ssl.SSLContext | None, deadline_s: float
 ) -> Connection:
     """Open a non-blocking connection.
 
@@ -107,10 +108,10 @@ def is_turned_away(connection: Connection, waiter: "select.poll | TlsStream") ->
     return bool(waiter.poll(1e3 * REFUSAL_S)) and not connection.recv(1, socket.MSG_PEEK)
 
 
-def connection_error(config: ModbusTcpLink, error: OSError) -> PiezodError:
+def connection_error(config: TcpLink, error: OSError) -> PiezodError:
     """Convert a failure of `connect` into an error with cause and remedy."""
     where = f"link: {config.host}:{config.port}"
-    if (refused := tls_error(config, error)) is not None:
+    if isinstance(config, ModbusTcpLink) and (refused := tls_error(config, error)) is not None:
         return refused
     if isinstance(error, ConnectionRefusedError):
         return UnreachableError(f"{where} refused the connection: is the device on, and the port right?")

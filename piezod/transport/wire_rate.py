@@ -1,6 +1,6 @@
 """The highest tick rate of a serial line."""
 
-from piezod.config.link import LinkConfig, ModbusRtuLink, ModbusTcpLink, Register, SerialLineLink
+from piezod.config.link import LinkConfig, ModbusRtuLink, ModbusTcpLink, Register, RtuOverTcpLink, SerialLineLink
 
 GAP_CHARACTERS = 3.5  # silence between two RTU frames: MODBUS over Serial Line 1.02, 2.5.1.1
 FIXED_GAP_S = 0.00175  # alternative above 19200 baud, same section
@@ -14,21 +14,21 @@ def max_wire_rate_Hz(config: LinkConfig) -> float | None:
     """Highest tick rate of the wire [Hz] if the device answers without delay; None: TCP has no such limit."""
     if isinstance(config, ModbusTcpLink):
         return None
-    if isinstance(config, ModbusRtuLink):
+    if isinstance(config, ModbusRtuLink | RtuOverTcpLink):
         characters, gaps = _rtu_characters(config)
         return 1.0 / (characters * config.bits_per_character / config.baudrate + gaps * gap_s(config))
     characters = _line_characters(config)
     return config.baudrate / (characters * config.bits_per_character) if characters else None
 
 
-def gap_s(config: ModbusRtuLink) -> float:
+def gap_s(config: ModbusRtuLink | RtuOverTcpLink) -> float:
     """Silence at the end of a frame [s]."""
     if config.silent_interval == "fixed" and config.baudrate > 19200:
         return FIXED_GAP_S
     return GAP_CHARACTERS * config.bits_per_character / config.baudrate
 
 
-def _rtu_characters(config: ModbusRtuLink) -> tuple[int, int]:
+def _rtu_characters(config: ModbusRtuLink | RtuOverTcpLink) -> tuple[int, int]:
     """Number of characters and of gaps in one tick."""
     writes, reads = list(config.registers.tick_writes().values()), list(config.registers.tick_reads().values())
     written, read = _span_bytes(writes), _span_bytes(reads)

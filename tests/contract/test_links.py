@@ -10,8 +10,17 @@ import pytest
 from piezod.errors import ConfigurationError
 from piezod.transport import ExchangeResult, Link, Reading, make_link, verify_identity
 from tests.benches.in_process_link import InProcessLink
-from tests.unit.transport.conftest import WIRES, connected, line_config, rtu_config, tcp_config
-from tests.unit.transport.scripted import Bench, ScriptedLine, ScriptedPty, ScriptedTcp, registers, snapshot, until_good
+from tests.unit.transport.conftest import WIRES, connected, gateway_config, line_config, rtu_config, tcp_config
+from tests.unit.transport.scripted import (
+    Bench,
+    ScriptedGateway,
+    ScriptedLine,
+    ScriptedPty,
+    ScriptedTcp,
+    registers,
+    snapshot,
+    until_good,
+)
 
 
 class InProcessDevice:
@@ -82,6 +91,8 @@ LINKS = {
     "tcp, functions 16 and 4": lambda: modbus(ScriptedTcp, tcp_config, 16, 4),
     "rtu, function 23": lambda: modbus(ScriptedPty, rtu_config, 23, 23),
     "rtu, functions 16 and 3": lambda: modbus(ScriptedPty, rtu_config, 16, 3),
+    "gateway, function 23": lambda: modbus(ScriptedGateway, gateway_config, 23, 23),
+    "gateway, functions 16 and 3": lambda: modbus(ScriptedGateway, gateway_config, 16, 3),
     "lines": by_lines,
     "lines and tcp": pair,
     "in process": in_process,

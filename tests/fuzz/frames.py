@@ -156,7 +156,7 @@ class ScriptedPort(SerialPort):
         super().__init__(config)
         self.script = script
 
-    def ensure_open(self) -> ExchangeResult:
+    def ensure_open(self, deadline_s: float = 0.0) -> ExchangeResult:
         return OK
 
     def wait(self, deadline_s: float) -> bool:

@@ -22,7 +22,7 @@ REFUSED = [
     ("port: 15020", "port: 0400", "link.port is '0400', must be a whole number"),
     ("rate_Hz: 1000", "rate_Hz: 1000\nrate_Hz: 2000", "key 'rate_Hz' appears twice, first on line"),
     ("kind: triangle", "kind: triangel", "reference.kind is 'triangel', must be one of 'triangle'"),
-    ("kind: modbus_tcp", "kind: modbus", "must be one of 'modbus_tcp', 'modbus_rtu', 'serial_line'"),
+    ("kind: modbus_tcp", "kind: modbus", "must be one of 'modbus_tcp', 'modbus_rtu', 'rtu_over_tcp'"),
     ("unit: N, low", "unit: kN, low", "force.unit is 'kN', must be 'N'; convert with scale and offset"),
     ("  voltage_max_V: 140.0\n", "", "limits.voltage_max_V is missing"),
     ("voltage_min_V: 0.0 ", "voltage_min_V: 150.0 ", "voltage_min_V is 150, must be below voltage_max_V, 140"),

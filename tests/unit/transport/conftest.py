@@ -4,9 +4,9 @@ import contextlib
 
 import pytest
 
-from piezod.config.link import ModbusRtuLink, ModbusTcpLink, SerialLineLink
+from piezod.config.link import ModbusRtuLink, ModbusTcpLink, RtuOverTcpLink, SerialLineLink
 from piezod.transport import make_link
-from tests.unit.transport.scripted import LINE, ScriptedLine, ScriptedPty, ScriptedTcp, registers
+from tests.unit.transport.scripted import LINE, ScriptedGateway, ScriptedLine, ScriptedPty, ScriptedTcp, registers
 
 TIMEOUT_S = 0.2  # a machine that is busy answers within this time
 BAUDRATE = 921600
@@ -28,12 +28,21 @@ def rtu_config(port, **more):
     return ModbusRtuLink.model_validate(fields | more)
 
 
+def gateway_config(port, **more):
+    fields = {"kind": "rtu_over_tcp", "host": "127.0.0.1", "port": port, "baudrate": BAUDRATE, "timeout_s": TIMEOUT_S}
+    return RtuOverTcpLink.model_validate(fields | {"registers": registers()} | more)
+
+
 def line_config(port, **more):
     fields = {"kind": "serial_line", "port": port, "baudrate": BAUDRATE, "timeout_s": TIMEOUT_S}
     return SerialLineLink.model_validate(fields | LINE | more)
 
 
-MODBUS_WIRES = {"tcp": (ScriptedTcp, tcp_config), "rtu": (ScriptedPty, rtu_config)}
+MODBUS_WIRES = {
+    "tcp": (ScriptedTcp, tcp_config),
+    "rtu": (ScriptedPty, rtu_config),
+    "gateway": (ScriptedGateway, gateway_config),
+}
 WIRES = MODBUS_WIRES | {"line": (ScriptedLine, line_config)}
 
 
@@ -71,6 +80,12 @@ def tcp():
 def rtu():
     """A link over a pty after one valid exchange, and its scripted device."""
     yield from _after_one_exchange("rtu")
+
+
+@pytest.fixture
+def gateway():
+    """A link to a serial gateway after one valid exchange, and its scripted device."""
+    yield from _after_one_exchange("gateway")
 
 
 @pytest.fixture

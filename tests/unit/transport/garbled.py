@@ -3,7 +3,7 @@
 The body of a reply is unit, function and data, the same on both wires::
 
     tcp   [ transaction, protocol, length: 6 bytes ][ body ]
-    rtu                                             [ body ][ CRC: 2 bytes ]
+    rtu, gateway                                    [ body ][ CRC: 2 bytes ]
 """
 
 import struct
@@ -17,7 +17,7 @@ def with_body(wire, change):
     """Change the body, and correct length or checksum."""
 
     def changed(reply):
-        if wire == "rtu":
+        if wire != "tcp":
             return [crc(change(reply[:-2]))]
         body = change(reply[6:])
         return [reply[:4] + struct.pack(">H", len(body)) + body]

@@ -230,6 +230,30 @@ class ScriptedPty(_Scripted):
         os.write(self.master, data)
 
 
+class ScriptedGateway(ScriptedTcp):
+    """A serial gateway: RTU frames over TCP, one client at a time; what a client has not read is lost with it."""
+
+    good = ScriptedPty.good
+    whole = ScriptedPty.whole
+
+    def _serve_client(self, connection):
+        waiting = b""
+        while not self._stop.is_set():
+            if not select.select([connection], [], [], 0.02)[0]:
+                continue
+            data = connection.recv(4096)
+            if not data:
+                return
+            waiting += data
+            while size := self.whole(waiting):
+                frame, waiting = waiting[:size], waiting[size:]
+                done = self._reply(frame, connection.sendall)
+                if done == RESET:
+                    connection.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+                if done:
+                    return
+
+
 class ScriptedLine(ScriptedPty):
     """A device with the commands `SET 1.000`, `GET`, `ID` and `DOG 100`."""
 

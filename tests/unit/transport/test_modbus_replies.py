@@ -46,6 +46,12 @@ FRAMES = {
     ("rtu", "noise before"): (lambda reply: [b"\xff\x00", reply], ExchangeResult.BAD_CRC),
     ("rtu", "half a reply"): (lambda reply: [reply[:9]], ExchangeResult.TIMEOUT),
     ("rtu", "no reply"): (lambda _reply: [], ExchangeResult.TIMEOUT),
+    ("gateway", "a bit flipped"): (garbled.bit_flipped, ExchangeResult.BAD_CRC),
+    ("gateway", "half a reply"): (lambda reply: [reply[:9]], ExchangeResult.TIMEOUT),
+    ("gateway", "no reply"): (lambda _reply: [], ExchangeResult.TIMEOUT),
+    ("gateway", "half a reply, then closed"): (lambda reply: [reply[:9], CLOSE], ExchangeResult.DISCONNECTED),
+    ("gateway", "closed"): (lambda _reply: [CLOSE], ExchangeResult.DISCONNECTED),
+    ("gateway", "reset"): (lambda _reply: [RESET], ExchangeResult.DISCONNECTED),
 }
 GARBLED = FRAMES | {
     (wire, name): (garbled.with_body(wire, change), result)
@@ -75,7 +81,7 @@ def test_a_reply_in_single_bytes_is_accepted(request, wire):
     assert link.reading.force_N == 6.0
 
 
-@pytest.mark.parametrize(("wire", "delay"), [("tcp", 1.3), ("rtu", 1.2), ("rtu", 1.6), ("rtu", 1.9)])
+@pytest.mark.parametrize(("wire", "delay"), [("tcp", 1.3), ("rtu", 1.2), ("rtu", 1.6), ("rtu", 1.9), ("gateway", 1.6)])
 def test_a_late_reply_is_never_used_for_the_next_request(wire, delay):
     with connected(wire, registers=registers(without=UNNUMBERED)) as (link, server):
         server.once(lambda frame: [delay * TIMEOUT_S, server.good(frame)])
@@ -93,6 +99,7 @@ def test_a_late_reply_is_never_used_for_the_next_request(wire, delay):
     [
         ("tcp", 23, {ExchangeResult.WRONG_TRANSACTION}),
         ("rtu", 23, {ExchangeResult.ECHO_MISMATCH}),
+        ("gateway", 23, {ExchangeResult.ECHO_MISMATCH}),
         ("rtu", 16, {ExchangeResult.ECHO_MISMATCH, ExchangeResult.WRONG_FUNCTION, ExchangeResult.WRONG_COUNT}),
     ],
 )
