@@ -96,13 +96,21 @@ def init(
     force_trip: Annotated[float | None, typer.Option(metavar="N", help="Force above which the bench trips.")] = None,
     yes: Annotated[bool, typer.Option("--yes", "-y", help="Ask nothing: the profile gives all other values.")] = False,
     probe: Annotated[bool, typer.Option(help="Check whether the device answers; only reads.")] = True,
+    discover: Annotated[
+        bool, typer.Option("--discover", help="Only list serial ports and the Modbus device at --host; only reads.")
+    ] = False,
     force: Annotated[bool, typer.Option("--force", help="Replace an existing file.")] = False,
     as_json: JsonOption = False,
 ) -> None:
     """Make a commented bench file from a device profile and a few answers."""
     from piezod.commissioning.init import Answers, draft_bench, list_profiles, probe_device, write_bench
+    from piezod.commissioning.init import discover as discovered
     from piezod.commissioning.wizard import ask_missing
 
+    if discover:
+        found = discovered(host, port, unit_id)
+        print(json.dumps({"schema": "piezod.discover/1", "found": found}, indent=2) if as_json else "\n".join(found))
+        return
     if output.exists() and not force:
         raise UsageError(f"{output} already exists; name another file with -o, or replace it with --force")
     answers = Answers(name, host, port, unit_id, serial, load_cell_host, rate, voltage_max, force_trip)

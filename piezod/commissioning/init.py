@@ -11,10 +11,10 @@ from pathlib import Path
 from piezod.commissioning.shipped_files import shipped
 from piezod.config import BenchConfig, Document, bench_of, read_document, replace_values
 from piezod.config.bench import SCHEMA
-from piezod.config.link import ModbusTcpLink
+from piezod.config.link import PLAIN_PORT, ModbusRtuLink, ModbusTcpLink, RtuOverTcpLink, SerialLineLink
 from piezod.errors import ConfigurationError, PiezodError, UsageError
 from piezod.session.assembly import opened_link
-from piezod.transport.probe import modbus_name
+from piezod.transport.probe import SILENT, modbus_name, rtu_name, serial_ports
 
 
 @dataclass(frozen=True)
@@ -103,7 +103,7 @@ def draft_bench(profile: str, answers: Answers, path: Path) -> BenchDraft:
 
 def _changes(bench: BenchConfig, answers: Answers) -> Mapping[tuple[str, ...], str | float | int]:
     """Answers by the path of the key that they change."""
-    modbus_tcp = isinstance(bench.link, ModbusTcpLink)
+    modbus_tcp = isinstance(bench.link, ModbusTcpLink | RtuOverTcpLink)
     places: tuple[tuple[str, tuple[str, ...], bool], ...] = (
         ("name", ("name",), True),
         ("rate_Hz", ("rate_Hz",), True),
@@ -128,12 +128,12 @@ def _changes(bench: BenchConfig, answers: Answers) -> Mapping[tuple[str, ...], s
 
 
 def probe_device(bench: BenchConfig) -> list[str]:
-    """Read the identity of the device and return lines that describe it; nothing is written."""
+    """Read the identity of the device and return lines that describe it; writes no register."""
     lines = []
     link = bench.link
-    if isinstance(link, ModbusTcpLink) and link.tls is None:
-        name = modbus_name(link.host, link.port, link.unit_id)
-        lines.append(f"{link.host}:{link.port}: {name or 'nobody answers; is it switched on, is the address right?'}")
+    if not isinstance(link, SerialLineLink) and (where := _where(link)):
+        name = _name_of(link)
+        lines.append(f"{where}: {name or 'nobody answers; is it switched on, is the address right?'}")
         if not name:
             return lines
     try:
@@ -142,6 +142,45 @@ def probe_device(bench: BenchConfig) -> list[str]:
     except PiezodError as error:
         lines.append(f"not as the profile expects: {error}")
     return lines
+
+
+def _where(link: ModbusTcpLink | ModbusRtuLink | RtuOverTcpLink) -> str:
+    """Address of a Modbus device whose name can be read; empty with TLS."""
+    if isinstance(link, ModbusRtuLink):
+        return link.port
+    return "" if link.tls is not None else f"{link.host}:{link.port}"
+
+
+def _name_of(link: ModbusTcpLink | ModbusRtuLink | RtuOverTcpLink) -> str:
+    """Name of a Modbus device by function 43/14; empty: no device answers."""
+    if isinstance(link, ModbusRtuLink):
+        return rtu_name(link)
+    return modbus_name(link.host, link.port, link.unit_id, rtu=isinstance(link, RtuOverTcpLink))
+
+
+def discover(host: str | None, port: int | None, unit_id: int | None) -> list[str]:
+    """Lines that list the serial ports of this machine, and the Modbus device at an address, which is only read.
+
+    A serial port gets no request: it could disturb the device behind it.
+
+    Parameters
+    ----------
+    host, port, unit_id
+        Address of a device, read with TCP and with RTU frames; None: none, 502, and 1.
+    """
+    found = serial_ports()
+    lines = [f"serial port {one.path}: {one.description}" for one in found] or ["no serial port was found"]
+    if host is None:
+        return lines
+    number, unit = PLAIN_PORT if port is None else port, 1 if unit_id is None else unit_id
+    for kind, rtu in (("modbus_tcp", False), ("rtu_over_tcp", True)):
+        name = modbus_name(host, number, unit, rtu=rtu)
+        if name and name != SILENT:
+            return [*lines, f"{kind} {host}:{number} unit {unit}: {name}"]
+    return [
+        *lines,
+        f"{host}:{number} unit {unit}: {name or 'nobody answers; is it switched on, is the address right?'}",
+    ]
 
 
 def write_bench(draft: BenchDraft, *, force: bool) -> None:

@@ -1,4 +1,4 @@
-"""Limits of a bench file that suit the pauses of this machine, as measured by `piezod latency`."""
+"""Limits of a bench file for the pauses of this machine, as measured by `piezod latency`."""
 
 import math
 from collections.abc import Sequence

@@ -7,7 +7,7 @@ import typer
 from piezod.commissioning.init import Answers, list_profiles
 from piezod.commissioning.shipped_files import shipped
 from piezod.config import load_bench
-from piezod.config.link import ModbusTcpLink
+from piezod.config.link import ModbusTcpLink, RtuOverTcpLink
 from piezod.transport.probe import serial_ports
 
 
@@ -36,7 +36,7 @@ def ask_missing(profile: str | None, given: Answers) -> tuple[str, Answers]:
     bench = load_bench(shipped(f"{profile}.yaml"))
     answers = replace(given, name=given.name or typer.prompt("name of the bench", default=bench.name))
     link = bench.link
-    if isinstance(link, ModbusTcpLink):
+    if isinstance(link, ModbusTcpLink | RtuOverTcpLink):
         answers = replace(
             answers,
             host=given.host or typer.prompt("address of the device", default=link.host),

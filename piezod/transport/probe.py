@@ -1,13 +1,18 @@
-"""Search for devices before a bench file exists: serial ports, and the name of a Modbus TCP device."""
+"""Search for devices before a bench file exists: serial ports, and the name of a Modbus device."""
 
 import logging
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
-from pymodbus import ModbusException
-from pymodbus.client import ModbusTcpClient
+from pymodbus import FramerType, ModbusException
+from pymodbus.client import ModbusSerialClient, ModbusTcpClient
 from serial.tools import list_ports
 
+from piezod.config.link import ModbusRtuLink
+from piezod.transport.port_names import port_kind
+
+SILENT = "a device that does not answer to function 43"
 BY_ID = Path("/dev/serial/by-id")  # persistent names by udev, independent of other adapters
 
 
@@ -30,11 +35,18 @@ def serial_ports(by_id: Path = BY_ID) -> list[FoundPort]:
     persistent = {str(link.resolve()): str(link) for link in sorted(by_id.iterdir())} if by_id.is_dir() else {}
     found = {port.device: port.description for port in list_ports.comports()}
     devices = sorted({*persistent, *found})
-    return [FoundPort(persistent.get(device, device), found.get(device) or device) for device in devices]
+    return [FoundPort(persistent.get(device, device), _described(device, found.get(device))) for device in devices]
 
 
-def modbus_name(host: str, port: int, unit_id: int, timeout_s: float = 1.0) -> str:
-    """Name of a Modbus TCP device by function 43/14, or a text that it has none; empty: no device answers.
+def _described(device: str, description: str | None) -> str:
+    """Description by the adapter, else the kind of port by its name."""
+    if description and description not in ("n/a", Path(device).name):
+        return description
+    return port_kind(device) or device
+
+
+def modbus_name(host: str, port: int, unit_id: int, timeout_s: float = 1.0, *, rtu: bool = False) -> str:
+    """Name of a device on the network by function 43/14, or a text that it has none; empty: no device answers.
 
     Parameters
     ----------
@@ -42,15 +54,44 @@ def modbus_name(host: str, port: int, unit_id: int, timeout_s: float = 1.0) -> s
         Address of the device.
     timeout_s
         Time limit for the connection and for the reply [s].
+    rtu
+        Whether a serial gateway expects RTU frames.
     """
+    framer = FramerType.RTU if rtu else FramerType.SOCKET
+    return _name(ModbusTcpClient(host, port=port, timeout=timeout_s, retries=0, framer=framer), unit_id)
+
+
+def rtu_name(link: ModbusRtuLink, timeout_s: float = 1.0) -> str:
+    """Name of a device on a serial line, as `modbus_name`.
+
+    Parameters
+    ----------
+    link
+        Port, character format and unit.
+    timeout_s
+        Time limit for the reply [s].
+    """
+    client = ModbusSerialClient(
+        link.port,
+        baudrate=link.baudrate,
+        bytesize=link.bytesize,
+        parity=link.parity,
+        stopbits=link.stopbits,
+        timeout=timeout_s,
+        retries=0,
+    )
+    return _name(client, link.unit_id)
+
+
+def _name(client: ModbusTcpClient | ModbusSerialClient, unit_id: int) -> str:
     logging.getLogger("pymodbus").setLevel(logging.CRITICAL)  # a missing device is a normal result, not an error
-    with ModbusTcpClient(host, port=port, timeout=timeout_s, retries=0) as client:
+    with client:
         if not client.connected:
             return ""
         try:
-            answer = client.read_device_information(device_id=unit_id)
+            answer: Any = client.read_device_information(device_id=unit_id)
         except ModbusException:
-            return "a device that does not answer to function 43"
+            return SILENT
     if answer.isError():
         return "a device without a name (it does not know function 43)"
     words = [text.decode("utf-8", "replace").strip() for _, text in sorted(answer.information.items())]

@@ -17,6 +17,7 @@ from piezod.config.link import ModbusRtuLink, SerialLineLink
 from piezod.errors import BusyError, PiezodError, UnreachableError
 from piezod.runtime import clock, descriptors, processes, sockets
 from piezod.transport.link import ExchangeResult
+from piezod.transport.port_names import missing_port_remedy
 
 REOPEN_S = 0.05  # shortest time between two attempts to open a missing port
 RECEIVE_BYTES = 1024  # several frames of the maximum length
@@ -202,7 +203,7 @@ def _explain(port: str, error: BaseException) -> PiezodError:
         holder = _holder(port)
         return BusyError(f"link: {port} is held by {holder}: stop it first" if holder else f"link: {port} is in use")
     if number == 2 or not Path(port).exists():
-        return UnreachableError(f"link: {port} does not exist: is the adapter plugged in? ls /dev/serial/by-id")
+        return UnreachableError(f"link: {port} does not exist: {missing_port_remedy(port)}")
     if number == 13:
         return UnreachableError(f"link: {port}: permission denied: add this user to the port's group, often dialout")
     return UnreachableError(f"link: {port} cannot be opened: {error}")

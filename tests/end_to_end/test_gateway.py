@@ -6,6 +6,7 @@ import time
 
 import pytest
 import yaml
+from pymodbus import ModbusDeviceIdentification
 from pymodbus.framer import FramerType
 from pymodbus.server import ModbusTcpServer
 from pymodbus.simulator import DataType, SimData, SimDevice
@@ -15,6 +16,7 @@ from piezod.config.link import RtuOverTcpLink
 from piezod.errors import UnreachableError
 from piezod.session.device_names import device_names
 from piezod.transport import ExchangeResult, make_link, max_wire_rate_Hz, verify_identity
+from piezod.transport.probe import modbus_name, rtu_name
 from tests.benches.emulator import bench_file, emulator, piezod
 from tests.benches.gateway import Gateway
 
@@ -118,9 +120,11 @@ def test_the_rtu_server_of_pymodbus_answers():
     """FramerType.RTU over TCP, as pymodbus serves it."""
     started, ready = {}, threading.Event()
 
+    identity = ModbusDeviceIdentification(info_name={"VendorName": "Maker", "ProductCode": "GW-1"})
+
     async def serve():
         device = SimDevice(1, simdata=[SimData(0, values=[20570], count=200, datatype=DataType.REGISTERS)])
-        server = ModbusTcpServer(device, framer=FramerType.RTU, address=("127.0.0.1", 0))
+        server = ModbusTcpServer(device, framer=FramerType.RTU, address=("127.0.0.1", 0), identity=identity)
         started.update(loop=asyncio.get_running_loop(), server=server)
         await server.serve_forever(background=True)
         started["port"] = server.transport.sockets[0].getsockname()[1]
@@ -136,7 +140,29 @@ def test_the_rtu_server_of_pymodbus_answers():
     try:
         assert link.read_register("identity") == 20570
         link.identify()
+        link.close()  # the server has one client at a time, as a gateway has
+        assert modbus_name("127.0.0.1", started["port"], 1, rtu=True).startswith("Maker GW-1")
     finally:
         link.close()
         asyncio.run_coroutine_threadsafe(started["server"].shutdown(), started["loop"]).result(10)
         thread.join(10)
+
+
+def test_the_device_behind_a_gateway_is_discovered_by_its_frames(bench):
+    _, gateway = bench
+    done = piezod("init", "--discover", "--host", "127.0.0.1", "--port", gateway.tcp_port)
+    assert done.returncode == 0, done.stderr
+    assert f"rtu_over_tcp 127.0.0.1:{gateway.tcp_port} unit 1: a device without a name" in done.stdout
+
+
+def test_a_device_with_tcp_frames_is_discovered_by_its_frames():
+    with emulator("--port", "0") as serves:
+        host, _, port = serves["tcp"].rpartition(":")
+        done = piezod("init", "--discover", "--host", host, "--port", port, "--json")
+    assert f"modbus_tcp {host}:{port} unit 1: a device without a name" in done.stdout
+
+
+def test_a_device_on_a_serial_line_answers(tmp_path):
+    with emulator("--port", "0", "--rtu") as serves:
+        link = load_bench(bench_file(tmp_path, serves)).link
+        assert rtu_name(link) == "a device without a name (it does not know function 43)"
