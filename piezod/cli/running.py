@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from piezod.cli.colour import print_coloured
 from piezod.cli.root import ConfigArgument, DaemonArgument, JsonOption, SocketOption, WaitOption, app, print_next
 from piezod.errors import UsageError
 
@@ -41,9 +42,15 @@ def status(config: DaemonArgument = None, socket: SocketOption = None, as_json: 
     """Print the state of the running daemon."""
     from piezod.daemon.client import command_and_wait, find_socket
     from piezod.daemon.status import status_text
+    from piezod.report.next_step import after_status
 
     answer = command_and_wait(find_socket(config, socket), "status", wait=False)
-    print(json.dumps(answer, indent=2) if as_json else status_text(answer))
+    step = after_status(answer)
+    if as_json:
+        print(json.dumps(answer | {"next_step": step.as_dict()}, indent=2))
+        return
+    print_coloured(status_text(answer))
+    print_next(step)
 
 
 @app.command(epilog="Example: piezod arm config/bench.yaml")
@@ -108,7 +115,7 @@ def _command_daemon(
     if as_json:
         print(json.dumps(answer, indent=2))
     else:
-        print(status_text(answer) if complete else answer["message"])
+        print_coloured(status_text(answer) if complete else answer["message"])
     raise typer.Exit(1 if complete and answer["state"] not in wanted else 0)
 
 

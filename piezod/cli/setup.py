@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from piezod.cli.colour import print_coloured
 from piezod.cli.root import ConfigArgument, JsonOption, app, print_next
 from piezod.errors import UsageError
 
@@ -41,7 +42,7 @@ def check(
         print(json.dumps([result.__dict__ for result in checks], indent=2))
     else:
         for result in checks:
-            print(
+            print_coloured(
                 f"{result.level:4}  {result.name}: {result.found}" + (f" -> {result.remedy}" if result.remedy else "")
             )
         print_next(_after_check(config, [result.name for result in checks if result.level == "FAIL"]))

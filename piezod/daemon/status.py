@@ -1,5 +1,6 @@
 """The status of the daemon: as the JSON object that its socket sends, and as the text of `piezod status`."""
 
+from math import hypot
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -128,7 +129,7 @@ def status_text(status: dict[str, Any]) -> str:
     if known:
         lines.append("  " + ", ".join(known))
     lines.append(
-        f"  {status['ticks']} ticks at {status['rate_Hz']:g} Hz, {status['missed']} missed, "
+        f"  {status['ticks']} ticks at {status['rate_Hz']:g} Hz, {missed_text(status)} missed, "
         f"{status['failed_exchanges']} failed exchanges; up {status['up_s']:.0f} s"
     )
     if status.get("corrected_force_N") is not None and status["force_N"] is not None:
@@ -150,6 +151,18 @@ def status_text(status: dict[str, Any]) -> str:
     if recorder := status.get("recorder"):
         lines.append(f"  {_recorder_text(recorder)}")
     return "\n".join(lines)
+
+
+def missed_text(status: dict[str, Any]) -> str:
+    """Number of missed ticks, with their share of the ticks that were due.
+
+    Parameters
+    ----------
+    status
+        Status as `status_dict` makes it.
+    """
+    missed, due = status["missed"], status["missed"] + status["ticks"]
+    return f"{missed} ({100.0 * missed / due:.2g} %)" if missed else "0"
 
 
 def _state_text(status: dict[str, Any]) -> str:
@@ -187,7 +200,8 @@ def _learning_text(learning: dict[str, Any]) -> str:
 def _drift_text(drift: dict[str, Any]) -> str:
     if drift["rms_N"] is None:
         return f"model: nothing compared yet, limit {drift['limit_N']:.2f} N"
-    found = f"{drift['rms_N']:.2f} N rms, {drift['offset_N']:+.2f} N in the mean"
+    whole_N = hypot(drift["rms_N"], drift["offset_N"])  # `rms_N` is about the mean
+    found = f"{whole_N:.2f} N rms, {drift['offset_N']:+.2f} N in the mean"
     problem = f" ({drift['problem']})" if drift["problem"] else ""
     if drift["drifted"]:
         return f"model: DRIFTED; {found}; recorded in {drift['kept']}{problem}; see piezod diagnose --from-bench"

@@ -465,6 +465,26 @@ def after_demo(*, passed: bool) -> NextStep:
     )
 
 
+def after_status(status: dict[str, Any]) -> NextStep:
+    """Step for the state of the daemon.
+
+    Parameters
+    ----------
+    status
+        Status that the daemon sends.
+    """
+    config = Path(status["config"])
+    if not status["connected"]:
+        return NextStep("the daemon connects again by itself; check the device", (command("check", config),))
+    if status["state"] == "FAULT":
+        return after_report(LATER, fault=status["cause"], drifted=False, config=config)
+    if (status.get("drift") or {}).get("drifted"):
+        return after_report(LATER, fault="", drifted=True, config=config)
+    if status["state"] == "DISARMED":
+        return NextStep("arm the bench when nobody is in its way", (command("arm", config),))
+    return NextStep("watch it, or ramp down", (command("watch", config), command("disarm", config)))
+
+
 def after_run(config: Path, recordings: Path | None, *, fault: str, drifted: bool) -> NextStep:
     """Step after the end of `piezod run --arm`.
 

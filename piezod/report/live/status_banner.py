@@ -3,6 +3,7 @@
 import html
 import time
 from collections.abc import Iterable
+from math import hypot
 from pathlib import Path
 
 import numpy as np
@@ -27,6 +28,8 @@ _SYMBOLS = {
     State.RUNNING.name: "\N{BLACK RIGHT-POINTING TRIANGLE}",
 }
 _LAST_EVENTS = 8
+FEW_MISSED = 1e-4
+"""Share of missed ticks that a machine may have: `piezod latency` calls such a rate held."""
 
 INK_CSS = ":host { color: #1b1d20; }"  # for paper: in the dark the page inverts its parts
 
@@ -42,6 +45,8 @@ BANNER_CSS = """
 .values { display: grid; grid-template-columns: repeat(auto-fit, minmax(132px, 1fr)); gap: 8px; margin-top: 10px; }
 .values div { background: #f5f6f7; border-radius: 6px; padding: 5px 10px; }
 .values span { display: block; color: #555; font-size: 12px; }
+.values .warn { background: #fff1d0; box-shadow: inset 4px 0 #e69f00; }
+.values .bad { background: #fde3d6; box-shadow: inset 4px 0 #b84e00; } .values .bad b { color: #8f3c00; }
 .values b { font-size: 16px; font-variant-numeric: tabular-nums; white-space: nowrap; }
 """
 
@@ -102,7 +107,10 @@ def banner_html(feed: Feed) -> str:
     if remedy:
         text += f"<p class='remedy'>{html.escape(remedy)}</p>"
     symbol = f"<div class='symbol' style='background:{_COLOURS[state]}'>{_SYMBOLS.get(state, '')}</div>"
-    values = "".join(f"<div><span>{name}</span><b>{html.escape(value)}</b></div>" for name, value in _values(feed))
+    values = "".join(
+        f"<div class='value {kind}'><span>{name}</span><b>{html.escape(value)}</b></div>"
+        for name, value, kind in (*_values(feed), *_judged(feed))
+    )
     return f"{about_html(feed)}<div class='banner'>{symbol}<div>{text}</div></div><div class='values'>{values}</div>"
 
 
@@ -129,7 +137,8 @@ def _lasting(time_s: float) -> str:
     return f"{int(time_s)} s"
 
 
-def _values(feed: Feed) -> Iterable[tuple[str, str]]:
+def _values(feed: Feed) -> Iterable[tuple[str, str, str]]:
+    """Name, value and class of the present values."""
     row = None if feed.stale else feed.last
 
     def text(column: str, unit: str) -> str:
@@ -137,26 +146,51 @@ def _values(feed: Feed) -> Iterable[tuple[str, str]]:
             return "-"
         return f"{round(float(row[column]), 2) + 0.0:.2f} {unit}"
 
-    yield "force", text("force_N", "N")
-    yield "reference", text("reference_N", "N")
-    yield "voltage", text("voltage_V", "V")
+    stale = "bad" if feed.stale else ""
+    yield "force", text("force_N", "N"), stale
+    yield "reference", text("reference_N", "N"), stale
+    yield "voltage", text("voltage_V", "V"), stale
     if feed.bench.has_role("voltage_readback"):
-        yield "read back", text("readback_V", "V")
+        yield "read back", text("readback_V", "V"), stale
     if feed.bench.has_role("temperature"):
-        yield "temperature", text("temperature_C", "\N{DEGREE SIGN}C")
+        yield "temperature", text("temperature_C", "\N{DEGREE SIGN}C"), stale
     status = feed.status
     if status is None:
         return
-    yield "ticks missed", f"{_short(status['missed'])} of {_short(status['ticks'])}"
-    yield "exchanges failed", str(status["failed_exchanges"])
-    if recorder := status.get("recorder"):
-        yield "ticks recorded", "DEGRADED" if recorder["degraded"] else _short(recorder["rows"])
     learning = status.get("learning")
     if learning and learning["rms_N"] is not None:
         yield (
             f"error, pass {learning['passes']}",
             f"{learning['first_N']:.2f} \N{RIGHTWARDS ARROW} {learning['rms_N']:.2f} N",
+            "",
         )
+
+
+def _judged(feed: Feed) -> Iterable[tuple[str, str, str]]:
+    """Name, value and class of the counts that can be bad: empty, `warn` or `bad`."""
+    status = feed.status
+    if status is None:
+        return
+    missed, due = status["missed"], status["missed"] + status["ticks"]
+    share = missed / due if due else 0.0
+    text = f"{_short(missed)} of {_short(due)}" + (f", {100.0 * share:.2g} %" if missed else "")
+    yield "ticks missed", text, _kind(share > 0.0, share > FEW_MISSED)
+    failed = status["failed_exchanges"]
+    yield "exchanges failed", str(failed), _kind(failed > 0, failed > FEW_MISSED * due)
+    if recorder := status.get("recorder"):
+        degraded = bool(recorder["degraded"])
+        yield "ticks recorded", "DEGRADED" if degraded else _short(recorder["rows"]), _kind(degraded, degraded)
+    drift = status.get("drift")
+    if drift and drift["rms_N"] is not None:
+        whole_N = hypot(drift["rms_N"], drift["offset_N"])
+        drifted = bool(drift["drifted"])
+        outside = bool(drift.get("outside"))
+        state = "DRIFTED" if drifted else "not compared" if outside else "holds"
+        yield "model", f"{state}, {whole_N:.2f} N rms", _kind(outside, drifted)
+
+
+def _kind(warn: bool, bad: bool) -> str:
+    return "bad" if bad else "warn" if warn else ""
 
 
 def _short(count: int) -> str:

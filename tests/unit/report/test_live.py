@@ -203,3 +203,45 @@ def test_a_short_or_readable_token_is_refused(tmp_path, text, mode, says):
         path.chmod(mode)
     with pytest.raises(ConfigurationError, match=says):
         read_token(path)
+
+
+def status(**more):
+    daemon = {"version": "1", "up_s": 60.0, "model": None, "connected": True, "problem": ""}
+    return daemon | {"ticks": 99_990, "missed": 0, "failed_exchanges": 0} | more
+
+
+@pytest.mark.parametrize(
+    ("missed", "kind", "words"),
+    [
+        (0, "value ", "0 of 100.0 k"),
+        (9, "value warn", "9 of 100.0 k, 0.009 %"),
+        (900, "value bad", "900 of 100.9 k, 0.89 %"),
+    ],
+)
+def test_the_share_of_missed_ticks_has_a_colour(bench, missed, kind, words):
+    feed = Feed(bench)
+    feed.set_status(status(missed=missed), "")
+    assert f"<div class='{kind}'><span>ticks missed</span><b>{words}</b>" in banner_html(feed)
+
+
+@pytest.mark.parametrize(
+    ("drifted", "outside", "kind", "words"),
+    [(True, "", "bad", "DRIFTED"), (False, "", "", "holds"), (False, "another input", "warn", "not compared")],
+)
+def test_a_bench_that_has_left_its_model_is_red(bench, drifted, outside, kind, words):
+    feed = Feed(bench)
+    drift = {"drifted": drifted, "rms_N": 0.3, "offset_N": -0.4, "limit_N": 0.2, "outside": outside}
+    feed.set_status(status(drift=drift), "")
+    assert f"<div class='value {kind}'><span>model</span><b>{words}, 0.50 N rms</b>" in banner_html(feed)
+
+
+def test_stale_values_are_marked(bench):
+    now_s = [100.0]
+    log = ring_of(bench, rows_of(3, force_N=12.34))
+    feed = Feed(bench, lambda: now_s[0])
+    feed.update()
+    assert "<div class='value '><span>force</span>" in banner_html(feed)
+    now_s[0] += 5.0
+    feed.update()
+    assert "<div class='value bad'><span>force</span>" in banner_html(feed)
+    log.close()

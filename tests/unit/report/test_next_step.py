@@ -77,6 +77,12 @@ ALL = [
     steps.after_demo(passed=True),
     steps.after_demo(passed=False),
     steps.after_run(BENCH, None, fault="", drifted=True),
+    steps.after_status({"config": str(BENCH), "connected": False}),
+    *(
+        steps.after_status({"config": str(BENCH), "connected": True, "cause": "x", "state": state, "drift": drift})
+        for state in ("FAULT", "DISARMED", "RUNNING")
+        for drift in (None, {"drifted": True})
+    ),
 ]
 
 
@@ -137,6 +143,11 @@ def test_a_running_bench_is_disarmed_before_its_model_changes():
 def test_an_open_rival_leads_to_the_planned_drive():
     assert any("--next" in line for line in after(findings("explained", (DELAY,))).commands)
     assert not any("--next" in line for line in after(findings("explained", (STEP,))).commands)
+
+
+def test_a_drift_leads_to_the_recording_that_the_daemon_kept():
+    state = {"config": str(BENCH), "connected": True, "cause": "", "state": "RUNNING", "drift": {"drifted": True}}
+    assert steps.after_status(state).commands == (f"piezod diagnose --from-bench {BENCH} -o diagnosis",)
 
 
 def test_a_model_worse_than_none_is_not_driven():
