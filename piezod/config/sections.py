@@ -89,7 +89,7 @@ class DriftConfig(Section):
     window_s: Annotated[float, Field(ge=1, le=3600)] = 10.0
     beyond_N: Annotated[float, Field(gt=0)] | None = None
     false_alarm_days: Annotated[float, Field(ge=1, le=36500)] = 365.0
-    tolerance: Annotated[float, Field(ge=0, le=10)] = 0.02
+    tolerance: Annotated[float, Field(ge=0, le=10)] = 0.05
     keep_s: Annotated[float, Field(ge=10, le=3600)] = 120.0
     file: str | None = None
     blocks: str | None = None

@@ -10,6 +10,7 @@ from pathlib import Path
 from tests.studies import (
     archive,
     compensation,
+    drift_alarm,
     effects_compensated,
     flexure,
     learning,
@@ -63,6 +64,9 @@ def main() -> None:
         studies.add_parser("real_recordings", help="measured recordings of other machines, beside simulation")
     )
     nulls.add_options(studies.add_parser("nulls", help="identified models on benches with nothing wrong in them"))
+    drift_alarm.add_options(
+        studies.add_parser("drift_alarm", help="false alarms and delay of the drift watch, simulated days")
+    )
     soak.add_options(studies.add_parser("soak", help="a long run of the daemon on a busy machine, beside cyclictest"))
     load.add_options(
         studies.add_parser("load", help="the daemon with clients, live page, recorder and MQTT, and alone")
