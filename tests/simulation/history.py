@@ -1,0 +1,536 @@
+"""One history: the service on the simulated machine, what happens to it, and what must always hold."""
+
+import contextlib
+import itertools
+import json
+import math
+import os
+import signal
+import struct
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import yaml
+
+from piezod.control import RingReader, State
+from piezod.daemon.client import Client
+from piezod.daemon.run import run_foreground
+from piezod.daemon.stop_path import urge
+from piezod.errors import PiezodError
+from piezod.recorder.messages import MessageReader, Plan, report_sender
+from piezod.recorder.ring_recorder import RingRecorder
+from piezod.recorder.writer import run as run_recorder
+from tests.simulation import amplifier as judged
+from tests.simulation.amplifier import Amplifier
+from tests.simulation.installed import install, new_process_of_the_daemon
+from tests.simulation.machine import BOOTED_NS, SECOND, Machine, Process, Thread
+from tests.simulation.network import Network
+from tests.simulation.sockets import Kernel
+from tests.simulation.spawning import Spawning
+
+ROOT = Path(__file__).parents[2]
+BENCH = ROOT / "config" / "bench.yaml"
+PORT = 15020
+SLEW_V_PER_S = 800.0
+RAMP_DOWN_V_PER_S = 200.0
+COMM_LOSS_S, WATCHDOG_S = 0.4, 0.2
+MACHINE_S = 0.3  # for a command on its way through the processes
+REST_WITHIN_S = 140.0 / RAMP_DOWN_V_PER_S + COMM_LOSS_S + WATCHDOG_S + MACHINE_S
+TRIP_MARGIN_N = 25.0  # noise, and the force that is left on the stack at 0 V
+TRIPPED_WITHIN_S = 0.5
+LOOK_S = 0.02
+SENT_EVERY_S = 0.01
+ENDS_WITHIN_S = 15.0  # from SIGTERM to the end of every process of the service
+DRIVEN = (State.ARMING, State.RUNNING, State.HOLD, State.RAMP_DOWN)
+
+
+class History:
+    """A service, its bench and its clients; `run` returns the violations.
+
+    Parameters
+    ----------
+    plan
+        Settings and events.
+    folder
+        Empty folder, on a file system in memory.
+    trace
+        Called with each line of the history; None: not traced.
+    """
+
+    def __init__(self, plan, folder, trace=None):
+        self.plan, self.folder = plan, folder
+        self.machine = machine = Machine(plan.seed)
+        machine.trace, machine.folder = trace, str(folder)
+        machine.least_latency_ns, machine.spread_ns = plan.latency_ns
+        self.kernel = Kernel(machine)
+        self.spawning = Spawning(machine, self.kernel)
+        self.spawning.modules["piezod.recorder.writer"] = record
+        install(machine, self.kernel, self.spawning, folder)
+        self.amplifier = Amplifier(machine, plan.seed % 97, slew_V_per_s=SLEW_V_PER_S, dt_s=1 / plan.rate_Hz)
+        self.network = Network(machine, self.amplifier)
+        self.kernel.hosts[PORT] = self.network
+        self.path = folder / "bench.yaml"
+        self.text = self.write_bench()
+        self.service = None
+        self.operator = Process(machine, "operator")
+        self.operator.start(lambda: machine.sleep(1e6))  # its clients are threads of their own
+        self.violations = []
+        self.rest_due = None
+        self.arms = 0  # commands on their way
+        self.trip_in_file_N, self.trip_N = 360.0, 360.0
+        self.excused = set()
+        self.sending_N, self.sequence = None, 0
+        self.answers = []
+
+    # the bench file -----------------------------------------------------------------------------------------------
+
+    def write_bench(self):
+        plan, folder = self.plan, self.folder
+        content = yaml.safe_load(BENCH.read_text(encoding="utf-8"))
+        for role in ("virtual_time", "virtual_tick_us"):
+            del content["link"]["registers"][role]
+        reference = {"kind": "sine", "amplitude_N": 40, "offset_N": 120, "frequency_Hz": 1.0}
+        if plan.reference == "stream":
+            reference = {"kind": "stream", "listen": str(folder / "stream"), "stale_after_s": 0.2,
+                         "when_stale": "ramp_down"}  # fmt: skip
+        content |= {
+            "rate_Hz": plan.rate_Hz,
+            "model": str(ROOT / "config" / "model.yaml"),
+            "reference": reference,
+            "daemon": {"ring_log": str(folder / "ring"), "ring_seconds": 10},
+            "real_time": {"fifo_priority": 0, "lock_memory": False, "hold_cpu_latency": False},
+            "drift": None,
+        }
+        if plan.recorder:
+            content["recorder"] = {"folder": str(folder / "recordings"), "sync_every_s": 0.5}
+        content["link"] |= {"timeout_s": 0.8 / plan.rate_Hz, "heartbeat_within_s": 0.005, "port": PORT}
+        content["limits"] |= {
+            "comm_loss_ms": round(1e3 * COMM_LOSS_S), "device_watchdog_ms": round(1e3 * WATCHDOG_S),
+            "stale_after_ms": 30,
+            "slew_V_per_s": SLEW_V_PER_S, "readback_trip_ms": 50, "force_rate_trip_N_per_s": 5000.0,
+            "arming_timeout_s": 2.0, "ramp_down_V_per_s": RAMP_DOWN_V_PER_S,
+        }  # fmt: skip
+        content["arming"] |= {"reset_cycle": False, "voltage_V_per_s": 400.0}
+        content["arming"]["sign_check"] = {"step_V": 2.0, "rise_N": 1.0, "settle_s": 0.05}
+        text = yaml.safe_dump(content)
+        self.path.write_text(text, encoding="utf-8")
+        cold = {"power_W": 0.0, "time_s": 1e-9 * (self.machine.now_ns + self.machine.wall_offset_ns)}
+        (folder / "ring.heat").write_text(json.dumps(cold), encoding="ascii")
+        return text
+
+    def write_trip(self, trip_N):
+        content = yaml.safe_load(self.text)
+        content["limits"]["force_trip_N"] = trip_N
+        self.path.write_text(yaml.safe_dump(content), encoding="utf-8")
+        self.trip_in_file_N = trip_N
+
+    # the course ---------------------------------------------------------------------------------------------------
+
+    def run(self):
+        """Run to the end of the plan, then end the service; the violations, each (kind, time [s], text)."""
+        machine, plan = self.machine, self.plan
+        self.start()
+        for event in plan.events:
+            machine.at(BOOTED_NS + round(event.time_s * SECOND), lambda event=event: self.happen(event))
+        machine.after(0, self.look)
+        machine.after(0, self.send_on)
+        machine.run(BOOTED_NS + round(plan.seconds * SECOND))
+        self.finish()
+        for name, thread, error in machine.failures:
+            self.violations.append(("exception", machine.time_s, f"{name}/{thread}: {type(error).__name__}: {error}"))
+        return self.violations
+
+    def finish(self):
+        """End the service, and look whether everything has ended."""
+        machine = self.machine
+        self.heal()
+        machine.note("finish")
+        if self.alive:
+            self.expect_rest("SIGTERM at the end")
+            self.service.stopped_until_ns = 0
+            self.service.signal(signal.SIGTERM)
+        end_ns = machine.now_ns + round(ENDS_WITHIN_S * SECOND)
+        while machine.now_ns < end_ns and any(p.alive for p in machine.processes if p is not self.operator):
+            machine.run(machine.now_ns + SECOND // 10)
+        left = [process.name for process in machine.processes if process.alive and process is not self.operator]
+        if left:
+            self.violate("end", f"{', '.join(left)} still run {ENDS_WITHIN_S:g} s after the end")
+        self.judge()
+
+    @property
+    def alive(self):
+        return self.service is not None and self.service.alive
+
+    @property
+    def control(self):
+        """The control process of the present service; None without one."""
+        found = [p for p in self.machine.processes if p.alive and p.name == "enter_control_process"]
+        return found[-1] if found else None
+
+    def violate(self, kind, text, time_s=None):
+        if kind not in {one[0] for one in self.violations}:
+            self.violations.append((kind, self.machine.time_s if time_s is None else time_s, text))
+            self.machine.note("VIOLATION", kind, text)
+
+    def start(self):
+        """Start the service, as `piezod run` does."""
+        if self.alive:
+            return
+        new_process_of_the_daemon()
+        self.service = Process(self.machine, "daemon")
+
+        def run():
+            self.machine.sleep(self.spawning.start_s())
+            self.trip_N = self.trip_in_file_N
+            try:
+                code = run_foreground(self.path, arm=False).exit_code
+            except PiezodError as error:
+                self.machine.note("service", "ends with", error)
+                code = error.exit_code
+            sys.exit(code)
+
+        self.service.start(run)
+
+    # what holds ---------------------------------------------------------------------------------------------------
+
+    def look(self):
+        self.judge()
+        self.machine.after(round(LOOK_S * SECOND), self.look)
+
+    def state(self):
+        """State in the last row of the ring log; None while no control process runs."""
+        if self.control is None:
+            return None
+        try:
+            reader = RingReader(self.folder / "ring")
+        except PiezodError:
+            return None
+        waiting = reader.waiting
+        if not waiting:
+            return None
+        reader.seek(waiting - 1)
+        rows = reader.read()
+        return State(int(rows["state"][-1])) if rows.size else None
+
+    def judge(self):
+        """Judge the physics until now, and what is due."""
+        amplifier, machine = self.amplifier, self.machine
+        amplifier.catch_up()
+        judge = amplifier.judge
+        judge[judged.TRIP] = self.trip_N + TRIP_MARGIN_N
+        judge[judged.MOST_OVER] = TRIPPED_WITHIN_S / amplifier.bench.step_s
+        at_rest = judge[judged.REST_STEP] >= 0
+        judge[judged.JUDGES_FORCE] = float(not self.excused)
+        for kind, time_s, text in amplifier.violations():
+            if kind == "slew" and "foreign" in self.excused:
+                judge[judged.SLEW_STEP] = -1
+                judge[judged.RISING] = judge[judged.FALLING] = 0.0
+                continue
+            if kind == "arm" and "foreign" in self.excused:
+                judge[judged.DRIVE_STEP] = -1
+                continue
+            self.violate(kind, text, time_s)
+        if at_rest and not self.arms and (judge[judged.MAY_DRIVE] or self.excused) and self.state() not in DRIVEN:
+            judge[judged.MAY_DRIVE] = 0.0
+            self.excused -= {"foreign"}
+        if self.rest_due is not None:
+            due_ns, reason = self.rest_due
+            if "writes" in self.excused or "foreign" in self.excused:
+                self.rest_due = (machine.now_ns + round(REST_WITHIN_S * SECOND), reason)
+            elif at_rest:
+                self.rest_due = None
+            elif machine.now_ns > due_ns:
+                self.violate("rest", f"output {amplifier.bench.output_V:.2f} V {REST_WITHIN_S:.2f} s after {reason}")
+                self.rest_due = None
+
+    def expect_rest(self, reason, more_s=0.0):
+        if self.rest_due is None:
+            self.rest_due = (self.machine.now_ns + round((REST_WITHIN_S + more_s) * SECOND), reason)
+
+    # events -------------------------------------------------------------------------------------------------------
+
+    def happen(self, event):
+        self.machine.note("event", event.name, *event.arguments)
+        getattr(self, event.name)(*event.arguments)
+
+    def ask(self, command, sends=None):
+        """A client sends a command; its answer is noted."""
+        machine = self.machine
+
+        def talk():
+            begun_ns = machine.now_ns
+            try:
+                client = Client(self.folder / "ring.sock")
+                try:
+                    answer = client.ask(command)
+                finally:
+                    client.close()
+                text = str(answer.get("message") or answer.get("state"))
+                good = True
+            except PiezodError as error:
+                text, good = f"{type(error).__name__}: {error}", False
+            if command == "arm":
+                self.arms -= 1
+            if command == "reload":
+                self.reloaded(good)
+            machine.note("answer", command, machine.now_ns - begun_ns, text)
+            self.answers.append((machine.time_s, command, text))
+            if sends is not None:
+                sends(good, text)
+
+        Thread(self.operator, talk, command)
+
+    def arm(self):
+        self.arms += 1
+        self.rest_due = None
+        self.amplifier.catch_up()
+        self.amplifier.judge[judged.MAY_DRIVE] = 1.0
+        self.ask("arm")
+
+    def disarm(self):
+        self._end("disarm")
+
+    def stop(self):
+        self._end("stop")
+
+    def _end(self, command):
+        if self.alive:
+            self.expect_rest(command, self._held_s())
+        self.ask(command, lambda good, text: self._refused(command, good))
+
+    def _refused(self, command, good):
+        """A command that did not reach the service asks for nothing."""
+        if not good and self.rest_due is not None and self.rest_due[1] == command:
+            self.rest_due = None
+
+    def _held_s(self):
+        """Time that processes stand still at least [s]."""
+        now_ns = self.machine.now_ns
+        held = [self.machine.stalled_until_ns - now_ns]
+        return 1e-9 * max(0, *held) + (2.0 if self.alive and self.service.stopped_until_ns else 0.0)
+
+    def urge(self, command):
+        if self.alive:
+            self.expect_rest(f"{command} at the stop socket", self._held_s())
+
+        def talk():
+            try:
+                text = urge(self.folder / "ring.sock.stop", command, 2.0)
+            except PiezodError as error:
+                text = f"{type(error).__name__}: {error}"
+            self.machine.note("answer", "urge", command, text)
+
+        Thread(self.operator, talk, "urge")
+
+    def reset(self):
+        self.ask("reset")
+
+    def status(self):
+        self.ask("status")
+
+    def reload(self, trip_N, by_signal):
+        self.trip_N = max(self.trip_N, trip_N)
+        self.write_trip(trip_N)
+        if by_signal:
+            if self.alive and self.service.handlers.get(int(signal.SIGHUP)):
+                self.trip_N = math.inf  # its answer is in the log only
+                self.service.signal(signal.SIGHUP)
+        else:
+            self.ask("reload")
+
+    def reloaded(self, good):
+        if good and self.trip_N < math.inf:
+            self.trip_N = self.trip_in_file_N
+
+    def reload_broken(self, text, by_signal):
+        self.path.write_text(text, encoding="utf-8")
+        if by_signal:
+            if self.alive and self.service.handlers.get(int(signal.SIGHUP)):
+                self.service.signal(signal.SIGHUP)
+        else:
+            self.ask("reload", lambda good, _: self.violate("reload", f"{text!r} was accepted") if good else None)
+        self.machine.after(SECOND, lambda: self.write_trip(self.trip_in_file_N))
+
+    def strangers(self, count, kind):
+        sends = (b"", b'{"command": "sta', b'{"command": "status"}\n' * 20, b"[" * 3000)[kind]
+
+        def talk():
+            with contextlib.suppress(OSError):
+                client = self.kernel.socket(1, 1)
+                client.settimeout(0.5)
+                client.connect(str(self.folder / "ring.sock"))
+                client.sendall(sends)
+                self.machine.sleep(1.0)
+                client.close()
+
+        for _ in range(count):
+            Thread(self.operator, talk, "stranger")
+
+    def signal_service(self, name, times):
+        if self.alive and self.service.handlers.get(int(getattr(signal, name))):
+            self.expect_rest(name, self._held_s())
+            for _ in range(times):
+                if self.alive:
+                    self.service.signal(getattr(signal, name))
+
+    def kill_service(self):
+        if self.alive:
+            self.expect_rest("SIGKILL of the service")
+            self.service.signal(signal.SIGKILL)
+
+    def kill_control(self):
+        if self.control is not None and "writes" not in self.excused and self.amplifier.device.watchdog_ms != 0:
+            self.expect_rest("SIGKILL of the control process")
+            self.control.signal(signal.SIGKILL)
+
+    def kill_all(self):
+        """Both processes of the service end at once, as in a power cut of the machine."""
+        self.expect_rest("SIGKILL of all")
+        for process in (self.control, self.service):
+            if process is not None and process.alive:
+                process.signal(signal.SIGKILL)
+
+    def pause_control(self, for_s):
+        if self.control is not None:
+            self._pause(self.control, for_s)
+
+    def pause_service(self, for_s):
+        if self.alive:
+            self._pause(self.service, for_s)
+
+    def _pause(self, process, for_s):
+        process.signal(signal.SIGSTOP)
+        self.machine.after(round(for_s * SECOND), lambda: process.alive and process.signal(signal.SIGCONT))
+
+    def stall(self, for_s):
+        self.machine.stalled_until_ns = max(self.machine.stalled_until_ns, self.machine.now_ns + round(for_s * SECOND))
+
+    def wall_clock(self, by_s):
+        self.machine.wall_offset_ns += round(by_s * SECOND)
+
+    def false_reading(self, kind, value, count):
+        self.excused.add("reading")
+        device, seen = self.amplifier.device, itertools.count(1)
+        first = device.sample()
+
+        def fault(sample):
+            if count and next(seen) > count:
+                return sample
+            return FALSE[kind](sample, value, first)
+
+        device.reading_fault = fault
+
+    def refusal(self, code, count):
+        self.amplifier.refusal = (code, count)
+
+    def ignored_writes(self):
+        self.excused |= {"writes", "foreign"}
+        self.amplifier.device.ignores_writes = True
+
+    def restart_device(self):
+        if self.control is None:
+            return  # only the watchdog of the device is left, and it would be lost too
+        self.network.reset()
+        self.amplifier.device.reading_fault = None
+        self.amplifier.device.restart()
+
+    def watchdog(self, milliseconds):
+        if self.state() in DRIVEN:
+            self.amplifier.catch_up()
+            self.amplifier.device.write(110, [milliseconds])
+
+    def other_master(self, above_V, times):
+        if self.state() not in DRIVEN:
+            return
+        self.excused.add("foreign")
+        for number in range(times):
+            self.machine.after(number * 2_000_000, lambda: self.amplifier.device.write_as_other(above_V))
+
+    def trip_amplifier(self):
+        self.amplifier.catch_up()
+        self.amplifier.judge[judged.EXCUSED] = 1e6
+        self.amplifier.bench.set_fault(8)
+
+    def wire(self, fault, way, count, size_ms):
+        self.network.rules.append([fault, way, count, size_ms])
+
+    def cut(self, for_s):
+        self.network.cut = True
+        self.machine.after(round(for_s * SECOND), lambda: setattr(self.network, "cut", False))
+
+    def refuse_connections(self, for_s):
+        self.network.refuses = True
+        self.network.reset()
+        self.machine.after(round(for_s * SECOND), lambda: setattr(self.network, "refuses", False))
+
+    def heal(self):
+        """End every fault of device and wire."""
+        amplifier, network = self.amplifier, self.network
+        network.rules.clear()
+        network.cut = network.refuses = False
+        amplifier.refusal = (0, 0)
+        amplifier.device.reading_fault = None
+        amplifier.catch_up()
+        if amplifier.device.ignores_writes:
+            amplifier.device.ignores_writes = False
+        if amplifier.bench._state["fault_bits"][0]:
+            amplifier.bench._state["command_V"] = 0.0
+            amplifier.bench.set_fault(0)
+        self.machine.after(SECOND, lambda: self.excused.difference_update({"reading", "writes"}))
+
+    def remove_files(self, name):
+        with contextlib.suppress(OSError):
+            (self.folder / name).unlink()
+
+    # the reference ------------------------------------------------------------------------------------------------
+
+    def stream(self, value_N):
+        self.sending_N = value_N
+
+    def stream_ends(self):
+        self.sending_N = None
+
+    def send_on(self):
+        if self.sending_N is not None:
+            self._datagram(self.sending_N)
+        self.machine.after(round(SENT_EVERY_S * SECOND), self.send_on)
+
+    def datagram(self, value_N, sequence):
+        self._datagram(value_N, None if sequence < 0 else sequence)
+
+    def _datagram(self, value_N, sequence=None):
+        if sequence is None:
+            self.sequence += 1
+            sequence = self.sequence
+        self._deliver(struct.pack("<QQd", sequence, self.machine.now_ns + self.machine.wall_offset_ns, value_N))
+
+    def junk(self, size, times):
+        for _ in range(times):
+            self._deliver(self.machine.random.randbytes(size))
+
+    def _deliver(self, body):
+        with contextlib.suppress(OSError):
+            status = os.lstat(self.folder / "stream")
+            target = self.kernel.paths.get((status.st_dev, status.st_ino))
+            if target is not None:
+                target.arrive(body)
+
+
+FALSE = {
+    "force": lambda sample, value, _: replace(sample, force_N=value),
+    "offset": lambda sample, value, _: replace(sample, force_N=sample.force_N + value),
+    "reversed": lambda sample, _value, _first: replace(sample, force_N=-sample.force_N),
+    "gain": lambda sample, value, _: replace(sample, force_N=sample.force_N * value),
+    "stuck": lambda sample, _value, first: replace(sample, force_N=first.force_N),
+    "frozen": lambda _sample, _value, first: first,
+    "heartbeat_stuck": lambda sample, _value, first: replace(sample, heartbeat=first.heartbeat),
+    "readback": lambda sample, value, _: replace(sample, voltage_readback_V=value),
+    "nan": lambda sample, _value, _first: replace(sample, force_N=math.nan),
+}
+
+
+def record(plan, reader, writer):
+    """The recorder process, as `python -m piezod.recorder.writer` runs it."""
+    settings = Plan(**plan)
+    run_recorder(RingRecorder(settings), MessageReader(reader), report_sender(writer), settings.sync_every_s)

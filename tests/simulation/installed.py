@@ -1,0 +1,43 @@
+"""Puts the simulated machine behind `piezod/runtime/`, for the rest of this process."""
+
+import asyncio
+import contextlib
+
+from piezod.daemon import journal
+from piezod.runtime import chance, clock, descriptors, processes, signals, sockets, threads
+from piezod.session import control_process, lock
+from tests.simulation.event_loop import SimPolicy
+from tests.simulation.spawning import SimCondition, SimThread
+
+
+def install(machine, kernel, spawning, folder):
+    """Replace every name of the door; there is no way back."""
+    clock.monotonic = lambda: 1e-9 * machine.look_ns()
+    clock.monotonic_ns = clock.boot_ns = clock.perf_counter_ns = machine.look_ns
+    clock.process_time = lambda: 1e-9 * machine.look_ns()
+    clock.wall_ns = lambda: machine.look_ns() + machine.wall_offset_ns
+    clock.wall_s = lambda: 1e-9 * clock.wall_ns()
+    clock.sleep = machine.sleep
+    sockets.socket, sockets.getaddrinfo = kernel.socket, kernel.getaddrinfo
+    sockets.poll, sockets.select, sockets.DefaultSelector = kernel.poll, kernel.select, kernel.selector
+    for name in ("open_file", "close", "read", "write", "pipe", "set_blocking"):
+        setattr(descriptors, name, getattr(kernel, name))
+    for name in ("number", "pid_descriptor", "send_signal", "passed_descriptor", "end_with_parent", "start_module"):
+        setattr(processes, name, getattr(spawning, name))
+    processes.spawn_context = spawning.context
+    signals.handle = spawning.handle
+    SimThread.machine = SimCondition.machine = machine
+    threads.Thread, threads.Condition = SimThread, SimCondition
+    chance.below = lambda limit: int(machine.chance.random() * limit)
+    chance.token = lambda size: f"{machine.chance.getrandbits(8 * size):0{2 * size}x}"
+    asyncio.set_event_loop_policy(SimPolicy(kernel, spawning))
+    lock.DEVICE_LOCKS = folder / "locks"
+    lock.DEVICE_LOCKS.mkdir()
+    # a process of its own has its rights, its size and its journal: here several share this one
+    control_process.real_time = lambda _: contextlib.nullcontext()
+    control_process._resident_kib = lambda: 0
+
+
+def new_process_of_the_daemon():
+    """What a new process finds: a journal without lines and without a thread."""
+    journal.JOURNAL.__init__()

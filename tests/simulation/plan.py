@@ -1,0 +1,121 @@
+"""What happens in a history: settings and events, drawn from its seed.
+
+A swarm: each seed draws which kinds of events are possible at all, and how often they come, so that rare combinations
+meet. The list is complete before the history begins. A failing history can therefore be repeated with fewer events.
+"""
+
+import random
+from dataclasses import dataclass, field, replace
+
+COMMANDS = ("arm", "disarm", "stop", "reset", "status")
+SETTLED_S = 2.0  # at the end of a history nothing new happens
+
+
+@dataclass(frozen=True)
+class Event:
+    """Something that happens at a time [s]."""
+
+    time_s: float
+    name: str
+    arguments: tuple = ()
+
+    def __str__(self):
+        return f"{self.time_s:9.4f} s  {self.name} {' '.join(map(str, self.arguments))}".rstrip()
+
+
+@dataclass(frozen=True)
+class Plan:
+    """Settings of the bench and the machine, and the events in their order."""
+
+    seed: int
+    seconds: float
+    rate_Hz: int = 200
+    reference: str = "sine"
+    recorder: bool = False
+    latency_ns: tuple = (20_000, 30_000)
+    events: tuple = field(default=())
+
+    def without(self, numbers):
+        """The same without the events of some numbers."""
+        return replace(self, events=tuple(event for n, event in enumerate(self.events) if n not in numbers))
+
+
+def _pick(choices):
+    return lambda rng: (rng.choice(choices),)
+
+
+# the weight of an event, and the function that draws its arguments
+KINDS = {
+    "disarm": (2, lambda rng: ()),
+    "stop": (2, lambda rng: ()),
+    "urge": (1, _pick(("stop", "disarm"))),
+    "reset": (2, lambda rng: ()),
+    "status": (1, lambda rng: ()),
+    "reload": (2, lambda rng: (rng.choice((150.0, 250.0, 360.0, 500.0)), rng.random() < 0.3)),
+    "reload_broken": (1, lambda rng: (rng.choice(("", "rate_Hz: [", "limits: 3\n")), rng.random() < 0.5)),
+    "strangers": (1, lambda rng: (rng.choice((1, 12, 70)), rng.randrange(4))),
+    "signal_service": (1, lambda rng: (rng.choice(("SIGTERM", "SIGINT")), rng.choice((1, 1, 3)))),
+    "kill_service": (1, lambda rng: ()),
+    "kill_control": (1, lambda rng: ()),
+    "kill_all": (1, lambda rng: ()),
+    "pause_control": (1, lambda rng: (rng.choice((0.02, 0.1, 0.35, 1.5)),)),
+    "pause_service": (1, lambda rng: (rng.choice((0.1, 0.5, 2.0)),)),
+    "stall": (2, lambda rng: (rng.choice((0.004, 0.008, 0.02, 0.1, 0.6)),)),
+    "wall_clock": (1, lambda rng: (rng.choice((-3600.0, -0.5, 0.5, 3600.0)),)),
+    "false_reading": (3, lambda rng: (
+        rng.choice(("force", "offset", "reversed", "gain", "stuck", "frozen", "heartbeat_stuck", "readback", "nan")),
+        rng.choice((0.0, 1.0, 30.0, 500.0)), rng.choice((1, 3, 0)))),
+    "refusal": (2, lambda rng: (rng.choice((1, 2, 4, 6)), rng.choice((1, 5, 400)))),
+    "ignored_writes": (1, lambda rng: ()),
+    "restart_device": (1, lambda rng: ()),
+    "watchdog": (1, lambda rng: (rng.choice((0, 5000)),)),
+    "other_master": (1, lambda rng: (rng.choice((2.0, 4.5)), rng.choice((1, 20)))),
+    "trip_amplifier": (1, lambda rng: ()),
+    "wire": (4, lambda rng: (
+        rng.choice(("delay", "drop", "split", "corrupt", "reset", "noise", "duplicate")),
+        rng.choice(("request", "reply")), rng.choice((1, 1, 10)), rng.choice((0.5, 2.0, 20.0)))),
+    "cut": (1, lambda rng: (rng.choice((0.02, 0.2, 1.0)),)),
+    "refuse_connections": (1, lambda rng: (rng.choice((0.2, 1.0)),)),
+    "stream": (3, lambda rng: (rng.choice((60.0, 120.0, 200.0, 340.0)),)),
+    "stream_ends": (1, lambda rng: ()),
+    "datagram": (1, lambda rng: (rng.choice((0.0, -50.0, 1e300, float("nan"), 250.0)),
+                                 rng.choice((-1, 0, 1, 2**64 - 1)))),
+    "junk": (1, lambda rng: (rng.choice((0, 1, 24, 40, 5000)), rng.choice((1, 50)))),
+    "remove_files": (1, lambda rng: (rng.choice(("ring", "ring.sock", "ring.sock.stop", "ring.lock")),)),
+}  # fmt: skip
+
+
+def draw(seed, seconds):
+    """The plan of a seed."""
+    rng = random.Random(seed)
+    possible = [name for name in KINDS if rng.random() < 0.35]
+    rate_per_s = rng.choice((0.3, 1.0, 3.0))
+    slow = rng.random() < 0.3
+    events, time_s = [], 2.0
+    events.append(Event(2.0, "arm"))
+    stream = rng.random() < 0.4
+    if stream:
+        events.insert(0, Event(1.8, "stream", (rng.choice((60.0, 120.0, 200.0)),)))
+    while possible:
+        time_s += rng.expovariate(rate_per_s)
+        if time_s > seconds - SETTLED_S:
+            break
+        weights = [KINDS[name][0] for name in possible]
+        name = rng.choices(possible, weights)[0]
+        events.append(Event(time_s, name, KINDS[name][1](rng)))
+        if rng.random() < 0.3:
+            events.append(Event(time_s + rng.uniform(0.0, 0.02), rng.choice(("disarm", "stop", "arm", "heal"))))
+        if rng.random() < 0.4:
+            time_s += rng.uniform(0.3, 1.5)
+            events += [Event(time_s, "heal"), Event(time_s + 0.3, "reset"), Event(time_s + 0.5, "start"),
+                       Event(time_s + 1.7, "arm")]  # fmt: skip
+            time_s += 1.8
+    events.sort(key=lambda event: event.time_s)
+    return Plan(
+        seed, seconds,
+        rate_Hz=rng.choice((100, 200, 200, 400)),
+        reference="stream" if stream else "sine",
+        recorder=rng.random() < 0.3,
+        latency_ns=(20_000, 30_000) if not slow else (60_000, 1_500_000),
+        events=tuple(event for event in events if event.time_s < seconds - 0.5),
+    )  # fmt: skip
