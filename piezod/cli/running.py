@@ -8,7 +8,16 @@ from typing import Annotated
 import typer
 
 from piezod.cli.colour import print_coloured
-from piezod.cli.root import ConfigArgument, DaemonArgument, JsonOption, SocketOption, WaitOption, app, print_next
+from piezod.cli.root import (
+    ConfigArgument,
+    DaemonArgument,
+    ForceOption,
+    JsonOption,
+    SocketOption,
+    WaitOption,
+    app,
+    print_next,
+)
 from piezod.errors import UsageError
 
 
@@ -18,9 +27,22 @@ def run(
     arm: Annotated[
         bool, typer.Option("--arm", help="Arm at once and end with the reference; otherwise wait for piezod arm.")
     ] = False,
+    sequence: Annotated[
+        Path | None,
+        typer.Option("--sequence", metavar="FILE", help="Test sequence to drive with --arm; without it only checked."),
+    ] = None,
+    output: Annotated[
+        Path | None,
+        typer.Option("-o", metavar="DIR", help="With --sequence --arm: folder for junit.xml, page and recordings."),
+    ] = None,
+    force: ForceOption = False,
     as_json: JsonOption = False,
 ) -> None:
     """Run the bench in the foreground: one reference with --arm, otherwise until a signal (SIGTERM: ramp down)."""
+    if sequence is not None:
+        raise typer.Exit(_run_sequence(config, sequence, output, arm=arm, force=force, as_json=as_json))
+    if output is not None:
+        raise UsageError("-o is given without --sequence, whose results it is for")
     from piezod.daemon.run import run_foreground
 
     result = run_foreground(config, arm=arm)
@@ -35,6 +57,53 @@ def run(
         else:
             print_next(step)
     raise typer.Exit(result.exit_code)
+
+
+def _run_sequence(config: Path, path: Path, output: Path | None, *, arm: bool, force: bool, as_json: bool) -> int:
+    """Check a sequence; with `arm` drive it and write its results. Return the exit code."""
+    from piezod.recording import check_folder
+
+    if arm and output is None:
+        raise UsageError("-o is missing: --sequence with --arm needs a folder for its results")
+    check_folder(output, ("junit.xml", "sequence.html"), force=force)
+    from piezod.commissioning.sequence import make_folder, plan_sequence, run_sequence
+    from piezod.recording import write_recording
+    from piezod.report.next_step import after_sequence
+    from piezod.report.progress import progress
+
+    plan = plan_sequence(config, path)
+    if not arm or output is None:
+        step = after_sequence(config, path, passed=None, fault="")
+        content = {"schema": "piezod.sequence_check/1", "name": plan.sequence.name, "steps": len(plan.ticks)}
+        if as_json:
+            more = {"duration_s": plan.duration_s, "next_step": step.as_dict()}
+            print(json.dumps(content | more, indent=2))
+            return 0
+        for check in plan.checks:
+            if check.level == "WARN":
+                print_coloured(f"{check.level:4}  {check.name}: {check.found} -> {check.remedy}")
+        print(f"{path}: {len(plan.ticks)} steps, about {plan.duration_s:.0f} s; not driven, --arm is not given")
+        print_next(step)
+        return 0
+    make_folder(output)  # before anything is driven
+    with progress(f"{len(plan.ticks)} steps", plan.duration_s) as show:
+        result = run_sequence(plan, config, show)
+    from piezod.report.tracking.sequence import evaluate_sequence, sequence_text, write_junit, write_sequence_page
+
+    verdict = evaluate_sequence(plan.sequence, result.runs, result.outcome)
+    step = after_sequence(config, path, passed=verdict.passed, fault=result.outcome.fault)
+    for number, run in enumerate(result.runs, 1):
+        if run.recording.time_s.size:
+            write_recording(run.recording, output / f"step_{number}.csv")
+    write_junit(output / "junit.xml", verdict)
+    write_sequence_page(output / "sequence.html", verdict, result.runs, step)
+    if as_json:
+        print(json.dumps(verdict.as_dict() | {"next_step": step.as_dict()}, indent=2))
+    else:
+        print_coloured(sequence_text(verdict))
+        print(f"{output / 'junit.xml'}, {output / 'sequence.html'}")
+        print_next(step)
+    return 0 if verdict.passed else 1
 
 
 @app.command(epilog="Example: piezod status config/bench.yaml --json")

@@ -107,7 +107,7 @@ def _explain(detail: ErrorDetails, document: Document, section: type[BaseModel])
 def _named_keys(detail: ErrorDetails) -> list[str]:
     """Keys that begin the message of a section's own check, such as limits.force_trip_N; they are below its path."""
     message = str(detail.get("ctx", {}).get("error", "")) if detail["type"] == "value_error" else ""
-    return message.partition(" ")[0].split(".") if message else []
+    return message.partition(" ")[0].rstrip(":").split(".") if message else []
 
 
 def _is_union_tag(key: str | int, document: Document, loc: tuple[str | int, ...]) -> bool:

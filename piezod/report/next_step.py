@@ -485,6 +485,30 @@ def after_status(status: dict[str, Any]) -> NextStep:
     return NextStep("watch it, or ramp down", (command("watch", config), command("disarm", config)))
 
 
+def after_sequence(config: Path, sequence: Path, *, passed: bool | None, fault: str) -> NextStep:
+    """Step after a test sequence.
+
+    Parameters
+    ----------
+    config, sequence
+        Bench file and sequence.
+    passed
+        Whether every limit is kept; None: checked only, not driven.
+    fault
+        Text of the latched fault; empty: none.
+    """
+    again = command("run", config, "--sequence", sequence, "--arm", "-o", f"{sequence.stem}-result")
+    if passed is None:
+        return NextStep("the checks passed; drive the sequence when nobody is in its way", (again,))
+    if fault:
+        return NextStep(f"remove the cause ({fault.partition(';')[0]}), then check", (command("check", config),))
+    if passed:
+        return NextStep("keep the results; compare them with those of the next test")
+    words = "find the reason: an investigation tells whether the bench left its model"
+    bench = command("investigate", config, "--model", "MODEL.yaml", "-o", "investigation")
+    return NextStep(words, (bench, again))
+
+
 def after_run(config: Path, recordings: Path | None, *, fault: str, drifted: bool) -> NextStep:
     """Step after the end of `piezod run --arm`.
 

@@ -1,0 +1,303 @@
+"""Verdict of a test sequence: text, JSON, JUnit XML, and a page."""
+
+import html
+import xml.etree.ElementTree as ET
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import isfinite
+from pathlib import Path
+from typing import Any, Literal, Protocol
+
+import numpy as np
+from bokeh.plotting import figure
+
+from piezod.config.sequence import SequenceStep, TestSequence
+from piezod.identify.scores import max_hysteresis_percent
+from piezod.recording import Recording
+from piezod.report.figures.layout import decimated, finish_figure
+from piezod.report.next_step import NextStep
+from piezod.report.page import Part, head_html, next_step_html, table_html, write_page, write_text
+from piezod.report.style import BLUE, GREY, ORANGE
+from piezod.report.text_table import text_table
+from piezod.report.tracking.tracking_errors import SessionOutcome, tracking_figures
+
+UNITS = {
+    "rms_error_N": "N",
+    "max_error_N": "N",
+    "max_hysteresis_percent": "%",
+    "lowest_force_N": "N",
+    "highest_force_N": "N",
+    "missed_ticks": "",
+    "failed_exchanges": "",
+}
+AT_LEAST = ("lowest_force_N",)
+"""Limits that a value must not be below; it must not be above the others."""
+HEADER = ("step", "figure", "measured", "limit", "result")
+
+Result = Literal["passed", "FAILED", "not run"]
+
+
+class StepRun(Protocol):
+    """Measurements of a step."""
+
+    @property
+    def recording(self) -> Recording:
+        """Reference and force while the reference was followed."""
+        ...
+
+    @property
+    def complete(self) -> bool:
+        """Whether the reference reached its end."""
+        ...
+
+    @property
+    def missed(self) -> int:
+        """Number of missed ticks."""
+        ...
+
+    @property
+    def failed_exchanges(self) -> int:
+        """Number of failed exchanges."""
+        ...
+
+
+@dataclass(frozen=True)
+class LimitResult:
+    """One limit of a step with its measured value; None: not measured."""
+
+    step: str
+    name: str
+    limit: float
+    value: float | None
+
+    @property
+    def result(self) -> Result:
+        """Whether the value keeps the limit; a value that is not finite fails."""
+        if self.value is None:
+            return "not run"
+        kept = self.value >= self.limit if self.name in AT_LEAST else self.value <= self.limit
+        return "passed" if kept else "FAILED"
+
+    @property
+    def finite(self) -> float | None:
+        """The value for JSON; None if it is not finite, such as the hysteresis of a loop that is not closed."""
+        return self.value if self.value is not None and isfinite(self.value) else None
+
+    @property
+    def words(self) -> str:
+        """The comparison in words."""
+        side = "at least" if self.name in AT_LEAST else "at most"
+        measured = "was not measured" if self.value is None else f"is {self.value:.4g}"
+        return f"{self.name} {measured}, must be {side} {self.limit:.4g}"
+
+
+@dataclass(frozen=True)
+class SequenceVerdict:
+    """Every limit of every step with its value, and the end of the session."""
+
+    sequence: TestSequence
+    results: list[LimitResult]
+    durations_s: dict[str, float]
+    outcome: SessionOutcome
+
+    @property
+    def passed(self) -> bool:
+        """Whether every limit is kept, and the session ended without a fault."""
+        return all(one.result == "passed" for one in self.results) and not self.outcome.fault
+
+    @property
+    def sentence(self) -> str:
+        """Verdict in a sentence."""
+        counts = {result: sum(one.result == result for one in self.results) for result in ("FAILED", "not run")}
+        total = f"{len(self.results)} limits of {len(self.sequence.steps)} steps"
+        if self.passed:
+            return f"{self.sequence.name} passed: {total} are kept"
+        parts = [f"{count} of {total} {result}" for result, count in counts.items() if count]
+        fault = [f"FAULT: {self.outcome.fault}"] if self.outcome.fault else []
+        stopped = ["stopped by the user"] if self.outcome.stopped and not self.outcome.fault else []
+        return f"{self.sequence.name} FAILED: {'; '.join([*parts, *fault, *stopped])}"
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the verdict for JSON."""
+        return {
+            "schema": "piezod.sequence_result/1",
+            "name": self.sequence.name,
+            "passed": self.passed,
+            "words": self.sentence,
+            "steps": [
+                {
+                    "name": step.name,
+                    "duration_s": self.durations_s[step.name],
+                    "limits": [
+                        {"name": one.name, "limit": one.limit, "value": one.finite, "result": one.result.lower()}
+                        for one in self.results
+                        if one.step == step.name
+                    ],
+                }
+                for step in self.sequence.steps
+            ],
+            "fault": self.outcome.fault,
+            "stopped": self.outcome.stopped,
+        }
+
+
+def evaluate_sequence(sequence: TestSequence, runs: Sequence[StepRun], outcome: SessionOutcome) -> SequenceVerdict:
+    """Compare each step with its limits.
+
+    Parameters
+    ----------
+    runs
+        Runs of the steps, in their order. An incomplete one has no values.
+    """
+    results = []
+    for step, run in zip(sequence.steps, runs, strict=True):
+        values = measured_values(step, run) if run.complete else {}
+        results += [LimitResult(step.name, name, limit, values.get(name)) for name, limit in step.limits.given.items()]
+    durations_s = {
+        step.name: float(run.recording.time_s[-1]) if run.recording.time_s.size else 0.0
+        for step, run in zip(sequence.steps, runs, strict=True)
+    }
+    return SequenceVerdict(sequence, results, durations_s, outcome)
+
+
+def measured_values(step: SequenceStep, run: StepRun) -> dict[str, float]:
+    """Values of a complete step, by the keys of its limits; nan for a loop that is not closed.
+
+    Parameters
+    ----------
+    step, run
+        Step of the sequence, and its measurements.
+    """
+    recording, force = run.recording, run.recording.channel("force_N")
+    figures = tracking_figures(recording, loop=False)
+    values = {
+        "rms_error_N": figures.rms_error_N,
+        "max_error_N": figures.max_error_N,
+        "lowest_force_N": float(force.min()),
+        "highest_force_N": float(force.max()),
+        "missed_ticks": float(run.missed),
+        "failed_exchanges": float(run.failed_exchanges),
+    }
+    if step.limits.max_hysteresis_percent is not None:
+        values["max_hysteresis_percent"] = _hysteresis_percent(step, recording)
+    return values
+
+
+def _hysteresis_percent(step: SequenceStep, recording: Recording) -> float:
+    """Max hysteresis behind the first period, if there are more; nan without a closed loop."""
+    period_s = 1.0 / getattr(step.reference, "frequency_Hz", np.inf)
+    steady = recording.time_s >= (period_s if recording.time_s[-1] > 1.5 * period_s else 0.0)
+    try:
+        return max_hysteresis_percent(recording.channel("reference_N")[steady], recording.channel("force_N")[steady])
+    except ValueError:
+        return float("nan")
+
+
+def sequence_text(verdict: SequenceVerdict) -> str:
+    """Format the verdict as text: one line for each limit, then a sentence."""
+    return "\n".join([*text_table([HEADER, *_rows(verdict)]), verdict.sentence])
+
+
+def junit_xml(verdict: SequenceVerdict) -> str:
+    """Format the verdict as JUnit XML: one test case for each limit of each step.
+
+    Source of the form: github.com/testmoapp/junitxml.
+    """
+    counts = {result: sum(one.result == result for one in verdict.results) for result in ("FAILED", "not run")}
+    numbers = {
+        "tests": str(len(verdict.results)),
+        "failures": str(counts["FAILED"]),
+        "errors": "1" if verdict.outcome.fault else "0",
+        "skipped": str(counts["not run"]),
+        "time": f"{sum(verdict.durations_s.values()):.3f}",
+    }
+    root = ET.Element("testsuites", {"name": verdict.sequence.name, **numbers})
+    suite = ET.SubElement(root, "testsuite", {"name": verdict.sequence.name, **numbers})
+    for one in verdict.results:
+        about = {"classname": f"{verdict.sequence.name}.{one.step}", "name": one.name}
+        case = ET.SubElement(suite, "testcase", about | {"time": f"{verdict.durations_s[one.step]:.3f}"})
+        if one.result == "FAILED":
+            ET.SubElement(case, "failure", {"message": one.words, "type": "limit"})
+        elif one.result == "not run":
+            ET.SubElement(case, "skipped", {"message": verdict.outcome.fault or "the step was not completed"})
+    if verdict.outcome.fault:
+        ET.SubElement(suite, "system-err").text = verdict.outcome.fault
+    ET.indent(root)
+    return f'<?xml version="1.0" encoding="UTF-8"?>\n{ET.tostring(root, encoding="unicode")}\n'
+
+
+def write_junit(path: Path, verdict: SequenceVerdict) -> None:
+    """Write the verdict as JUnit XML.
+
+    Raises
+    ------
+    ConfigurationError
+        The file cannot be written.
+    """
+    write_text(path, junit_xml(verdict))
+
+
+def write_sequence_page(path: Path, verdict: SequenceVerdict, runs: Sequence[StepRun], step: NextStep) -> None:
+    """Write the page: verdict, limits, and the force and error of each step.
+
+    Parameters
+    ----------
+    runs
+        Runs of the steps, in their order.
+    step
+        Next step of the command.
+
+    Raises
+    ------
+    ConfigurationError
+        The file cannot be written.
+    """
+    parts: list[Part] = [
+        head_html(f"Test sequence: {verdict.sequence.name}", verdict.sentence),
+        next_step_html(step),
+        table_html(HEADER, _rows(verdict)).replace("'numbers'", "'words'"),
+    ]
+    for number, (planned, run) in enumerate(zip(verdict.sequence.steps, runs, strict=True), 1):
+        if run.recording.time_s.size:
+            parts += [_heading(number, planned), _figures(run.recording)]
+    write_page(path, "Test sequence", parts)
+
+
+def _heading(number: int, step: SequenceStep) -> str:
+    """Heading of a step, which is numbered from 1."""
+    return f"<h2>{number}. {html.escape(step.name)}</h2>"
+
+
+def _figures(recording: Recording) -> list[figure]:
+    time_s, reference, force = (decimated(values) for values in _curves(recording))
+    forces = figure(title="Force", x_axis_label="time [s]", y_axis_label="force [N]", height=240)
+    forces.line(time_s, reference, color=GREY, line_width=3, legend_label="reference")
+    forces.line(time_s, force, color=BLUE, legend_label="force")
+    errors = figure(
+        title="Force minus reference",
+        x_axis_label="time [s]",
+        y_axis_label="error [N]",
+        height=240,
+        x_range=forces.x_range,
+    )
+    errors.line(time_s, force - reference, color=ORANGE, legend_label="error")
+    return [finish_figure(forces), finish_figure(errors)]
+
+
+def _curves(recording: Recording) -> tuple[Any, Any, Any]:
+    return recording.time_s, recording.channel("reference_N"), recording.channel("force_N")
+
+
+def _rows(verdict: SequenceVerdict) -> list[list[str]]:
+    return [
+        [one.step, one.name, "-" if one.value is None else _number(one.value, one.name), _limit(one), one.result]
+        for one in verdict.results
+    ]
+
+
+def _limit(one: LimitResult) -> str:
+    return f"{'>=' if one.name in AT_LEAST else '<='} {_number(one.limit, one.name)}"
+
+
+def _number(value: float, name: str) -> str:
+    return f"{value:.4g} {UNITS[name]}".rstrip()
