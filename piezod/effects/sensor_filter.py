@@ -7,8 +7,8 @@ Inverse    On the reading: F = y + tau y', or F = y + 2 zeta / w y' + y'' / w^2 
 Signature  Rounded and late corners, noise that falls above f_c. Look-alikes: electrical_lag leaves the noise white,
            transport_delay keeps corners, resonance overshoots.
 Location   Load cell.
-Valid      f_c from a few periods per record to a third of the sampling rate. A higher one is indistinguishable from a
-           delay.
+Valid      0.1 mHz to 5 kHz, from a few periods per record to a third of the sampling rate. A higher one is
+           indistinguishable from a delay.
 Source     Derived here. r follows from the definition of the cutoff, |H(f_c)|^2 = 1/2;
            piezod/effects/README.md, "Sensor filter".
 """
@@ -27,10 +27,11 @@ from piezod.effects.kernels import (
     second_order_settle,
     second_order_step,
 )
-from piezod.effects.parameter import Parameter, Search
+from piezod.effects.parameter import Driven, Parameter, Search
 from piezod.effects.tick import Memory, Tick, TickSetting
 
 BUTTERWORTH = math.sqrt(0.5)
+SLOWEST = 0.001  # of the sampling rate: slowest cutoff of a recording with rare samples; else 0.1 Hz
 
 
 def forward(signal: Array, context: Context, values: Values) -> Array:
@@ -80,13 +81,26 @@ def _settle(own: Memory, _shared: Memory, force_N: float) -> float:
     return second_order_settle(own, SECOND, force_N)
 
 
+def _starts_Hz(driven: Driven) -> tuple[float, float, float]:
+    """Cutoffs from a hundredth of the sampling rate, at most 5 Hz, to a third."""
+    low_Hz, high_Hz = min(5.0, 0.01 / driven.dt_s), 0.3 / driven.dt_s
+    return low_Hz, math.sqrt(low_Hz * high_Hz), high_Hz
+
+
 EFFECT = Effect(
     name="sensor_filter",
     title="low-pass of the load cell",
     location=Location.LOAD_CELL,
     form="linear",
     parameters=(
-        Parameter("cutoff_Hz", "Hz", 0.1, 5000.0, Search((5.0, 30.0, 150.0), logarithmic=True)),
+        Parameter(
+            "cutoff_Hz",
+            "Hz",
+            1e-4,
+            5000.0,
+            Search((5.0, 30.0, 150.0), starts_for=_starts_Hz, logarithmic=True),
+            shown_by=lambda driven: (min(0.1, SLOWEST / driven.dt_s), 5000.0),
+        ),
         Parameter("order", "1", 1.0, 2.0, Search((1.0,), nuisance=True, choices=(1.0, 2.0))),
         Parameter(
             "damping_ratio", "1", 0.5, 1.2, Search((BUTTERWORTH,), nuisance=True, only_if=("order", 2.0)), optional=True
