@@ -101,6 +101,7 @@ def next_after(identification: Identification, recordings: Sequence[Path], model
         recordings,
         model,
         useful=identification.useful,
+        explained=identification.explained,
         noises=None if noise is None or not noise.rms else identification.chosen.rms_held_out / noise.rms,
         drives_a_bench=(plant.input.unit, plant.output.unit) == ("V", "N") and not plant.output.channel.startswith("-"),
     )

@@ -19,6 +19,8 @@ RESTING = 1.1
 """The same for held-out data of an identification: `identify.identification.AT_THE_NOISE`."""
 STRUCTURED = 3.0
 """Error of a useless model, in multiples of the noise, above which it has structure: as in `identify`."""
+CLOSE = 0.99
+"""Explained share of the variance below which a static model lacks more than noise: identified stacks reach 0.999."""
 RICH = "staircase-minor-loops-multisine"
 """Excitation that shows most effects: rests, minor loops, and many rates."""
 
@@ -70,7 +72,13 @@ def model_line(model: Path) -> str:
 
 
 def after_identify(
-    recordings: Sequence[Path], model: Path, *, useful: bool, noises: float | None, drives_a_bench: bool = True
+    recordings: Sequence[Path],
+    model: Path,
+    *,
+    useful: bool,
+    noises: float | None,
+    explained: float = 1.0,
+    drives_a_bench: bool = True,
 ) -> NextStep:
     """Whether the model is usable, and the next recording or run.
 
@@ -82,12 +90,15 @@ def after_identify(
         Whether the model explains more than half of the variance.
     noises
         Error on held-out data over the noise; None: the noise is unknown.
+    explained
+        Explained share of the variance on held-out data [1].
     drives_a_bench
         Whether the model leads from volts to newtons.
     """
     folder = model.with_name(f"{model.stem}-diagnosis")
     diagnosis = command("diagnose", *recordings, "--model", model, "-o", folder)
-    if not useful and noises is not None and noises > STRUCTURED:
+    structured = noises > STRUCTURED if noises is not None else not drives_a_bench
+    if not useful and structured:
         return NextStep("not usable yet; a diagnosis finds the dynamics that no hysteresis has", (diagnosis,))
     if not useful:
         again = (
@@ -95,8 +106,11 @@ def after_identify(
             command("identify", "varying.csv", "-o", model, "--force"),
         )
         return NextStep("not usable; record triangles over the whole range and identify again", again)
-    if noises is not None and noises >= RESTING:
-        return NextStep(f"usable; the error is {noises:.2g} times the noise, a diagnosis tells why", (diagnosis,))
+    left = "" if noises is None or noises < RESTING else f"the error is {noises:.2g} times the noise"
+    if noises is None and explained < CLOSE:
+        left = f"{100 * (1 - explained):.2g} % of the variance is not explained"
+    if left:
+        return NextStep(f"usable; {left}, a diagnosis tells why", (diagnosis,))
     later = command("diagnose", LATER, "--model", model, "-o", folder)
     if not drives_a_bench:
         return NextStep("usable; diagnose a later recording when the behaviour changes", (later,))

@@ -214,9 +214,7 @@ def run(options: argparse.Namespace, _parser: argparse.ArgumentParser) -> None:
     begun_s, count = time.process_time(), options.days * WINDOWS_A_DAY
     random = np.random.default_rng(options.seed)
     tolerance = DriftConfig().tolerance
-    print(
-        f"{options.days} days without a change, nominal {options.days / NOMINAL_DAYS:g} alarms: new rule, old rule"
-    )
+    print(f"{options.days} days without a change, nominal {options.days / NOMINAL_DAYS:g} alarms: new rule, old rule")
     for name, work, tolerated in (
         ("exchangeable windows, tolerance 0", EXCHANGEABLE, 0.0),
         (f"day and night, wander; tolerance {tolerance:g}", USUAL, tolerance),
@@ -240,7 +238,7 @@ def run(options: argparse.Namespace, _parser: argparse.ArgumentParser) -> None:
             )
     other = run_unchanged(random, known, WINDOWS_A_DAY, Work((FASTER,)))
     print(
-        f"another input, a day at five noises, no change of the law: {other.new} alarms of the new rule, {other.old} of "
-        f"the old; the first {other.outside} windows are called another input"
+        f"another input, a day at five noises, no change of the law: {other.new} alarms of the new rule, "
+        f"{other.old} of the old; the first {other.outside} windows are called another input"
     )
     print(f"{time.process_time() - begun_s:.0f} s of processor")

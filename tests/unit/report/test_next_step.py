@@ -33,7 +33,9 @@ ALL = [
     steps.after_identify([REC], MODEL, useful=True, noises=None),
     steps.after_identify([REC], MODEL, useful=True, noises=2.0),
     steps.after_identify([REC], MODEL, useful=True, noises=1.0, drives_a_bench=False),
+    steps.after_identify([REC], MODEL, useful=True, noises=None, explained=0.65),
     steps.after_identify([REC], MODEL, useful=False, noises=None),
+    steps.after_identify([REC], MODEL, useful=False, noises=None, drives_a_bench=False),
     steps.after_identify([REC], MODEL, useful=False, noises=10.0),
     steps.after_simulate(REC, MODEL, error=1.0, noise=0.1),
     steps.after_simulate(REC, MODEL, error=None, noise=0.1),
@@ -94,6 +96,24 @@ def test_every_command_parses(line):
     while hasattr(command, "commands"):
         command = command.commands[arguments.pop(0)]
     command.make_context(command.name, arguments)  # raises on an unknown option or a missing argument
+
+
+@pytest.mark.parametrize(
+    ("useful", "noises", "explained", "drives_a_bench", "command"),
+    [
+        (True, None, 0.65, True, "diagnose"),  # tanks: 18 % of the range left
+        (True, None, 0.999, True, "record"),
+        (False, None, 0.05, False, "diagnose"),  # a circuit with a mode, driven by a multisine
+        (False, None, 0.05, True, "record"),
+        (False, 10.0, 0.05, True, "diagnose"),
+        (False, 2.0, 0.05, True, "record"),
+    ],
+)
+def test_what_a_static_model_leaves_is_diagnosed_at_once(useful, noises, explained, drives_a_bench, command):
+    step = steps.after_identify(
+        [REC], MODEL, useful=useful, noises=noises, explained=explained, drives_a_bench=drives_a_bench
+    )
+    assert step.commands[0].split()[1] == command
 
 
 def test_a_path_with_a_blank_is_quoted():
