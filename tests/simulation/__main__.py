@@ -1,11 +1,12 @@
 """`python -m tests.simulation`: run histories, and print what was violated."""
 
 import argparse
+import subprocess
 import sys
 import time
 
+from tests.simulation.holes import HOLES, put_back
 from tests.simulation.plan import draw
-from tests.simulation.runs import run, warm_up
 
 
 def main():
@@ -17,7 +18,15 @@ def main():
     parser.add_argument("--trace", action="store_true", help="print the history")
     parser.add_argument("--hash", action="store_true", help="print the hash of each history")
     parser.add_argument("--shrink", action="store_true", help="repeat a violation with fewer events")
+    parser.add_argument("--hole", choices=HOLES, help="run with a hole of the past, until a violation")
+    parser.add_argument("--holes", action="store_true", help="every hole of the past in turn")
     wanted = parser.parse_args()
+    if wanted.holes:
+        return each_hole(wanted)
+    if wanted.hole:
+        put_back(wanted.hole)
+    from tests.simulation.runs import run, warm_up
+
     seeds = range(wanted.first, wanted.first + wanted.seeds) if wanted.seed is None else [wanted.seed]
     warm_up()
     begun_s, virtual_s, used_s, failed = time.monotonic(), 0.0, 0.0, 0
@@ -30,6 +39,8 @@ def main():
         if result.violations:
             failed += 1
             report(plan, result)
+            if wanted.hole:
+                break
             if wanted.shrink:
                 from tests.simulation.shrinking import shrink
 
@@ -40,6 +51,20 @@ def main():
         f"{virtual_s / max(used_s, 1e-9):.1f} virtual seconds a processor second, {failed} with violations"
     )
     return 1 if failed else 0
+
+
+def each_hole(wanted):
+    """Put every hole back, one by one, and print where it is found; the number of those that are not."""
+    missed = 0
+    for name, hole in HOLES.items():
+        options = ["--seeds", str(wanted.seeds), "--first", str(wanted.first), "--seconds", str(wanted.seconds)]
+        command = [sys.executable, "-m", "tests.simulation", "--hole", name, *options]
+        done = subprocess.run(command, capture_output=True, text=True, check=False)
+        lines = done.stdout.splitlines()
+        missed += done.returncode != 1
+        print(f"{name} ({hole.source}): {lines[0] if done.returncode == 1 else 'not found; ' + (lines or ['?'])[-1]}")
+        sys.stdout.flush()
+    return int(missed > 0)
 
 
 def report(plan, result):

@@ -40,6 +40,7 @@ REST_WITHIN_S = 140.0 / RAMP_DOWN_V_PER_S + COMM_LOSS_S + WATCHDOG_S + MACHINE_S
 TRIP_MARGIN_N = 25.0  # noise, and the force that is left on the stack at 0 V
 TRIPPED_WITHIN_S = 0.5
 LOOK_S = 0.02
+WATCHDOG_KNOWN_S = 2.0  # the guard reads it each second; then the ramp down
 SENT_EVERY_S = 0.01
 ENDS_WITHIN_S = 15.0  # from SIGTERM to the end of every process of the service
 DRIVEN = (State.ARMING, State.RUNNING, State.HOLD, State.RAMP_DOWN)
@@ -82,6 +83,7 @@ class History:
         self.excused = set()
         self.sending_N, self.sequence = None, 0
         self.answers = []
+        self.watchdog_known_ns = 0
 
     # the bench file -----------------------------------------------------------------------------------------------
 
@@ -297,12 +299,14 @@ class History:
     def _end(self, command):
         if self.alive:
             self.expect_rest(command, self._held_s())
-        self.ask(command, lambda good, text: self._refused(command, good))
+        self.ask(command, lambda good, text: self._refused(command, good, text))
 
-    def _refused(self, command, good):
+    def _refused(self, command, good, text):
         """A command that did not reach the service asks for nothing."""
         if not good and self.rest_due is not None and self.rest_due[1] == command:
             self.rest_due = None
+        if "only stop and disarm are obeyed" in text:
+            self.violate("refused", f"{command}: {text}")
 
     def _held_s(self):
         """Time that processes stand still at least [s]."""
@@ -380,9 +384,13 @@ class History:
             self.service.signal(signal.SIGKILL)
 
     def kill_control(self):
-        if self.control is not None and "writes" not in self.excused and self.amplifier.device.watchdog_ms != 0:
+        if self.control is not None and "writes" not in self.excused and not self._watchdog_is_new():
             self.expect_rest("SIGKILL of the control process")
             self.control.signal(signal.SIGKILL)
+
+    def _watchdog_is_new(self):
+        """Whether the watchdog was changed so lately that nobody can have noticed it."""
+        return self.machine.now_ns < self.watchdog_known_ns
 
     def kill_all(self):
         """Both processes of the service end at once, as in a power cut of the machine."""
@@ -439,6 +447,7 @@ class History:
         if self.state() in DRIVEN:
             self.amplifier.catch_up()
             self.amplifier.device.write(110, [milliseconds])
+            self.watchdog_known_ns = self.machine.now_ns + round(WATCHDOG_KNOWN_S * SECOND)
 
     def other_master(self, above_V, times):
         if self.state() not in DRIVEN:
@@ -487,8 +496,12 @@ class History:
 
     def stream(self, value_N):
         self.sending_N = value_N
+        if self.rest_due is not None and self.rest_due[1] == "the end of the reference":
+            self.rest_due = None
 
     def stream_ends(self):
+        if self.plan.reference == "stream" and self.sending_N is not None and self.state() in DRIVEN:
+            self.expect_rest("the end of the reference", 2.5)  # stale after 0.2 s, or the longest wait of arming
         self.sending_N = None
 
     def send_on(self):
@@ -497,6 +510,8 @@ class History:
         self.machine.after(round(SENT_EVERY_S * SECOND), self.send_on)
 
     def datagram(self, value_N, sequence):
+        if self.rest_due is not None and self.rest_due[1] == "the end of the reference":
+            self.rest_due = None
         self._datagram(value_N, None if sequence < 0 else sequence)
 
     def _datagram(self, value_N, sequence=None):

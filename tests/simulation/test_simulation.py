@@ -1,9 +1,14 @@
 """The simulation itself: equal histories of a seed, and a judge that sees what is wrong."""
 
+import importlib.util
+from pathlib import Path
+
 import pytest
 
+from tests.simulation.holes import HOLES
 from tests.simulation.plan import Event, Plan, draw
 from tests.simulation.runs import run
+from tests.simulation.shrinking import shrink
 
 
 @pytest.mark.parametrize("seed", [1, 10, 1040])
@@ -31,3 +36,16 @@ def test_an_amplifier_that_stays_on_after_a_kill_is_a_violation():
     events = (Event(2.0, "arm"), Event(3.0, "watchdog", (0,)), Event(3.001, "kill_all"))
     result = run(Plan(1, 8.0, events=events))
     assert [kind for kind, *_ in result.violations] == ["rest"]
+
+
+def test_shrinking_keeps_the_events_that_matter():
+    extra = tuple(Event(2.0 + 0.05 * n, "status") for n in range(1, 8))
+    needed = (Event(2.0, "arm"), Event(3.0, "watchdog", (0,)), Event(3.001, "kill_all"))
+    plan = Plan(1, 8.0, events=tuple(sorted((*needed, *extra), key=lambda event: event.time_s)))
+    assert shrink(plan, run(plan)).events == needed
+
+
+def test_every_hole_has_its_place_in_the_source():
+    for hole in HOLES.values():
+        source = Path(importlib.util.find_spec(hole.module).origin).read_text(encoding="utf-8")
+        assert source.count(hole.now) == 1, hole

@@ -1,0 +1,114 @@
+"""Holes of the past, put back one by one: does the simulation find them, at which seed and time?
+
+    python -m tests.simulation --hole NAME [--seeds N] [--seconds T]
+    python -m tests.simulation --holes
+
+A hole is a change of the source of one module, made while the module is loaded. No file changes.
+"""
+
+import sys
+from dataclasses import dataclass
+from importlib.abc import MetaPathFinder
+from importlib.machinery import PathFinder, SourceFileLoader
+
+
+@dataclass(frozen=True)
+class Hole:
+    """A line of a module, and what stood there when the hole was open."""
+
+    module: str
+    now: str
+    then: str
+    source: str  # where the hole is listed or was mended
+
+
+HOLES = {
+    "arm after a stop": Hole(
+        "piezod.session.command_queue",
+        'if name == "arm" and requested_ns <= self._urged_ns:', "if False:", "F3: a refused command never acts",
+    ),
+    "orphan drives on": Hole(
+        "piezod.session.control_process",
+        "if not processes.end_with_parent(signal.SIGTERM):", "if False:", "F8: the end of the parent is noticed",
+    ),
+    "watchdog is not read again": Hole(
+        "piezod.control.device_guard",
+        "        if done_ns < self._due_ns and result == _OK:\n            return\n", "        return\n", "F5",
+    ),
+    "old ticks are caught up": Hole(
+        "piezod.control.rate_keeper",
+        "            deadline += skipped * self._period_ns\n", "", "M1: skip, never catch up in a burst",
+    ),
+    "no trip of the force": Hole(
+        "piezod.daemon.service",
+        'answer = await self._command("limits", bench.limits)', 'answer = "limits taken"', "F1: reload without effect",
+    ),
+    "SIGTERM waits for the loop": Hole(
+        "piezod.daemon.service",
+        "        if self._channel.session is not None and self._channel.connected:\n"
+        "            self._channel.session.stop()\n", "", "G1: SIGTERM does not reach the control process",
+    ),
+    "urgent stop is lost": Hole(
+        "piezod.session.control_process",
+        "lambda *_, name=name: commands.urge(name)", "lambda *_, name=name: None", "G1: the stop socket has no effect",
+    ),
+    "full socket refuses a stop": Hole(
+        "piezod.daemon.control_socket",
+        "if not place.may_send(command):", "if not place.served:", "F4: clients keep a stop out",
+    ),
+    "perhaps written is not written": Hole(
+        "piezod.control.voltage_writer",
+        "limiter.perhaps_sent(link.written_V)", "pass", "P9: a voltage whose answer was lost may act",
+    ),
+    "no look after a silence": Hole(
+        "piezod.control.voltage_writer",
+        "if self.output_uncertain or begun_ns - self._acknowledged_ns >= self._verify_after_ns:",
+        "if False:", "M4: the device may have taken over",
+    ),
+    "a restart is not noticed": Hole(
+        "piezod.control.voltage_writer",
+        "elif (reading.heartbeat - heartbeat) & 0xFFFF >= 0x8000 or self._has_dropped(reading.voltage_readback_V):",
+        "elif False:", "V14: the device restarted",
+    ),
+    "removed lock frees the bench": Hole(
+        "piezod.daemon.service",
+        "            if not self._lock.restore():", "            if False:", "G4: two masters of our own kind",
+    ),
+}  # fmt: skip
+
+
+class Loader(SourceFileLoader):
+    """Loads a module with a hole."""
+
+    hole = None
+
+    def get_code(self, fullname):
+        path = self.get_filename(fullname)
+        text = self.get_data(path).decode("utf-8")
+        if text.count(self.hole.now) != 1:
+            raise ImportError(f"{fullname}: the place of the hole is there {text.count(self.hole.now)} times")
+        return compile(text.replace(self.hole.now, self.hole.then), path, "exec")
+
+
+class Finder(MetaPathFinder):
+    """Finds the module of a hole."""
+
+    def __init__(self, hole):
+        self._hole = hole
+
+    def find_spec(self, fullname, path, target=None):
+        if fullname != self._hole.module:
+            return None
+        spec = PathFinder.find_spec(fullname, path, target)
+        loader = Loader(fullname, spec.origin)
+        loader.hole = self._hole
+        spec.loader = loader
+        return spec
+
+
+def put_back(name):
+    """Open a hole for the modules that are loaded from now on."""
+    hole = HOLES[name]
+    if hole.module in sys.modules:
+        raise ImportError(f"{hole.module} is loaded already")
+    sys.meta_path.insert(0, Finder(hole))
