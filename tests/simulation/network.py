@@ -18,10 +18,13 @@ class RefusingUnit:
     def __init__(self, amplifier):
         self._amplifier = amplifier
         self.decoder = amplifier.unit.decoder
+        self.only = (0, -1)  # function and address that are refused; 0 and -1: any
 
     def reply(self, frame, unit_id, transaction_id):
         code, count = self._amplifier.refusal
-        if count:
+        function, address = self.only
+        meant = function in (0, frame[0]) and address in (-1, int.from_bytes(frame[1:3], "big"))
+        if count and meant:
             self._amplifier.refusal = (code, count - 1)
             answer = ExceptionResponse(frame[0], code)
             answer.dev_id, answer.transaction_id = unit_id, transaction_id
@@ -159,5 +162,6 @@ class Network:
             "split": [(delay_ns, data[:at]), (delay_ns + int(size_ms * MS), data[at:])],
             "duplicate": [(delay_ns, data), (delay_ns, data)],
             "corrupt": [(delay_ns, garbled)],
+            "garbage": [(delay_ns, rng.randbytes(len(data)))],
             "noise": [(delay_ns, rng.randbytes(7) + data)],
         }[fault]

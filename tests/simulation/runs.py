@@ -34,6 +34,7 @@ class Result:
     events: int = 0
     ticks: int = 0
     log: list = field(default_factory=list)
+    observed: dict = field(default_factory=dict)
 
 
 def warm_up():
@@ -55,17 +56,16 @@ def warm_up():
     logging.getLogger("pymodbus").setLevel(logging.CRITICAL)  # the device drops garbled frames, and says so
     gc.collect()
     gc.freeze()  # a collection in the fork would copy every page
-    gc.disable()
 
 
-def run_here(plan, trace=None):
+def run_here(plan, trace=None, make=History):
     """Run a history in this process, which must not be used afterwards."""
     begun_s = time.process_time()
     signal.signal(signal.SIGINT, signal.SIG_DFL)  # so that asyncio does not set its own
     warnings.simplefilter("ignore")
     folder = Path(tempfile.mkdtemp(prefix="piezod-simulation-", dir=MEMORY))
     try:
-        history = History(plan, folder, trace)
+        history = make(plan, folder, trace)
         violations = history.run()
         machine = history.machine
         return Result(
@@ -77,22 +77,24 @@ def run_here(plan, trace=None):
             machine.events,
             history.amplifier.device.commands,
             [f"{process.name}: {line}" for process in machine.processes for line in process.log],
+            getattr(history, "observed", {}),
         )
     finally:
         shutil.rmtree(folder, ignore_errors=True)
 
 
-def run(plan, trace=None, within_s=60.0):
+def run(plan, trace=None, within_s=60.0, make=History):
     """Run a history in a fork."""
     reader, writer = os.pipe()
     sys.stdout.flush()
     pid = os.fork()
     if pid == 0:
         os.close(reader)
+        gc.disable()
         faulthandler.dump_traceback_later(within_s, exit=True)
         code, sys.stderr = 0, sys.__stderr__  # a test replaces it, and piezod asks for its descriptor
         try:
-            result = run_here(plan, trace)
+            result = run_here(plan, trace, make)
         except BaseException:  # noqa: BLE001  # the parent reports it
             result = Result(plan.seed, violations=[("crash", 0.0, traceback.format_exc())])
             code = 1

@@ -7,8 +7,13 @@ import pytest
 
 from tests.simulation.holes import HOLES
 from tests.simulation.plan import Event, Plan, draw
-from tests.simulation.runs import run
+from tests.simulation.runs import run, warm_up
 from tests.simulation.shrinking import shrink
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _warm():
+    warm_up()
 
 
 @pytest.mark.parametrize("seed", [1, 10, 1040])
