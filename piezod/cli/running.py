@@ -67,13 +67,15 @@ def _run_sequence(config: Path, path: Path, output: Path | None, *, arm: bool, f
         raise UsageError("-o is missing: --sequence with --arm needs a folder for its results")
     check_folder(output, ("junit.xml", "sequence.html"), force=force)
     from piezod.commissioning.sequence import make_folder, plan_sequence, run_sequence
+    from piezod.config import model_path
     from piezod.recording import write_recording
     from piezod.report.next_step import after_sequence
     from piezod.report.progress import progress
 
     plan = plan_sequence(config, path)
+    model = model_path(plan.bench, config)
     if not arm or output is None:
-        step = after_sequence(config, path, passed=None, fault="")
+        step = after_sequence(config, path, model, passed=None, fault="")
         content = {"schema": "piezod.sequence_check/1", "name": plan.sequence.name, "steps": len(plan.ticks)}
         if as_json:
             more = {"duration_s": plan.duration_s, "next_step": step.as_dict()}
@@ -91,7 +93,7 @@ def _run_sequence(config: Path, path: Path, output: Path | None, *, arm: bool, f
     from piezod.report.tracking.sequence import evaluate_sequence, sequence_text, write_junit, write_sequence_page
 
     verdict = evaluate_sequence(plan.sequence, result.runs, result.outcome)
-    step = after_sequence(config, path, passed=verdict.passed, fault=result.outcome.fault)
+    step = after_sequence(config, path, model, passed=verdict.passed, fault=result.outcome.fault)
     for number, run in enumerate(result.runs, 1):
         if run.recording.time_s.size:
             write_recording(run.recording, output / f"step_{number}.csv")

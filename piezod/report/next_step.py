@@ -499,13 +499,13 @@ def after_status(status: dict[str, Any]) -> NextStep:
     return NextStep("watch it, or ramp down", (command("watch", config), command("disarm", config)))
 
 
-def after_sequence(config: Path, sequence: Path, *, passed: bool | None, fault: str) -> NextStep:
+def after_sequence(config: Path, sequence: Path, model: Path, *, passed: bool | None, fault: str) -> NextStep:
     """Step after a test sequence.
 
     Parameters
     ----------
-    config, sequence
-        Bench file and sequence.
+    config, sequence, model
+        Bench file, sequence, and model of the bench.
     passed
         Whether every limit is kept; None: checked only, not driven.
     fault
@@ -519,7 +519,7 @@ def after_sequence(config: Path, sequence: Path, *, passed: bool | None, fault: 
     if passed:
         return NextStep("keep the results; compare them with those of the next test")
     words = "find the reason: an investigation tells whether the bench left its model"
-    bench = command("investigate", config, "--model", "MODEL.yaml", "-o", "investigation")
+    bench = command("investigate", config, "--model", model, "-o", "investigation")
     return NextStep(words, (bench, again))
 
 

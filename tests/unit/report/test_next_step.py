@@ -75,6 +75,10 @@ ALL = [
     steps.after_init(BENCH),
     steps.after_config_check(BENCH, model_exists=True),
     steps.after_config_check(BENCH, model_exists=False),
+    *(
+        steps.after_sequence(BENCH, Path("test.yaml"), MODEL, passed=passed, fault=fault)
+        for passed, fault in ((None, ""), (True, ""), (False, ""), (False, "force above its limit"))
+    ),
     steps.after_latency(["rate_Hz: 500"], held=True),
     steps.after_demo(passed=True),
     steps.after_demo(passed=False),
