@@ -3,6 +3,7 @@
 - bundle.json: versions, machine, model, missing parts with reasons
 - bench.yaml: effective configuration, with secrets replaced
 - status.json: status of the daemon
+- log.txt: last lines of its log
 - ticks.csv: last ticks of the ring log
 - transitions.txt: changes of state and cause among these ticks
 """
@@ -64,7 +65,8 @@ def write_bundle(config: Path, output: Path, *, force: bool = False) -> dict[str
     bench = load_bench(config)
     missing: dict[str, str] = {}
     parts = {"bench.yaml": redacted_configuration(bench, read_document(config).content)}
-    for name, make in (("status.json", _status), ("ticks.csv", _ticks), ("transitions.txt", _transitions)):
+    makers = {"status.json": _status, "log.txt": _log, "ticks.csv": _ticks, "transitions.txt": _transitions}
+    for name, make in makers.items():
         try:
             parts[name] = make(bench)
         except PiezodError as error:
@@ -155,6 +157,14 @@ def _status(bench: BenchConfig) -> str:
     client = Client(bench.socket_path)
     try:
         return json.dumps(client.ask("status"), indent=2) + "\n"
+    finally:
+        client.close()
+
+
+def _log(bench: BenchConfig) -> str:
+    client = Client(bench.socket_path)
+    try:
+        return "".join(f"{line}\n" for line in client.ask("log")["lines"])
     finally:
         client.close()
 

@@ -100,7 +100,7 @@ class Client:
         Parameters
         ----------
         command
-            `status`, `arm`, `disarm`, `stop`, `reset` or `reload`.
+            `status`, `log`, `arm`, `disarm`, `stop`, `reset` or `reload`.
 
         Raises
         ------

@@ -6,11 +6,14 @@ nor ends the daemon: what cannot be written is dropped and counted.
 
 import sys
 from collections import deque
+from datetime import UTC, datetime
 
-from piezod.runtime import descriptors, threads
+from piezod.runtime import clock, descriptors, threads
 
 MOST_WAITING = 1000
 """Lines that wait to be written; further ones are dropped."""
+MOST_RECENT = 1000
+"""Lines that are kept for a support bundle."""
 FLUSH_WITHIN_S = 1.0
 """Longest time that the end of the program waits for the last lines [s]."""
 
@@ -27,6 +30,8 @@ class Journal:
     ----------
     dropped
         Number of lines that were not written.
+    recent
+        Last `MOST_RECENT` lines with their time of day, also those that were dropped.
     """
 
     def __init__(self, descriptor: int | None = None) -> None:
@@ -35,9 +40,11 @@ class Journal:
         self._changed = threads.Condition()
         self._thread: threads.Thread | None = None
         self.dropped = 0
+        self.recent: deque[str] = deque(maxlen=MOST_RECENT)
 
     def add(self, text: str) -> None:
         """Add one line; it is dropped if `MOST_WAITING` lines wait."""
+        self.recent.append(f"{datetime.fromtimestamp(clock.wall_s(), UTC).isoformat(timespec='milliseconds')} {text}")
         with self._changed:
             if self._thread is None:
                 self._thread = threads.Thread(target=self._write_all, name="journal", daemon=True)

@@ -17,7 +17,7 @@ from piezod.control import CAUSE_TEXT, Cause, State
 from piezod.daemon.command_channel import CommandChannel
 from piezod.daemon.control_socket import ControlSocket, Peer
 from piezod.daemon.file_reader import read_bench_files
-from piezod.daemon.journal import log_line
+from piezod.daemon.journal import JOURNAL, log_line
 from piezod.daemon.metrics import BenchMetrics, MetricsServer
 from piezod.daemon.model_watch import ModelWatch
 from piezod.daemon.phase_watch import PhaseWatch
@@ -46,7 +46,7 @@ READY_WITHIN_S = 30.0
 FILES_INTERVAL_S = 0.5
 """Time between two looks at lock, sockets and ring log [s]: what is removed is noticed within a second."""
 ENDING = (signal.SIGTERM, signal.SIGINT)
-COMMANDS = ("status", "arm", "disarm", "stop", "reset", "reload")
+COMMANDS = ("status", "log", "arm", "disarm", "stop", "reset", "reload")
 """Commands of the socket."""
 
 
@@ -347,6 +347,8 @@ class Service:
             self._channel.urge(command)  # before the pipe, which may be full of other commands
         if command == "status":
             return {"ok": True, **self.status()}
+        if command == "log":
+            return {"ok": True, "lines": list(JOURNAL.recent)}
         if command not in COMMANDS:
             return {"ok": False, "error": f"command is {command!r}, must be one of {', '.join(COMMANDS)}", "code": 2}
         try:

@@ -214,7 +214,9 @@ def run(options: argparse.Namespace, _parser: argparse.ArgumentParser) -> None:
     begun_s, count = time.process_time(), options.days * WINDOWS_A_DAY
     random = np.random.default_rng(options.seed)
     tolerance = DriftConfig().tolerance
-    print(f"{options.days} days without a change, nominal {options.days / NOMINAL_DAYS:g} alarms: new rule, old rule")
+    print(
+        f"{options.days} days without a change, nominal {options.days / NOMINAL_DAYS:g} alarms: new rule, old rule"
+    )
     for name, work, tolerated in (
         ("exchangeable windows, tolerance 0", EXCHANGEABLE, 0.0),
         (f"day and night, wander; tolerance {tolerance:g}", USUAL, tolerance),

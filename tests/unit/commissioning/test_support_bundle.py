@@ -65,7 +65,7 @@ def test_the_bundle_contains_versions_machine_model_and_the_last_ticks(config, t
     assert json.loads(parts["bundle.json"]) == about
     assert len(about["model"]["sha256"]) == 64
     assert about["versions"]["numpy"] == np.__version__
-    assert list(about["left_out"]) == ["status.json"]
+    assert list(about["left_out"]) == ["status.json", "log.txt"]
     assert parts["transitions.txt"].splitlines() == [
         "tick 0: RUNNING, started",
         "tick 20: FAULT, force above limits.force_trip_N; check specimen, reference and load cell",
@@ -88,7 +88,7 @@ def test_a_bundle_can_be_made_for_a_bench_that_never_ran(tmp_path):
     text = shipped("bench.yaml").read_text(encoding="utf-8").replace("/dev/shm/", f"{tmp_path}/none/")
     path.write_text(text, encoding="utf-8")
     about = write_bundle(path, tmp_path / "out.zip")
-    assert set(about["left_out"]) == {"status.json", "ticks.csv", "transitions.txt"}
+    assert set(about["left_out"]) == {"status.json", "log.txt", "ticks.csv", "transitions.txt"}
     assert "cannot be read" in about["model"]["problem"]
 
 

@@ -2,10 +2,11 @@
 
 import os
 import time
+from datetime import datetime
 
 import pytest
 
-from piezod.daemon.journal import MOST_WAITING, Journal
+from piezod.daemon.journal import MOST_RECENT, MOST_WAITING, Journal
 
 
 @pytest.fixture
@@ -24,6 +25,16 @@ def test_lines_are_written_in_order(pipe):
     assert journal.flush()
     assert os.read(pipe["reader"], 1 << 16).decode().splitlines() == [f"line {number}" for number in range(100)]
     assert journal.dropped == 0
+
+
+def test_the_last_lines_are_kept_with_their_time(pipe):
+    journal = Journal(pipe["writer"])
+    for number in range(MOST_RECENT + 5):
+        journal.add(f"line {number}")
+    assert len(journal.recent) == MOST_RECENT
+    time_of_day, _, text = journal.recent[-1].partition(" ")
+    assert text == f"line {MOST_RECENT + 4}"
+    assert abs(datetime.fromisoformat(time_of_day).timestamp() - time.time()) < 60.0
 
 
 def test_a_reader_that_stands_still_delays_nobody_and_lines_are_dropped_and_counted(pipe):
