@@ -33,6 +33,12 @@ def diagnose(
             metavar="CONFIG", help="The recording that the daemon saved when this bench drifted from its model."
         ),
     ] = None,
+    from_archive: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="CONFIG", help="The newest drive in the recorder's files, into a folder of its own in DIR."
+        ),
+    ] = None,
     input_column: Annotated[
         str | None, typer.Option("--input", metavar="COLUMN", help="Default: the column of the model.")
     ] = None,
@@ -61,9 +67,18 @@ def diagnose(
     """Find the effects that a model lacks: place, effect, confidence, and the extended model."""
     from piezod.recording import TextOptions, check_folder, check_page
 
+    recordings = list(recordings or ())
+    if from_archive is not None:
+        from piezod.commissioning.archive_check import prepare_check
+
+        if recordings or model is not None or from_bench is not None:
+            raise UsageError(
+                "--from-archive determines recording and model: give neither REC, --model nor --from-bench"
+            )
+        saved, model, output = prepare_check(from_archive, output)
+        recordings = [saved]
     check_folder(output, ("findings.json", "model.yaml"), force=force)
     check_page(replay)
-    recordings = list(recordings or ())
     text = TextOptions.of(columns, rate_hz, decimal, scale)
     if from_bench is not None:
         from piezod.daemon.drift import find_drift_recording
@@ -73,7 +88,7 @@ def diagnose(
         saved, model = find_drift_recording(from_bench)
         recordings = [saved]
     if model is None or not recordings:
-        raise UsageError("REC... or --model is missing: give both, or --from-bench CONFIG")
+        raise UsageError("REC... or --model is missing: give both, or --from-bench or --from-archive CONFIG")
     for path in (*recordings, *(hold_out or ())):
         check_readable(path, model, text)  # a wrong file is refused before the libraries are there
     from piezod.diagnose.command import diagnose_files

@@ -37,7 +37,8 @@ def history(
 ) -> None:
     """Show the models of a bench over time: lineage, parameters with intervals, and changes.
 
-    Of a folder, the models in it and in its subfolders are read, such as folders that diagnose has written.
+    Of a folder, the models in it and in its subfolders are read, such as folders that diagnose has written. Their
+    verdicts are listed too.
 
     An archive has a folder for each bench, with its model.yaml and its recordings. Recordings that are not diagnosed
     yet are diagnosed, each with the model that the recording before it gave. A stopped run continues.
@@ -55,10 +56,11 @@ def history(
 
     check_page(output)
     check_page(table)
+    from piezod.history.checks import checks_text, find_checks
     from piezod.history.timeline import timeline_of
     from piezod.history.words import verdict_of
 
-    timeline = timeline_of(models)
+    timeline, checks = timeline_of(models), find_checks(models)
     if table is not None or output is not None or not as_json:
         from piezod.report.history import history_text, write_history_csv, write_history_page
 
@@ -66,7 +68,10 @@ def history(
             write_history_csv(table, timeline)
         if output is not None:
             write_history_page(output, timeline)
-    print(json.dumps(timeline.as_dict(verdict_of(timeline)), indent=2) if as_json else history_text(timeline))
+    if as_json:
+        print(json.dumps(timeline.as_dict(verdict_of(timeline)) | {"checks": [c.as_dict() for c in checks]}, indent=2))
+    else:
+        print("\n".join(filter(None, [history_text(timeline), checks_text(checks)])))
 
 
 def _archive(

@@ -17,6 +17,7 @@ from piezod.control.phase_times import PHASES
 from piezod.daemon.connections import Connections
 from piezod.daemon.drift import DriftWatch
 from piezod.daemon.journal import JOURNAL
+from piezod.daemon.last_check import LastCheck
 from piezod.daemon.learning_watch import LearningWatch
 from piezod.daemon.phase_watch import PhaseWatch
 from piezod.daemon.proof_date import ProofDate
@@ -79,6 +80,8 @@ class BenchMetrics(Collector):
         Last proof test; None: it is not watched.
     counters
         Function that returns the counters of the ring log; it returns none without a control process.
+    last_check
+        Last check of the model with a recorded drive; None: without one.
     """
 
     def __init__(
@@ -94,7 +97,9 @@ class BenchMetrics(Collector):
         dt_s: float = 0.0,
         proof: ProofDate | None = None,
         counters: Callable[[], Sequence[int]] = lambda: (),
+        last_check: LastCheck | None = None,
     ) -> None:
+        self._last_check = last_check
         self._counters = counters
         self._proof = proof
         self._dt_s = dt_s
@@ -147,6 +152,7 @@ class BenchMetrics(Collector):
         if self._recorder is not None:
             yield from self._recorder_metrics(self._recorder)
         yield from self._drift_metrics()
+        yield from self._check_metrics()
         yield from self._learning_metrics()
         if self._railed is not None:
             text = "1 while the reference is out of reach because the voltage is at a limit"
@@ -208,6 +214,18 @@ class BenchMetrics(Collector):
             gauge = GaugeMetricFamily(name, text, labels=["bench"])
             if np.isfinite(value):
                 gauge.add_metric(self._labels, value)
+            yield gauge
+
+    def _check_metrics(self) -> Iterable[Metric]:
+        check = None if self._last_check is None else self._last_check.as_dict()
+        if check is None:
+            return
+        for name, text, value in (
+            ("piezod_check_age_seconds", "Age of the drive of the last check of the model", float(check["age_s"])),
+            ("piezod_check_matches", "1 if the last check found that the model holds", check["verdict"] == "matches"),
+        ):
+            gauge = GaugeMetricFamily(name, text, labels=["bench"])
+            gauge.add_metric(self._labels, float(value))
             yield gauge
 
     def _learning_metrics(self) -> Iterable[Metric]:

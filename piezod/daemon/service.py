@@ -18,6 +18,7 @@ from piezod.daemon.command_channel import CommandChannel
 from piezod.daemon.control_socket import ControlSocket, Peer
 from piezod.daemon.file_reader import read_bench_files
 from piezod.daemon.journal import JOURNAL, log_line
+from piezod.daemon.last_check import LastCheck
 from piezod.daemon.metrics import BenchMetrics, MetricsServer
 from piezod.daemon.model_watch import ModelWatch
 from piezod.daemon.phase_watch import PhaseWatch
@@ -99,6 +100,7 @@ class Service:
         self.model_watch = ModelWatch(path)
         self.railed_watch = RailedWatch(log_line)
         self.proof = last_proof(bench, path)
+        self.last_check = LastCheck.of(bench)
         self.phase_watch = PhaseWatch(log_line)
 
     async def run(self) -> None:
@@ -126,6 +128,7 @@ class Service:
                     self._bench.dt_s,
                     self.proof,
                     lambda: self._channel.counters,
+                    self.last_check,
                 )
                 metrics = MetricsServer(shown, log_line)
                 stack.push_async_callback(metrics.close)
@@ -147,6 +150,7 @@ class Service:
             self.railed_watch,
             self.phase_watch,
             self.proof,
+            self.last_check,
             up_s,
         )
 

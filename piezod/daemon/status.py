@@ -10,6 +10,7 @@ from piezod.config.reference import RegisterReference, StreamReference
 from piezod.control.leaky_count import interlock_counts
 from piezod.control.references import counts_dict
 from piezod.daemon.journal import JOURNAL
+from piezod.daemon.last_check import check_text
 from piezod.daemon.proof_date import proof_text
 from piezod.recording.age import is_stale
 
@@ -17,6 +18,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from piezod.daemon.command_channel import CommandChannel
+    from piezod.daemon.last_check import LastCheck
     from piezod.daemon.model_watch import ModelWatch
     from piezod.daemon.phase_watch import PhaseWatch
     from piezod.daemon.proof_date import ProofDate
@@ -43,6 +45,7 @@ def status_dict(
     railed_watch: "RailedWatch",
     phase_watch: "PhaseWatch",
     proof: "ProofDate | None",
+    last_check: "LastCheck",
     up_s: float,
 ) -> dict[str, object]:
     """Make the status; runs in the daemon.
@@ -65,6 +68,8 @@ def status_dict(
         Durations of the phases of a tick.
     proof
         Last proof test; None: it is not watched.
+    last_check
+        Last check of the model with a recorded drive.
     up_s
         Time since the start of the daemon [s].
     """
@@ -90,6 +95,7 @@ def status_dict(
         "learning": None if model_watch.learning is None else model_watch.learning.as_dict(),
         "rail": railed_watch.as_dict(),
         "proof": None if proof is None else proof.as_dict(),
+        "check": last_check.as_dict(),
         "phases": phase_watch.as_dict(),
         "preview": None if preview is None else preview.as_dict(),
         "corrected_force_N": None if drift is None else drift.corrected(),
@@ -148,6 +154,8 @@ def status_text(status: dict[str, Any]) -> str:
         lines.append(f"  reference: RAILED; not reachable, the voltage is at a limit for {rail['lasted_s']:.1f} s")
     if (proof := status.get("proof")) and (due := proof_text(proof)):
         lines.append(f"  {due}")
+    if check := status.get("check"):
+        lines.append(f"  {check_text(check)}")
     if recorder := status.get("recorder"):
         lines.append(f"  {_recorder_text(recorder)}")
     return "\n".join(lines)

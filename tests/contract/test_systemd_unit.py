@@ -80,3 +80,24 @@ def test_what_real_time_needs_is_granted_and_the_compiled_steps_have_a_place(ser
 def test_the_account_is_made_by_sysusers(service):
     lines = (UNIT.parent / "piezod.sysusers.conf").read_text(encoding="utf-8").splitlines()
     assert [line.split()[:2] for line in lines if line.startswith("u ")] == [["u", service["User"][0]]]
+
+
+@pytest.fixture(scope="module")
+def daily():
+    """Lines of the unit of the daily check."""
+    return (UNIT.parent / "piezod-check@.service").read_text(encoding="utf-8").splitlines()
+
+
+@analyze
+@pytest.mark.parametrize("name", ["piezod-check@.service", "piezod-check@.timer"])
+def test_systemd_finds_nothing_to_say_of_the_daily_check(name):
+    done = told("verify", UNIT.parent / name)
+    assert done.returncode == 0, done.stderr
+    assert done.stderr.strip() == ""
+
+
+def test_the_daily_check_runs_behind_everything_else_and_never_drives(daily):
+    assert {"Nice=19", "CPUSchedulingPolicy=idle", "IOSchedulingClass=idle", "PrivateDevices=yes"} <= set(daily)
+    assert {"PrivateNetwork=yes", "RestrictRealtime=yes", "SuccessExitStatus=75"} <= set(daily)
+    (command,) = [line for line in daily if line.startswith("ExecStart=")]
+    assert command.split()[1:4] == ["piezod", "diagnose", "--from-archive"]

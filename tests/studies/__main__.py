@@ -10,6 +10,7 @@ from pathlib import Path
 from tests.studies import (
     archive,
     compensation,
+    daily_check,
     drift_alarm,
     effects_compensated,
     flexure,
@@ -64,6 +65,9 @@ def main() -> None:
         studies.add_parser("real_recordings", help="measured recordings of other machines, beside simulation")
     )
     nulls.add_options(studies.add_parser("nulls", help="identified models on benches with nothing wrong in them"))
+    daily_check.add_options(
+        studies.add_parser("daily_check", help="ticks missed while the daily check runs, beside the bench alone")
+    )
     drift_alarm.add_options(
         studies.add_parser("drift_alarm", help="false alarms and delay of the drift watch, simulated days")
     )

@@ -1,10 +1,9 @@
 """False alarms and delay of the drift watch, beside the rule of two windows beyond three times the model's error.
 
-python -m tests.studies drift_alarm [--days 1000] [--check]
+python -m tests.studies drift_alarm [--days 1000]
 
 Windows are drawn, not ticks. A drawn window has the noise of its samples and a misfit of the model that depends on the
-kind of work. `--check` runs loop, link and emulated bench by a hand-stepped clock instead, and compares the figures of
-their windows with drawn ones.
+kind of work.
 """
 
 import argparse
@@ -206,17 +205,10 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace, _parser: argparse.ArgumentParser) -> None:
     """Print the table."""
-    if options.check:
-        from tests.studies.drift_alarm_check import check
-
-        check()
-        return
     begun_s, count = time.process_time(), options.days * WINDOWS_A_DAY
     random = np.random.default_rng(options.seed)
     tolerance = DriftConfig().tolerance
-    print(
-        f"{options.days} days without a change, nominal {options.days / NOMINAL_DAYS:g} alarms: new rule, old rule"
-    )
+    print(f"{options.days} days without a change, nominal {options.days / NOMINAL_DAYS:g} alarms: new rule, old rule")
     for name, work, tolerated in (
         ("exchangeable windows, tolerance 0", EXCHANGEABLE, 0.0),
         (f"day and night, wander; tolerance {tolerance:g}", USUAL, tolerance),

@@ -107,6 +107,22 @@ def read_end(path: Path) -> tuple[About, int]:
         return about, 0 if block is None else block.first + block.rows.size
 
 
+def read_last_blocks(path: Path, most: int) -> Iterator[Block]:
+    """The last `most` undamaged blocks of a recording, newest first.
+
+    Raises
+    ------
+    RecordingError, OSError
+        The file is no recording or cannot be read.
+    """
+    with closing(connect(path)) as connection:
+        about = read_about(connection, path)
+        last = newest_block(connection) or 0
+        for number in range(last, max(0, last - most), -1):
+            reader = BlockReader(connection, path, about.layout, number)
+            yield from reader.blocks(number)
+
+
 def newest_block(connection: sqlite3.Connection) -> int | None:
     """Number of the block committed last; 0: the file has no block; None: the page with this number is damaged.
 
