@@ -1,4 +1,4 @@
-"""Checks of models in a folder: folders that `piezod diagnose` has written, also where the model stayed as it was."""
+"""Checks of models: folders that `piezod diagnose` has written, also where the given model stays."""
 
 import json
 from collections.abc import Sequence
@@ -17,7 +17,7 @@ STAMP = "%Y%m%dT%H%M%S"  # end of the name of a folder of the daily check
 class Check:
     """A diagnosis: its folder, date in UTC, verdict and words.
 
-    The date is that of the drive, with which the name of a folder of the daily check ends, else that of the file.
+    The date is the end of the folder's name, as the daily check writes it, else the date of the file.
     """
 
     folder: Path

@@ -2,8 +2,8 @@
 
 python -m tests.studies daily_check [--runs 3] [--rate 1000]
 
-The check runs as its unit starts it: nice 19, idle scheduling, idle I/O. Runs with and without it alternate, so that the
-load of the machine is that of both.
+The check runs as its unit starts it: nice 19, idle scheduling, idle I/O. Runs with and without it alternate, so
+that both have the load of the machine.
 """
 
 import argparse
