@@ -83,6 +83,7 @@ class History:
         self.excused = set()
         self.sending_N, self.sequence = None, 0
         self.answers = []
+        self.writes = 0
         self.watchdog_known_ns = 0
 
     # the bench file -----------------------------------------------------------------------------------------------
@@ -92,7 +93,7 @@ class History:
         content = yaml.safe_load(BENCH.read_text(encoding="utf-8"))
         for role in ("virtual_time", "virtual_tick_us"):
             del content["link"]["registers"][role]
-        reference = {"kind": "sine", "amplitude_N": 40, "offset_N": 120, "frequency_Hz": 1.0}
+        reference = {"kind": "sine", "amplitude_N": 40, "offset_N": 120, "frequency_Hz": plan.frequency_Hz}
         if plan.reference == "stream":
             reference = {"kind": "stream", "listen": str(folder / "stream"), "stale_after_s": 0.2,
                          "when_stale": "ramp_down"}  # fmt: skip
@@ -124,8 +125,13 @@ class History:
     def write_trip(self, trip_N):
         content = yaml.safe_load(self.text)
         content["limits"]["force_trip_N"] = trip_N
-        self.path.write_text(yaml.safe_dump(content), encoding="utf-8")
+        self._write(yaml.safe_dump(content))
         self.trip_in_file_N = trip_N
+
+    def _write(self, text):
+        """Write the bench file; a reload on its way may read the one or the other."""
+        self.writes += 1
+        self.path.write_text(text, encoding="utf-8")
 
     # the course ---------------------------------------------------------------------------------------------------
 
@@ -274,8 +280,6 @@ class History:
                 text, good = f"{type(error).__name__}: {error}", False
             if command == "arm":
                 self.arms -= 1
-            if command == "reload":
-                self.reloaded(good)
             machine.note("answer", command, machine.now_ns - begun_ns, text)
             self.answers.append((machine.time_s, command, text))
             if sends is not None:
@@ -341,20 +345,31 @@ class History:
                 self.trip_N = math.inf  # its answer is in the log only
                 self.service.signal(signal.SIGHUP)
         else:
-            self.ask("reload")
+            self.ask("reload", self._reloaded(self.writes))
 
-    def reloaded(self, good):
-        if good and self.trip_N < math.inf:
-            self.trip_N = self.trip_in_file_N
+    def _reloaded(self, writes):
+        """What an accepted reload changes: the trip, or an unknown one where the file has changed meanwhile."""
+
+        def accept(good, _):
+            if good and self.trip_N < math.inf:
+                self.trip_N = self.trip_in_file_N if self.writes == writes else math.inf
+
+        return accept
 
     def reload_broken(self, text, by_signal):
-        self.path.write_text(text, encoding="utf-8")
+        self._write(text)
+        writes = self.writes
         if by_signal:
             if self.alive and self.service.handlers.get(int(signal.SIGHUP)):
                 self.service.signal(signal.SIGHUP)
         else:
-            self.ask("reload", lambda good, _: self.violate("reload", f"{text!r} was accepted") if good else None)
+            self.ask("reload", lambda good, _: good and self._accepted(text, writes))
         self.machine.after(SECOND, lambda: self.write_trip(self.trip_in_file_N))
+
+    def _accepted(self, text, writes):
+        if self.writes == writes:
+            self.violate("reload", f"{text!r} was accepted")
+        self.trip_N = math.inf
 
     def strangers(self, count, kind):
         sends = (b"", b'{"command": "sta', b'{"command": "status"}\n' * 20, b"[" * 3000)[kind]

@@ -32,6 +32,7 @@ class Plan:
     rate_Hz: int = 200
     reference: str = "sine"
     recorder: bool = False
+    frequency_Hz: float = 1.0
     latency_ns: tuple = (20_000, 30_000)
     events: tuple = field(default=())
 
@@ -48,10 +49,10 @@ def _pick(choices):
 KINDS = {
     "disarm": (2, lambda rng: ()),
     "stop": (2, lambda rng: ()),
-    "urge": (1, _pick(("stop", "disarm"))),
+    "urge": (3, _pick(("stop", "disarm"))),
     "reset": (2, lambda rng: ()),
     "status": (1, lambda rng: ()),
-    "reload": (2, lambda rng: (rng.choice((150.0, 250.0, 360.0, 500.0)), rng.random() < 0.3)),
+    "reload": (2, lambda rng: (rng.choice((100.0, 150.0, 250.0, 360.0, 500.0)), rng.random() < 0.3)),
     "reload_broken": (1, lambda rng: (rng.choice(("", "rate_Hz: [", "limits: 3\n")), rng.random() < 0.5)),
     "strangers": (1, lambda rng: (rng.choice((1, 12, 70)), rng.randrange(4))),
     "signal_service": (1, lambda rng: (rng.choice(("SIGTERM", "SIGINT")), rng.choice((1, 1, 3)))),
@@ -103,12 +104,15 @@ def draw(seed, seconds):
         weights = [KINDS[name][0] for name in possible]
         name = rng.choices(possible, weights)[0]
         events.append(Event(time_s, name, KINDS[name][1](rng)))
-        if rng.random() < 0.3:
-            events.append(Event(time_s + rng.uniform(0.0, 0.02), rng.choice(("disarm", "stop", "arm", "heal"))))
+        if rng.random() < 0.5:  # what meets it: at once, or while it lasts
+            delay_s = rng.uniform(0.0, 0.02) if rng.random() < 0.5 else rng.uniform(0.1, 0.8)
+            events.append(Event(time_s + delay_s, rng.choice(("disarm", "stop", "stop", "arm", "heal"))))
         if rng.random() < 0.4:
             time_s += rng.uniform(0.3, 1.5)
             events += [Event(time_s, "heal"), Event(time_s + 0.3, "reset"), Event(time_s + 0.5, "start"),
                        Event(time_s + 1.7, "arm")]  # fmt: skip
+            if rng.random() < 0.2:
+                events.append(Event(time_s + 1.7 + rng.uniform(0.0, 0.006), "urge", ("stop",)))
             time_s += 1.8
     events.sort(key=lambda event: event.time_s)
     return Plan(
@@ -116,6 +120,7 @@ def draw(seed, seconds):
         rate_Hz=rng.choice((100, 200, 200, 400)),
         reference="stream" if stream else "sine",
         recorder=rng.random() < 0.3,
+        frequency_Hz=rng.choice((0.5, 1.0, 4.0)),
         latency_ns=(20_000, 30_000) if not slow else (60_000, 1_500_000),
         events=tuple(event for event in events if event.time_s < seconds - 0.5),
     )  # fmt: skip
