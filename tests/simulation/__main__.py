@@ -70,7 +70,7 @@ def each_hole(wanted):
 def report(plan, result):
     """Print the violations of a history, and the command that repeats it."""
     for kind, time_s, text in result.violations:
-        print(f"seed {plan.seed}: {kind} at {time_s:.4f} s: {text}")
+        print(f"seed {plan.seed}: {kind} at {time_s:.4f} s: {text}", flush=True)
     print(f"  python -m tests.simulation --seconds {plan.seconds:g} --seed {plan.seed} --trace")
 
 

@@ -43,6 +43,10 @@ LOOK_S = 0.02
 WATCHDOG_KNOWN_S = 2.0  # the guard reads it each second; then the ramp down
 SENT_EVERY_S = 0.01
 ENDS_WITHIN_S = 15.0  # from SIGTERM to the end of every process of the service
+CALM = ("arm", "disarm", "stop", "urge", "reset", "status", "stream", "start", "signal_service", "kill_service")
+CALM_AFTER_S = 1.5
+STEADY_FROM_V = 10.0
+STEADY_SHARE = 0.7  # of the time of the ramp: the reference may fall by 15 V until it begins
 DRIVEN = (State.ARMING, State.RUNNING, State.HOLD, State.RAMP_DOWN)
 
 
@@ -84,6 +88,8 @@ class History:
         self.sending_N, self.sequence = None, 0
         self.answers = []
         self.writes = 0
+        self.disturbed_until_ns = 0
+        self.steady = None  # time [ns], output [V] and reason of a ramp down whose rate is judged
         self.watchdog_known_ns = 0
 
     # the bench file -----------------------------------------------------------------------------------------------
@@ -248,6 +254,8 @@ class History:
                 self.rest_due = (machine.now_ns + round(REST_WITHIN_S * SECOND), reason)
             elif at_rest:
                 self.rest_due = None
+                if self.steady is not None:
+                    self._judge_rate()
             elif machine.now_ns > due_ns:
                 self.violate("rest", f"output {amplifier.bench.output_V:.2f} V {REST_WITHIN_S:.2f} s after {reason}")
                 self.rest_due = None
@@ -260,7 +268,27 @@ class History:
 
     def happen(self, event):
         self.machine.note("event", event.name, *event.arguments)
+        if event.name not in ("status", "reset", "heal", "start"):
+            self.steady = None
+        if event.name == "heal":
+            self.disturbed_until_ns = self.machine.now_ns + round(CALM_AFTER_S * SECOND)
+        elif event.name not in CALM:
+            self.disturbed_until_ns = math.inf
         getattr(self, event.name)(*event.arguments)
+
+    def expect_steadily(self, reason):
+        """The ramp down that begins now has the rate of the bench file, where nothing else is wrong."""
+        self.amplifier.catch_up()
+        calm = self.machine.now_ns > max(self.disturbed_until_ns, self.machine.stalled_until_ns)
+        if calm and self.state() is State.RUNNING and self.amplifier.bench.output_V > STEADY_FROM_V:
+            self.steady = (self.machine.now_ns, self.amplifier.bench.output_V, reason)
+
+    def _judge_rate(self):
+        (sent_ns, from_V, reason), self.steady = self.steady, None
+        rest_s = self.amplifier.time_of(self.amplifier.judge[judged.REST_STEP]) - 1e-9 * (sent_ns - BOOTED_NS)
+        least_s = STEADY_SHARE * from_V / RAMP_DOWN_V_PER_S
+        if rest_s < least_s:
+            self.violate("rate", f"{from_V:.1f} V to rest in {rest_s:.3f} s after {reason}, at least {least_s:.3f} s")
 
     def ask(self, command, sends=None):
         """A client sends a command; its answer is noted."""
@@ -303,6 +331,8 @@ class History:
     def _end(self, command):
         if self.alive:
             self.expect_rest(command, self._held_s())
+            if command == "disarm":
+                self.expect_steadily(command)
         self.ask(command, lambda good, text: self._refused(command, good, text))
 
     def _refused(self, command, good, text):
@@ -389,6 +419,8 @@ class History:
     def signal_service(self, name, times):
         if self.alive and self.service.handlers.get(int(getattr(signal, name))):
             self.expect_rest(name, self._held_s())
+            if times == 1:
+                self.expect_steadily(name)
             for _ in range(times):
                 if self.alive:
                     self.service.signal(getattr(signal, name))
@@ -396,6 +428,7 @@ class History:
     def kill_service(self):
         if self.alive:
             self.expect_rest("SIGKILL of the service")
+            self.expect_steadily("SIGKILL of the service")
             self.service.signal(signal.SIGKILL)
 
     def kill_control(self):

@@ -31,6 +31,12 @@ HOLES = {
         "piezod.session.control_process",
         "if not processes.end_with_parent(signal.SIGTERM):", "if False:", "F8: the end of the parent is noticed",
     ),
+    "a second signal is haste": Hole(
+        "piezod.session.control_process",
+        "signals.handle(signal.SIGTERM, lambda *_: loop.request_stop())",
+        "signals.handle(signal.SIGTERM, lambda *_: loop.request_stop(fast=loop.stopped))",
+        "F7: one ramp at the configured rate",
+    ),
     "watchdog is not read again": Hole(
         "piezod.control.device_guard",
         "        if done_ns < self._due_ns and result == _OK:\n            return\n", "        return\n", "F5",

@@ -129,6 +129,8 @@ class Process:
         for child in list(machine.processes):
             if child.parent is self and child.alive and child.dies_with_parent:
                 child.signal(child.dies_with_parent)
+                if child.alive:  # the kernel may send it once for each thread of the parent
+                    child.signal(child.dies_with_parent)
         for watch in self.watchers:
             watch()
         machine.graves.extend(self.threads)  # a greenlet that is collected would run its `finally`

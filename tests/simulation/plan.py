@@ -86,10 +86,15 @@ KINDS = {
 }  # fmt: skip
 
 
+ORDERLY = ("disarm", "stop", "urge", "reload", "signal_service", "kill_service", "stream", "stream_ends")
+
+
 def draw(seed, seconds):
     """The plan of a seed."""
     rng = random.Random(seed)
     possible = [name for name in KINDS if rng.random() < 0.35]
+    if rng.random() < 0.25:  # nothing is wrong but what users and signals do: the rate of each ramp is judged
+        possible = list(ORDERLY)
     rate_per_s = rng.choice((0.3, 1.0, 3.0))
     slow = rng.random() < 0.3
     events, time_s = [], 2.0
