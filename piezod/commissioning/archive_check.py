@@ -11,7 +11,7 @@ from piezod.recorder.newest_stretch import newest_stretch
 from piezod.recording import write_csv
 
 STRETCH = "stretch.csv"
-SHORTEST_KEPT_S = 60.0  # of a drive that lasts longer, where `drift.keep_s` is less
+LONG_ENOUGH_S = 60.0  # end of a drive that is diagnosed, where `drift.keep_s` is less
 
 
 def prepare_check(path: Path, output: Path) -> tuple[Path, Path, Path]:
@@ -38,9 +38,9 @@ def prepare_check(path: Path, output: Path) -> tuple[Path, Path, Path]:
     """
     bench = load_bench(path)
     _leave_cpu(bench.real_time.cpu)
-    used = model_path(bench, path)
-    model = load_model(used)
-    longest_s = max((bench.drift or DriftConfig()).keep_s, SHORTEST_KEPT_S)
+    model_file = model_path(bench, path)
+    model = load_model(model_file)
+    longest_s = max((bench.drift or DriftConfig()).keep_s, LONG_ENOUGH_S)
     stretch = newest_stretch(bench, model.input.high - model.input.low, longest_s)
     recorded = stretch.metadata["recorded"]
     folder = output / f"{bench.name}-{recorded[:19].replace(':', '').replace('-', '')}"
@@ -48,7 +48,7 @@ def prepare_check(path: Path, output: Path) -> tuple[Path, Path, Path]:
         raise TemporaryError(f"{folder}: this drive is checked already, and none is newer")
     folder.mkdir(parents=True, exist_ok=True)
     write_csv(stretch, folder / STRETCH)
-    return folder / STRETCH, used, folder
+    return folder / STRETCH, model_file, folder
 
 
 def _leave_cpu(tick_cpu: int | None) -> None:
