@@ -1,6 +1,6 @@
 """From the result of a search to a diagnosis: findings with confidences, and the written model."""
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -29,7 +29,7 @@ from piezod.diagnose.verdict.evidence import base_of, finding_of, gone_finding, 
 from piezod.diagnose.verdict.extended import extended_model, with_error
 from piezod.diagnose.verdict.information import information_of
 from piezod.diagnose.verdict.simulated import FreeRun, GivenRuns, free_run, tared_rms
-from piezod.diagnose.verdict.tone_findings import is_unchanged_tone, tone_finding, with_tone_terms
+from piezod.diagnose.verdict.tone_findings import gone_tones, is_unchanged_tone, tone_finding, with_tone_terms
 from piezod.diagnose.verdict.verdict import (
     held_out_rms,
     noise_floor,
@@ -254,6 +254,7 @@ class DiagnosisInputs:
         names = dict.fromkeys(tone.name for tone in result.diagnosed_tones)
         tones = [tone_finding(result, name, self.model) for name in names]
         effects += [tone for tone in tones if not is_unchanged_tone(tone)]
+        effects += gone_tones(result, self.model)
         return effects, [tone.name for tone in tones if is_unchanged_tone(tone)]
 
     def _is_other_stack(self, chain: Chain, floor: float) -> bool:
@@ -269,12 +270,14 @@ class DiagnosisInputs:
         Without a difference, a model with refitted hysteresis is written only if its error is noise.
         """
         before = tared_rms(self.given_runs.diagnosed_runs)
-        given = _WrittenModel(self.model, before)
+        gone = {finding.name for finding in effects if finding.status == "gone" and EFFECTS[finding.name].is_tone}
+        model = self._without(gone)
+        given = _WrittenModel(model, before)
         if not result.differs and not above_noise(before, floor, span):
             return given
         fitted = with_tone_terms(result.hypothesis, result.diagnosed_tones)
         intervals = {finding.name: finding.parameters for finding in effects}
-        parent = self.model if self.given_runs.law_holds else self.model.model_copy(update={"unnamed_law": None})
+        parent = model if self.given_runs.law_holds else model.model_copy(update={"unnamed_law": None})
         try:
             extended = extended_model(parent, result.chain, fitted, self.hashes, intervals)
         except ModelError as error:
@@ -288,6 +291,13 @@ class DiagnosisInputs:
         information = information_of(result.chain, result.hypothesis, extended, self.hashes)
         extended = with_error(extended.model_copy(update={"information": information}), after)
         return _WrittenModel(extended, after, runs)
+
+    def _without(self, tones: Collection[str]) -> Model:
+        """Given model without some tones; the given model itself without any."""
+        if not tones:
+            return self.model
+        effects = tuple(effect for effect in self.model.effects if effect.name not in tones)
+        return self.model.model_copy(update={"effects": effects})
 
     def _with_new_base(self, extended: Model) -> Model:
         """Model of a changed stack: only the diagnosed recordings belong to its base."""

@@ -11,8 +11,8 @@ WEIGHTS = np.array([0.06, 0.05, 0.06, 0.05, 0.05, 0.04, 0.04, 0.03])  # N/V
 TIMES_S = np.geomspace(0.1, 100.0, 16)  # of the creep
 
 
-def read(voltage_V, seed, *, creep_per_decade=0.0, late=0, gain=1.0):
-    """Readings [N]: `creep_per_decade` of the stroke [1], `late` samples, and `gain` [1]."""
+def read(voltage_V, seed, *, creep_per_decade=0.0, late=0, gain=1.0, hum_N=0.0):
+    """Readings [N]: `creep_per_decade` of the stroke [1], `late` samples, `gain` [1], and mains hum of 50 Hz."""
     plays, stroke = np.zeros(THRESHOLDS_V.size), np.empty(voltage_V.size)
     for k, now in enumerate(voltage_V):
         plays = np.clip(plays, now - THRESHOLDS_V, now + THRESHOLDS_V)
@@ -23,6 +23,7 @@ def read(voltage_V, seed, *, creep_per_decade=0.0, late=0, gain=1.0):
         behind += nearer * (now - stroke[0] - behind)
         crept[k] = now + share * behind.sum()
     force_N = gain * np.concatenate((np.full(late, crept[0]), crept))[: crept.size]
+    force_N += hum_N * np.sin(2 * np.pi * 50.0 * np.arange(force_N.size) / RATE_HZ + seed)
     return force_N + np.random.default_rng(seed).normal(0.0, NOISE_N, force_N.size)
 
 

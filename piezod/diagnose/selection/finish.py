@@ -95,6 +95,6 @@ def fit_all_samples(state: Search) -> Search:
     """State with base and hypothesis fitted to all samples."""
     chain = state.chain.like(state.chain.series, max(series.time_s.size for series in state.chain.series))
     fitted = fit(chain, state.hypothesis.terms, state.hypothesis.point)
-    return replace(
-        state, chain=chain, hypothesis=fitted, base=fit(chain, state.base.terms, state.base.point, most_steps=4)
-    )
+    is_base = state.hypothesis is state.base
+    base = fitted if is_base else fit(chain, state.base.terms, state.base.point, most_steps=4)
+    return replace(state, chain=chain, hypothesis=fitted, base=base)

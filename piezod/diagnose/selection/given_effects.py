@@ -10,9 +10,10 @@ from typing import Literal
 
 from piezod.diagnose.hypothesis.chain import Chain
 from piezod.diagnose.hypothesis.fit import Fitted, fit
-from piezod.diagnose.hypothesis.sampling import fit_from_each
+from piezod.diagnose.hypothesis.sampling import coarse, fit_from_each
 from piezod.diagnose.hypothesis.terms import Point, Scope, Term
 from piezod.diagnose.selection.acceptance import degenerate, worth
+from piezod.diagnose.selection.linear_gain import LinearGains
 from piezod.effects import EFFECTS
 from piezod.model import Model
 from piezod.model.parameters import EffectValues
@@ -114,7 +115,7 @@ def classify_given(chain: Chain, fitted: Fitted, given: Fitted) -> tuple[Fitted,
     """Hypothesis with the given effects as the recordings show them, and the status of each.
 
     A "kept" effect has its old values, and a "gone" effect is removed. A "not seen" effect has its old values too, but
-    the recordings fit as well without it.
+    the recordings fit as well without it. Nothing is fitted for an effect that is clearly seen and unchanged.
 
     Parameters
     ----------
@@ -124,7 +125,13 @@ def classify_given(chain: Chain, fitted: Fitted, given: Fitted) -> tuple[Fitted,
         Base with all given effects held.
     """
     statuses: dict[str, Status] = {}
+    few = coarse(chain)
+    linear = LinearGains(few, fitted)
     for name in given.effects:
+        is_held = any(term.held for term in fitted.terms if term.effect.name == name)
+        if is_held and linear.clearly_seen(name) and not linear.may_have_changed(name):
+            statuses[name] = "kept"
+            continue
         held, reduced = as_given(chain, fitted, given, name), refitted_without(chain, fitted, name)
         changed = with_fitted_values(chain, held, name)
         if name in fitted.effects:
@@ -135,4 +142,6 @@ def classify_given(chain: Chain, fitted: Fitted, given: Fitted) -> tuple[Fitted,
             fitted, statuses[name] = (reduced, "gone") if gone else (changed, "changed")
         else:
             fitted, statuses[name] = held, "kept" if worth(reduced, held) else "not seen"
+        linear = LinearGains(few, fitted)
+    few.forget()
     return fitted, statuses

@@ -20,6 +20,7 @@ from piezod.diagnose.selection.finish import fit_all_samples, remove_redundant, 
 from piezod.diagnose.selection.given_effects import classify_given, with_fitted_values
 from piezod.diagnose.selection.moves import MOVES
 from piezod.diagnose.selection.search_state import Search, identified_base
+from piezod.diagnose.selection.unchanged import is_unchanged
 
 OnProgress = Callable[[str, float | None], None]
 
@@ -44,15 +45,8 @@ def search(
     """
     progress("fitting the base", None)
     state = _begun(chain.within(until_s), start, given)
-    while len(state.new) < RULES.most_effects:
-        count = len(state.new)
-        progress(f"looking for effect {count + 1}, at most {RULES.most_effects}", None)
-        candidates = Candidates(state)
-        following = next((moved for move in MOVES if (moved := move(candidates)) is not None), None)
-        if state.chain.is_late or following is None:
-            state = replace(state, attempts=(*state.attempts, *candidates.attempts))
-            break
-        state = replace(following, attempts=(*state.attempts, *candidates.attempts))
+    if not given or not is_unchanged(state):
+        state = _with_moves(_with_changes(state), progress)
     state = replace(state, chain=state.chain.within(np.inf), ended_early=state.chain.is_late)
     if not state.ended_early:
         progress("comparing with rivals, leaving out what gains nothing", None)
@@ -61,8 +55,21 @@ def search(
     return fit_all_samples(remove_redundant(replace(state, hypothesis=hypothesis, statuses=statuses)))
 
 
+def _with_moves(state: Search, progress: OnProgress) -> Search:
+    """State after one move after the other, until none applies or the time is over."""
+    while len(state.new) < RULES.most_effects:
+        count = len(state.new)
+        progress(f"looking for effect {count + 1}, at most {RULES.most_effects}", None)
+        candidates = Candidates(state)
+        following = next((moved for move in MOVES if (moved := move(candidates)) is not None), None)
+        if state.chain.is_late or following is None:
+            return replace(state, attempts=(*state.attempts, *candidates.attempts))
+        state = replace(following, attempts=(*state.attempts, *candidates.attempts))
+    return state
+
+
 def _begun(chain: Chain, start: Point, given: tuple[Term, ...]) -> Search:
-    """State before the first round: hold and initial states of the base, and changes of the given model.
+    """State before the first round: hold and initial states of the base.
 
     A model with effects states its hold.
     """
@@ -72,7 +79,12 @@ def _begun(chain: Chain, start: Point, given: tuple[Term, ...]) -> Search:
         chain, base = best_intersample(chain, (), start)
         base = fit(chain, (), base.point)  # an effect must not gain by what the base has not reached
     chain, base = with_usual_start(chain, base)
-    state: Search | None = Search(chain, base, base, identified_base(chain, start, given))
+    return Search(chain, base, base, identified_base(chain, start, given))
+
+
+def _with_changes(begun: Search) -> Search:
+    """State with every change of the given model that is worth it, the best first."""
+    state: Search | None = begun
     while state is not None:
         begun, state = state, _with_best_change(state)
     return begun

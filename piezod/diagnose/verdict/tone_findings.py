@@ -18,6 +18,7 @@ from piezod.effects import EFFECTS
 from piezod.model import Model
 
 TONE_CHANGE = 0.2  # relative change of a tone's amplitude or frequency that machines show by themselves
+GONE = 0.5  # largest amplitude that a gone tone may still have, relative to the given model
 
 
 def with_tone_terms(fitted: Fitted, tones: Sequence[Tone]) -> Fitted:
@@ -56,6 +57,45 @@ def is_unchanged_tone(tone: Finding) -> bool:
     """Whether a tone of the given model has not changed."""
     pairs = [(tone.parameters[name], was) for name, was in tone.was.items()]
     return bool(pairs) and all(abs(now.value / was.value - 1.0) < TONE_CHANGE for now, was in pairs)
+
+
+def gone_tones(result: Search, given: Model) -> list[Finding]:
+    """Findings about tones of the given model that the diagnosed recordings would show and do not.
+
+    The upper end of the amplitude at the tone's frequency is below `GONE` of the lower end in the given model.
+    """
+    found = {tone.name for tone in result.diagnosed_tones}
+    names = dict.fromkeys(effect.name for effect in given.effects if EFFECTS[effect.name].is_tone)
+    return [_gone_tone(result, name, given) for name in names if name not in found and _is_gone(result, name, given)]
+
+
+def _is_gone(result: Search, name: str, given: Model) -> bool:
+    was = given_values(given, name)
+    frequency_Hz, least_N = was["frequency_Hz"].value, GONE * was["amplitude_N"].low
+    diagnosed = [k for k, series in enumerate(result.chain.series) if series.role == "recording"]
+    return all(_highest_amplitude_N(result, number, frequency_Hz) < least_N for number in diagnosed)
+
+
+def _highest_amplitude_N(result: Search, number: int, frequency_Hz: float) -> float:
+    """Upper end of the amplitude of a tone within `TONE_CHANGE` of a frequency [N]; inf where the rate is too low."""
+    series = result.chain.series[number]
+    if frequency_Hz * (1.0 + TONE_CHANGE) * series.dt_s >= 0.5:
+        return np.inf
+    modelled_N = result.chain.run(number, result.hypothesis.terms, result.hypothesis.point).reading_N
+    residual_N = np.where(series.counts, series.reading_N - modelled_N, 0.0)
+    window = np.hanning(residual_N.size)
+    amplitudes_N = 2.0 * np.abs(np.fft.rfft((residual_N - residual_N.mean()) * window)) / window.sum()
+    near = np.abs(np.fft.rfftfreq(residual_N.size, series.dt_s) / frequency_Hz - 1.0) < TONE_CHANGE
+    error_N = NORMAL_95 * series.noise_N * float(np.sqrt(2.0 / residual_N.size))
+    return float(amplitudes_N[near].max(initial=0.0)) + error_N
+
+
+def _gone_tone(result: Search, name: str, given: Model) -> Finding:
+    """Finding about a tone that is gone; the errors are equal, because the given model does not know its phase."""
+    effect, was = EFFECTS[name], given_values(given, name)
+    rms = held_out_rms(result.chain, result.hypothesis)
+    confidence = confidence_of(float(np.log(1.0 + 0.5 * (was["amplitude_N"].value / rms) ** 2)), ())
+    return replace(finding_about(effect, confidence, "once", (), was, (rms, rms)), status="gone", was=was)
 
 
 def _tone_error(name: str, tone: Tone, result: Search) -> float:

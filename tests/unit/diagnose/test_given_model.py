@@ -2,15 +2,18 @@
 
 import json
 import shutil
+from functools import partial
 
 import numpy as np
 import pytest
 
 import piezod
 from piezod.diagnose.command import diagnose_files
-from piezod.model import load_model
+from piezod.model import load_model, save_model
+from piezod.model.parameters import EffectValues
 from tests.benches.plain_stack import NOISE_N, record, triangles, work
 
+HARMONICS = [f"{wave}_{h}" for h in range(2, 8) for wave in ("sine", "cosine")]
 OLD = {"creep_per_decade": 0.013, "late": 3}
 
 
@@ -41,6 +44,13 @@ def later(bench, tmp_path, **state):
     return findings, load_model(tmp_path / "out" / "model.yaml")
 
 
+def without_older_recordings(model):
+    """The model as it stands for its recordings when they are gone."""
+    gone = tuple(entry.model_copy(update={"path": "gone.csv"}) for entry in model.provenance.recordings)
+    provenance = model.provenance.model_copy(update={"recordings": gone})
+    return model.model_copy(update={"provenance": provenance})
+
+
 def tared_rms(path, model):
     """Error of a simulation after its first second, about its mean."""
     measured = piezod.read_recording(path)
@@ -69,6 +79,32 @@ def test_a_model_with_effects_matches_a_bench_on_which_nothing_has_changed(bench
     given = tared_rms(tmp_path / "later.csv", bench / "model.yaml")
     assert findings["fit"]["held_out"]["before"] == pytest.approx(given, rel=1e-9)
     assert model == load_model(bench / "model.yaml")
+
+
+def test_an_unchanged_bench_begins_no_search_and_a_changed_one_does(bench, tmp_path):
+    save_model(without_older_recordings(load_model(bench / "model.yaml")), tmp_path / "model.yaml")
+    for name, state, is_searched in (("same", {}, False), ("later", {"late": 4}, True)):
+        path, steps = record(tmp_path / f"{name}.csv", work(4), 5, **{**OLD, **state}), []
+        on_step = partial(lambda known, step, _: known.append(step), steps)
+        diagnose_files([path], tmp_path / "model.yaml", tmp_path / name, None, None, on_step)
+        assert any(step.startswith("looking for effect") for step in steps) == is_searched
+
+
+@pytest.mark.parametrize(("hum_N", "status"), [(0.0, {"mains_hum": "gone"}), (0.5, {})])
+def test_a_hum_of_the_given_model_that_is_not_there_is_gone(bench, tmp_path, hum_N, status):
+    model = load_model(bench / "model.yaml")
+    hum = EffectValues(
+        name="mains_hum",
+        parameters={"amplitude_N": 0.5, "frequency_Hz": 50.0, "phase_rad": 0.0, **dict.fromkeys(HARMONICS, 0.0)},
+        intervals={"amplitude_N": (0.49, 0.51), "frequency_Hz": (49.99, 50.01)},
+        recording="0" * 64,
+    )
+    save_model(model.model_copy(update={"effects": (*model.effects, hum)}), tmp_path / "model.yaml")
+    record(tmp_path / "later.csv", work(4), 5, **OLD, hum_N=hum_N)
+    findings = diagnosed(tmp_path, tmp_path / "model.yaml", "later", tmp_path / "out")
+    assert names(findings["effects"]) == status
+    written = {effect.name for effect in load_model(tmp_path / "out" / "model.yaml").effects}
+    assert ("mains_hum" in written) == (hum_N > 0.0)
 
 
 @pytest.mark.slow
