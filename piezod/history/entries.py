@@ -32,10 +32,10 @@ class ModelEntry:
 
     @property
     def date(self) -> datetime:
-        """Date of the newest recording with a part in the model, if it states one; else the date of the model."""
+        """Date of the newest recording with a part in the model, if any states one; else the date of the model."""
         provenance = self.model.provenance
-        last = (provenance.diagnosed or provenance.recordings)[-1:]
-        return _parsed(last[0].date if last and last[0].date else provenance.created)
+        stated = [entry.date for entry in (*provenance.recordings, *provenance.diagnosed) if entry.date]
+        return max(map(_parsed, stated), default=_parsed(provenance.created))
 
     @property
     def parent(self) -> str | None:

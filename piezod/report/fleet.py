@@ -86,8 +86,14 @@ def write_fleet_pages(folder: Path, fleet: Fleet) -> None:
 
 def recordings_html(bench: BenchState) -> str:
     """Table of the recordings of a bench with their verdicts."""
-    rows = [[*_recording_row(diagnosed)] for diagnosed in bench.run.done]
-    return f"<h2>Recordings</h2>{table_html(['recording', 'date (UTC)', 'verdict', 'in words'], rows)}" if rows else ""
+    if not bench.run.done:
+        return ""
+    head = "".join(f"<th>{name}</th>" for name in ("recording", "date (UTC)", "verdict", "in words"))
+    rows = "".join(
+        "<tr>" + "".join(f"<td>{html.escape(cell)}</td>" for cell in _recording_row(diagnosed)) + "</tr>"
+        for diagnosed in bench.run.done
+    )
+    return f"<h2>Recordings</h2><table><thead><tr>{head}</tr></thead><tbody>{rows}</tbody></table>"
 
 
 def _recording_row(diagnosed: Diagnosed) -> tuple[str, str, str, str]:

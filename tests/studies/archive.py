@@ -156,7 +156,9 @@ def _identify(folder: Path) -> None:
     name = "identification.csv"
     model = identified(Description(name, (), name, "voltage_V", "force_N"), folder)
     source = read_source(folder / name, "identification", ("voltage_V", "force_N"))
-    save_model(model.model_copy(update={"information": identified_information(model, [source])}), folder / "model.yaml")
+    provenance = model.provenance.model_copy(update={"created": FIRST_DAY.isoformat()})
+    information = identified_information(model, [source])
+    save_model(model.model_copy(update={"information": information, "provenance": provenance}), folder / "model.yaml")
 
 
 def add_options(fleet_parser: argparse.ArgumentParser, year_parser: argparse.ArgumentParser) -> None:

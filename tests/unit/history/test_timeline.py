@@ -73,6 +73,15 @@ def test_a_parent_stands_before_its_child_even_if_its_clock_was_ahead(tmp_path):
     assert [step.entry.paths[0] for step in piezod.history([child, parent]).timeline.steps] == [parent, child]
 
 
+def test_a_changed_stack_is_dated_by_the_recording_of_its_new_base(tmp_path):
+    path = save(tmp_path / "model.yaml", 20, recorded="2026-03-05T09:00:00")
+    model = load_model(path)
+    base = RecordingSource(path="new.csv", sha256="1" * 64, samples=100, span_s=20.0, date="2026-03-14T09:00:00")
+    provenance = model.provenance.model_copy(update={"recordings": (base,)})
+    save_model(model.model_copy(update={"provenance": provenance}), path)
+    assert piezod.history(path).timeline.steps[0].entry.date == datetime(2026, 3, 14, 9, tzinfo=UTC)
+
+
 def test_the_date_of_the_newest_recording_comes_before_that_of_the_model(tmp_path):
     path = save(tmp_path / "model.yaml", 20, recorded="2026-03-18T23:30:00-02:00")
     assert piezod.history(path).timeline.steps[0].entry.date == datetime(2026, 3, 19, 1, 30, tzinfo=UTC)
