@@ -101,11 +101,11 @@ def after_identify(
     if not useful and structured:
         return NextStep("not usable yet; a diagnosis finds the dynamics that no hysteresis has", (diagnosis,))
     if not useful:
-        again = (
+        repeat = (
             command("record", BENCH, "--excitation", "varying-triangles", "-o", "varying.csv"),
             command("identify", "varying.csv", "-o", model, "--force"),
         )
-        return NextStep("not usable; record triangles over the whole range and identify again", again)
+        return NextStep("not usable; record triangles over the whole range and identify again", repeat)
     left = "" if noises is None or noises < RESTING else f"the error is {noises:.2g} times the noise"
     if noises is None and explained < CLOSE:
         left = f"{100 * (1 - explained):.2g} % of the variance is not explained"
@@ -325,8 +325,8 @@ def after_report(recording: Path, *, fault: str, drifted: bool, config: Path = B
         Bench file.
     """
     if fault:
-        again = (command("check", config), command("reset", config))
-        return NextStep(f"remove the cause ({fault.partition(';')[0]}), then check and reset", again)
+        repeat = (command("check", config), command("reset", config))
+        return NextStep(f"remove the cause ({fault.partition(';')[0]}), then check and reset", repeat)
     if drifted:
         return NextStep("the bench left its model: diagnose the kept recording", (from_bench(config),))
     diagnosis = command("diagnose", recording, "--model", "MODEL.yaml", "-o", "diagnosis")
@@ -390,11 +390,11 @@ def after_validate(
     if better is None or not complete:
         return NextStep("find what ended the runs, then validate again", (command("check", bench),))
     if not better_than_none:
-        again = (
+        repeat = (
             command("record", bench, "--excitation", RICH, "-o", "rich.csv"),
             command("identify", "rich.csv", "-o", "new.yaml"),
         )
-        return NextStep("use none of these models; record the bench and identify again", again)
+        return NextStep("use none of these models; record the bench and identify again", repeat)
     run = [command("run", bench, "--arm")]
     words = f"drive with {better.name}"
     if config is None:
@@ -511,16 +511,16 @@ def after_sequence(config: Path, sequence: Path, model: Path, *, passed: bool | 
     fault
         Text of the latched fault; empty: none.
     """
-    again = command("run", config, "--sequence", sequence, "--arm", "-o", f"{sequence.stem}-result")
+    repeat = command("run", config, "--sequence", sequence, "--arm", "-o", f"{sequence.stem}-result")
     if passed is None:
-        return NextStep("the checks passed; drive the sequence when nobody is in its way", (again,))
+        return NextStep("the checks passed; drive the sequence when nobody is in its way", (repeat,))
     if fault:
         return NextStep(f"remove the cause ({fault.partition(';')[0]}), then check", (command("check", config),))
     if passed:
         return NextStep("keep the results; compare them with those of the next test")
     words = "find the reason: an investigation tells whether the bench left its model"
     bench = command("investigate", config, "--model", model, "-o", "investigation")
-    return NextStep(words, (bench, again))
+    return NextStep(words, (bench, repeat))
 
 
 def after_run(config: Path, recordings: Path | None, *, fault: str, drifted: bool) -> NextStep:

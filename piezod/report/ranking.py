@@ -68,7 +68,7 @@ def gain_text(name: str, other: str, scores: Mapping[str, Score], noise: float |
     name, other
         Names in `scores`.
     """
-    ours, theirs = scores[name].rms, scores[other].rms
+    own_rms, other_rms = scores[name].rms, scores[other].rms
     if other in equal_to_best({name: scores[name], other: scores[other]}, noise):
         return f"{name} and {other} do not differ by more than the noise shows"
-    return f"{name} is better than {other} by {in_noises(theirs - ours, noise, unit)}"
+    return f"{name} is better than {other} by {in_noises(other_rms - own_rms, noise, unit)}"

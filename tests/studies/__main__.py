@@ -20,6 +20,7 @@ from tests.studies import (
     lives,
     load,
     messy_files,
+    new_user,
     nulls,
     overlay,
     real_recordings,
@@ -71,6 +72,7 @@ def main() -> None:
     drift_alarm.add_options(
         studies.add_parser("drift_alarm", help="false alarms and delay of the drift watch, simulated days")
     )
+    new_user.add_options(studies.add_parser("new_user", help="the first day of a user, with a stopwatch"))
     soak.add_options(studies.add_parser("soak", help="a long run of the daemon on a busy machine, beside cyclictest"))
     load.add_options(
         studies.add_parser("load", help="the daemon with clients, live page, recorder and MQTT, and alone")

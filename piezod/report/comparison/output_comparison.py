@@ -116,12 +116,15 @@ def compare_files(
 
 
 def _noise(recording: Recording, y: Array, models: Sequence[Model]) -> float | None:
-    """Noise from repeats or rests of the recording, else from the recordings of a model; None: unknown."""
+    """Noise from repeats or rests of the recording, else the least noise that a model states; None: unknown.
+
+    The noise of a model is an upper bound: it holds the misfit where its recordings show no noise.
+    """
     column = models[0].input.channel if models else "voltage_V"
     u = recording.channels.get(column)
     found = None if u is None or not np.isfinite(u).all() else noise_of(u, y, np.isfinite(y), recording.dt_s)
     known = [model.information.noise for model in models if model.information is not None]
-    return found.rms if found is not None else next(iter(known), None)
+    return found.rms if found is not None else min(known, default=None)
 
 
 def _names(paths: Sequence[Path]) -> dict[Path, str]:

@@ -103,12 +103,12 @@ class SequenceVerdict:
     @property
     def passed(self) -> bool:
         """Whether every limit is kept, and the session ended without a fault."""
-        return all(one.result == "passed" for one in self.results) and not self.outcome.fault
+        return all(item.result == "passed" for item in self.results) and not self.outcome.fault
 
     @property
     def sentence(self) -> str:
         """Verdict in a sentence."""
-        counts = {result: sum(one.result == result for one in self.results) for result in ("FAILED", "not run")}
+        counts = {result: sum(item.result == result for item in self.results) for result in ("FAILED", "not run")}
         total = f"{len(self.results)} limits of {len(self.sequence.steps)} steps"
         if self.passed:
             return f"{self.sequence.name} passed: {total} are kept"
@@ -129,9 +129,9 @@ class SequenceVerdict:
                     "name": step.name,
                     "duration_s": self.durations_s[step.name],
                     "limits": [
-                        {"name": one.name, "limit": one.limit, "value": one.finite, "result": one.result.lower()}
-                        for one in self.results
-                        if one.step == step.name
+                        {"name": item.name, "limit": item.limit, "value": item.finite, "result": item.result.lower()}
+                        for item in self.results
+                        if item.step == step.name
                     ],
                 }
                 for step in self.sequence.steps
@@ -203,7 +203,7 @@ def junit_xml(verdict: SequenceVerdict) -> str:
 
     Source of the form: github.com/testmoapp/junitxml.
     """
-    counts = {result: sum(one.result == result for one in verdict.results) for result in ("FAILED", "not run")}
+    counts = {result: sum(item.result == result for item in verdict.results) for result in ("FAILED", "not run")}
     numbers = {
         "tests": str(len(verdict.results)),
         "failures": str(counts["FAILED"]),
@@ -213,12 +213,12 @@ def junit_xml(verdict: SequenceVerdict) -> str:
     }
     root = ET.Element("testsuites", {"name": verdict.sequence.name, **numbers})
     suite = ET.SubElement(root, "testsuite", {"name": verdict.sequence.name, **numbers})
-    for one in verdict.results:
-        about = {"classname": f"{verdict.sequence.name}.{one.step}", "name": one.name}
-        case = ET.SubElement(suite, "testcase", about | {"time": f"{verdict.durations_s[one.step]:.3f}"})
-        if one.result == "FAILED":
-            ET.SubElement(case, "failure", {"message": one.words, "type": "limit"})
-        elif one.result == "not run":
+    for item in verdict.results:
+        about = {"classname": f"{verdict.sequence.name}.{item.step}", "name": item.name}
+        case = ET.SubElement(suite, "testcase", about | {"time": f"{verdict.durations_s[item.step]:.3f}"})
+        if item.result == "FAILED":
+            ET.SubElement(case, "failure", {"message": item.words, "type": "limit"})
+        elif item.result == "not run":
             ET.SubElement(case, "skipped", {"message": verdict.outcome.fault or "the step was not completed"})
     if verdict.outcome.fault:
         ET.SubElement(suite, "system-err").text = verdict.outcome.fault
@@ -290,13 +290,13 @@ def _curves(recording: Recording) -> tuple[Any, Any, Any]:
 
 def _rows(verdict: SequenceVerdict) -> list[list[str]]:
     return [
-        [one.step, one.name, "-" if one.value is None else _number(one.value, one.name), _limit(one), one.result]
-        for one in verdict.results
+        [item.step, item.name, "-" if item.value is None else _number(item.value, item.name), _limit(item), item.result]
+        for item in verdict.results
     ]
 
 
-def _limit(one: LimitResult) -> str:
-    return f"{'>=' if one.name in AT_LEAST else '<='} {_number(one.limit, one.name)}"
+def _limit(item: LimitResult) -> str:
+    return f"{'>=' if item.name in AT_LEAST else '<='} {_number(item.limit, item.name)}"
 
 
 def _number(value: float, name: str) -> str:
