@@ -4,6 +4,7 @@ A dead mount, a slow disk or a large file then delays neither the event loop nor
 """
 
 import asyncio
+import contextlib
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -110,4 +111,5 @@ def _read(path: Path, pipe: "Connection") -> None:
         answer = "error", (type(error).__name__, str(error))
     except OSError as error:
         answer = "error", (TemporaryError.__name__, system_error_text(error))
-    pipe.send(answer)
+    with contextlib.suppress(BrokenPipeError):  # the daemon has ended meanwhile
+        pipe.send(answer)

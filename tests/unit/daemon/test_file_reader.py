@@ -1,6 +1,7 @@
 """Reading the files of a bench in a child process."""
 
 import asyncio
+import multiprocessing
 import os
 import shutil
 import time
@@ -9,7 +10,7 @@ import pytest
 
 from piezod.commissioning.shipped_files import shipped
 from piezod.config.regular_file import open_regular
-from piezod.daemon.file_reader import load_bench_files, read_bench_files
+from piezod.daemon.file_reader import _read, load_bench_files, read_bench_files
 from piezod.errors import ConfigurationError, TemporaryError
 
 
@@ -56,3 +57,9 @@ def test_a_file_above_the_largest_size_is_refused(tmp_path, size, accepted):
     else:
         with pytest.raises(ConfigurationError, match="has 11 bytes, must have at most 10"):
             open_regular(path, 10)
+
+
+def test_a_reader_whose_daemon_has_ended_ends_without_an_error(bench):
+    ours, theirs = multiprocessing.Pipe(duplex=False)
+    ours.close()
+    _read(bench, theirs)
