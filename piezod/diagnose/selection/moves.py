@@ -73,10 +73,10 @@ def change_stack(candidates: Candidates) -> Search | None:
     state, best = candidates.state, candidates.best
     if state.stack_changed or state.hypothesis.loss <= RULES.at_noise:
         return None
-    other = with_stack_changed(state.chain, state.hypothesis, state.past)
+    chain, other = with_stack_changed(state.chain, state.hypothesis, state.past)
     if not worth(state.hypothesis, other) or (best is not None and RULES.better * other.loss > best[1].loss):
         return None
-    return replace(state, hypothesis=other)
+    return state.on_chain(chain, other)
 
 
 def add_pair(candidates: Candidates) -> Search | None:

@@ -96,10 +96,13 @@ def _with_best_change(state: Search) -> Search | None:
     A change is likelier than a new effect, so it is tried first. Without given effects a change of the stack must leave
     nearly nothing, because a new effect may do the same.
     """
-    names = [term.effect.name for term in state.hypothesis.terms if term.held]
-    tried = [with_fitted_values(state.chain, state.hypothesis, name, state.past) for name in names]
-    stack = None if state.stack_changed else with_stack_changed(state.chain, state.hypothesis, state.past)
-    if stack is not None and (names or stack.loss < RULES.stack_alone * state.hypothesis.loss):
+    chain, hypothesis = state.chain, state.hypothesis
+    names = [term.effect.name for term in hypothesis.terms if term.held]
+    tried = [(chain, with_fitted_values(chain, hypothesis, name, state.past)) for name in names]
+    stack = None if state.stack_changed else with_stack_changed(chain, hypothesis, state.past)
+    if stack is not None and (names or stack[1].loss < RULES.stack_alone * hypothesis.loss):
         tried.append(stack)
-    best = min(tried, key=lambda fitted: fitted.loss, default=None)
-    return None if best is None or not worth(state.hypothesis, best) else replace(state, hypothesis=best)
+    best = min(tried, key=lambda pair: pair[1].loss, default=None)
+    if best is None or not worth(hypothesis, best[1]):
+        return None
+    return state.on_chain(*best)

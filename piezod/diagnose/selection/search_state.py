@@ -115,7 +115,7 @@ class Search:
 
     def on_chain(self, chain: Chain, fitted: Fitted, **changes: object) -> "Search":
         """State with a hypothesis on another chain; the base is fitted to it too."""
-        base = fit(chain, self.base.terms, self.base.point)
+        base = self.base if chain is self.chain else fit(chain, self.base.terms, self.base.point)
         return replace(self, chain=chain, hypothesis=fitted, base=base, **changes)  # type: ignore[arg-type]
 
     def with_corners(self, chain: Chain, fitted: Fitted) -> "Search":

@@ -108,10 +108,10 @@ def _start(model: Model, chain: Chain) -> Start:
 
 def hysteresis_of(chain: Chain, fitted: Fitted) -> Hysteresis:
     """Fitted density and force law as play operators and one-sided dead-zone operators."""
-    gain, loops = factors(fitted)
-    weights = chain.density.weights(loops * fitted.point.density)
+    now = factors(fitted.terms, fitted.point)
+    weights = chain.density.weights(now.loops * fitted.point.density)
     thresholds = np.concatenate(([0.0], chain.density.thresholds_V))
-    low_V, high_V = (end * max(1.0, 1.0 / gain) for end in _stroke_range(chain, fitted))
+    low_V, high_V = (end * max(1.0, 1.0 / now.stroke) for end in _stroke_range(chain, fitted))
     zones, slopes, offset = _pieces(chain, fitted, low_V, high_V)
     slopes = np.maximum(slopes, 2.0 * EPS * slopes.max())
     if np.cumsum(weights).min() < EPS:
@@ -138,14 +138,14 @@ def _pieces(chain: Chain, fitted: Fitted, low_V: float, high_V: float) -> tuple[
 
     The piece around 0 has one slope; if all strokes lie above 0, the first piece is continued down to 0.
     """
-    gain, _ = factors(fitted)
-    knots, kinks = np.linspace(low_V, high_V, PIECES + 1), np.sort(chain.law.kinks_V / gain)
+    now = factors(fitted.terms, fitted.point)
+    knots, kinks = np.linspace(low_V, high_V, PIECES + 1), np.sort(chain.law.kinks_V / now.stroke)
     kinks = kinks[(kinks > low_V) & (kinks < high_V)]
     if kinks.size:
         clear = np.min(np.abs(knots[:, None] - kinks), axis=1) > KINK_CLEARANCE * (high_V - low_V)
         clear[[0, -1]] = True
         knots = np.sort(np.concatenate((knots[clear], kinks)))
-    values = chain.law.value(gain * knots, fitted.point.law)
+    values = now.force * chain.law.value(now.stroke * knots, fitted.point.law)
     rises = np.diff(values) / np.diff(knots)
     centre = int(np.clip(np.searchsorted(knots, 0.0, side="right") - 1, 0, knots.size - 2))
     below, above = np.arange(1, centre + 1), np.arange(centre + 1, knots.size - 1)

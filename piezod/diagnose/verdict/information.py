@@ -104,9 +104,9 @@ def _figure_errors(normal: Normal, low: float, high: float, simulated: Sequence[
 
     def figures(at: Array) -> Array:
         point = layout.point(at, normal.point)
-        gain, loops = _factors(normal.terms, point)
-        stroke = gain * (drive + loops * (columns @ point.density))
-        known = figures_of_loops(normal.chain.law.value(stroke, point.law), low, high)
+        now = factors(normal.terms, point)
+        stroke = now.stroke * (drive + now.loops * (columns @ point.density))
+        known = figures_of_loops(now.force * normal.chain.law.value(stroke, point.law), low, high)
         return np.array((known.gain, known.loop_width_percent))
 
     gradient, middle = np.zeros((2, vector.size)), figures(vector)
@@ -133,13 +133,6 @@ def _figure_errors(normal: Normal, low: float, high: float, simulated: Sequence[
     return BaseFigures(float(gain), float(loop_width))
 
 
-def _factors(terms: Sequence[Term], point: Point) -> tuple[float, float]:
-    """Gain and loop width relative to the identification [1]."""
-    known = {term.effect.name: values for term, values in zip(terms, point.values, strict=True)}
-    gain, loops = (known[name][name] if name in known else 1.0 for name in NAMES)
-    return gain, loops
-
-
 def _moves(normal: Normal) -> Array:
     """Change of the fitted vector when a block is left out, shape (B, P), by one linear step."""
     hessian = normal.hessian.sum(axis=0) + normal.ridge + normal.layout.prior(normal.chain, normal.point)
@@ -153,7 +146,7 @@ def _with_changed_stack(chain: Chain, fitted: Fitted, used: Sequence[int]) -> tu
 
     A gain g of the stroke makes the force law steeper: its range is divided by g.
     """
-    gain, loops = factors(fitted)
+    gain, loops, of_force = factors(fitted.terms, fitted.point)
     law = chain.law
     scaled = ForceLaw(law.low_V / gain, law.high_V / gain, law.kinks_V / gain, law.leaps * gain)
     now = chain.like([chain.series[number] for number in used]).with_base(chain.density, scaled)
@@ -165,7 +158,11 @@ def _with_changed_stack(chain: Chain, fitted: Fitted, used: Sequence[int]) -> tu
     )
     values = tuple(point.values[place] for place in places)
     offsets_N = point.offsets_N - point.offsets_N[0]
-    return now, terms, replace(point, density=loops * point.density, values=values, offsets_N=offsets_N)
+    return (
+        now,
+        terms,
+        replace(point, density=loops * point.density, law=of_force * point.law, values=values, offsets_N=offsets_N),
+    )
 
 
 def _noise_of(normal: Normal, numbers: Sequence[int]) -> tuple[Array, float]:
