@@ -14,6 +14,7 @@ import yaml
 
 from piezod.config import load_bench
 from piezod.errors import PiezodError
+from piezod.runtime import sockets
 from piezod.transport import make_link
 from tests.faults.bench_pool import InjectionUnavailableError, Observation, run_piezod
 from tests.faults.live_bench import DeviceProcess, LiveBench, Service
@@ -257,7 +258,7 @@ def _answers_within(link, seconds):
 def moved_name(pool, fault):
     """Reconnect after the host name of the device resolves to another address."""
     first, second = DeviceProcess({}), DeviceProcess({"host": "127.0.0.2"})
-    real = socket.getaddrinfo
+    real = sockets.getaddrinfo
     bench = pool.bench()
     try:
         link_config = load_bench(bench.path).link
@@ -267,7 +268,7 @@ def moved_name(pool, fault):
             host, _, port = where["now"].rpartition(":")
             return real(host, int(port), type=socket.SOCK_STREAM)
 
-        socket.getaddrinfo = resolve
+        sockets.getaddrinfo = resolve
         link = make_link(link_config.model_copy(update={"host": "127.0.0.1"}))
         link.open()
         good_before = _answers_within(link, 1.0)
@@ -279,7 +280,7 @@ def moved_name(pool, fault):
         good_after = _answers_within(link, 1.0)
         link.close()
     finally:
-        socket.getaddrinfo = real
+        sockets.getaddrinfo = real
         second.close()
     observed = Observation("DISARMED", after_ms=1e3 * (time.monotonic() - begun_s))
     observed.figures = {"good_before": good_before, "lost": lost, "good_after": good_after}
