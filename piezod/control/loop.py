@@ -309,7 +309,10 @@ class ControlLoop:
         supervisor, segment, link = self.supervisor, self._planner.segment, self._link
         link.time_limit_s = supervisor.exchange_time_left_s(begun_ns)
         if not supervisor.driving:
-            return link.poll()
+            result = link.poll()
+            if result is ExchangeResult.ECHO_MISMATCH:  # told once: the last command of another program stays there
+                link.accept_foreign_command()
+            return result
         result = self._writer.write(planned_V, begun_ns, self._largest_change_V())
         failed = self._writer.output_uncertain or supervisor.fault is Cause.CONTROLLER
         if segment is not None and not failed:

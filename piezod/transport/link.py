@@ -148,6 +148,10 @@ class Link(Protocol):
         """Read the block without writing, with the same checks."""
         ...
 
+    def accept_foreign_command(self) -> None:
+        """After ECHO_MISMATCH: compare with the command that the device holds now, until the next one is sent."""
+        ...
+
     def supervise(self, time_limit_s: float) -> ExchangeResult:
         """Read the next register that must not change: identity, map version, or a setting written in set-up.
 

@@ -11,7 +11,7 @@ from piezod.transport.identity import Expectation, check_register
 from piezod.transport.link import ExchangeResult, Reading
 from piezod.transport.register_guard import IDENTITY_ROLES, RegisterGuard
 from piezod.transport.registers import RegisterCodec
-from piezod.transport.tick_values import Plausibility, ReadBlock, SetPoint
+from piezod.transport.tick_values import COUNTERS, Plausibility, ReadBlock, SetPoint
 from piezod.transport.wire import Wire
 
 SET_UP_TIMEOUT_S = 0.5  # shortest time limit of a set-up exchange
@@ -44,6 +44,7 @@ class ModbusLink:
     __slots__ = (
         "_block",
         "_guard",
+        "_number",
         "_plausibility",
         "_read",
         "_registers",
@@ -74,6 +75,7 @@ class ModbusLink:
         self._read = self._read_template(reads)
         self._write = self._write_template(writes)
         self._written_generation = -1
+        self._number = 0  # of the command that the device holds
         self.time_limit_s = inf
         self.counts = [0] * len(ExchangeResult)
         self.written_V = float("nan")
@@ -144,6 +146,10 @@ class ModbusLink:
         self.counts[result] += 1
         return result
 
+    def accept_foreign_command(self) -> None:
+        """Compare with the command that the device holds now, of whatever program, until the next one is sent."""
+        self._number = self._plausibility.counters[COUNTERS["command_echo"]]
+
     def _exchange(self, voltage_V: float, deadline_s: float) -> ExchangeResult:
         write, set_point = self._write, self._set_point
         if write is None or set_point is None:
@@ -167,14 +173,14 @@ class ModbusLink:
             return result
         self.written_V = written_V
         result = wire.transact(write, deadline_s)
+        self._number = set_point.sequence
         refused = result is ExchangeResult.DEVICE_EXCEPTION
         self._written_generation = -1 if refused else wire.generation
         return result
 
     def _number_sent(self) -> int | None:
         """Number of the last command; None: refused, or sent on another connection."""
-        set_point, is_sent = self._set_point, self._written_generation == self._wire.generation
-        return set_point.sequence if set_point is not None and is_sent else None
+        return self._number if self._written_generation == self._wire.generation else None
 
     def _poll(self, deadline_s: float) -> ExchangeResult:
         wire, set_point = self._wire, self._set_point
@@ -185,7 +191,7 @@ class ModbusLink:
         if result is not _OK:
             return result
         if set_point is not None and set_point.has_sequence and self._written_generation == wire.generation:
-            return self._read_block(deadline_s, set_point.sequence)
+            return self._read_block(deadline_s, self._number)
         return self._read_block(deadline_s, -1)
 
     def _ensure_verified(self, deadline_s: float) -> ExchangeResult:

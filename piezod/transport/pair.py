@@ -113,6 +113,10 @@ class PairLink:
         result = self._amplifier.poll()
         return self._combine(self._poll_load_cell() if result is _OK else result)
 
+    def accept_foreign_command(self) -> None:
+        """Of the amplifier; a load cell takes no command."""
+        self._amplifier.accept_foreign_command()
+
     def _poll_load_cell(self) -> ExchangeResult:
         result = self._load_cell.poll()
         return ExchangeResult.WRONG_LOAD_CELL if result is ExchangeResult.WRONG_DEVICE else result

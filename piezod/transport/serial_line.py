@@ -185,6 +185,9 @@ class SerialLineDevice:
         """Number of calls of `supervise` that compare identity and watchdog once."""
         return self._guard.count
 
+    def accept_foreign_command(self) -> None:
+        """Nothing: a line device sends no number of a command."""
+
     def supervise(self, time_limit_s: float) -> ExchangeResult:
         """Compare the identity, or set the watchdog again, in turn."""
         if self._guard.verified != self._port.generation:

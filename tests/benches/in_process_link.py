@@ -56,6 +56,9 @@ class InProcessLink:
         self.written_V = voltage_V
         return self._store(self._device.exchange(voltage_V))
 
+    def accept_foreign_command(self) -> None:
+        """Do nothing: nobody else writes."""
+
     def poll(self) -> ExchangeResult:
         """Read without writing."""
         return self._store(self._device.exchange(None))

@@ -34,6 +34,19 @@ def test_a_poll_after_a_command_requires_its_echo(tcp):
     assert link.poll() is ExchangeResult.ECHO_MISMATCH
 
 
+def test_an_accepted_command_of_another_program_is_told_once_and_the_next_one_again(tcp):
+    link, server = tcp
+    server.bench.put(102, ">H", 999)
+    assert link.poll() is ExchangeResult.ECHO_MISMATCH
+    link.accept_foreign_command()
+    assert [link.poll() for _ in range(3)] == [ExchangeResult.OK] * 3
+    assert ExchangeResult.FOREIGN_COMMAND not in [link.supervise(1.0) for _ in range(2 * link.supervised)]
+    server.bench.put(102, ">H", 7)
+    assert link.poll() is ExchangeResult.ECHO_MISMATCH
+    assert link.exchange(1.0) is ExchangeResult.OK
+    assert link.poll() is ExchangeResult.OK
+
+
 def test_a_restarted_device_is_refused_by_exchange_and_accepted_by_poll(tcp):
     link, server = tcp
     server.bench.heartbeat = 500
