@@ -310,7 +310,7 @@ class ControlLoop:
         link.time_limit_s = supervisor.exchange_time_left_s(begun_ns)
         if not supervisor.driving:
             result = link.poll()
-            if result is ExchangeResult.ECHO_MISMATCH:  # told once: the last command of another program stays there
+            if result is ExchangeResult.ECHO_MISMATCH:  # it stays in the device; one report is enough
                 link.accept_foreign_command()
             return result
         result = self._writer.write(planned_V, begun_ns, self._largest_change_V())

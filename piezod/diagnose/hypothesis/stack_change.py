@@ -2,7 +2,7 @@
 
 Both act in the recordings to explain only. They are not in the catalogue: the written model has them in its base, and
 a diagnosis reports them as a change of the base. The gain scales the stroke, as of a stack that lost polarisation, or
-the force, as of another load cell. With a straight force law both are the same.
+the force, as of another load cell. With a straight force law both are equal.
 """
 
 from collections.abc import Sequence

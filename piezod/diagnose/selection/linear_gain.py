@@ -1,4 +1,4 @@
-"""Gains of changes of a hypothesis, estimated by one linear step each; nothing is fitted."""
+"""Gains of changes of a hypothesis, estimated by one linear step each, without a fit."""
 
 from collections.abc import Sequence
 from dataclasses import replace
