@@ -1,7 +1,7 @@
 """The emulated bench in virtual time: firmware and physics of `firmware_sim`, and a judge at every physics step.
 
-The judge is compiled: it looks at the output of the amplifier and at the true force after each step of 0.1 ms, and
-keeps the first violation of each kind.
+The judge is compiled. After each step of 0.1 ms it looks at the output of the amplifier and at the true force. It keeps
+the first violation of each kind.
 """
 
 import struct

@@ -66,10 +66,9 @@ def with_stack_changed(chain: Chain, fitted: Fitted, past: Point) -> tuple[Chain
     The fit begins at the hypothesis, and at the base of the identification alone, because a change bends the base. It
     bends the estimated start of a recording too, so the usual starts are compared again.
     """
-    of_stroke, of_force = (
-        with_usual_start(chain, _with_gain_of(what, chain, fitted, past)) for what in (STROKE, FORCE)
-    )
-    return of_force if of_force[1].loss < CLEARLY * of_stroke[1].loss else of_stroke
+    chain, of_stroke = with_usual_start(chain, _with_gain_of(STROKE, chain, fitted, past))
+    of_force = _with_gain_of(FORCE, chain, fitted, past)
+    return chain, of_force if of_force.loss < CLEARLY * of_stroke.loss else of_stroke
 
 
 def _with_gain_of(what: float, chain: Chain, fitted: Fitted, past: Point) -> Fitted:
