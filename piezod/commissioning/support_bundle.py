@@ -2,7 +2,7 @@
 
 - bundle.json: versions, machine, model, missing parts with reasons
 - bench.yaml: effective configuration, with secrets replaced
-- status.json: status of the daemon
+- status.json: status of the daemon, with the bytes of the last failed exchange with the device
 - log.txt: last lines of its log
 - ticks.csv: last ticks of the ring log
 - transitions.txt: changes of state and cause among these ticks
@@ -156,9 +156,28 @@ def _redacted(value: object, secrets: set[str]) -> Any:  # noqa: ANN401  # any v
 def _status(bench: BenchConfig) -> str:
     client = Client(bench.socket_path)
     try:
-        return json.dumps(client.ask("status"), indent=2) + "\n"
+        status: dict[str, Any] = client.ask("status")
     finally:
         client.close()
+    if exchange := status.get("bad_exchange"):
+        status["bad_exchange"] = without_lines(exchange, bench)
+    return json.dumps(status, indent=2) + "\n"
+
+
+def without_lines(exchange: dict[str, Any], bench: BenchConfig) -> dict[str, Any]:
+    """A failed exchange without the bytes of an ASCII protocol, which may contain a password.
+
+    Parameters
+    ----------
+    exchange
+        Failed exchange, as `read_bad_exchange` returns it. Frames of Modbus stay, because support needs them.
+    """
+    link = all_values(bench)[exchange["link"]]
+    if not _commands(link):
+        return exchange
+    reply = bytes.fromhex(exchange["reply"]).decode("latin-1")
+    repeats = any(secret.strip() in reply for secret in _secrets(bench) if len(secret.strip()) >= SHORTEST_SECRET)
+    return exchange | {"request": REMOVED} | ({"reply": REMOVED} if repeats else {})
 
 
 def _log(bench: BenchConfig) -> str:

@@ -7,6 +7,7 @@ from typing import Any
 from piezod.errors import TemporaryError
 from piezod.runtime import clock
 from piezod.session.session import Session, rebuild_error
+from piezod.transport.bad_exchange import read_bad_exchange
 
 ANSWER_WITHIN_S = 10.0
 """Longest time from the request of a command to its answer [s]; shorter than the patience of a client."""
@@ -38,6 +39,7 @@ class CommandChannel:
         self.session: Session | None = session
         self.connected = self.ended = False
         self.problem = ""
+        self._bad_exchange: dict[str, object] | None = None
         self._descriptor = -1
         self._messages: asyncio.Queue[tuple[str, Any]] = asyncio.Queue()
         self._answers: dict[int, asyncio.Future[tuple[str, str]]] = {}
@@ -66,6 +68,13 @@ class CommandChannel:
         """Counters of the present control process in the ring log; empty without one."""
         return () if self.session is None else self.session.counters
 
+    @property
+    def bad_exchange(self) -> dict[str, object] | None:
+        """Last failed exchange with the device in this or an earlier session; None: there was none."""
+        if self.session is not None and (found := read_bad_exchange(self.session.shared.bad_exchange)) is not None:
+            self._bad_exchange = found
+        return self._bad_exchange
+
     def open(self, session: Session) -> None:
         """Receive the messages of a session from now on.
 
@@ -83,7 +92,8 @@ class CommandChannel:
         asyncio.get_running_loop().remove_reader(self._descriptor)
 
     def close(self) -> None:
-        """Forget the session."""
+        """Forget the session, but not its last failed exchange."""
+        self._bad_exchange = self.bad_exchange
         self.session, self.connected = None, False
 
     @property

@@ -97,6 +97,7 @@ def status_dict(
         "proof": None if proof is None else proof.as_dict(),
         "check": last_check.as_dict(),
         "phases": phase_watch.as_dict(),
+        "bad_exchange": channel.bad_exchange,
         "preview": None if preview is None else preview.as_dict(),
         "corrected_force_N": None if drift is None else drift.corrected(),
         **statistics.as_dict(),

@@ -6,6 +6,7 @@ Nothing in this module energises the bench.
 import contextlib
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -172,8 +173,13 @@ def check_wire(bench: BenchConfig) -> None:
 
 
 @contextlib.contextmanager
-def opened_link(bench: BenchConfig) -> Iterator[Link]:
+def opened_link(bench: BenchConfig, bad_exchange: Any = None) -> Iterator[Link]:  # noqa: ANN401  # any object with the buffer protocol
     """Connect the link and verify the identity of its device; close the link at the end.
+
+    Parameters
+    ----------
+    bad_exchange
+        Memory for the bytes of failed exchanges (`transport/bad_exchange.py`); None: memory of this process.
 
     Raises
     ------
@@ -183,6 +189,8 @@ def opened_link(bench: BenchConfig) -> Iterator[Link]:
         Device, register map or byte order differ from the configuration.
     """
     link = make_link(bench.link, bench.load_cell_link)
+    if bad_exchange is not None:
+        link.keep_bad_exchange_in(bad_exchange)
     link.open()
     try:
         verify_identity(link)

@@ -62,7 +62,7 @@ def run(task: Task, pipe: Connection, lock: BenchLock, shared: SharedMemory) -> 
     lock
         Lock of the bench; this process holds it until its end.
     shared
-        Memory for the times of the phases of a tick, and for a learned correction.
+        Memory for the times of the phases of a tick, a learned correction, and the last failed exchange.
     """
     signals.handle(signal.SIGINT, signal.SIG_IGN)
     signals.handle(signal.SIGHUP, signal.SIG_IGN)
@@ -101,7 +101,8 @@ def _execute(task: Task, pipe: Connection, shared: SharedMemory | None = None) -
     bench = task.bench
     files = "" if task.serves is None else files_digest(bench, task.serves)
     model, specs = _model_and_segments(task)
-    with opened_link(bench) as link, contextlib.ExitStack() as stack:
+    bad_exchange = None if shared is None else shared.bad_exchange
+    with opened_link(bench, bad_exchange) as link, contextlib.ExitStack() as stack:
         clock = make_rate_keeper(bench, link)
         segments = [make_segment(spec, bench, model, link, task.folder) for spec in specs]
         for segment in segments:

@@ -29,6 +29,8 @@ POLL_INTERVAL_S = 0.1
 """Time between two reads of the ring log [s]."""
 PHASE_CELLS = 24_577
 """Number of int64 values of `piezod.control.phase_times`, which a test compares; its import is slow."""
+BAD_EXCHANGE_BYTES = 648
+"""`piezod.transport.bad_exchange.SIZE`, which a test compares; its import is slow."""
 END_WITHIN_S = 30.0
 """Longest time of a ramp down and the end of the control process [s]."""
 
@@ -79,7 +81,9 @@ class Session:
         self._reader: RingReader | None = None
         context = processes.spawn_context()
         correction = context.RawArray("d", correction_size) if correction_size else None
-        self.shared = SharedMemory(context.RawArray("q", PHASE_CELLS), correction)
+        self.shared = SharedMemory(
+            context.RawArray("q", PHASE_CELLS), correction, context.RawArray("B", BAD_EXCHANGE_BYTES)
+        )
         self._commands = 0
         self._stop_requested = False
         self.outcome = Outcome()

@@ -86,10 +86,13 @@ class SharedMemory:
         int64 values of `piezod.control.PhaseTimes`.
     correction
         float64 values of a `RepeatCorrection`; None: no learned correction.
+    bad_exchange
+        Memory of the last failed exchange (`transport/bad_exchange.py`); None: not kept.
     """
 
     phases: Any
     correction: Any = None
+    bad_exchange: Any = None
 
 
 @dataclass(frozen=True)

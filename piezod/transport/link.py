@@ -2,7 +2,7 @@
 
 from enum import IntEnum
 from math import nan
-from typing import Protocol
+from typing import Any, Protocol
 
 
 class ExchangeResult(IntEnum):
@@ -122,6 +122,18 @@ class Link(Protocol):
     @property
     def hint(self) -> str:
         """Probable cause of the last failures; empty: unknown."""
+        ...
+
+    def keep_bad_exchange_in(self, cells: Any, link: int = 0) -> None:  # noqa: ANN401  # any object with the buffer protocol
+        """Write the bytes of failed exchanges into this memory from now on.
+
+        Parameters
+        ----------
+        cells
+            Memory of `bad_exchange.SIZE` bytes.
+        link
+            Index in `bad_exchange.LINKS`.
+        """
         ...
 
     def open(self) -> None:

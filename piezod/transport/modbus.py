@@ -1,7 +1,7 @@
 """Link to one Modbus device: the blocks of the tick, and single registers for set-up."""
 
 from math import inf
-from typing import NoReturn
+from typing import Any, NoReturn
 
 from piezod.config.link import READ_WRITE, ModbusRtuLink, ModbusTcpLink, Register, Registers, RtuOverTcpLink
 from piezod.errors import BusyError, ConfigurationError, TemporaryError, UnreachableError
@@ -120,6 +120,10 @@ class ModbusLink:
         """Number of discarded bytes: unrequested or too late."""
         return self._wire.stale_bytes
 
+    def keep_bad_exchange_in(self, cells: Any, link: int = 0) -> None:  # noqa: ANN401  # any object with the buffer protocol
+        """Write the bytes of failed exchanges into this memory from now on."""
+        self._wire.bad_exchange.use(cells, link)
+
     @property
     def hint(self) -> str:
         """Probable cause of the last failures; empty: unknown."""
@@ -223,7 +227,11 @@ class ModbusLink:
         block, plausibility = self._block, self._plausibility
         assert block is not None
         result = block.decode(self._wire.payload, request.payload_at, plausibility.values, plausibility.counters)
-        return plausibility.accept(echo) if result is _OK else result
+        if result is _OK:
+            result = plausibility.accept(echo)
+        if result is not _OK:
+            self._wire.bad_exchange.keep(result, request.frame, self._wire.payload, request.reply_size)
+        return result
 
     def has(self, role: str) -> bool:
         """Whether the register map has this role."""

@@ -9,6 +9,7 @@ Bytes that do not match the expected reply are collected until the line is silen
 
 from piezod.config.link import ModbusRtuLink, RtuOverTcpLink
 from piezod.runtime import clock
+from piezod.transport.bad_exchange import BadExchange
 from piezod.transport.frames import CRC_BYTES, Framing, Request, classify, crc16
 from piezod.transport.link import ExchangeResult
 from piezod.transport.serial_port import RECEIVE_BYTES, SerialPort
@@ -40,7 +41,9 @@ class RtuWire:
         "_gap_s",
         "_port",
         "_quiet_s",
+        "_received",
         "answered",
+        "bad_exchange",
         "exception_code",
         "hint",
         "payload",
@@ -57,6 +60,8 @@ class RtuWire:
         self.exception_code = 0
         self.hint = ""
         self.answered = False
+        self._received = 0  # bytes of the last reply, whole or not
+        self.bad_exchange = BadExchange()
 
     @property
     def description(self) -> str:
@@ -97,15 +102,18 @@ class RtuWire:
         while (pause_s := self._quiet_s - clock.monotonic()) > 0.0:
             if pause_s > OVERSLEEP_S:
                 clock.sleep(pause_s - OVERSLEEP_S)
+        self._received = 0
         try:
             port.drain()
             port.send(frame, deadline_s)
             result = self._receive(request, deadline_s)
         except OSError:
+            self.bad_exchange.keep(ExchangeResult.DISCONNECTED, frame, port.buffer, self._received)
             port.close_lost()
             return ExchangeResult.DISCONNECTED
         self._quiet_s = clock.monotonic() + self._gap_s
         if result is not _OK:
+            self.bad_exchange.keep(result, frame, port.buffer, self._received)
             self._after_failure(request, result, deadline_s)
         return result
 
@@ -116,7 +124,7 @@ class RtuWire:
         while received < size:
             if not port.wait(deadline_s):
                 return self._classify_received(request, received)
-            received += port.receive(received)
+            self._received = received = received + port.receive(received)
             if not buffer.startswith(head if received >= len(head) else head[:received]):
                 return self._classify_received(request, self._collect(request, received, deadline_s))
         if not buffer.startswith(head) or crc16(port.view[request.reply_fixed : size], request.reply_checksum):
@@ -139,7 +147,7 @@ class RtuWire:
             until_s = min(deadline_s, clock.monotonic() + QUIET_S) if received >= size else deadline_s
             if not port.wait(until_s):
                 break
-            received += port.receive(received)
+            self._received = received = received + port.receive(received)
         return received
 
     def _classify_received(self, request: Request, received: int) -> ExchangeResult:

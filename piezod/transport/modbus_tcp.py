@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 from piezod.config.link import ModbusTcpLink
 from piezod.errors import BusyError, ConfigurationError
 from piezod.runtime import clock, sockets
+from piezod.transport.bad_exchange import BadExchange
 from piezod.transport.frames import MBAP_BYTES, Framing, Request, classify
 from piezod.transport.link import ExchangeResult
 from piezod.transport.tcp_connection import (
@@ -54,10 +55,12 @@ class TcpWire:
         "_context",
         "_family",
         "_not_before_s",
+        "_received",
         "_socket",
         "_transaction",
         "_waiter",
         "answered",
+        "bad_exchange",
         "exception_code",
         "generation",
         "hint",
@@ -80,6 +83,8 @@ class TcpWire:
         self.generation = self.exception_code = self.stale_bytes = 0
         self.hint = ""
         self.answered = False
+        self._received = 0  # bytes of the last reply, whole or not
+        self.bad_exchange = BadExchange()
 
     @property
     def description(self) -> str:
@@ -159,6 +164,7 @@ class TcpWire:
         self._transaction = transaction = self._transaction % 65535 + 1
         frame[0] = head[0] = transaction >> 8
         frame[1] = head[1] = transaction & 255
+        self._received = 0
         try:
             if self._waiter.poll(0) and not self._drain(connection):
                 self._disconnect()
@@ -172,6 +178,7 @@ class TcpWire:
         except OSError:
             result = _DISCONNECTED
         if result is not _OK:
+            self.bad_exchange.keep(result, frame, self._buffer, self._received)
             self._after_failure(result)
         return result
 
@@ -188,7 +195,7 @@ class TcpWire:
                 continue
             if count == 0:
                 return _DISCONNECTED
-            received += count
+            self._received = received = received + count
             while not (received >= size and buffer.startswith(head)):
                 failure, used = self._classify_first_frame(request, received)
                 if failure is not _OK:
@@ -199,6 +206,7 @@ class TcpWire:
                 self.stale_bytes += used
                 view[: received - used] = bytes(view[used:received])
                 received -= used
+                self._received = received or used
             else:
                 self.stale_bytes += received - size
                 self.answered = True

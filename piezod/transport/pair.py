@@ -1,5 +1,7 @@
 """Two devices combined into one link: an amplifier for the voltage and a load cell for the force."""
 
+from typing import Any
+
 from piezod.transport.link import ACKNOWLEDGED, ExchangeResult, Link, Reading
 
 _OK = ExchangeResult.OK
@@ -82,6 +84,11 @@ class PairLink:
     def stale_bytes(self) -> int:
         """Number of bytes discarded by both links."""
         return self._amplifier.stale_bytes + self._load_cell.stale_bytes
+
+    def keep_bad_exchange_in(self, cells: Any, link: int = 0) -> None:  # noqa: ANN401  # any object with the buffer protocol
+        """Write the bytes of failed exchanges of either device into this memory from now on."""
+        self._amplifier.keep_bad_exchange_in(cells, link)
+        self._load_cell.keep_bad_exchange_in(cells, link + 1)
 
     @property
     def hint(self) -> str:

@@ -156,7 +156,8 @@ class RegisterGuard:
         half_s = 0.5 * (clock.monotonic() + deadline_s)
         for block in self._blocks[self._compared :]:
             result = self._wire.transact(block.request, deadline_s)
-            result = block.compare(self._wire) if result is _OK else result
+            if result is _OK:
+                result = self._compare(block)
             if result is not _OK:
                 return result
             self._compared += 1
@@ -184,13 +185,21 @@ class RegisterGuard:
         result = self._wire.transact(entry.request, deadline_s)
         if result is not _OK:
             return result
-        result = entry.compare(self._wire)
+        result = self._compare(entry)
         if result is _OK:
             self._next += 1
         elif isinstance(entry, _Setting):
             self._wire.transact(entry.again, deadline_s)  # whether it was written, the next call reads
         elif isinstance(entry, _IdentityBlock):
             self._verified = self._reading_generation = -1
+        return result
+
+    def _compare(self, entry: _Setting | _IdentityBlock | _Command) -> ExchangeResult:
+        """Compare the reply with what is expected, and keep the bytes of another one."""
+        wire, request = self._wire, entry.request
+        result = entry.compare(wire)
+        if result is not _OK:
+            wire.bad_exchange.keep(result, request.frame, wire.payload, request.reply_size)
         return result
 
 

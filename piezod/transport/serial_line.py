@@ -9,11 +9,13 @@ Example::
 
 import re
 from math import inf, nan
+from typing import Any
 
 from piezod.config.checked import shortened
 from piezod.config.link import SerialLineLink
 from piezod.errors import CheckFailedError, ConfigurationError, IdentityError, UnreachableError
 from piezod.runtime import clock
+from piezod.transport.bad_exchange import BadExchange
 from piezod.transport.line_guard import WATCHDOG, LineGuard
 from piezod.transport.line_reply import ROLES, ReplyFields, decimal
 from piezod.transport.line_template import query_of, template_of
@@ -50,6 +52,7 @@ class SerialLineDevice:
         "_pattern",
         "_plausibility",
         "_port",
+        "_received",
         "_set_up",
         "_set_up_generation",
         "_set_up_line",
@@ -57,6 +60,7 @@ class SerialLineDevice:
         "_terminator",
         "_watchdog",
         "_watchdog_reply",
+        "bad_exchange",
         "counts",
         "hint",
         "reading",
@@ -84,6 +88,12 @@ class SerialLineDevice:
         self.written_V = nan
         self.time_limit_s = inf
         self.hint = ""
+        self._received = 0  # bytes of the last reply, whole or not
+        self.bad_exchange = BadExchange()
+
+    def keep_bad_exchange_in(self, cells: Any, link: int = 0) -> None:  # noqa: ANN401  # any object with the buffer protocol
+        """Write the bytes of failed exchanges into this memory from now on."""
+        self.bad_exchange.use(cells, link)
 
     @property
     def description(self) -> str:
@@ -152,7 +162,11 @@ class SerialLineDevice:
         if result is not _OK or match is None:
             return result
         result = self._fields.decode(match, self._plausibility.values, self._plausibility.counters)
-        return self._plausibility.accept(-1) if result is _OK else result
+        if result is _OK:
+            result = self._plausibility.accept(-1)
+        if result is not _OK:
+            self.bad_exchange.keep(result, self._measure, self._port.buffer, self._received)
+        return result
 
     def _ensure_set_up(self, deadline_s: float) -> ExchangeResult:
         """Reopen the port if necessary; after each opening send the lines of `setup`."""
@@ -199,6 +213,7 @@ class SerialLineDevice:
     ) -> tuple[ExchangeResult, re.Match[bytes] | None]:
         """Send a line; if it has a reply pattern, receive a line and match it."""
         port = self._port
+        self._received = 0
         try:
             port.drain()
             port.send(line, deadline_s)
@@ -206,13 +221,16 @@ class SerialLineDevice:
                 return _OK, None
             end = self._receive_line(deadline_s)
         except OSError:
+            self.bad_exchange.keep(ExchangeResult.DISCONNECTED, line, port.buffer, self._received)
             port.close_lost()
             return ExchangeResult.DISCONNECTED, None
         match = pattern.fullmatch(port.view[:end]) if end >= 0 else None
         if match is not None:
             return _OK, match
+        result = ExchangeResult.TIMEOUT if end < 0 else ExchangeResult.MALFORMED
+        self.bad_exchange.keep(result, line, port.buffer, self._received)
         port.close_and_settle(self._config.timeout_s)
-        return (ExchangeResult.TIMEOUT if end < 0 else ExchangeResult.MALFORMED), None
+        return result, None
 
     def _receive_line(self, deadline_s: float) -> int:
         """Receive until the terminator; its index, or -1 if it is missing at the deadline."""
@@ -220,7 +238,7 @@ class SerialLineDevice:
         while received < RECEIVE_BYTES:
             if not port.wait(deadline_s):
                 break
-            received += port.receive(received)
+            self._received = received = received + port.receive(received)
             end = port.buffer.find(terminator, 0, received)
             if end >= 0:
                 port.stale_bytes += received - end - len(terminator)

@@ -2,6 +2,7 @@
 
 from typing import Protocol
 
+from piezod.transport.bad_exchange import BadExchange
 from piezod.transport.frames import Framing, Request
 from piezod.transport.link import ExchangeResult
 
@@ -19,6 +20,8 @@ class Wire(Protocol):
         Probable cause of the last failures; empty: unknown.
     answered
         Whether the device has replied on the present connection.
+    bad_exchange
+        Bytes of the last failed exchange.
     """
 
     framing: Framing
@@ -26,6 +29,7 @@ class Wire(Protocol):
     exception_code: int
     hint: str
     answered: bool
+    bad_exchange: BadExchange
 
     @property
     def generation(self) -> int:

@@ -13,7 +13,7 @@ WAIT_S = 0.02
 
 
 class Gateway:
-    """Serves `port` (a path) on 127.0.0.1; the number is `tcp_port`."""
+    """Serves `port` (a path) on 127.0.0.1; the number is `tcp_port`. `change_next` changes the next reply, once."""
 
     def __init__(self, port):
         self._serial = os.open(port, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
@@ -22,6 +22,7 @@ class Gateway:
         self._listener = socket.create_server(("127.0.0.1", 0))
         self.tcp_port = self._listener.getsockname()[1]
         self.connections = 0
+        self.change_next = None
         self._cut, self._stop = threading.Event(), threading.Event()
         self._thread = threading.Thread(target=self._serve, daemon=True)
 
@@ -59,4 +60,6 @@ class Gateway:
                     return
                 os.write(self._serial, data)
             if self._serial in readable:
-                client.sendall(os.read(self._serial, PIECE))
+                data = os.read(self._serial, PIECE)
+                change, self.change_next = self.change_next, None
+                client.sendall(data if change is None else change(data))

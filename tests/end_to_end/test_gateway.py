@@ -1,8 +1,10 @@
 """Modbus RTU over TCP: the emulated bench behind a serial gateway, and the RTU server of pymodbus."""
 
 import asyncio
+import json
 import threading
 import time
+import zipfile
 
 import pytest
 import yaml
@@ -17,6 +19,7 @@ from piezod.errors import UnreachableError
 from piezod.session.device_names import device_names
 from piezod.transport import ExchangeResult, make_link, max_wire_rate_Hz, verify_identity
 from piezod.transport.probe import modbus_name, rtu_name
+from tests.benches.daemon import daemon
 from tests.benches.emulator import bench_file, emulator, piezod
 from tests.benches.gateway import Gateway
 
@@ -166,3 +169,22 @@ def test_a_device_on_a_serial_line_answers(tmp_path):
     with emulator("--port", "0", "--rtu") as serves:
         link = load_bench(bench_file(tmp_path, serves)).link
         assert rtu_name(link) == "a device without a name (it does not know function 43)"
+
+
+def test_status_and_bundle_show_the_bytes_of_a_damaged_reply(bench, tmp_path):
+    path, gateway = bench
+    with daemon(path) as service:
+        service.connected()
+        gateway.change_next = lambda reply: bytes((reply[0] ^ 0x40,)) + reply[1:]
+        end_s = time.monotonic() + 10.0
+        while (kept := service.tell("status")["bad_exchange"]) is None or kept["result"] != "bad_crc":
+            assert time.monotonic() < end_s, kept
+            time.sleep(0.05)
+        done = piezod("support-bundle", path, "-o", tmp_path / "out.zip")
+    assert done.returncode == 0, done.stderr
+    with zipfile.ZipFile(tmp_path / "out.zip") as bundle:
+        bundled = json.loads(bundle.read("status.json"))["bad_exchange"]
+    assert bundled["result"] == "bad_crc"
+    request, reply = bytes.fromhex(bundled["request"]), bytes.fromhex(bundled["reply"])
+    assert reply[0] == request[0] ^ 0x40
+    assert reply[1] == request[1]

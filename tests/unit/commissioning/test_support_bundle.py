@@ -8,8 +8,8 @@ import pytest
 import yaml
 
 from piezod.commissioning.shipped_files import shipped
-from piezod.commissioning.support_bundle import write_bundle
-from piezod.config import read_document
+from piezod.commissioning.support_bundle import without_lines, write_bundle
+from piezod.config import BenchConfig, read_document
 from piezod.control import ROW_DTYPE, Cause, RingLog, State
 from piezod.errors import ConfigurationError, UsageError
 
@@ -98,3 +98,14 @@ def test_an_existing_bundle_is_not_replaced(config, tmp_path):
         write_bundle(config, tmp_path / "out.zip")
     with pytest.raises(ConfigurationError, match="cannot be written"):
         write_bundle(config, tmp_path / "nowhere" / "out.zip")
+
+
+@pytest.mark.parametrize(("reply", "shown"), [("45 52 52 0a", "45 52 52 0a"), ("49 44 3f 20 78", "REMOVED")])
+def test_lines_of_a_protocol_are_removed_from_a_failed_exchange_too(reply, shown):
+    content = yaml.safe_load(shipped("pi_e625.yaml").read_text(encoding="utf-8"))
+    content["link"]["identity"] = {"send": "ID? x", "reply": "ID. x"}
+    bench = BenchConfig.model_validate(content)
+    exchange = {"link": "link", "request": "49 44 3f 20 78 0a", "reply": reply, "result": "malformed"}
+    left = without_lines(exchange, bench)
+    assert (left["request"], left["reply"]) == ("REMOVED", shown)
+    assert without_lines(exchange | {"link": "load_cell_link"}, bench)["reply"] == reply

@@ -30,7 +30,7 @@ def steps(monkeypatch):
         request_stop=lambda *, fast=False: found.append("fast stop" if fast else "stop"),
     )
     link = SimpleNamespace(description="fake")
-    monkeypatch.setattr(control_process, "opened_link", lambda _: contextlib.nullcontext(link))
+    monkeypatch.setattr(control_process, "opened_link", lambda *_: contextlib.nullcontext(link))
     monkeypatch.setattr(control_process, "_model_and_segments", lambda _: (None, ("segment",)))
     monkeypatch.setattr(control_process, "make_rate_keeper", lambda *_: SimpleNamespace(missed=0))
     segment = SimpleNamespace(reference=SimpleNamespace(close=lambda: None))
