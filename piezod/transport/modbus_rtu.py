@@ -12,7 +12,8 @@ from piezod.runtime import clock
 from piezod.transport.bad_exchange import BadExchange
 from piezod.transport.frames import CRC_BYTES, Framing, Request, classify, crc16
 from piezod.transport.link import ExchangeResult
-from piezod.transport.serial_port import RECEIVE_BYTES, SerialPort
+from piezod.transport.port import RECEIVE_BYTES
+from piezod.transport.serial_port import SerialPort
 from piezod.transport.tcp_port import TcpPort
 from piezod.transport.wire_rate import gap_s
 

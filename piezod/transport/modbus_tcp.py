@@ -7,32 +7,22 @@ A reply with another transaction id belongs to an earlier request and is discard
 closed, so a late reply cannot reach the next request.
 """
 
-import select
-import socket
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from piezod.config.link import ModbusTcpLink
-from piezod.errors import BusyError, ConfigurationError
 from piezod.runtime import clock, sockets
 from piezod.transport.bad_exchange import BadExchange
 from piezod.transport.frames import MBAP_BYTES, Framing, Request, classify
 from piezod.transport.link import ExchangeResult
-from piezod.transport.tcp_connection import (
-    Connection,
-    connect,
-    connection_error,
-    input_waiter,
-    is_turned_away,
-    resolve,
-)
+from piezod.transport.port import MOST_STALE_BYTES, RECONNECT_S, send_frame
+from piezod.transport.tcp_connection import Connection, Endpoint, connect, connect_to_host, input_waiter
 from piezod.transport.tls import TlsStream, make_context
 
 if TYPE_CHECKING:
+    import select
     import ssl
 
-RECONNECT_S = 0.05  # shortest time between two attempts to connect
 RECEIVE_BYTES = 2048  # several frames of the maximum length
-MOST_STALE_BYTES = 65536  # a peer that sends more without a request is not a Modbus device
 
 _OK = ExchangeResult.OK
 _TIMEOUT = ExchangeResult.TIMEOUT
@@ -49,11 +39,10 @@ class TcpWire:
     """
 
     __slots__ = (
-        "_address",
         "_buffer",
         "_config",
         "_context",
-        "_family",
+        "_endpoint",
         "_not_before_s",
         "_received",
         "_socket",
@@ -74,8 +63,7 @@ class TcpWire:
         self._socket: Connection | None = None
         self._waiter: select.poll | TlsStream = sockets.poll()
         self._context: ssl.SSLContext | None = None
-        self._family = socket.AF_INET
-        self._address: Any = None
+        self._endpoint: Endpoint | None = None
         self._buffer = bytearray(RECEIVE_BYTES)
         self.payload = memoryview(self._buffer)
         self._transaction = 0
@@ -93,65 +81,29 @@ class TcpWire:
         return f"{kind} {self._config.host}:{self._config.port} unit {self._config.unit_id}"
 
     def open(self) -> None:
-        """Resolve the host and connect.
-
-        Raises
-        ------
-        UnreachableError
-            The host is unknown, refuses, or does not answer within `connect_timeout_s`.
-        BusyError
-            The device closed the connection at once.
-        ConfigurationError
-            The host name leads to a routable address, but the link is plain Modbus.
-        """
+        """Resolve the host and connect; raises as `connect_to_host`."""
         self.close()
         if self._config.tls is not None:
             self._context = make_context(self._config.tls)
-        self._connect_first(resolve(self._config), clock.monotonic() + self._config.connect_timeout_s)
-
-    def _connect_first(self, found: list[Any], deadline_s: float) -> None:
-        """Connect to the first address that accepts; a host name may have several addresses."""
-        failure = OSError("no address")
-        for family, _, _, _, address in found:
-            self._family, self._address = family, address
-            if message := self._config.plaintext_refusal(address[0]):
-                raise ConfigurationError(f"link.{message}")
-            try:
-                turned_away = is_turned_away(self._connect(deadline_s), self._waiter)
-            except ConnectionResetError:
-                turned_away = True
-            except OSError as error:
-                self._disconnect()
-                failure = error
-                continue
-            if not turned_away:
-                return
-            self.close()
-            where = f"link: {self._config.host}:{self._config.port}"
-            doubt = "" if self._context is None else ", or it refuses link.tls.certificate"
-            raise BusyError(
-                f"{where} closed the connection at once: another client may hold the device{doubt}; stop it first"
-            )
-        self.close()
-        raise connection_error(self._config, failure) from failure
+        connection, self._endpoint = connect_to_host(self._config, self._context)
+        self._take(connection)
 
     def close(self) -> None:
         """Disconnect and stay disconnected until the next `open`."""
         self._disconnect()
-        self._address = None
+        self._endpoint = None
 
     def ensure_open(self, deadline_s: float) -> ExchangeResult:
         """Reconnect if disconnected: after a single late reply at once, otherwise at most every 50 ms."""
         if self._socket is not None:
             return _OK
         now_s = clock.monotonic()
-        if self._address is None or now_s < self._not_before_s:
+        if self._endpoint is None or now_s < self._not_before_s:
             return _DISCONNECTED
         self._not_before_s = now_s + RECONNECT_S
         try:
-            self._connect(deadline_s)
+            self._take(connect(self._config, self._endpoint, self._context, deadline_s))
         except OSError:
-            self._disconnect()
             return _DISCONNECTED
         return _OK
 
@@ -169,11 +121,7 @@ class TcpWire:
             if self._waiter.poll(0) and not self._drain(connection):
                 self._disconnect()
                 return _DISCONNECTED
-            if clock.monotonic() >= deadline_s:  # the process was suspended: the request would be late
-                raise TimeoutError  # handled below like any failure
-            sent = _send(connection, frame)
-            if sent != len(frame):
-                self._send_rest(connection, frame, sent, deadline_s)
+            send_frame(connection.send, connection, frame, deadline_s)
             result = self._receive(connection, request, deadline_s)
         except OSError:
             result = _DISCONNECTED
@@ -249,15 +197,6 @@ class TcpWire:
                 return True
         return False
 
-    def _send_rest(self, connection: Connection, frame: bytearray, sent: int, deadline_s: float) -> None:
-        """Send the bytes that the kernel did not accept at once; raises TimeoutError."""
-        waiter = sockets.poll()
-        waiter.register(connection, select.POLLOUT)
-        while sent < len(frame):
-            if not waiter.poll(max(0.0, 1e3 * (deadline_s - clock.monotonic()))):
-                raise TimeoutError
-            sent += _send(connection, frame[sent:])
-
     def _after_failure(self, result: ExchangeResult) -> None:
         """Close the connection if a late reply may follow; after a single timeout, allow an immediate reconnection."""
         if result is ExchangeResult.DEVICE_EXCEPTION or self._socket is None:
@@ -269,24 +208,15 @@ class TcpWire:
                 self._not_before_s = 0.0
             self._disconnect()
 
-    def _connect(self, deadline_s: float) -> Connection:
-        """Connect until the deadline; raises OSError."""
-        self._socket = connection = connect(self._config, self._family, self._address, self._context, deadline_s)
+    def _take(self, connection: Connection) -> None:
+        """Use a new connection from now on."""
+        self._socket = connection
         self._waiter = input_waiter(connection)
         self.generation += 1
         self.answered = False
-        return connection
 
     def _disconnect(self) -> None:
         if self._socket is None:
             return
         self._socket.close()
         self._socket = None
-
-
-def _send(connection: Connection, frame: bytearray) -> int:
-    """Number of bytes that the kernel accepts now; 0: its buffer is full."""
-    try:
-        return connection.send(frame)
-    except BlockingIOError:
-        return 0

@@ -20,7 +20,8 @@ from piezod.transport.line_guard import WATCHDOG, LineGuard
 from piezod.transport.line_reply import ROLES, ReplyFields, decimal
 from piezod.transport.line_template import query_of, template_of
 from piezod.transport.link import ExchangeResult, Reading
-from piezod.transport.serial_port import RECEIVE_BYTES, SerialPort
+from piezod.transport.port import RECEIVE_BYTES
+from piezod.transport.serial_port import SerialPort
 from piezod.transport.tick_values import Plausibility
 
 SET_UP_TIMEOUT_S = 0.5  # shortest time limit of a set-up exchange

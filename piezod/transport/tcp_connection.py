@@ -5,10 +5,10 @@ import os
 import select
 import socket
 import ssl
-from typing import Any
+from typing import Any, NamedTuple
 
 from piezod.config.link import ModbusTcpLink, RtuOverTcpLink
-from piezod.errors import PiezodError, UnreachableError
+from piezod.errors import BusyError, ConfigurationError, PiezodError, UnreachableError
 from piezod.runtime import clock, sockets
 from piezod.transport.tls import REFUSAL_S as TLS_REFUSAL_S
 from piezod.transport.tls import TlsStream, tls_error
@@ -17,37 +17,89 @@ REFUSAL_S = 0.01  # a device with a single client closes a second connection wit
 
 Connection = socket.socket | TlsStream
 TcpLink = ModbusTcpLink | RtuOverTcpLink
-Address = Any  # tuple whose members depend on the address family
 
 
-def resolve(config: TcpLink) -> list[Any]:
-    """Addresses of the host, as `socket.getaddrinfo` returns them.
+class Endpoint(NamedTuple):
+    """One resolved address of a host."""
+
+    family: int
+    address: Any  # tuple whose members depend on the family
+
+
+def connect_to_host(config: TcpLink, context: ssl.SSLContext | None) -> tuple[Connection, Endpoint]:
+    """Connect to the first address of the host that accepts; a host name may have several.
 
     Raises
     ------
     UnreachableError
-        The host name is unknown.
+        The host is unknown, refuses, or does not answer within `connect_timeout_s`.
+    BusyError
+        The peer closed the connection at once.
+    ConfigurationError
+        The host name leads to a routable address, but the link is not encrypted.
     """
+    endpoints = _resolve(config)
+    deadline_s, failure = clock.monotonic() + config.connect_timeout_s, OSError("no address")
+    for endpoint in endpoints:
+        if message := config.plaintext_refusal(endpoint.address[0]):
+            raise ConfigurationError(f"link.{message}")
+        try:
+            connection = _connect_and_stay(config, endpoint, context, deadline_s)
+        except OSError as error:
+            failure = error
+            continue
+        if connection is not None:
+            return connection, endpoint
+        peer = "gateway" if isinstance(config, RtuOverTcpLink) else "device"
+        doubt = "" if context is None else ", or it refuses link.tls.certificate"
+        raise BusyError(
+            f"link: {config.host}:{config.port} closed the connection at once: "
+            f"another client may hold the {peer}{doubt}; stop it first"
+        )
+    raise _connection_error(config, failure) from failure
+
+
+def _resolve(config: TcpLink) -> list[Endpoint]:
+    """Addresses of the host; raises UnreachableError."""
     host, port = config.host, config.port
     try:
-        return sockets.getaddrinfo(host, port, type=socket.SOCK_STREAM)
+        found = sockets.getaddrinfo(host, port, type=socket.SOCK_STREAM)
     except (OSError, UnicodeError) as error:
         raise UnreachableError(
             f"link: {host}:{port} cannot be resolved ({error}): check link.host and the name server"
         ) from error
+    return [Endpoint(family, address) for family, _, _, _, address in found]
 
 
-def connect(
-    config: TcpLink, family: int, address: Address, context: ssl.SSLContext | None, deadline_s: float
-) -> Connection:
+def _connect_and_stay(
+    config: TcpLink, endpoint: Endpoint, context: ssl.SSLContext | None, deadline_s: float
+) -> Connection | None:
+    """Connect; None: the peer closes the new connection at once, because it already serves another client."""
+    try:
+        connection = connect(config, endpoint, context, deadline_s)
+    except ConnectionResetError:
+        return None
+    try:
+        if not _is_turned_away(connection):
+            return connection
+    except ConnectionResetError:
+        pass
+    except BaseException:
+        connection.close()
+        raise
+    connection.close()
+    return None
+
+
+def connect(config: TcpLink, endpoint: Endpoint, context: ssl.SSLContext | None, deadline_s: float) -> Connection:
     """Open a non-blocking connection.
 
     Parameters
     ----------
     config
         Host and TLS settings.
-    family, address
-        One result of `resolve`.
+    endpoint
+        Address from `connect_to_host`.
     context
         TLS context; None: plain TCP.
     deadline_s
@@ -58,9 +110,9 @@ def connect(
     OSError
         The device refuses, does not answer in time, or the TLS handshake fails.
     """
-    connection = sockets.socket(family, socket.SOCK_STREAM | socket.SOCK_CLOEXEC)
+    connection = sockets.socket(endpoint.family, socket.SOCK_STREAM | socket.SOCK_CLOEXEC)
     try:
-        _connect_socket(connection, address, deadline_s)
+        _connect_socket(connection, endpoint, deadline_s)
         if context is None:
             return connection
         name = config.tls.server_name if config.tls is not None else None
@@ -70,11 +122,11 @@ def connect(
         raise
 
 
-def _connect_socket(connection: socket.socket, address: Address, deadline_s: float) -> None:
+def _connect_socket(connection: socket.socket, endpoint: Endpoint, deadline_s: float) -> None:
     connection.setblocking(False)
     connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
     with contextlib.suppress(BlockingIOError):
-        connection.connect(address)
+        connection.connect(endpoint.address)
     waiter = sockets.poll()
     waiter.register(connection, select.POLLOUT)
     if not waiter.poll(max(0.0, 1e3 * (deadline_s - clock.monotonic()))):
@@ -93,22 +145,16 @@ def input_waiter(connection: Connection) -> "select.poll | TlsStream":
     return waiter
 
 
-def is_turned_away(connection: Connection, waiter: "select.poll | TlsStream") -> bool:
-    """Whether the device closes the new connection at once, because it already serves another client.
-
-    Raises
-    ------
-    OSError
-        The connection was reset, or the device refused the TLS certificate.
-    """
+def _is_turned_away(connection: Connection) -> bool:
+    """Whether the peer closes the new connection at once; raises OSError on a reset or a refused TLS certificate."""
     if isinstance(connection, TlsStream):
         if connection.poll(1e3 * TLS_REFUSAL_S) and connection.reason:
             raise ssl.SSLError(1, connection.reason)
         return connection.ended
-    return bool(waiter.poll(1e3 * REFUSAL_S)) and not connection.recv(1, socket.MSG_PEEK)
+    return bool(input_waiter(connection).poll(1e3 * REFUSAL_S)) and not connection.recv(1, socket.MSG_PEEK)
 
 
-def connection_error(config: TcpLink, error: OSError) -> PiezodError:
+def _connection_error(config: TcpLink, error: OSError) -> PiezodError:
     """Convert a failure of `connect` into an error with cause and remedy."""
     where = f"link: {config.host}:{config.port}"
     if isinstance(config, ModbusTcpLink) and (refused := tls_error(config, error)) is not None:

@@ -55,8 +55,8 @@ def test_reconnection_is_attempted_at_most_every_50_ms(tcp, monkeypatch):
     link, server = tcp
     attempts = []
     server.answer = lambda _frame, _number: [CLOSE]
-    connect = modbus_tcp.TcpWire._connect
-    monkeypatch.setattr(modbus_tcp.TcpWire, "_connect", lambda self, deadline: attempts.append(connect(self, deadline)))
+    connect = modbus_tcp.connect
+    monkeypatch.setattr(modbus_tcp, "connect", lambda *how: attempts.append(how) or connect(*how))
     end = time.monotonic() + 0.3
     while time.monotonic() < end:
         assert link.exchange(1.0) is ExchangeResult.DISCONNECTED
