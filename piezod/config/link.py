@@ -168,6 +168,7 @@ class _ModbusLink(Section):
     unit_id: Annotated[int, Field(ge=0, le=255)] = 1
     timeout_s: Annotated[float, Field(gt=0, le=10)] = 0.02
     heartbeat_within_s: Annotated[float, Field(ge=0, le=10)] = 0.0
+    setpoint_readable: bool = False
     registers: Registers
 
     def has_role(self, role: str) -> bool:

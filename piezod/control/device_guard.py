@@ -2,6 +2,9 @@
 
 Identity, map version and the watchdog of the device were checked before arming. Another client, a restart or an
 exchanged device can change them afterwards. The guard reads them again in turn, in the free time at the end of a tick.
+
+A second master writes at any time of a tick, and the next exchange covers its voltage. The guard therefore reads the
+command of the device late in a tick, shortly before the next exchange.
 """
 
 from math import inf
@@ -21,6 +24,9 @@ UNCONFIRMED_NS = 3_000_000_000
 """Longest time without a successful read, while the exchanges succeed [ns]."""
 MARGIN_NS = 100_000
 """Free time that is needed besides 1.25 times the duration of the exchange [ns]."""
+COMPARE_NS = 50_000_000
+"""Time between two comparisons of the command [ns]: the default of `limits.readback_trip_ms`, after which a foreign
+voltage that the readback shows is found. It costs 20 exchanges a second, in free time."""
 
 _OK, _UNVERIFIED = int(ExchangeResult.OK), int(ExchangeResult.UNVERIFIED)  # plain integers compare faster
 
@@ -29,6 +35,7 @@ CAUSES = {
     ExchangeResult.WRONG_LOAD_CELL: Cause.WRONG_LOAD_CELL,
     ExchangeResult.SETTING_CHANGED: Cause.SETTING_CHANGED,
     ExchangeResult.FOREIGN_COMMAND: Cause.FOREIGN_COMMAND,
+    ExchangeResult.SETPOINT_CHANGED: Cause.READBACK,
 }
 
 
@@ -45,12 +52,25 @@ class DeviceGuard:
         Clock of the loop.
     """
 
-    __slots__ = ("_at_once", "_clock", "_confirmed_ns", "_due_ns", "_link", "_supervisor")
+    __slots__ = (
+        "_at_once",
+        "_clock",
+        "_compare_ns",
+        "_compared_ns",
+        "_confirmed_ns",
+        "_done_ns",
+        "_due_ns",
+        "_exchange_ns",
+        "_link",
+        "_supervisor",
+    )
 
     def __init__(self, link: Link, supervisor: Supervisor, rate_keeper: RateKeeper) -> None:
         self._link, self._supervisor, self._clock = link, supervisor, rate_keeper
         self._due_ns = self._confirmed_ns = 0
         self._at_once = 0  # registers still to read without a pause, after a failed exchange
+        self._done_ns = self._exchange_ns = 0  # end and duration of the last good exchange; 0: it failed
+        self._compare_ns = self._compared_ns = 0  # when the command is compared again, and was compared
 
     def evaluate(self, result: int) -> None:
         """Trip where the result of an exchange or a read names another device or a changed setting."""
@@ -68,6 +88,7 @@ class DeviceGuard:
         begun_ns, done_ns
             Begin and end of the exchange [ns].
         """
+        self._done_ns, self._exchange_ns = done_ns, done_ns - begun_ns if result == _OK else 0
         if done_ns < self._due_ns and result == _OK:
             return
         if not self._supervisor.driving:
@@ -86,6 +107,33 @@ class DeviceGuard:
         if left_ns < (done_ns - begun_ns) * 5 // 4 + MARGIN_NS and not overdue:
             return
         self._read(inf if overdue or left_ns >= NO_DEADLINE_NS else 1e-9 * left_ns, TURN_NS // count, done_ns)
+
+    def compare_command(self) -> int:
+        """Late in a tick, compare the command of the device with the last one written, when that is due.
+
+        Returns
+        -------
+        int
+            Result of the comparison; OK where it was not due, or where the tick leaves no room.
+        """
+        now_ns, exchange_ns = self._done_ns, self._exchange_ns
+        if now_ns < self._compare_ns or not self._link.holds_command:
+            return _OK
+        if not self._supervisor.driving or not self._compared_ns:
+            self._compared_ns = now_ns
+            return _OK
+        needed_ns = 2 * exchange_ns + MARGIN_NS
+        overdue = now_ns - self._compared_ns > OVERDUE_NS
+        if not exchange_ns or (self._clock.time_left_ns() < needed_ns and not overdue):
+            return _OK
+        self._clock.wait_until_left(needed_ns)
+        result = self._link.compare_command()
+        self._compare_ns = now_ns + COMPARE_NS
+        if result == _OK:
+            self._compared_ns = now_ns
+        elif result <= _UNVERIFIED and now_ns - self._compared_ns > UNCONFIRMED_NS:
+            return int(ExchangeResult.SETTING_CHANGED)
+        return result
 
     def _read(self, time_limit_s: float, interval_ns: int, now_ns: int) -> None:
         """Read one register and evaluate the result."""

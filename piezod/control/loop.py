@@ -206,7 +206,7 @@ class ControlLoop:
         self._clock.start()
         while not self._stop_requested and ticks != 0:
             self.run_tick()
-            self._clock.wait()
+            self._wait()
             ticks = None if ticks is None else ticks - 1
 
     def serve(self, after_tick: Callable[[], None]) -> None:
@@ -223,7 +223,7 @@ class ControlLoop:
         while self.supervisor.driving or not self._stop_requested:
             self.run_tick()
             self._call_guarded(after_tick)
-            self._clock.wait()
+            self._wait()
 
     def _call_guarded(self, after_tick: Callable[[], None]) -> None:
         """Call `after_tick`; while voltages are written, its exception requests a ramp down and the end."""
@@ -248,8 +248,16 @@ class ControlLoop:
     def _drive_to_rest(self) -> Cause:
         while self.supervisor.driving:
             self.run_tick()
-            self._clock.wait()
+            self._wait()
         return self.supervisor.fault
+
+    def _wait(self) -> None:
+        """Wait for the next tick; compare the command of the device shortly before it, when that is due."""
+        found = self._guard.compare_command()
+        if found > ExchangeResult.UNVERIFIED:
+            self._writer.name_restart()
+            self._guard.evaluate(found)
+        self._clock.wait()
 
     def run_tick(self) -> None:
         """Run one tick; after an exception in it, ramp down without the compensator.

@@ -39,6 +39,10 @@ class RateKeeper(Protocol):
         """Time until the next deadline [ns]; negative after it."""
         ...
 
+    def wait_until_left(self, left_ns: int) -> None:
+        """Sleep until the next deadline is `left_ns` [ns] away; returns at once where it is nearer."""
+        ...
+
     def wait(self) -> None:
         """Sleep until the next deadline in the future."""
         ...
@@ -74,6 +78,12 @@ class RealRateKeeper:
     def time_left_ns(self) -> int:
         """Time until the next deadline [ns]; negative after it."""
         return self._deadline_ns + self._period_ns - clock.monotonic_ns()
+
+    def wait_until_left(self, left_ns: int) -> None:
+        """Sleep until the next deadline is `left_ns` [ns] away; returns at once where it is nearer."""
+        early_ns = self.time_left_ns() - left_ns
+        if early_ns > 0:
+            clock.sleep(1e-9 * early_ns)
 
     def wait(self) -> None:
         """Sleep until the next deadline in the future; `tick` counts the skipped deadlines too."""
@@ -121,6 +131,9 @@ class VirtualRateKeeper:
     def time_left_ns(self) -> int:
         """`NO_DEADLINE_NS`: an exchange may take any time."""
         return NO_DEADLINE_NS
+
+    def wait_until_left(self, left_ns: int) -> None:
+        """No effect: virtual time has no deadlines."""
 
     def wait(self) -> None:
         """Advance to the next tick at once."""

@@ -140,6 +140,12 @@ class VoltageWriter:
             return ExchangeResult.OK
         return result
 
+    def name_restart(self) -> None:
+        """Trip where the device has restarted or its watchdog has tripped: it then holds another command too."""
+        if self._verify() is ExchangeResult.ECHO_MISMATCH:
+            self._link.accept_foreign_command()
+            self._verify()
+
     def _verify(self) -> ExchangeResult:
         """Read the device; trip when it has taken over its output."""
         reading, supervisor = self._link.reading, self._supervisor

@@ -27,6 +27,7 @@ class ExchangeResult(IntEnum):
     WRONG_LOAD_CELL = 16  # the same for the load cell of a pair; the amplifier took the voltage
     SETTING_CHANGED = 17  # a register that was written in set-up has another value; it was written again
     FOREIGN_COMMAND = 18  # the device has received a command of another program
+    SETPOINT_CHANGED = 19  # the device holds another set point than the last one written
 
 
 # The device confirmed the last request and applied its voltage; in the last three, the values read are invalid.
@@ -97,6 +98,11 @@ class Link(Protocol):
     @property
     def supervised(self) -> int:
         """Number of calls of `supervise` that compare every register once."""
+        ...
+
+    @property
+    def holds_command(self) -> bool:
+        """Whether the last command can be read from the device, by `compare_command`."""
         ...
 
     @property
@@ -172,7 +178,18 @@ class Link(Protocol):
         Returns
         -------
         ExchangeResult
-            OK, WRONG_DEVICE, WRONG_LOAD_CELL, SETTING_CHANGED, FOREIGN_COMMAND, or the failure of the exchange.
+            OK, WRONG_DEVICE, WRONG_LOAD_CELL, SETTING_CHANGED, or the failure of the exchange.
+        """
+        ...
+
+    def compare_command(self) -> ExchangeResult:
+        """Read the command that the device holds, and compare it with the last one written; never raises.
+
+        Returns
+        -------
+        ExchangeResult
+            OK, also where the last command was refused or sent on another connection. FOREIGN_COMMAND: another number.
+            SETPOINT_CHANGED: another voltage with the same number. Otherwise the failure of the exchange.
         """
         ...
 

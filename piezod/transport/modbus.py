@@ -7,6 +7,7 @@ from piezod.config.link import READ_WRITE, ModbusRtuLink, ModbusTcpLink, Registe
 from piezod.errors import BusyError, ConfigurationError, TemporaryError, UnreachableError
 from piezod.runtime import clock
 from piezod.transport.frames import Request, read_request, read_write_request, write_request
+from piezod.transport.held_command import HeldNumber, HeldSetPoint
 from piezod.transport.identity import Expectation, check_register
 from piezod.transport.link import ExchangeResult, Reading
 from piezod.transport.register_guard import IDENTITY_ROLES, RegisterGuard
@@ -44,6 +45,7 @@ class ModbusLink:
     __slots__ = (
         "_block",
         "_guard",
+        "_held",
         "_number",
         "_plausibility",
         "_read",
@@ -69,11 +71,14 @@ class ModbusLink:
         self._plausibility = Plausibility(frozenset(reads), config.heartbeat_within_s)
         self.reading: Reading = self._plausibility.reading
         self._set_point = set_point = SetPoint(writes) if "voltage_setpoint" in writes else None
-        if set_point is not None and set_point.has_sequence and "command_echo" in reads:
-            self._guard.note_command(reads["command_echo"], self._number_sent)
         self._block = ReadBlock(reads) if reads else None
         self._read = self._read_template(reads)
         self._write = self._write_template(writes)
+        self._held: HeldSetPoint | HeldNumber | None = None
+        if self._write is not None and config.setpoint_readable:
+            self._held = HeldSetPoint(wire, config.unit_id, writes, self._write)
+        elif set_point is not None and set_point.has_sequence and "command_echo" in reads:
+            self._held = HeldNumber(wire, config.unit_id, reads["command_echo"])
         self._written_generation = -1
         self._number = 0  # of the command that the device holds
         self.time_limit_s = inf
@@ -182,10 +187,6 @@ class ModbusLink:
         self._written_generation = -1 if refused else wire.generation
         return result
 
-    def _number_sent(self) -> int | None:
-        """Number of the last command; None: refused, or sent on another connection."""
-        return self._number if self._written_generation == self._wire.generation else None
-
     def _poll(self, deadline_s: float) -> ExchangeResult:
         wire, set_point = self._wire, self._set_point
         generation = wire.generation
@@ -213,6 +214,19 @@ class ModbusLink:
     def supervise(self, time_limit_s: float) -> ExchangeResult:
         """Read the next register that must not change; a setting that changed is written again."""
         return self._guard.check_next(clock.monotonic() + min(self._timeout_s, time_limit_s))
+
+    @property
+    def holds_command(self) -> bool:
+        """Whether the last command can be read from the device."""
+        return self._held is not None
+
+    def compare_command(self) -> ExchangeResult:
+        """Compare the command that the device holds with the last one written; a refused one is unknown."""
+        held, wire = self._held, self._wire
+        if held is None or self._written_generation != wire.generation:
+            return _OK
+        result = wire.transact(held.request, clock.monotonic() + self._timeout_s)
+        return held.compare(wire, self._number) if result is _OK else result
 
     def _read_block(self, deadline_s: float, echo: int) -> ExchangeResult:
         """Read the block, if the register map has one."""
@@ -267,6 +281,8 @@ class ModbusLink:
                 expected = getattr(self._registers, role)
                 if expected is not None:
                     check_register(Expectation(role, expected, self.description), self._read_bytes(role, expected))
+            if isinstance(self._held, HeldSetPoint):  # a device that refuses it does so before a voltage is written
+                self._transact_or_raise(self._held.request, "voltage_setpoint", self._register("voltage_setpoint"))
             if generation == self._wire.generation:  # all values are of one connection
                 self._guard.mark_verified(generation)
                 return

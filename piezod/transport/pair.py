@@ -133,6 +133,15 @@ class PairLink:
         """Number of calls of `supervise` that compare every register of both devices once."""
         return self._amplifier.supervised + self._load_cell.supervised
 
+    @property
+    def holds_command(self) -> bool:
+        """Whether the last command can be read from the amplifier."""
+        return self._amplifier.holds_command
+
+    def compare_command(self) -> ExchangeResult:
+        """Compare the command that the amplifier holds with the last one written."""
+        return self._amplifier.compare_command()
+
     def supervise(self, time_limit_s: float) -> ExchangeResult:
         """Read the next register that must not change, first those of the amplifier."""
         if self._next < self._amplifier.supervised:

@@ -5,7 +5,6 @@ device may answer. While voltages are written, identity and settings are read ag
 that was written in set-up, such as the watchdog of the device.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 from piezod.config.link import ExpectedRegister, Register, Registers
@@ -51,20 +50,6 @@ class _Setting:
         return _OK if wire.payload[at : at + len(self.raw)] == self.raw else ExchangeResult.SETTING_CHANGED
 
 
-@dataclass(frozen=True)
-class _Command:
-    """The number of the last command that the device has received, and the last number sent; None: refused."""
-
-    request: Request
-    codec: RegisterCodec
-    sent: Callable[[], int | None]
-
-    def compare(self, wire: Wire) -> ExchangeResult:
-        """Compare the reply to `request` with the number sent, modulo 16 bits; a refused number is unknown."""
-        found, sent = self.codec.unpack_from(wire.payload, self.request.payload_at), self.sent()
-        return _OK if sent is None or (int(found) - sent) % 0x10000 == 0 else ExchangeResult.FOREIGN_COMMAND
-
-
 class RegisterGuard:
     """Compares the registers that must not change, at each connection and in turn while driving.
 
@@ -80,7 +65,6 @@ class RegisterGuard:
 
     __slots__ = (
         "_blocks",
-        "_command",
         "_compared",
         "_next",
         "_reading_generation",
@@ -94,14 +78,13 @@ class RegisterGuard:
         self._wire, self._unit = wire, unit_id
         self._blocks = [_block(wire, unit_id, members) for members in _neighbours(registers)]
         self._settings: dict[str, _Setting] = {}
-        self._command: list[_Command] = []
         self._verified = self._reading_generation = -1
         self._compared = self._next = 0
 
     @property
     def count(self) -> int:
         """Number of reads in one turn over all registers."""
-        return len(self._blocks) + len(self._settings) + len(self._command)
+        return len(self._blocks) + len(self._settings)
 
     def is_verified(self) -> bool:
         """Whether the identity was compared on the present connection."""
@@ -110,21 +93,6 @@ class RegisterGuard:
     def mark_verified(self, generation: int) -> None:
         """Note that the identity was compared on the connection with this number."""
         self._verified = generation
-
-    def note_command(self, register: Register, sent: Callable[[], int | None]) -> None:
-        """Compare the number of the last command in the device too: another program may write to it.
-
-        Parameters
-        ----------
-        register
-            Register in which the device echoes the number.
-        sent
-            Returns the number of the last command sent; None: the device has refused it.
-        """
-        request = read_request(
-            self._wire.framing, self._unit, 4 if register.function == 4 else 3, register.address, register.words
-        )
-        self._command = [_Command(request, RegisterCodec(register), sent)]
 
     def note_setting(self, role: str, register: Register, written: Request) -> None:
         """Keep the value of a set-up register that the device has confirmed.
@@ -173,12 +141,11 @@ class RegisterGuard:
         -------
         ExchangeResult
             OK: as expected. WRONG_DEVICE: nothing more is written on this connection before `verify` succeeds.
-            SETTING_CHANGED. FOREIGN_COMMAND. Otherwise the failure. Unless it is OK, the next call reads the same
-            register.
+            SETTING_CHANGED. Otherwise the failure. Unless it is OK, the next call reads the same register.
         """
         if not self.is_verified():
             return ExchangeResult.UNVERIFIED
-        entries: list[_Setting | _IdentityBlock | _Command] = [*self._settings.values(), *self._blocks, *self._command]
+        entries: list[_Setting | _IdentityBlock] = [*self._settings.values(), *self._blocks]
         if not entries:
             return _OK
         entry = entries[self._next % len(entries)]
@@ -190,7 +157,7 @@ class RegisterGuard:
             self._next += 1
         elif isinstance(entry, _Setting):
             self._wire.transact(entry.again, deadline_s)  # whether it was written, the next call reads
-        elif isinstance(entry, _IdentityBlock):
+        else:
             self._verified = self._reading_generation = -1
         return result
 

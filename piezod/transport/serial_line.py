@@ -70,6 +70,7 @@ class SerialLineDevice:
     )
     last_exception = 0
     output_confirmed = False  # one device: the result of the exchange says it
+    holds_command = False
 
     def __init__(self, config: SerialLineLink) -> None:
         self._config, self._port = config, SerialPort(config)
@@ -202,6 +203,10 @@ class SerialLineDevice:
 
     def accept_foreign_command(self) -> None:
         """Nothing: a line device sends no number of a command."""
+
+    def compare_command(self) -> ExchangeResult:
+        """OK: a line device has one master, and `holds_command` is False."""
+        return _OK
 
     def supervise(self, time_limit_s: float) -> ExchangeResult:
         """Compare the identity, or set the watchdog again, in turn."""

@@ -122,6 +122,8 @@ class History:
         }  # fmt: skip
         content["arming"] |= {"reset_cycle": False, "voltage_V_per_s": 400.0}
         content["arming"]["sign_check"] = {"step_V": 2.0, "rise_N": 1.0, "settle_s": 0.05}
+        for section, key, value in plan.changes:
+            content[section][key] = value
         text = yaml.safe_dump(content)
         self.path.write_text(text, encoding="utf-8")
         cold = {"power_W": 0.0, "time_s": 1e-9 * (self.machine.now_ns + self.machine.wall_offset_ns)}

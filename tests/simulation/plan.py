@@ -35,6 +35,7 @@ class Plan:
     frequency_Hz: float = 1.0
     latency_ns: tuple = (20_000, 30_000)
     events: tuple = field(default=())
+    changes: tuple = field(default=())  # of the bench file, each (section, key, value)
 
     def without(self, numbers):
         """The same without the events of some numbers."""

@@ -19,6 +19,9 @@ class FakeClock:
     def time_left_ns(self):
         return self.period_ns
 
+    def wait_until_left(self, left_ns):
+        pass
+
     def wait(self):
         self.tick += 1
 
@@ -31,6 +34,7 @@ class FakeLink:
     hint = ""
     output_confirmed = False
     supervised = 0
+    holds_command = False
 
     def __init__(self, plant=None):
         self.plant = plant or (lambda voltage_V: 2.0 * voltage_V)

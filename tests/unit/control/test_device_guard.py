@@ -2,7 +2,7 @@
 
 import pytest
 
-from piezod.control.device_guard import OVERDUE_NS, TURN_NS, UNCONFIRMED_NS, DeviceGuard
+from piezod.control.device_guard import COMPARE_NS, MARGIN_NS, OVERDUE_NS, TURN_NS, UNCONFIRMED_NS, DeviceGuard
 from piezod.control.states import Cause, State
 from piezod.control.supervisor import Supervisor
 from piezod.transport import ExchangeResult
@@ -14,9 +14,15 @@ OK = ExchangeResult.OK
 
 class SupervisedLink:
     supervised = 2
+    holds_command = True
 
     def __init__(self):
-        self.result, self.reads = OK, []
+        self.result, self.reads, self.compared = OK, [], OK
+        self.comparisons = 0
+
+    def compare_command(self):
+        self.comparisons += 1
+        return self.compared
 
     def supervise(self, time_limit_s):
         self.reads.append(time_limit_s)
@@ -25,6 +31,10 @@ class SupervisedLink:
 
 class Clock:
     left_ns = 5 * MS
+    waited_until_left_ns = -1
+
+    def wait_until_left(self, left_ns):
+        self.waited_until_left_ns = left_ns
 
     def time_left_ns(self):
         return self.left_ns
@@ -34,7 +44,7 @@ class Subject:
     def __init__(self):
         self.link, self.clock, self.supervisor = SupervisedLink(), Clock(), Supervisor(limits())
         self.guard = DeviceGuard(self.link, self.supervisor, self.clock)
-        self.now_ns = 10**9
+        self.now_ns, self.found = 10**9, []
         self.guard.end_tick(OK, self.now_ns, self.now_ns)
         self.supervisor.arm(self.now_ns)
 
@@ -43,6 +53,7 @@ class Subject:
         while self.now_ns < end_ns:
             self.now_ns += MS
             self.guard.end_tick(result, self.now_ns - exchange_ns, self.now_ns)
+            self.found.append(self.guard.compare_command())
 
 
 @pytest.fixture
@@ -98,6 +109,8 @@ def test_every_register_is_read_at_once_after_a_failed_exchange(subject, supervi
     [
         (ExchangeResult.SETTING_CHANGED, Cause.SETTING_CHANGED, State.RAMP_DOWN),
         (ExchangeResult.WRONG_LOAD_CELL, Cause.WRONG_LOAD_CELL, State.RAMP_DOWN),
+        (ExchangeResult.FOREIGN_COMMAND, Cause.FOREIGN_COMMAND, State.RAMP_DOWN),
+        (ExchangeResult.SETPOINT_CHANGED, Cause.READBACK, State.RAMP_DOWN),
         (ExchangeResult.WRONG_DEVICE, Cause.WRONG_DEVICE, State.FAULT),  # no ramp: nothing is written to it
     ],
 )
@@ -115,6 +128,42 @@ def test_a_failed_read_is_repeated_and_trips_when_none_succeeds_for_three_second
     assert len(subject.link.reads) > 3
     subject.ticks(0.2e-9 * UNCONFIRMED_NS)
     assert subject.supervisor.fault is Cause.SETTING_CHANGED
+
+
+def test_the_command_is_compared_once_in_fifty_milliseconds_late_in_the_tick(subject):
+    subject.ticks(10.0)
+    assert subject.link.comparisons == 10e9 / COMPARE_NS
+    assert subject.clock.waited_until_left_ns == 2 * MS // 2 + MARGIN_NS  # twice the exchange of half a millisecond
+
+
+def test_the_command_is_not_compared_while_disarmed_nor_after_a_failed_exchange(subject):
+    subject.ticks(0.2, result=ExchangeResult.TIMEOUT)
+    subject.supervisor.state = State.DISARMED
+    subject.ticks(0.2)
+    assert subject.link.comparisons == 0
+
+
+def test_a_full_tick_delays_the_comparison_of_the_command_until_it_is_overdue(subject):
+    subject.clock.left_ns = MS
+    subject.ticks(1e-9 * OVERDUE_NS - 0.01)
+    assert subject.link.comparisons == 0
+    subject.ticks(0.05)
+    assert subject.link.comparisons == 1
+
+
+@pytest.mark.parametrize("result", [ExchangeResult.FOREIGN_COMMAND, ExchangeResult.SETPOINT_CHANGED])
+def test_another_command_is_reported(subject, result):
+    subject.link.compared = result
+    subject.ticks(0.05)
+    assert subject.found.count(result) == 1
+
+
+def test_a_comparison_that_fails_for_three_seconds_is_a_changed_setting(subject):
+    subject.link.compared = ExchangeResult.DEVICE_EXCEPTION
+    subject.ticks(0.9e-9 * UNCONFIRMED_NS)
+    assert ExchangeResult.SETTING_CHANGED not in subject.found
+    subject.ticks(0.2e-9 * UNCONFIRMED_NS)
+    assert ExchangeResult.SETTING_CHANGED in subject.found
 
 
 def test_results_of_exchanges_below_wrong_device_are_left_to_the_supervisor(subject):
