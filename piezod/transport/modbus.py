@@ -226,7 +226,12 @@ class ModbusLink:
         if held is None or self._written_generation != wire.generation:
             return _OK
         result = wire.transact(held.request, clock.monotonic() + self._timeout_s)
-        return held.compare(wire, self._number) if result is _OK else result
+        if result is not _OK:
+            return result
+        result = held.compare(wire, self._number)
+        if result is not _OK:
+            wire.bad_exchange.keep(result, held.request.frame, wire.payload, held.request.reply_size)
+        return result
 
     def _read_block(self, deadline_s: float, echo: int) -> ExchangeResult:
         """Read the block, if the register map has one."""

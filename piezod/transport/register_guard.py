@@ -161,7 +161,7 @@ class RegisterGuard:
             self._verified = self._reading_generation = -1
         return result
 
-    def _compare(self, entry: _Setting | _IdentityBlock | _Command) -> ExchangeResult:
+    def _compare(self, entry: _Setting | _IdentityBlock) -> ExchangeResult:
         """Compare the reply with what is expected, and keep the bytes of another one."""
         wire, request = self._wire, entry.request
         result = entry.compare(wire)
