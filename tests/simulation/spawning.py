@@ -12,7 +12,7 @@ import signal
 from tests.simulation.machine import Process, Thread
 from tests.simulation.sockets import ProcessEnd
 
-CODES = {"q": ctypes.c_int64, "d": ctypes.c_double}
+CODES = {"B": ctypes.c_ubyte, "q": ctypes.c_int64, "d": ctypes.c_double}
 START_S = (0.15, 0.6)  # shortest time of a start, and what the load of the machine adds at most
 
 
