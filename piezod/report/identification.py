@@ -16,6 +16,7 @@ from piezod.identify.order import Candidate
 from piezod.identify.simulation import simulate
 from piezod.identify.tables import OperatorRow, dead_zone_rows, play_rows
 from piezod.recording import Recording
+from piezod.report.figures.dynamics import dynamics
 from piezod.report.figures.layout import decimated, finish_figure
 from piezod.report.figures.thinning import robust_range
 from piezod.report.next_step import NextStep, after_identify
@@ -173,7 +174,7 @@ def _quantity(channel: str) -> str:
 
 
 def _curves(identification: Identification, recording: Recording) -> list[Part]:
-    """Heading and figures of a recording: output and input over time, hysteresis loop, and residual."""
+    """Heading and figures of a recording: curves over time, hysteresis loop, residual, and dynamics."""
     model = identification.model
     u, y = recording.channel(model.input.channel), recording.channel(model.output.channel)
     modelled, start = simulate(model, recording, START_WINDOW)
@@ -200,7 +201,14 @@ def _curves(identification: Identification, recording: Recording) -> list[Part]:
     residual.line(decimated(time_s), decimated(y - modelled), color=ORANGE, legend_label="residual")
     note = f"{start}; the residual's axis excludes its outliers"
     head = f"<h2>{html.escape(Path(recording.source).name)}</h2><p class='dim'>{html.escape(note)}</p>"
-    return [head, [finish_figure(over_time), finish_figure(loop)], [finish_figure(inputs)], [finish_figure(residual)]]
+    parts = dynamics(u, y, modelled, recording.dt_s, unit_words(model.output.unit), identification.noise)
+    return [
+        head,
+        [finish_figure(over_time), finish_figure(loop)],
+        [finish_figure(inputs)],
+        [finish_figure(residual)],
+        *parts,
+    ]
 
 
 def figure_rows(identification: Identification) -> list[tuple[str, ...]]:

@@ -92,7 +92,7 @@ figcaption {{ color: var(--dim); font-size: 12px; }}
   :root {{ color-scheme: dark; --line: #3b3f45; --soft: #1f2227; --dim: #a8aeb6; }}
   body {{ color: #e3e5e8; background: #15171b; }} a {{ color: #79b8ff; }}
   .chain i {{ color: #a8aeb6; }} .chain li.hit {{ background: #36231a; }} .bar {{ background: #3b3f45; }}
-  [data-root-id] > * {{ filter: invert(0.91) hue-rotate(180deg); }}  /* figures are drawn for paper */
+  figure [data-root-id] > * {{ filter: invert(0.91) hue-rotate(180deg); }}  /* figures are drawn for paper */
 }}
 @page {{ size: A4; margin: 12mm; }}
 @media print {{

@@ -31,7 +31,10 @@ _LAST_EVENTS = 8
 FEW_MISSED = 1e-4
 """Share of missed ticks that a machine may have: `piezod latency` calls such a rate held."""
 
-INK_CSS = ":host { color: #1b1d20; }"  # for paper: in the dark the page inverts its parts
+INK_CSS = """
+:host { color: #1b1d20; }
+@media screen and (prefers-color-scheme: dark) { :host { color: #e3e5e8; } }
+"""
 
 BANNER_CSS = """
 :host .bk-clearfix { width: 100%; }
@@ -48,6 +51,10 @@ BANNER_CSS = """
 .values .warn { background: #fff1d0; box-shadow: inset 4px 0 #e69f00; }
 .values .bad { background: #fde3d6; box-shadow: inset 4px 0 #b84e00; } .values .bad b { color: #8f3c00; }
 .values b { font-size: 16px; font-variant-numeric: tabular-nums; white-space: nowrap; }
+@media screen and (prefers-color-scheme: dark) {
+  .about, .values span { color: #a8aeb6; } .values div { background: #1f2227; }
+  .values .warn { background: #3a2f14; } .values .bad { background: #3d2215; } .values .bad b { color: #ffb38a; }
+}
 """
 
 EVENTS_CSS = """
@@ -58,6 +65,9 @@ td:nth-child(2) { font-weight: 600; white-space: nowrap; } td:last-child { width
 @media (max-width: 600px) {
   td { display: inline-block; border: 0; padding: 1px 10px 1px 0; } td:last-child { display: block; width: auto; }
   tr { display: block; border-bottom: 1px solid #d9d9d9; padding: 4px 0; }
+}
+@media screen and (prefers-color-scheme: dark) {
+  td, tr { border-color: #3b3f45; } td:first-child { color: #a8aeb6; }
 }
 """
 

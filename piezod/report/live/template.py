@@ -8,7 +8,7 @@ LIVE_CSS = (
 .stale { display: none; position: sticky; top: 0; z-index: 10; background: #b84e00; color: #fff; padding: 6px 12px;
   border-radius: 6px; font-weight: 600; }
 .stale.shown { display: block; }
-h1 { margin-bottom: 8px; }
+h1 { margin-bottom: 8px; } h2 { font-size: 15px; margin: 14px 0 4px; padding: 0; border: 0; }
 .live { display: grid; grid-template-columns: minmax(0, 3fr) minmax(0, 2fr); gap: 0 22px; align-items: start; }
 .commands { border: 1px solid var(--line); border-radius: 6px; padding: 6px 12px; margin: 10px 0; }
 @media (max-width: 860px) { .live { grid-template-columns: minmax(0, 1fr); } }
@@ -48,6 +48,7 @@ TEMPLATE = """{% extends base %}
 <style>{{ style }}</style>
 {% endblock %}
 {% block contents %}
+<main>
 <div id="stale" class="stale" role="alert"></div>
 <h1>{{ bench | e }}</h1>
 {{ embed(roots.banner) }}
@@ -60,7 +61,7 @@ TEMPLATE = """{% extends base %}
 </div>
 <div>
 <figure>{{ embed(roots.curve) }}</figure>
-<h3>Last events</h3>
+<h2>Last events</h2>
 {{ embed(roots.events) }}
 </div>
 </div>
@@ -70,6 +71,7 @@ TEMPLATE = """{% extends base %}
 </div>
 <p class="dim">Dashed lines: voltage limits, and the tick period. Histograms and curves over time cover the
 last 30 seconds. Curves over time show the smallest and the largest value of every {{ segment_ms }} ms.</p>
+</main>
 <script>{{ script }}</script>
 {% endblock %}
 """

@@ -44,11 +44,21 @@ def spectrum(residual: Array, dt_s: float) -> tuple[Array, Array]:
     dt_s
         Sample period [s].
     """
-    size = min(max(residual.size // 8, SHORTEST), LONGEST, residual.size)
+    size = _window_size(residual.size)
     starts = np.arange(0, residual.size - size + 1, max(size // 2, 1))
     power = _windowed_power(residual, dt_s, size, starts).mean(axis=0)
     frequency_Hz: Array = np.fft.rfftfreq(size, dt_s)[1:].astype(np.float64)
     return frequency_Hz, np.sqrt(power[1:])
+
+
+def windows_of(samples: int) -> int:
+    """Number of windows over which `spectrum` averages a residual of so many samples."""
+    size = _window_size(samples)
+    return (samples - size) // max(size // 2, 1) + 1
+
+
+def _window_size(samples: int) -> int:
+    return min(max(samples // 8, SHORTEST), LONGEST, samples)
 
 
 def time_frequency(residual: Array, dt_s: float, floor: float) -> PowerMap:
