@@ -16,7 +16,7 @@ from piezod.identify.order import Candidate
 from piezod.identify.simulation import simulate
 from piezod.identify.tables import OperatorRow, dead_zone_rows, play_rows
 from piezod.recording import Recording
-from piezod.report.figures.dynamics import dynamics
+from piezod.report.dynamics import dynamics
 from piezod.report.figures.layout import decimated, finish_figure
 from piezod.report.figures.thinning import robust_range
 from piezod.report.next_step import NextStep, after_identify

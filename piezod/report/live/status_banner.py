@@ -45,12 +45,12 @@ BANNER_CSS = """
   line-height: 46px; text-align: center; }
 .banner b { font-size: 21px; } .banner .remedy { font-weight: 600; }
 .banner p { margin: 0; }
-.values { display: grid; grid-template-columns: repeat(auto-fit, minmax(132px, 1fr)); gap: 8px; margin-top: 10px; }
+.values { display: grid; grid-template-columns: repeat(auto-fit, minmax(150px, 1fr)); gap: 8px; margin-top: 10px; }
 .values div { background: #f5f6f7; border-radius: 6px; padding: 5px 10px; }
 .values span { display: block; color: #555; font-size: 12px; }
 .values .warn { background: #fff1d0; box-shadow: inset 4px 0 #e69f00; }
 .values .bad { background: #fde3d6; box-shadow: inset 4px 0 #b84e00; } .values .bad b { color: #8f3c00; }
-.values b { font-size: 16px; font-variant-numeric: tabular-nums; white-space: nowrap; }
+.values b { font-size: 16px; font-variant-numeric: tabular-nums; }
 @media screen and (prefers-color-scheme: dark) {
   .about, .values span { color: #a8aeb6; } .values div { background: #1f2227; }
   .values .warn { background: #3a2f14; } .values .bad { background: #3d2215; } .values .bad b { color: #ffb38a; }
