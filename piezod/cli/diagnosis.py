@@ -185,14 +185,15 @@ def effects(
     """List the physical effects that a diagnosis can find, or describe one of them."""
     from piezod.effects import EFFECTS
     from piezod.report.effects import effect_as_dict, effect_named, effect_page, effects_table
+    from piezod.report.next_step import after_effects
 
     chosen = None if name is None else effect_named(name)
+    step = after_effects(name, next(iter(EFFECTS)))
     if as_json:
         shown = list(EFFECTS.values()) if chosen is None else [chosen]
-        print(
-            json.dumps(
-                {"schema": "piezod.effects/1", "effects": [effect_as_dict(effect) for effect in shown]}, indent=2
-            )
-        )
+        described = [effect_as_dict(effect) for effect in shown]
+        content = {"schema": "piezod.effects/1", "effects": described, "next_step": step.as_dict()}
+        print(json.dumps(content, indent=2))
     else:
         print(effects_table() if chosen is None else effect_page(chosen))
+        print_next(step)

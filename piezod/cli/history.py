@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from piezod.cli.root import JsonOption, app
+from piezod.cli.root import JsonOption, app, print_next
 from piezod.errors import UsageError
 
 FOLDER = "history"  # in an archive: default folder of the diagnoses and pages
@@ -58,9 +58,13 @@ def history(
     check_page(table)
     from piezod.history.checks import checks_text, find_checks
     from piezod.history.timeline import timeline_of
-    from piezod.history.words import verdict_of
+    from piezod.history.words import step_clauses, verdict_of
+    from piezod.report.next_step import after_history
 
     timeline, checks = timeline_of(models), find_checks(models)
+    newest = timeline.steps[-1]
+    verdict = checks[-1].verdict if checks else None
+    step = after_history(newest.entry.paths[0], changed=bool(step_clauses(newest)), verdict=verdict)
     if table is not None or output is not None or not as_json:
         from piezod.report.history import history_text, write_history_csv, write_history_page
 
@@ -69,9 +73,11 @@ def history(
         if output is not None:
             write_history_page(output, timeline)
     if as_json:
-        print(json.dumps(timeline.as_dict(verdict_of(timeline)) | {"checks": [c.as_dict() for c in checks]}, indent=2))
+        more = {"checks": [c.as_dict() for c in checks], "next_step": step.as_dict()}
+        print(json.dumps(timeline.as_dict(verdict_of(timeline)) | more, indent=2))
     else:
         print("\n".join(filter(None, [history_text(timeline), checks_text(checks)])))
+        print_next(step)
 
 
 def _archive(
@@ -82,7 +88,7 @@ def _archive(
     from piezod.history.archive_run import diagnose_archive
     from piezod.history.fleet import Fleet
     from piezod.recording import check_folder
-    from piezod.report.fleet import fleet_text, write_fleet_pages
+    from piezod.report.fleet import fleet_text, next_after, write_fleet_pages
     from piezod.report.progress import steps
 
     if jobs is not None and scheduler is not None:
@@ -101,4 +107,9 @@ def _archive(
         fleet = Fleet.of(runs)
         show("drawing the pages", None)
         write_fleet_pages(folder, fleet)
-    print(json.dumps(fleet.as_dict(), indent=2) if as_json else f"{fleet_text(fleet)}\npages: {folder / 'fleet.html'}")
+    step = next_after(fleet, archives, folder)
+    if as_json:
+        print(json.dumps(fleet.as_dict() | {"next_step": step.as_dict()}, indent=2))
+    else:
+        print(f"{fleet_text(fleet)}\npages: {folder / 'fleet.html'}")
+        print_next(step)

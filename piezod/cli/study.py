@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from piezod.cli.root import JsonOption, app
+from piezod.cli.root import JsonOption, app, print_next
 from piezod.errors import UsageError
 
 blind = typer.Typer(no_args_is_help=True, rich_markup_mode=None, help="The concealed study: make, run, score.")
@@ -60,6 +60,7 @@ def blind_make(
         )
     from piezod.blind.study import make_study
     from piezod.diagnose.hypothesis.parallel import core_count
+    from piezod.report.next_step import after_blind_make
     from piezod.report.progress import steps
 
     options = {
@@ -78,6 +79,7 @@ def blind_make(
     with steps() as show:
         make_study(directory, options, lambda drawn: show("drawing", drawn / count))
     print(f"{directory}: {count} {'cases' if lives is None else 'lives'}, truth sealed")
+    print_next(after_blind_make(directory))
 
 
 @blind.command("run", epilog="Example: piezod blind run study -o verdicts --scheduler tcp://10.0.0.1:8786")
@@ -98,6 +100,7 @@ def blind_run(
     """Identify, diagnose and simulate every case of a study; an interrupted run continues."""
     from piezod.blind.run import run_study
     from piezod.blind.verdict import Verdict
+    from piezod.report.next_step import after_blind_run
     from piezod.report.progress import steps
 
     if jobs is not None and scheduler is not None:
@@ -112,6 +115,7 @@ def blind_run(
         wanted = tuple(only.split(",")) if only else ()
         ran = run_study(directory, output, jobs=jobs, scheduler=scheduler, only=wanted, on_verdict=report)
     print(f"{output}: {ran.diagnosed} cases diagnosed, {ran.failed} failed, {ran.already} were already done")
+    print_next(after_blind_run(directory, output, complete=not wanted))
     raise typer.Exit(1 if ran.failed else 0)
 
 
@@ -124,5 +128,8 @@ def blind_score(
 ) -> None:
     """Open the sealed truth and score the verdicts."""
     from piezod.blind.study import score_study
+    from piezod.report.next_step import after_blind_score
 
     print(score_study(directory, verdicts, as_json=as_json, partial=partial), end="")
+    if not as_json:
+        print_next(after_blind_score(directory))

@@ -1,6 +1,7 @@
 """Benches of an archive as text, as one page for all of them, and as a page for each with its recordings."""
 
 import html
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +15,7 @@ from piezod.history.parameters import Key
 from piezod.history.words import interval, wording_of
 from piezod.report.figures.layout import apply_layout
 from piezod.report.history import value_range, write_history_page
+from piezod.report.next_step import UNFINISHED, NextStep, after_fleet
 from piezod.report.page import Part, head_html, table_html, write_page
 from piezod.report.style import BLUE, GREY, ORANGE
 from piezod.report.text_table import text_table
@@ -21,6 +23,21 @@ from piezod.report.text_table import text_table
 PAGE, BENCH_PAGE = "fleet.html", "history.html"
 PANEL_HEIGHT = 230  # [px]
 NONE, MARK = "-", "*"
+
+
+def next_after(fleet: Fleet, archives: Sequence[Path], folder: Path) -> NextStep:
+    """Next step after an archive: the first recording that failed, else the first bench that is not explained.
+
+    Parameters
+    ----------
+    archives, folder
+        Archives, and the folder of the pages.
+    """
+    failed = next((one.recording.path for bench in fleet.benches for one in bench.failed), None)
+    unfinished = next(
+        ((bench.name, bench.run.model_paths[-1]) for bench in fleet.benches if bench.verdict in UNFINISHED), None
+    )
+    return after_fleet(archives, folder, unfinished=unfinished, failed=failed)
 
 
 def fleet_text(fleet: Fleet) -> str:

@@ -28,19 +28,35 @@ from piezod.report.next_step.of_models import (
     after_simulate,
     after_testable,
 )
+from piezod.report.next_step.of_studies import (
+    UNFINISHED,
+    after_blind_make,
+    after_blind_run,
+    after_blind_score,
+    after_effects,
+    after_fleet,
+    after_history,
+)
 from piezod.report.next_step.step import AT_NOISE, RESTING, STRUCTURED, NextStep
 
 __all__ = [
     "AT_NOISE",
     "RESTING",
     "STRUCTURED",
+    "UNFINISHED",
     "NextStep",
+    "after_blind_make",
+    "after_blind_run",
+    "after_blind_score",
     "after_check",
     "after_compare",
     "after_config_check",
     "after_convert",
     "after_demo",
     "after_diagnose",
+    "after_effects",
+    "after_fleet",
+    "after_history",
     "after_identify",
     "after_init",
     "after_investigate",

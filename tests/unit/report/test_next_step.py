@@ -72,6 +72,20 @@ ALL = [
     steps.after_validate(BENCH, None, better_than_none=False, noises=None, complete=False),
     steps.after_investigate(BENCH, MODEL, FOLDER / "model.yaml", extended=True, open_pairs=False),
     steps.after_investigate(None, MODEL, FOLDER / "model.yaml", extended=True, open_pairs=True),
+    *(
+        steps.after_history(MODEL, changed=changed, verdict=verdict)
+        for changed in (True, False)
+        for verdict in (None, "matches", "unexplained")
+    ),
+    steps.after_fleet([FOLDER], FOLDER, unfinished=None, failed=None),
+    steps.after_fleet([FOLDER], FOLDER, unfinished=("press", MODEL), failed=None),
+    steps.after_fleet([FOLDER], FOLDER, unfinished=("press", MODEL), failed=REC),
+    steps.after_blind_make(FOLDER),
+    steps.after_blind_run(FOLDER, Path("verdicts"), complete=True),
+    steps.after_blind_run(FOLDER, Path("verdicts"), complete=False),
+    steps.after_blind_score(FOLDER),
+    steps.after_effects(None, "creep"),
+    steps.after_effects("creep", "creep"),
     steps.after_init(BENCH),
     steps.after_config_check(BENCH, model_exists=True),
     steps.after_config_check(BENCH, model_exists=False),
