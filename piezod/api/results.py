@@ -10,7 +10,7 @@ from piezod.api.model import Model
 from piezod.api.notebook import curves_svg, result_html
 from piezod.diagnose.findings import Finding, UnchangedEffect
 from piezod.diagnose.judgement import Diagnosis
-from piezod.diagnose.verdict.words import Wording, label_of, value_words
+from piezod.diagnose.verdict.words import Wording, confidence_words, label_of, value_words
 from piezod.effects import EFFECTS
 from piezod.identify.identification import Identification
 from piezod.identify.simulation import simulate_recording
@@ -181,7 +181,7 @@ class Diagnosed:
         rows = [("effect", "status", "confidence", "parameters", "held-out error")]
         for effect in findings.effects:
             errors = f"{effect.before:.3g} to {effect.after:.3g} {findings.unit}"
-            confidence = f"{100 * effect.confidence:.0f} %"
+            confidence = confidence_words(effect.confidence)
             rows.append((effect.title, effect.status, confidence, _values(effect, wording), errors))
         for old in findings.kept:
             status = "kept" if old.seen else "not seen"

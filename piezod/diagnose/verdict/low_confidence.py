@@ -6,7 +6,7 @@ from piezod.diagnose.findings import Finding, Findings
 from piezod.diagnose.hypothesis.stack_change import NAMES
 from piezod.diagnose.rules import RULES
 from piezod.diagnose.selection.search_state import Search
-from piezod.diagnose.verdict.words import Wording, label_of, value_words
+from piezod.diagnose.verdict.words import Wording, confidence_words, label_of, value_words
 from piezod.effects import EFFECTS
 
 LEAST_CONFIDENCE = 0.6  # lowest confidence of a name; in two study sets 3 of 17 names with 0.43 to 0.84 were right
@@ -91,8 +91,7 @@ def rejection_notes(findings: Findings, rejected: Sequence[str]) -> list[str]:
     """Notes about effects that lower the error and are not named."""
     return [
         f"{finding.name} would explain a part, {finding.before:.3g} -> {finding.after:.3g} {findings.unit}, but is not "
-        f"believed (confidence {finding.confidence:.2f}"
-        f"{'' if finding.q is None else f', false-discovery rate {finding.q:.2g}'})"
+        f"named: confidence {confidence_words(finding.confidence)}"
         for finding in findings.effects
         if finding.name in rejected and finding.confidence < LEAST_CONFIDENCE and finding.after < finding.before
     ]

@@ -33,7 +33,7 @@ PER_CENT = 100.0
 DECADE = 10.0  # ratio of a range's ends above which each end has three digits
 EQUAL = 1e-3  # relative difference below which two ends are printed as one value, except times
 WIDE = 0.5  # relative width above which an interval does not limit the digits
-PROBABLE = 0.6  # confidence below which "perhaps" precedes the name
+HIGH, PROBABLE = 0.9, 0.6  # lowest confidence called high and medium; below the latter "perhaps" precedes the name
 PER = "per "  # start of labels that follow the value: 1.27 % per decade
 NO_BREAK = "\N{NO-BREAK SPACE}"
 
@@ -136,6 +136,34 @@ def place_words(place: Place, wording: Wording = VOLTS) -> str:
     if place.axis in LOGARITHMIC:
         return f"{name} {rounded(place.low)} to {rounded(place.high)} {unit}{within}"
     return f"{name} {_range_text(place.low, place.high)} {unit}{within}"
+
+
+def confidence_level(confidence: float) -> str:
+    """Name of the level of a confidence [0, 1].
+
+    Parameters
+    ----------
+    confidence
+        Confidence of a finding, 0 to 1.
+
+    Returns
+    -------
+    "high", "medium" or "low".
+    """
+    if confidence >= HIGH:
+        return "high"
+    return "medium" if confidence >= PROBABLE else "low"
+
+
+def confidence_words(confidence: float) -> str:
+    """Confidence in per cent, with its level: the one scale of pages, terminal and notes.
+
+    Parameters
+    ----------
+    confidence
+        Confidence of a finding, 0 to 1.
+    """
+    return f"{100.0 * confidence:.0f} % ({confidence_level(confidence)})"
 
 
 def hedged(finding: Finding) -> str:

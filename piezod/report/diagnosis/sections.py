@@ -5,7 +5,16 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from piezod.diagnose.findings import Finding, Findings, Place
-from piezod.diagnose.verdict.words import Wording, label_of, percent, place_words, rounded, unit_words, value_words
+from piezod.diagnose.verdict.words import (
+    Wording,
+    confidence_words,
+    label_of,
+    percent,
+    place_words,
+    rounded,
+    unit_words,
+    value_words,
+)
 from piezod.effects import EFFECTS, Location
 from piezod.estimation.recordings.series import Series
 from piezod.report.diagnosis import wording as words
@@ -98,7 +107,7 @@ def card_html(finding: Finding, findings: Findings, wording: Wording) -> str:
     )
     handling = words.HANDLINGS.get(finding.handling, finding.handling)
     facts = [
-        ("confidence", words.confidence_words(finding.confidence)),
+        ("confidence", confidence_words(finding.confidence)),
         ("error without → with it", _error_change(finding, findings)),
         ("when", words.since_given(finding, wording)),
         ("where", "; ".join(place_words(place, wording) for place in finding.where) or "everywhere"),
@@ -236,7 +245,7 @@ def _confidence_html(finding: Finding) -> str:
     near = "".join(f"<small>or {_escaped(title)}</small>" for title in words.near_rivals(finding))
     return (
         f"<span class='bar' role='img' aria-label='confidence {percentage} percent'>"
-        f"<span style='width:{percentage}%'></span></span>{words.confidence_words(finding.confidence)}{near}"
+        f"<span style='width:{percentage}%'></span></span>{confidence_words(finding.confidence)}{near}"
     )
 
 

@@ -4,8 +4,8 @@ from pathlib import Path
 
 from piezod.diagnose.findings import Finding
 from piezod.diagnose.judgement import Diagnosis
-from piezod.diagnose.verdict.words import Wording, label_of, law_words, place_words, value_words
-from piezod.report.diagnosis.wording import SCOPES, confidence_words
+from piezod.diagnose.verdict.words import Wording, confidence_words, label_of, law_words, place_words, value_words
+from piezod.report.diagnosis.wording import SCOPES
 
 
 def print_findings(diagnosis: Diagnosis, folder: Path) -> None:

@@ -4,7 +4,6 @@ from collections.abc import Sequence
 
 from piezod.diagnose.findings import Finding, Findings, Place, Unnamed
 from piezod.diagnose.verdict.words import (
-    PROBABLE,
     Wording,
     base_words,
     change_words,
@@ -44,7 +43,6 @@ FLOORS = {
     "unknown": "an upper bound: the part that no flexible model explains",
 }
 NEAR = 0.15  # rivals whose predictions differ by less are hardly distinguishable [rms of the noise]
-HIGH, MEDIUM = 0.9, PROBABLE  # lowest confidence of each level
 
 
 def headline(findings: Findings) -> str:
@@ -88,34 +86,6 @@ def lead(findings: Findings) -> str:
         fall += f". {percent(closed)} of the error above the noise is {'described' if findings.law else 'explained'}"
     law = f", with {law_words(findings.law)}" if findings.law else ""
     return f"{fall}{law}.{unchanged}"
-
-
-def confidence_level(confidence: float) -> str:
-    """Name of the level of a confidence [0, 1].
-
-    Parameters
-    ----------
-    confidence
-        Confidence of a finding, 0 to 1.
-
-    Returns
-    -------
-    "high", "medium" or "low".
-    """
-    if confidence >= HIGH:
-        return "high"
-    return "medium" if confidence >= MEDIUM else "low"
-
-
-def confidence_words(confidence: float) -> str:
-    """Confidence in per cent, with its level: the one scale of pages and terminal.
-
-    Parameters
-    ----------
-    confidence
-        Confidence of a finding, 0 to 1.
-    """
-    return f"{100.0 * confidence:.0f} % ({confidence_level(confidence)})"
 
 
 def since_given(finding: Finding, wording: Wording) -> str:

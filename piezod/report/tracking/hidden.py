@@ -4,6 +4,7 @@ import html
 from dataclasses import dataclass, field
 from typing import Any
 
+from piezod.diagnose.verdict.words import confidence_words
 from piezod.recording import Recording
 from piezod.report.page import table_html
 from piezod.report.tracking.page import LABELS
@@ -103,7 +104,7 @@ def hidden_html(hidden: HiddenVerdict) -> str:
     hidden
         Result on the bench with hidden effects.
     """
-    sure = ", ".join(f"{title} {100.0 * confidence:.0f} %" for title, confidence in hidden.confidences.items())
+    sure = ", ".join(f"{title} {confidence_words(confidence)}" for title, confidence in hidden.confidences.items())
     rows = [
         [
             LABELS[name],

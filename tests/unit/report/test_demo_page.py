@@ -14,7 +14,7 @@ def test_the_page_tells_the_whole_story_of_the_hidden_effects():
     page = hidden_html(hidden)
     assert "Creep of the stack, a lag of the amplifier and a delay were hidden" in page
     assert "explained: creep, 1.47 % &amp; a lag" in page
-    assert "creep of the stack 99 %, lag 98 %" in page
+    assert "creep of the stack 99 % (high), lag 98 % (high)" in page
     for words in (
         "plain gain",
         "hysteresis inverse",
