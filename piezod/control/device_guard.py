@@ -4,7 +4,7 @@ Identity, map version and the watchdog of the device were checked before arming.
 exchanged device can change them afterwards. The guard reads them again in turn, in the free time at the end of a tick.
 
 A second master writes at any time of a tick, and the next exchange covers its voltage. The guard therefore reads the
-command of the device late in a tick, shortly before the next exchange.
+command of the device in the middle of a tick, between two exchanges.
 """
 
 from math import inf
@@ -109,7 +109,7 @@ class DeviceGuard:
         self._read(inf if overdue or left_ns >= NO_DEADLINE_NS else 1e-9 * left_ns, TURN_NS // count, done_ns)
 
     def compare_command(self) -> int:
-        """Late in a tick, compare the command of the device with the last one written, when that is due.
+        """Halfway to the next tick, compare the command of the device with the last one written, when that is due.
 
         Returns
         -------
@@ -122,11 +122,14 @@ class DeviceGuard:
         if not self._supervisor.driving or not self._compared_ns:
             self._compared_ns = now_ns
             return _OK
-        needed_ns = 2 * exchange_ns + MARGIN_NS
+        needed_ns, left_ns = exchange_ns * 5 // 4 + MARGIN_NS, self._clock.time_left_ns()
         overdue = now_ns - self._compared_ns > OVERDUE_NS
-        if not exchange_ns or (self._clock.time_left_ns() < needed_ns and not overdue):
+        if not exchange_ns or (left_ns < needed_ns and not overdue):
             return _OK
-        self._clock.wait_until_left(needed_ns)
+        if left_ns < NO_DEADLINE_NS:
+            self._clock.wait_until_left(max(needed_ns, left_ns // 2))  # half of it is left for a late wake-up
+            if self._clock.time_left_ns() < needed_ns and not overdue:
+                return _OK
         result = self._link.compare_command()
         self._compare_ns = now_ns + COMPARE_NS
         if result == _OK:

@@ -32,12 +32,15 @@ class SupervisedLink:
 class Clock:
     left_ns = 5 * MS
     waited_until_left_ns = -1
+    after_wait_ns = None  # time that is left then, where the wake-up is late
+    has_waited = False
 
     def wait_until_left(self, left_ns):
-        self.waited_until_left_ns = left_ns
+        self.waited_until_left_ns, self.has_waited = left_ns, True
 
     def time_left_ns(self):
-        return self.left_ns
+        waited, self.has_waited = self.has_waited, False
+        return self.after_wait_ns if waited and self.after_wait_ns is not None else self.left_ns
 
 
 class Subject:
@@ -130,10 +133,24 @@ def test_a_failed_read_is_repeated_and_trips_when_none_succeeds_for_three_second
     assert subject.supervisor.fault is Cause.SETTING_CHANGED
 
 
-def test_the_command_is_compared_once_in_fifty_milliseconds_late_in_the_tick(subject):
+def test_the_command_is_compared_once_in_fifty_milliseconds_halfway_to_the_next_tick(subject):
     subject.ticks(10.0)
     assert subject.link.comparisons == 10e9 / COMPARE_NS
-    assert subject.clock.waited_until_left_ns == 2 * MS // 2 + MARGIN_NS  # twice the exchange of half a millisecond
+    assert subject.clock.waited_until_left_ns == 5 * MS // 2
+    subject.clock.left_ns = MS
+    subject.ticks(0.1)
+    assert (
+        subject.clock.waited_until_left_ns == 5 * MS // 8 + MARGIN_NS
+    )  # 1.25 times the exchange of half a millisecond
+
+
+def test_a_late_wake_up_puts_the_comparison_off_until_the_next_tick(subject):
+    subject.clock.after_wait_ns = MS // 2
+    subject.ticks(0.1)
+    assert subject.link.comparisons == 0
+    subject.clock.after_wait_ns = None
+    subject.ticks(0.001)
+    assert subject.link.comparisons == 1
 
 
 def test_the_command_is_not_compared_while_disarmed_nor_after_a_failed_exchange(subject):
@@ -144,7 +161,7 @@ def test_the_command_is_not_compared_while_disarmed_nor_after_a_failed_exchange(
 
 
 def test_a_full_tick_delays_the_comparison_of_the_command_until_it_is_overdue(subject):
-    subject.clock.left_ns = MS
+    subject.clock.left_ns = MS // 2
     subject.ticks(1e-9 * OVERDUE_NS - 0.01)
     assert subject.link.comparisons == 0
     subject.ticks(0.05)
