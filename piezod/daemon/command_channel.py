@@ -71,8 +71,8 @@ class CommandChannel:
     @property
     def bad_exchange(self) -> dict[str, object] | None:
         """Last failed exchange with the device in this or an earlier session; None: there was none."""
-        if self.session is not None and (found := read_bad_exchange(self.session.shared.bad_exchange)) is not None:
-            self._bad_exchange = found
+        if self.session is not None and (exchange := read_bad_exchange(self.session.shared.bad_exchange)) is not None:
+            self._bad_exchange = exchange
         return self._bad_exchange
 
     def open(self, session: Session) -> None:

@@ -1,4 +1,4 @@
-"""Figures of what an identification leaves over frequency, and of the bench's response to a step."""
+"""Spectrum of the residual of an identification, and response of the bench to a step."""
 
 import html
 
@@ -129,7 +129,7 @@ def _tone_words(tones: list[Tone], unit: str) -> str:
 
 
 def _step_words(response: StepResponse | None, dt_s: float) -> str:
-    """The response in a sentence, or what to record for one."""
+    """The response in a sentence, or the recording that determines one."""
     if response is None or not response.is_shown:
         return (
             "This record does not determine a step response: its input holds too little that is fast. Record with "

@@ -61,10 +61,10 @@ class BadExchange:
         memory, sent = self._memory, len(request)
         version = _HEAD.unpack_from(memory)[0]
         struct.pack_into("<q", memory, 0, version + 1)
-        kept, at = min(sent, KEPT_BYTES), _HEAD.size
-        memory[at : at + kept] = request[:kept]
-        kept, at = min(size, KEPT_BYTES), _HEAD.size + KEPT_BYTES
-        memory[at : at + kept] = reply[:kept]
+        length, at = min(sent, KEPT_BYTES), _HEAD.size
+        memory[at : at + length] = request[:length]
+        length, at = min(size, KEPT_BYTES), _HEAD.size + KEPT_BYTES
+        memory[at : at + length] = reply[:length]
         _HEAD.pack_into(memory, 0, version + 1, clock.wall_ns(), result, self._link, sent, size)
         struct.pack_into("<q", memory, 0, version + 2)
 

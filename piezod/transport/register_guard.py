@@ -162,7 +162,7 @@ class RegisterGuard:
         return result
 
     def _compare(self, entry: _Setting | _IdentityBlock) -> ExchangeResult:
-        """Compare the reply with what is expected, and keep the bytes of another one."""
+        """Compare the reply with the expected bytes; keep a reply that differs."""
         wire, request = self._wire, entry.request
         result = entry.compare(wire)
         if result is not _OK:

@@ -156,7 +156,7 @@ def confidence_level(confidence: float) -> str:
 
 
 def confidence_words(confidence: float) -> str:
-    """Confidence in per cent, with its level: the one scale of pages, terminal and notes.
+    """Confidence in per cent, with its level, for pages, terminal and notes.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Tones in a spectrum: narrow lines above their surroundings, and whether the input has the same line."""
+"""Tones in a spectrum: narrow lines above their surroundings, in the input too or not."""
 
 from dataclasses import dataclass
 from statistics import NormalDist
@@ -10,14 +10,14 @@ Array = NDArray[np.float64]
 
 FALSE_TONES = 0.01  # expected number of lines in noise alone, in the whole spectrum
 SURROUNDINGS, OWN = 12, 2  # bins on each side whose median is the background; bins on each side of a Hann line
-SKIRT = 0.05  # largest excess three bins beside a line, as share of its own; a Hann line has 0.001, a hump most
+SKIRT = 0.05  # largest excess three bins from a line, as share of its own; a Hann line has 0.001, a hump most
 OVERLAP = 1.056  # variance of a mean of half-overlapping Hann windows over that of independent ones (Welch 1967)
 MOST_TONES = 5  # largest tones that a page names
 
 
 @dataclass(frozen=True)
 class Tone:
-    """A line: frequency [Hz], amplitude of the sine [unit], density at its peak, and whether the input has it too."""
+    """A line: frequency [Hz], amplitude of the sine [unit], density at its peak, and whether the input has it."""
 
     frequency_Hz: float
     amplitude: float
@@ -44,7 +44,7 @@ def find_tones(frequency_Hz: Array, density: Array, input_density: Array, window
     spread = OVERLAP / (9.0 * windows)  # 2 / (9 degrees of freedom), each window has two
     quantile = NormalDist().inv_cdf(1.0 - FALSE_TONES / density.size)
     above = (1.0 + quantile * np.sqrt(spread) / (1.0 - spread)) ** 3  # over the median; Wilson and Hilferty (1931)
-    found = []
+    tones = []
     excess = power - background
     for k in range(SURROUNDINGS, density.size - OWN - 1):
         line = slice(k - OWN, k + OWN + 1)
@@ -55,10 +55,10 @@ def find_tones(frequency_Hz: Array, density: Array, input_density: Array, window
         area = float(power[line].sum() - (2 * OWN + 1) * background[k]) * step_Hz
         peak = k - OWN + int(np.argmax(input_density[line]))
         shared = abs(peak - k) < OWN and input_density[peak] ** 2 > above * of_input[peak]
-        found.append(
+        tones.append(
             Tone(float(frequency_Hz[k]), float(np.sqrt(2.0 * max(area, 0.0))), float(density[k]), bool(shared))
         )
-    return sorted(found, key=lambda tone: -tone.amplitude)[:MOST_TONES]
+    return sorted(tones, key=lambda tone: -tone.amplitude)[:MOST_TONES]
 
 
 def _background(power: Array) -> Array:

@@ -11,7 +11,7 @@ ANOTHER_STUDY = 60  # cases: two hours of one core
 
 
 def after_history(newest: Path, *, changed: bool, verdict: str | None) -> NextStep:
-    """Whether the newest model is the one to drive with.
+    """Whether to drive with the newest model.
 
     Parameters
     ----------
@@ -50,7 +50,7 @@ def after_fleet(
     """
     if failed is not None:
         read = command("convert", failed, "-o", "read.csv")
-        return NextStep(f"{failed.name} could not be diagnosed; read it alone, which tells why", (read,))
+        return NextStep(f"{failed.name} could not be diagnosed; read it alone to see the reason", (read,))
     if unfinished is not None:
         name, model = unfinished
         drive = (
@@ -69,12 +69,12 @@ def after_blind_make(study: Path) -> NextStep:
 
 
 def after_blind_run(study: Path, verdicts: Path, *, complete: bool) -> NextStep:
-    """Score the verdicts, as many as there are.
+    """Score the verdicts.
 
     Parameters
     ----------
     complete
-        Whether every case of the study was diagnosed, and not only those that were named.
+        Whether every case of the study was diagnosed, and not a choice of them.
     """
     score = command("blind", "score", study, verdicts, *([] if complete else ["--partial"]))
     return NextStep("open the truth and score the verdicts", (score,))
