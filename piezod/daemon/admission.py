@@ -79,11 +79,11 @@ class Admission(Generic[ClientT]):
         if served:
             self._served.append(place)
             return place, None
-        leaves = self._longest_waiting() if len(self._waiting) >= MAX_WAITING else None
-        if leaves is not None:
-            self._waiting.remove(leaves)
+        disconnected = self._longest_waiting() if len(self._waiting) >= MAX_WAITING else None
+        if disconnected is not None:
+            self._waiting.remove(disconnected)
         self._waiting.append(place)
-        return place, leaves
+        return place, disconnected
 
     def _longest_waiting(self) -> Place[ClientT]:
         """Place of the waiting client that leaves first: without a command, of the user with most clients, earliest."""

@@ -128,9 +128,9 @@ class ControlSocket:
         task = asyncio.current_task()
         assert task is not None
         peer = _peer_of(writer)
-        place, leaves = self._clients.admit(task, peer.uid)
-        if leaves is not None:
-            leaves.client.cancel()
+        place, disconnected = self._clients.admit(task, peer.uid)
+        if disconnected is not None:
+            disconnected.client.cancel()
         self._log_full(peer, is_full=not place.served)
         try:
             while line := await self._read_line(reader, peer, place):

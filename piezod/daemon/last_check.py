@@ -31,7 +31,7 @@ class LastCheck:
 
     folder: Path | None
     name: str
-    _found: dict[str, Any] | None = None
+    _result: dict[str, Any] | None = None
     _looked_s: float = field(default=-FRESH_S)
 
     @classmethod
@@ -44,11 +44,11 @@ class LastCheck:
         """Date of the drive (UTC), age of it [s], verdict and words; None: no check was made."""
         now_s = clock.monotonic()
         if now_s - self._looked_s >= FRESH_S:
-            self._looked_s, self._found = now_s, self._newest()
-        if self._found is None:
+            self._looked_s, self._result = now_s, self._newest()
+        if self._result is None:
             return None
-        date = datetime.fromisoformat(self._found["drive_utc"])
-        return self._found | {"age_s": clock.wall_s() - date.timestamp()}
+        date = datetime.fromisoformat(self._result["drive_utc"])
+        return self._result | {"age_s": clock.wall_s() - date.timestamp()}
 
     def _newest(self) -> dict[str, Any] | None:
         """Newest findings that can be read; a folder's name ends in the time of its drive."""

@@ -35,7 +35,7 @@ class Port(ABC):
     Attributes
     ----------
     buffer, view
-        Receive buffer and a view of the same memory.
+        Receive buffer and its view.
     generation
         Number of times the line was opened.
     stale_bytes
@@ -171,7 +171,7 @@ def send_frame(
     Raises
     ------
     OSError
-        The line broke, or the deadline passed. After a suspension of the process nothing is sent too late.
+        The line broke, or the deadline passed. After a suspension of the process, a late frame is not sent.
     """
     if clock.monotonic() >= deadline_s:
         raise TimeoutError

@@ -25,7 +25,6 @@ class Line:
 
     frequency_Hz: float
     amplitude_N: float
-    phase_rad: float
     over_median: float
 
 
@@ -55,17 +54,16 @@ def lines(series: Series, residual_N: Array, most: int = 6) -> list[Line]:
 
 
 def _refined(series: Series, values: Array, near_Hz: float, bin_Hz: float, over: float) -> Line:
-    """Frequency, amplitude and phase by least squares on a fine grid around a bin."""
-    best = (0.0, near_Hz, 0.0, 0.0)
+    """Frequency and amplitude by least squares on a fine grid around a bin."""
+    largest, best_Hz = 0.0, near_Hz
     window = np.hanning(values.size)
     for frequency_Hz in near_Hz + bin_Hz * np.linspace(-1.0, 1.0, 41):
         angle = 2.0 * np.pi * frequency_Hz * series.time_s
         sine, cosine = 2.0 * np.mean(window * values * np.sin(angle)), 2.0 * np.mean(window * values * np.cos(angle))
         amplitude = float(np.hypot(sine, cosine)) / float(window.mean())
-        if amplitude > best[0]:
-            best = (amplitude, float(frequency_Hz), sine, cosine)
-    phase = float(np.arctan2(best[3], best[2])) % (2.0 * np.pi)
-    return Line(best[1], best[0], phase, over)
+        if amplitude > largest:
+            largest, best_Hz = amplitude, float(frequency_Hz)
+    return Line(best_Hz, largest, over)
 
 
 def level_about(series: Series, residual_N: Array, frequency_Hz: float) -> float:

@@ -66,8 +66,6 @@ def fit(
     ----------
     chain
         Recordings and base.
-    terms
-        Effects of the hypothesis.
     start
         Parameters to begin from.
     most_steps
@@ -220,28 +218,6 @@ class Normal:
         side = self.gradient.sum(axis=0) + self.pull - hessian @ step
         step[free] = solved(hessian[np.ix_(free, free)], side[free])
         return step
-
-    def gain_of(self, changes: Sequence[Sequence[Array | None]]) -> tuple[float, Array]:
-        """Fall of the squared residual when multiples of changes join the fit, and the multiples.
-
-        Parameters
-        ----------
-        changes
-            Changes of the compared readings: for every recording an array of shape (rows,) [N], or None for no change.
-            A change that the fit can follow by itself gets the multiple 0.
-        """
-        count = len(changes)
-        columns = []
-        for number in range(len(self.chain.series)):
-            acting = [change[number] for change in changes]
-            size = self.trust[number].size
-            columns.append(np.array([np.zeros(size) if change is None else change for change in acting]).T)
-        free, along, squares = self.projected(columns)
-        sizes = np.zeros(count)
-        own = np.diag(free) > 1e-9 * squares
-        if own.any():
-            sizes[own] = solved(free[np.ix_(own, own)], along[own])
-        return float(along[own] @ sizes[own]), sizes
 
     def projected(self, columns: Sequence[Array]) -> tuple[Array, Array, Array]:
         """Normal equations of further columns, with the fitted parameters projected off.
