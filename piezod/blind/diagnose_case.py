@@ -81,8 +81,6 @@ def identified(description: Description, folder: Path = Path()) -> Model:
     ----------
     description
         Files and columns of a case.
-    folder
-        Folder of the case.
 
     Raises
     ------

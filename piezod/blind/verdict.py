@@ -48,8 +48,6 @@ def failed_verdict(name: str, reason: str, elapsed_s: float = 0.0) -> Verdict:
 
     Parameters
     ----------
-    reason
-        Reason of the failure.
     elapsed_s
         Time until the failure [s].
     """
@@ -71,8 +69,6 @@ def read_verdict(name: str, folder: Path) -> Verdict | None:
 
     Parameters
     ----------
-    name
-        Name of the case.
     folder
         Folder of the verdict on this case.
     """

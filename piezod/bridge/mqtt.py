@@ -75,8 +75,6 @@ def topic_of(bench: str, name: str) -> str:
 
     Parameters
     ----------
-    bench
-        Name of the bench.
     name
         `online`, `tick` or `status`.
     """
@@ -92,8 +90,6 @@ async def publish(
     ----------
     bench
         Bench whose ring log is read.
-    broker
-        Where to publish.
     send_command
         Sends one command to the daemon and returns its answer.
     announce

@@ -24,8 +24,6 @@ class Newest:
 
     Parameters
     ----------
-    ring_log
-        File of the ring log.
     dt_s
         Time between two ticks [s].
 

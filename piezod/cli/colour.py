@@ -38,11 +38,5 @@ def _missed(match: "re.Match[str]") -> str:
 
 
 def print_coloured(text: str) -> None:
-    """Print a text, with colour on a terminal.
-
-    Parameters
-    ----------
-    text
-        Plain text.
-    """
+    """Print a text, with colour on a terminal."""
     print(coloured(text) if wants_colour() else text)

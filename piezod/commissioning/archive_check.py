@@ -19,8 +19,6 @@ def prepare_check(path: Path, output: Path) -> tuple[Path, Path, Path]:
 
     Parameters
     ----------
-    path
-        Bench configuration.
     output
         Folder of all checks of the bench.
 

@@ -26,13 +26,7 @@ def check_machine(bench: BenchConfig) -> Iterator[Check]:
 
 
 def check_configuration_file(path: Path) -> Iterator[Check]:
-    """Check owner and mode of the configuration: whoever can write it can change the limits.
-
-    Parameters
-    ----------
-    path
-        Bench configuration.
-    """
+    """Check owner and mode of the configuration: whoever can write it can change the limits."""
     status = path.stat()
     if status.st_mode & stat.S_IWOTH:
         yield Check("configuration", "WARN", f"{path} can be written by everybody", "chmod o-w it")

@@ -12,8 +12,6 @@ class Check:
 
     Parameters
     ----------
-    name
-        Subject of the check.
     level
         `OK`, `WARN`: the bench can run, or `FAIL`: the bench cannot run.
     found

@@ -55,8 +55,6 @@ def record_hidden_effects(folder: Path, on_rows: OnRows) -> Recording:
 
     Parameters
     ----------
-    folder
-        Folder for the bench configuration.
     on_rows
         Called about ten times per second with new rows.
 
@@ -81,8 +79,6 @@ def compare_models(folder: Path, static: Model, extended: Model, on_rows: OnRows
 
     Parameters
     ----------
-    folder
-        Folder for the bench configurations.
     static, extended
         Model without the hidden effects, and the extended model of the diagnosis.
     on_rows

@@ -23,13 +23,6 @@ STANDSTILL_MS = 500
 def emulator_process(config: Path, *arguments: str) -> Iterator[dict[str, str]]:
     """Start `python -m firmware_sim`, yield the addresses that it serves, and end it.
 
-    Parameters
-    ----------
-    config
-        Configuration of the emulator.
-    arguments
-        Further arguments of the command.
-
     Yields
     ------
     dict

@@ -54,8 +54,6 @@ class Step:
 
     Parameters
     ----------
-    recording
-        File of the drive's recording.
     folder
         Folder with the findings from all recordings so far.
     diagnosis
@@ -164,16 +162,10 @@ def investigate(
 
     Parameters
     ----------
-    config
-        Bench configuration.
-    model_path
-        Identified model.
     output
         Folder for recordings, drives and findings.
     excitation
         First excitation.
-    most_drives
-        Largest number of drives.
     longest_s
         Longest duration of a planned drive [s].
     agreed

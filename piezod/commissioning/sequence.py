@@ -91,11 +91,6 @@ class SequenceResult:
 def plan_sequence(config: Path, path: Path) -> SequencePlan:
     """Read a sequence, and check bench and steps; no voltage is written.
 
-    Parameters
-    ----------
-    config, path
-        Bench configuration and sequence.
-
     Raises
     ------
     ConfigurationError, ModelError

@@ -152,15 +152,7 @@ _TIGHTER_DIRECTION = {
 
 
 def loosened_limit(old: LimitsConfig, new: LimitsConfig) -> str:
-    """Message about the first limit that may not change this way while the bench is armed; empty: all may.
-
-    Parameters
-    ----------
-    old
-        Present limits.
-    new
-        Requested limits.
-    """
+    """Message about the first limit that may not change this way while the bench is armed; empty: all may."""
     for name in LimitsConfig.model_fields:
         before, after = getattr(old, name), getattr(new, name)
         if before == after:

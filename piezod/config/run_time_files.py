@@ -25,8 +25,6 @@ def is_own_file(path: Path, key: str, magic: bytes, head_bytes: int = 0) -> bool
 
     Parameters
     ----------
-    path
-        Path that the bench file names.
     key
         Key of the bench file, for the message.
     magic
@@ -103,8 +101,6 @@ def set_access(target: int | Path, mode: int, gid: int) -> None:
         Open file, or path of a socket.
     mode
         Permission bits.
-    gid
-        Number of the group.
 
     Raises
     ------
@@ -127,8 +123,6 @@ class UnixSocket:
         Key of the bench file, for messages.
     mode
         Permission bits.
-    gid
-        Number of the group.
 
     Attributes
     ----------

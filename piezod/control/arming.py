@@ -19,8 +19,6 @@ def check_ready(bench: BenchConfig, link: Link, sleep: Callable[[float], None] |
     ----------
     bench
         Bench configuration with the limits to check.
-    link
-        Opened link.
     sleep
         Function that waits for a time [s]; None: that of the clock.
 
@@ -51,11 +49,6 @@ def check_ready(bench: BenchConfig, link: Link, sleep: Callable[[float], None] |
 
 def check_safeguards(bench: BenchConfig) -> None:
     """Refuse a bench without the roles that arming needs, unless `arming.without` lists them.
-
-    Parameters
-    ----------
-    bench
-        Bench configuration.
 
     Raises
     ------

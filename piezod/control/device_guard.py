@@ -44,10 +44,6 @@ class DeviceGuard:
 
     Parameters
     ----------
-    link
-        Opened link.
-    supervisor
-        Supervisor that trips.
     rate_keeper
         Clock of the loop.
     """

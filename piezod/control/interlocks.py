@@ -28,11 +28,6 @@ class ForceInterlock:
     when it differs too much from the last right sample, for the time since then. A spike ends with the next sample; a
     lasting jump stays wrong.
 
-    Parameters
-    ----------
-    limits
-        Force limits and debounce.
-
     Attributes
     ----------
     suspect

@@ -20,8 +20,6 @@ class Lateness:
     ----------
     rate_Hz
         Wake-ups per second [Hz].
-    missed
-        Number of missed deadlines.
     lateness_us
         Lateness of each wake-up, shape (N,) [us].
     """
@@ -40,8 +38,6 @@ def measure_lateness(rate_Hz: float, duration_s: float, config: RealTimeConfig) 
         Wake-ups per second [Hz].
     duration_s
         Duration of the measurement [s].
-    config
-        Real-time settings.
     """
     count = max(2, round(rate_Hz * duration_s))
     lateness_ns = np.zeros(count)

@@ -116,8 +116,6 @@ def cells_of(counters: "memoryview[int]", interlock: CountedInterlock) -> "memor
     ----------
     counters
         Counters of the ring log.
-    interlock
-        Interlock.
     """
     first = FIRST_COUNTER + CELLS * interlock
     return counters[first : first + CELLS]

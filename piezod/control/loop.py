@@ -45,8 +45,6 @@ class ControlLoop:
         Opened link whose identity was verified.
     limits
         Section `limits` of the bench configuration.
-    rate_keeper
-        Clock of the loop.
     ring_log
         Log of every tick.
     dt_s

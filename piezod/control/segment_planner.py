@@ -141,8 +141,6 @@ class SegmentPlanner:
 
         Parameters
         ----------
-        tick
-            Number of the tick.
         now_ns
             Monotonic time at its begin [ns].
         safe_V

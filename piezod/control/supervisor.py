@@ -47,8 +47,6 @@ class Supervisor:
         True when the amplifier has reported a fault since the last arming: its output may be off.
     readings_stale
         True when the last good reading is older than `stale_after_ms`. The loop then keeps the voltage.
-    state
-        Current state.
     cause
         Cause of the last transition.
     """
@@ -187,8 +185,6 @@ class Supervisor:
 
         Parameters
         ----------
-        cause
-            Cause of the stop.
         fast
             Ramp down as fast as the slew limit allows.
         """
@@ -339,8 +335,6 @@ class Supervisor:
 
         Parameters
         ----------
-        reading
-            A good reading.
         written_V
             Voltage in force since this exchange [V].
         reference_N

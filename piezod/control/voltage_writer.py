@@ -23,10 +23,6 @@ class VoltageWriter:
 
     Parameters
     ----------
-    link
-        Opened link.
-    limiter
-        Limiter of every voltage.
     supervisor
         Supervisor; it trips when the device has taken over its output.
     rate_keeper

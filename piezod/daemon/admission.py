@@ -27,10 +27,6 @@ class Place(Generic[ClientT]):
 
     Parameters
     ----------
-    client
-        The client.
-    uid
-        Its user.
     served
         Whether it may send every command; otherwise it is in the waiting room.
     number
@@ -60,13 +56,6 @@ class Admission(Generic[ClientT]):
 
     def admit(self, client: ClientT, uid: int) -> tuple[Place[ClientT], Place[ClientT] | None]:
         """Give a place to a client.
-
-        Parameters
-        ----------
-        client
-            The client.
-        uid
-            Its user.
 
         Returns
         -------

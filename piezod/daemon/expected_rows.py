@@ -21,8 +21,6 @@ class ExpectedRows:
 
     Parameters
     ----------
-    model
-        Model of the bench.
     dt_s
         Tick period [s].
 

@@ -47,8 +47,6 @@ async def read_bench_files(path: Path, within_s: float = READ_WITHIN_S) -> Bench
 
     Parameters
     ----------
-    path
-        Bench configuration.
     within_s
         Time limit [s]; then the child process is killed.
 
@@ -88,11 +86,6 @@ async def read_bench_files(path: Path, within_s: float = READ_WITHIN_S) -> Bench
 
 def load_bench_files(path: Path) -> BenchFiles:
     """Read bench configuration, model and reference in this process.
-
-    Parameters
-    ----------
-    path
-        Bench configuration.
 
     Raises
     ------

@@ -51,8 +51,6 @@ class LearningWatch:
     ----------
     bench, path
         Bench configuration with a section `learning`, and its file.
-    model
-        Model of the bench.
     correction
         Correction that the control process reads.
     log

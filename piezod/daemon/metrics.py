@@ -60,8 +60,6 @@ class BenchMetrics(Collector):
     ----------
     name
         Name of the bench, a label of every metric.
-    statistics
-        Statistics of the ticks.
     recorder
         Recorder; None without one.
     drift
@@ -281,8 +279,6 @@ class MetricsServer:
 
     Parameters
     ----------
-    collector
-        Metrics.
     log
         Called with one line about the address when the server listens.
     """

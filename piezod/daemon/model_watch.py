@@ -53,8 +53,6 @@ class ModelWatch:
 
         Parameters
         ----------
-        bench
-            Bench configuration of the session.
         correction
             Shared memory of a learned correction; None: nothing is learned.
         """

@@ -28,11 +28,6 @@ class MissingPreview:
         Time by which readings follow the reference late [s].
     rate_Hz
         Tick rate [Hz].
-
-    Attributes
-    ----------
-    ticks
-        Number of ticks in the sum.
     """
 
     def __init__(self, late_s: float, rate_Hz: float) -> None:
@@ -75,15 +70,7 @@ class MissingPreview:
 
 
 def missing_preview(bench: BenchConfig, model: Model) -> MissingPreview | None:
-    """Make the sum for a bench; None if its reference is known ahead or its readings are not late.
-
-    Parameters
-    ----------
-    bench
-        Bench configuration.
-    model
-        Model of the compensation.
-    """
+    """Make the sum for a bench; None if its reference is known ahead or its readings are not late."""
     if bench.compensation != "inverse" or not isinstance(bench.reference, (RegisterReference, StreamReference)):
         return None
     try:

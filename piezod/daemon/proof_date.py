@@ -65,13 +65,7 @@ class ProofDate:
 
 
 def last_proof(bench: BenchConfig, path: Path) -> ProofDate | None:
-    """Look for the records of a bench; None where nobody asked for it.
-
-    Parameters
-    ----------
-    bench, path
-        Bench configuration and its file.
-    """
+    """Look for the records of a bench; None where nobody asked for it."""
     if bench.proof is None:
         return None
     folder = path.parent / (bench.proof.folder or "")

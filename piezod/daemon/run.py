@@ -61,8 +61,6 @@ def run_foreground(path: Path, *, arm: bool) -> RunResult:
 
     Parameters
     ----------
-    path
-        Bench configuration.
     arm
         Whether to arm at once.
 

@@ -56,8 +56,6 @@ class Service:
 
     Parameters
     ----------
-    path, bench
-        Bench configuration and its file.
     lock
         Lock of the bench, held until the end.
     session
@@ -71,8 +69,6 @@ class Service:
         Outcome of the session that ended last.
     statistics
         Statistics of the ticks of all sessions.
-    model_watch
-        Comparison with the model.
     railed_watch
         Watch for a reference out of reach.
     phase_watch

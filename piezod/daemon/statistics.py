@@ -22,8 +22,6 @@ class TrackingError:
 
     Attributes
     ----------
-    ticks
-        Number of ticks.
     max_N
         Largest absolute error [N].
     """

@@ -52,16 +52,10 @@ def status_dict(
 
     Parameters
     ----------
-    bench, path
-        Bench configuration and its file.
     channel
         Connection to the control process.
-    statistics
-        Statistics of the ticks.
     recorder
         Recorder; None without one.
-    model_watch
-        Comparison with the model.
     railed_watch
         Watch for a reference out of reach.
     phase_watch
@@ -109,8 +103,6 @@ def reference_values(bench: BenchConfig, channel: "CommandChannel") -> dict[str,
 
     Parameters
     ----------
-    bench
-        Bench configuration.
     channel
         Connection to the control process.
     """

@@ -40,8 +40,6 @@ def diagnose_files(
 
     Parameters
     ----------
-    recordings
-        Recordings to diagnose.
     model_path
         Model; its identification recordings are used too if they still exist.
     output

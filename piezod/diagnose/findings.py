@@ -84,16 +84,10 @@ class Finding:
 
     Parameters
     ----------
-    name, title
-        Name and title in the catalogue.
     confidence
         Share of such findings that are right in concealed cases [1].
     scope
         "already" present at the identification, "since", or "once" in one recording.
-    where
-        Places.
-    parameters
-        Parameters by name.
     before, after
         Rms error on left-out blocks without and with the effect [output unit]. A changed effect has its old values in
         the first. A gone effect is in the hypothesis of the first. Equal for a finding without a fit.
@@ -253,8 +247,6 @@ class Findings:
     ----------
     verdict, words
         Verdict, and the summary in one or two sentences.
-    unit
-        Unit of the output.
     floor, floor_from
         Noise [output unit] and its source: "quiet" (rests) or "repeats"; `UNKNOWN`: `floor` is an upper bound.
     where
@@ -268,22 +260,16 @@ class Findings:
         Fit as MATLAB's `compare` defines it [%].
     explainable
         Structured share of the squared residual [1]: explained by a flexible model, or dependent on motion or level.
-    notes
-        Remarks.
     not_testable
         Effects of usual size that these recordings would not show.
     span
         Widest range of the readings of a diagnosed recording [output unit].
     refitted
         Without findings: error with a refitted hysteresis [output unit]; `after` if that hysteresis is written.
-    kept
-        Unchanged effects of the given model.
     base
         Change of the stack itself.
     law
         Unnamed law in the written model, included in `after`; None: none.
-    held_out
-        Held-out recordings.
     recordings
         Path, SHA-256, number of samples and left-out stretches of each recording.
     unrecorded

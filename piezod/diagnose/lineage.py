@@ -23,8 +23,6 @@ def with_lineage(diagnosis: Diagnosis, given: Model, parent: str, recordings: Se
     ----------
     parent
         SHA-256 of the file of the given model.
-    recordings
-        Diagnosed recordings.
     """
     if diagnosis.model is given:
         return diagnosis

@@ -35,8 +35,6 @@ class Bench:
 
     Parameters
     ----------
-    name
-        Name of its folder.
     model_path
         Its model before the first recording.
     recordings

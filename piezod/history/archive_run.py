@@ -54,13 +54,7 @@ class Diagnosed:
 
 @dataclass
 class BenchRun:
-    """A bench during a run: its diagnosed recordings, and the newest model.
-
-    Parameters
-    ----------
-    folder
-        Folder of its diagnoses.
-    """
+    """A bench during a run: its diagnosed recordings, and the newest model."""
 
     bench: Bench
     folder: Path
@@ -159,8 +153,6 @@ def diagnose_archive(
 
     Parameters
     ----------
-    benches
-        Benches with their recordings.
     output
         Folder for the diagnoses; created if missing.
     jobs

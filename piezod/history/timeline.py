@@ -21,8 +21,6 @@ class Step:
     ----------
     reference
         Model that it is compared with: its parent, else the model before it; None: the first one.
-    parameters
-        Its parameters with intervals.
     changes
         Status of every effect and of the base since the reference; empty without a reference.
     notes

@@ -27,8 +27,6 @@ class Options:
         Whether operators with negligible weights are removed after a comparison of orders.
     fit_share
         After a comparison of orders: leading share of each recording that is fitted, 0.1 to 0.95; the rest is held out.
-    name
-        Name of the model.
     """
 
     input: str = "voltage_V"

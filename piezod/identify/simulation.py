@@ -32,8 +32,6 @@ class Agreement:
 
     Parameters
     ----------
-    samples
-        Number of compared samples.
     rms, max, nrmse_percent
         Errors, measured minus simulated [output unit], [output unit], [%].
     rms_tared

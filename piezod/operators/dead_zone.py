@@ -26,8 +26,6 @@ def dead_zone(r: float, x: float) -> float:
     ----------
     r
         Threshold [unit of x], any sign; 0: the linear part.
-    x
-        Input.
     """
     beyond = x - r
     return beyond if r == 0.0 or (r > 0.0) == (beyond > 0.0) else 0.0

@@ -23,8 +23,6 @@ class Plan:
 
     Parameters
     ----------
-    folder
-        Folder of the files.
     bench
         Name of the bench; the prefix of its file names.
     sync_every_s
@@ -138,11 +136,6 @@ def report_sender(descriptor: int) -> Callable[[Report], None]:
     """Make a function that sends reports without waiting; used in the recorder process.
 
     A report that does not fit into the pipe is discarded: the daemon reads the next one.
-
-    Parameters
-    ----------
-    descriptor
-        Descriptor to write to.
     """
     descriptors.set_blocking(descriptor, False)
 

@@ -40,11 +40,6 @@ RETRY_S = (0.0, 0.5, 1.0, 2.0, 5.0)
 class RingRecorder:
     """Writes one ring log after the other to files.
 
-    Parameters
-    ----------
-    plan
-        Settings.
-
     Attributes
     ----------
     report

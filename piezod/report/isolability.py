@@ -11,13 +11,7 @@ MOST_PAIRS = 12
 
 
 def isolability_as_dict(result: Isolability, unit: str) -> dict[str, Any]:
-    """The result for JSON.
-
-    Parameters
-    ----------
-    unit
-        Unit of the output.
-    """
+    """The result for JSON."""
     return {
         "schema": "piezod.isolability/1",
         "noise": {"value": result.noise, "unit": unit},
@@ -35,13 +29,7 @@ def isolability_as_dict(result: Isolability, unit: str) -> dict[str, Any]:
 
 
 def isolability_text(result: Isolability, unit: str) -> str:
-    """The result for a terminal.
-
-    Parameters
-    ----------
-    unit
-        Unit of the output.
-    """
+    """The result for a terminal."""
     groups, hidden, pairs = result.groups(), result.unseen, result.pairs()
     alone = len(result.effects) - len(hidden) - sum(len(group) for group in groups)
     separated = f"of {len(result.effects)} effects these recordings separate {alone} from all others"

@@ -38,8 +38,6 @@ def table_html(header: Sequence[str], rows: Sequence[Sequence[str]], groups: Seq
 
     Parameters
     ----------
-    header
-        Names of the columns.
     groups
         Row above the header: headings, and the number of columns that each spans.
     """
@@ -171,8 +169,6 @@ def write_text(path: Path, text: str) -> None:
 
     Parameters
     ----------
-    path
-        File to write or to replace.
     text
         New content.
 

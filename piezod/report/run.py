@@ -44,8 +44,6 @@ class RunFigures:
     ----------
     duration_s, samples
         Length of the recording [s], [samples].
-    missed
-        Number of missing ticks.
     running_s
         Time in which the force followed the reference [s].
     rms_error_N, max_error_N

@@ -43,8 +43,6 @@ def outlier_reason(recording: Recording, error: Array) -> str | None:
 
     Parameters
     ----------
-    recording
-        The run.
     error
         Force minus reference [N], shape (N,); nan where the force did not follow.
     """

@@ -16,8 +16,6 @@ class TimingFigures:
 
     Parameters
     ----------
-    ticks
-        Number of these ticks.
     lateness_us
         Wake-up after the deadline: percentiles and maximum [us].
     completion_us

@@ -27,8 +27,6 @@ def run_on_cluster(source: TaskSource, address: str, patience_s: float = PATIENC
 
     Parameters
     ----------
-    source
-        Source of the tasks.
     address
         Address of the scheduler, such as `tcp://10.0.0.1:8786`.
     patience_s

@@ -14,8 +14,6 @@ def run_locally(source: TaskSource, jobs: int) -> Generator[Outcome, None, None]
 
     Parameters
     ----------
-    source
-        Source of the tasks.
     jobs
         Number of parallel processes, at least 1.
     """

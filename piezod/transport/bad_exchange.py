@@ -51,8 +51,6 @@ class BadExchange:
 
         Parameters
         ----------
-        result
-            Result of the exchange.
         request
             Transmitted frame or line.
         reply

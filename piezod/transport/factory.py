@@ -18,8 +18,6 @@ def make_link(link: LinkConfig, load_cell: LinkConfig | None = None) -> Link:
     ----------
     link
         Link of the amplifier; also of the load cell if `load_cell` is None.
-    load_cell
-        Separate link of the load cell.
 
     Raises
     ------
@@ -36,8 +34,6 @@ def check_encodable(link: LinkConfig, low_V: float, high_V: float) -> None:
 
     Parameters
     ----------
-    link
-        Link of the amplifier.
     low_V, high_V
         Range of commanded voltages [V].
 

@@ -125,8 +125,6 @@ def classify(reply: bytearray, request: Request, size: int) -> tuple[ExchangeRes
     ----------
     reply
         Buffer that begins with the frame.
-    request
-        The request that was sent.
     size
         Length of the frame without CRC [bytes].
 

@@ -34,8 +34,6 @@ class Port(ABC):
 
     Attributes
     ----------
-    buffer, view
-        Receive buffer and its view.
     generation
         Number of times the line was opened.
     stale_bytes

@@ -29,13 +29,7 @@ def port_kind(port: str) -> str:
 
 
 def missing_port_remedy(port: str) -> str:
-    """Question that helps to find a port that does not exist.
-
-    Parameters
-    ----------
-    port
-        Path of the port.
-    """
+    """Question that helps to find a port that does not exist."""
     if port_kind(port) == BUILT_IN:
         return "is this port enabled on the board? dmesg | grep tty lists those of the kernel"
     return "is the adapter plugged in? ls /dev/serial/by-id"

@@ -25,13 +25,7 @@ class FoundPort:
 
 
 def serial_ports(by_id: Path = BY_ID) -> list[FoundPort]:
-    """Serial ports of this machine, with the persistent path where udev provides one.
-
-    Parameters
-    ----------
-    by_id
-        Folder of the persistent names.
-    """
+    """Serial ports of this machine, with the persistent path where udev provides one."""
     persistent = {str(link.resolve()): str(link) for link in sorted(by_id.iterdir())} if by_id.is_dir() else {}
     found = {port.device: port.description for port in list_ports.comports()}
     devices = sorted({*persistent, *found})
@@ -50,8 +44,6 @@ def modbus_name(host: str, port: int, unit_id: int, timeout_s: float = 1.0, *, r
 
     Parameters
     ----------
-    host, port, unit_id
-        Address of the device.
     timeout_s
         Time limit for the connection and for the reply [s].
     rtu

@@ -51,17 +51,7 @@ class _Setting:
 
 
 class RegisterGuard:
-    """Compares the registers that must not change, at each connection and in turn while driving.
-
-    Parameters
-    ----------
-    wire
-        Wire of the device.
-    unit_id
-        Unit of the device.
-    registers
-        Register map.
-    """
+    """Compares the registers that must not change, at each connection and in turn while driving."""
 
     __slots__ = (
         "_blocks",
@@ -99,8 +89,6 @@ class RegisterGuard:
 
         Parameters
         ----------
-        role, register
-            Role and address of the register.
         written
             Request that wrote it.
         """

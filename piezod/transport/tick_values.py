@@ -31,8 +31,6 @@ class SetPoint:
 
     Attributes
     ----------
-    sequence
-        Number of the last command.
     counts
         Whether the device has a register for the command number.
     """
@@ -80,8 +78,6 @@ class Plausibility:
 
     Parameters
     ----------
-    roles
-        Roles that the device has.
     heartbeat_within_s
         Longest time with an unchanged heartbeat [s]; 0: the heartbeat must advance in each exchange.
 

@@ -41,8 +41,6 @@ def compare(record: dict[str, Any], earlier: list[dict[str, Any]]) -> dict[str, 
 
     Parameters
     ----------
-    record
-        Record of the present test.
     earlier
         Earlier records, oldest first.
 

@@ -28,8 +28,6 @@ class ProofStep:
 
     Parameters
     ----------
-    name
-        Subject of the step.
     result
         `pass`, `fail`, or `skipped`: this bench has no such function.
     measured, limit

@@ -37,8 +37,6 @@ class DatagramGate:
 
     Parameters
     ----------
-    allowed
-        Range of the reference.
     key
         Shared key; None: datagrams carry no tag.
     stamp_within_s

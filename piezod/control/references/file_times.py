@@ -63,8 +63,6 @@ def check_gaps(table: StrictTable, longest_step_s: float | None, key: str = "") 
 
     Parameters
     ----------
-    table
-        The file.
     longest_step_s
         Longest step [s]; None: `GAP` times the median step, `EVEN_GAP` times it for evenly spaced rows, with `key`.
     key

@@ -111,8 +111,6 @@ class IterativeLearning:
         Force that is planned for it without a correction, shape (N,) [N].
     rate_Hz
         Tick rate [Hz].
-    bounds
-        Bounds of the correction.
 
     Attributes
     ----------

@@ -53,8 +53,6 @@ class Reference(Protocol):
 
         Parameters
         ----------
-        tick
-            Number of the tick.
         now_ns
             Monotonic time at its begin [ns].
         """

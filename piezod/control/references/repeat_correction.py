@@ -72,8 +72,6 @@ class RepeatCorrection:
         ----------
         repeat
             Number of the repeat, from 0.
-        k
-            Tick within it.
         """
         if repeat != self._repeat:
             self._begin_repeat(repeat)

@@ -80,8 +80,6 @@ class BlockSums:
 
     Parameters
     ----------
-    size
-        Number of ticks of a block.
     dt_s
         Tick period [s].
     """

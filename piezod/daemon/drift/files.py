@@ -77,23 +77,12 @@ def blocks_file(bench: BenchConfig) -> KeptCsv:
 
 
 def drift_file(bench: BenchConfig) -> KeptCsv:
-    """File for the recording of a bench that has drifted: `drift.file`, or a file beside the ring log.
-
-    Parameters
-    ----------
-    bench
-        Bench configuration.
-    """
+    """File for the recording of a bench that has drifted: `drift.file`, or a file beside the ring log."""
     return KeptCsv(bench.drift_path, "drift.file", ("kept", "left its model"))
 
 
 def find_drift_recording(path: Path) -> tuple[Path, Path]:
     """Find the recording of a bench that has drifted, and the model that it was compared with.
-
-    Parameters
-    ----------
-    path
-        Bench configuration.
 
     Raises
     ------

@@ -45,8 +45,6 @@ class DriftWatch:
     ----------
     bench
         Bench configuration with a section `drift`.
-    model
-        Model of the bench.
     log
         Called with one line when the bench has drifted.
 
@@ -54,12 +52,8 @@ class DriftWatch:
     ----------
     limit_N
         Limit of the first stretch of driving [N].
-    test
-        Test of the windows.
     path
         File for the ticks of a bench that has drifted.
-    windows
-        Number of complete windows.
     rms_N
         Standard deviation of the difference in the last window [N]; nan before the first.
     offset_N

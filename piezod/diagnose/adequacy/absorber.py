@@ -62,11 +62,6 @@ class Columns:
     ----------
     series, modelled
         Recordings and their simulated readings, shape (N,) each [N].
-
-    Attributes
-    ----------
-    count
-        Number of columns.
     """
 
     def __init__(self, series: Sequence[Series], modelled: Sequence[Array], events: Sequence[Event] = ()) -> None:

@@ -121,8 +121,6 @@ class Screening:
 
     Parameters
     ----------
-    chain, terms, point
-        Recordings and the hypothesis.
     assumptions
         The same recordings under other assumptions, such as another course of the command.
     """

@@ -53,8 +53,6 @@ def least_gain(steady: float, worth: float = RULES.worth, steadily: float = RULE
 
     Parameters
     ----------
-    steady
-        Steadiness of the gain.
     worth, steadily
         Least gain without steadiness, and the steadiness that lowers it to 1 / e.
     """

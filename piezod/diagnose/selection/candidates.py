@@ -24,11 +24,6 @@ Trial = tuple[Chain, Fitted]
 class Candidates:
     """Hypotheses with one more effect or tone than a state has.
 
-    Parameters
-    ----------
-    state
-        State of the search.
-
     Attributes
     ----------
     attempts

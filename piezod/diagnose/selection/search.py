@@ -32,8 +32,6 @@ def search(
 
     Parameters
     ----------
-    chain
-        Recordings and base.
     start
         Point to begin from, with the values of the given effects.
     progress

@@ -131,8 +131,6 @@ def identified_base(chain: Chain, start: Point, given: tuple[Term, ...]) -> Poin
 
     Parameters
     ----------
-    chain
-        Recordings and base.
     start
         Point to begin from.
     given

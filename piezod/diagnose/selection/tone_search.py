@@ -29,8 +29,6 @@ class RemovedTone:
     ----------
     chain, fitted
         Recordings without it, and the hypothesis there.
-    group
-        The tone in each recording.
     """
 
     chain: Chain

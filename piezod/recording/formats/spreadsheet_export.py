@@ -35,8 +35,6 @@ def export_table(path: Path, exported: Path, options: TextOptions) -> str:
 
     Parameters
     ----------
-    path
-        Workbook.
     options
         Layout of the table as the user states it.
 

@@ -95,8 +95,6 @@ def whiteness_test(recording: Recording, residual: Array, input_column: str, lag
         Times and input. Missing ticks are gaps; pairs of samples that include a gap do not count.
     residual
         Measured minus modelled, shape (N,), in the output's unit; nan where unknown.
-    input_column
-        Name of the input's column.
     lags
         Number of lags to test, at least 1.
 

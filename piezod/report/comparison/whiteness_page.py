@@ -24,13 +24,7 @@ POINTS = 3000  # of a drawn curve
 
 
 def whiteness_as_dict(test: WhitenessTest, recording: Recording, model: str, unit: str) -> dict[str, Any]:
-    """Return the test for JSON.
-
-    Parameters
-    ----------
-    unit
-        Unit of the output.
-    """
+    """Return the test for JSON."""
     lags = test.auto.size - 1
     return {
         "schema": "piezod.residual/1",
@@ -88,8 +82,6 @@ def write_whiteness_page(
     ----------
     residual
         Measured minus modelled, shape (N,), in the output's unit.
-    unit
-        Unit of the output.
     step
         Next step of the command; None: the page has none.
 

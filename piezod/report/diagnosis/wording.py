@@ -114,13 +114,7 @@ def places_of(finding: Finding, wording: Wording, most: int = 2) -> str:
 
 
 def largest_places(places: Sequence[Place], most: int) -> list[Place]:
-    """Largest place on each axis, in descending order of their share of the error.
-
-    Parameters
-    ----------
-    most
-        Most places in the result.
-    """
+    """Largest place on each axis, in descending order of their share of the error."""
     of_axis: dict[str, Place] = {}
     for place in sorted(places, key=lambda place: -place.share):
         of_axis.setdefault(place.axis, place)

@@ -84,14 +84,10 @@ def histogram(title: str, source: ColumnDataSource, period_s: float | None, colo
 
     Parameters
     ----------
-    title
-        Title of the figure.
     source
         Columns of `bars`.
     period_s
         Tick period [s]; None if unknown.
-    colour
-        Colour of the bars.
     options
         Bokeh properties of the figure, such as height and ranges.
     """

@@ -49,13 +49,7 @@ def apply_layout(plot: figure, **legend: Any) -> figure:  # noqa: ANN401
 
 
 def finish_figure(plot: figure) -> figure:
-    """Add layout, few ticks and a tooltip to a figure of a report, and return it.
-
-    Parameters
-    ----------
-    plot
-        The figure with all its curves.
-    """
+    """Add layout, few ticks and a tooltip to a figure of a report, and return it."""
     apply_layout(plot, spacing=8, glyph_height=14, label_height=14)
     if not isinstance(plot.xaxis[0].ticker, LogTicker):
         plot.xaxis.ticker = BasicTicker(desired_num_ticks=MOST_TICKS)

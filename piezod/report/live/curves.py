@@ -19,13 +19,7 @@ _FOLLOWING = (State.RUNNING, State.HOLD)
 
 
 class RecentPoints:
-    """The newest points of several columns. Points are numbered from the first that was added.
-
-    Parameters
-    ----------
-    capacity
-        Number of points to hold.
-    """
+    """The newest points of several columns. Points are numbered from the first that was added."""
 
     def __init__(self, names: tuple[str, ...], capacity: int) -> None:
         self.capacity = capacity

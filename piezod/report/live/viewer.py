@@ -25,13 +25,7 @@ Command = Callable[[str], Awaitable[str]]
 
 
 class Viewer:
-    """Figures, banner and events of one browser.
-
-    Parameters
-    ----------
-    feed
-        Feed that all viewers share.
-    """
+    """Figures, banner and events of one browser."""
 
     def __init__(self, document: Document, feed: Feed) -> None:
         self._document, self._feed = document, feed

@@ -53,8 +53,6 @@ def after_report(recording: Path, *, fault: str, drifted: bool, config: Path = B
         Cause of a FAULT at its end; empty: none.
     drifted
         Whether the bench left its model during the run.
-    config
-        Bench file.
     """
     if fault:
         repeat = (command("check", config), command("reset", config))
@@ -212,13 +210,7 @@ def after_demo(*, passed: bool) -> NextStep:
 
 
 def after_status(status: dict[str, Any]) -> NextStep:
-    """Step for the state of the daemon.
-
-    Parameters
-    ----------
-    status
-        Status that the daemon sends.
-    """
+    """Step for the state of the daemon."""
     config = Path(status["config"])
     if not status["connected"]:
         return NextStep("the daemon connects again by itself; check the device", (command("check", config),))

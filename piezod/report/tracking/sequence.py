@@ -244,8 +244,6 @@ def write_sequence_page(path: Path, verdict: SequenceVerdict, runs: Sequence[Ste
     ----------
     runs
         Runs of the steps, in their order.
-    step
-        Next step of the command.
 
     Raises
     ------

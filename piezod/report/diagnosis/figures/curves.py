@@ -99,12 +99,8 @@ def time_figures(
 
     Parameters
     ----------
-    points
-        Number of points of each curve.
     places
         Places in which the given model is wrong.
-    units
-        Units of command and output.
     extended
         Name of the model after the diagnosis.
     """
@@ -143,8 +139,6 @@ def loop_figures(
 
     Parameters
     ----------
-    points
-        Number of points of each curve.
     extended
         Name of the model after the diagnosis.
     """

@@ -37,8 +37,6 @@ def new_figure(title: str, x: str, y: str, height: int, *, zoom_x: bool = False,
         Height [pixels].
     zoom_x
         Whether pan and zoom act on the x axis only, as for curves over time.
-    x_axis
-        Scale of the x axis.
     """
     prefix = "x" if zoom_x else ""
     plot = figure(

@@ -30,8 +30,6 @@ def driver_figure(view: View, places: Sequence[Place], unit: str, extended: str)
     ----------
     places
         Places in which the given model is wrong; those on the driver are shaded.
-    unit
-        Unit of the output.
     extended
         Name of the model after the diagnosis.
     """

@@ -42,8 +42,6 @@ def spectrum_figure(
         Density of white noise with the power of the noise floor [output unit / sqrt(Hz)].
     places
         Places in which the given model is wrong; those in frequency are shaded.
-    unit
-        Unit of the output.
     extended
         Name of the model after the diagnosis.
     """

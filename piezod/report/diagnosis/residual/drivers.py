@@ -42,13 +42,7 @@ class Driver:
 
 
 def drivers(command: str, output: str) -> list[Driver]:
-    """All drivers except time.
-
-    Parameters
-    ----------
-    command, output
-        Units.
-    """
+    """All drivers except time."""
     since = "since the last reversal"
     return [
         Driver("voltage_V", "voltage_V", f"command [{command}]", lambda recording: recording.series.command_V),
