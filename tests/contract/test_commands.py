@@ -137,7 +137,8 @@ def test_help_holds_a_description_and_an_example(name, capsys):
 def test_the_arguments_of_the_example_are_valid(name):
     epilog = re.sub(r"\s+>\s+\S+$", "", ALL[name].epilog)
     words = shlex.split(epilog.removeprefix(f"Example: piezod {name}"))
-    ALL[name].make_context(name, words)
+    context = ALL[name].make_context(name, words)
+    assert context.args == []
 
 
 @pytest.mark.parametrize("name", sorted(COMMANDS))

@@ -184,6 +184,7 @@ def test_reading_a_role_that_the_device_lacks_is_an_error_with_the_role(subject)
 
 def test_identity_is_verified_where_it_is_configured(subject):
     verify_identity(subject.link)
+    assert subject.link.poll() is ExchangeResult.OK
 
 
 def test_a_link_describes_itself(subject):

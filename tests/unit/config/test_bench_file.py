@@ -46,7 +46,8 @@ def changed(**changes):
 
 @pytest.mark.parametrize("path", BENCHES, ids=lambda path: path.stem)
 def test_every_shipped_bench_fits_the_schema(validator, path):
-    validator.validate(yaml.safe_load(path.read_text(encoding="utf-8")))
+    content = yaml.safe_load(path.read_text(encoding="utf-8"))
+    assert [error.message for error in validator.iter_errors(content)] == []
 
 
 @pytest.mark.parametrize(

@@ -63,3 +63,5 @@ def test_a_reader_whose_daemon_has_ended_ends_without_an_error(bench):
     ours, theirs = multiprocessing.Pipe(duplex=False)
     ours.close()
     _read(bench, theirs)
+    with pytest.raises(BrokenPipeError):
+        theirs.send("the other end is closed")

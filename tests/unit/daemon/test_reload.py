@@ -23,6 +23,7 @@ class Channel:
     """A channel that answers every command with "ok" and lists it."""
 
     counters = ()
+    bad_exchange = None
 
     def __init__(self, session):
         self.session, self.connected, self.ended, self.problem = session, True, False, ""

@@ -68,3 +68,4 @@ def test_a_missing_listener_causes_no_error(address):
     notifier.ready()
     notifier.close()
     notifier.alive()
+    assert notifier._socket is None

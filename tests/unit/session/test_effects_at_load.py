@@ -78,7 +78,8 @@ def test_a_voltage_that_its_register_cannot_hold_is_refused_at_load(tmp_path):
 
 
 def test_a_plain_gain_needs_no_inverse(tmp_path):
-    load_bench_and_model(bench_with(tmp_path, "friction", compensation="gain"))
+    _, model = load_bench_and_model(bench_with(tmp_path, "friction", compensation="gain"))
+    assert [effect.name for effect in model.effects] == ["friction"]
 
 
 def test_a_name_in_compensation_without_must_be_in_the_catalogue_and_in_the_model(tmp_path):

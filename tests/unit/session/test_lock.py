@@ -37,8 +37,10 @@ def test_a_second_holder_is_refused_with_the_process_of_the_first(tmp_path):
 
 def test_a_file_without_a_holder_does_not_lock(tmp_path):
     (tmp_path / "x.lock").write_text("999999\n")
-    BenchLock(tmp_path / "x.lock").close()
-    BenchLock(tmp_path / "x.lock").close()
+    lock = BenchLock(tmp_path / "x.lock")
+    with pytest.raises(BusyError, match=f"process {os.getpid()} "):
+        BenchLock(tmp_path / "x.lock")
+    lock.close()
 
 
 def test_close_removes_the_file(tmp_path):
