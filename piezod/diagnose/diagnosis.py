@@ -104,7 +104,7 @@ def _diagnosed(
     progress("reading", None)
     inputs = _inputs(model, recordings, past, notes)
     chain, start, given = inputs.search_start()
-    result = search(chain, start, progress, given, until_s)
+    result = search(chain, start, progress, given, until_s, model.information)
     if result.ended_early:
         inputs = replace(inputs, notes=[*inputs.notes, _ended_early(result)])
     result.chain.forget()

@@ -26,7 +26,7 @@ from piezod.diagnose.selection.search_state import Search
 from piezod.diagnose.selection.significance import with_discovery_rates
 from piezod.diagnose.verdict.direct_findings import direct_findings
 from piezod.diagnose.verdict.evidence import base_of, finding_of, gone_finding, unchanged_effects
-from piezod.diagnose.verdict.extended import extended_model, with_error
+from piezod.diagnose.verdict.extended import extended_model, with_error, with_joint_estimates
 from piezod.diagnose.verdict.information import information_of
 from piezod.diagnose.verdict.simulated import FreeRun, GivenRuns, free_run, tared_rms
 from piezod.diagnose.verdict.tone_findings import gone_tones, is_unchanged_tone, tone_finding, with_tone_terms
@@ -155,8 +155,8 @@ class DiagnosisInputs:
         effects, tones = self._effects(result)
         effects += direct_findings(chain.series, self.frozen, remainder.residuals, before)
         base = base_of(result)
-        unchanged = unchanged_effects(result, self.model, effects, tones)
         written = self._written_model(result, effects, remainder.floor, span)
+        unchanged = unchanged_effects(result, self.model, written.model, effects, tones)
         after, runs = written.rms, written.runs
         if self.given_runs.law_holds and runs and not result.differs and self._is_other_stack(chain, remainder.floor):
             base = replace(base, changed=True)
@@ -273,10 +273,11 @@ class DiagnosisInputs:
         gone = {finding.name for finding in effects if finding.status == "gone" and EFFECTS[finding.name].is_tone}
         model = self._without(gone)
         given = _WrittenModel(model, before)
-        if not result.differs and not above_noise(before, floor, span):
+        if not (result.differs or result.refined) and not above_noise(before, floor, span):
             return given
         fitted = with_tone_terms(result.hypothesis, result.diagnosed_tones)
         intervals = {finding.name: finding.parameters for finding in effects}
+        model = with_joint_estimates(model, result.refined)
         parent = model if self.given_runs.law_holds else model.model_copy(update={"unnamed_law": None})
         try:
             extended = extended_model(parent, result.chain, fitted, self.hashes, intervals)
@@ -288,7 +289,11 @@ class DiagnosisInputs:
         after = tared_rms(runs)
         if not result.differs and (after >= RULES.better * before or above_noise(after, floor, span)):
             return given
-        information = information_of(result.chain, result.hypothesis, extended, self.hashes)
+        weighted = [
+            replace(s, noise_N=known.noise_N) for s, known in zip(result.chain.series, self.series, strict=True)
+        ]
+        chain = result.chain.like(weighted)  # without the looser base of the search
+        information = information_of(chain, result.hypothesis, extended, self.hashes)
         extended = with_error(extended.model_copy(update={"information": information}), after)
         return _WrittenModel(extended, after, runs)
 

@@ -5,7 +5,7 @@ effect is tried before a new effect that would imitate it.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Literal
 
 from piezod.diagnose.hypothesis.chain import Chain
@@ -13,9 +13,11 @@ from piezod.diagnose.hypothesis.fit import Fitted, fit
 from piezod.diagnose.hypothesis.sampling import coarse, fit_from_each
 from piezod.diagnose.hypothesis.terms import Point, Scope, Term
 from piezod.diagnose.selection.acceptance import degenerate, worth
+from piezod.diagnose.selection.known_values import JointEstimate, agreeing, joint_estimate
 from piezod.diagnose.selection.linear_gain import LinearGains
 from piezod.effects import EFFECTS
 from piezod.model import Model
+from piezod.model.information import Information
 from piezod.model.parameters import EffectValues
 
 Status = Literal["kept", "changed", "gone", "not seen"]
@@ -111,11 +113,30 @@ def reordered(fitted: Fitted, order: Sequence[int]) -> Fitted:
     )
 
 
-def classify_given(chain: Chain, fitted: Fitted, given: Fitted) -> tuple[Fitted, dict[str, Status]]:
-    """Hypothesis with the given effects as the recordings show them, and the status of each.
+@dataclass(frozen=True)
+class Classified:
+    """Hypothesis with the given effects as the recordings show them.
 
-    A "kept" effect has its old values, and a "gone" effect is removed. A "not seen" effect has its old values too, but
-    the recordings fit as well without it. Nothing is fitted for an effect that is clearly seen and unchanged.
+    Parameters
+    ----------
+    hypothesis
+        A "kept" effect has its old values or joint estimates, and a "gone" effect is removed. A "not seen" effect has
+        its old values too, but the recordings fit as well without it.
+    statuses
+        Status of each given effect.
+    refined
+        Joint estimates of kept effects that fit clearly better with other values, which agree with the old ones.
+    """
+
+    hypothesis: Fitted
+    statuses: dict[str, Status]
+    refined: dict[str, JointEstimate]
+
+
+def classify_given(chain: Chain, fitted: Fitted, given: Fitted, known: Information | None) -> Classified:
+    """Compare every given effect with the recordings: nothing is fitted for one that is clearly seen and unchanged.
+
+    An effect has changed if other values fit clearly better, and the information on the old ones excludes them.
 
     Parameters
     ----------
@@ -123,8 +144,11 @@ def classify_given(chain: Chain, fitted: Fitted, given: Fitted) -> tuple[Fitted,
         Recordings, and result of the search.
     given
         Base with all given effects held.
+    known
+        Information of the given model; None: its values are taken as exact.
     """
     statuses: dict[str, Status] = {}
+    joint: dict[str, JointEstimate] = {}
     few = coarse(chain)
     linear = LinearGains(few, fitted)
     for name in given.effects:
@@ -140,8 +164,35 @@ def classify_given(chain: Chain, fitted: Fitted, given: Fitted) -> tuple[Fitted,
         if worth(held, changed):
             gone = degenerate(chain, changed) or not worth(reduced, changed)
             fitted, statuses[name] = (reduced, "gone") if gone else (changed, "changed")
+            estimate = (
+                None
+                if gone or known is None
+                else joint_estimate(chain, changed, given_values(given, name), name, known)
+            )
+            if estimate is not None:
+                joint[name] = estimate
         else:
             fitted, statuses[name] = held, "kept" if worth(reduced, held) else "not seen"
         linear = LinearGains(few, fitted)
     few.forget()
-    return fitted, statuses
+    refined = agreeing(joint, len(given.effects))
+    for name, estimate in refined.items():
+        fitted, statuses[name] = with_values(chain, fitted, name, estimate.values), "kept"
+    return Classified(fitted, statuses, refined)
+
+
+def given_values(given: Fitted, name: str) -> Values:
+    """Values of an effect in a hypothesis."""
+    return next(
+        values for term, values in zip(given.terms, given.point.values, strict=True) if term.effect.name == name
+    )
+
+
+def with_values(chain: Chain, fitted: Fitted, name: str, known: Values) -> Fitted:
+    """Hypothesis, refitted with an effect held at these values."""
+    terms = tuple(replace(term, held=True) if term.effect.name == name else term for term in fitted.terms)
+    values = tuple(
+        known if term.effect.name == name else values
+        for term, values in zip(fitted.terms, fitted.point.values, strict=True)
+    )
+    return fit(chain, terms, replace(fitted.point, values=values))

@@ -11,8 +11,9 @@ import numpy as np
 from piezod.diagnose.hypothesis.chain import Chain
 from piezod.diagnose.hypothesis.fit import fit
 from piezod.diagnose.hypothesis.sampling import best_intersample, with_usual_start
-from piezod.diagnose.hypothesis.stack_change import with_stack_changed
+from piezod.diagnose.hypothesis.stack_change import NAMES, with_stack_changed
 from piezod.diagnose.hypothesis.terms import Point, Term
+from piezod.diagnose.prepare import with_loose_base
 from piezod.diagnose.rules import RULES
 from piezod.diagnose.selection.acceptance import worth
 from piezod.diagnose.selection.candidates import Candidates
@@ -21,12 +22,18 @@ from piezod.diagnose.selection.given_effects import classify_given, with_fitted_
 from piezod.diagnose.selection.moves import MOVES
 from piezod.diagnose.selection.search_state import Search, identified_base
 from piezod.diagnose.selection.unchanged import is_unchanged
+from piezod.model.information import Information
 
 OnProgress = Callable[[str, float | None], None]
 
 
 def search(
-    chain: Chain, start: Point, progress: OnProgress, given: tuple[Term, ...] = (), until_s: float = np.inf
+    chain: Chain,
+    start: Point,
+    progress: OnProgress,
+    given: tuple[Term, ...] = (),
+    until_s: float = np.inf,
+    known: Information | None = None,
 ) -> Search:
     """Find the effects that the recordings show.
 
@@ -40,17 +47,20 @@ def search(
         Effects of the given model, held at their values.
     until_s
         Monotonic time at which no further effect is looked for [s]; one that is not compared by then is not taken.
+    known
+        Information of the given model on its parameters; None: it states none.
     """
     progress("fitting the base", None)
-    state = _begun(chain.within(until_s), start, given)
+    state = replace(_begun(chain.within(until_s), start, given), known=known)
     if not given or not is_unchanged(state):
-        state = _with_moves(_with_changes(state), progress)
+        state = _with_moves(_with_refined_base(_with_changes(state)), progress)
     state = replace(state, chain=state.chain.within(np.inf), ended_early=state.chain.is_late)
     if not state.ended_early:
         progress("comparing with rivals, leaving out what gains nothing", None)
         state = replace_by_rivals(state)
-    hypothesis, statuses = classify_given(state.chain, state.hypothesis, state.base)
-    return fit_all_samples(remove_redundant(replace(state, hypothesis=hypothesis, statuses=statuses)))
+    now = classify_given(state.chain, state.hypothesis, state.base, known)
+    state = replace(state, hypothesis=now.hypothesis, statuses=now.statuses, refined=now.refined)
+    return fit_all_samples(remove_redundant(state))
 
 
 def _with_moves(state: Search, progress: OnProgress) -> Search:
@@ -86,6 +96,20 @@ def _with_changes(begun: Search) -> Search:
     while state is not None:
         begun, state = state, _with_best_change(state)
     return begun
+
+
+def _with_refined_base(state: Search) -> Search:
+    """State in which the base may be refined, before a new effect is named for its sake.
+
+    A change of the stack keeps its factors: they were estimated with the base of the given model.
+    """
+    chain = with_loose_base(state.chain) if state.given else state.chain
+    if chain is state.chain:
+        return state
+    hypothesis = state.hypothesis
+    stack = (state.chain, hypothesis) if state.stack_changed else None
+    terms = tuple(replace(term, held=term.held or term.effect.name in NAMES) for term in hypothesis.terms)
+    return state.on_chain(chain, fit(chain, terms, hypothesis.point), stack=stack)
 
 
 def _with_best_change(state: Search) -> Search | None:

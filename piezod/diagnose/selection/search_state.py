@@ -11,7 +11,9 @@ from piezod.diagnose.hypothesis.chain import Chain
 from piezod.diagnose.hypothesis.fit import MOST_STEPS, Fitted, fit
 from piezod.diagnose.hypothesis.terms import Point, Term
 from piezod.diagnose.selection.given_effects import Status
+from piezod.diagnose.selection.known_values import JointEstimate
 from piezod.diagnose.selection.replay import Attempt
+from piezod.model.information import Information
 
 
 @dataclass(frozen=True)
@@ -67,6 +69,12 @@ class Search:
         Comparisons for the replay file.
     statuses
         Status of each effect of the given model, by name.
+    refined
+        Joint estimates of kept effects, from the given model and these recordings, by name.
+    stack
+        Recordings and hypothesis by which a change of the stack was estimated; None: those of the state.
+    known
+        Information of the given model on its parameters; None: it states none.
     ended_early
         Whether the time of the search was over before it ended by itself.
     """
@@ -80,6 +88,9 @@ class Search:
     rivalries: Mapping[str, Rivalry] = field(default_factory=dict)
     attempts: tuple[Attempt, ...] = ()
     statuses: Mapping[str, Status] = field(default_factory=dict)
+    refined: Mapping[str, JointEstimate] = field(default_factory=dict)
+    stack: tuple[Chain, Fitted] | None = None
+    known: Information | None = None
     ended_early: bool = False
 
     @property

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piezod.diagnose.findings import Base, Finding, Place, Rival, Status, UnchangedEffect, Value
+from piezod.diagnose.hypothesis.left_out import FORM_ERROR, INTERVAL_FACTOR
 from piezod.diagnose.hypothesis.stack_change import NAMES
 from piezod.diagnose.hypothesis.terms import Term
 from piezod.diagnose.rules import RULES
@@ -26,9 +27,6 @@ Array = NDArray[np.float64]
 
 RIVAL_GAIN = 0.8  # least gain of a rival, as a share of the gain of the accepted effect
 NORMAL_95 = 1.96  # half of a 95 % interval [standard errors]
-INTERVAL_FACTOR, FORM_ERROR = 2.0, 0.015
-"""Factor on the half interval that left-out blocks give, and relative error of the effect's form, added in squares.
-Of 24 parameters of 33 concealed benches, 13 lay in the intervals of the blocks alone, and 21 in these."""
 WIDEST_SPREAD = 20.0  # largest half interval on the search scale; beyond it the parameter is undetermined
 LAG_ERROR = 1.0 / 8.0  # largest error of a sub-sample delay beside a lag [samples]: f (1 - f) / 2 for its fraction f
 AT_NOISE = 1.5
@@ -142,7 +140,7 @@ def base_of(result: Search) -> Base:
     """Change of the stack itself: gain and width of the loops."""
     if not result.stack_changed:
         return Base()
-    chain, fitted = result.chain, result.hypothesis
+    chain, fitted = result.stack or (result.chain, result.hypothesis)
     values, reduced = {}, fitted
     for name in NAMES:
         place = next((k for k, term in enumerate(fitted.terms) if term.effect.name == name), None)
@@ -169,16 +167,18 @@ def given_values(given: Model, name: str) -> dict[str, Value]:
 
 
 def unchanged_effects(
-    result: Search, given: Model, findings: Sequence[Finding], tones: Sequence[str]
+    result: Search, given: Model, written: Model, findings: Sequence[Finding], tones: Sequence[str]
 ) -> list[UnchangedEffect]:
     """Effects of the given model that have not changed, including those of other recordings.
 
-    `findings`: new, changed and gone effects; `tones`: names of unchanged tones.
+    `findings`: new, changed and gone effects; `tones`: names of unchanged tones. `written` may have joint estimates.
     """
     different = {finding.name for finding in findings}
     names = [name for name in dict.fromkeys(effect.name for effect in given.effects) if name not in different]
     seen = {name for name, status in result.statuses.items() if status == "kept"} | set(tones)
-    return [UnchangedEffect(name, given_values(given, name), name in seen) for name in names]
+    in_written = {effect.name for effect in written.effects}
+    models = {name: written if name in in_written else given for name in names}
+    return [UnchangedEffect(name, given_values(models[name], name), name in seen) for name in names]
 
 
 def _with_hold_error(delay_s: Value, series: Series, *, smoothed: bool) -> Value:

@@ -10,6 +10,7 @@ from piezod.diagnose.hypothesis.chain import Chain
 from piezod.diagnose.hypothesis.fit import Fitted
 from piezod.diagnose.hypothesis.stack_change import factors
 from piezod.diagnose.hypothesis.terms import Term
+from piezod.diagnose.selection.known_values import JointEstimate
 from piezod.effects import EFFECTS
 from piezod.errors import ModelError
 from piezod.estimation.fit.columns import zone_weights_of
@@ -75,6 +76,31 @@ def extended_model(
     return extended
 
 
+def with_joint_estimates(model: Model, refined: Mapping[str, JointEstimate]) -> Model:
+    """Given model with the joint estimates of effects that have not changed."""
+    effects = tuple(
+        effect.model_copy(
+            update={
+                "parameters": {**effect.parameters, **_shortened(refined[effect.name].values)},
+                "intervals": _joint_intervals(effect, refined[effect.name]),
+            }
+        )
+        if effect.name in refined and effect.recording is None
+        else effect
+        for effect in model.effects
+    )
+    return model.model_copy(update={"effects": effects})
+
+
+def _joint_intervals(effect: EffectValues, joint: JointEstimate) -> dict[str, tuple[float, float]] | None:
+    """Intervals of the parameters that the file states; a part that the joint estimate does not know stays."""
+    known = {
+        name: (_short(joint.intervals[name][0]), _short(joint.intervals[name][1])) if name in joint.intervals else ends
+        for name, ends in (effect.intervals or {}).items()
+    }
+    return known or None
+
+
 def with_error(model: Model, rms: float) -> Model:
     """Model with the rms error of its own simulation [output unit] in its provenance."""
     provenance = model.provenance.model_copy(update={"fit": FitFigures(rms_held_out=rms)})
@@ -93,7 +119,11 @@ def _short(value: float) -> float:
 
 def stored_parameters(term: Term, values: Mapping[str, float]) -> dict[str, float]:
     """Parameters and choices of a fitted effect with 8 digits, for a model file."""
-    return {key: _short(value) for key, value in {**values, **dict(term.choices)}.items()}
+    return _shortened({**values, **dict(term.choices)})
+
+
+def _shortened(values: Mapping[str, float]) -> dict[str, float]:
+    return {key: _short(value) for key, value in values.items()}
 
 
 def _start(model: Model, chain: Chain) -> Start:

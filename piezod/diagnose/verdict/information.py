@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from piezod.diagnose.hypothesis.basis import HATS, SPLINES, ForceLaw
 from piezod.diagnose.hypothesis.chain import Chain
 from piezod.diagnose.hypothesis.fit import Fitted, Normal, solved, thinned
+from piezod.diagnose.hypothesis.left_out import FORM_ERROR, covariance, left_out_moves
 from piezod.diagnose.hypothesis.stack_change import NAMES, factors
 from piezod.diagnose.hypothesis.terms import Point, Term
 from piezod.model import Model
@@ -121,7 +122,7 @@ def _figure_errors(normal: Normal, low: float, high: float, simulated: Sequence[
             moved = vector.copy()
             moved[place] += size
             gradient[:, place] = (figures(moved) - middle) / size
-    moves = _moves(normal) @ gradient.T
+    moves = left_out_moves(normal) @ gradient.T
     count = moves.shape[0]
     variances = (count - 1) / count * np.sum((moves - moves.mean(axis=0)) ** 2, axis=0)
     edges = np.cumsum([0, *(len(series.blocks) for series in normal.chain.series)])
@@ -131,14 +132,6 @@ def _figure_errors(normal: Normal, low: float, high: float, simulated: Sequence[
         variances += np.einsum("ij,jk,ik->i", follows, noise, follows)
     gain, loop_width = np.sqrt(variances)
     return BaseFigures(float(gain), float(loop_width))
-
-
-def _moves(normal: Normal) -> Array:
-    """Change of the fitted vector when a block is left out, shape (B, P), by one linear step."""
-    hessian = normal.hessian.sum(axis=0) + normal.ridge + normal.layout.prior(normal.chain, normal.point)
-    gradient = normal.gradient.sum(axis=0) + normal.pull
-    pairs = zip(normal.hessian, normal.gradient, strict=True)
-    return np.array([solved(hessian - block, gradient - side) for block, side in pairs])
 
 
 def _with_changed_stack(chain: Chain, fitted: Fitted, used: Sequence[int]) -> tuple[Chain, tuple[Term, ...], Point]:
@@ -226,7 +219,19 @@ def _rows_of(normal: Normal, matrix: Array) -> _Rows:
     places = np.array([place for place, _, _ in named.values()], dtype=np.int64)
     per_unit = 1.0 / np.array([change for _, _, change in named.values()])
     own = marginal(matrix, places) * np.outer(per_unit, per_unit)
-    return _Rows(tuple(named), np.array([value for _, value, _ in named.values()]), own)
+    estimate = np.array([value for _, value, _ in named.values()])
+    return _Rows(tuple(named), estimate, _weakened(own, normal, places, estimate, per_unit))
+
+
+def _weakened(own: Array, normal: Normal, places: NDArray[np.int64], estimate: Array, per_unit: Array) -> Array:
+    """Information in which the error of an effect's parameter is at least that from left-out blocks."""
+    form_errors = np.where(places < normal.layout.effects, 0.0, FORM_ERROR * np.abs(estimate * per_unit))
+    left_out = np.diag(covariance(left_out_moves(normal)[:, places], form_errors)) / per_unit**2
+    alone = [float(marginal(own, np.array([k], dtype=np.int64))[0, 0]) for k in range(places.size)]
+    least = 1.0 / np.maximum(alone, 1e-300)
+    factors = np.where(places < normal.layout.effects, 1.0, np.sqrt(np.maximum(left_out / least, 1.0)))
+    weakened: Array = own / np.outer(factors, factors)
+    return weakened
 
 
 def _unchanged_names(given: Information, fitted: Fitted, *, same_base: bool) -> list[str]:

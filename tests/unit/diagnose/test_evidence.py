@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
+from piezod.diagnose.hypothesis.left_out import FORM_ERROR, INTERVAL_FACTOR
 from piezod.diagnose.verdict.direct_findings import confirmed_frozen, direct_findings
-from piezod.diagnose.verdict.evidence import FORM_ERROR, INTERVAL_FACTOR, widened
+from piezod.diagnose.verdict.evidence import widened
 from piezod.effects import EFFECTS
 from tests.unit.diagnose.residuals import mixed_work, noise, series, time
 

@@ -120,6 +120,33 @@ def test_an_effect_that_has_grown_is_told_from_and_to(bench, tmp_path):
     assert written["creep"] == next(one for one in load_model(bench / "model.yaml").effects if one.name == "creep")
 
 
+def less_known(information, name, factor):
+    """Information in which the errors of an effect are larger by a factor; root R becomes R D."""
+    scale = [1.0 / factor if row.startswith(f"{name}.") else 1.0 for row in information.names]
+    root = tuple(tuple(np.multiply(row, scale[k:]).tolist()) for k, row in enumerate(information.root))
+    return information.model_copy(update={"root": root})
+
+
+@pytest.mark.parametrize(("factor", "status"), [(1.0, "changed"), (1e3, "kept")])
+def test_a_value_that_older_recordings_did_not_determine_is_averaged_and_has_not_changed(
+    bench,
+    tmp_path,
+    factor,
+    status,
+):
+    model = load_model(bench / "model.yaml")
+    information = less_known(model.information, "creep", factor)
+    save_model(model.model_copy(update={"information": information}), tmp_path / "model.yaml")
+    record(tmp_path / "later.csv", work(4), 5, creep_per_decade=0.026, late=3)
+    findings = diagnosed(tmp_path, tmp_path / "model.yaml", "later", tmp_path / "out")
+    kept = {one["name"]: "kept" for one in findings["kept"] if one["seen"]}
+    assert (kept | names(findings["effects"]))["creep"] == status
+    written = {effect.name: effect for effect in load_model(tmp_path / "out" / "model.yaml").effects}
+    assert written["creep"].parameters["per_decade"] == pytest.approx(0.026, rel=0.1)
+    since = next(effect.since for effect in model.effects if effect.name == "creep")
+    assert (written["creep"].since == since) == (status == "kept")
+
+
 @pytest.mark.slow
 def test_an_effect_that_is_gone_leaves_the_model(bench, tmp_path):
     findings, model = later(bench, tmp_path, creep_per_decade=0.0)
