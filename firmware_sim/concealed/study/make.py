@@ -1,11 +1,14 @@
 """Makes a study: draws its cases, writes the recordings, and seals the truth."""
 
 import json
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
+from contextlib import ExitStack
+from functools import partial
 from itertools import repeat
 from multiprocessing import get_context
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -18,6 +21,9 @@ from firmware_sim.concealed.study.seal import SEAL, TRUTH, pack, pack_arrays, se
 SCHEMA = "firmware_sim.concealed.truth/1"
 CASE_SCHEMA = "firmware_sim.concealed.case/1"
 ROWS = 2**14
+
+Progress = Callable[[int, int], None]
+"""Called with the number of finished cases and of all cases."""
 
 
 def make(
@@ -32,7 +38,7 @@ def make(
     amid_s: float = 0.0,
     varied: bool = False,
     jobs: int = 1,
-    progress: Callable[[int, int], None] | None = None,
+    progress: Progress | None = None,
 ) -> None:
     """Make a study in a directory without a study.
 
@@ -53,8 +59,40 @@ def make(
         Whether the benches are varied (`bench.draw_varied_bench`).
     jobs
         Number of processes.
-    progress
-        Called with the number of finished cases and of all cases.
+
+    Raises
+    ------
+    StudyError
+        The directory has a study already.
+    """
+    entropy = np.random.SeedSequence(seed)
+    plan, *children = entropy.spawn(cases + 1)
+    rng = np.random.Generator(np.random.PCG64(plan))
+    planned = case_specs(rng, cases, kind, effect, strength, families, varied=varied)
+    begins_s = [amid_s if k % 3 == 0 else 0.0 for k in range(1, cases + 1)]
+    write_study(directory, "cases", SCHEMA, entropy, make_case, (planned, children, begins_s), jobs, progress)
+
+
+def write_study(
+    directory: Path,
+    kind: str,
+    schema: str,
+    entropy: np.random.SeedSequence,
+    make_one: Callable[..., dict[str, object]],
+    arguments: Sequence[Sequence[Any]],
+    jobs: int,
+    progress: Progress | None,
+) -> None:
+    """Make every case, one after the other or in `jobs` processes, and seal the study.
+
+    Parameters
+    ----------
+    kind
+        Word for the cases in the truth and in the seal.
+    make_one
+        Writes a case and returns its truth. Its first arguments are the directory and the name of the case.
+    arguments
+        Its further arguments; each is a sequence with a member for every case.
 
     Raises
     ------
@@ -63,36 +101,20 @@ def make(
     """
     if (directory / SEAL).exists():
         raise StudyError(f"{directory}: has a study already; take another directory")
-    entropy = np.random.SeedSequence(seed)
-    plan, *children = entropy.spawn(cases + 1)
-    rng = np.random.Generator(np.random.PCG64(plan))
-    planned = case_specs(rng, cases, kind, effect, strength, families, varied=varied)
     (directory / "sealed").mkdir(parents=True, exist_ok=True)
-    names = [f"case_{k:04d}" for k in range(1, cases + 1)]
+    names = [f"case_{k:04d}" for k in range(1, len(arguments[0]) + 1)]
     truths = {}
-    begins_s = [amid_s if k % 3 == 0 else 0.0 for k in range(1, cases + 1)]
-    for done, truth in enumerate(_made(directory, names, planned, children, begins_s, jobs), 1):
-        truths[names[done - 1]] = truth
-        if progress:
-            progress(done, cases)
-    text = json.dumps({"schema": SCHEMA, "entropy": str(entropy.entropy), "cases": truths})
+    with ExitStack() as stack:
+        pool = stack.enter_context(ProcessPoolExecutor(jobs, mp_context=get_context("spawn"))) if jobs > 1 else None
+        made = (map if pool is None else pool.map)(partial(make_one, directory), names, *arguments)
+        for name, truth in zip(names, made, strict=True):
+            truths[name] = truth
+            if progress:
+                progress(len(truths), len(names))
+    text = json.dumps({"schema": schema, "entropy": str(entropy.entropy), kind: truths})
     (directory / TRUTH).write_bytes(pack(text.encode()))
-    write_seal(directory, [directory / TRUTH, *(sealed_arrays(directory, name) for name in names)], cases=cases)
-
-
-def _made(
-    directory: Path,
-    names: Sequence[str],
-    planned: Sequence[CaseSpec],
-    seeds: Sequence[np.random.SeedSequence],
-    begins_s: Sequence[float],
-    jobs: int,
-) -> Iterator[dict[str, object]]:
-    if jobs <= 1:
-        yield from map(make_case, repeat(directory), names, planned, seeds, begins_s)
-        return
-    with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
-        yield from pool.map(make_case, repeat(directory), names, planned, seeds, begins_s)
+    files = [directory / TRUTH, *(sealed_arrays(directory, name) for name in names)]
+    write_seal(directory, files, **{kind: len(names)})
 
 
 def make_case(

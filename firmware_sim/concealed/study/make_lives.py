@@ -4,22 +4,18 @@ Each life is a case of the study. Its change and its family run through all comb
 """
 
 import json
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor
-from itertools import repeat
-from multiprocessing import get_context
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
 
-from firmware_sim.concealed.errors import StudyError
 from firmware_sim.concealed.plant.record_context import Effect
 from firmware_sim.concealed.study.catalogue import ENTRIES
 from firmware_sim.concealed.study.families import FAMILIES
 from firmware_sim.concealed.study.life_truth import SCHEMA
 from firmware_sim.concealed.study.lives import CHANGES, Life, draw_life
-from firmware_sim.concealed.study.make import write_record
-from firmware_sim.concealed.study.seal import SEAL, TRUTH, pack, pack_arrays, sealed_arrays, write_seal
+from firmware_sim.concealed.study.make import Progress, write_record, write_study
+from firmware_sim.concealed.study.seal import pack_arrays, sealed_arrays
 
 LIFE_SCHEMA = "firmware_sim.concealed.life/1"
 
@@ -31,7 +27,7 @@ def make_lives(
     seed: int | None = None,
     families: Sequence[str] = tuple(FAMILIES),
     jobs: int = 1,
-    progress: Callable[[int, int], None] | None = None,
+    progress: Progress | None = None,
 ) -> None:
     """Make a study of lives in a directory without a study.
 
@@ -47,43 +43,18 @@ def make_lives(
         Families of the plants, in turn.
     jobs
         Number of processes.
-    progress
-        Called with the number of finished lives and of all lives.
 
     Raises
     ------
     StudyError
         The directory has a study already.
     """
-    if (directory / SEAL).exists():
-        raise StudyError(f"{directory}: has a study already; take another directory")
     entropy = np.random.SeedSequence(seed)
-    (directory / "sealed").mkdir(parents=True, exist_ok=True)
-    names = [f"case_{k:04d}" for k in range(1, lives + 1)]
-    truths = {}
-    for done, truth in enumerate(_made(directory, names, families, entropy.spawn(lives), jobs), 1):
-        truths[names[done - 1]] = truth
-        if progress:
-            progress(done, lives)
-    text = json.dumps({"schema": SCHEMA, "entropy": str(entropy.entropy), "lives": truths})
-    (directory / TRUTH).write_bytes(pack(text.encode()))
-    write_seal(directory, [directory / TRUTH, *(sealed_arrays(directory, name) for name in names)], lives=lives)
-
-
-def _made(
-    directory: Path,
-    names: Sequence[str],
-    families: Sequence[str],
-    seeds: Sequence[np.random.SeedSequence],
-    jobs: int,
-) -> Iterator[dict[str, object]]:
-    of_each = [families[k % len(families)] for k in range(len(names))]
-    changes = [CHANGES[k % len(CHANGES)] for k in range(len(names))]  # 7 changes, 4 families: every pair in 28 lives
-    if jobs <= 1:
-        yield from map(make_life, repeat(directory), names, of_each, changes, seeds)
-        return
-    with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
-        yield from pool.map(make_life, repeat(directory), names, of_each, changes, seeds)
+    of_each = [families[k % len(families)] for k in range(lives)]
+    changes = [CHANGES[k % len(CHANGES)] for k in range(lives)]  # 7 changes, 4 families: every pair in 28 lives
+    write_study(
+        directory, "lives", SCHEMA, entropy, make_life, (of_each, changes, entropy.spawn(lives)), jobs, progress
+    )
 
 
 def make_life(directory: Path, name: str, family: str, change: str, seed: np.random.SeedSequence) -> dict[str, object]:

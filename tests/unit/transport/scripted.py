@@ -165,6 +165,11 @@ class ScriptedTcp(_Scripted):
             with connection, contextlib.suppress(OSError):
                 self._serve_client(connection)
 
+    def whole(self, waiting):
+        """Length of the first request in `waiting`; 0: incomplete."""
+        size = 6 + struct.unpack_from(">H", waiting, 4)[0] if len(waiting) >= 6 else 0
+        return size if len(waiting) >= size else 0
+
     def _serve_client(self, connection):
         waiting = b""
         while not self._stop.is_set():
@@ -174,7 +179,7 @@ class ScriptedTcp(_Scripted):
             if not data:
                 return
             waiting += data
-            while len(waiting) >= 6 and len(waiting) >= (size := 6 + struct.unpack_from(">H", waiting, 4)[0]):
+            while size := self.whole(waiting):
                 frame, waiting = waiting[:size], waiting[size:]
                 done = self._reply(frame, connection.sendall)
                 if done == RESET:
@@ -208,11 +213,8 @@ class ScriptedPty(_Scripted):
         if fixed is None:
             return 8
         head, count_at = fixed
-        return (
-            head + waiting[count_at] + 2
-            if len(waiting) > count_at and len(waiting) >= head + waiting[count_at] + 2
-            else 0
-        )
+        size = head + waiting[count_at] + 2 if len(waiting) > count_at else 0
+        return size if len(waiting) >= size else 0
 
     def _serve(self):
         waiting = b""
@@ -235,23 +237,6 @@ class ScriptedGateway(ScriptedTcp):
 
     good = ScriptedPty.good
     whole = ScriptedPty.whole
-
-    def _serve_client(self, connection):
-        waiting = b""
-        while not self._stop.is_set():
-            if not select.select([connection], [], [], 0.02)[0]:
-                continue
-            data = connection.recv(4096)
-            if not data:
-                return
-            waiting += data
-            while size := self.whole(waiting):
-                frame, waiting = waiting[:size], waiting[size:]
-                done = self._reply(frame, connection.sendall)
-                if done == RESET:
-                    connection.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
-                if done:
-                    return
 
 
 class ScriptedLine(ScriptedPty):
