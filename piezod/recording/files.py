@@ -61,6 +61,9 @@ FOREIGN = {
     ".raw": "imc FAMOS",
     ".bin": "catman or another program",
 }
+COMPRESSED = (".gz", ".zip", ".bz2", ".xz", ".zst", ".7z")
+"""Compressed files, which are unpacked first."""
+
 """Binary formats of other programs that are not read, by suffix."""
 
 EXPORT = "export it there as text (.csv), .mat, .tdms or .mf4"
@@ -286,6 +289,8 @@ def _format_of(path: Path, *, to_read: bool = False) -> Format:
         return _HDF5 if suffix == ".nc" else FORMATS[".csv"]
     if to_read and suffix in FOREIGN:
         raise RecordingError(f"{path}: is a file of {FOREIGN[suffix]}, which is not read; {EXPORT}")
+    if to_read and suffix in COMPRESSED:
+        raise RecordingError(f"{path}: is compressed; unpack it first")
     if suffix in SPREADSHEETS:
         return SPREADSHEETS[suffix]
     if suffix not in FORMATS:
@@ -307,4 +312,5 @@ def _check_magic(path: Path, file_format: Format) -> None:
     if others:
         raise RecordingError(f"{path}: holds {others[0]}, its suffix says {file_format.name}; rename it")
     if file_format.magic:
-        raise RecordingError(f"{path}: is no {file_format.name} file, begins with {head[:16]!r}")
+        kind = "workbook" if file_format is _SPREADSHEET else f"{file_format.name} file"
+        raise RecordingError(f"{path}: is no {kind}, begins with {head[:16]!r}")

@@ -41,6 +41,10 @@ class WorldFile:
         Part of the message, where it is refused or asked about without these options.
     needs
         Library that is needed to write it.
+    wanted_V
+        Voltages in the file; None: `U_V`.
+    lacks
+        Channel that has no numbers and is left out.
     """
 
     name: str
@@ -55,6 +59,8 @@ class WorldFile:
     says: str = ""
     needs: str = ""
     rows: int = N
+    wanted_V: np.ndarray | None = None
+    lacks: str = ""
     atol: float = 1e-5
 
     def make(self, folder: Path) -> Path:

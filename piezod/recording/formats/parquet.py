@@ -38,7 +38,7 @@ def open_parquet(path: Path, options: TextOptions = TextOptions()) -> Iterator[R
         schema, samples = file.schema_arrow, file.metadata.num_rows
         fields = [field for field in schema if _is_numeric(arrow, field)]
         every = [
-            Stored(field.name, samples, _unit(field), field.name, arrow.types.is_timestamp(field.type))
+            Stored(field.name, samples, _unit(arrow, field), field.name, arrow.types.is_timestamp(field.type))
             for field in fields
         ]
 
@@ -72,11 +72,13 @@ def write_parquet(recording: Recording, path: Path) -> None:
 
 def _is_numeric(arrow: Any, field: Any) -> bool:  # noqa: ANN401
     kind = arrow.types
-    tests = (kind.is_floating, kind.is_integer, kind.is_boolean, kind.is_timestamp)
+    tests = (kind.is_floating, kind.is_integer, kind.is_boolean, kind.is_timestamp, kind.is_duration)
     return any(test(field.type) for test in tests)
 
 
-def _unit(field: Any) -> str:  # noqa: ANN401
+def _unit(arrow: Any, field: Any) -> str:  # noqa: ANN401
+    if arrow.types.is_duration(field.type):
+        return "s"
     metadata = field.metadata or {}
     return str((metadata.get(b"unit") or metadata.get(b"units") or b"").decode("utf-8", "replace"))
 
@@ -87,10 +89,13 @@ def _metadata(schema: Any) -> dict[str, str]:  # noqa: ANN401
 
 
 def _values(arrow: Any, column: Any) -> NDArray[Any]:  # noqa: ANN401
-    """Dates in UTC, whole numbers without a null as they are, else floating point numbers."""
+    """Dates in UTC, durations in seconds, whole numbers without a null as they are, else floating point numbers."""
     if arrow.types.is_timestamp(column.type):
         dates = column.cast(arrow.timestamp("ns")).to_numpy(zero_copy_only=False)
         return np.asarray(dates, dtype="datetime64[ns]")
+    if arrow.types.is_duration(column.type):
+        column = column.cast(arrow.duration("ns")).cast(arrow.int64())
+        return np.ascontiguousarray(1e-9 * column.cast(arrow.float64()).to_numpy(zero_copy_only=False))
     if arrow.types.is_integer(column.type) and not column.null_count:
         return np.asarray(column.to_numpy(zero_copy_only=False))
     # safe=False: integers beyond 2**53 are rounded to the nearest double, as in every format

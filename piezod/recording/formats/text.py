@@ -40,6 +40,9 @@ BLOCK = 2**22
 LARGE = 2**24
 """File size above which parsing by pyarrow saves more time than its import costs [bytes]."""
 
+OVERLOADS = (9.9e37, 9.91e37)
+"""Infinity, of either sign, and not-a-number of SCPI (1999.0, volume 1, 7.2.1.4 and 7.2.1.5)."""
+
 _EMPTY_CELL = re.compile(rb"(?m)(?<=,)[ \t]*(?=,|$)|^[ \t]*(?=,)")
 _NAN = re.compile(rb"NaN(?=[,;\t|\n])")
 _BEHIND = re.compile(r"\s#")
@@ -129,6 +132,7 @@ class _Rows:
                 block, mark, rest = (rest + text).rpartition("\n")
                 if mark:
                     table = self._parse((block + mark).encode())
+                    self._remove_overloads(table)
                     self._repairs.end_block()
                     values += table.size
                     if values > MOST_VALUES:
@@ -153,6 +157,17 @@ class _Rows:
         self._repairs.set_counts(before[1])
         lines = block.split(b"\n")
         return self._parse_rows(b"".join(self._clean(line, at) for at, line in enumerate(lines, begun + 1)))
+
+    def _remove_overloads(self, table: Array) -> None:
+        """Read the numbers that instruments write for an overload as missing, in place."""
+        if self._layout.own or not table.size:
+            return
+        if np.nanmax(np.abs(table), initial=0.0) >= min(OVERLOADS):
+            for overload in OVERLOADS:
+                found = np.isclose(np.abs(table), overload, rtol=1e-6, atol=0.0)
+                for value in table[found]:
+                    self._repairs.missing(f"{value:.3g}")
+                table[found] = np.nan
 
     def _rows(self, block: bytes, begun: int) -> bytes:
         """Rows of plain numbers, with few lines cleaned; empty where each line must be."""

@@ -99,8 +99,9 @@ def is_number(cell: str, decimal: str) -> bool:
 
 
 def _plain(cell: str) -> str:
-    """The cell without surrounding blanks, with a plain minus."""
-    return cell.strip().translate(MINUS)
+    """The cell without surrounding blanks and blanks after the sign, with a plain minus."""
+    text = cell.strip().translate(MINUS)
+    return text[0] + text[1:].lstrip() if text[:1] in ("+", "-") else text
 
 
 def is_grouped(cell: str, decimal: str) -> bool:

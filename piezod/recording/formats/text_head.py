@@ -72,6 +72,8 @@ def head_of(lines: Sequence[str], separator: str, width: int) -> Head:
         if separator == " " and len(cells) != width:
             cells = [cell.strip() for cell in re.split(r"\s{2,}|\t", text.strip())]
         if len(cells) < width:
+            if cells and separator != " " and text.count(separator) >= width - 1:
+                continue  # one setting for all columns, such as `SR=200 Hz;;`
             break
         rows.append((k, cells))
         if len(rows) == MOST_HEAD_ROWS:
@@ -129,9 +131,11 @@ def columns_of(
         return tuple(column_of(name) for name in named)
     if len(header) != width:
         first = ", ".join(rows[0])[:80]
+        whole = not any(mark in cell for cell in rows[0] for mark in ".,")
+        hint = ", or export numbers with decimal commas between semicolons" if whole else ""
         raise RecordingError(
             f"{path}: has no header for its {width} columns, the first row is {first}; name them, such as "
-            "--columns time_s,voltage_V,force_N, or export numbers with decimal commas between semicolons"
+            f"--columns time_s,voltage_V,force_N{hint}"
         )
     if header[0] == "" and all(header[1:]) and _counts([cells[0] for cells in rows]):
         header = [ROW, *header[1:]]
